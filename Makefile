@@ -1,0 +1,46 @@
+# `make env` prepares all that the other targets need; each of them runs it first.
+PY := .venv/bin/python
+SPHINXOPTS ?= -W --keep-going
+
+.DEFAULT_GOAL := help
+.PHONY: help env env-wheel demo test test-wheel doctest verify check format docs clean
+
+help:  ## list the targets
+	@sed -n 's/^\([a-z-]*\):.*## /  \1\t/p' $(MAKEFILE_LIST) | expand -t 16
+
+env:  ## install the Debian packages that are missing and fill .venv
+	@tools/env.sh debian
+
+env-wheel:  ## fill .venv-wheel with the dolfinx wheel from PyPI (Python >= 3.12)
+	@tools/env.sh wheel
+
+demo: env  ## two beams in contact; writes to results/
+	$(PY) demos/two_beams.py
+
+test: env  ## doctests, serial tests, then the MPI tests on 2 and 3 ranks
+	@tools/test.sh .venv
+
+test-wheel: env-wheel  ## the same tests with the dolfinx wheel
+	@tools/test.sh .venv-wheel
+
+doctest: env  ## the examples in the docstrings
+	$(PY) -m pytest -q --doctest-modules fenics_tfeti/qp fenics_tfeti/feti
+
+verify: env  ## the tests marked heavy
+	$(PY) -m pytest tests -m heavy
+
+check: env  ## ruff and mypy
+	$(PY) -m ruff check .
+	$(PY) -m ruff format --check .
+	$(PY) -m mypy --strict fenics_tfeti
+
+format: env  ## let ruff rewrite what it can
+	$(PY) -m ruff check --fix .
+	$(PY) -m ruff format .
+
+docs: env  ## HTML pages in docs/_build/html
+	$(PY) -m sphinx -b html $(SPHINXOPTS) docs docs/_build/html
+
+clean:  ## remove the environments and what runs leave behind
+	rm -rf .venv .venv.lock .venv-wheel .venv-wheel.lock *.egg-info build docs/_build results
+	rm -rf .pytest_cache .hypothesis .mypy_cache .ruff_cache

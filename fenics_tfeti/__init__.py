@@ -1,0 +1,59 @@
+"""Scalable contact mechanics with Total FETI on FEniCSx.
+
+The public names are loaded when they are first asked for, so that ``fenics_tfeti.feti`` and
+``fenics_tfeti.qp`` can be used where dolfinx is not installed.
+"""
+
+from __future__ import annotations
+
+import logging
+from importlib import import_module
+from typing import Any
+
+from fenics_tfeti.errors import (
+    ContactError,
+    FactorizationError,
+    InputError,
+    NotConverged,
+    UnresistedMotion,
+)
+
+_LAZY = {
+    "ContactPair": "fenics_tfeti.fem.contact",
+    "ContactProblem": "fenics_tfeti.problem",
+    "ContactResult": "fenics_tfeti.fem.contact",
+    "Plane": "fenics_tfeti.fem.contact",
+    "RigidObstacle": "fenics_tfeti.fem.contact",
+}
+
+__all__ = [
+    "ContactError",
+    "ContactPair",
+    "ContactProblem",
+    "ContactResult",
+    "FactorizationError",
+    "InputError",
+    "NotConverged",
+    "Plane",
+    "RigidObstacle",
+    "UnresistedMotion",
+]
+
+logging.getLogger(__name__).addHandler(logging.NullHandler())
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    try:
+        return getattr(import_module(_LAZY[name]), name)
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").split(".")[0]
+        if missing not in ("dolfinx", "ufl", "basix", "petsc4py", "mpi4py"):
+            raise
+        raise ImportError(
+            f"fenics_tfeti.{name} needs FEniCSx, but the package {missing!r} is missing. Install it "
+            "by 'apt install python3-dolfinx-real python3-petsc4py-real' (Debian, Ubuntu), 'conda "
+            "install -c conda-forge fenics-dolfinx petsc4py mpi4py', or 'pip install "
+            "dolfinx-solver-real' (Python >= 3.12)"
+        ) from error

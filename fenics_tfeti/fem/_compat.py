@@ -1,0 +1,497 @@
+"""What differs between dolfinx 0.5.2, 0.9 and 0.11: the only file that knows.
+
+One function for one difference. Each says what the versions do and how it dispatches: by asking
+for an attribute or an argument, before any communication.
+"""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+import dolfinx
+import dolfinx.fem.petsc
+import ufl
+from dolfinx import cpp, fem, mesh
+
+Numbers = NDArray[np.int32]
+
+
+# -- meshes and function spaces ----------------------------------------------------------------
+
+
+def version() -> str:
+    """Return dolfinx's version."""
+    return str(dolfinx.__version__)
+
+
+def cpp_object(thing: Any) -> Any:
+    """Return the C++ object inside a Python one.
+
+    - 0.5.2 keeps that of a mesh in ``_mesh``; mesh tags inherit from theirs;
+    - 0.9 and 0.11 keep all of them in ``_cpp_object``.
+    """
+    for name in ("_cpp_object", "_mesh"):
+        if hasattr(thing, name):
+            return getattr(thing, name)
+    return thing
+
+
+def space_like(domain: mesh.Mesh, space: fem.FunctionSpace) -> fem.FunctionSpace:
+    """Create a function space with the same element on another mesh.
+
+    - 0.5.2 has the class ``FunctionSpace(mesh, element)``;
+    - 0.9 and 0.11 have the function ``functionspace(mesh, element)``.
+    """
+    create = getattr(fem, "functionspace", None) or fem.FunctionSpace
+    return create(domain, space.ufl_element())
+
+
+def lagrange_space(
+    domain: mesh.Mesh, degree: int, components: int = 0, discontinuous: bool = False
+) -> fem.FunctionSpace:
+    """Create a space of Lagrange functions with some components (0: scalar).
+
+    - 0.5.2 has ``FunctionSpace`` and ``VectorFunctionSpace`` for (family, degree);
+    - 0.9 and 0.11 have ``functionspace`` for (family, degree, shape).
+    """
+    family = "DG" if discontinuous else "Lagrange"
+    if hasattr(fem, "functionspace"):
+        shape = ((components,),) if components else ()
+        return fem.functionspace(domain, (family, degree, *shape))
+    if components:
+        return fem.VectorFunctionSpace(domain, (family, degree), dim=components)
+    return fem.FunctionSpace(domain, (family, degree))
+
+
+def element_facts(space: fem.FunctionSpace) -> tuple[str, int, tuple[int, ...]]:
+    """Return family ("Lagrange", "Discontinuous Lagrange", ...), degree and value shape.
+
+    - 0.5.2 has UFL elements with ``family()``, ``degree()``, ``value_shape()``; vector elements
+      hide their scalar one in ``sub_elements()``;
+    - 0.9 and 0.11 have elements of ``basix.ufl`` with ``family_name``, ``degree``,
+      ``discontinuous`` and ``reference_value_shape``.
+    """
+    element = space.ufl_element()
+    if callable(element.degree):
+        shape = tuple(element.value_shape())
+        scalar = element.sub_elements()[0] if element.num_sub_elements() else element
+        family = {"Q": "Lagrange", "DQ": "Discontinuous Lagrange"}.get(
+            scalar.family(), scalar.family()
+        )
+        return family, int(scalar.degree()), shape
+    scalar = element.sub_elements[0] if getattr(element, "block_size", 1) > 1 else element
+    family = {"P": "Lagrange", "Q": "Lagrange"}.get(scalar.family_name, scalar.family_name)
+    if family == "Lagrange" and scalar.discontinuous:
+        family = "Discontinuous Lagrange"
+    return family, int(scalar.degree), tuple(element.reference_value_shape)
+
+
+def cell_dofs(space: fem.FunctionSpace) -> Numbers:
+    """Return the (blocked) degrees of freedom of each cell of this rank, ghosts included.
+
+    - 0.5.2 has an adjacency list, 0.9 and 0.11 a matrix.
+    """
+    dofs = space.dofmap.list
+    if hasattr(dofs, "array"):
+        return np.asarray(dofs.array).reshape(dofs.num_nodes, -1)
+    return np.asarray(dofs)
+
+
+def geometry_cells(domain: mesh.Mesh) -> Numbers:
+    """Return the rows of ``geometry.x`` of each cell of this rank, ghosts included.
+
+    - 0.5.2 has ``geometry.dofmap``, an adjacency list;
+    - 0.9 has a matrix, 0.11 one for each cell type in ``geometry.dofmaps``, the other deprecated.
+    """
+    geometry = domain.geometry
+    if hasattr(geometry, "dofmaps") and not callable(geometry.dofmaps):
+        return np.asarray(geometry.dofmaps[0])
+    nodes = geometry.dofmap
+    if hasattr(nodes, "array"):
+        return np.asarray(nodes.array).reshape(nodes.num_nodes, -1)
+    return np.asarray(nodes)
+
+
+def geometry_degree(domain: mesh.Mesh) -> int:
+    """Return the degree of the cells' geometry.
+
+    - 0.5.2 and 0.9 have ``geometry.cmap``, 0.11 ``geometry.cmaps``. The number of nodes says
+      the same in all of them.
+    """
+    nodes = geometry_cells(domain).shape[1]
+    vertices = {"triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8}
+    return 1 if nodes == vertices[cell_name(domain)] else 2
+
+
+def cell_name(domain: mesh.Mesh) -> str:
+    """Return the shape of the cells, such as "hexahedron".
+
+    - ``ufl_cell().cellname`` is a method in 0.5.2 and 0.9, a property in 0.11.
+    """
+    name = domain.ufl_cell().cellname
+    return str(name() if callable(name) else name)
+
+
+def bc_values(bc: Any, size: int) -> tuple[Numbers, NDArray[np.float64]]:
+    """Return the unrolled local degrees of freedom of a Dirichlet condition and their values.
+
+    - 0.5.2 has ``fem.set_bc(array, [bc])``, 0.9 and 0.11 ``bc.set(array)``; both take
+      values that are functions, constants or arrays.
+
+    Parameters
+    ----------
+    bc : dolfinx.fem.DirichletBC
+        The condition.
+    size : int
+        Number of unrolled degrees of freedom of this rank, ghosts included.
+    """
+    values = np.zeros(size)
+    if hasattr(bc, "set"):
+        bc.set(values, None, 1.0)
+    else:
+        fem.set_bc(values, [bc])
+    dofs = cpp_object(bc).dof_indices()[0]
+    return dofs, values[dofs]
+
+
+def bc_is_on(bc: Any, space: fem.FunctionSpace) -> bool:
+    """Tell whether a Dirichlet condition is on a space or a component of it.
+
+    - ``bc.function_space`` is the C++ space in 0.5.2 and the Python one later.
+    """
+    return bool(cpp_object(space).contains(cpp_object(bc.function_space)))
+
+
+# -- graphs ------------------------------------------------------------------------------------
+
+
+def partition_graph(offsets: Numbers, neighbours: Numbers, parts: int) -> Numbers:
+    """Partition a graph of this rank alone by SCOTCH.
+
+    - 0.5.2 has ``graph.create_adjacencylist``, 0.9 ``graph.adjacencylist``; 0.11 wraps its
+      result in a Python class that the partitioner does not take.
+
+    Parameters
+    ----------
+    offsets : (n + 1,) integer array
+        Where each vertex's neighbours begin.
+    neighbours : integer array
+        The neighbours.
+    parts : int
+        Number of parts.
+
+    Returns
+    -------
+    (n,) integer array
+        Part of each vertex.
+    """
+    create = getattr(dolfinx.graph, "adjacencylist", None) or dolfinx.graph.create_adjacencylist
+    graph = create(neighbours.astype(np.int64), offsets.astype(np.int32))
+    partitioner = dolfinx.graph.partitioner_scotch(seed=0)
+    return np.array(partitioner(MPI.COMM_SELF, parts, cpp_object(graph), False).array)
+
+
+# -- forms -------------------------------------------------------------------------------------
+
+
+class CompiledForm:
+    """A form compiled once, to be bound to many meshes of the same cell.
+
+    - 0.5.2 compiles with ``jit.ffcx_jit`` and binds by ``cpp.fem.Form_float64``, with tags as
+      ``MeshTags``;
+    - 0.9 and 0.11 have ``fem.compile_form`` and ``fem.create_form``, with lists of entities.
+
+    Dispatches on ``fem.create_form``.
+
+    Parameters
+    ----------
+    form : ufl.Form
+        Its coefficients and constants are replaced at binding.
+    comm : MPI.Comm
+        Rank 0 compiles, then the others load.
+    """
+
+    def __init__(self, form: ufl.Form, comm: MPI.Comm) -> None:
+        self._form = form
+        self._new = hasattr(fem, "create_form")
+        if self._new:
+            self._compiled = fem.compile_form(comm, form)
+        else:
+            self._compiled = dolfinx.jit.ffcx_jit(comm, form)
+
+    def bind(
+        self,
+        domain: mesh.Mesh,
+        spaces: list[fem.FunctionSpace],
+        coefficients: dict[Any, fem.Function],
+        cells: dict[int, Numbers],
+        facets: dict[int, Numbers],
+    ) -> Any:
+        """Bind the form to a mesh of one process.
+
+        Parameters
+        ----------
+        domain : Mesh
+            The mesh.
+        spaces : list
+            One for each argument.
+        coefficients : dict
+            The function on this mesh for each of the form's coefficients.
+        cells : dict
+            For each tag of a cell integral the cells.
+        facets : dict
+            For each tag of an exterior facet integral rows (cell, local facet).
+        """
+        if self._new:
+            return self._create_form(domain, spaces, coefficients, cells, facets)
+        ufcx_form, module, _ = self._compiled
+        functions = self._form.coefficients()
+        kinds = cpp.fem.IntegralType
+        return cpp.fem.Form_float64(
+            module.ffi.cast("uintptr_t", module.ffi.addressof(ufcx_form)),
+            [V._cpp_object for V in spaces],
+            [
+                coefficients[functions[ufcx_form.original_coefficient_position[i]]]._cpp_object
+                for i in range(ufcx_form.num_coefficients)
+            ],
+            [c._cpp_object for c in self._form.constants()],
+            {
+                kinds.cell: _tags_from_cells(domain, cells),
+                kinds.exterior_facet: _tags_from_facets(domain, facets),
+                kinds.interior_facet: None,
+                kinds.vertex: None,
+            },
+            cpp_object(domain),
+        )
+
+    def _create_form(
+        self,
+        domain: mesh.Mesh,
+        spaces: list[fem.FunctionSpace],
+        coefficients: dict[Any, fem.Function],
+        cells: dict[int, Numbers],
+        facets: dict[int, Numbers],
+    ) -> Any:
+        kinds = fem.IntegralType
+        subdomains = {
+            kinds.cell: list(cells.items()),
+            kinds.exterior_facet: [(tag, rows.ravel()) for tag, rows in facets.items()],
+        }
+        constants = {c: c for c in self._form.constants()}
+        return fem.create_form(self._compiled, spaces, domain, subdomains, coefficients, constants)
+
+
+def _tags_from_cells(domain: mesh.Mesh, cells: dict[int, Numbers]) -> Any:
+    if not cells:
+        return None
+    entities = np.concatenate(list(cells.values()))
+    tags = np.repeat(list(cells), [part.size for part in cells.values()]).astype(np.int32)
+    order = np.argsort(entities)
+    return mesh.meshtags(domain, domain.topology.dim, entities[order], tags[order])
+
+
+def _tags_from_facets(domain: mesh.Mesh, facets: dict[int, Numbers]) -> Any:
+    if not facets:
+        return None
+    dim = domain.topology.dim
+    domain.topology.create_connectivity(dim, dim - 1)
+    domain.topology.create_connectivity(dim - 1, dim)
+    facet_of = domain.topology.connectivity(dim, dim - 1).array.reshape(
+        domain.topology.index_map(dim).size_local, -1
+    )
+    rows = np.concatenate(list(facets.values()))
+    entities = facet_of[rows[:, 0], rows[:, 1]]
+    tags = np.repeat(list(facets), [part.shape[0] for part in facets.values()]).astype(np.int32)
+    order = np.argsort(entities)
+    return mesh.meshtags(domain, dim - 1, entities[order], tags[order])
+
+
+def subdomain_data(form: ufl.Form) -> dict[str, Any]:
+    """Return the tags of each kind of integral ("cell", "exterior_facet", ...) of a form.
+
+    - 0.5.2's UFL has one entry, 0.9's and 0.11's a list with one entry for each integral.
+    """
+    (data,) = form.subdomain_data().values()
+    return {
+        kind: next((t for t in tags if t is not None), None) if isinstance(tags, list) else tags
+        for kind, tags in data.items()
+    }
+
+
+def assemble_stiffness(form: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.float64]]:
+    """Assemble a bilinear form on one process into (indptr, indices, data).
+
+    The PETSc path is the same in all versions (native matrices of 0.5.2 have no blocks).
+    """
+    A = fem.petsc.assemble_matrix(form)
+    A.assemble()
+    csr = A.getValuesCSR()
+    A.destroy()
+    return csr
+
+
+def assemble_load(form: Any) -> NDArray[np.float64]:
+    """Assemble a linear form on one process.
+
+    - 0.5.2 returns a vector with ``array``, so do 0.9 and 0.11.
+    """
+    return np.array(fem.assemble_vector(form).array)
+
+
+def assemble_distributed(form: ufl.Form) -> NDArray[np.float64]:
+    """Assemble a linear form on a distributed mesh; return the owned entries, complete.
+
+    - ``dolfinx.fem.petsc`` is an attribute of ``dolfinx.fem`` only after its own import in 0.11.
+    """
+    from petsc4py import PETSc
+
+    b = fem.petsc.assemble_vector(fem.form(form))
+    b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    values = b.array_r.copy()
+    b.destroy()
+    return values
+
+
+# -- meshes, files and pictures ----------------------------------------------------------------
+
+
+def distributed_mesh(
+    comm: MPI.Comm, cells: NDArray[np.int64], points: NDArray[np.float64], cell: str
+) -> dolfinx.mesh.Mesh:
+    """Create a distributed mesh of first-order cells from arrays.
+
+    - 0.5.2 has ``create_mesh(comm, cells, x, domain)`` and elements from ``ufl``;
+    - 0.9 has ``create_mesh(comm, cells, x, e)``, 0.11 ``create_mesh(comm, cells, e, x)``, both
+      with elements from ``basix.ufl``.
+
+    Dispatches on the name of the argument of the coordinate element.
+
+    Parameters
+    ----------
+    comm : MPI.Comm
+        Communicator of the mesh.
+    cells : (m, v) array of int
+        Numbers of the nodes of this rank's share of the cells, in the vertex order of dolfinx.
+    points : (k, gdim) array
+        This rank's share of the nodes [m]; they are numbered through the ranks.
+    cell : str
+        Shape of the cells, such as "hexahedron".
+    """
+    gdim = points.shape[1]
+    if "domain" in inspect.signature(mesh.create_mesh).parameters:
+        shape = ufl.Cell(cell, geometric_dimension=gdim)
+        domain = ufl.Mesh(ufl.VectorElement("Lagrange", shape, 1))
+        return mesh.create_mesh(comm, cells, points, domain=domain)
+    import basix.ufl
+
+    domain = ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(gdim,)))
+    return mesh.create_mesh(comm, cells, x=points, e=domain)
+
+
+def gmsh_model_to_mesh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[Any, Any, Any]:
+    """Distribute the mesh of the current Gmsh model of rank 0.
+
+    - 0.5.2 and 0.9 have ``dolfinx.io.gmshio``, which returns (mesh, cell tags, facet tags);
+    - 0.11 has ``dolfinx.io.gmsh``, which returns an object with these attributes, and None for
+      facet tags where no facet is tagged.
+
+    Dispatches on the module that can be imported and on the attributes of the result.
+
+    Parameters
+    ----------
+    model : gmsh.model
+        Used on rank 0 only.
+    comm : MPI.Comm
+        Communicator of the mesh.
+    gdim : int
+        Number of coordinates to keep.
+
+    Returns
+    -------
+    tuple
+        Mesh, tags of the cells, tags of the facets (possibly empty).
+    """
+    try:
+        from dolfinx.io import gmsh as reader
+    except ImportError:
+        from dolfinx.io import gmshio as reader
+    result = reader.model_to_mesh(model, comm, 0, gdim=gdim)
+    domain, cell_tags, facet_tags = (
+        (result.mesh, result.cell_tags, result.facet_tags)
+        if hasattr(result, "facet_tags")
+        else result[:3]
+    )
+    if facet_tags is None:
+        none = np.empty(0, dtype=np.int32)
+        facet_tags = mesh.meshtags(domain, domain.topology.dim - 1, none, none)
+    return domain, cell_tags, facet_tags
+
+
+def entity_nodes(
+    domain: dolfinx.mesh.Mesh, dim: int, entities: NDArray[np.int32]
+) -> NDArray[np.int32]:
+    """Return the rows of ``mesh.geometry.x`` at the vertices of entities such as facets.
+
+    - 0.5.2 has ``cpp.mesh.entities_to_geometry`` only; it is in 0.9 and 0.11 as well, and all take
+      the C++ mesh.
+
+    Parameters
+    ----------
+    domain : dolfinx.mesh.Mesh
+        The mesh.
+    dim : int
+        Dimension of the entities.
+    entities : (m,) array of int
+        Entities of this rank.
+
+    Returns
+    -------
+    (m, v) array of int
+        Their vertices, in the vertex order of dolfinx.
+    """
+    domain.topology.create_connectivity(dim, domain.topology.dim)
+    return np.asarray(cpp.mesh.entities_to_geometry(cpp_object(domain), dim, entities, False))
+
+
+def interpolate_expression(expression: Any, function: Any) -> None:
+    """Interpolate a UFL expression into a function of dolfinx.
+
+    - 0.5.2 and 0.9 have the method ``element.interpolation_points()``;
+    - 0.11 has the attribute of this name.
+
+    Dispatches on whether it can be called.
+    """
+    points = function.function_space.element.interpolation_points
+    points = points() if callable(points) else points
+    function.interpolate(fem.Expression(expression, points))
+
+
+def list_pieces_once(index: Path) -> None:
+    """Repair the list of the files of all ranks that ``io.VTKFile`` writes.
+
+    - 0.5.2 lists the files once for each function, so that ParaView draws the mesh several times;
+    - 0.9 and 0.11 list them once.
+
+    Does not dispatch: where nothing is repeated, nothing changes.
+
+    Parameters
+    ----------
+    index : Path
+        The .pvtu file.
+    """
+    tree = ElementTree.parse(index)
+    grid = tree.getroot()[0]
+    seen = set()
+    for piece in grid.findall("Piece"):
+        if piece.get("Source") in seen:
+            grid.remove(piece)
+        seen.add(piece.get("Source"))
+    tree.write(index, encoding="utf-8", xml_declaration=True)

@@ -1,0 +1,125 @@
+"""Draws a deformed mesh: ``python _render.py data.npz picture.png``, a process of its own.
+
+It must not import dolfinx: on Debian 12, VTK from PyPI aborts in a process that used dolfinx 0.5.2.
+Therefore it is run by its path, and imports nothing of its package. `pictures.py` writes the data.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+import pyvista
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]
+
+INK = "#22262b"
+OUTLINE = "#8a9099"
+DPI = 200
+MANY_FACES = 60_000  # more faces than this would drown in the lines between them
+VTK_SHAPES = {"triangle": 5, "quadrilateral": 9, "tetrahedron": 10, "hexahedron": 12}
+
+
+def grid_of(data: Any) -> pyvista.UnstructuredGrid:
+    """Return the undeformed mesh with its colours."""
+    cells = data["cells"]
+    rows = np.column_stack([np.full(len(cells), cells.shape[1]), cells])
+    kinds = np.full(len(cells), VTK_SHAPES[str(data["shape"])], dtype=np.uint8)
+    grid = pyvista.UnstructuredGrid(rows.ravel(), kinds, data["points"])
+    colours = data["colours"]
+    target = grid.cell_data if len(colours) == len(cells) else grid.point_data
+    target["colours"] = colours
+    grid.point_data["displacement"] = data["displacement"]
+    return grid
+
+
+def photograph(data: Any, limits: tuple[float, float], pixels: tuple[int, int]) -> Image:
+    """Return an image (height, width, 3) of the deformed mesh on white, without empty margins."""
+    surface = grid_of(data).extract_surface(algorithm="dataset_surface")
+    edges = surface.extract_feature_edges(
+        feature_angle=30, boundary_edges=True, manifold_edges=False, non_manifold_edges=False
+    )
+    deformed, deformed_edges = (part.copy() for part in (surface, edges))
+    for part in (deformed, deformed_edges):
+        part.points = part.points + float(data["scale"]) * part["displacement"]
+
+    plotter = pyvista.Plotter(off_screen=True, window_size=list(pixels), lighting="none")
+    plotter.add_light(pyvista.Light((-0.35, 0.55, 1), light_type="camera light"))
+    plotter.set_background("white")
+    plotter.enable_anti_aliasing("ssaa")
+    plotter.add_mesh(
+        deformed,
+        scalars="colours",
+        cmap=str(data["colour_map"]),
+        clim=limits,
+        show_scalar_bar=False,
+        show_edges=deformed.n_cells < MANY_FACES,
+        edge_color=INK,
+        edge_opacity=0.3,
+        line_width=1.5,
+        ambient=0.7,
+        diffuse=0.33,
+        specular=0,
+    )
+    if edges.n_points:
+        plotter.add_mesh(edges, color=OUTLINE, line_width=2.5, lighting=False)
+        plotter.add_mesh(deformed_edges, color=INK, line_width=3.5, lighting=False)
+    if np.ptp(data["points"][:, 2]) == 0:
+        plotter.view_xy()
+        plotter.enable_parallel_projection()
+    else:
+        plotter.view_vector(data["camera"], viewup=(0, 0, 1))
+        plotter.camera.view_angle = 24
+    plotter.reset_camera()
+    plotter.camera.zoom(1.15)
+    image: Image = plotter.screenshot(None, return_img=True)
+    plotter.close()
+    return without_margins(image)
+
+
+def without_margins(image: Image) -> Image:
+    """Cut off the white rows and columns around what is drawn."""
+    drawn = np.any(image < 250, axis=2)
+    rows, columns = np.flatnonzero(drawn.any(axis=1)), np.flatnonzero(drawn.any(axis=0))
+    return image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+
+
+def compose(data: Any, image: Image, limits: tuple[float, float], path: str) -> None:
+    """Put the title, the image, the colour bar and the note on one page."""
+    width, height = data["size"] / DPI
+    figure = Figure(figsize=(width, height), dpi=DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    figure.text(0.04, 0.95, str(data["title"]), fontsize=13, color=INK, va="top")
+    figure.text(0.04, 0.04, str(data["note"]), fontsize=8, color=OUTLINE, va="bottom")
+    axes = figure.add_axes((0.03, 0.08, 0.83, 0.83))
+    axes.imshow(image, interpolation="lanczos")
+    axes.set_axis_off()
+    bar_axes = figure.add_axes((0.885, 0.16, 0.018, 0.6))
+    mappable = ScalarMappable(Normalize(*limits), str(data["colour_map"]))
+    bar = figure.colorbar(mappable, cax=bar_axes)
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(labelsize=8, colors=INK, length=2)
+    bar_axes.set_title(str(data["label"]), fontsize=9, color=INK, pad=10, loc="center")
+    figure.savefig(path)
+
+
+def main(data_path: str, picture_path: str) -> None:
+    """Draw the picture."""
+    with np.load(data_path) as file:
+        data = dict(file)
+    low, high = np.min(data["colours"]), np.max(data["colours"])
+    if high - low <= 1e-12 * max(abs(low), abs(high)):  # a bar needs some length
+        low, high = low - 0.5 * (abs(low) or 1), high + 0.5 * (abs(high) or 1)
+    limits = (float(low), float(high))
+    image = photograph(data, limits, (2 * int(data["size"][0]), 2 * int(data["size"][1])))
+    compose(data, image, limits, picture_path)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,183 @@
+"""The user's displacement space: what is wanted of it, prescribed values, the solution in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import ufl
+from dolfinx import fem
+from dolfinx.fem import Function, FunctionSpace
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.feti import Prescribed, Subdomain
+from fenics_tfeti.feti.exchange import together
+from fenics_tfeti.feti.torn_system import SAME_VALUE
+
+__all__ = ["average_of_copies", "displacement_space", "prescribed_values"]
+
+Vector = NDArray[np.float64]
+
+
+def displacement_space(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
+    """Return the space of the forms' arguments, after checking that it is one for displacements.
+
+    Parameters
+    ----------
+    a, L : ufl.Form
+        Bilinear and linear form.
+
+    Returns
+    -------
+    FunctionSpace
+        Continuous, of degree 1, with one component for each dimension.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    arguments = a.arguments() + L.arguments()
+    if len(a.arguments()) != 2 or len(L.arguments()) != 1:
+        raise InputError(
+            f"a has {len(a.arguments())} arguments, L has {len(L.arguments())}: a has to be "
+            "bilinear (trial and test function), L linear (test function)"
+        )
+    space = arguments[0].ufl_function_space()
+    if any(argument.ufl_function_space() != space for argument in arguments):
+        raise InputError("the arguments of a and L are on different function spaces; use one")
+    family, degree, shape = _compat.element_facts(space)
+    gdim = space.mesh.geometry.dim
+    if shape != (gdim,):
+        kind = "scalar" if shape == () else f"of shape {shape}"
+        raise InputError(
+            f"the function space is {kind}; a displacement needs {gdim} components, for instance "
+            f"functionspace(mesh, ('Lagrange', 1, ({gdim},)))"
+        )
+    if family != "Lagrange" or degree != 1:
+        raise InputError(
+            f"the function space is {family} of degree {degree}; node-to-node contact needs "
+            "Lagrange elements of degree 1"
+        )
+    if space.mesh.topology.dim != gdim or _compat.geometry_degree(space.mesh) != 1:
+        raise InputError("the mesh has to consist of straight-sided cells that fill its space")
+    return space
+
+
+def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
+    """Evaluate Dirichlet conditions.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    bcs : sequence of dolfinx.fem.DirichletBC
+        On the space or its components.
+
+    Returns
+    -------
+    Prescribed
+        Those on this rank's degrees of freedom.
+
+    Raises
+    ------
+    InputError
+        A condition on another space, NaN, contradictory values.
+    """
+    block = space.dofmap.index_map_bs
+    index_map = space.dofmap.index_map
+    size = block * (index_map.size_local + index_map.num_ghosts)
+    given = np.zeros(size, dtype=bool)
+    values = np.zeros(size)
+    with together(space.mesh.comm):
+        for number, bc in enumerate(bcs):
+            if not _compat.bc_is_on(bc, space):
+                raise InputError(
+                    f"Dirichlet condition {number} is not on the displacement's function space or "
+                    "one of its components"
+                )
+            dofs, new = _compat.bc_values(bc, size)
+            _check_values(space, number, dofs, new, given, values)
+            given[dofs] = True
+            values[dofs] = new
+    unrolled = np.flatnonzero(given)
+    nodes = index_map.local_to_global((unrolled // block).astype(np.int32))
+    return Prescribed(
+        np.asarray(nodes, dtype=np.int64), (unrolled % block).astype(np.int64), values[unrolled]
+    )
+
+
+def _check_values(
+    space: FunctionSpace,
+    number: int,
+    dofs: NDArray[np.int32],
+    new: Vector,
+    given: NDArray[np.bool_],
+    values: Vector,
+) -> None:
+    bad = ~np.isfinite(new)
+    if bad.any():
+        raise InputError(
+            f"Dirichlet condition {number} has {np.count_nonzero(bad)} values that are NaN or "
+            "infinite"
+        )
+    scale = max(np.abs(new).max(initial=0.0), np.abs(values).max(initial=0.0))
+    wrong = dofs[given[dofs] & (np.abs(values[dofs] - new) > SAME_VALUE * scale)]
+    if wrong.size:
+        block = space.dofmap.index_map_bs
+        x = space.tabulate_dof_coordinates()[wrong[0] // block]
+        raise InputError(
+            f"contradictory Dirichlet values: component {wrong[0] % block} at {x} is "
+            f"{values[wrong[0]]:g} by an earlier condition and {new[dofs == wrong[0]][0]:g} by "
+            f"condition {number} ({wrong.size} such contradictions)"
+        )
+
+
+def average_of_copies(
+    space: FunctionSpace, subdomains: Sequence[Subdomain], displacements: Sequence[Vector]
+) -> Function:
+    """Put torn displacements together: at each node the mean of this rank's copies.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    subdomains : sequence of Subdomain
+        This rank's subdomains.
+    displacements : sequence of (n_i,) arrays
+        Their displacements [m].
+
+    Returns
+    -------
+    Function
+        On the user's mesh, ghosts up to date.
+    """
+    block = space.dofmap.index_map_bs
+    index_map = space.dofmap.index_map
+    total = np.zeros((index_map.size_local + index_map.num_ghosts, block))
+    copies = np.zeros(len(total))
+    for subdomain, displacement in zip(subdomains, displacements, strict=True):
+        local = _local_nodes(space, subdomain.nodes)
+        total[local] += displacement.reshape(-1, block)
+        copies[local] += 1.0
+    uh = fem.Function(space, name="displacement")
+    uh.x.array[:] = (total / np.maximum(copies, 1.0)[:, None]).ravel()
+    uh.x.scatter_forward()
+    return uh
+
+
+def _local_nodes(space: FunctionSpace, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the local numbers of global nodes on this rank."""
+    index_map = space.dofmap.index_map
+    first, last = index_map.local_range
+    ghosts = np.asarray(index_map.ghosts, dtype=np.int64)
+    order = np.argsort(ghosts)
+    owned = (nodes >= first) & (nodes < last)
+    local = nodes - first
+    at = np.searchsorted(ghosts[order], nodes[~owned])
+    local[~owned] = index_map.size_local + order[at]
+    return local

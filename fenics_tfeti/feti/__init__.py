@@ -1,0 +1,25 @@
+"""Total FETI for torn elasticity problems with contact; knows no finite element library.
+
+A researcher with K_i, f_i and node numbers from any code fills a `TornSystem` and calls
+`TornSolver`; ``numpy``, ``scipy``, ``petsc4py`` and ``mpi4py`` are all it needs.
+"""
+
+from fenics_tfeti.feti.options import Options, parse_options
+from fenics_tfeti.feti.recovery import Certificate
+from fenics_tfeti.feti.report import Report, Timer
+from fenics_tfeti.feti.solver import TornSolution, TornSolver
+from fenics_tfeti.feti.torn_system import ContactRows, Prescribed, Subdomain, TornSystem
+
+__all__ = [
+    "Certificate",
+    "ContactRows",
+    "Options",
+    "Prescribed",
+    "Report",
+    "Subdomain",
+    "Timer",
+    "TornSolution",
+    "TornSolver",
+    "TornSystem",
+    "parse_options",
+]

@@ -1,0 +1,151 @@
+"""Sparse Cholesky factors by CHOLMOD or MUMPS, through PETSc."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from mpi4py import MPI  # noqa: F401 - first, or the wheels' petsc4py does not find the MPI library
+
+from petsc4py import PETSc
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fenics_tfeti.errors import FactorizationError
+
+__all__ = ["Package", "SparseCholesky", "available_packages", "choose_package"]
+
+Vector = NDArray[np.float64]
+Package = Literal["auto", "cholmod", "mumps"]
+
+_PREFERENCE = ("cholmod", "mumps")
+
+
+def _petsc_matrix(matrix: sp.csr_matrix, definite: bool = True) -> PETSc.Mat:
+    indices = (matrix.indptr.astype(PETSc.IntType), matrix.indices.astype(PETSc.IntType))
+    A = PETSc.Mat().createAIJ(matrix.shape, csr=(*indices, matrix.data), comm=PETSc.COMM_SELF)
+    # told that a matrix is definite, MUMPS looks for no null pivots
+    A.setOption(PETSc.Mat.Option.SPD if definite else PETSc.Mat.Option.SYMMETRIC, True)
+    return A
+
+
+def _has_package(package: str) -> bool:
+    pc = PETSc.PC().create(PETSc.COMM_SELF)
+    pc.setOperators(_petsc_matrix(sp.identity(1, format="csr")))
+    pc.setType("cholesky")
+    pc.setFactorSolverType(package)
+    try:
+        pc.setFactorSetUpSolverType()
+    except PETSc.Error:
+        return False
+    finally:
+        pc.destroy()
+    return True
+
+
+def available_packages() -> list[str]:
+    """Return which of CHOLMOD and MUMPS this PETSc has, the preferred one first."""
+    return [package for package in _PREFERENCE if _has_package(package)]
+
+
+def choose_package(package: Package) -> str:
+    """Return the name of the package to use.
+
+    Raises
+    ------
+    FactorizationError
+        If PETSc was built without it.
+    """
+    available = available_packages()
+    if package == "auto" and available:
+        return available[0]
+    if package in available:
+        return package
+    raise FactorizationError(
+        f"PETSc has no sparse Cholesky factorisation by {package!r}; it has "
+        f"{available or 'neither CHOLMOD nor MUMPS'}. Choose another 'factor', or install a PETSc "
+        "with MUMPS (Debian: python3-petsc4py-real, conda-forge: petsc4py)"
+    )
+
+
+class SparseCholesky:
+    """The factor of a sparse symmetric positive definite matrix.
+
+    Parameters
+    ----------
+    matrix : (n, n) scipy.sparse.csr_matrix
+        Both triangles.
+    package : str
+        "cholmod" or "mumps".
+    null_pivots : bool
+        Let MUMPS detect the zero pivots of a semidefinite matrix (ICNTL(24)); then `solve` applies a
+        generalised inverse.
+
+    Attributes
+    ----------
+    deficiency : int
+        Number of null pivots found.
+
+    Raises
+    ------
+    FactorizationError
+        If the matrix is not positive definite.
+
+    Examples
+    --------
+    >>> import numpy as np, scipy.sparse as sp
+    >>> factor = SparseCholesky(sp.csr_matrix(np.diag([1.0, 2.0])), choose_package("auto"))
+    >>> factor.solve(np.array([3.0, 4.0])).tolist()
+    [3.0, 2.0]
+    """
+
+    def __init__(self, matrix: sp.csr_matrix, package: str, null_pivots: bool = False) -> None:
+        pc = PETSc.PC().create(PETSc.COMM_SELF)
+        pc.setOperators(_petsc_matrix(matrix, definite=not null_pivots))
+        pc.setType("cholesky")
+        pc.setFactorSolverType(package)
+        pc.setFactorSetUpSolverType()
+        self._factor = pc.getFactorMatrix()
+        if null_pivots:
+            self._factor.setMumpsIcntl(24, 1)
+        try:
+            pc.setUp()
+        except PETSc.Error as error:
+            raise FactorizationError(
+                f"the Cholesky factorisation by {package} failed: the matrix of order "
+                f"{matrix.shape[0]} is not positive definite"
+            ) from error
+        self._pc = pc
+        self.deficiency = int(self._factor.getMumpsInfog(28)) if null_pivots else 0
+        self._x = PETSc.Vec().createSeq(matrix.shape[0], comm=PETSc.COMM_SELF)
+        self._b = self._x.duplicate()
+        self._reject_indefinite(matrix, package)
+
+    def _reject_indefinite(self, matrix: sp.csr_matrix, package: str) -> None:
+        # MUMPS factors indefinite matrices, and PETSc passes on no failure of CHOLMOD: try a solve
+        probe = np.random.default_rng(0).standard_normal(matrix.shape[0])
+        b = matrix @ probe
+        x = self.solve(b)
+        with np.errstate(invalid="ignore", over="ignore"):
+            residual = np.linalg.norm(matrix @ x - b)
+            positive = float(b @ x) > 0.0
+        if not (positive and residual <= 1e-6 * np.linalg.norm(b)):
+            raise FactorizationError(
+                f"the Cholesky factorisation by {package} is useless (residual {residual:.1e}): the "
+                f"matrix of order {matrix.shape[0]} is not positive definite"
+            )
+
+    def solve(self, b: Vector) -> Vector:
+        """Solve for a vector (n,) or, column by column, for a matrix (n, k)."""
+        if b.ndim == 2:
+            return np.stack([self.solve(column) for column in b.T], axis=1) if b.size else b.copy()
+        self._b.array_w[:] = b
+        self._factor.solve(self._b, self._x)
+        x: Vector = self._x.array_r.copy()
+        return x
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the factor's entries."""
+        return int(8 * self._factor.getInfo()["nz_used"])

@@ -1,0 +1,413 @@
+"""Gluing, Dirichlet and contact rows B = [B_E; B_I] with BB' = I (sec. 11.5, remark 11.1).
+
+Everything follows from global node numbers. A node with k copies gets k - 1 orthonormal contrasts
+for each component that is free, k unit rows for each component that is prescribed. A contact row
+takes the mean of the slave's copies minus the mean of the master's: on glued displacements it is the
+row of the chapter, and it is orthogonal to every contrast. Rows of one node in several inequalities
+are not orthogonal to each other; (11.22) then holds but for those.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.feti.exchange import Directory, SharedIndices, first_of_rank, together
+from fenics_tfeti.feti.torn_system import SAME_VALUE, ContactRows, TornSystem
+
+__all__ = ["Constraints", "build_constraints"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+# a normal whose free part is shorter than this is a rounded normal of a prescribed direction
+NEGLIGIBLE_NORMAL = 1e-10
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """Bu <= c on the inequality rows, Bu = c on the others, in this rank's torn displacements.
+
+    Attributes
+    ----------
+    matrix : (m, n) scipy.sparse.csr_matrix
+        The columns of B for this rank's subdomains and all rows that have an entry there.
+    rhs : (m,) array
+        c.
+    multipliers : SharedIndices
+        The rows' global numbers and who shares them.
+    inequality : (i,) integer array
+        Local positions of the inequality rows, ascending.
+    contact : (i,) integer array
+        Number of the contact that each of them belongs to.
+    scale : (i,) array
+        Factor t of each: the row is t (u_slave - u_master)'n, and t lambda is the normal force.
+    own_rows : (contact rows of this rank,) integer array
+        Local position of each contact row that this rank gave; -1 where prescribed displacements
+        alone decide it.
+    nodes : int
+        Number of distinct nodes over all ranks.
+    """
+
+    matrix: sp.csr_matrix
+    rhs: Vector
+    multipliers: SharedIndices
+    inequality: Numbers
+    contact: Numbers
+    scale: Vector
+    own_rows: Numbers
+    nodes: int
+
+    @property
+    def equality(self) -> NDArray[np.bool_]:
+        """Mask of the equality rows."""
+        mask = np.ones(self.rhs.size, dtype=bool)
+        mask[self.inequality] = False
+        return mask
+
+    @property
+    def owned_inequalities(self) -> int:
+        """How many of the inequality rows, the first ones, this rank owns."""
+        return int(np.searchsorted(self.inequality, self.multipliers.owned))
+
+
+@dataclass(frozen=True)
+class _Copies:
+    """This rank's copies of nodes, over all its subdomains."""
+
+    node: Numbers  # position in `nodes`
+    unknown: Numbers  # first torn unknown
+    nodes: Numbers  # distinct global numbers
+    count: Numbers  # copies of each distinct node on this rank
+
+
+@dataclass(frozen=True)
+class _NodeTable:
+    """What is known of nodes at their places in the directory, or of those looked up there."""
+
+    multiplicity: Numbers  # copies over all ranks
+    first_row: Numbers  # number of the node's first equality row
+    prescribed: NDArray[np.bool_]  # (nodes, gdim)
+    values: Vector  # (nodes, gdim)
+
+
+@dataclass(frozen=True)
+class _Entries:
+    """Entries of B, with global row numbers, and the right-hand sides of some rows."""
+
+    rows: Numbers
+    columns: Numbers
+    values: Vector
+
+
+@dataclass(frozen=True)
+class _InequalityRows:
+    """Contact rows that remain, with what their multipliers need to know."""
+
+    number: Numbers  # global row number
+    contact: Numbers
+    scale: Vector
+    rhs: Vector
+
+
+def build_constraints(system: TornSystem) -> Constraints:
+    """Build B and c from global node numbers.
+
+    Parameters
+    ----------
+    system : TornSystem
+        Subdomains, prescribed displacements and contact rows.
+
+    Returns
+    -------
+    Constraints
+        This rank's part of B and c.
+
+    Raises
+    ------
+    InputError
+        Contradictory prescribed displacements, a constraint on a node of no subdomain, a contact
+        row that prescribed displacements violate.
+    """
+    copies = _copies(system)
+    directory = Directory(system.comm, copies.nodes)
+    table = _node_table(system, directory, copies)
+    equality_total = first_of_rank(system.comm, _equality_rows(table).sum())[1]
+
+    local = _lookup(directory, copies.nodes, table)
+    equality, equality_rhs = _equality_entries(system, directory, copies, local)
+    inequality, rows, kept = _inequality_entries(
+        system, directory, copies, table, int(equality_total)
+    )
+
+    multipliers = SharedIndices(
+        system.comm, np.unique(np.concatenate([equality.rows, rows.number]))
+    )
+    n = sum(subdomain.size for subdomain in system.subdomains)
+    matrix = sp.csr_matrix(
+        (
+            np.concatenate([equality.values, inequality.values]),
+            (
+                multipliers.local(np.concatenate([equality.rows, inequality.rows])),
+                np.concatenate([equality.columns, inequality.columns]),
+            ),
+        ),
+        shape=(multipliers.numbers.size, n),
+    )
+    rhs = np.zeros(multipliers.numbers.size)
+    prescribed = multipliers.local(equality_rhs[0].astype(np.int64))
+    rhs[prescribed] = equality_rhs[1]
+    at = multipliers.local(rows.number)
+    rhs[at] = rows.rhs
+    own_rows = np.full(system.contacts.slave.size, -1, dtype=np.int64)
+    own_rows[kept] = at[: np.count_nonzero(kept)]
+    # a holder learns of its row once or several times, always the same
+    at, first = np.unique(at, return_index=True)
+    return Constraints(
+        matrix,
+        rhs,
+        multipliers,
+        inequality=at,
+        contact=rows.contact[first],
+        scale=rows.scale[first],
+        own_rows=own_rows,
+        nodes=first_of_rank(system.comm, directory.keys.size)[1],
+    )
+
+
+def _copies(system: TornSystem) -> _Copies:
+    sizes = np.array([s.nodes.size for s in system.subdomains], dtype=np.int64)
+    all_nodes = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in system.subdomains)])
+    nodes, node, count = np.unique(all_nodes, return_inverse=True, return_counts=True)
+    unknown = system.gdim * np.arange(sizes.sum(), dtype=np.int64)
+    return _Copies(node.ravel(), unknown, nodes, count)
+
+
+def _equality_rows(table: _NodeTable) -> Numbers:
+    """Return the number of equality rows of each node."""
+    k = table.multiplicity[:, None]
+    rows: Numbers = np.where(table.prescribed, k, k - 1).sum(axis=1)
+    return rows
+
+
+def _node_table(system: TornSystem, directory: Directory, copies: _Copies) -> _NodeTable:
+    """Gather multiplicities and prescribed displacements at the nodes' places; number the rows."""
+    places = directory.keys.size
+    keys, counts = directory.collect(copies.nodes, copies.count)
+    multiplicity = np.zeros(places, dtype=np.int64)
+    np.add.at(multiplicity, directory.position(keys), counts)
+
+    keys, components, values = directory.collect(
+        system.prescribed.nodes, system.prescribed.components, system.prescribed.values
+    )
+    with together(system.comm):
+        prescribed, merged = _merge_prescribed(
+            directory, keys, components, values, (places, system.gdim)
+        )
+    unnumbered = _NodeTable(multiplicity, multiplicity, prescribed, merged)
+    rows = _equality_rows(unnumbered)
+    first = first_of_rank(system.comm, int(rows.sum()))[0] + np.cumsum(rows) - rows
+    return _NodeTable(multiplicity, first.astype(np.int64), prescribed, merged)
+
+
+def _merge_prescribed(
+    directory: Directory,
+    keys: Numbers,
+    components: Numbers,
+    values: Vector,
+    shape: tuple[int, int],
+) -> tuple[NDArray[np.bool_], Vector]:
+    at = directory.position(keys)
+    if np.any(at < 0):
+        raise InputError(
+            f"a displacement is prescribed for node {keys[at < 0][0]}, which is in no subdomain"
+        )
+    prescribed = np.zeros(shape, dtype=bool)
+    merged = np.zeros(shape)
+    prescribed[at, components] = True
+    merged[at, components] = values
+    difference = np.abs(merged[at, components] - values)
+    wrong = np.flatnonzero(difference > SAME_VALUE * np.abs(values).max(initial=0.0))
+    if wrong.size:
+        k = wrong[0]
+        raise InputError(
+            f"contradictory Dirichlet values: component {components[k]} of node {keys[k]} is "
+            f"prescribed as {values[k]:g} and as {merged[at[k], components[k]]:g} "
+            f"({wrong.size} such contradictions). Give each displacement one value"
+        )
+    return prescribed, merged
+
+
+def _lookup(directory: Directory, nodes: Numbers, table: _NodeTable) -> _NodeTable:
+    _, k, first, prescribed, values = directory.lookup(
+        nodes, table.multiplicity, table.first_row, table.prescribed, table.values
+    )
+    return _NodeTable(k, first, prescribed, values)
+
+
+def _copy_numbers(directory: Directory, copies: _Copies, rank: int) -> Numbers:
+    """Number the copies of each node over all ranks: 0, 1, ..., k - 1."""
+    keys, ranks, counts = directory.forward(
+        copies.nodes, np.full(copies.nodes.size, rank, dtype=np.int64), copies.count
+    )
+    before = np.zeros(copies.nodes.size, dtype=np.int64)
+    np.add.at(before, np.searchsorted(copies.nodes, keys), np.where(ranks < rank, counts, 0))
+    # within the rank by order of appearance
+    order = np.argsort(copies.node, kind="stable")
+    first = np.cumsum(copies.count) - copies.count
+    number = np.empty(copies.node.size, dtype=np.int64)
+    number[order] = np.arange(copies.node.size) - np.repeat(first, copies.count)
+    return before[copies.node] + number
+
+
+def _equality_entries(
+    system: TornSystem, directory: Directory, copies: _Copies, local: _NodeTable
+) -> tuple[_Entries, tuple[Numbers, Vector]]:
+    """Return the Dirichlet and gluing entries, and (rows, values) of prescribed displacements."""
+    number = _copy_numbers(directory, copies, system.comm.rank)
+    k = local.multiplicity[copies.node]
+    row = local.first_row[copies.node]
+    parts: list[_Entries] = []
+    rhs_rows: list[Numbers] = []
+    rhs_values: list[Vector] = []
+    for component in range(system.gdim):
+        prescribed = local.prescribed[copies.node, component]
+        unknown = copies.unknown + component
+
+        rows = (row + number)[prescribed]
+        parts.append(_Entries(rows, unknown[prescribed], np.ones(rows.size)))
+        rhs_rows.append(rows)
+        rhs_values.append(local.values[copies.node[prescribed], component])
+
+        parts.append(
+            _contrasts(number[~prescribed], k[~prescribed], row[~prescribed], unknown[~prescribed])
+        )
+        row = row + np.where(prescribed, k, k - 1)
+    entries = _Entries(
+        np.concatenate([p.rows for p in parts]),
+        np.concatenate([p.columns for p in parts]),
+        np.concatenate([p.values for p in parts]),
+    )
+    return entries, (np.concatenate(rhs_rows), np.concatenate(rhs_values))
+
+
+def _contrasts(number: Numbers, k: Numbers, first_row: Numbers, unknown: Numbers) -> _Entries:
+    """Orthonormal (Helmert) contrasts: row r compares copy r with the mean of the copies before it.
+
+    Row r = 1, ..., k - 1 is (1, ..., 1, -r, 0, ..., 0) / sqrt(r (r + 1)) with -r at copy r.
+    """
+    first = np.maximum(number, 1)
+    rows_of_copy = k - first
+    copy = np.repeat(np.arange(k.size), rows_of_copy)
+    start = np.cumsum(rows_of_copy) - rows_of_copy
+    r = (np.arange(copy.size) - start[copy] + first[copy]).astype(np.int64)
+    values = np.where(r == number[copy], -r, 1.0) / np.sqrt(r * (r + 1.0))
+    return _Entries(first_row[copy] + r - 1, unknown[copy], values)
+
+
+def _inequality_entries(
+    system: TornSystem,
+    directory: Directory,
+    copies: _Copies,
+    table: _NodeTable,
+    equality_total: int,
+) -> tuple[_Entries, _InequalityRows, NDArray[np.bool_]]:
+    """Return the contact entries, the rows that this rank holds (own ones first), which are kept."""
+    contacts = system.contacts
+    sides = []  # (nodes, coefficients, multiplicity) of slave and master
+    gap = contacts.gap.copy()
+    for nodes, sign in ((contacts.slave, 1.0), (contacts.master, -1.0)):
+        found = _lookup(directory, nodes.clip(min=0), table)
+        there = nodes >= 0
+        with together(system.comm):
+            _check_known(nodes[there], found.multiplicity[there])
+        coefficients = sign * contacts.normal * there[:, None]
+        # a prescribed component is known: move it to the gap, so the row stays orthogonal to its
+        gap -= np.sum(np.where(found.prescribed, coefficients * found.values, 0.0), axis=1)
+        coefficients = np.where(found.prescribed, 0.0, coefficients)
+        sides.append((nodes, coefficients, np.maximum(found.multiplicity, 1)))
+    norm2 = sum(np.sum(c**2, axis=1) / k for _, c, k in sides)
+    kept = norm2 > NEGLIGIBLE_NORMAL**2
+    with together(system.comm):
+        _check_decided_rows(contacts, gap, kept)
+
+    first = equality_total + first_of_rank(system.comm, int(kept.sum()))[0]
+    number = np.arange(first, first + int(kept.sum()), dtype=np.int64)
+    scale = 1.0 / np.sqrt(norm2[kept])
+    rows = _InequalityRows(number, contacts.contact[kept], scale, scale * gap[kept])
+    arrived = [_forward_side(directory, side, kept, rows) for side in sides]
+    entries = [_spread_over_copies(copies, a[0], a[1], a[2]) for a in arrived]
+    held = _InequalityRows(
+        np.concatenate([rows.number, *(a[1] for a in arrived)]),
+        np.concatenate([rows.contact, *(a[3] for a in arrived)]),
+        np.concatenate([rows.scale, *(a[4] for a in arrived)]),
+        np.concatenate([rows.rhs, *(a[5] for a in arrived)]),
+    )
+    merged = _Entries(
+        np.concatenate([e.rows for e in entries]),
+        np.concatenate([e.columns for e in entries]),
+        np.concatenate([e.values for e in entries]),
+    )
+    return merged, held, kept
+
+
+def _forward_side(
+    directory: Directory,
+    side: tuple[Numbers, Vector, Numbers],
+    kept: NDArray[np.bool_],
+    rows: _InequalityRows,
+) -> tuple[NDArray, ...]:
+    """Tell the holders of the side's nodes about their rows: (node, row, coefficients, ...)."""
+    nodes, coefficients, k = side
+    there = nodes[kept] >= 0
+    part = (coefficients / k[:, None])[kept] * rows.scale[:, None]
+    return directory.forward(
+        nodes[kept][there],
+        rows.number[there],
+        part[there],
+        rows.contact[there],
+        rows.scale[there],
+        rows.rhs[there],
+    )
+
+
+def _spread_over_copies(
+    copies: _Copies, nodes: Numbers, rows: Numbers, coefficients: Vector
+) -> _Entries:
+    """Give every local copy of the nodes the row's coefficients."""
+    order = np.argsort(copies.node, kind="stable")
+    first = np.cumsum(copies.count) - copies.count
+    at = np.searchsorted(copies.nodes, nodes)
+    term = np.repeat(np.arange(nodes.size), copies.count[at])
+    start = np.cumsum(copies.count[at]) - copies.count[at]
+    copy = order[first[at][term] + np.arange(term.size) - start[term]]
+    gdim = coefficients.shape[1]
+    columns = copies.unknown[copy][:, None] + np.arange(gdim)
+    values = coefficients[term]
+    nonzero = values != 0.0
+    return _Entries(
+        np.repeat(rows[term], gdim).reshape(-1, gdim)[nonzero], columns[nonzero], values[nonzero]
+    )
+
+
+def _check_known(nodes: Numbers, multiplicity: Numbers) -> None:
+    unknown = nodes[multiplicity == 0]
+    if unknown.size:
+        raise InputError(f"a contact row names node {unknown[0]}, which is in no subdomain")
+
+
+def _check_decided_rows(contacts: ContactRows, gap: Vector, kept: NDArray[np.bool_]) -> None:
+    """Check the rows that prescribed displacements alone decide."""
+    scale = max(float(np.abs(contacts.gap).max(initial=0.0)), float(np.abs(gap).max(initial=0.0)))
+    violated = np.flatnonzero(~kept & (gap < -SAME_VALUE * scale))
+    if violated.size:
+        k = violated[0]
+        raise InputError(
+            f"prescribed displacements violate {violated.size} contact conditions: at slave node "
+            f"{contacts.slave[k]} they close the gap of {contacts.gap[k]:g} m by "
+            f"{contacts.gap[k] - gap[k]:g} m. Prescribe less, or take the nodes out of the contact"
+        )

@@ -1,0 +1,283 @@
+"""Communication: finding who shares what, and summing shared components.
+
+Everything here works on integer keys (global node or multiplier numbers) and belongs to the
+set-up, but for `SharedIndices.sum`, the one neighbour exchange of a product with F.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.errors import ContactError
+from fenics_tfeti.qp import Space
+
+__all__ = [
+    "Directory",
+    "SharedIndices",
+    "concatenate_ranks",
+    "first_of_rank",
+    "raise_together",
+    "together",
+]
+
+Keys = NDArray[np.int64]
+Vector = NDArray[np.float64]
+Array = NDArray[Any]
+
+
+def raise_together(comm: MPI.Intracomm, error: ContactError | None) -> None:
+    """Raise on all ranks if any rank has an error: its own, or else the first rank's."""
+    errors = comm.allgather(error)
+    if error is not None:
+        raise error
+    for other in errors:
+        if other is not None:
+            raise other
+
+
+@contextmanager
+def together(comm: MPI.Intracomm) -> Iterator[None]:
+    """Make a ContactError in a block *without communication* an error on all ranks.
+
+    No rank leaves the block before the others, so none waits for one that has raised.
+    """
+    error: ContactError | None = None
+    try:
+        yield
+    except ContactError as caught:
+        error = caught
+    raise_together(comm, error)
+
+
+def concatenate_ranks(comm: MPI.Intracomm, part: Array) -> Array:
+    """Return the ranks' arrays one behind the other, on every rank."""
+    return np.concatenate(comm.allgather(part))
+
+
+def first_of_rank(comm: MPI.Intracomm, count: int) -> tuple[int, int]:
+    """Return the number of things on lower ranks and on all ranks."""
+    counts = comm.allgather(count)
+    return sum(counts[: comm.rank]), sum(counts)
+
+
+class Directory:
+    """Integer keys spread over the ranks by number; each place knows who holds its keys.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks.
+    keys : (m,) integer array
+        The distinct keys that this rank holds.
+
+    Attributes
+    ----------
+    keys : (d,) integer array
+        The keys whose place is this rank, ascending.
+    """
+
+    def __init__(self, comm: MPI.Intracomm, keys: Keys) -> None:
+        self._comm = comm
+        limit = comm.allreduce(int(keys.max(initial=-1)), MPI.MAX) + 1
+        self._chunk = max(1, -(-limit // comm.size))
+        arrived = comm.alltoall(self._by_place(keys, [])[0])
+        ranks = np.repeat(np.arange(comm.size), [rows[0].size for rows in arrived])
+        held = np.concatenate([rows[0] for rows in arrived])
+        order = np.argsort(held, kind="stable")
+        self._held, self._holders = held[order], ranks[order]
+        self.keys: Keys = np.unique(held)
+
+    def _by_place(
+        self, keys: Keys, data: list[Array]
+    ) -> tuple[list[tuple[Array, ...]], NDArray[np.intp]]:
+        """Split rows (key, data...) by the keys' places; also return the order used."""
+        # keys that nobody holds may lie beyond the limit; the last place answers for them
+        place = np.clip(keys // self._chunk, 0, self._comm.size - 1)
+        order = np.argsort(place, kind="stable")
+        cuts = np.searchsorted(place[order], np.arange(1, self._comm.size))
+        columns = [np.split(column[order], cuts) for column in (keys, *data)]
+        return list(zip(*columns, strict=True)), order
+
+    def collect(self, keys: Keys, *data: Array) -> tuple[Array, ...]:
+        """Send rows (key, data...) to the keys' places; return the columns that arrived here."""
+        arrived = self._comm.alltoall(self._by_place(keys, list(data))[0])
+        return tuple(np.concatenate(column) for column in zip(*arrived, strict=True))
+
+    def position(self, keys: Keys) -> Keys:
+        """Return where keys stand in ``self.keys``; -1 for those that nobody holds."""
+        if self.keys.size == 0:
+            return np.full(keys.shape, -1, dtype=np.int64)
+        at = np.minimum(np.searchsorted(self.keys, keys), self.keys.size - 1)
+        return np.where(self.keys[at] == keys, at, -1).astype(np.int64)
+
+    def lookup(self, keys: Keys, *tables: Array) -> tuple[Array, ...]:
+        """Return the rows of distributed tables for any keys.
+
+        Parameters
+        ----------
+        keys : (k,) integer array
+            What this rank asks for.
+        *tables : (d, ...) arrays
+            The tables' rows for ``self.keys``.
+
+        Returns
+        -------
+        found, rows... : (k,) bool array, (k, ...) arrays
+            Whether somebody holds the key, and its row of each table (zeros if nobody does).
+        """
+        questions, order = self._by_place(keys, [])
+        answers = []
+        for (asked,) in self._comm.alltoall(questions):
+            at = self.position(asked)
+            rows = [table[at] if table.size else table[:0] for table in tables]
+            rows = [
+                self._blank_missing(row, at, table) for row, table in zip(rows, tables, strict=True)
+            ]
+            answers.append((at >= 0, *rows))
+        columns = zip(*self._comm.alltoall(answers), strict=True)
+        inverse = np.argsort(order, kind="stable")
+        return tuple(np.concatenate(column)[inverse] for column in columns)
+
+    @staticmethod
+    def _blank_missing(rows: Array, at: Keys, table: Array) -> Array:
+        if rows.shape[0] != at.size:
+            return np.zeros((at.size, *table.shape[1:]), dtype=table.dtype)
+        rows[at < 0] = 0
+        return rows
+
+    def forward(self, keys: Keys, *data: Array) -> tuple[Array, ...]:
+        """Send rows (key, data...) to all holders of the keys; return the columns for this rank.
+
+        The rows of a key arrive in the order of the ranks that sent them.
+        """
+        columns = self.collect(keys, *data)
+        first = np.searchsorted(self._held, columns[0], side="left")
+        number = np.searchsorted(self._held, columns[0], side="right") - first
+        row = np.repeat(np.arange(columns[0].size), number)
+        holder = self._holders[
+            np.repeat(first - np.cumsum(number) + number, number) + np.arange(row.size)
+        ]
+        order = np.argsort(holder, kind="stable")
+        cuts = np.searchsorted(holder[order], np.arange(1, self._comm.size))
+        split = [np.split(column[row[order]], cuts) for column in columns]
+        arrived = self._comm.alltoall(list(zip(*split, strict=True)))
+        return tuple(np.concatenate(column) for column in zip(*arrived, strict=True))
+
+
+class SharedIndices:
+    """A distributed vector: each rank holds the components it needs, some shared with others.
+
+    The components that a rank owns (of which it is the lowest holder) come first, then the others,
+    both by ascending global number. Holders of a component keep bitwise equal values.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks.
+    numbers : (m,) integer array
+        The distinct global numbers that this rank holds.
+
+    Attributes
+    ----------
+    numbers : (m,) integer array
+        The global numbers in local order.
+    owned : int
+        Number of owned components.
+    size : int
+        Number of components over all ranks.
+    space : Space
+        The inner product.
+    """
+
+    def __init__(self, comm: MPI.Intracomm, numbers: Keys) -> None:
+        self.comm = comm
+        numbers = np.sort(numbers)
+        keys, ranks = Directory(comm, numbers).forward(
+            numbers, np.full(numbers.size, comm.rank, dtype=np.int64)
+        )
+        owner = np.full(numbers.size, comm.size, dtype=np.int64)
+        np.minimum.at(owner, np.searchsorted(numbers, keys), ranks)
+        order = np.argsort(owner != comm.rank, kind="stable")
+        self.numbers: Keys = numbers[order]
+        self.owned = int(np.count_nonzero(owner == comm.rank))
+        self.size: int = comm.allreduce(self.owned)
+        self._sorted, self._order = numbers, order
+        self._neighbours = {
+            int(rank): self.local(np.sort(keys[ranks == rank]))
+            for rank in np.unique(ranks[ranks != comm.rank])
+        }
+        self._shared = np.unique(
+            np.concatenate([np.zeros(0, dtype=np.int64), *self._neighbours.values()])
+        )
+        self.space = Space(self.owned, self._sum_over_ranks, self._min_over_ranks)
+
+    def local(self, numbers: Keys) -> Keys:
+        """Return the local positions of global numbers that this rank holds."""
+        inverse = np.empty(self._order.size, dtype=np.int64)
+        inverse[self._order] = np.arange(self._order.size)
+        positions: Keys = inverse[np.searchsorted(self._sorted, numbers)]
+        return positions
+
+    def sum(self, part: Vector) -> Vector:
+        """Add up the holders' parts of each component; one exchange with the neighbours."""
+        if self.comm.size == 1:
+            return part
+        received = {rank: np.empty(at.size) for rank, at in self._neighbours.items()}
+        requests = [self.comm.Irecv(buffer, source=rank) for rank, buffer in received.items()]
+        requests += [
+            self.comm.Isend(np.ascontiguousarray(part[at]), dest=rank)
+            for rank, at in self._neighbours.items()
+        ]
+        MPI.Request.Waitall(requests)
+        total = part.copy()
+        total[self._shared] = 0.0
+        # in the order of ranks on every holder: equal bits, hence equal decisions at the bounds
+        for rank in sorted([*received, self.comm.rank]):
+            if rank == self.comm.rank:
+                total[self._shared] += part[self._shared]
+            else:
+                total[self._neighbours[rank]] += received[rank]
+        return total
+
+    def shared_entries(self, rows: Keys, columns: Keys, values: Vector) -> tuple[Array, ...]:
+        """Send entries of a matrix in shared columns to the columns' other holders.
+
+        Parameters
+        ----------
+        rows : (e,) integer array
+            Global row numbers.
+        columns : (e,) integer array
+            Local positions of the columns.
+        values : (e,) array
+            The entries.
+
+        Returns
+        -------
+        rows, columns, values : arrays
+            What the neighbours sent, columns as local positions on this rank.
+        """
+        messages: list[tuple[Array, ...]] = [
+            (rows[:0], columns[:0], values[:0]) for _ in range(self.comm.size)
+        ]
+        for rank, at in self._neighbours.items():
+            chosen = np.isin(columns, at)
+            messages[rank] = (rows[chosen], self.numbers[columns[chosen]], values[chosen])
+        arrived = [np.concatenate(c) for c in zip(*self.comm.alltoall(messages), strict=True)]
+        return arrived[0], self.local(arrived[1]), arrived[2]
+
+    def _sum_over_ranks(self, partial: Vector) -> Vector:
+        if self.comm.size == 1:
+            return partial
+        total = np.empty_like(partial)
+        self.comm.Allreduce(partial, total)
+        return total
+
+    def _min_over_ranks(self, value: float) -> float:
+        return value if self.comm.size == 1 else float(self.comm.allreduce(value, MPI.MIN))

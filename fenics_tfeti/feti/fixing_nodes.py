@@ -1,0 +1,127 @@
+"""Uniformly distributed fixing nodes of a subdomain (algorithm 11.1)."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from fenics_tfeti.feti.rigid_body_modes import rigid_body_modes
+
+__all__ = ["fixing_nodes", "node_graph", "perron_centre", "split_nodes"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+# power steps towards the Perron vector: walks of this length tell a centre from a rim
+_WALK_LENGTH = 30
+# smallest singular value of R on the fixing nodes, relative to the largest, that holds the body
+_HOLDS = 1e-3
+
+
+def node_graph(stiffness: sp.csr_matrix, gdim: int) -> sp.csr_matrix:
+    """Return the adjacency matrix D of the mesh's nodes from the pattern of K.
+
+    Parameters
+    ----------
+    stiffness : (gdim * nodes, gdim * nodes) scipy.sparse.csr_matrix
+        K_i.
+    gdim : int
+        Unknowns of a node.
+
+    Returns
+    -------
+    (nodes, nodes) scipy.sparse.csr_matrix
+        Ones, also on the diagonal.
+    """
+    coo = stiffness.tocoo()
+    nodes = stiffness.shape[0] // gdim
+    graph = sp.csr_matrix(
+        (np.ones(coo.nnz), (coo.row // gdim, coo.col // gdim)), shape=(nodes, nodes)
+    )
+    graph.sum_duplicates()
+    graph.data[:] = 1.0
+    return graph
+
+
+def split_nodes(coordinates: Vector, parts: int) -> list[Numbers]:
+    """Split nodes into parts of equal size by recursive inertial bisection (step 1).
+
+    Parameters
+    ----------
+    coordinates : (nodes, gdim) array
+        [m].
+    parts : int
+        Their number, at most the number of nodes.
+
+    Returns
+    -------
+    list of integer arrays
+        The nodes of each part.
+    """
+
+    def bisect(nodes: Numbers, parts: int) -> list[Numbers]:
+        if parts == 1:
+            return [nodes]
+        x = coordinates[nodes] - coordinates[nodes].mean(axis=0)
+        axis = np.linalg.eigh(x.T @ x)[1][:, -1]
+        lower = parts // 2
+        order = nodes[np.argsort(x @ axis, kind="stable")]
+        cut = (nodes.size * lower) // parts
+        return bisect(order[:cut], lower) + bisect(order[cut:], parts - lower)
+
+    return bisect(np.arange(coordinates.shape[0]), min(parts, coordinates.shape[0]))
+
+
+def perron_centre(graph: sp.csr_matrix) -> int:
+    """Return the node of a connected graph where its Perron vector is largest (step 3)."""
+    walks = np.ones(graph.shape[0])
+    for _ in range(_WALK_LENGTH):
+        walks = graph @ walks
+        walks /= walks.max()
+    return int(np.argmax(walks))
+
+
+def fixing_nodes(stiffness: sp.csr_matrix, coordinates: Vector, number: int) -> Numbers:
+    """Choose fixing nodes near the centres of equal parts of the mesh (algorithm 11.1).
+
+    Parameters
+    ----------
+    stiffness : (n, n) scipy.sparse.csr_matrix
+        K_i.
+    coordinates : (nodes, gdim) array
+        [m].
+    number : int
+        M; doubled as often as needed where the nodes found lie near a line.
+
+    Returns
+    -------
+    (fixing nodes,) integer array
+        Local node numbers, ascending.
+    """
+    graph = node_graph(stiffness, coordinates.shape[1])
+    while True:
+        chosen = np.unique([_centre(graph, part) for part in split_nodes(coordinates, number)])
+        if chosen.size == coordinates.shape[0] or _hold_still(coordinates, chosen):
+            return chosen
+        number *= 2
+
+
+def _centre(graph: sp.csr_matrix, nodes: Numbers) -> int:
+    subgraph = graph[nodes][:, nodes]
+    count, label = connected_components(subgraph, directed=False)
+    if count > 1:  # step 2: the largest connected piece stands for a part that fell apart
+        piece = np.flatnonzero(label == np.argmax(np.bincount(label)))
+        nodes, subgraph = nodes[piece], subgraph[piece][:, piece]
+    return int(nodes[perron_centre(subgraph)])
+
+
+def _hold_still(coordinates: Vector, chosen: Numbers) -> bool:
+    """Tell whether fixing the chosen nodes stops every rigid motion well."""
+    gdim = coordinates.shape[1]
+    R = rigid_body_modes(coordinates).reshape(-1, gdim, 3 * gdim - 3)[chosen]
+    if R.shape[0] * gdim < R.shape[2]:
+        return False
+    values = np.linalg.svd(R.reshape(-1, R.shape[2]), compute_uv=False)
+    return bool(values[-1] > _HOLDS * values[0])

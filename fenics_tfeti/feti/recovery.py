@@ -1,0 +1,177 @@
+"""From multipliers to displacements (11.29), and the certificate of the primal problem."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.coarse import CoarseSpace, Projector
+from fenics_tfeti.feti.dual import DualOperator
+
+__all__ = ["Certificate", "PrimalProblem", "recover_displacement"]
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """How well displacements and multipliers solve (11.21), from K, f, B and c alone.
+
+    All numbers are relative; all are zero for an exact solution.
+
+    Attributes
+    ----------
+    equilibrium : float
+        ||Ku - f + B'lambda|| / max(||f||, ||B'lambda||).
+    gluing : float
+        Largest |B_E u - c_E| relative to the largest displacement.
+    penetration : float
+        Largest violation of (u_slave - u_master)'n <= gap, relative to the largest displacement.
+    smallest_force : float
+        Smallest contact force relative to the largest; negative numbers pull.
+    complementarity : float
+        Largest |force x distance|, relative to the largest force times the largest displacement.
+    duality_gap : float
+        |primal energy - dual value| relative to the primal energy.
+    """
+
+    equilibrium: float
+    gluing: float
+    penetration: float
+    smallest_force: float
+    complementarity: float
+    duality_gap: float
+
+    @property
+    def worst(self) -> float:
+        """The largest violation."""
+        values = asdict(self)
+        values["smallest_force"] = max(0.0, -self.smallest_force)
+        return float(max(values.values()))
+
+
+def recover_displacement(
+    F: DualOperator, space: CoarseSpace, load: Vector, multipliers: Vector
+) -> tuple[Vector, Projector]:
+    """Return u = K^+(f - B'lambda) + R alpha (11.29).
+
+    alpha makes the equality rows and the active inequality rows hold, in the least squares sense;
+    where these leave motions free, it is the one of smallest norm.
+
+    Parameters
+    ----------
+    F : DualOperator
+        K^+ and B.
+    space : CoarseSpace
+        G.
+    load : (n,) array
+        f of this rank's subdomains [N].
+    multipliers : (m,) array
+        lambda.
+
+    Returns
+    -------
+    displacement : (n,) array
+        u of this rank's subdomains [m].
+    active : Projector
+        That of the equality and active rows; its ``free`` motions are those left undetermined.
+    """
+    constraints = F.constraints
+    forces = load - constraints.matrix.T @ multipliers
+    R = space.kernels
+    # what the stopping test left in the kernel of K; K^+ would turn it into a displacement
+    u = F.generalised_inverse(forces - R @ (R.T @ forces))
+
+    columns = constraints.equality
+    columns[constraints.inequality] = multipliers[constraints.inequality] > 0.0
+    active = Projector.build(space, columns)
+    missing = constraints.rhs - constraints.multipliers.sum(constraints.matrix @ u)
+    alpha = active.coefficients(missing)
+    alpha -= active.free @ (active.free.T @ alpha)
+    return u + R @ active.own_part(alpha), active
+
+
+@dataclass(frozen=True)
+class PrimalProblem:
+    """K, f, B and c of (11.21) on this rank, and what they say of a solution.
+
+    Attributes
+    ----------
+    stiffness : (n, n) scipy.sparse.csr_matrix
+        K = diag(K_i) [N/m].
+    load : (n,) array
+        f [N].
+    F : DualOperator
+        For B and c.
+    """
+
+    stiffness: list[sp.csr_matrix]
+    load: Vector
+    F: DualOperator
+
+    def internal_forces(self, u: Vector) -> Vector:
+        """Return Ku."""
+        forces = np.empty_like(u)
+        for K, part in zip(self.stiffness, self.F.slices, strict=True):
+            forces[part] = K @ u[part]
+        return forces
+
+    def energy(self, u: Vector) -> float:
+        """Return 1/2 u'Ku - f'u [J]."""
+        comm = self.F.constraints.multipliers.comm
+        return float(comm.allreduce(float(u @ (0.5 * self.internal_forces(u) - self.load))))
+
+    def certify(self, u: Vector, multipliers: Vector) -> Certificate:
+        """Measure how well u and lambda solve the primal problem."""
+        constraints = self.F.constraints
+        comm, space = constraints.multipliers.comm, constraints.multipliers.space
+        Ku = self.internal_forces(u)
+        constraint_forces = constraints.matrix.T @ multipliers
+        residual, f, reaction, Ku_u, f_u = comm.allreduce(
+            np.array(
+                [
+                    np.sum((Ku - self.load + constraint_forces) ** 2),
+                    np.sum(self.load**2),
+                    np.sum(constraint_forces**2),
+                    Ku @ u,
+                    self.load @ u,
+                ]
+            )
+        )
+        jump = constraints.multipliers.sum(constraints.matrix @ u) - constraints.rhs
+        contact = constraints.inequality
+        distance = jump[contact] / constraints.scale
+        normal_force = multipliers[contact] * constraints.scale
+        maxima = np.array(
+            [
+                np.abs(u).max(initial=0.0),
+                np.abs(jump[constraints.equality]).max(initial=0.0),
+                distance.max(initial=0.0),
+                normal_force.max(initial=0.0),
+                (-normal_force).max(initial=-np.inf),
+                np.abs(distance * normal_force).max(initial=0.0),
+            ]
+        )
+        comm.Allreduce(MPI.IN_PLACE, maxima, MPI.MAX)
+        largest_u, gluing, penetration, force, pull, product = maxima
+        # L(u, lambda) with the u that minimises it is the dual value; (11.25) makes it
+        # -1/2 u'Ku - c'lambda
+        primal = 0.5 * Ku_u - f_u
+        dual = -0.5 * Ku_u - space.dots((constraints.rhs, multipliers))[0]
+        return Certificate(
+            equilibrium=_ratio(np.sqrt(residual), np.sqrt(max(f, reaction))),
+            gluing=_ratio(gluing, largest_u),
+            penetration=_ratio(penetration, largest_u),
+            smallest_force=_ratio(-pull, force) if np.isfinite(pull) else 0.0,
+            complementarity=_ratio(product, force * largest_u),
+            duality_gap=_ratio(abs(primal - dual), max(abs(primal), 0.5 * Ku_u)),
+        )
+
+
+def _ratio(value: float, scale: float) -> float:
+    return float(value / scale) if scale > 0.0 else float(value)

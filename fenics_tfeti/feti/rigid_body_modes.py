@@ -1,0 +1,125 @@
+"""Rigid body modes R, the kernels of the subdomains' stiffness matrices (11.27)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.torn_system import Subdomain
+
+__all__ = ["describe_motion", "kernel", "rigid_body_modes"]
+
+Vector = NDArray[np.float64]
+
+# energy of a rigid mode, relative to the largest stiffness, below which K is singular for it
+ZERO_ENERGY = 1e-9
+
+
+def raw_modes(coordinates: Vector, origin: Vector) -> Vector:
+    """Return unit translations and rotations about an origin.
+
+    Parameters
+    ----------
+    coordinates : (nodes, gdim) array
+        [m].
+    origin : (gdim,) array
+        Centre of the rotations [m].
+
+    Returns
+    -------
+    (gdim * nodes, 3 or 6) array
+        Translations along the axes, then the rotation (2D), or those about x, y and z (3D).
+    """
+    nodes, gdim = coordinates.shape
+    x = coordinates - origin
+    rotations = 1 if gdim == 2 else 3
+    modes = np.zeros((nodes, gdim, gdim + rotations))
+    modes[:, np.arange(gdim), np.arange(gdim)] = 1.0
+    planes = [(0, 1)] if gdim == 2 else [(1, 2), (2, 0), (0, 1)]
+    for column, (i, j) in enumerate(planes, start=gdim):
+        modes[:, i, column] = -x[:, j]
+        modes[:, j, column] = x[:, i]
+    return modes.reshape(nodes * gdim, gdim + rotations)
+
+
+def rigid_body_modes(coordinates: Vector) -> Vector:
+    """Return an orthonormal basis of the rigid body modes of a set of nodes.
+
+    Parameters
+    ----------
+    coordinates : (nodes, gdim) array
+        [m].
+
+    Returns
+    -------
+    (gdim * nodes, 3 or 6) array
+        R with R'R = I.
+    """
+    centre = coordinates.mean(axis=0)
+    size = np.abs(coordinates - centre).max()
+    # in units of the subdomain's size, so translations and rotations are alike in magnitude
+    return np.linalg.qr(raw_modes((coordinates - centre) / size, np.zeros_like(centre)))[0]
+
+
+def kernel(subdomain: Subdomain) -> Vector:
+    """Return an orthonormal basis of the kernel of K_i: its rigid body modes without energy.
+
+    An elastic support (a term u.v ds in the form) takes some or all of them out of the kernel.
+
+    Parameters
+    ----------
+    subdomain : Subdomain
+        Stiffness and coordinates.
+
+    Returns
+    -------
+    (n, k) array
+        R_i with R_i'R_i = I, k <= 6 (3 in 2D).
+    """
+    R = rigid_body_modes(subdomain.coordinates)
+    KR = subdomain.stiffness @ R
+    threshold = ZERO_ENERGY * abs(subdomain.stiffness).max()
+    if np.abs(KR).max() <= threshold:
+        return R
+    energies, vectors = np.linalg.eigh(R.T @ KR)
+    return R @ vectors[:, energies <= threshold]
+
+
+def describe_motion(coordinates: Vector, displacement: Vector) -> str:
+    """Say in words which rigid motion a displacement field is.
+
+    Parameters
+    ----------
+    coordinates : (nodes, gdim) array
+        [m].
+    displacement : (gdim * nodes,) array
+        A rigid motion of the nodes.
+
+    Returns
+    -------
+    str
+        For instance "translation along (0, 0, 1)".
+    """
+    gdim = coordinates.shape[1]
+    centre = coordinates.mean(axis=0)
+    modes = raw_modes(coordinates, centre)
+    parts = np.linalg.lstsq(modes, displacement, rcond=None)[0]
+    translation, rotation = parts[:gdim], parts[gdim:]
+    size = np.abs(coordinates - centre).max()
+    whole = np.linalg.norm(np.append(translation, size * rotation))
+    words = []
+    if np.linalg.norm(translation) > 1e-6 * whole:
+        words.append(f"translation along {_direction(translation)}")
+    if size * np.linalg.norm(rotation) > 1e-6 * whole:
+        axis = "" if gdim == 2 else f" about the axis {_direction(rotation)}"
+        words.append(f"rotation{axis} through {_direction(centre, unit=False)}")
+    return " with ".join(words)
+
+
+def _direction(vector: Vector, unit: bool = True) -> str:
+    values = vector / np.linalg.norm(vector) if unit else vector
+    return (
+        "("
+        + ", ".join(f"{v + 0.0:.3g}" for v in np.where(np.abs(values) < 1e-6, 0.0, values))
+        + ")"
+    )

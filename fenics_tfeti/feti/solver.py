@@ -1,0 +1,382 @@
+"""Total FETI from the torn system to displacements, contact forces and a certificate."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+from mpi4py import MPI
+
+from petsc4py import PETSc
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from fenics_tfeti.errors import FactorizationError, NotConverged
+from fenics_tfeti.feti.cholesky import choose_package
+from fenics_tfeti.feti.coarse import CoarseSpace, Projector, describe_body_motion
+from fenics_tfeti.feti.constraints import Constraints, build_constraints
+from fenics_tfeti.feti.dual import DualOperator, norm_of_projected
+from fenics_tfeti.feti.exchange import concatenate_ranks, together
+from fenics_tfeti.feti.feasible_start import check_load, feasible_start
+from fenics_tfeti.feti.options import Options
+from fenics_tfeti.feti.preconditioner import boundary_operator
+from fenics_tfeti.feti.pseudoinverse import Pseudoinverse
+from fenics_tfeti.feti.recovery import Certificate, PrimalProblem, recover_displacement
+from fenics_tfeti.feti.report import Report, Timer, peak_memory
+from fenics_tfeti.feti.rigid_body_modes import kernel
+from fenics_tfeti.feti.torn_system import TornSystem
+from fenics_tfeti.qp import (
+    Bounds,
+    MPRGPOptions,
+    OuterIteration,
+    Products,
+    SMALBEOptions,
+    SMALBEResult,
+    SMALBEState,
+    smalbe,
+)
+
+__all__ = ["TornSolution", "TornSolver"]
+
+logger = logging.getLogger(__name__)
+
+Vector = NDArray[np.float64]
+
+# The certificate is in other norms than the dual stopping test: while it does not hold, the test is
+# tightened by this factor, at most so many times.
+_TIGHTENING = 0.1
+_TIGHTENINGS = 4
+# what rounding leaves in the certificate of an exact solution
+_ROUNDING = 1e-9
+# ||b|| below this part of ||d|| is rounding: the start solves the problem already
+_NEGLIGIBLE_LOAD = 1e-13
+
+
+@dataclass(frozen=True)
+class TornSolution:
+    """The solution on this rank.
+
+    Attributes
+    ----------
+    displacements : list of (n_i,) arrays
+        u_i of this rank's subdomains [m].
+    normal_force : (contact rows of this rank,) array
+        Nodal normal force of each contact row that this rank gave [N].
+    active : (contact rows of this rank,) bool array
+        Whether the row is active.
+    multipliers : (m,) array
+        lambda, as far as this rank holds it.
+    report : Report
+        What was done.
+    """
+
+    displacements: list[Vector]
+    normal_force: Vector
+    active: NDArray[np.bool_]
+    multipliers: Vector
+    report: Report
+
+
+@dataclass(frozen=True)
+class _Recovered:
+    """A candidate for the solution, with its certificate."""
+
+    displacement: Vector
+    multipliers: Vector
+    certificate: Certificate
+    active: Projector
+
+
+class TornSolver:
+    """Total FETI for one torn system; what does not depend on the iterations is set up at once.
+
+    Parameters
+    ----------
+    system : TornSystem
+        Subdomains, prescribed displacements, contact rows.
+    options : Options, optional
+        Tolerances and methods.
+    timer : Timer, optional
+        To add the times of phases to.
+
+    Raises
+    ------
+    InputError
+        Wrong or contradictory data, before any factorisation.
+    UnresistedMotion
+        The load pushes a body where nothing holds it, before any factorisation of a stiffness.
+    FactorizationError
+        A stiffness matrix is not positive semidefinite.
+    """
+
+    def __init__(
+        self, system: TornSystem, options: Options | None = None, timer: Timer | None = None
+    ) -> None:
+        self.system = system
+        self.options = options or Options()
+        self.timer = timer or Timer()
+        self.comm = system.comm
+        with together(self.comm):
+            self.package = _choose_package(self.options)
+        with self.timer.phase("constraints"):
+            system.check()
+            self.constraints: Constraints = build_constraints(system)
+        with self.timer.phase("coarse problem"):
+            self.kernels = [kernel(subdomain) for subdomain in system.subdomains]
+            self.load = np.concatenate([np.zeros(0), *(s.load for s in system.subdomains)])
+            self.space = CoarseSpace.build(system, self.constraints, self.kernels, self.package)
+            self.projector = Projector.build(self.space)
+        with self.timer.phase("feasible start"):
+            self.start = self._feasible_start()
+        with self.timer.phase("factorisation"):
+            self.F = self._dual_operator()
+        with self.timer.phase("norm"):
+            self.norm = norm_of_projected(
+                self.F, self.projector.complement, self.options.norm_steps, self.options.seed
+            )
+        self.products = Products()
+
+    def _feasible_start(self) -> Vector:
+        e = concatenate_ranks(self.comm, self.space.kernels.T @ self.load)
+        norm = float(np.sqrt(self.comm.allreduce(float(self.load @ self.load))))
+        check_load(self.system, self.kernels, self.projector, e, norm)
+        return feasible_start(self.system, self.kernels, self.space, e, norm)
+
+    def _dual_operator(self) -> DualOperator:
+        options = self.options
+        with together(self.comm):
+            inverses = [
+                Pseudoinverse(
+                    subdomain, R, self.package, options.generalised_inverse, options.fixing_nodes
+                )
+                for subdomain, R in zip(self.system.subdomains, self.kernels, strict=True)
+            ]
+        return DualOperator.build(self.constraints, self.system.subdomains, inverses)
+
+    def hessian(self, x: Vector) -> tuple[Vector, Vector]:
+        """Return (PFP + rho Q) x with F in units of ||PFP||, and Qx."""
+        Qx = self.projector.coarse(x)
+        y = self.projector.complement(self.F(x - Qx)) / self.norm
+        return y + self.options.rho * Qx, Qx
+
+    def solve(self) -> TornSolution:
+        """Solve (11.39) by SMALBE-M over MPRGP and recover the displacement (11.29).
+
+        Returns
+        -------
+        TornSolution
+            Displacements, forces and the report.
+
+        Raises
+        ------
+        NotConverged
+            At a limit on iterations, unless the options ask for the last iterate.
+        """
+        with self.timer.phase("factorisation"):
+            precondition = self._preconditioner()
+        with self.timer.phase("iterations"):
+            # d = BK^+(f - B'lambda~) - c: that of (11.39) without a product with F
+            d = self.F.load(self.load - self.constraints.matrix.T @ self.start) / self.norm
+            b = self.projector.complement(d)
+            space = self.constraints.multipliers.space
+            norm_b = max(space.norm(b), _NEGLIGIBLE_LOAD * space.norm(d))
+        indices = self.constraints.inequality
+        bounds = Bounds(indices, -self.start[indices])
+
+        rtol, history = self.options.rtol, list[OuterIteration]()
+        state = SMALBEState(np.zeros_like(b), np.zeros_like(b))
+        for _ in range(_TIGHTENINGS + 1):
+            with self.timer.phase("iterations"):
+                result = smalbe(
+                    self.hessian,
+                    b,
+                    bounds,
+                    state,
+                    norm_b=norm_b,
+                    options=self._smalbe_options(rtol, len(history)),
+                    space=space,
+                    precondition=precondition,
+                    products=self.products,
+                    monitor=lambda line: self._log(line, len(history)),  # noqa: B023 - used at once
+                )
+            history += result.history
+            state = result.state
+            with self.timer.phase("recovery"):
+                recovered = self._recover(state)
+            certified = recovered.certificate.worst <= max(self.options.rtol, _ROUNDING)
+            if certified or not result.converged:
+                break
+            rtol *= _TIGHTENING
+        return self._solution(recovered, result, certified, history)
+
+    def _smalbe_options(self, rtol: float, outer_so_far: int) -> SMALBEOptions:
+        options = self.options
+        inner = MPRGPOptions(
+            Gamma=options.Gamma,
+            # ||PFP + rho Q|| = max(1, rho)
+            step_length=options.step_length / max(1.0, options.rho),
+            expansion=options.expansion,
+            max_products=options.max_products,
+        )
+        return SMALBEOptions(
+            rtol=rtol,
+            rho=options.rho,
+            M0=options.M0,
+            beta=options.beta,
+            eta=options.eta,
+            max_outer=max(1, options.max_outer - outer_so_far),
+            inner=inner,
+        )
+
+    def _preconditioner(self) -> Callable[[Vector], Vector] | None:
+        """Return M^{-1} = ||PFP|| P B S B' P + Q / rho, to go with A = PFP / ||PFP|| + rho Q."""
+        kind = self.options.preconditioner
+        if kind == "none":
+            return None
+        with together(self.comm):
+            boundary = boundary_operator(kind, self.F, self.system.subdomains, self.package)
+
+        def apply(x: Vector) -> Vector:
+            Qx = self.projector.coarse(x)
+            y = self.projector.complement(boundary(x - Qx))
+            return self.norm * y + Qx / self.options.rho
+
+        return apply
+
+    def _recover(self, state: SMALBEState) -> _Recovered:
+        multipliers = self.start + state.x
+        displacement, active = recover_displacement(self.F, self.space, self.load, multipliers)
+        certificate = self._primal_problem().certify(displacement, multipliers)
+        return _Recovered(displacement, multipliers, certificate, active)
+
+    def _primal_problem(self) -> PrimalProblem:
+        return PrimalProblem([s.stiffness for s in self.system.subdomains], self.load, self.F)
+
+    def _log(self, line: OuterIteration, before: int) -> None:
+        if self.comm.rank == 0:
+            logger.info(
+                "outer %3d  products %4d  |g^P| %.2e  |Gx| %.2e  M %.1e  active %d",
+                line.number + before,
+                line.products,
+                line.gradient,
+                line.constraint,
+                line.M,
+                line.active,
+            )
+
+    def _solution(
+        self,
+        recovered: _Recovered,
+        result: SMALBEResult,
+        certified: bool,
+        history: list[OuterIteration],
+    ) -> TornSolution:
+        converged = result.converged and certified
+        reason = result.reason
+        if result.converged and not certified:
+            reason = (
+                f"the certificate's worst residual is {recovered.certificate.worst:.1e} although "
+                "the dual problem is solved: the accuracy is at the limit of rounding"
+            )
+        constraints, multipliers = self.constraints, recovered.multipliers
+        own = constraints.own_rows
+        scale = np.zeros(multipliers.size)
+        scale[constraints.inequality] = constraints.scale
+        decided = own < 0
+        normal_force = np.where(decided, 0.0, (scale * multipliers)[own]) if own.size else scale[:0]
+        solution = TornSolution(
+            [recovered.displacement[part] for part in self.F.slices],
+            normal_force,
+            normal_force > 0.0,
+            multipliers,
+            self._report(recovered, converged, reason, history),
+        )
+        if not converged and self.options.error_if_not_converged:
+            raise NotConverged(
+                f"not converged to rtol {self.options.rtol:g}: {reason}. Raise the limit or rtol, or "
+                "set error_if_not_converged to false to get the last iterate",
+                solution,
+                solution.report,
+            )
+        return solution
+
+    def _report(
+        self, recovered: _Recovered, converged: bool, reason: str, history: list[OuterIteration]
+    ) -> Report:
+        system, constraints, comm = self.system, self.constraints, self.comm
+        owned = constraints.owned_inequalities
+        force = constraints.scale * recovered.multipliers[constraints.inequality]
+        contacts = len(system.contact_names) or int(
+            comm.allreduce(int(constraints.contact.max(initial=-1)), MPI.MAX) + 1
+        )
+        contact_force = np.bincount(
+            constraints.contact[:owned], weights=force[:owned], minlength=contacts
+        )
+        equality = constraints.multipliers.size - comm.allreduce(owned)
+        torn = comm.allreduce(int(self.load.size))
+        seconds = self.timer.seconds
+        slowest = {name: comm.allreduce(time, MPI.MAX) for name, time in seconds.items()}
+        return Report(
+            unknowns={
+                "primal": self._primal_unknowns(),
+                "torn": torn,
+                "dual": constraints.multipliers.size,
+                "inequalities": constraints.multipliers.size - equality,
+                "active": comm.allreduce(int(np.count_nonzero(force[:owned] > 0.0))),
+                "coarse": self.space.size,
+            },
+            subdomains=comm.allreduce(len(system.subdomains)),
+            outer_iterations=len(history),
+            products={
+                "total": self.products.total,
+                "cg": self.products.cg,
+                "expansion": self.products.expansion,
+                "proportioning": self.products.proportioning,
+                "norm": self.options.norm_steps,
+                "preconditioner": self.products.preconditioner,
+            },
+            seconds={**slowest, "total": sum(slowest.values())},
+            peak_memory_bytes=peak_memory(comm),
+            energy=self._primal_problem().energy(recovered.displacement),
+            contact_force=comm.allreduce(contact_force).tolist(),
+            free_motions=self._free_motions(recovered.active),
+            certificate=recovered.certificate,
+            converged=converged,
+            reason=reason,
+            ranks=comm.size,
+            versions=_versions(),
+            options=asdict(self.options),
+            history=history,
+        )
+
+    def _primal_unknowns(self) -> int:
+        """Count the unknowns of the glued problem: each node once."""
+        return self.system.gdim * self.constraints.nodes
+
+    def _free_motions(self, active: Projector) -> list[str]:
+        return [
+            "; ".join(describe_body_motion(self.system, self.kernels, active.own_part(motion)))
+            for motion in active.free.T
+        ]
+
+
+def _choose_package(options: Options) -> str:
+    if options.generalised_inverse == "null_pivots":
+        if options.factor == "cholmod":
+            raise FactorizationError(
+                "generalised_inverse='null_pivots' needs MUMPS: leave the option 'factor' out"
+            )
+        return choose_package("mumps")
+    return choose_package(options.factor)
+
+
+def _versions() -> dict[str, str]:
+    return {
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
+        "mpi": MPI.Get_library_version().split("\n")[0].split(",")[0].strip("\x00 "),
+    }

@@ -1,0 +1,26 @@
+"""Bound- and equality-constrained quadratic programmes: an operator and vectors, nothing else.
+
+The storey knows nothing of finite elements or domain decomposition. It implements MPRGP
+(algorithm 8.2), SMALBE-M (algorithm 9.2) and a Lanczos bound of the spectrum.
+"""
+
+from fenics_tfeti.qp.bounds import Bounds
+from fenics_tfeti.qp.mprgp import MPRGPOptions, MPRGPResult, Products, mprgp
+from fenics_tfeti.qp.smalbe import OuterIteration, SMALBEOptions, SMALBEResult, SMALBEState, smalbe
+from fenics_tfeti.qp.space import Space
+from fenics_tfeti.qp.spectrum import lanczos_upper_bound
+
+__all__ = [
+    "Bounds",
+    "MPRGPOptions",
+    "MPRGPResult",
+    "OuterIteration",
+    "Products",
+    "SMALBEOptions",
+    "SMALBEResult",
+    "SMALBEState",
+    "Space",
+    "lanczos_upper_bound",
+    "mprgp",
+    "smalbe",
+]

@@ -1,0 +1,315 @@
+"""MPRGP: modified proportioning with reduced gradient projections (algorithm 8.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.qp.bounds import Bounds, Split
+from fenics_tfeti.qp.space import Space
+
+__all__ = ["Hessian", "MPRGPOptions", "MPRGPResult", "Products", "mprgp"]
+
+Vector = NDArray[np.float64]
+Hessian = Callable[[Vector], tuple[Vector, Vector | None]]
+Expansion = Literal["standard", "projected_cg"]
+
+
+@dataclass
+class Products:
+    """How often the Hessian (and the preconditioner) was applied, by kind of step.
+
+    The products of a fall-back count as expansion, those that recompute a gradient as cg.
+    """
+
+    cg: int = 0
+    expansion: int = 0
+    proportioning: int = 0
+    preconditioner: int = 0
+
+    @property
+    def total(self) -> int:
+        """All products with the Hessian; applications of the preconditioner are no products."""
+        return self.cg + self.expansion + self.proportioning
+
+
+@dataclass(frozen=True)
+class MPRGPOptions:
+    """Parameters of MPRGP.
+
+    Attributes
+    ----------
+    Gamma : float
+        Proportioning constant Gamma > 0: the face is left when ||beta|| > Gamma ||phi~||.
+    step_length : float
+        Fixed step length of expansion, in (0, 2/||A||).
+    expansion : {"standard", "projected_cg"}
+        Half step and fixed step of the algorithm, or the projected conjugate gradient step
+        (MPPCG), undone in favour of the standard one whenever the cost would rise.
+    max_products : int
+        Limit on the products with the Hessian.
+    refresh : int
+        Recompute the gradient from its definition after so many recurrences.
+    """
+
+    Gamma: float = 1.0
+    step_length: float = 1.9
+    expansion: Expansion = "standard"
+    max_products: int = 10_000
+    refresh: int = 50
+
+
+@dataclass(frozen=True)
+class MPRGPResult:
+    """What MPRGP returns.
+
+    Attributes
+    ----------
+    x, gradient : (n,) array
+        The last iterate and the gradient Ax - b there.
+    Qx : (n,) array or None
+        The second result of the Hessian at x, kept by the same recurrences.
+    split : Split
+        The parts of the gradient at x.
+    converged : bool
+        Whether the stopping test was met; otherwise the limit on products was.
+    """
+
+    x: Vector
+    gradient: Vector
+    Qx: Vector | None
+    split: Split
+    converged: bool
+
+
+def mprgp(
+    hessian: Hessian,
+    b: Vector,
+    bounds: Bounds,
+    x: Vector,
+    stop: Callable[[Split], bool],
+    *,
+    options: MPRGPOptions | None = None,
+    space: Space | None = None,
+    gradient: tuple[Vector, Vector | None] | None = None,
+    precondition: Callable[[Vector], Vector] | None = None,
+    products: Products | None = None,
+) -> MPRGPResult:
+    """Minimise 1/2 x'Ax - b'x subject to lower bounds by MPRGP (algorithm 8.2).
+
+    Parameters
+    ----------
+    hessian : callable
+        x -> (Ax, Qx): the product with the symmetric positive definite A and, where the caller
+        wants a second linear function of x kept along the iterations, that one (else None).
+    b : (n,) array
+        Right-hand side.
+    bounds : Bounds
+        Bounded components and their bounds.
+    x : (n,) array
+        Start; projected to the feasible set.
+    stop : callable
+        Gets the `Split` of the gradient, tells whether to stop.
+    options : MPRGPOptions, optional
+        Parameters of the method.
+    space : Space, optional
+        The inner product; by default this process holds the whole vectors.
+    gradient : (array, array or None), optional
+        Ax - b and Qx at a feasible x, where known: saves the first product.
+    precondition : callable, optional
+        phi -> M^{-1} phi, used in the face: its components at active bounds are set to zero.
+    products : Products, optional
+        Counter to add to.
+
+    Returns
+    -------
+    MPRGPResult
+        Iterate, gradient and whether the test was met.
+
+    Raises
+    ------
+    ValueError
+        If the cost has no lower bound on the feasible set.
+
+    Examples
+    --------
+    A string of two nodes over an obstacle; the first node touches it.
+
+    >>> import numpy as np
+    >>> A = np.array([[2.0, -1.0], [-1.0, 2.0]])
+    >>> b = np.array([-3.0, 0.0])
+    >>> bounds = Bounds.from_vector(np.array([-1.0, -1.0]))
+    >>> result = mprgp(
+    ...     lambda x: (A @ x, None),
+    ...     b,
+    ...     bounds,
+    ...     np.zeros(2),
+    ...     lambda split: split.projected_norm < 1e-12,
+    ...     options=MPRGPOptions(step_length=1.9 / 3.0),
+    ... )
+    >>> result.x.round(12).tolist()
+    [-1.0, -0.5]
+    """
+    method = _Iteration(
+        hessian,
+        b,
+        bounds,
+        options or MPRGPOptions(),
+        space or Space(),
+        precondition,
+        Products() if products is None else products,
+    )
+    method.start(x, gradient)
+    while not stop(method.split):
+        if method.products.total >= method.options.max_products:
+            return method.result(converged=False)
+        method.step()
+    return method.result(converged=True)
+
+
+@dataclass
+class _Iteration:
+    """The state of the iteration; each step of the algorithm is one method."""
+
+    hessian: Hessian
+    b: Vector
+    bounds: Bounds
+    options: MPRGPOptions
+    space: Space
+    precondition: Callable[[Vector], Vector] | None
+    products: Products
+    x: Vector = field(init=False)
+    g: Vector = field(init=False)
+    Qx: Vector | None = field(init=False)
+    split: Split = field(init=False)
+    p: Vector = field(init=False)
+    recurrences: int = field(init=False, default=0)
+
+    def start(self, x: Vector, gradient: tuple[Vector, Vector | None] | None) -> None:
+        self.x = self.bounds.project(x.copy())
+        if gradient is None:
+            self.recompute_gradient("cg")
+        else:
+            self.g = gradient[0].copy()
+            self.Qx = None if gradient[1] is None else gradient[1].copy()
+        self.new_face()
+
+    def result(self, converged: bool) -> MPRGPResult:
+        return MPRGPResult(self.x, self.g, self.Qx, self.split, converged)
+
+    def step(self) -> None:
+        strictly_proportional = (
+            self.split.chopped2 <= self.options.Gamma**2 * self.split.reduced_free
+        )
+        if strictly_proportional:
+            self.conjugate_gradient_step()
+        else:
+            self.proportioning_step()
+
+    def conjugate_gradient_step(self) -> None:
+        Ap, Qp = self.product(self.p, "cg")
+        gp, curvature, pp = self.space.dots((self.g, self.p), (self.p, Ap), (self.p, self.p))
+        longest = self.space.min_over_ranks(self.bounds.longest_step(self.x, self.p))
+        flat = curvature <= 1e-15 * pp
+        if flat and not np.isfinite(longest):
+            raise ValueError(
+                "the cost function falls without limit along a feasible direction: the Hessian is "
+                "not positive definite there; add the missing constraints or regularise"
+            )
+        length = np.inf if flat else gp / curvature
+        if length <= longest:
+            self.move(length, self.p, Ap, Qp)
+            if self.recurrences >= self.options.refresh:
+                self.recompute_gradient("cg")
+                self.new_face()
+                return
+            self.update_split()
+            z = self.preconditioned_free_gradient()
+            gamma = self.space.dots((z, Ap))[0] / curvature
+            self.p = z - gamma * self.p
+        elif self.options.expansion == "projected_cg" and not flat:
+            self.projected_step(length, longest, Ap, Qp)
+        else:
+            self.expansion_step(longest, Ap, Qp)
+
+    def expansion_step(self, longest: float, Ap: Vector, Qp: Vector | None) -> None:
+        """Go to the nearest bound, then along the free gradient with projection."""
+        self.products.cg -= 1
+        self.products.expansion += 1
+        self.move(longest, self.p, Ap, Qp)
+        free = self.g.copy()
+        on_bounds = self.bounds.indices[self.bounds.active(self.x)]
+        free[on_bounds] = 0.0
+        self.x -= self.options.step_length * free
+        self.bounds.project(self.x)
+        self.recompute_gradient("expansion")
+        self.new_face()
+
+    def projected_step(self, length: float, longest: float, Ap: Vector, Qp: Vector | None) -> None:
+        """Take the whole conjugate gradient step and project; undo it if the cost rose."""
+        before = self.x, self.g, self.Qx, self.cost()
+        self.x = self.bounds.project(self.x - length * self.p)
+        self.recompute_gradient("expansion")
+        if self.cost() <= before[3]:
+            self.products.cg -= 1
+            self.products.expansion += 1
+            self.new_face()
+        else:
+            self.x, self.g, self.Qx = before[:3]
+            self.expansion_step(longest, Ap, Qp)
+
+    def proportioning_step(self) -> None:
+        """Release the bounds whose multipliers have the wrong sign."""
+        d = np.zeros_like(self.x)
+        d[self.bounds.indices] = self.split.chopped
+        Ad, Qd = self.product(d, "proportioning")
+        gd, curvature = self.space.dots((self.g, d), (d, Ad))
+        if curvature <= 0.0:
+            raise ValueError(
+                "the cost function falls without limit when a bound is released: the Hessian is "
+                "not positive definite there; add the missing constraints or regularise"
+            )
+        self.move(gd / curvature, d, Ad, Qd)
+        self.new_face()
+
+    def product(self, x: Vector, kind: str) -> tuple[Vector, Vector | None]:
+        setattr(self.products, kind, getattr(self.products, kind) + 1)
+        return self.hessian(x)
+
+    def recompute_gradient(self, kind: str) -> None:
+        Ax, self.Qx = self.product(self.x, kind)
+        self.g = Ax - self.b
+        self.recurrences = 0
+
+    def move(self, length: float, p: Vector, Ap: Vector, Qp: Vector | None) -> None:
+        # x may leave the feasible set by rounding only; the projection makes bounds exact
+        self.x = self.bounds.project(self.x - length * p)
+        self.g = self.g - length * Ap
+        if Qp is not None and self.Qx is not None:
+            self.Qx = self.Qx - length * Qp
+        self.recurrences += 1
+
+    def cost(self) -> float:
+        return 0.5 * self.space.sums(self.space.partial(self.x, self.g - self.b))[0]
+
+    def update_split(self) -> None:
+        self.split = self.bounds.split(
+            self.x, self.g, self.options.step_length, self.space, self.Qx
+        )
+
+    def new_face(self) -> None:
+        """Restart the conjugate gradients."""
+        self.update_split()
+        self.p = self.preconditioned_free_gradient()
+
+    def preconditioned_free_gradient(self) -> Vector:
+        if self.precondition is None:
+            return self.split.free
+        self.products.preconditioner += 1
+        z = self.precondition(self.split.free)
+        z[self.bounds.indices[self.bounds.active(self.x)]] = 0.0
+        return z

@@ -1,0 +1,333 @@
+"""Problems that a user may pose by mistake, and what has to be said about each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import scenes
+from scenes import CLAMPED, LOADED, MASTER, ROLLER, SLAVE, YOUNG
+
+import ufl
+from dolfinx import fem, mesh
+
+from fenics_tfeti import ContactPair, ContactProblem, RigidObstacle
+from fenics_tfeti.errors import InputError, UnresistedMotion
+from fenics_tfeti.fem.structured import Box, boxes, tag_facets
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """`pose` sets up and solves the problem on a communicator; the message matches all `words`."""
+
+    name: str
+    pose: Callable[[MPI.Comm], object]
+    words: tuple[str, ...]
+    error: type[Exception] = InputError
+
+
+MISTAKES: list[Mistake] = []
+
+
+def mistake(*words: str, error: type[Exception] = InputError):
+    def register(pose: Callable[[MPI.Comm], object]) -> Callable[[MPI.Comm], object]:
+        MISTAKES.append(Mistake(pose.__name__, pose, words, error))
+        return pose
+
+    return register
+
+
+def beams(comm: MPI.Comm) -> scenes.Scene:
+    return scenes.two_beams(comm, "quadrilateral", 4)
+
+
+# -- contacts --------------------------------------------------------------------------------------
+
+
+def non_matching(comm: MPI.Comm) -> scenes.Scene:
+    """Two blocks with 4 and 3 elements along the contact: the two inner slave nodes miss."""
+    tagged = boxes(
+        comm, [Box((0, 0), (1, 1), (4, 4)), Box((0, 1), (1, 2), (3, 4))], "quadrilateral"
+    )
+    tags = tag_facets(
+        tagged.mesh,
+        [
+            (CLAMPED, scenes.at(1, 0.0), 1),
+            (ROLLER, scenes.at(1, 2.0), 2),
+            (MASTER, scenes.at(1, 1.0), 1),
+            (SLAVE, scenes.at(1, 1.0), 2),
+        ],
+        tagged.cell_tags,
+    )
+    V = scenes.vector_space(tagged.mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    young, load = fem.Constant(tagged.mesh, YOUNG), fem.Constant(tagged.mesh, 1.0)
+    return scenes.Scene(
+        mesh=tagged.mesh,
+        V=V,
+        a=scenes.elasticity(u, v, young),
+        L=load * v[0] * ufl.dx,
+        bcs=[scenes.fixed(V, tags, CLAMPED, None), scenes.fixed(V, tags, ROLLER, None)],
+        contacts=[scenes.reference.Pair(SLAVE, MASTER)],
+        facet_tags=tags,
+        cell_tags=tagged.cell_tags,
+        total_forces=[],
+        kept=[young, load],
+    )
+
+
+@mistake(r"\b2 (of 4 )?slave nodes", r"0\.333|0\.666", r"distance|away", r"0\.08|8\.3", "toleran")
+def slave_nodes_without_partner(comm):
+    non_matching(comm).problem().solve()
+
+
+@mistake("99", "facet")
+def slave_tag_on_no_facet(comm):
+    scene = beams(comm)
+    scene.problem(contacts=[ContactPair(scene.facet_tags, slave=99, master=MASTER)]).solve()
+
+
+@mistake("98", "facet")
+def master_tag_on_no_facet(comm):
+    scene = beams(comm)
+    scene.problem(contacts=[ContactPair(scene.facet_tags, slave=SLAVE, master=98)]).solve()
+
+
+@mistake("97", "facet")
+def obstacle_tag_on_no_facet(comm):
+    scene = beams(comm)
+    ground = scenes.Plane((0.0, 0.0), (0.0, 1.0))
+    scene.problem(contacts=[RigidObstacle(scene.facet_tags, slave=97, obstacle=ground)]).solve()
+
+
+@mistake("slave", "master", r"\b5\b")
+def slave_is_its_own_master(comm):
+    scene = beams(comm)
+    scene.problem(contacts=[ContactPair(scene.facet_tags, slave=SLAVE, master=SLAVE)]).solve()
+
+
+@mistake("slave", "master")
+def slave_of_one_contact_is_master_of_another(comm):
+    scene = beams(comm)
+    tags = scene.facet_tags
+    pairs = [ContactPair(tags, slave=SLAVE, master=MASTER)]
+    scene.problem(contacts=[*pairs, ContactPair(tags, slave=MASTER, master=SLAVE)]).solve()
+
+
+@mistake("facet", "cell|dimension")
+def cell_tags_for_facet_tags(comm):
+    scene = beams(comm)
+    scene.problem(contacts=[ContactPair(scene.cell_tags, slave=1, master=2)]).solve()
+
+
+@mistake("mesh")
+def facet_tags_of_another_mesh(comm):
+    scene, other = beams(comm), beams(comm)
+    contacts = [ContactPair(other.facet_tags, slave=SLAVE, master=MASTER)]
+    scene.problem(contacts=contacts).solve()
+
+
+@mistake("obstacle", "NaN|finite")
+def obstacle_returns_nan(comm):
+    scene = beams(comm)
+
+    def ground(x):
+        return np.full(x.shape[1], np.nan), np.tile([[0.0], [1.0]], x.shape[1])
+
+    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=ground)]
+    scene.problem(contacts=contacts).solve()
+
+
+@mistake("obstacle", "shape")
+def obstacle_returns_a_wrong_shape(comm):
+    scene = beams(comm)
+
+    def ground(x):
+        return 0.0, np.array([0.0, 1.0])
+
+    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=ground)]
+    scene.problem(contacts=contacts).solve()
+
+
+@mistake("normal", "unit|length")
+def obstacle_returns_normals_of_no_unit_length(comm):
+    scene = beams(comm)
+
+    def ground(x):
+        return x[1], np.tile([[0.0], [2.0]], x.shape[1])
+
+    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=ground)]
+    scene.problem(contacts=contacts).solve()
+
+
+# -- numbers that are none -------------------------------------------------------------------------
+
+
+@mistake("NaN", "stiffness|coefficient|material")
+def nan_in_a_constant(comm):
+    scene = beams(comm)
+    scene.kept[0].value = np.nan
+    scene.problem().solve()
+
+
+@mistake("NaN", "stiffness|coefficient|material")
+def nan_in_one_cell_of_a_coefficient(comm):
+    scene = beams(comm)
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    young = fem.Function(scenes.scalar_space(scene.mesh, "DG", 0))
+    # The one cell that holds the point (0.1, 0.1), on whatever rank it is.
+    young.interpolate(
+        lambda x: YOUNG * np.where((x[0] < 0.25) & (x[1] < 0.25), np.nan, 1.0)
+    )
+    scene.a = scenes.elasticity(u, v, young)
+    scene.problem().solve()
+
+
+@mistake("NaN", "load|traction")
+def nan_in_the_load(comm):
+    scene = beams(comm)
+    scene.kept[1].value = np.nan
+    scene.problem().solve()
+
+
+@mistake("NaN", "prescribed|Dirichlet")
+def nan_in_a_dirichlet_value(comm):
+    scene = beams(comm)
+    scene.bcs.append(scenes.fixed(scene.V, scene.facet_tags, ROLLER, 0, np.nan))
+    scene.problem().solve()
+
+
+# -- spaces and forms ------------------------------------------------------------------------------
+
+
+def posed_on(scene: scenes.Scene, V) -> None:
+    """Solve a Laplace-like problem on a space that the package does not support."""
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    a = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
+    load = fem.Constant(scene.mesh, 1.0)
+    right = load * (v[0] if v.ufl_shape else v) * ufl.dx
+    ContactProblem(a, right, bcs=[], contacts=scene.package_contacts()).solve()
+
+
+@mistake("degree|order", r"\b2\b")
+def space_of_degree_two(comm):
+    scene = beams(comm)
+    posed_on(scene, scenes.vector_space(scene.mesh, 2))
+
+
+@mistake("scalar|vector|components")
+def scalar_space(comm):
+    scene = beams(comm)
+    posed_on(scene, scenes.scalar_space(scene.mesh))
+
+
+@mistake("symmetric")
+def form_that_is_not_symmetric(comm):
+    scene = beams(comm)
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    speed = fem.Constant(scene.mesh, 1e11)
+    scene.a += speed * u[1].dx(0) * v[0] * ufl.dx
+    scene.problem().solve()
+
+
+@mistake("positive", error=Exception)
+def form_that_is_negative(comm):
+    scene = beams(comm)
+    scene.kept[0].value = -YOUNG
+    scene.problem().solve()
+
+
+@mistake("linear|arguments|bilinear")
+def forms_exchanged(comm):
+    scene = beams(comm)
+    scene.a, scene.L = scene.L, scene.a
+    scene.problem().solve()
+
+
+@mistake("space|mesh")
+def forms_on_two_meshes(comm):
+    scene, other = beams(comm), beams(comm)
+    scene.L = other.L
+    scene.problem().solve()
+
+
+# -- supports --------------------------------------------------------------------------------------
+
+
+@mistake("contradict|two (different )?values|different values")
+def two_values_for_one_displacement(comm):
+    scene = beams(comm)
+    scene.bcs.append(scenes.fixed(scene.V, scene.facet_tags, CLAMPED, 1, 1e-3))
+    scene.problem().solve()
+
+
+@mistake("body", "2|upper", "translation|moves|motion", error=UnresistedMotion)
+def pulled_away_from_the_contact(comm):
+    scene = beams(comm)
+    scene.kept[1].value = +scenes.TRACTION
+    scene.problem().solve()
+
+
+@mistake("body", "2|upper", "translation|moves|motion", error=UnresistedMotion)
+def pushed_along_the_contact(comm):
+    scene = beams(comm)
+    v = ufl.TestFunction(scene.V)
+    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
+    scene.L += scene.kept[1] * v[0] * ds(LOADED)
+    scene.bcs = scene.bcs[:1]
+    scene.problem().solve()
+
+
+@mistake("body", "2|upper", "rotat", error=UnresistedMotion)
+def tips_over_the_edge_of_its_support(comm):
+    """The load stands on x > 2, where nothing is below the upper beam, and no roller holds it."""
+    scene = beams(comm)
+    x, v = ufl.SpatialCoordinate(scene.mesh), ufl.TestFunction(scene.V)
+    load = scene.kept[1] * ufl.conditional(ufl.gt(x[0], 2.0), 1.0, 0.0)
+    dx = ufl.Measure("dx", domain=scene.mesh, subdomain_data=scene.cell_tags)
+    scene.L = load * v[1] * dx(2)
+    scene.bcs = scene.bcs[:1]
+    scene.problem().solve()
+
+
+@mistake("body", "1|lower", error=UnresistedMotion)
+def nothing_is_fixed(comm):
+    scene = beams(comm)
+    scene.problem(bcs=[]).solve()
+
+
+# -- options ---------------------------------------------------------------------------------------
+
+
+@mistake("subdomainsize", "subdomain_size")
+def unknown_option(comm):
+    beams(comm).problem(options={"subdomainsize": 100})
+
+
+@mistake("rtol", "-1")
+def option_out_of_range(comm):
+    beams(comm).problem(options={"rtol": -1.0})
+
+
+@mistake("preconditioner", "'jacobi'", "dirichlet")
+def option_with_an_unknown_value(comm):
+    beams(comm).problem(options={"preconditioner": "jacobi"})
+
+
+# -- arguments -------------------------------------------------------------------------------------
+
+
+@mistake("subdomains", "cells?")
+def subdomains_of_a_wrong_length(comm):
+    beams(comm).problem(subdomains=np.zeros(3, dtype=np.int32)).solve()
+
+
+@mistake("cell_tags|bodies|cells")
+def cells_without_a_tag(comm):
+    scene = beams(comm)
+    some = scene.cell_tags.find(1).astype(np.int32)
+    tags = mesh.meshtags(scene.mesh, 2, some, np.ones(some.size, dtype=np.int32))
+    scene.problem(cell_tags=tags).solve()

@@ -1,0 +1,45 @@
+"""The mistakes of one process are errors on all: no rank is left waiting."""
+
+from __future__ import annotations
+
+import re
+
+from mpi4py import MPI
+
+import pytest
+from bad_input import MISTAKES
+from scenes import two_beams
+
+import fenics_tfeti
+
+comm = MPI.COMM_WORLD
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.name)
+def test_every_rank_raises(mistake):
+    with pytest.raises(fenics_tfeti.ContactError) as raised:
+        mistake.pose(comm)
+    for words in mistake.words:
+        assert re.search(words, str(raised.value)), f"{words!r} is not in: {raised.value}"
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.name)
+def test_every_rank_raises_the_same(mistake):
+    with pytest.raises(fenics_tfeti.ContactError) as raised:
+        mistake.pose(comm)
+    errors = comm.allgather((type(raised.value).__name__, str(raised.value)))
+    assert len(set(errors)) == 1
+
+
+def test_ranks_are_in_step_after_an_error():
+    problem = two_beams(comm, "quadrilateral", 4).problem()
+    problem.solve()
+    assert problem.report.converged
+
+
+def test_not_converged():
+    problem = two_beams(comm, "quadrilateral", 6).problem(
+        options={"max_outer": 1, "rtol": 1e-10, "subdomain_size": 100}
+    )
+    with pytest.raises(fenics_tfeti.NotConverged, match="max_outer"):
+        problem.solve()

@@ -1,0 +1,234 @@
+"""SMALBE-M against an independent solver and the KKT conditions."""
+
+from __future__ import annotations
+
+import hypothesis
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+import quadprog
+
+from fenics_tfeti.qp import MPRGPOptions, Products, SMALBEOptions, smalbe
+from fenics_tfeti.qp.smalbe import SMALBEState
+
+from .problems import Problem, membranes, random_problem
+
+both_expansions = pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
+accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)
+
+
+def projected(problem: Problem) -> Problem:
+    """Return the problem with PAP and Pb, which is the same where Gx = o."""
+    P = np.eye(problem.b.size) - problem.G.T @ problem.G
+    A = P @ problem.A @ P
+    return Problem(0.5 * (A + A.T), P @ problem.b, problem.lower, problem.G)
+
+
+def solve(problem: Problem, rtol: float = 1e-9, start=None, products=None, monitor=None, **options):
+    """Solve with the penalty at the norm of the Hessian, as the method is meant to be used."""
+    norm = problem.norm
+    inner = {
+        key: options.pop(key) for key in ("expansion", "max_products", "refresh") if key in options
+    }
+    options.setdefault("rho", norm)
+    step_length = 1.9 / max(norm, options["rho"])
+    zeros = np.zeros_like(problem.b)
+    return smalbe(
+        problem.penalised(options["rho"]),
+        problem.b,
+        problem.bounds,
+        SMALBEState(zeros, zeros) if start is None else start,
+        options=SMALBEOptions(
+            rtol=rtol, inner=MPRGPOptions(step_length=step_length, **inner), **options
+        ),
+        products=products,
+        monitor=monitor,
+    )
+
+
+@both_expansions
+@pytest.mark.parametrize("project", [False, True])
+@accurate
+@hypothesis.given(
+    seed=st.integers(0, 10**6),
+    n=st.integers(6, 30),
+    equalities=st.integers(1, 5),
+    bounded=st.sampled_from([0.0, 0.3, 0.7, 1.0]),
+    condition=st.sampled_from([1.0, 1e2]),
+)
+def test_random_problem_against_quadprog(
+    expansion, project, seed, n, equalities, bounded, condition
+):
+    problem = random_problem(seed, n, bounded, condition, equalities)
+    expected = problem.solution()
+    result = solve(projected(problem) if project else problem, expansion=expansion)
+    assert result.converged
+    np.testing.assert_allclose(result.state.x, expected, atol=1e-6 * max(1.0, abs(expected).max()))
+
+
+@both_expansions
+@accurate
+@hypothesis.given(seed=st.integers(0, 10**6), n=st.integers(6, 30), equalities=st.integers(1, 5))
+def test_kkt_conditions(expansion, seed, n, equalities):
+    problem, rtol = random_problem(seed, n, equalities=equalities), 1e-8
+    state = solve(problem, rtol, expansion=expansion).state
+    x, scale = state.x, np.linalg.norm(problem.b)
+    # The augmented gradient that the stopping test is about, from its definition.
+    gradient = (
+        problem.A @ x - problem.b + state.q + problem.norm * problem.G.T @ (problem.G @ x)
+    )
+    assert np.all(x >= problem.lower)
+    assert np.linalg.norm(problem.G @ x) <= 1.01 * rtol * scale
+    assert np.linalg.norm(problem.projected_gradient(x, gradient)) <= 1.01 * rtol * scale
+    # q = G'mu for some mu
+    np.testing.assert_allclose(problem.G.T @ (problem.G @ state.q), state.q, atol=1e-12 * scale)
+
+
+def test_returned_gradient_belongs_to_the_returned_state():
+    problem = random_problem(1, equalities=3)
+    result = solve(problem, rtol=1e-3)
+    x, q = result.state.x, result.state.q
+    gradient = problem.A @ x - problem.b + q + problem.norm * problem.G.T @ (problem.G @ x)
+    np.testing.assert_allclose(result.gradient, gradient, atol=1e-13)
+
+
+@both_expansions
+@pytest.mark.parametrize("seed", range(5))
+def test_products_are_the_calls_of_the_operator(expansion, seed):
+    problem, products = random_problem(seed, 30, equalities=4, condition=1e3), Products()
+    solve(problem, products=products, expansion=expansion)
+    assert products.total == problem.calls
+
+
+def test_history_counts_the_products():
+    problem, products, lines = random_problem(0, 30, equalities=4), Products(), []
+    result = solve(problem, products=products, monitor=lines.append)
+    assert lines == result.history
+    assert [line.number for line in lines] == list(range(len(lines)))
+    assert lines[-1].products == products.total == problem.calls
+    assert np.all(np.diff([line.products for line in lines]) >= 0)
+
+
+def test_history_ends_with_what_the_stopping_test_saw():
+    problem, rtol = random_problem(0, 30, equalities=4), 1e-7
+    result = solve(problem, rtol)
+    last, scale = result.history[-1], np.linalg.norm(problem.b)
+    assert max(last.gradient, last.constraint) <= rtol
+    np.testing.assert_allclose(
+        last.constraint, np.linalg.norm(problem.G @ result.state.x) / scale, rtol=1e-6
+    )
+    assert last.active == np.count_nonzero(result.state.x == problem.lower)
+
+
+def test_an_outer_iteration_costs_no_product():
+    """With A = I and mu = o each inner solve is one step: its product is all there is."""
+    problem = Problem(np.eye(4), np.arange(4.0), np.full(4, -np.inf), np.eye(4)[:1])
+    result = solve(problem, rtol=1e-12)
+    assert problem.calls == result.history[-1].products
+    assert problem.calls <= len(result.history)
+
+
+def test_balance_falls_by_its_factor_or_stays():
+    problem = random_problem(0, 30, condition=1e3, equalities=4)
+    result = solve(problem, rtol=1e-10, M0=1e4, beta=0.25)
+    ratios = [b.M / a.M for a, b in zip(result.history, result.history[1:])]
+    assert result.history[0].M == 1e4
+    assert set(ratios) == {1.0, 0.25}
+
+
+@pytest.mark.parametrize("M0", [1e-2, 1.0, 1e4])
+@pytest.mark.parametrize("penalty", [0.1, 1.0, 10.0])
+def test_parameters_change_the_way_but_not_the_solution(M0, penalty):
+    problem = random_problem(3, 20, equalities=3)
+    result = solve(problem, rho=penalty * problem.norm, M0=M0, max_outer=1000)
+    np.testing.assert_allclose(result.state.x, problem.solution(), atol=1e-6)
+
+
+@both_expansions
+def test_going_on_from_the_last_state(expansion):
+    problem = random_problem(4, equalities=3)
+    first = solve(problem, rtol=1e-6, expansion=expansion)
+    products = Products()
+    again = solve(problem, rtol=1e-6, start=first.state, products=products, expansion=expansion)
+    assert products.total == 1, "the gradient at the start is all that is needed"
+    assert len(again.history) == 1
+    further = solve(problem, rtol=1e-10, start=first.state, expansion=expansion)
+    np.testing.assert_allclose(further.state.x, problem.solution(), atol=1e-7)
+
+
+def test_start_is_not_changed():
+    problem = random_problem(4, equalities=3)
+    start = SMALBEState(np.full(20, -7.0), np.zeros(20))
+    solve(problem, start=start)
+    assert np.all(start.x == -7.0)
+    assert np.all(start.q == 0.0)
+
+
+def test_limit_on_outer_iterations():
+    result = solve(random_problem(5, equalities=3), max_outer=2)
+    assert not result.converged
+    assert "max_outer" in result.reason
+    assert len(result.history) == 2
+
+
+def test_limit_on_products_is_for_the_sum_of_all_inner_solves():
+    problem = random_problem(5, 30, condition=1e4, equalities=3)
+    result = solve(problem, max_products=15)
+    assert not result.converged
+    assert "max_products" in result.reason
+    assert 15 <= problem.calls <= 17
+
+
+def test_no_constraint_violated_needs_no_multiplier():
+    """Where the free minimiser satisfies the equalities, they change nothing."""
+    problem = random_problem(6, bounded=0.0, equalities=3)
+    x = problem.G.T @ np.zeros(3) + projected(problem).b
+    problem.b = problem.A @ x
+    result = solve(problem, rtol=1e-10)
+    np.testing.assert_allclose(result.state.x, x, atol=1e-8)
+
+
+def test_hessian_definite_only_where_the_equalities_hold():
+    problem = random_problem(7, 20, equalities=4)
+    definite = projected(problem)
+    np.testing.assert_array_less(np.linalg.eigvalsh(definite.A)[3], 1e-14)
+    result = solve(definite)
+    np.testing.assert_allclose(result.state.x, problem.solution(), atol=1e-6)
+
+
+# -- a dual that another code computed -------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def dual():
+    return membranes()
+
+
+@pytest.fixture(scope="module")
+def minimum(dual) -> float:
+    """The exact minimum, by quadprog on the complement of the kernel."""
+    values, vectors = np.linalg.eigh(dual.A + dual.G.T @ dual.G)
+    V = vectors[:, values > 1e-10 * values[-1]]
+    bounded = np.isfinite(dual.lower)
+    GV = dual.G @ V
+    y = quadprog.solve_qp(
+        V.T @ dual.A @ V + GV.T @ GV,
+        V.T @ dual.b,
+        np.vstack([GV, V[bounded]]).T,
+        np.concatenate([np.zeros(len(GV)), dual.lower[bounded]]),
+        len(GV),
+    )[0]
+    return dual.cost(V @ y)
+
+
+@both_expansions
+@pytest.mark.parametrize(
+    ("rtol", "error"), [(1e-5, 2e-2), (1e-6, 2e-3), (1e-8, 2e-5), (1e-10, 1e-6), (1e-12, 1e-7)]
+)
+@pytest.mark.parametrize("project", [False, True])
+def test_membranes(dual, minimum, project, rtol, error, expansion):
+    """The cost is 1/400 of its terms, so 1e-5 in the gradient leaves 1 % in the cost."""
+    problem = projected(dual) if project else dual
+    result = solve(problem, rtol, expansion=expansion)
+    assert result.converged
+    assert dual.cost(result.state.x) == pytest.approx(minimum, rel=error)

@@ -1,0 +1,187 @@
+"""Total FETI against the same discrete problem solved as a whole, and against exact totals."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scenes import pressed_block, stack_on_ground, two_beams, two_materials
+
+OPTIONS = {"rtol": 1e-8, "subdomain_size": 200}
+
+SMALL = {
+    "beams, quadrilaterals": lambda comm: two_beams(comm, "quadrilateral", 6),
+    "beams, triangles": lambda comm: two_beams(comm, "triangle", 6),
+    "beams, hexahedra": lambda comm: two_beams(comm, "hexahedron", 4),
+    "beams, tetrahedra": lambda comm: two_beams(comm, "tetrahedron", 3),
+    "beams with a gap": lambda comm: two_beams(comm, "quadrilateral", 6, gap=1e-3),
+    "block, quadrilaterals": lambda comm: pressed_block(comm, "quadrilateral", 9),
+    "block, triangles, gap": lambda comm: pressed_block(comm, "triangle", 9, gap=4e-4),
+    "block, hexahedra": lambda comm: pressed_block(comm, "hexahedron", 4),
+    "block, tetrahedra, gap": lambda comm: pressed_block(comm, "tetrahedron", 4, gap=4e-4),
+    "block that does not arrive": lambda comm: pressed_block(comm, "quadrilateral", 9, gap=2e-3),
+    "materials, triangles": lambda comm: two_materials(comm, "triangle", 6),
+    "materials, hexahedra": lambda comm: two_materials(comm, "hexahedron", 3),
+    "stack, quadrilaterals": lambda comm: stack_on_ground(comm, "quadrilateral", 8),
+    "stack, tetrahedra": lambda comm: stack_on_ground(comm, "tetrahedron", 4),
+}
+LARGE = {
+    "beams, hexahedra, h = 1/12": lambda comm: two_beams(comm, "hexahedron", 12),
+    "beams, tetrahedra, h = 1/8": lambda comm: two_beams(comm, "tetrahedron", 8),
+    "beams, triangles, h = 1/32": lambda comm: two_beams(comm, "triangle", 32),
+    "materials, tetrahedra, h = 1/8": lambda comm: two_materials(comm, "tetrahedron", 8),
+    "stack, hexahedra, h = 1/8": lambda comm: stack_on_ground(comm, "hexahedron", 8),
+}
+every_scene = pytest.mark.parametrize(
+    "name", [*SMALL, *(pytest.param(name, marks=pytest.mark.heavy) for name in LARGE)]
+)
+
+
+@lru_cache(maxsize=None)
+def solved(name: str):
+    """Return scene, solved problem, displacement and reference of a scene."""
+    size = 200 if name in SMALL else 1500
+    scene = {**SMALL, **LARGE}[name](MPI.COMM_SELF)
+    problem = scene.problem(options={**OPTIONS, "subdomain_size": size})
+    return scene, problem, problem.solve(), scene.reference()
+
+
+def by_node(contact):
+    """Return the places that put a contact's nodes in ascending order."""
+    return np.argsort(contact.nodes)
+
+
+@every_scene
+def test_displacement(name):
+    _, _, uh, reference = solved(name)
+    error = np.linalg.norm(uh.x.array - reference.displacement)
+    assert error <= 1e-6 * np.linalg.norm(reference.displacement)
+
+
+@every_scene
+def test_contact_forces(name):
+    scene, problem, _, reference = solved(name)
+    largest = max([contact.forces.max() for contact in reference.contacts] + [1e-3])
+    assert len(problem.contact) == len(scene.contacts)
+    for found, expected in zip(problem.contact, reference.contacts, strict=True):
+        order = by_node(found)
+        np.testing.assert_array_equal(found.nodes[order], expected.nodes)
+        np.testing.assert_allclose(
+            found.normal_force[order], expected.forces, rtol=0.0, atol=1e-5 * largest
+        )
+
+
+@every_scene
+def test_total_contact_force(name):
+    scene, problem, _, _ = solved(name)
+    np.testing.assert_allclose(
+        problem.report.contact_force, scene.total_forces, rtol=1e-6, atol=1e-3
+    )
+    np.testing.assert_allclose(
+        [contact.normal_force.sum() for contact in problem.contact],
+        scene.total_forces,
+        rtol=1e-6,
+        atol=1e-3,
+    )
+
+
+@every_scene
+def test_gaps_and_normals(name):
+    scene, problem, _, reference = solved(name)
+    for found, expected in zip(problem.contact, reference.contacts, strict=True):
+        order = by_node(found)
+        np.testing.assert_allclose(found.coordinates[order], expected.coordinates, atol=1e-12)
+        np.testing.assert_allclose(found.gap[order], expected.gap, atol=1e-12)
+        sign = -1.0 if hasattr(scene.contacts[problem.contact.index(found)], "surface") else 1.0
+        np.testing.assert_allclose(sign * found.normal[order], expected.normal, atol=1e-12)
+
+
+@every_scene
+def test_active_nodes_are_those_that_press(name):
+    _, problem, _, _ = solved(name)
+    for contact in problem.contact:
+        np.testing.assert_array_equal(contact.active, contact.normal_force > 0.0)
+
+
+@every_scene
+def test_energy(name):
+    _, problem, _, reference = solved(name)
+    assert problem.report.energy == pytest.approx(reference.energy, rel=1e-8, abs=1e-9)
+
+
+@every_scene
+def test_certificate(name):
+    _, problem, _, _ = solved(name)
+    certificate = problem.report.certificate
+    assert problem.report.converged
+    assert certificate.smallest_force >= -1e-8
+    for quantity in ("equilibrium", "gluing", "penetration", "complementarity", "duality_gap"):
+        assert 0.0 <= getattr(certificate, quantity) <= 1e-8, quantity
+
+
+@every_scene
+def test_there_is_something_to_tear(name):
+    scene, problem, _, reference = solved(name)
+    assert problem.report.subdomains >= 2
+    assert problem.report.unknowns["primal"] == reference.displacement.size
+    assert problem.report.unknowns["torn"] > problem.report.unknowns["primal"]
+
+
+@pytest.mark.parametrize("name", [name for name in SMALL if name.startswith("block")])
+def test_uniform_stress_is_exact(name):
+    scene, _, uh, _ = solved(name)
+    exact = scene.exact(scene.V.tabulate_dof_coordinates().T).T.ravel()
+    np.testing.assert_allclose(uh.x.array, exact, rtol=0.0, atol=1e-6 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("name", [name for name in SMALL if name.startswith("block")])
+def test_uniform_pressure_is_exact(name):
+    """The area of the tagged surface is 1, so the total force is the pressure."""
+    scene, problem, _, _ = solved(name)
+    (total,) = scene.total_forces
+    np.testing.assert_allclose(problem.contact[0].pressure, total, rtol=1e-5, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"preconditioner": "lumped"},
+        {"preconditioner": "dirichlet"},
+        {"expansion": "standard"},
+        {"generalised_inverse": "null_pivots"},
+        {"factor": "mumps"},
+        {"rho": 3.0},
+        {"M0": 100.0, "eta": 1.0},
+        {"subdomain_size": 60},
+        {"subdomain_size": 100_000},
+    ],
+    ids=lambda options: ", ".join(f"{name}={value}" for name, value in options.items()),
+)
+@pytest.mark.parametrize("name", ["beams, quadrilaterals", "materials, triangles"])
+def test_options_change_the_way_but_not_the_solution(name, options):
+    scene, _, _, reference = solved(name)
+    uh = scene.problem(options={**OPTIONS, **options}).solve()
+    error = np.linalg.norm(uh.x.array - reference.displacement)
+    assert error <= 1e-6 * np.linalg.norm(reference.displacement)
+
+
+@pytest.mark.parametrize("rtol", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10])
+def test_tolerance_means_what_it_says(rtol):
+    """The error follows rtol, with the condition of the problem for a factor."""
+    scene, _, _, reference = solved("beams, quadrilaterals")
+    uh = scene.problem(options={**OPTIONS, "rtol": rtol}).solve()
+    error = np.linalg.norm(uh.x.array - reference.displacement)
+    assert error <= 30.0 * rtol * np.linalg.norm(reference.displacement)
+
+
+@pytest.mark.parametrize("metre", [1e3, 1e-3])
+def test_the_unit_of_length_does_not_matter(metre):
+    """No absolute tolerance hides in the package."""
+    _, _, uh, _ = solved("beams, quadrilaterals")
+    scaled = two_beams(MPI.COMM_SELF, "quadrilateral", 6, metre=metre).problem(options=OPTIONS)
+    np.testing.assert_allclose(
+        np.linalg.norm(scaled.solve().x.array), metre * np.linalg.norm(uh.x.array), rtol=1e-6
+    )

@@ -1,0 +1,30 @@
+#!/usr/bin/env bash
+# All tests that are not heavy, with the Python of one environment: tools/test.sh .venv
+set -euo pipefail
+cd "$(dirname "$0")/.."
+venv=$1
+python=$venv/bin/python
+
+echo "== $venv: doctests"
+"$python" -m pytest -q --doctest-modules fenics_tfeti/qp fenics_tfeti/feti
+echo "== $venv: serial tests"
+"$python" -m pytest tests -m "not heavy"
+
+# The mpirun must belong to the MPI library that mpi4py loads: the environment's own, or Debian's.
+mpirun=$venv/bin/mpiexec
+[ -x "$mpirun" ] || mpirun=/usr/bin/mpirun
+options=()
+color=no  # mpirun gives the ranks a terminal even where there is none
+[ -t 1 ] && color=yes
+if "$mpirun" --version | grep -q "Open MPI"; then
+    options=(--oversubscribe)
+    export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
+fi
+# One thread per rank. A hang that neither pytest_ranks nor pytest-timeout ends, timeout does.
+export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools${PYTHONPATH:+:$PYTHONPATH}
+for ranks in 2 3; do
+    echo "== $venv: MPI tests on $ranks ranks"
+    timeout --kill-after=20 "${MPI_TIMEOUT:-1200}" "$mpirun" "${options[@]}" -n "$ranks" \
+        "$python" -m pytest -p pytest_ranks --color="$color" --timeout-method=thread \
+        tests/mpi -m "not heavy"
+done
