@@ -279,7 +279,7 @@ def _centres_and_sizes(system: TornSystem, bodies: int) -> tuple[Vector, Vector]
     for subdomain in system.subdomains:
         reach = np.abs(subdomain.coordinates - centres[subdomain.body]).max()
         sizes[subdomain.body] = max(sizes[subdomain.body], reach)
-    sizes = system.comm.allreduce(sizes, MPI.MAX)
+    system.comm.Allreduce(MPI.IN_PLACE, sizes, MPI.MAX)
     return centres, np.where(sizes > 0.0, sizes, 1.0)
 
 
