@@ -21,6 +21,7 @@ from fenics_tfeti.fem.contact import (
     Contact,
     ContactResult,
     MatchedContact,
+    check_contacts,
     contact_rows,
     match_contact,
 )
@@ -97,6 +98,7 @@ class ContactProblem:
         self.space = displacement_space(a, L)
         prescribed = prescribed_values(self.space, bcs)
         with self._timer.phase("contact search"):
+            check_contacts(contacts, self.space.mesh.comm)
             self._matched = [match_contact(self.space, c, i) for i, c in enumerate(contacts)]
         with self._timer.phase("compilation"):
             forms = prepare_forms(self.space, a, L)

@@ -11,11 +11,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from mpi4py import MPI
+
+from petsc4py import PETSc
+
 import numpy as np
 import scipy.sparse as sp
-from mpi4py import MPI
 from numpy.typing import NDArray
-from petsc4py import PETSc
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -82,10 +84,10 @@ def primal_active_set(
         u[free], force[:] = 0.0, 0.0
         u[free], force[rows] = _solve_kkt(K_ff, load, C_f[rows], bound[rows], stiffness)
         steps += 1
-        new = movable & (force + stiffness * (C @ u - gap) > 0.0)
+        indicator = force + stiffness * (C @ u - gap)
+        new = movable & (indicator > 0.0)
         # Rounding may flip a row whose force and opening are both zero: it is right either way.
-        flipped = np.flatnonzero(new != active)
-        if np.all(np.abs(force + stiffness * (C @ u - gap))[flipped] <= _noise(force, f, tolerance)):
+        if np.all(np.abs(indicator[new != active]) <= _noise(force, f, tolerance)):
             break
         active = new
 
@@ -230,7 +232,7 @@ def reference_solution(
     parts = np.split(solution.forces, ends[:-1])
     found = [
         ContactForces(row[1].nodes, row[1].coordinates, row[1].normal, row[1].gap, part)
-        for row, part in zip(rows, parts)
+        for row, part in zip(rows, parts, strict=True)
     ]
     return ReferenceSolution(solution.displacement, found, solution.energy, solution.steps)
 
@@ -262,8 +264,8 @@ def _rows(V: Any, tags: Any, contact: Pair | Obstacle) -> tuple[sp.csr_matrix, C
     count = slave.size
     if isinstance(contact, Obstacle):
         gap, outward = contact.surface(x[slave].T)
-        normal = np.asarray(outward).T[:, :gdim]
-        C = _selection(slave, -normal, size)
+        normal = -np.asarray(outward).T[:, :gdim]  # out of the body, as for pairs
+        C = _selection(slave, normal, size)
     else:
         master = nodes_of(V, tags.find(contact.master))
         distances = np.linalg.norm(x[slave][:, None, :] - x[master][None, :, :], axis=2)

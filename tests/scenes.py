@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mpi4py import MPI
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -292,7 +293,7 @@ def two_materials(comm: MPI.Comm, cell: str = "hexahedron", n: int = 2) -> Scene
     integrals over tagged cells with two quadrature degrees.
     """
     mesh, cell_tags, facet_tags = beams_mesh(comm, cell, n)
-    gdim, up = mesh.geometry.dim, mesh.geometry.dim - 1
+    up = mesh.geometry.dim - 1
     V = vector_space(mesh)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     young = fem.Function(scalar_space(mesh, "DG", 0))

@@ -85,8 +85,11 @@ def test_not_converged_raises_with_the_last_iterate(limit):
 def test_not_converged_returns_the_last_iterate_if_asked(limit):
     problem = two_beams(MPI.COMM_SELF, "quadrilateral", 6).problem(
         options={
-            limit: 1, "rtol": 1e-10, "subdomain_size": 100, "error_if_not_converged": False
-        }  # fmt: skip
+            limit: 1,
+            "rtol": 1e-10,
+            "subdomain_size": 100,
+            "error_if_not_converged": False,
+        }
     )
     uh = problem.solve()
     assert np.all(np.isfinite(uh.x.array))
@@ -102,9 +105,11 @@ def test_not_converged_gets_better_with_the_limit():
     for limit in (1, 20, 400):
         problem = scene.problem(
             options={
-                "max_products": limit, "rtol": 1e-8, "subdomain_size": 100,
+                "max_products": limit,
+                "rtol": 1e-8,
+                "subdomain_size": 100,
                 "error_if_not_converged": False,
-            }  # fmt: skip
+            }
         )
         errors.append(np.linalg.norm(problem.solve().x.array - exact))
     assert errors[0] > errors[1] > errors[2]

@@ -170,6 +170,16 @@ def bc_is_on(bc: Any, space: fem.FunctionSpace) -> bool:
     return bool(cpp_object(space).contains(cpp_object(bc.function_space)))
 
 
+def tags_are_on(tags: Any, domain: mesh.Mesh) -> bool:
+    """Tell whether mesh tags belong to a mesh.
+
+    - 0.5.2 keeps the mesh in ``tags.mesh``, 0.9 and 0.11 the topology in ``tags.topology``.
+    """
+    if hasattr(tags, "mesh"):
+        return cpp_object(tags.mesh) is cpp_object(domain)
+    return cpp_object(tags.topology) is cpp_object(domain.topology)
+
+
 # -- graphs ------------------------------------------------------------------------------------
 
 
@@ -333,9 +343,9 @@ def assemble_stiffness(form: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[n
     """
     A = fem.petsc.assemble_matrix(form)
     A.assemble()
-    csr = A.getValuesCSR()
+    indptr, indices, data = A.getValuesCSR()
     A.destroy()
-    return csr
+    return indptr, indices, data
 
 
 def assemble_load(form: Any) -> NDArray[np.float64]:
@@ -355,7 +365,7 @@ def assemble_distributed(form: ufl.Form) -> NDArray[np.float64]:
 
     b = fem.petsc.assemble_vector(fem.form(form))
     b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-    values = b.array_r.copy()
+    values: NDArray[np.float64] = b.array_r.copy()
     b.destroy()
     return values
 

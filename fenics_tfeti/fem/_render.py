@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
+Numbers = NDArray[np.int64]
 
 INK = "#22262b"
 OUTLINE = "#8a9099"
@@ -25,10 +26,24 @@ DPI = 200
 MANY_FACES = 60_000  # more faces than this would drown in the lines between them
 VTK_SHAPES = {"triangle": 5, "quadrilateral": 9, "tetrahedron": 10, "hexahedron": 12}
 
+# For each shape: the vertices next to the first one, and the order of a mirrored cell.
+NEIGHBOURS = {
+    "triangle": [1, 2],
+    "quadrilateral": [1, 3],
+    "tetrahedron": [1, 2, 3],
+    "hexahedron": [1, 3, 4],
+}
+MIRRORED = {
+    "triangle": [0, 2, 1],
+    "quadrilateral": [0, 3, 2, 1],
+    "tetrahedron": [0, 2, 1, 3],
+    "hexahedron": [4, 5, 6, 7, 0, 1, 2, 3],
+}
+
 
 def grid_of(data: Any) -> pyvista.UnstructuredGrid:
     """Return the undeformed mesh with its colours."""
-    cells = data["cells"]
+    cells = right_handed(data["cells"], data["points"], str(data["shape"]))
     rows = np.column_stack([np.full(len(cells), cells.shape[1]), cells])
     kinds = np.full(len(cells), VTK_SHAPES[str(data["shape"])], dtype=np.uint8)
     grid = pyvista.UnstructuredGrid(rows.ravel(), kinds, data["points"])
@@ -37,6 +52,15 @@ def grid_of(data: Any) -> pyvista.UnstructuredGrid:
     target["colours"] = colours
     grid.point_data["displacement"] = data["displacement"]
     return grid
+
+
+def right_handed(cells: Numbers, points: NDArray[np.float64], shape: str) -> Numbers:
+    """Mirror the cells that are left-handed: the edges of bodies are found by outward normals."""
+    neighbours = NEIGHBOURS[shape]
+    gdim = len(neighbours)
+    corners = points[cells][..., :gdim]
+    is_left = np.linalg.det(corners[:, neighbours] - corners[:, :1]) < 0
+    return np.where(is_left[:, np.newaxis], cells[:, MIRRORED[shape]], cells)
 
 
 def photograph(data: Any, limits: tuple[float, float], pixels: tuple[int, int]) -> Image:
@@ -50,7 +74,7 @@ def photograph(data: Any, limits: tuple[float, float], pixels: tuple[int, int]) 
         part.points = part.points + float(data["scale"]) * part["displacement"]
 
     plotter = pyvista.Plotter(off_screen=True, window_size=list(pixels), lighting="none")
-    plotter.add_light(pyvista.Light((-0.35, 0.55, 1), light_type="camera light"))
+    plotter.add_light(pyvista.Light((0.3, 0.45, 1), light_type="camera light"))
     plotter.set_background("white")
     plotter.enable_anti_aliasing("ssaa")
     plotter.add_mesh(
@@ -63,8 +87,8 @@ def photograph(data: Any, limits: tuple[float, float], pixels: tuple[int, int]) 
         edge_color=INK,
         edge_opacity=0.3,
         line_width=1.5,
-        ambient=0.7,
-        diffuse=0.33,
+        ambient=0.78,
+        diffuse=0.28,
         specular=0,
     )
     if edges.n_points:

@@ -29,6 +29,7 @@ __all__ = [
     "MatchedContact",
     "Plane",
     "RigidObstacle",
+    "check_contacts",
     "contact_rows",
     "match_contact",
 ]
@@ -196,9 +197,9 @@ class ContactResult:
     def gather(self) -> ContactResult:
         """Return the nodes of all ranks, by node number, on every rank."""
         names = ("nodes", "coordinates", "gap", "normal", "normal_force", "pressure", "active")
-        columns = {name: concatenate_ranks(self.comm, getattr(self, name)) for name in names}
-        order = np.argsort(columns["nodes"])
-        return ContactResult(self.name, **{name: c[order] for name, c in columns.items()})
+        columns = [concatenate_ranks(self.comm, getattr(self, name)) for name in names]
+        order = np.argsort(columns[0])
+        return ContactResult(self.name, *(column[order] for column in columns))
 
 
 @dataclass(frozen=True)
@@ -248,6 +249,28 @@ def match_contact(space: FunctionSpace, contact: Contact, number: int) -> Matche
     return _match_pair(space.mesh.comm, name, slave, master, contact.tolerance)
 
 
+def check_contacts(contacts: Sequence[Contact], comm: MPI.Intracomm) -> None:
+    """Check that no two contacts say the same thing twice.
+
+    Raises
+    ------
+    InputError
+        If two pairs join the same surfaces.
+    """
+    pairs: dict[frozenset[int], int] = {}
+    with together(comm):
+        for number, contact in enumerate(contacts):
+            if not isinstance(contact, ContactPair):
+                continue
+            tags = frozenset((contact.slave, contact.master))
+            if tags in pairs:
+                raise InputError(
+                    f"contacts {pairs[tags]} and {number} join the same two surfaces, with slave "
+                    f"and master {sorted(tags)}: keep one of them"
+                )
+            pairs[tags] = number
+
+
 def contact_rows(matched: Sequence[MatchedContact], gdim: int) -> ContactRows:
     """Put the contacts' nodes one behind the other."""
     if not matched:
@@ -265,6 +288,8 @@ def _surface(space: FunctionSpace, facet_tags: Any, tag: int, what: str) -> _Sur
     """Find the owned nodes of a tagged surface, with area-weighted normals."""
     domain, dim = space.mesh, space.mesh.topology.dim
     with together(domain.comm):
+        if not _compat.tags_are_on(facet_tags, domain):
+            raise InputError(f"{what}: facet_tags belong to another mesh than the displacement")
         if facet_tags.dim != dim - 1:
             raise InputError(
                 f"{what}: facet_tags are on entities of dimension {facet_tags.dim}, facets have "
@@ -347,9 +372,7 @@ def _match_obstacle(name: str, slave: _Surface, contact: RigidObstacle) -> Match
     none = np.full(k, -1, dtype=np.int64)
     # u'n <= gap with n pointing into the obstacle
     normal = -outward[:gdim].T
-    return MatchedContact(
-        name, slave.nodes, none, slave.coordinates, normal, gap, slave.area
-    )
+    return MatchedContact(name, slave.nodes, none, slave.coordinates, normal, gap, slave.area)
 
 
 def _match_pair(

@@ -177,7 +177,7 @@ def _local_nodes(space: FunctionSpace, nodes: NDArray[np.int64]) -> NDArray[np.i
     ghosts = np.asarray(index_map.ghosts, dtype=np.int64)
     order = np.argsort(ghosts)
     owned = (nodes >= first) & (nodes < last)
-    local = nodes - first
+    local: NDArray[np.int64] = nodes - first
     at = np.searchsorted(ghosts[order], nodes[~owned])
     local[~owned] = index_map.size_local + order[at]
     return local

@@ -116,7 +116,7 @@ def split_into_subdomains(
             continue
         inside = graph[cells][:, cells]
         label = _compat.partition_graph(inside.indptr, inside.indices, min(parts, cells.size))
-        subdomains += _connected_groups(inside, label, cells)
+        subdomains += _connected_groups(inside, label.astype(np.int64), cells)
     return subdomains
 
 
@@ -262,7 +262,8 @@ def _join_pieces(domain: Mesh, piece: Numbers, tags: Numbers, total: int) -> Num
     edges = np.unique(np.stack([pieces[at][joined], other[joined]]), axis=1)
     edges = concatenate_ranks(comm, edges.T)
     graph = sp.csr_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(total, total))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
+    body: Numbers = connected_components(graph, directed=False)[1].astype(np.int64)
+    return body
 
 
 def _describe(domain: Mesh, body: Numbers, tags: Numbers, bodies: int) -> tuple[Numbers, Numbers]:

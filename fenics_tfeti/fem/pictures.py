@@ -57,7 +57,7 @@ def draw_deformed(
     title: str = "",
     scale: float | None = None,
     camera: Sequence[float] = (-0.6, -1.0, 0.55),
-    colour_map: str = "viridis",
+    colour_map: str = "YlOrRd",
     size: tuple[int, int] = (1600, 1000),
 ) -> None:
     """Draw the deformed mesh, coloured by a field, and the outline of the undeformed one.
@@ -127,7 +127,7 @@ def draw_deformed(
                 "scale": scale,
                 "title": title,
                 "label": f"{name} [{unit}]" if unit else name,
-                "note": f"displacements × {scale:g}; thin lines: undeformed",
+                "note": f"displacements × {scale:g}; grey lines: undeformed",
                 "camera": np.asarray(camera, dtype=float),
                 "colour_map": colour_map,
                 "size": np.asarray(size),

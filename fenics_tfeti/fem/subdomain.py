@@ -142,8 +142,8 @@ def prepare_forms(space: FunctionSpace, a: ufl.Form, L: ufl.Form) -> BoundForms:
     exterior = _exterior_cell_facets(space.mesh)
     return BoundForms(
         space,
-        _prepare(space, a, "bilinear form a", exterior),
-        _prepare(space, L, "linear form L", exterior),
+        _prepare(space, a, "bilinear form a (the stiffness)", exterior),
+        _prepare(space, L, "linear form L (the load)", exterior),
     )
 
 
@@ -182,8 +182,8 @@ def _check_integrals(form: ufl.Form, name: str) -> None:
         kind = integral.integral_type()
         if kind not in _SUPPORTED:
             raise InputError(
-                f"the {name} has an integral over {kind}; subdomains are torn apart, so only dx and "
-                "ds can be used"
+                f"the {name} has an integral over {kind}; subdomains are torn apart, so only "
+                "dx and ds can be used"
             )
 
 
@@ -204,7 +204,9 @@ def _check_data(form: ufl.Form, name: str, domain: Mesh) -> None:
             raise InputError(f"{label} has {bad} values that are NaN or infinite")
     for number, constant in enumerate(form.constants()):
         if not np.isfinite(constant.value).all():
-            raise InputError(f"constant {number} of the {name} is {constant.value}")
+            raise InputError(
+                f"constant {number} of the {name} is NaN or infinite: {constant.value}"
+            )
 
 
 def _tagged_ids(form: ufl.Form, kind: str) -> list[int]:
@@ -248,7 +250,7 @@ def _dense_tags(tags: Any, size: int, ids: list[int]) -> NDArray[np.int64]:
 
 
 def _tag_everywhere(form: ufl.Form, ids: list[int]) -> tuple[ufl.Form, int]:
-    """Replace "everywhere" in integrals over exterior facets by all tags in use and one for the rest.
+    """Replace "everywhere" in exterior facet integrals by all tags in use and one for the rest.
 
     On a submesh, "everywhere" would take in the interfaces to other subdomains.
     """
@@ -270,7 +272,8 @@ def _exterior_cell_facets(domain: Mesh) -> NDArray[np.bool_]:
     facet_of, owned = cell_facets(domain)
     exterior = np.zeros(int(facet_of.max(initial=-1)) + 1, dtype=bool)
     exterior[exterior_facet_indices(domain.topology)] = True
-    return exterior[facet_of[:owned]]
+    of_cell: NDArray[np.bool_] = exterior[facet_of[:owned]]
+    return of_cell
 
 
 def _submesh(domain: Mesh, cells: Numbers) -> _Submesh:

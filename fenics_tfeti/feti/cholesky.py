@@ -20,6 +20,8 @@ Vector = NDArray[np.float64]
 Package = Literal["auto", "cholmod", "mumps"]
 
 _PREFERENCE = ("cholmod", "mumps")
+# pivots below this part of the matrix's norm are null (CNTL(3))
+_NULL_PIVOT = 1e-10
 
 
 def _petsc_matrix(matrix: sp.csr_matrix, definite: bool = True) -> PETSc.Mat:
@@ -79,8 +81,8 @@ class SparseCholesky:
     package : str
         "cholmod" or "mumps".
     null_pivots : bool
-        Let MUMPS detect the zero pivots of a semidefinite matrix (ICNTL(24)); then `solve` applies a
-        generalised inverse.
+        Let MUMPS detect the zero pivots of a semidefinite matrix (ICNTL(24)); then `solve`
+        applies a generalised inverse.
 
     Attributes
     ----------
@@ -109,6 +111,7 @@ class SparseCholesky:
         self._factor = pc.getFactorMatrix()
         if null_pivots:
             self._factor.setMumpsIcntl(24, 1)
+            self._factor.setMumpsCntl(3, _NULL_PIVOT)
         try:
             pc.setUp()
         except PETSc.Error as error:
@@ -132,8 +135,8 @@ class SparseCholesky:
             positive = float(b @ x) > 0.0
         if not (positive and residual <= 1e-6 * np.linalg.norm(b)):
             raise FactorizationError(
-                f"the Cholesky factorisation by {package} is useless (residual {residual:.1e}): the "
-                f"matrix of order {matrix.shape[0]} is not positive definite"
+                f"the Cholesky factorisation by {package} is useless (residual {residual:.1e}): "
+                f"the matrix of order {matrix.shape[0]} is not positive definite"
             )
 
     def solve(self, b: Vector) -> Vector:

@@ -147,8 +147,8 @@ class CoarseSpace:
         resisted = (self.bodies.basis.T @ self.restrict_to_owned(columns)).tocsr()
         gram = self.comm.allreduce((resisted @ resisted.T).toarray()) + self.bodies.energy
         resistance, motions = np.linalg.eigh(gram)
-        free = motions[:, resistance <= _UNRESISTED]
-        return np.linalg.qr(self.bodies.basis @ free)[0]
+        free: Vector = self.bodies.basis @ motions[:, resistance <= _UNRESISTED]
+        return np.linalg.qr(free)[0]
 
 
 @dataclass(frozen=True)

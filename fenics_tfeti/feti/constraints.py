@@ -2,14 +2,15 @@
 
 Everything follows from global node numbers. A node with k copies gets k - 1 orthonormal contrasts
 for each component that is free, k unit rows for each component that is prescribed. A contact row
-takes the mean of the slave's copies minus the mean of the master's: on glued displacements it is the
-row of the chapter, and it is orthogonal to every contrast. Rows of one node in several inequalities
-are not orthogonal to each other; (11.22) then holds but for those.
+takes the mean of the slave's copies minus the mean of the master's: on glued displacements it is
+the row of the chapter, and it is orthogonal to every contrast. Rows of one node in several
+inequalities are not orthogonal to each other; (11.22) then holds but for those.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -77,7 +78,7 @@ class Constraints:
 
 @dataclass(frozen=True)
 class _Copies:
-    """This rank's copies of nodes, over all its subdomains."""
+    """Copies of nodes on this rank, over all its subdomains."""
 
     node: Numbers  # position in `nodes`
     unknown: Numbers  # first torn unknown
@@ -250,7 +251,7 @@ def _lookup(directory: Directory, nodes: Numbers, table: _NodeTable) -> _NodeTab
 
 
 def _copy_numbers(directory: Directory, copies: _Copies, rank: int) -> Numbers:
-    """Number the copies of each node over all ranks: 0, 1, ..., k - 1."""
+    """Return the number 0, 1, ..., k - 1 of each copy among its node's, over all ranks."""
     keys, ranks, counts = directory.forward(
         copies.nodes, np.full(copies.nodes.size, rank, dtype=np.int64), copies.count
     )
@@ -316,7 +317,7 @@ def _inequality_entries(
     table: _NodeTable,
     equality_total: int,
 ) -> tuple[_Entries, _InequalityRows, NDArray[np.bool_]]:
-    """Return the contact entries, the rows that this rank holds (own ones first), which are kept."""
+    """Return the contact entries, the rows this rank holds (own ones first), and who is kept."""
     contacts = system.contacts
     sides = []  # (nodes, coefficients, multiplicity) of slave and master
     gap = contacts.gap.copy()
@@ -360,7 +361,7 @@ def _forward_side(
     side: tuple[Numbers, Vector, Numbers],
     kept: NDArray[np.bool_],
     rows: _InequalityRows,
-) -> tuple[NDArray, ...]:
+) -> tuple[NDArray[Any], ...]:
     """Tell the holders of the side's nodes about their rows: (node, row, coefficients, ...)."""
     nodes, coefficients, k = side
     there = nodes[kept] >= 0

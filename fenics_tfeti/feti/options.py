@@ -72,6 +72,7 @@ class Options:
     error_if_not_converged: bool = True
 
     def __post_init__(self) -> None:
+        """Check the ranges of numbers."""
         _check_ranges(self)
 
 

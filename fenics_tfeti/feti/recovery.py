@@ -17,6 +17,9 @@ __all__ = ["Certificate", "PrimalProblem", "recover_displacement"]
 
 Vector = NDArray[np.float64]
 
+# forces and energies below this part of the uncancelled sums |K||u| count as none
+_CANCELLED = 1e-6
+
 
 @dataclass(frozen=True)
 class Certificate:
@@ -143,6 +146,11 @@ class PrimalProblem:
                 ]
             )
         )
+        # what is left of cancelling stiffness times displacement is rounding, not a force or energy
+        spring = np.empty_like(u)
+        for K, part in zip(self.stiffness, self.F.slices, strict=True):
+            spring[part] = abs(K) @ np.abs(u[part])
+        spring2, strain = comm.allreduce(np.array([spring @ spring, np.abs(u) @ spring]))
         jump = constraints.multipliers.sum(constraints.matrix @ u) - constraints.rhs
         contact = constraints.inequality
         distance = jump[contact] / constraints.scale
@@ -164,12 +172,16 @@ class PrimalProblem:
         primal = 0.5 * Ku_u - f_u
         dual = -0.5 * Ku_u - space.dots((constraints.rhs, multipliers))[0]
         return Certificate(
-            equilibrium=_ratio(np.sqrt(residual), np.sqrt(max(f, reaction))),
+            equilibrium=_ratio(
+                np.sqrt(residual), max(np.sqrt(max(f, reaction)), _CANCELLED * np.sqrt(spring2))
+            ),
             gluing=_ratio(gluing, largest_u),
             penetration=_ratio(penetration, largest_u),
             smallest_force=_ratio(-pull, force) if np.isfinite(pull) else 0.0,
             complementarity=_ratio(product, force * largest_u),
-            duality_gap=_ratio(abs(primal - dual), max(abs(primal), 0.5 * Ku_u)),
+            duality_gap=_ratio(
+                abs(primal - dual), max(abs(primal), 0.5 * Ku_u, _CANCELLED * strain)
+            ),
         )
 
 

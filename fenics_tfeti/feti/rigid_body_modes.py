@@ -82,7 +82,8 @@ def kernel(subdomain: Subdomain) -> Vector:
     if np.abs(KR).max() <= threshold:
         return R
     energies, vectors = np.linalg.eigh(R.T @ KR)
-    return R @ vectors[:, energies <= threshold]
+    free: Vector = R @ vectors[:, energies <= threshold]
+    return free
 
 
 def describe_motion(coordinates: Vector, displacement: Vector) -> str:

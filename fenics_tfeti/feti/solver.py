@@ -296,8 +296,8 @@ class TornSolver:
         )
         if not converged and self.options.error_if_not_converged:
             raise NotConverged(
-                f"not converged to rtol {self.options.rtol:g}: {reason}. Raise the limit or rtol, or "
-                "set error_if_not_converged to false to get the last iterate",
+                f"not converged to rtol {self.options.rtol:g}: {reason}. Raise the limit or rtol, "
+                "or set error_if_not_converged to false to get the last iterate",
                 solution,
                 solution.report,
             )

@@ -29,7 +29,8 @@ class Split:
     reduced_free : float
         phi~'phi with the reduced free gradient phi~.
     constraint2 : float
-        x'Qx = ||Gx||^2, zero without equality constraints.
+        ||Qx||^2 = ||Gx||^2, zero without equality constraints. (x'Qx is the same number, but loses
+        half of the digits when x is large.)
     """
 
     free: Vector
@@ -43,6 +44,11 @@ class Split:
     def projected_norm(self) -> float:
         """The norm of the projected gradient g^P = phi + beta."""
         return float(np.sqrt(self.free2 + self.chopped2))
+
+    @property
+    def constraint_norm(self) -> float:
+        """||Gx||."""
+        return float(np.sqrt(self.constraint2))
 
 
 @dataclass(frozen=True)
@@ -105,7 +111,7 @@ class Bounds:
         space : Space
             The inner product.
         Qx : (n,) array, optional
-            G'Gx, to get ||Gx|| in the same reduction.
+            G'Gx with orthonormal rows of G, to get ||Gx|| in the same reduction.
         """
         g_bounded = g[self.indices]
         active = self.active(x)
@@ -122,6 +128,6 @@ class Bounds:
             free2,
             float(chopped[:owned] @ chopped[:owned]),
             free2 - cut,
-            0.0 if Qx is None else space.partial(x, Qx),
+            0.0 if Qx is None else space.partial(Qx, Qx),
         )
-        return Split(free, chopped, free2, chopped2, reduced_free, max(constraint2, 0.0))
+        return Split(free, chopped, free2, chopped2, reduced_free, constraint2)

@@ -214,7 +214,8 @@ class _Iteration:
         Ap, Qp = self.product(self.p, "cg")
         gp, curvature, pp = self.space.dots((self.g, self.p), (self.p, Ap), (self.p, self.p))
         longest = self.space.min_over_ranks(self.bounds.longest_step(self.x, self.p))
-        flat = curvature <= 1e-15 * pp
+        # 1 / step_length stands for ||A||: no curvature but that of rounding
+        flat = curvature <= 1e-15 * pp / self.options.step_length
         if flat and not np.isfinite(longest):
             raise ValueError(
                 "the cost function falls without limit along a feasible direction: the Hessian is "

@@ -136,8 +136,8 @@ def smalbe(
     Parameters
     ----------
     hessian : callable
-        x -> ((A + rho Q)x, Qx) with Q = G'G. As only Q is needed, G is never formed, and an outer
-        iteration costs no product.
+        x -> ((A + rho Q)x, Qx) with Q = G'G, the rows of G orthonormal. As only Q is needed, G is
+        never formed, and an outer iteration costs no product.
     b : (n,) array
         Right-hand side.
     bounds : Bounds
@@ -185,7 +185,7 @@ def smalbe(
     tolerance = options.rtol * norm_b
 
     def solved(split: Split) -> bool:  # (11.47)
-        return split.projected_norm <= tolerance and split.constraint2 <= tolerance**2
+        return max(split.projected_norm, split.constraint_norm) <= tolerance
 
     x, q = bounds.project(start.x.copy()), start.q
     M = options.M0 if start.M is None else start.M
@@ -196,7 +196,7 @@ def smalbe(
     for k in range(options.max_outer):
 
         def balanced(split: Split, M: float = M) -> bool:  # (11.46)
-            return split.projected_norm <= min(M * np.sqrt(split.constraint2), options.eta * norm_b)
+            return split.projected_norm <= min(M * split.constraint_norm, options.eta * norm_b)
 
         # Step 1
         inner = mprgp(
@@ -217,7 +217,7 @@ def smalbe(
                 k,
                 products.total,
                 split.projected_norm / norm_b if norm_b > 0.0 else 0.0,
-                np.sqrt(split.constraint2) / norm_b if norm_b > 0.0 else 0.0,
+                split.constraint_norm / norm_b if norm_b > 0.0 else 0.0,
                 M,
                 _count_active(bounds, x, space),
             )

@@ -74,9 +74,7 @@ def test_kkt_conditions(expansion, seed, n, equalities):
     state = solve(problem, rtol, expansion=expansion).state
     x, scale = state.x, np.linalg.norm(problem.b)
     # The augmented gradient that the stopping test is about, from its definition.
-    gradient = (
-        problem.A @ x - problem.b + state.q + problem.norm * problem.G.T @ (problem.G @ x)
-    )
+    gradient = problem.A @ x - problem.b + state.q + problem.norm * problem.G.T @ (problem.G @ x)
     assert np.all(x >= problem.lower)
     assert np.linalg.norm(problem.G @ x) <= 1.01 * rtol * scale
     assert np.linalg.norm(problem.projected_gradient(x, gradient)) <= 1.01 * rtol * scale
@@ -131,7 +129,8 @@ def test_an_outer_iteration_costs_no_product():
 def test_balance_falls_by_its_factor_or_stays():
     problem = random_problem(0, 30, condition=1e3, equalities=4)
     result = solve(problem, rtol=1e-10, M0=1e4, beta=0.25)
-    ratios = [b.M / a.M for a, b in zip(result.history, result.history[1:])]
+    balances = np.array([line.M for line in result.history])
+    ratios = balances[1:] / balances[:-1]
     assert result.history[0].M == 1e4
     assert set(ratios) == {1.0, 0.25}
 
