@@ -52,8 +52,8 @@ def __getattr__(name: str) -> Any:
         if missing not in ("dolfinx", "ufl", "basix", "petsc4py", "mpi4py"):
             raise
         raise ImportError(
-            f"fenics_tfeti.{name} needs FEniCSx, but the package {missing!r} is missing. Install it "
-            "by 'apt install python3-dolfinx-real python3-petsc4py-real' (Debian, Ubuntu), 'conda "
-            "install -c conda-forge fenics-dolfinx petsc4py mpi4py', or 'pip install "
-            "dolfinx-solver-real' (Python >= 3.12)"
+            f"fenics_tfeti.{name} needs FEniCSx, but the package {missing!r} is missing. "
+            "Install it by 'apt install python3-dolfinx-real python3-petsc4py-real' (Debian, "
+            "Ubuntu), 'conda install -c conda-forge fenics-dolfinx petsc4py mpi4py', or "
+            "'pip install dolfinx-solver-real' (Python >= 3.12)"
         ) from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 from petsc4py import PETSc
@@ -180,8 +181,7 @@ def _contact_result(
 def _command_line() -> dict[str, str]:
     """Return the options given as ``-tfeti_name value`` to PETSc or to the script."""
     database = PETSc.Options("tfeti_")
-    words = sys.argv[1:]
-    for word, following in zip(words, [*words[1:], ""], strict=True):
+    for word, following in pairwise([*sys.argv[1:], ""]):
         # PETSc knows the command line only if petsc4py was started with it
         if word.startswith("-tfeti_") and not database.hasName(word.removeprefix("-tfeti_")):
             database.setValue(word.removeprefix("-tfeti_"), following)

@@ -74,7 +74,7 @@ def photograph(data: Any, limits: tuple[float, float], pixels: tuple[int, int]) 
         part.points = part.points + float(data["scale"]) * part["displacement"]
 
     plotter = pyvista.Plotter(off_screen=True, window_size=list(pixels), lighting="none")
-    plotter.add_light(pyvista.Light((0.3, 0.45, 1), light_type="camera light"))
+    plotter.add_light(pyvista.Light((0, 0.5, 1), light_type="camera light"))
     plotter.set_background("white")
     plotter.enable_anti_aliasing("ssaa")
     plotter.add_mesh(
@@ -121,7 +121,7 @@ def compose(data: Any, image: Image, limits: tuple[float, float], path: str) -> 
     FigureCanvasAgg(figure)
     figure.text(0.04, 0.95, str(data["title"]), fontsize=13, color=INK, va="top")
     figure.text(0.04, 0.04, str(data["note"]), fontsize=8, color=OUTLINE, va="bottom")
-    axes = figure.add_axes((0.03, 0.08, 0.83, 0.83))
+    axes = figure.add_axes((0.03, 0.08, 0.83, 0.83 if str(data["title"]) else 0.89))
     axes.imshow(image, interpolation="lanczos")
     axes.set_axis_off()
     bar_axes = figure.add_axes((0.885, 0.16, 0.018, 0.6))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -199,7 +199,8 @@ class ContactResult:
         names = ("nodes", "coordinates", "gap", "normal", "normal_force", "pressure", "active")
         columns = [concatenate_ranks(self.comm, getattr(self, name)) for name in names]
         order = np.argsort(columns[0])
-        return ContactResult(self.name, *(column[order] for column in columns))
+        whole: dict[str, Any] = {n: c[order] for n, c in zip(names, columns, strict=True)}
+        return replace(self, comm=MPI.COMM_SELF, **whole)
 
 
 @dataclass(frozen=True)
@@ -405,8 +406,8 @@ def _check_shared_nodes(name: str, slave: _Surface, master_nodes: Numbers) -> No
     if shared.size:
         raise InputError(
             f"{name}: slave and master share {shared.size} nodes, the first at "
-            f"{slave.coordinates[shared[0]]}. The surfaces overlap or the bodies are one: each body "
-            "needs nodes of its own"
+            f"{slave.coordinates[shared[0]]}. The surfaces overlap or the bodies are one: each "
+            "body needs nodes of its own"
         )
 
 

@@ -8,16 +8,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import ufl
-from dolfinx.fem import Constant, Function
+from dolfinx.fem import Constant, Function, FunctionSpace
 from dolfinx.io import VTKFile
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact import ContactResult
 from fenics_tfeti.fem.mesh_io import together
 
-__all__ = ["von_mises", "write_fields"]
+__all__ = ["contact_fields", "displacement_space", "von_mises", "write_fields"]
 
 
 def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Function:
@@ -150,3 +153,50 @@ def _check_fields(path: Path, functions: Sequence[Function]) -> None:
         if function.function_space.mesh is not mesh:
             raise InputError(f"'{function.name}' is on another mesh than '{functions[0].name}'")
         field_degree(function)
+
+
+def displacement_space(mesh: Mesh) -> FunctionSpace:
+    """Return the space of continuous vector fields of degree 1, by whatever call dolfinx has.
+
+    Parameters
+    ----------
+    mesh : dolfinx.mesh.Mesh
+        The mesh.
+    """
+    return _compat.lagrange_space(mesh, 1, mesh.geometry.dim)
+
+
+def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> list[Function]:
+    """Turn the results at slave nodes into fields, zero elsewhere. Collective.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    contacts : sequence of ContactResult
+        Results of `ContactProblem`. Where a node is in several contacts, their values are added.
+
+    Returns
+    -------
+    list of Function
+        "contact pressure" [Pa], "contact force" [N] (normal, times the outward normal) and
+        "initial gap" [m].
+    """
+    scalar = _compat.lagrange_space(space.mesh, 1)
+    pressure, gap = Function(scalar, name="contact pressure"), Function(scalar, name="initial gap")
+    force = Function(space, name="contact force")
+    block = space.dofmap.index_map_bs
+    # both spaces have one degree of freedom or block for each vertex, cell by cell in one order
+    to_scalar = np.empty(len(force.x.array) // block, dtype=np.int32)
+    to_scalar[_compat.cell_dofs(space)] = _compat.cell_dofs(scalar)
+    first = space.dofmap.index_map.local_range[0]
+    for contact in contacts:
+        nodes = contact.nodes - first
+        at = to_scalar[nodes]
+        pressure.x.array[at] += contact.pressure
+        gap.x.array[at] += contact.gap
+        components = block * nodes[:, None] + np.arange(block)
+        force.x.array[components] -= contact.normal_force[:, None] * contact.normal
+    for field in (pressure, gap, force):
+        field.x.scatter_forward()
+    return [pressure, force, gap]

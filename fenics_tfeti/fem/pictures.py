@@ -171,6 +171,8 @@ def draw_profile(
         _check_path(path)
         if comm.rank == 0:
             _need("matplotlib")
+            if not curves:
+                raise InputError("there are no curves to draw; pass at least one")
             points = {name: _points(name, curve) for name, curve in curves.items()}
             path.parent.mkdir(parents=True, exist_ok=True)
             _plot(path, points, xlabel, ylabel, title)
@@ -289,6 +291,7 @@ def _plot(
     ink, grey = "#22262b", "#d5d8dc"
     figure = Figure(figsize=(8, 4.8), dpi=200, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
+    figure.get_layout_engine().set(w_pad=0.15, h_pad=0.12)
     axes = figure.add_subplot()
     for name, (x, y, style) in curves.items():
         axes.plot(x, y, style, label=name, markersize=4.5, linewidth=1.6)

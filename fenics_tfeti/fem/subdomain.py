@@ -61,12 +61,16 @@ class _PreparedForm:
         Tag of each cell, where integrals over cells are tagged.
     facet_tag : (cells, facets of a cell) integer array or None
         Tag of each facet of each cell, on the boundary of the bodies only.
+    cell_ids, facet_ids : list of int
+        The tags that the form's integrals name.
     """
 
     compiled: _compat.CompiledForm
     coefficients: list[Function]
     cell_tag: NDArray[np.int64] | None
     facet_tag: NDArray[np.int64] | None
+    cell_ids: list[int]
+    facet_ids: list[int]
 
 
 @dataclass(frozen=True)
@@ -172,8 +176,14 @@ def _prepare(
         form, rest = _tag_everywhere(form, facet_ids)
         of_facet = np.where(of_facet == _NOWHERE, rest, of_facet)
         facet_tag = np.where(exterior, of_facet[facet_of[:owned]], _NOWHERE)
+        facet_ids = _tagged_ids(form, "exterior_facet")
     return _PreparedForm(
-        _compat.CompiledForm(form, domain.comm), list(form.coefficients()), cell_tag, facet_tag
+        _compat.CompiledForm(form, domain.comm),
+        list(form.coefficients()),
+        cell_tag,
+        facet_tag,
+        cell_ids,
+        facet_ids,
     )
 
 
@@ -292,20 +302,15 @@ def _submesh(domain: Mesh, cells: Numbers) -> _Submesh:
 
 def _bind(form: _PreparedForm, sub: _Submesh, spaces: list[FunctionSpace]) -> Any:
     coefficients = {w: _restrict(w, sub) for w in form.coefficients}
+    # every tag of the form is named, also where this subdomain has nothing of it
     cells: dict[int, Numbers] = {}
     facets: dict[int, Numbers] = {}
     if form.cell_tag is not None:
         tag = form.cell_tag[sub.cells]
-        cells = {
-            int(t): np.flatnonzero(tag == t).astype(np.int32)
-            for t in np.unique(tag[tag != _NOWHERE])
-        }
+        cells = {t: np.flatnonzero(tag == t).astype(np.int32) for t in form.cell_ids}
     if form.facet_tag is not None:
         tags = form.facet_tag[sub.cells]
-        facets = {
-            int(t): np.argwhere(tags == t).astype(np.int32)
-            for t in np.unique(tags[tags != _NOWHERE])
-        }
+        facets = {t: np.argwhere(tags == t).astype(np.int32) for t in form.facet_ids}
     return form.compiled.bind(sub.mesh, spaces, coefficients, cells, facets)
 
 

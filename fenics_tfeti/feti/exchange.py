@@ -33,13 +33,11 @@ Array = NDArray[Any]
 
 
 def raise_together(comm: MPI.Intracomm, error: ContactError | None) -> None:
-    """Raise on all ranks if any rank has an error: its own, or else the first rank's."""
-    errors = comm.allgather(error)
-    if error is not None:
-        raise error
-    for other in errors:
+    """Raise on all ranks if any rank has an error: the lowest rank's, for one message."""
+    for rank, other in enumerate(comm.allgather(error)):
         if other is not None:
-            raise other
+            # its own one keeps the traceback
+            raise error if error is not None and rank == comm.rank else other
 
 
 @contextmanager

@@ -1,0 +1,128 @@
+"""Two elastic beams in contact (the academic benchmark of Dostál et al., sec. 11.11.1).
+
+# Two beams
+
+Two beams of 2 m x 1 m x 1 m lie on each other, the upper one shifted by 1 m. The lower one is
+clamped at x = 0. The upper one cannot move horizontally at x = 3, but is free to sink: contact alone
+holds it (the problem is *semicoercive*). A traction of 20 MPa pulls its top and its left face down.
+
+This demo illustrates how to
+
+- read a tagged mesh from a file and pose linear elasticity in UFL, as in any dolfinx demo;
+- say which surfaces may touch, and solve the contact problem;
+- look at contact forces, stresses, and at how the solver went about it.
+
+Run it by `python demos/two_beams.py`, or on several processes by
+`mpirun -n 2 python demos/two_beams.py`; it writes pictures and fields into `results/`.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti.fem.fields import contact_fields, displacement_space, von_mises, write_fields
+from fenics_tfeti.fem.mesh_io import read_msh
+from fenics_tfeti.fem.pictures import draw_deformed, draw_profile
+
+here = Path(__file__).parent
+results = here.parent / "results"
+
+# One line for each outer iteration of the solver, from rank 0.
+logging.basicConfig(stream=sys.stdout, level=logging.WARNING, format="%(message)s", force=True)
+logging.getLogger("fenics_tfeti").setLevel(logging.INFO)
+
+# ## Mesh
+#
+# The file keeps the nodes of the two beams apart, with matching grids where they touch.
+
+beams = read_msh(here.parent / "meshes" / "two_beams.msh", MPI.COMM_WORLD)
+mesh, facet_tags, tags = beams.mesh, beams.facet_tags, beams.names
+
+# ## Linear elasticity
+#
+# Steel: Young's modulus 210 GPa, Poisson's ratio 0.3.
+
+E, nu = 2.1e11, 0.3
+mu = fem.Constant(mesh, E / (2 * (1 + nu)))
+lmbda = fem.Constant(mesh, E * nu / ((1 + nu) * (1 - 2 * nu)))
+
+
+def epsilon(u):
+    """Return the small strain."""
+    return ufl.sym(ufl.grad(u))
+
+
+def sigma(u):
+    """Return the stress [Pa]."""
+    return lmbda * ufl.tr(epsilon(u)) * ufl.Identity(3) + 2 * mu * epsilon(u)
+
+
+V = displacement_space(mesh)
+u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
+traction = fem.Constant(mesh, np.array([0.0, 0.0, -20e6]))
+a = ufl.inner(sigma(u), epsilon(v)) * ufl.dx
+L = ufl.inner(traction, v) * ds(tags["loaded"])
+
+# ## Supports
+
+clamped = fem.locate_dofs_topological(V, 2, facet_tags.find(tags["clamped"]))
+bcs = [fem.dirichletbc(np.zeros(3), clamped, V)]
+for component in (0, 1):
+    Vi = V.sub(component)
+    guided = fem.locate_dofs_topological(Vi, 2, facet_tags.find(tags["guided"]))
+    bcs.append(fem.dirichletbc(0.0, guided, Vi))
+
+# ## Contact
+#
+# The bottom of the upper beam is the slave, the top of the lower one the master. Nothing else is to
+# be chosen: no penalty, no search distance.
+
+pair = ContactPair(facet_tags, slave=tags["contact_upper"], master=tags["contact_lower"])
+problem = ContactProblem(a, L, bcs=bcs, contacts=[pair], options={"rtol": 1e-6})
+uh = problem.solve()
+
+# ## What came out
+#
+# Equilibrium of the upper beam: the contact forces add up to 20 MPa x 3 m^2 = 60 MN.
+
+report = problem.report
+contact = problem.contact[0].gather()
+if mesh.comm.rank == 0:
+    print("unknowns    ", report.unknowns, "in", report.subdomains, "subdomains")
+    print("products    ", report.products, "in", report.outer_iterations, "outer iterations")
+    print(f"contact force {report.contact_force[0]:.6e} N")
+    print("certificate ", {k: f"{v:.1e}" for k, v in report.to_dict()["certificate"].items()})
+    results.mkdir(exist_ok=True)
+mesh.comm.barrier()
+report.to_json(results / "two_beams.json")
+
+stress = von_mises(mesh, sigma(uh))
+write_fields(results / "two_beams.pvd", [uh, stress, *contact_fields(V, problem.contact)])
+draw_deformed(
+    results / "two_beams.png", uh, stress, label="von Mises stress", unit="MPa", title="Two beams"
+)
+
+# Normal pressure along the axis y = 1/2 of the contact face.
+
+axis = np.isclose(contact.coordinates[:, 1], 0.5)
+order = np.argsort(contact.coordinates[axis, 0])
+x, pressure = contact.coordinates[axis, 0][order], contact.pressure[axis][order]
+draw_profile(
+    results / "two_beams_pressure.png",
+    {"normal pressure": (x, pressure / 1e6)},
+    xlabel="x [m]",
+    ylabel="normal pressure [MPa]",
+    title="Contact pressure along the axis y = 0.5 m of the contact face",
+    comm=mesh.comm,
+)
