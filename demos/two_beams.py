@@ -3,7 +3,7 @@
 # Two beams
 
 Two beams of 2 m x 1 m x 1 m lie on each other, the upper one shifted by 1 m. The lower one is
-clamped at x = 0. The upper one cannot move horizontally at x = 3, but is free to sink: contact alone
+clamped at x = 0. The upper one cannot move sideways at x = 3, but is free to sink: contact alone
 holds it (the problem is *semicoercive*). A traction of 20 MPa pulls its top and its left face down.
 
 This demo illustrates how to

@@ -7,6 +7,7 @@ Therefore it is run by its path, and imports nothing of its package. `pictures.p
 from __future__ import annotations
 
 import sys
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ Numbers = NDArray[np.int64]
 INK = "#22262b"
 OUTLINE = "#8a9099"
 DPI = 200
-MANY_FACES = 60_000  # more faces than this would drown in the lines between them
+MANY_FACES = 20_000  # more faces than this would drown in the lines between them
 VTK_SHAPES = {"triangle": 5, "quadrilateral": 9, "tetrahedron": 10, "hexahedron": 12}
 
 # For each shape: the vertices next to the first one, and the order of a mirrored cell.
@@ -129,7 +130,8 @@ def compose(data: Any, image: Image, limits: tuple[float, float], path: str) -> 
     bar = figure.colorbar(mappable, cax=bar_axes)
     bar.outline.set_visible(False)
     bar.ax.tick_params(labelsize=8, colors=INK, length=2)
-    bar_axes.set_title(str(data["label"]), fontsize=9, color=INK, pad=10, loc="center")
+    label = textwrap.fill(str(data["label"]), 14)
+    bar_axes.set_title(label, fontsize=9, color=INK, pad=10, loc="center")
     figure.savefig(path)
 
 
