@@ -57,6 +57,7 @@ def primal_active_set(
         If the result does not satisfy the KKT conditions to `tolerance`, all relative.
     """
     K, C = sp.csr_matrix(K), sp.csr_matrix(C)
+    C.eliminate_zeros()
     f, gap = np.asarray(f, dtype=float), np.asarray(gap, dtype=float)
     n, m = K.shape[0], C.shape[0]
     is_free = np.ones(n, dtype=bool)

@@ -44,7 +44,7 @@ every_scene = pytest.mark.parametrize(
 def solved(name: str):
     """Return scene, solved problem, displacement and reference of a scene."""
     scene = {**SMALL, **LARGE}[name](MPI.COMM_SELF)
-    size = 1500 if name in LARGE else 60 if scene.mesh.topology.dim == 2 else 200
+    size = 1000 if name in LARGE else 60 if scene.mesh.topology.dim == 2 else 200
     problem = scene.problem(options={**OPTIONS, "subdomain_size": size})
     return scene, problem, problem.solve(), scene.reference()
 
