@@ -41,6 +41,19 @@ class Plane:
         return normal @ (x - point[:, None]), np.tile(normal[:, None], x.shape[1])
 
 
+@dataclass(frozen=True)
+class Ball:
+    """A rigid ball, or disc in two dimensions."""
+
+    centre: tuple[float, float, float]
+    radius: float
+
+    def __call__(self, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        outwards = x - np.array(self.centre)[:, None]
+        distance = np.linalg.norm(outwards, axis=0)
+        return distance - self.radius, outwards / distance
+
+
 @dataclass
 class Scene:
     """A contact problem and its known totals.
@@ -71,13 +84,15 @@ class Scene:
         from fenics_tfeti import ContactPair, RigidObstacle
         from fenics_tfeti import Plane as RigidPlane
 
+        def obstacle(surface: Any) -> Any:
+            plane = isinstance(surface, Plane)
+            return RigidPlane(surface.point, surface.normal) if plane else surface
+
         return [
             ContactPair(self.facet_tags, slave=contact.slave, master=contact.master)
             if isinstance(contact, reference.Pair)
             else RigidObstacle(
-                self.facet_tags,
-                slave=contact.slave,
-                obstacle=RigidPlane(contact.surface.point, contact.surface.normal),
+                self.facet_tags, slave=contact.slave, obstacle=obstacle(contact.surface)
             )
             for contact in self.contacts
         ]
@@ -283,6 +298,35 @@ def pressed_block(
         exact=exact,
         kept=[young, nothing],
     )
+
+
+def block_on_ball(comm: MPI.Comm, cell: str = "hexahedron", n: int = 4) -> Scene:
+    """The block pushed onto a rigid ball: all gaps and normals are different. No total is known."""
+    scene = pressed_block(comm, cell, n, approach=1e-2)
+    gdim = scene.mesh.geometry.dim
+    centre = (0.4, 0.5, -10.0) if gdim == 3 else (0.4, -10.0, 0.0)
+    scene.contacts = [reference.Obstacle(GROUND, Ball(centre, 10.0))]
+    scene.exact, scene.total_forces = None, []
+    return scene
+
+
+def corner(comm: MPI.Comm, cell: str = "quadrilateral", n: int = 6) -> Scene:
+    """The block pushed into a corner: the nodes of the edge are in two contacts."""
+    scene = pressed_block(comm, cell, n)
+    mesh, V = scene.mesh, scene.V
+    gdim, up = mesh.geometry.dim, mesh.geometry.dim - 1
+    v, push = ufl.TestFunction(V), fem.Constant(mesh, -TRACTION)
+    dx, ds = ufl.dx(domain=mesh), ufl.Measure("ds", domain=mesh, subdomain_data=scene.facet_tags)
+    scene.L = push * v[up] * ds(LOADED) + 0.5 * push * v[0] * dx
+    scene.bcs = [fixed(V, scene.facet_tags, SIDE_Y, 1) for _ in range(gdim == 3)]
+    axes, origin = np.eye(gdim), (0.0,) * gdim
+    scene.contacts = [
+        reference.Obstacle(GROUND, Plane(origin, tuple(axes[up]))),
+        reference.Obstacle(SIDE_X, Plane(origin, tuple(axes[0]))),
+    ]
+    scene.exact, scene.total_forces = None, [TRACTION, 0.5 * TRACTION]
+    scene.kept.append(push)
+    return scene
 
 
 def two_materials(comm: MPI.Comm, cell: str = "hexahedron", n: int = 2) -> Scene:

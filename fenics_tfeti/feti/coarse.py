@@ -185,7 +185,8 @@ class Projector:
         free = space.unresisted(columns)
         matrix = _gather_rows(space, (own @ transposed).tocoo())
         if free.shape[1]:
-            matrix = matrix + _pins(free, matrix.diagonal().max())
+            # no row at all leaves a zero matrix
+            matrix = matrix + _pins(free, matrix.diagonal().max() or 1.0)
         factor = SparseCholesky(matrix.tocsr(), space.package) if space.size else None
         return Projector(space, columns, free, own, transposed, factor)
 

@@ -46,7 +46,7 @@ def node_graph(stiffness: sp.csr_matrix, gdim: int) -> sp.csr_matrix:
 
 
 def split_nodes(coordinates: Vector, parts: int) -> list[Numbers]:
-    """Split nodes into parts of equal size by recursive inertial bisection (step 1).
+    """Split nodes into parts of equal size by recursive coordinate bisection (step 1).
 
     Parameters
     ----------
@@ -64,10 +64,9 @@ def split_nodes(coordinates: Vector, parts: int) -> list[Numbers]:
     def bisect(nodes: Numbers, parts: int) -> list[Numbers]:
         if parts == 1:
             return [nodes]
-        x = coordinates[nodes] - coordinates[nodes].mean(axis=0)
-        axis = np.linalg.eigh(x.T @ x)[1][:, -1]
+        x = coordinates[nodes]
         lower = parts // 2
-        order = nodes[np.argsort(x @ axis, kind="stable")]
+        order = nodes[np.argsort(x[:, np.argmax(np.ptp(x, axis=0))], kind="stable")]
         cut = (nodes.size * lower) // parts
         return bisect(order[:cut], lower) + bisect(order[cut:], parts - lower)
 

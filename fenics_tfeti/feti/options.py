@@ -60,14 +60,14 @@ class Options:
     preconditioner: Literal["none", "lumped", "dirichlet"] = "none"
     expansion: Expansion = "projected_cg"
     rho: float = 1.0
-    M0: float = 1.0
+    M0: float = 10.0
     beta: float = 0.5
     eta: float = 0.1
     Gamma: float = 1.0
     step_length: float = 1.9
     max_outer: int = 200
     max_products: int = 10_000
-    norm_steps: int = 12
+    norm_steps: int = 15
     seed: int = 0
     error_if_not_converged: bool = True
 

@@ -8,7 +8,19 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import pressed_block, stack_on_ground, two_beams, two_materials
+from primal_reference import Pair
+from scenes import (
+    GROUND,
+    MASTER,
+    SLAVE,
+    block_on_ball,
+    corner,
+    fixed,
+    pressed_block,
+    stack_on_ground,
+    two_beams,
+    two_materials,
+)
 
 OPTIONS = {"rtol": 1e-8, "subdomain_size": 60}
 
@@ -23,6 +35,10 @@ SMALL = {
     "block, hexahedra": lambda comm: pressed_block(comm, "hexahedron", 4),
     "block, tetrahedra, gap": lambda comm: pressed_block(comm, "tetrahedron", 4, gap=4e-4),
     "block that does not arrive": lambda comm: pressed_block(comm, "quadrilateral", 9, gap=2e-3),
+    "ball, triangles": lambda comm: block_on_ball(comm, "triangle", 9),
+    "ball, hexahedra": lambda comm: block_on_ball(comm, "hexahedron", 5),
+    "corner, quadrilaterals": lambda comm: corner(comm, "quadrilateral", 6),
+    "corner, tetrahedra": lambda comm: corner(comm, "tetrahedron", 4),
     "materials, triangles": lambda comm: two_materials(comm, "triangle", 6),
     "materials, hexahedra": lambda comm: two_materials(comm, "hexahedron", 3),
     "stack, quadrilaterals": lambda comm: stack_on_ground(comm, "quadrilateral", 8),
@@ -76,16 +92,11 @@ def test_contact_forces(name):
 
 @every_scene
 def test_total_contact_force(name):
-    scene, problem, _, _ = solved(name)
-    np.testing.assert_allclose(
-        problem.report.contact_force, scene.total_forces, rtol=1e-6, atol=1e-3
-    )
-    np.testing.assert_allclose(
-        [contact.normal_force.sum() for contact in problem.contact],
-        scene.total_forces,
-        rtol=1e-6,
-        atol=1e-3,
-    )
+    scene, problem, _, reference = solved(name)
+    exact = scene.total_forces or [contact.forces.sum() for contact in reference.contacts]
+    summed = [contact.normal_force.sum() for contact in problem.contact]
+    np.testing.assert_allclose(problem.report.contact_force, exact, rtol=1e-6, atol=1e-3)
+    np.testing.assert_allclose(summed, exact, rtol=1e-6, atol=1e-3)
 
 
 @every_scene
@@ -174,6 +185,99 @@ def test_tolerance_means_what_it_says(rtol):
     uh = scene.problem(options={**OPTIONS, "rtol": rtol}).solve()
     error = np.linalg.norm(uh.x.array - reference.displacement)
     assert error <= 30.0 * rtol * np.linalg.norm(reference.displacement)
+
+
+def test_the_scenes_have_nodes_that_press_and_nodes_that_do_not():
+    """Otherwise the inequalities might as well be equations."""
+    for name in ("beams, hexahedra", "ball, hexahedra", "materials, triangles"):
+        (contact,) = solved(name)[3].contacts
+        assert 0 < np.count_nonzero(contact.forces) < contact.forces.size, name
+
+
+@pytest.mark.heavy
+def test_active_nodes_of_the_benchmark():
+    """300 of 441 nodes at h = 1/20, as an independent implementation has found."""
+    scene = two_beams(MPI.COMM_SELF, "hexahedron", 20)
+    problem = scene.problem(options={"rtol": 1e-6})
+    problem.solve()
+    assert problem.contact[0].nodes.size == 441
+    assert np.count_nonzero(problem.contact[0].active) == 300
+
+
+# -- what is easily got wrong ----------------------------------------------------------------------
+
+
+def test_no_contact_is_linear_elasticity():
+    scene = pressed_block(MPI.COMM_SELF, "quadrilateral", 9, gap=1.0)
+    uh = scene.problem(contacts=[], options=OPTIONS).solve()
+    exact = scene.exact(scene.V.tabulate_dof_coordinates().T).T.ravel()
+    np.testing.assert_allclose(uh.x.array, exact, rtol=0.0, atol=1e-9)
+
+
+def test_no_load_is_no_displacement():
+    scene = two_beams(MPI.COMM_SELF, "quadrilateral", 6)
+    scene.kept[1].value = 0.0
+    problem = scene.problem(options=OPTIONS)
+    assert np.abs(problem.solve().x.array).max() <= 1e-12
+    assert problem.report.converged
+    np.testing.assert_allclose(problem.report.contact_force, 0.0, atol=1e-3)
+
+
+def test_node_that_is_prescribed_where_it_touches():
+    """The rows say nothing new there, and rounding must not make them a contradiction."""
+    scene = pressed_block(MPI.COMM_SELF, "quadrilateral", 6)
+    scene.bcs.append(fixed(scene.V, scene.facet_tags, GROUND, 1))
+    problem = scene.problem(options=OPTIONS)
+    exact = scene.exact(scene.V.tabulate_dof_coordinates().T).T.ravel()
+    np.testing.assert_allclose(problem.solve().x.array, exact, rtol=0.0, atol=1e-9)
+
+
+def test_node_that_sticks():
+    """A prescribed tangential component leaves the normal one to the contact."""
+    scene = pressed_block(MPI.COMM_SELF, "quadrilateral", 6)
+    scene.bcs.append(fixed(scene.V, scene.facet_tags, GROUND, 0))
+    uh, expected = scene.problem(options=OPTIONS).solve(), scene.reference().displacement
+    assert np.linalg.norm(uh.x.array - expected) <= 1e-6 * np.linalg.norm(expected)
+
+
+def test_body_that_may_slide_is_solved_and_reported():
+    """Without the roller nothing holds the upper beam sideways, but nothing pushes it either."""
+    scene = two_beams(MPI.COMM_SELF, "quadrilateral", 6)
+    problem = scene.problem(bcs=scene.bcs[:1], options=OPTIONS)
+    problem.solve()
+    (motion,) = problem.report.free_motions
+    assert "translation along (1, 0)" in motion
+    np.testing.assert_allclose(problem.report.contact_force, scene.total_forces, rtol=1e-6)
+
+
+def test_slave_and_master_may_be_exchanged():
+    scene = two_beams(MPI.COMM_SELF, "triangle", 6)
+    expected = scene.reference().displacement
+    scene.contacts = [Pair(slave=MASTER, master=SLAVE)]
+    uh = scene.problem(options=OPTIONS).solve()
+    assert np.linalg.norm(uh.x.array - expected) <= 1e-6 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"cell_tags": None},
+        {"subdomains": np.arange(144, dtype=np.int32) // 9},
+        {"subdomains": np.zeros(144, dtype=np.int32)},
+    ],
+    ids=["bodies found", "given subdomains", "one label for two bodies"],
+)
+def test_how_it_is_torn_does_not_matter(arguments):
+    scene, _, _, reference = solved("beams, quadrilaterals")
+    uh = scene.problem(options=OPTIONS, **arguments).solve()
+    error = np.linalg.norm(uh.x.array - reference.displacement)
+    assert error <= 1e-6 * np.linalg.norm(reference.displacement)
+
+
+def test_solving_twice_gives_the_same():
+    scene = two_beams(MPI.COMM_SELF, "quadrilateral", 6)
+    problem = scene.problem(options=OPTIONS)
+    np.testing.assert_array_equal(problem.solve().x.array.copy(), problem.solve().x.array)
 
 
 @pytest.mark.parametrize("metre", [1e3, 1e-3])

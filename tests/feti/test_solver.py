@@ -1,0 +1,113 @@
+"""The feti storey alone, without dolfinx, against dense algebra."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from torn import column, cube
+
+from fenics_tfeti import InputError, NotConverged, UnresistedMotion
+from fenics_tfeti.feti import ContactRows, Options, TornSolver, parse_options
+
+
+def glued_solution(system):
+    """Solve the glued, linear problem by dense algebra; return the torn displacements."""
+    nodes = np.unique(np.concatenate([s.nodes for s in system.subdomains]))
+    K, f = np.zeros((3 * nodes.size,) * 2), np.zeros(3 * nodes.size)
+    places = []
+    for s in system.subdomains:
+        at = (3 * np.searchsorted(nodes, s.nodes)[:, None] + np.arange(3)).ravel()
+        K[np.ix_(at, at)] += s.stiffness.toarray()
+        f[at] += s.load
+        places.append(at)
+    fixed = 3 * np.searchsorted(nodes, system.prescribed.nodes) + system.prescribed.components
+    free = np.setdiff1d(np.arange(f.size), fixed)
+    u = np.zeros_like(f)
+    u[free] = np.linalg.solve(K[np.ix_(free, free)], f[free])
+    return [u[at] for at in places]
+
+
+@pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
+@pytest.mark.parametrize("preconditioner", ["none", "lumped", "dirichlet"])
+@pytest.mark.parametrize("generalised_inverse", ["fixing_nodes", "null_pivots"])
+def test_linear_problem(expansion, preconditioner, generalised_inverse):
+    system = column(contact=False)
+    options = Options(
+        rtol=1e-9,
+        expansion=expansion,
+        preconditioner=preconditioner,
+        generalised_inverse=generalised_inverse,
+    )
+    u = np.concatenate(TornSolver(system, options).solve().displacements)
+    exact = np.concatenate(glued_solution(system))
+    np.testing.assert_allclose(u, exact, atol=1e-7 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("preconditioner", ["none", "lumped", "dirichlet"])
+def test_contact_force_balances_the_load(preconditioner):
+    options = Options(rtol=1e-9, preconditioner=preconditioner)
+    report = TornSolver(column(load=(0, 0, -3.0)), options).solve().report
+    np.testing.assert_allclose(report.contact_force, 3.0, rtol=1e-7)
+
+
+def test_certificate():
+    certificate = TornSolver(column(), Options(rtol=1e-8)).solve().report.certificate
+    assert certificate.worst <= 1e-8
+
+
+def test_products_are_all_applications_of_F_but_those_for_the_norm(monkeypatch):
+    solver = TornSolver(column())
+    count = 0
+    apply = type(solver.F).__call__
+
+    def counting(self, x):
+        nonlocal count
+        count += 1
+        return apply(self, x)
+
+    monkeypatch.setattr(type(solver.F), "__call__", counting)
+    report = solver.solve().report
+    assert count == report.products["total"]
+
+
+def test_pulled_body_is_named():
+    with pytest.raises(UnresistedMotion, match=r"upper: translation along \(0, 0, 1\)"):
+        TornSolver(column(load=(0, 0, 1.0)))
+
+
+def test_free_body_is_named():
+    system = dataclasses.replace(column(), contacts=ContactRows.none(3))
+    with pytest.raises(UnresistedMotion, match="upper"):
+        TornSolver(system)
+
+
+def test_motion_without_load_is_reported_and_left_small():
+    """A cube on a frictionless plane may slide and spin about the vertical."""
+    block = cube(2, load=(0, 0, -1.0))
+    bottom = block.nodes[block.coordinates[:, 2] == 0]
+    k = bottom.size
+    rows = ContactRows(
+        bottom,
+        np.full(k, -1),
+        np.tile([0.0, 0.0, -1.0], (k, 1)),
+        np.zeros(k),
+        np.zeros(k, dtype=np.int64),
+    )
+    system = dataclasses.replace(column(), subdomains=[block], contacts=rows)
+    system = dataclasses.replace(system, prescribed=type(system.prescribed)())
+    report = TornSolver(system, Options(rtol=1e-8)).solve().report
+    assert len(report.free_motions) == 3
+    np.testing.assert_allclose(report.contact_force, 1.0, rtol=1e-7)
+
+
+def test_limit():
+    with pytest.raises(NotConverged, match="max_products") as caught:
+        TornSolver(column(), Options(max_products=2)).solve()
+    assert not caught.value.report.converged
+
+
+def test_unknown_option():
+    with pytest.raises(InputError, match="'rtol'"):
+        parse_options({"rtoll": 1e-4})

@@ -1,0 +1,89 @@
+"""Torn systems without dolfinx: cubes of trilinear hexahedra, assembled here by Gauss points."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import scipy.sparse as sp
+
+from fenics_tfeti.feti import ContactRows, Prescribed, Subdomain, TornSystem
+
+YOUNG, POISSON = 1.0, 0.3
+
+
+def hexahedron(h: float) -> np.ndarray:
+    """Return the stiffness of a cube with edge h, nodes in the order of `itertools.product`."""
+    corners = np.array(list(itertools.product((-1, 1), repeat=3)))
+    mu, lmbda = YOUNG / (2 * (1 + POISSON)), YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
+    C = np.zeros((6, 6))
+    C[:3, :3] = lmbda
+    C += np.diag([2 * mu] * 3 + [mu] * 3)
+    K = np.zeros((24, 24))
+    for point in itertools.product((-(3**-0.5), 3**-0.5), repeat=3):
+        one = 1 + corners * np.array(point)
+        gradient = np.stack(
+            [corners[:, i] * np.prod(np.delete(one, i, axis=1), axis=1) / 8 for i in range(3)]
+        ) * (2 / h)
+        strain = np.zeros((6, 24))
+        for i in range(3):
+            strain[i, i::3] = gradient[i]
+        for row, (i, j) in enumerate([(1, 2), (0, 2), (0, 1)], start=3):
+            strain[row, i::3], strain[row, j::3] = gradient[j], gradient[i]
+        K += strain.T @ C @ strain * (h / 2) ** 3
+    return K
+
+
+def cube(n: int, corner=(0, 0, 0), body: int = 0, first: int = 0, load=(0, 0, 0)) -> Subdomain:
+    """Return a unit cube of n^3 elements at an integer corner.
+
+    Nodes are numbered by position within a body (first + lattice number), so neighbours are glued.
+    """
+    h = 1.0 / n
+    lattice = np.array(list(itertools.product(range(n + 1), repeat=3)))
+    number = {tuple(p): i for i, p in enumerate(lattice)}
+    element = hexahedron(h)
+    rows, columns, values = [], [], []
+    for cell in itertools.product(range(n), repeat=3):
+        nodes = [number[tuple(np.add(cell, c))] for c in itertools.product((0, 1), repeat=3)]
+        unknowns = (3 * np.array(nodes)[:, None] + np.arange(3)).ravel()
+        rows.append(np.repeat(unknowns, 24))
+        columns.append(np.tile(unknowns, 24))
+        values.append(element.ravel())
+    size = 3 * len(lattice)
+    K = sp.csr_matrix(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), (size, size)
+    )
+    place = lattice + n * np.array(corner)
+    nodes = first + (place[:, 0] * 1000 + place[:, 1]) * 1000 + place[:, 2]
+    force = np.tile(np.asarray(load, float) / len(lattice), len(lattice))
+    return Subdomain(K, force, place * h, nodes.astype(np.int64), body)
+
+
+def column(n: int = 3, height: int = 2, contact: bool = True, load=(0, 0, -1.0)) -> TornSystem:
+    """Return a lower body of `height` cubes, fixed at its bottom, and a cube on top, free or glued.
+
+    The upper cube is held against sliding at its top face and may move up and down.
+    """
+    lower = [cube(n, (0, 0, k)) for k in range(height)]
+    second = 10**9 if contact else 0
+    upper = cube(n, (0, 0, height), body=int(contact), first=second, load=load)
+    bottom = lower[0].nodes[lower[0].coordinates[:, 2] == 0]
+    top = upper.nodes[np.isclose(upper.coordinates[:, 2], height + 1)]
+    fixed = Prescribed(
+        np.concatenate([np.repeat(bottom, 3), np.repeat(top, 2)]),
+        np.concatenate([np.tile([0, 1, 2], bottom.size), np.tile([0, 1], top.size)]),
+        np.zeros(3 * bottom.size + 2 * top.size),
+    )
+    rows = ContactRows.none(3)
+    if contact:
+        slave = upper.nodes[np.isclose(upper.coordinates[:, 2], height)]
+        k = slave.size
+        rows = ContactRows(
+            slave,
+            slave - second,
+            np.tile([0.0, 0.0, -1.0], (k, 1)),
+            np.zeros(k),
+            np.zeros(k, dtype=np.int64),
+        )
+    return TornSystem([*lower, upper], fixed, rows, 3, ["lower", "upper"], ["joint"])
