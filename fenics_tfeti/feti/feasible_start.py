@@ -148,7 +148,7 @@ def least_norm_nonnegative(C: Vector, d: Vector) -> tuple[Vector, Vector]:
     ([1.0, 1.0, 0.0], [0.0])
     """
     y = np.zeros(d.size)
-    tolerance = 1e-13 * np.linalg.norm(d)
+    tolerance = 1e-11 * np.linalg.norm(d)
 
     def value(y: Vector) -> float:
         return 0.5 * float(np.sum(np.maximum(C.T @ y, 0.0) ** 2)) - float(d @ y)
@@ -160,11 +160,14 @@ def least_norm_nonnegative(C: Vector, d: Vector) -> tuple[Vector, Vector]:
             return x, -gradient
         support = C[:, x > 0.0] if step else C
         H = support @ support.T
-        # the part of the Hessian that the support leaves singular
-        H += 1e-10 * np.trace(C @ C.T) / d.size * np.eye(d.size)
+        # where the support leaves the Hessian singular; fades as the gradient does
+        damping = min(1e-3, np.linalg.norm(gradient) / np.linalg.norm(d))
+        H += damping * np.trace(C @ C.T) / d.size * np.eye(d.size)
         p = np.linalg.solve(H, -gradient)
-        slope, length, start = float(gradient @ p), 1.0, value(y)
-        while value(y + length * p) > start + 1e-4 * length * slope and length > 1e-12:
+        slope, length = float(gradient @ p), 1.0
+        # near the solution the decrease drowns in rounding
+        limit = value(y) + 1e-12 * abs(value(y))
+        while value(y + length * p) > limit + 1e-4 * length * slope and length > 1e-12:
             length *= 0.5
         y = y + length * p
     # no solution, or one that rounding hides: the basic solution decides, with a certificate
