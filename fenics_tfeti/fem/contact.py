@@ -40,6 +40,8 @@ Obstacle = Callable[[Vector], tuple[ArrayLike, ArrayLike]]
 
 # a nodal normal whose facets' normals cancel to less than this part of their area
 _VANISHING_NORMAL = 1e-3
+# of coordinates, relative to the largest one of the surface
+_ROUNDING = 1e-13
 
 
 @dataclass(frozen=True)
@@ -242,7 +244,9 @@ def match_contact(space: FunctionSpace, contact: Contact, number: int) -> Matche
     slave = _surface(space, contact.facet_tags, contact.slave, f"slave of {name}")
     if isinstance(contact, RigidObstacle):
         with together(space.mesh.comm):
-            return _match_obstacle(name, slave, contact)
+            matched = _match_obstacle(name, slave, contact)
+        gap = _without_rounding(space.mesh.comm, matched.gap, slave.coordinates)
+        return replace(matched, gap=gap)
     with together(space.mesh.comm):
         if contact.slave == contact.master:
             raise InputError(f"{name}: slave and master have the same tag {contact.slave}")
@@ -387,13 +391,19 @@ def _match_pair(
     gdim = slave.normal.shape[1]
     nearest = cKDTree(points).query(slave.coordinates)[1] if slave.nodes.size else np.zeros(0, int)
     offset = points[nearest][:, :gdim] - slave.coordinates[:, :gdim]
-    gap = np.sum(offset * slave.normal, axis=1)
+    gap = _without_rounding(comm, np.sum(offset * slave.normal, axis=1), slave.coordinates)
     along = np.linalg.norm(offset - gap[:, None] * slave.normal, axis=1)
     _check_partners(comm, name, slave, along, tolerance * _facet_size(slave, gdim))
     _check_one_to_one(comm, name, nodes[nearest])
     return MatchedContact(
         name, slave.nodes, nodes[nearest], slave.coordinates, slave.normal, gap, slave.area
     )
+
+
+def _without_rounding(comm: MPI.Intracomm, gap: Vector, coordinates: Vector) -> Vector:
+    """Set gaps to zero that are no more than the rounding of coordinates."""
+    largest = comm.allreduce(float(np.abs(coordinates).max(initial=0.0)), MPI.MAX)
+    return np.where(np.abs(gap) <= _ROUNDING * largest, 0.0, gap)
 
 
 def _facet_size(surface: _Surface, gdim: int) -> Vector:

@@ -60,7 +60,7 @@ class Options:
     preconditioner: Literal["none", "lumped", "dirichlet"] = "none"
     expansion: Expansion = "projected_cg"
     rho: float = 1.0
-    M0: float = 10.0
+    M0: float = 3.0
     beta: float = 0.5
     eta: float = 0.1
     Gamma: float = 1.0

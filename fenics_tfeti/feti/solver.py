@@ -187,7 +187,8 @@ class TornSolver:
         bounds = Bounds(indices, -self.start[indices])
 
         rtol, history = self.options.rtol, list[OuterIteration]()
-        state = SMALBEState(np.zeros_like(b), np.zeros_like(b))
+        # from multipliers that vanish: no contact, no glue; on average cheaper than from lambda~
+        state = SMALBEState(bounds.project(-self.start), np.zeros_like(b))
         for _ in range(_TIGHTENINGS + 1):
             with self.timer.phase("iterations"):
                 result = smalbe(

@@ -18,10 +18,10 @@ Vector = NDArray[np.float64]
 def lanczos_upper_bound(
     operator: Callable[[Vector], Vector], start: Vector, steps: int, space: Space | None = None
 ) -> float:
-    """Bound the largest eigenvalue of a symmetric positive semidefinite operator.
+    """Estimate the largest eigenvalue of a symmetric positive semidefinite operator from above.
 
     The largest Ritz value underestimates; adding the norm of its residual bounds the eigenvalue
-    nearest to it from above, which a start vector with all eigenvectors makes the largest one.
+    nearest to it. With few steps that need not be the largest one: an estimate, usually above.
 
     Parameters
     ----------
