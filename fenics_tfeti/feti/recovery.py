@@ -32,15 +32,15 @@ class Certificate:
     equilibrium : float
         ||Ku - f + B'lambda|| / max(||f||, ||B'lambda||).
     gluing : float
-        Largest |B_E u - c_E| relative to the largest displacement.
+        Largest component of B_E u - c_E relative to the largest displacement.
     penetration : float
         Largest violation of (u_slave - u_master)'n <= gap, relative to the largest displacement.
     smallest_force : float
         Smallest contact force relative to the largest; negative numbers pull.
     complementarity : float
-        Largest |force x distance|, relative to the largest force times the largest displacement.
+        Largest product of force and distance, relative to the largest force times the largest displacement.
     duality_gap : float
-        |primal energy - dual value| relative to the primal energy.
+        Difference of primal energy and dual value, relative to the primal energy.
     """
 
     equilibrium: float
