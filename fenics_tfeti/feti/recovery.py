@@ -38,7 +38,8 @@ class Certificate:
     smallest_force : float
         Smallest contact force relative to the largest; negative numbers pull.
     complementarity : float
-        Largest product of force and distance, relative to the largest force times the largest displacement.
+        Largest product of force and distance, relative to the largest force times the largest
+        displacement.
     duality_gap : float
         Difference of primal energy and dual value, relative to the primal energy.
     """
