@@ -128,8 +128,10 @@ class CoarseSpace:
 
     def restrict_to_owned(self, columns: Mask) -> sp.csr_matrix:
         """Return all rows of G in the owned columns of a mask."""
-        owned = np.arange(columns.size) < self.constraints.multipliers.owned
-        return self.all[:, np.flatnonzero(columns & owned)]
+        return self.all[:, np.flatnonzero(self._owned(columns))]
+
+    def _owned(self, columns: Mask) -> Mask:
+        return columns & (np.arange(columns.size) < self.constraints.multipliers.owned)
 
     def unresisted(self, columns: Mask) -> Vector:
         """Return the rigid motions of bodies that the chosen rows of B do not resist.
@@ -144,7 +146,10 @@ class CoarseSpace:
         (coarse, k) array
             Orthonormal basis of the kernel of the chosen columns' G'.
         """
-        resisted = (self.bodies.basis.T @ self.restrict_to_owned(columns)).tocsr()
+        # rows of unit length, whatever their weights: what resists is a matter of geometry
+        resisted = self.bodies.basis.T @ self.restrict_to_owned(columns)
+        lengths = self.constraints.row_lengths[np.flatnonzero(self._owned(columns))]
+        resisted = (resisted @ sp.diags(1.0 / lengths)).tocsr()
         gram = self.comm.allreduce((resisted @ resisted.T).toarray()) + self.bodies.energy
         resistance, motions = np.linalg.eigh(gram)
         free: Vector = self.bodies.basis @ motions[:, resistance <= _UNRESISTED]

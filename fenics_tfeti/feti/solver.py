@@ -27,6 +27,7 @@ from fenics_tfeti.feti.pseudoinverse import Pseudoinverse
 from fenics_tfeti.feti.recovery import Certificate, PrimalProblem, recover_displacement
 from fenics_tfeti.feti.report import Report, Timer, peak_memory
 from fenics_tfeti.feti.rigid_body_modes import kernel
+from fenics_tfeti.feti.scaling import node_weights
 from fenics_tfeti.feti.torn_system import TornSystem
 from fenics_tfeti.qp import (
     Bounds,
@@ -123,7 +124,9 @@ class TornSolver:
             self.package = _choose_package(self.options)
         with self.timer.phase("constraints"):
             system.check()
-            self.constraints: Constraints = build_constraints(system)
+            self.constraints: Constraints = build_constraints(
+                system, node_weights(system, self.options.scaling)
+            )
         with self.timer.phase("coarse problem"):
             self.kernels = [kernel(subdomain) for subdomain in system.subdomains]
             self.load = np.concatenate([np.zeros(0), *(s.load for s in system.subdomains)])
