@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
@@ -86,6 +88,18 @@ class Constraints:
         """Euclidean norms of the rows of B over all ranks."""
         squares = self.matrix.multiply(self.matrix).sum(axis=1)
         return np.sqrt(self.multipliers.sum(np.asarray(squares).ravel()))
+
+    def same_numbering(self, other: Constraints) -> bool:
+        """Tell, on all ranks alike, whether multipliers mean the same rows in both."""
+        same = np.array_equal(
+            self.multipliers.numbers, other.multipliers.numbers
+        ) and np.array_equal(self.own_rows, other.own_rows)
+        return bool(self.multipliers.comm.allreduce(same, MPI.LAND))
+
+    def same_rows(self, other: Constraints) -> bool:
+        """Tell, on all ranks alike, whether B is the same; c may differ."""
+        same = self.matrix.shape == other.matrix.shape and (self.matrix != other.matrix).nnz == 0
+        return self.same_numbering(other) and bool(self.multipliers.comm.allreduce(same, MPI.LAND))
 
     @property
     def owned_inequalities(self) -> int:

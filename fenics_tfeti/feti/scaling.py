@@ -44,4 +44,5 @@ def node_weights(system: TornSystem, scaling: Scaling) -> Vector:
     diagonals = [s.stiffness.diagonal().reshape(-1, system.gdim) for s in system.subdomains]
     stiffness = np.concatenate([np.zeros((0, system.gdim)), *diagonals]).mean(axis=1)
     largest = system.comm.allreduce(float(stiffness.max(initial=0.0)), MPI.MAX)
-    return stiffness / largest
+    weights: Vector = stiffness / largest
+    return weights
