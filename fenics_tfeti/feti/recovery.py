@@ -223,17 +223,20 @@ class PrimalProblem:
             )
         )
         # what is left of cancelling stiffness times displacement is rounding, not a force or energy
+        rhs_gap = constraints.rhs[constraints.inequality] / constraints.scale
+        largest_gap = comm.allreduce(float(np.abs(rhs_gap).max(initial=0.0)), MPI.MAX)
+        size = np.maximum(np.abs(u), _CANCELLED * largest_gap)
         spring = np.empty_like(u)
         for K, part in zip(self.stiffness, self.F.slices, strict=True):
-            spring[part] = abs(K) @ np.abs(u[part])
-        spring2, strain = comm.allreduce(np.array([spring @ spring, np.abs(u) @ spring]))
+            spring[part] = abs(K) @ size[part]
+        spring2, strain = comm.allreduce(np.array([spring @ spring, size @ spring]))
         jump = constraints.multipliers.sum(constraints.matrix @ u) - constraints.rhs
         contact = constraints.inequality
         distance = jump[contact] / constraints.scale
         normal_force = multipliers[contact] * constraints.scale
         maxima = np.array(
             [
-                np.abs(u).max(initial=0.0),
+                size.max(initial=0.0),
                 np.abs(jump[constraints.equality]).max(initial=0.0),
                 distance.max(initial=0.0),
                 normal_force.max(initial=0.0),
