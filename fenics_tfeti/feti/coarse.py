@@ -15,7 +15,7 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.linalg import qr
+from scipy.linalg import block_diag, qr
 
 from fenics_tfeti.feti.cholesky import SparseCholesky
 from fenics_tfeti.feti.constraints import Constraints
@@ -97,7 +97,8 @@ class CoarseSpace:
             Package for the factors of coarse matrices.
         """
         n = constraints.matrix.shape[1]
-        R = sp.block_diag(kernels, format="csr") if len(kernels) else sp.csr_matrix((n, 0))
+        blocks = [sp.coo_matrix(R) for R in kernels]
+        R = sp.block_diag(blocks, format="csr") if blocks else sp.csr_matrix((n, 0))
         own = (constraints.matrix @ R).T.tocsr()
         own.sum_duplicates()
         first, total = first_of_rank(system.comm, own.shape[0])
@@ -271,7 +272,7 @@ def _body_motions(system: TornSystem, kernels: Sequence[Vector]) -> BodyMotions:
     scaled = [t.T @ e @ t for t, e in zip(inverse, energy, strict=True)]
     # rounding leaves traces of 1e-16 in what should vanish
     scaled = [np.where(np.abs(e) > _UNRESISTED, e, 0.0) for e in scaled]
-    return BodyMotions(basis, sp.block_diag(scaled).toarray() if bodies else np.zeros((0, 0)))
+    return BodyMotions(basis, block_diag(*scaled) if bodies else np.zeros((0, 0)))
 
 
 def _centres_and_sizes(system: TornSystem, bodies: int) -> tuple[Vector, Vector]:
