@@ -27,6 +27,7 @@ from fenics_tfeti.fem.contact import (
     contact_rows,
     match_contact,
 )
+from fenics_tfeti.fem.deformed import deformed_contact, geometry_pass
 from fenics_tfeti.fem.displacement import (
     average_of_copies,
     displacement_space,
@@ -224,7 +225,8 @@ class ContactProblem:
                     deformed_contact(self.space, contact, matched, uh)
                     for contact, matched in zip(self.contacts, self._matched, strict=True)
                 ]
-            passes.append(geometry_pass(deformed, self.contact, uh, self.report))
+            products = self.report.products["total"]
+            passes.append(geometry_pass(deformed, self.contact, uh, products))
             self.report = replace(self.report, passes=passes)
             if passes[-1].error <= self.options.penetration_tolerance:
                 return uh

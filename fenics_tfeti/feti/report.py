@@ -60,7 +60,7 @@ class GeometryPass:
     penetration : float
         How deep a node is in the other body at most [m].
     separation : float
-        How far a node that presses is from the other body at most [m].
+        How far a node that presses is from the other body's surface at most [m].
     error : float
         The larger of both relative to the largest displacement.
     products : int
