@@ -464,7 +464,7 @@ def _check_different_nodes(
             _, at_a, at_b = np.intersect1d(a.slave, b.slave, return_indices=True)
             # at an edge of the body a node is in the way twice, in two directions
             same = angles_between(a.normal[at_a], b.normal[at_b]) < _EDGE_ANGLE
-            points = concatenate_ranks(comm, a.coordinates[at_a[same]])
+            points = concatenate_ranks(comm, a.coordinates[at_a[same], : a.normal.shape[1]])
             if len(points):
                 size = float(np.abs(points).max())
                 place = format_point(points[np.lexsort(points.T[::-1])[0]], size)

@@ -28,6 +28,9 @@ _LINES = 4096
 # nodes of one sheet of the master within the reach of a line, seen along the line: no farther
 # apart than this many times the reach (a sheet as steep as 60 degrees)
 _SHEET = 4.0
+_CURE = (
+    "mesh the two surfaces alike, tag only where they face each other, raise the pair's tolerance"
+)
 
 
 @dataclass(frozen=True)
@@ -40,13 +43,14 @@ class Match:
         Position among the master's nodes; -1 where there is none at all.
     distance : (k,) array
         What the tolerance limits [m]; infinite where there is no partner at all.
-    measure : str
-        What the distance is, for messages.
+    measure, cure : str
+        What the distance is, and what helps against too large ones, for messages.
     """
 
     partner: Numbers
     distance: Vector
     measure: str
+    cure: str
 
 
 def nearest(slave: Surface, master: MasterNodes) -> Match:
@@ -58,6 +62,7 @@ def nearest(slave: Surface, master: MasterNodes) -> Match:
         partner,
         np.linalg.norm(offset - normal, axis=1),
         "along the surface to the nearest master node",
+        _CURE[0].upper() + _CURE[1:],
     )
 
 
@@ -118,7 +123,10 @@ def along_direction(
         across = _to_lines(slave.points[[row]], lines[[row]], master.points[facing])[0]
         distance[row] = across.min(initial=np.inf)
     return Match(
-        partner, distance, "across the direction to the nearest master node that faces the slave"
+        partner,
+        distance,
+        "across the direction to the nearest master node that faces the slave",
+        f"Correct the direction, {_CURE}",
     )
 
 
@@ -134,7 +142,12 @@ def at_images(
         gdim = slave.normal.shape[1]
         images = vectors_at(mapping, slave.coordinates, gdim, f"the mapping of {name}")
     distance, partner = _query(master.points, images)
-    return Match(partner, distance, "from the mapped place to the nearest master node")
+    return Match(
+        partner,
+        distance,
+        "from the mapped place to the nearest master node",
+        f"Correct the mapping, {_CURE}",
+    )
 
 
 def by_coordinates(
@@ -175,6 +188,7 @@ def by_coordinates(
         np.full(slave.nodes.size, -1, dtype=np.int64),
         np.full(slave.nodes.size, np.inf),
         "from the given points to the nodes",
+        "Name them in pairs",
     )
     match.partner[at], match.distance[at] = partner, np.maximum(from_slave, from_master)
     return match

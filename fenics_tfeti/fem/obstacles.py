@@ -214,23 +214,22 @@ def gap_and_normal(
     if not finite.all():
         raise InputError(
             f"{name}: the obstacle's gap or normal is NaN or infinite at {np.sum(~finite)} points, "
-            f"the first at {first_place(points, ~finite)}"
+            f"the first at {first_place(points, ~finite, gdim)}"
         )
     length = np.linalg.norm(outward[:gdim], axis=0)
     worst = int(np.argmax(np.abs(length - 1.0)))
     if abs(length[worst] - 1.0) > _UNIT:
-        size = float(np.abs(points).max())
+        place = format_point(points[worst, :gdim], float(np.abs(points).max()))
         raise InputError(
-            f"{name}: the obstacle's normal at {format_point(points[worst], size)} has length "
-            f"{length[worst]:g} in {gdim} dimensions, expected 1"
+            f"{name}: the obstacle's normal at {place} has length {length[worst]:g} in {gdim} "
+            "dimensions, expected 1"
         )
     return gap, outward[:gdim].T / length[:, None]
 
 
 def _gap_then_normal(values: Any, name: str) -> tuple[Vector, Vector | None]:
-    two = isinstance(values, (tuple, list)) and len(values) == 2 and np.ndim(values[1]) > 0
     try:
-        if two:
+        if isinstance(values, (tuple, list)) and len(values) == 2 and np.ndim(values[1]) > 0:
             return np.asarray(values[0], dtype=float), np.asarray(values[1], dtype=float)
         return np.asarray(values, dtype=float), None
     except (TypeError, ValueError):
@@ -246,9 +245,10 @@ def _round(
     distance = np.linalg.norm(outwards, axis=0)
     at = np.flatnonzero(distance <= _NO_NORMAL * radius)
     if at.size:
+        point = format_point(x[: len(outwards), at[0]], radius)
         raise InputError(
-            f"the point {format_point(x[:, at[0]], radius)} is {where}, where it has no normal: "
-            "take it out of the slave's surface, or move the obstacle"
+            f"the point {point} is {where}, where it has no normal: take it out "
+            "of the slave's surface, or move the obstacle"
         )
     sign = -1.0 if hollow else 1.0
     return sign * (distance - radius), sign * outwards / distance

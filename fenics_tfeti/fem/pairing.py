@@ -60,11 +60,12 @@ def check_partners(
         for point, distance, most in zip(*rows, strict=True)
     )
     free = "" if partial else ", or let them be free by partial=True"
-    far_off = f" Those found miss by up to {finite:.2g} facet sizes." if finite else ""
+    what = (
+        f"Distances are {match.measure}, up to {finite:.2g} of the facets' size. " if finite else ""
+    )
     raise InputError(
-        f"{name}: {missing} of {total} slave nodes have no partner: {some}. Distances are "
-        f"{match.measure}.{far_off} Mesh the two surfaces alike, tag only where they face each "
-        f"other, raise the pair's tolerance{free}"
+        f"{name}: {missing} of {total} slave nodes have no partner: {some}. {what}{match.cure}"
+        f"{free}"
     )
 
 

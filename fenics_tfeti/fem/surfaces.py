@@ -275,6 +275,7 @@ def _normals(
         _check_normals(
             length <= least,
             coordinates,
+            gdim,
             f"{what}: the normals of the facets around {{}} nodes cancel, the first at {{}}: tag "
             "one side of an edge only, or give a normal",
         )
@@ -284,15 +285,16 @@ def _normals(
     _check_normals(
         area <= least,
         coordinates,
+        gdim,
         f"the normal of the {what} points into the body or along its surface at {{}} nodes, the "
         "first at {}: it has to point out of the slave, as the facets' normals do",
     )
     return normal, area
 
 
-def _check_normals(wrong: NDArray[np.bool_], coordinates: Vector, message: str) -> None:
+def _check_normals(wrong: NDArray[np.bool_], coordinates: Vector, gdim: int, message: str) -> None:
     if wrong.any():
-        raise InputError(message.format(int(wrong.sum()), first_place(coordinates, wrong)))
+        raise InputError(message.format(int(wrong.sum()), first_place(coordinates, wrong, gdim)))
 
 
 def _facet_rows(domain: Any, facets: Indices) -> Indices:

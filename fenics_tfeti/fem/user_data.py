@@ -95,7 +95,7 @@ def unit_vectors(
     if vanishing.any():
         raise InputError(
             f"{what} vanishes at {np.count_nonzero(vanishing)} points, the first at "
-            f"{first_place(points, vanishing)}: give a direction at every node of the slave"
+            f"{first_place(points, vanishing, gdim)}: give a direction at every node of the slave"
         )
     unit: Vector = vectors / length[:, None]
     return unit
@@ -133,12 +133,12 @@ def _check_finite(vectors: Vector, points: Vector, what: str) -> None:
     if wrong.any():
         raise InputError(
             f"{what} is NaN or infinite at {np.count_nonzero(wrong)} points, the first at "
-            f"{first_place(points, wrong)}"
+            f"{first_place(points, wrong, vectors.shape[1])}"
         )
 
 
-def first_place(points: Vector, wrong: NDArray[np.bool_]) -> str:
-    """Write the first of some points, by their coordinates: the same for any number of ranks."""
-    some = points[wrong]
+def first_place(points: Vector, wrong: NDArray[np.bool_], gdim: int) -> str:
+    """Write the first of some points (k, 3), by their coordinates."""
+    some = points[wrong][:, :gdim]
     size = float(np.abs(points).max(initial=0.0))
     return format_point(some[np.lexsort(some.T[::-1])[0]], size)
