@@ -97,10 +97,8 @@ def along_direction(
     Match
         The distance is across the direction.
     """
-    with together(comm):
-        lines = unit_vectors(
-            direction, slave.coordinates, slave.normal.shape[1], f"the direction of {name}"
-        )
+    gdim = slave.normal.shape[1]
+    lines = unit_vectors(comm, direction, slave.coordinates, gdim, f"the direction of {name}")
     reach = tolerance * slave.size
     k = slave.nodes.size
     partner, distance = np.full(k, -1, dtype=np.int64), np.full(k, np.inf)
@@ -138,9 +136,8 @@ def at_images(
     name: str,
 ) -> Match:
     """Match each slave node x with the master node nearest to the user's chi(x)."""
-    with together(comm):
-        gdim = slave.normal.shape[1]
-        images = vectors_at(mapping, slave.coordinates, gdim, f"the mapping of {name}")
+    gdim = slave.normal.shape[1]
+    images = vectors_at(comm, mapping, slave.coordinates, gdim, f"the mapping of {name}")
     distance, partner = _query(master.points, images)
     return Match(
         partner,
