@@ -31,6 +31,7 @@ from fenics_tfeti.fem.displacement import (
     displacement_space,
     prescribed_values,
 )
+from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.fem.partition import find_bodies, given_subdomains, split_into_subdomains
 from fenics_tfeti.fem.subdomain import prepare_forms
 from fenics_tfeti.feti import Report, Timer, TornSolution, TornSolver, TornSystem, parse_options
@@ -53,8 +54,10 @@ class ContactProblem:
     contacts : sequence of ContactPair or RigidObstacle
         What may touch.
     cell_tags : MeshTags, optional
-        A tag for every cell, where bodies are to be told apart by tags; by default the bodies are
-        the connected components of the mesh.
+        A tag for every cell, where bodies are to be told apart by tags: each tag is one body, its
+        cells connected through facets. Bodies that share facets are glued there. By default the
+        bodies are the connected parts of the mesh, which tells bodies apart that have nodes of
+        their own. Tags of materials, which may be in several places, belong into ``dx`` alone.
     subdomains : sequence of int, optional
         A label for each cell that this rank owns: cells with the same label make a subdomain. By
         default each rank splits its cells by a graph partitioner.
@@ -98,13 +101,15 @@ class ContactProblem:
         self._timer = Timer()
         self.space = displacement_space(a, L)
         prescribed = prescribed_values(self.space, bcs)
+        with self._timer.phase("partition"):
+            bodies = find_bodies(self.space.mesh, cell_tags)
+            check_mesh(self.space.mesh, bodies, contacts)
         with self._timer.phase("contact search"):
             check_contacts(contacts, self.space.mesh.comm)
             self._matched = [match_contact(self.space, c, i) for i, c in enumerate(contacts)]
         with self._timer.phase("compilation"):
             forms = prepare_forms(self.space, a, L)
         with self._timer.phase("partition"):
-            bodies = find_bodies(self.space.mesh, cell_tags)
             if subdomains is None:
                 cells = split_into_subdomains(self.space, bodies, self.options.subdomain_size)
             else:
