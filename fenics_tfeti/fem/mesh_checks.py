@@ -7,8 +7,8 @@ gathered, so that all ranks raise the same error with the totals and the same fi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import product
+from dataclasses import dataclass, replace
+from itertools import combinations, product
 from typing import Any
 
 from mpi4py import MPI
@@ -33,14 +33,13 @@ Mask = NDArray[np.bool_]
 
 # |det J| relative to (size of the cell)^dim below which a cell is flat
 _FLAT = 1e-10
-# distance relative to the size of the smaller cell below which two nodes are at the same place;
+# distance relative to the shortest edge around below which two nodes are at the same place;
 # coordinates of single precision are still equal, gaps that are meant are not
 _SAME_PLACE = 1e-5
 # bins of coordinates along the longest side of the mesh, which spread the nodes over the ranks
 _BINS = 64
 _KEYS = 2**20
 
-_CORNERS = {"triangle": 3, "tetrahedron": 4, "quadrilateral": 4, "hexahedron": 8}
 # vertices of the facets, in the order of the reference cells of dolfinx
 _FACETS = {
     "triangle": ((1, 2), (0, 2), (0, 1)),
@@ -73,8 +72,8 @@ def check_mesh(domain: Mesh, bodies: Bodies, contacts: Sequence[Contact]) -> Non
     ------
     InputError
         On all ranks: coordinates that are NaN, cells without volume, twisted or on top of each
-        other, a cell tag on several pieces, bodies joined through edges or points only, and nodes
-        at the same place in one body.
+        other, a cell tag on several pieces, bodies joined through edges or points only, nodes that
+        dolfinx has split, and nodes at the same place in one body.
     """
     with together(domain.comm):
         _check_finite(domain)
@@ -84,6 +83,7 @@ def check_mesh(domain: Mesh, bodies: Bodies, contacts: Sequence[Contact]) -> Non
     surface = _surface_nodes(domain, bodies, cells, contacts)
     _check_pieces(domain, bodies, cells, surface)
     _check_joints(domain, bodies, surface)
+    _check_split_nodes(domain, surface)
     _check_cracks(domain, bodies, surface)
 
 
@@ -268,9 +268,11 @@ class _Nodes:
     body : (k,) integer array
         The body.
     size : (k,) array
-        Size of the smallest cell of the body around it [m].
+        Shortest edge of the body's cells around it; edges without length do not count [m].
     slave, master : (k,) bool array
         Whether it is on such a face of a contact pair.
+    vertex : (k,) integer array
+        Global node numbers of the distributed mesh.
     """
 
     number: Numbers
@@ -279,12 +281,14 @@ class _Nodes:
     size: Vector
     slave: Mask
     master: Mask
+    vertex: Numbers
 
     def __getitem__(self, chosen: Any) -> _Nodes:
         return _Nodes(*(column[chosen] for column in self.columns()))
 
     def columns(self) -> tuple[Any, ...]:
-        return self.number, self.x, self.body, self.size, self.slave, self.master
+        nodes = (self.number, self.x, self.body, self.size)
+        return (*nodes, self.slave, self.master, self.vertex)
 
     def merged(self) -> _Nodes:
         """Return each pair of node and body once."""
@@ -296,7 +300,7 @@ class _Nodes:
         slave, master = np.zeros(first.size, dtype=bool), np.zeros(first.size, dtype=bool)
         np.logical_or.at(slave, inverse, self.slave)
         np.logical_or.at(master, inverse, self.master)
-        return _Nodes(self.number[first], self.x[first], self.body[first], size, slave, master)
+        return replace(self[first], size=size, slave=slave, master=master)
 
 
 def _surface_nodes(
@@ -308,17 +312,32 @@ def _surface_nodes(
     per_facet = nodes.shape[1]
     local = nodes.ravel()
     slave, master = _contact_nodes(domain, contacts)
-    # dolfinx numbers a node anew on each rank if no facet joins its cells there; the numbers that
-    # the mesh was made with do not
+    # dolfinx 0.5 numbers a node anew on ranks whose cells meet there without a common facet, hence
+    # the numbers that the mesh was made with
     numbers = np.asarray(domain.geometry.input_global_indices, dtype=np.int64)
+    to_global = domain.geometry.index_map().local_to_global
     return _Nodes(
         numbers[local],
         domain.geometry.x[local, : domain.geometry.dim],
         np.repeat(cells.body[cell], per_facet),
-        np.repeat(cells.size[cell], per_facet),
+        np.repeat(_shortest_edges(cells)[cell], per_facet),
         slave[local],
         master[local],
+        np.asarray(to_global(local.astype(np.int32)), dtype=np.int64),
     ).merged()
+
+
+def _shortest_edges(cells: _Cells) -> Vector:
+    """Return the length of each cell's shortest edge that has one."""
+    tensor = cells.shape in ("quadrilateral", "hexahedron")
+    shortest = cells.size.copy()
+    for a, b in combinations(range(cells.nodes.shape[1]), 2):
+        # in tensor order, the numbers of the two ends differ in one bit
+        if tensor and a ^ b not in (1, 2, 4):
+            continue
+        length = np.linalg.norm(cells.corners[:, a] - cells.corners[:, b], axis=1)
+        np.minimum(shortest, length, out=shortest, where=length > _FLAT * cells.size)
+    return shortest
 
 
 def _contact_nodes(domain: Mesh, contacts: Sequence[Contact]) -> tuple[Mask, Mask]:
@@ -382,6 +401,18 @@ def _check_joints(domain: Mesh, bodies: Bodies, surface: _Nodes) -> None:
     )
 
 
+def _check_split_nodes(domain: Mesh, surface: _Nodes) -> None:
+    """Check that dolfinx has not made several nodes of one where a body is pinched."""
+    split = _shared(domain, surface, surface.vertex)
+    if len(split):
+        raise InputError(
+            f"on {domain.comm.size} processes, this version of dolfinx makes several nodes of "
+            f"{_count(domain, split, 'node')}, where cells of different processes meet in an edge "
+            "or a point only: the body would come apart there. Run on one process or with a newer "
+            "dolfinx, or mesh the body so that cells meet in facets"
+        )
+
+
 def _check_cracks(domain: Mesh, bodies: Bodies, surface: _Nodes) -> None:
     """Check that a body has no two nodes at the same place, but for the two faces of a pair."""
     points, of = _coincident(domain, surface, surface.body)
@@ -391,7 +422,7 @@ def _check_cracks(domain: Mesh, bodies: Bodies, surface: _Nodes) -> None:
         f"{bodies.names[of[_first(points)]]} has "
         f"{_count(domain, points, 'pair')}: the cells there are not connected, as in a crack. "
         "Merge these nodes (in Gmsh by removeDuplicateNodes, for this body alone); if a crack is "
-        "meant, tag its two faces and make them a ContactPair"
+        "meant, make its two faces a ContactPair, without the facets at its tip"
     )
 
 
