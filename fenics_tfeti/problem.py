@@ -186,7 +186,8 @@ def _contact_result(
 def _command_line() -> dict[str, str]:
     """Return the options given as ``-tfeti_name value`` to PETSc or to the script."""
     database = PETSc.Options("tfeti_")
-    for word, following in pairwise([*sys.argv[1:], ""]):
+    # a program that embeds Python may have no command line
+    for word, following in pairwise([*getattr(sys, "argv", [])[1:], ""]):
         # PETSc knows the command line only if petsc4py was started with it
         if word.startswith("-tfeti_") and not database.hasName(word.removeprefix("-tfeti_")):
             database.setValue(word.removeprefix("-tfeti_"), following)
