@@ -33,7 +33,7 @@ def run(code: str, *arguments: str) -> str:
 @pytest.mark.parametrize("change", ["sys.argv = []", "del sys.argv", "sys.argv = ['']"])
 def test_script_without_a_command_line(change):
     """Programs that embed Python may have none; dolfinx 0.5 itself wants one at its import."""
-    assert run(f"import sys, dolfinx; {change}\n{SOLVE}") == "True 1e-05 1.0"
+    assert run(f"import sys, mpi4py.MPI, dolfinx; {change}\n{SOLVE}") == "True 1e-05 1.0"
 
 
 def test_arguments_that_are_not_ours_are_left_alone():
@@ -45,5 +45,5 @@ def test_command_line_comes_before_the_script():
 
 
 def test_modules_that_were_started_with_the_command_line_do_not_count_it_twice():
-    start = "import sys, petsc4py; petsc4py.init(sys.argv)"
+    start = "import sys, mpi4py.MPI, petsc4py; petsc4py.init(sys.argv)"
     assert run(f"{start}\n{SOLVE}", "-tfeti_rtol", "1e-4") == "True 0.0001 1.0"
