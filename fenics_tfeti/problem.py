@@ -31,6 +31,7 @@ from fenics_tfeti.fem.displacement import (
     displacement_space,
     prescribed_values,
 )
+from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.fem.partition import find_bodies, given_subdomains, split_into_subdomains
 from fenics_tfeti.fem.subdomain import prepare_forms, same_values
 from fenics_tfeti.feti import (
@@ -63,8 +64,10 @@ class ContactProblem:
     contacts : sequence of ContactPair or RigidObstacle
         What may touch.
     cell_tags : MeshTags, optional
-        A tag for every cell, where bodies are to be told apart by tags; by default the bodies are
-        the connected components of the mesh.
+        A tag for every cell, where bodies are to be told apart by tags: each tag is one body, its
+        cells connected through facets. Bodies that share facets are glued there. By default the
+        bodies are the connected parts of the mesh, which tells bodies apart that have nodes of
+        their own. Tags of materials, which may be in several places, belong into ``dx`` alone.
     subdomains : sequence of int, optional
         A label for each cell that this rank owns: cells with the same label make a subdomain. By
         default each rank splits its cells by a graph partitioner.
@@ -112,11 +115,13 @@ class ContactProblem:
         self._matched: list[MatchedContact] = []
         self._solver: TornSolver | None = None
         prescribed = prescribed_values(self.space, self.bcs)
+        with self._timer.phase("partition"):
+            bodies = find_bodies(self.space.mesh, cell_tags)
+            check_mesh(self.space.mesh, bodies, self.contacts)
         self._match_contacts()
         with self._timer.phase("compilation"):
             self._forms = prepare_forms(self.space, a, L)
         with self._timer.phase("partition"):
-            bodies = find_bodies(self.space.mesh, cell_tags)
             if subdomains is None:
                 cells = split_into_subdomains(self.space, bodies, self.options.subdomain_size)
             else:
@@ -277,7 +282,8 @@ def _contact_result(
 def _command_line() -> dict[str, str]:
     """Return the options given as ``-tfeti_name value`` to PETSc or to the script."""
     database = PETSc.Options("tfeti_")
-    for word, following in pairwise([*sys.argv[1:], ""]):
+    # a program that embeds Python may have no command line
+    for word, following in pairwise([*getattr(sys, "argv", [])[1:], ""]):
         # PETSc knows the command line only if petsc4py was started with it
         if word.startswith("-tfeti_") and not database.hasName(word.removeprefix("-tfeti_")):
             database.setValue(word.removeprefix("-tfeti_"), following)
