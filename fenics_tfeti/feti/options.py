@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.cholesky import Package
 from fenics_tfeti.feti.pseudoinverse import GeneralisedInverse
+from fenics_tfeti.feti.scaling import Scaling
 from fenics_tfeti.qp.mprgp import Expansion
 
 __all__ = ["Options", "parse_options"]
@@ -34,6 +35,8 @@ class Options:
         Package of the sparse Cholesky factors; auto takes the first that PETSc has.
     preconditioner : {"none", "lumped", "dirichlet"}
         Preconditioner in the face.
+    scaling : {"stiffness", "multiplicity"}
+        D in B D^{-1} B' = I: the diagonal of the stiffness, or the identity as in (11.22).
     expansion : {"standard", "projected_cg"}
         Expansion step of MPRGP: the half step and fixed step of algorithm 8.2, or the projected
         conjugate gradient step with fall-back on the former.
@@ -58,6 +61,7 @@ class Options:
     fixing_nodes: int = 8
     factor: Package = "auto"
     preconditioner: Literal["none", "lumped", "dirichlet"] = "none"
+    scaling: Scaling = "stiffness"
     expansion: Expansion = "projected_cg"
     rho: float = 1.0
     M0: float = 3.0

@@ -58,7 +58,10 @@ class Report:
     ----------
     unknowns : dict
         Numbers of ``primal``, ``torn`` and ``dual`` unknowns, of ``inequalities``, ``active`` ones,
-        and of the ``coarse`` problem.
+        of the ``coarse`` problem, of contact rows dropped as ``redundant``, and of others that
+        depend linearly on the rest (``dependent``).
+    reused : list of str
+        What was taken over from the last solve.
     subdomains : int
         Their number over all ranks.
     outer_iterations : int
@@ -93,6 +96,7 @@ class Report:
     """
 
     unknowns: dict[str, int]
+    reused: list[str]
     subdomains: int
     outer_iterations: int
     products: dict[str, int]
