@@ -33,6 +33,8 @@ class Options:
         M of algorithm 11.1.
     factor : {"auto", "cholmod", "mumps"}
         Package of the sparse Cholesky factors; auto takes the first that PETSc has.
+    method : {"active_set", "smalbe"}
+        SMALBE-M over MPRGP alone, or started from where a primal-dual active set method leads.
     preconditioner : {"none", "lumped", "dirichlet"}
         Preconditioner in the face.
     scaling : {"stiffness", "multiplicity"}
@@ -51,6 +53,14 @@ class Options:
         Lanczos steps for ||PFP||.
     seed : int
         Seed of the start vector of these.
+    non_penetration : {"linearised", "exact"}
+        Contact conditions with the normals and gaps of the undeformed surfaces, or corrected until
+        the deformed surfaces touch.
+    penetration_tolerance : float
+        Penetration and separation of the deformed surfaces that count as none, relative to the
+        largest displacement.
+    max_passes : int
+        Limit on the solutions with corrected normals and gaps.
     error_if_not_converged : bool
         Raise `NotConverged`, or else return the last iterate marked as such in the report.
     """
@@ -60,6 +70,7 @@ class Options:
     generalised_inverse: GeneralisedInverse = "fixing_nodes"
     fixing_nodes: int = 8
     factor: Package = "auto"
+    method: Literal["active_set", "smalbe"] = "active_set"
     preconditioner: Literal["none", "lumped", "dirichlet"] = "none"
     scaling: Scaling = "stiffness"
     expansion: Expansion = "projected_cg"
@@ -73,6 +84,9 @@ class Options:
     max_products: int = 10_000
     norm_steps: int = 15
     seed: int = 0
+    non_penetration: Literal["linearised", "exact"] = "linearised"
+    penetration_tolerance: float = 1e-3
+    max_passes: int = 20
     error_if_not_converged: bool = True
 
     def __post_init__(self) -> None:
@@ -93,6 +107,8 @@ _RANGES: dict[str, tuple[float, float]] = {
     "step_length": (0.0, 2.0),
     "max_outer": (0, float("inf")),
     "max_products": (0, float("inf")),
+    "penetration_tolerance": (0.0, float("inf")),
+    "max_passes": (0, float("inf")),
     "norm_steps": (0, float("inf")),
     "seed": (-1, 2**63),
 }

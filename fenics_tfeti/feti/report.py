@@ -16,10 +16,11 @@ from typing import Any
 
 from mpi4py import MPI
 
+from fenics_tfeti.feti.active_set import ActiveSetStep
 from fenics_tfeti.feti.recovery import Certificate
 from fenics_tfeti.qp import OuterIteration
 
-__all__ = ["Report", "Timer", "peak_memory"]
+__all__ = ["GeometryPass", "Report", "Timer", "peak_memory"]
 
 
 @dataclass
@@ -48,6 +49,28 @@ def peak_memory(comm: MPI.Intracomm) -> int:
     """Return the peak resident memory of all ranks together [bytes]."""
     kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return int(comm.allreduce(kilobytes * (1 if sys.platform == "darwin" else 1024)))
+
+
+@dataclass(frozen=True)
+class GeometryPass:
+    """How far the surfaces of one solution, deformed, are from touching without penetration.
+
+    Attributes
+    ----------
+    penetration : float
+        How deep a node is in the other body at most [m].
+    separation : float
+        How far a node that presses is from the other body at most [m].
+    error : float
+        The larger of both relative to the largest displacement.
+    products : int
+        Applications of F that the solution cost.
+    """
+
+    penetration: float
+    separation: float
+    error: float
+    products: int
 
 
 @dataclass(frozen=True)
@@ -93,6 +116,11 @@ class Report:
         The options of the solve.
     history : list of OuterIteration
         One entry for each outer iteration.
+    faces : list of ActiveSetStep
+        One entry for each face of the primal-dual active set method.
+    passes : list of GeometryPass
+        One entry for each solution on the way to exact non-penetration; products, seconds and
+        history of the report are those of the last one.
     """
 
     unknowns: dict[str, int]
@@ -112,6 +140,8 @@ class Report:
     versions: dict[str, str]
     options: dict[str, Any]
     history: list[OuterIteration]
+    faces: list[ActiveSetStep]
+    passes: list[GeometryPass] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as nested dictionaries."""

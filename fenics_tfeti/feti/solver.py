@@ -15,6 +15,7 @@ import scipy
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import FactorizationError, NotConverged
+from fenics_tfeti.feti.active_set import ActiveSetStep, DualProblem, primal_dual_active_set
 from fenics_tfeti.feti.cholesky import choose_package
 from fenics_tfeti.feti.coarse import CoarseSpace, Projector, describe_body_motion
 from fenics_tfeti.feti.constraints import Constraints, build_constraints
@@ -128,7 +129,7 @@ class TornSolver:
     F: DualOperator
     norm: float
     state: SMALBEState | None
-    _precondition: Callable[[Vector], Vector] | None
+    _boundary: Callable[[Vector], Vector] | None
 
     def __init__(
         self,
@@ -164,7 +165,7 @@ class TornSolver:
         with self.timer.phase("norm"):
             self.norm = same_B.norm if same_B else self._norm()
         with self.timer.phase("factorisation"):
-            self._precondition = same_B._precondition if same_B else self._preconditioner()
+            self._boundary = same_B._boundary if same_B else self._boundary_operator()
         self.state = self._first_state(previous)
         self.products = Products()
         self.reused = [
@@ -244,11 +245,14 @@ class TornSolver:
         indices = self.constraints.inequality
         bounds = Bounds(indices, -self.start[indices])
 
-        rtol, history = self.options.rtol, list[OuterIteration]()
+        precondition = self._precondition()
+        rtol, history, faces = self.options.rtol, list[OuterIteration](), list[ActiveSetStep]()
         # from multipliers that vanish: no contact, no glue; on average cheaper than from lambda~
         state = self.state or SMALBEState(-self.start, np.zeros_like(b))
         for _ in range(_TIGHTENINGS + 1):
             with self.timer.phase("iterations"):
+                if self.options.method == "active_set":
+                    state = self._guess_active_set(state, rtol, norm_b, faces)
                 result = smalbe(
                     self.hessian,
                     b,
@@ -257,7 +261,7 @@ class TornSolver:
                     norm_b=norm_b,
                     options=self._smalbe_options(rtol, len(history)),
                     space=space,
-                    precondition=self._precondition,
+                    precondition=precondition,
                     products=self.products,
                     monitor=lambda line: self._log(line, len(history)),  # noqa: B023 - used at once
                 )
@@ -270,7 +274,7 @@ class TornSolver:
                 break
             rtol *= _TIGHTENING
         self.state = state
-        return self._solution(recovered, result, certified, history)
+        return self._solution(recovered, result, certified, history, faces)
 
     def _smalbe_options(self, rtol: float, outer_so_far: int) -> SMALBEOptions:
         options = self.options
@@ -291,22 +295,64 @@ class TornSolver:
             inner=inner,
         )
 
-    def _preconditioner(self) -> Callable[[Vector], Vector] | None:
-        """Return M^{-1} = ||PFP|| P B S B' P + Q / rho, to go with A = PFP / ||PFP|| + rho Q."""
+    def _boundary_operator(self) -> Callable[[Vector], Vector] | None:
         kind = self.options.preconditioner
         if kind == "none":
             return None
         with together(self.comm):
-            boundary = boundary_operator(kind, self.F, self.system.subdomains, self.package)
+            return boundary_operator(kind, self.F, self.system.subdomains, self.package)
 
-        # not self: a later solver may share what is returned, and should not keep this one
-        projector, norm, rho = self.projector, self.norm, self.options.rho
+    def _precondition(self) -> Callable[[Vector], Vector] | None:
+        """Return M^{-1} = ||PFP|| P B S B' P + Q / rho, to go with A = PFP / ||PFP|| + rho Q."""
+        boundary = self._boundary
+        if boundary is None:
+            return None
 
         def apply(x: Vector) -> Vector:
-            Qx = projector.coarse(x)
-            return norm * projector.complement(boundary(x - Qx)) + Qx / rho
+            Qx = self.projector.coarse(x)
+            y = self.projector.complement(boundary(x - Qx))
+            return self.norm * y + Qx / self.options.rho
 
         return apply
+
+    def _guess_active_set(
+        self, state: SMALBEState, rtol: float, norm_b: float, steps: list[ActiveSetStep]
+    ) -> SMALBEState:
+        """Go as far as the primal-dual active set method leads; SMALBE-M goes on from there."""
+        multipliers = self.start + state.x
+        problem = DualProblem(
+            self.F,
+            self.F.load(self.load),
+            concatenate_ranks(self.comm, self.space.kernels.T @ self.load),
+            self.projector,
+            self.norm,
+            self._boundary,
+        )
+        # all at first, later those that press
+        active = multipliers[self.constraints.inequality] > 0.0
+        if not self.comm.allreduce(bool(active.any()), MPI.LOR):
+            active[:] = True
+
+        def log(step: ActiveSetStep) -> None:
+            steps.append(step)
+            if self.comm.rank == 0:
+                logger.info(
+                    "face  %3d  products %4d  residual %.2e  active %d  changed %d",
+                    len(steps) - 1,
+                    *asdict(step).values(),
+                )
+
+        multipliers, q = primal_dual_active_set(
+            problem,
+            multipliers,
+            active,
+            tolerance=rtol * norm_b * self.norm,
+            norm_b=norm_b * self.norm,
+            max_products=self.options.max_products,
+            products=self.products,
+            monitor=log,
+        )
+        return SMALBEState(multipliers - self.start, q / self.norm)
 
     def _recover(self, state: SMALBEState, negligible: float) -> _Recovered:
         multipliers = self.start + state.x
@@ -340,6 +386,7 @@ class TornSolver:
         result: SMALBEResult,
         certified: bool,
         history: list[OuterIteration],
+        faces: list[ActiveSetStep],
     ) -> TornSolution:
         converged = result.converged and certified
         reason = result.reason
@@ -359,7 +406,7 @@ class TornSolver:
             normal_force,
             normal_force > 0.0,
             multipliers,
-            self._report(recovered, converged, reason, history),
+            self._report(recovered, converged, reason, history, faces),
         )
         if not converged and self.options.error_if_not_converged:
             raise NotConverged(
@@ -371,7 +418,12 @@ class TornSolver:
         return solution
 
     def _report(
-        self, recovered: _Recovered, converged: bool, reason: str, history: list[OuterIteration]
+        self,
+        recovered: _Recovered,
+        converged: bool,
+        reason: str,
+        history: list[OuterIteration],
+        faces: list[ActiveSetStep],
     ) -> Report:
         system, constraints, comm = self.system, self.constraints, self.comm
         owned = constraints.owned_inequalities
@@ -420,6 +472,7 @@ class TornSolver:
             versions=_versions(),
             options=asdict(self.options),
             history=history,
+            faces=faces,
         )
 
     def _primal_unknowns(self) -> int:
