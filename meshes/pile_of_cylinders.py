@@ -40,7 +40,7 @@ def point_on_circle(centre: tuple[float, float], angle: float, size: float) -> i
 def disc(
     centre: tuple[float, float], directions: dict[str, tuple[float, float]], elements: int
 ) -> tuple[int, dict[str, list[int]]]:
-    """Make a disc, and return its surface and the two arcs at each place of contact.
+    """Make a disc, and return its surface and the arcs at each place of contact, one an element.
 
     Away from these, the elements grow up to RADIUS / elements.
     """
@@ -48,23 +48,23 @@ def disc(
     angles = {name: math.atan2(y, x) % (2 * math.pi) for name, (x, y) in directions.items()}
     names = sorted(angles, key=lambda name: angles[name])
     middle = gmsh.model.geo.addPoint(RADIUS * centre[0], RADIUS * centre[1], 0)
-    corners: list[tuple[int, str]] = []  # points, and what the arc that starts there touches
+    points: list[tuple[int, str]] = []  # and what the arc that starts there touches
     for name, following in zip(names, names[1:] + names[:1], strict=True):
-        start, end = angles[name] + HALF_ANGLE, angles[following] - HALF_ANGLE
-        for angle, touches in ((start - 2 * HALF_ANGLE, name), (angles[name], name), (start, "")):
-            corners.append((point_on_circle(centre, angle, finest), touches))
+        for k in range(-elements, elements + 1):
+            angle = angles[name] + HALF_ANGLE * k / elements
+            touches = name if k < elements else ""
+            points.append((point_on_circle(centre, angle, finest), touches))
         # an arc has to be less than half a circle
+        start, end = angles[name] + HALF_ANGLE, angles[following] - HALF_ANGLE
         free = (end - start) % (2 * math.pi)
-        corners += [
-            (point_on_circle(centre, start + k * free / 4, coarsest), "") for k in (1, 2, 3)
-        ]
+        points += [(point_on_circle(centre, start + k * free / 4, coarsest), "") for k in (1, 2, 3)]
     arcs: dict[str, list[int]] = {name: [] for name in ["", *names]}
     loop = []
-    for (start, touches), (end, _) in zip(corners, corners[1:] + corners[:1], strict=True):
-        loop.append(gmsh.model.geo.addCircleArc(start, middle, end))
+    for (start_point, touches), (end_point, _) in zip(points, points[1:] + points[:1], strict=True):
+        loop.append(gmsh.model.geo.addCircleArc(start_point, middle, end_point))
         arcs[touches].append(loop[-1])
         if touches:
-            gmsh.model.geo.mesh.setTransfiniteCurve(loop[-1], elements + 1)
+            gmsh.model.geo.mesh.setTransfiniteCurve(loop[-1], 2)
     surface = gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop)])
     arcs.pop("")
     return surface, arcs
