@@ -22,6 +22,7 @@ RADIUS = 0.25
 LENGTH = RADIUS  # of the cylinders
 LAYERS = 2  # of elements along them
 HALF_ANGLE = 0.02  # of a tagged arc [rad]
+GROWTH = 1.3  # from one element of the circle to the next
 
 # body -> (centre / radius, {neighbour: direction from the centre to the place of contact})
 DISCS = {
@@ -31,60 +32,92 @@ DISCS = {
 }
 
 
-def point_on_circle(centre: tuple[float, float], angle: float, size: float) -> int:
+Point = tuple[float, float, float]
+
+
+def point_on_circle(centre: Point, angle: float, size: float) -> int:
     """Make a point of the disc's boundary."""
-    x, y = (RADIUS * (c + f(angle)) for c, f in zip(centre, (math.cos, math.sin), strict=True))
-    return gmsh.model.geo.addPoint(x, y, 0, size)
+    x, y, z = centre
+    x, y = x + RADIUS * math.cos(angle), y + RADIUS * math.sin(angle)
+    return gmsh.model.geo.addPoint(x, y, z, size)
+
+
+def graded(start: float, end: float, finest: float, coarsest: float) -> list[float]:
+    """Divide an interval, finely at its ends, symmetric about its middle; its ends are left out."""
+    half, step = (end - start) / 2, finest
+    distances = [0.0]
+    while distances[-1] < half:
+        distances.append(distances[-1] + step)
+        step = min(GROWTH * step, coarsest)
+    distances = [half * distance / distances[-1] for distance in distances[1:]]
+    first = [start + distance for distance in distances]
+    return first + [end - distance for distance in reversed(distances[:-1])]
 
 
 def disc(
-    centre: tuple[float, float], directions: dict[str, tuple[float, float]], elements: int
+    centre: Point, directions: dict[str, tuple[float, float]], elements: int
 ) -> tuple[int, dict[str, list[int]]]:
-    """Make a disc, and return its surface and the arcs at each place of contact, one an element.
+    """Make a disc, and return its surface and the arcs at each place of contact.
 
-    Away from these, the elements grow up to RADIUS / elements.
+    Each arc is for one element. Those of the upper disc are symmetric: its weight has no moment
+    about its axis, which nothing would balance.
     """
-    finest, coarsest = RADIUS * HALF_ANGLE / elements, RADIUS / elements
+    finest, coarsest = HALF_ANGLE / elements, 1 / elements
     angles = {name: math.atan2(y, x) % (2 * math.pi) for name, (x, y) in directions.items()}
     names = sorted(angles, key=lambda name: angles[name])
-    middle = gmsh.model.geo.addPoint(RADIUS * centre[0], RADIUS * centre[1], 0)
-    points: list[tuple[int, str]] = []  # and what the arc that starts there touches
+    corners: list[tuple[float, float, str]] = []  # angle, size, what the arc from there touches
     for name, following in zip(names, names[1:] + names[:1], strict=True):
         for k in range(-elements, elements + 1):
-            angle = angles[name] + HALF_ANGLE * k / elements
             touches = name if k < elements else ""
-            points.append((point_on_circle(centre, angle, finest), touches))
-        # an arc has to be less than half a circle
+            corners.append((angles[name] + k * finest, finest, touches))
         start, end = angles[name] + HALF_ANGLE, angles[following] - HALF_ANGLE
-        free = (end - start) % (2 * math.pi)
-        points += [(point_on_circle(centre, start + k * free / 4, coarsest), "") for k in (1, 2, 3)]
-    arcs: dict[str, list[int]] = {name: [] for name in ["", *names]}
-    loop = []
-    for (start_point, touches), (end_point, _) in zip(points, points[1:] + points[:1], strict=True):
-        loop.append(gmsh.model.geo.addCircleArc(start_point, middle, end_point))
-        arcs[touches].append(loop[-1])
-        if touches:
-            gmsh.model.geo.mesh.setTransfiniteCurve(loop[-1], 2)
+        end = start + (end - start) % (2 * math.pi)
+        corners += [(angle, coarsest, "") for angle in graded(start, end, finest, coarsest)]
+    middle = gmsh.model.geo.addPoint(*centre)
+    points = [point_on_circle(centre, angle, RADIUS * size) for angle, size, _ in corners]
+    loop = [
+        gmsh.model.geo.addCircleArc(start_point, middle, end_point)
+        for start_point, end_point in zip(points, points[1:] + points[:1], strict=True)
+    ]
+    gmsh.model.geo.synchronize()
+    for arc in loop:
+        gmsh.model.mesh.setTransfiniteCurve(arc, 2)
     surface = gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop)])
-    arcs.pop("")
-    return surface, arcs
+    gmsh.model.geo.synchronize()
+    touching = [touches for _, _, touches in corners]
+    return surface, {
+        name: [arc for arc, touches in zip(loop, touching, strict=True) if touches == name]
+        for name in names
+    }
 
 
-def extruded(
-    surface: int, arcs: dict[str, list[int]], elements: int
-) -> tuple[int, dict[str, list[int]]]:
+def extruded(surface: int, arcs: dict[str, list[int]]) -> tuple[int, dict[str, list[int]]]:
     """Make a cylinder, and return its volume and the strips at each place of contact."""
-    gmsh.model.geo.mesh.setRecombine(2, surface)
+    gmsh.model.mesh.setRecombine(2, surface)
     made = gmsh.model.geo.extrude([(2, surface)], 0, 0, LENGTH, [LAYERS // 2], recombine=True)
     gmsh.model.geo.synchronize()
-    curves = [abs(tag) for _, tag in gmsh.model.getBoundary([(2, surface)], oriented=False)]
-    strips = dict(zip(curves, (tag for _, tag in made[2:]), strict=True))
-    return made[1][1], {name: [strips[arc] for arc in two] for name, two in arcs.items()}
+    strips = {
+        name: [
+            side
+            for arc in several
+            for side in gmsh.model.getAdjacencies(1, arc)[0]
+            if side != surface
+        ]
+        for name, several in arcs.items()
+    }
+    return next(tag for dim, tag in made if dim == 3), strips
 
 
 def name_group(dim: int, entities: list[int], name: str) -> None:
     """Add a named physical group."""
     gmsh.model.setPhysicalName(dim, gmsh.model.addPhysicalGroup(dim, entities), name)
+
+
+def put_in_place(dim: int, solid: int, shift: float) -> None:
+    """Move a meshed body back along z."""
+    tags, coordinates, _ = gmsh.model.mesh.getNodes(dim, solid, includeBoundary=True)
+    for tag, (x, y, z) in zip(tags, coordinates.reshape(-1, 3), strict=True):
+        gmsh.model.mesh.setNode(tag, (x, y, round(z - shift, 12)), [])
 
 
 def pile_of_cylinders(output: Path, dim: int = 2, elements: int = 12) -> None:
@@ -96,15 +129,20 @@ def pile_of_cylinders(output: Path, dim: int = 2, elements: int = 12) -> None:
         if dim == 3:  # every cell is cut into hexahedra, half as large
             gmsh.option.setNumber("Mesh.SubdivisionAlgorithm", 2)
             elements //= 2
-        made = {body: disc(*geometry, elements) for body, geometry in DISCS.items()}
-        if dim == 3:
-            made = {body: extruded(*parts, elements) for body, parts in made.items()}
-        gmsh.model.geo.synchronize()
-        for body, (solid, contacts) in made.items():
+        solids = []
+        for number, (body, ((x, y), directions)) in enumerate(DISCS.items()):
+            # Gmsh would merge points at one place: each body is made behind the one before
+            shift = 2 * LENGTH * number if dim == 3 else 0.0
+            solid, contacts = disc((RADIUS * x, RADIUS * y, shift), directions, elements)
+            if dim == 3:
+                solid, contacts = extruded(solid, contacts)
             name_group(dim, [solid], body)
             for touches, sides in contacts.items():
                 name_group(dim - 1, sides, f"{body} {touches}")
+            solids.append((solid, shift))
         gmsh.model.mesh.generate(dim)
+        for solid, shift in solids:
+            put_in_place(dim, solid, shift)
         gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
         gmsh.write(str(output))
     finally:
