@@ -20,13 +20,12 @@ from fenics_tfeti.errors import NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact import (
     Contact,
-    ContactPair,
     ContactResult,
     MatchedContact,
-    check_contacts,
     contact_rows,
-    match_contact,
+    match_contacts,
 )
+from fenics_tfeti.fem.deformed import deformed_contact, geometry_pass
 from fenics_tfeti.fem.displacement import (
     average_of_copies,
     displacement_space,
@@ -162,14 +161,8 @@ class ContactProblem:
 
     def _match_contacts(self) -> None:
         with self._timer.phase("contact search"):
-            check_contacts(self.contacts, self.space.mesh.comm)
-            known = {id(c): m for c, m in zip(self._searched, self._matched, strict=True)}
-            self._matched = [
-                known[id(contact)]
-                if id(contact) in known and isinstance(contact, ContactPair)
-                else match_contact(self.space, contact, i)
-                for i, contact in enumerate(self.contacts)
-            ]
+            known = list(zip(self._searched, self._matched, strict=True))
+            self._matched = match_contacts(self.space, self.contacts, known)
             self._searched = list(self.contacts)
 
     def _assemble(self, known: Sequence[Subdomain] | None = None) -> list[Subdomain]:
@@ -224,7 +217,8 @@ class ContactProblem:
                     deformed_contact(self.space, contact, matched, uh)
                     for contact, matched in zip(self.contacts, self._matched, strict=True)
                 ]
-            passes.append(geometry_pass(deformed, self.contact, uh, self.report))
+            products = self.report.products["total"]
+            passes.append(geometry_pass(deformed, self.contact, uh, products))
             self.report = replace(self.report, passes=passes)
             if passes[-1].error <= self.options.penetration_tolerance:
                 return uh
@@ -253,7 +247,8 @@ class ContactProblem:
 
     def _take(self, solution: TornSolution) -> Function:
         versions = {**solution.report.versions, "dolfinx": _compat.version()}
-        self.report = replace(solution.report, versions=versions)
+        pairing = [matched.pairing for matched in self._matched]
+        self.report = replace(solution.report, versions=versions, pairing=pairing)
         ends = np.cumsum([matched.slave.size for matched in self._matched])[:-1]
         forces = np.split(solution.normal_force, ends)
         self.contact = [

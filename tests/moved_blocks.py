@@ -57,7 +57,8 @@ class Blocks:
         x = self.space.tabulate_dof_coordinates()[:, :gdim]
         for body, motion in ((LOWER, lower), (UPPER, upper)):
             if motion is not None:
-                u[self.body == body] = (motion(x.T).T - x)[self.body == body]
+                own = self.body == body
+                u[own] = motion(x[own].T).T - x[own]
         # ghosts have to be brought up to date by who needs them
         u[self.space.dofmap.index_map.size_local :] = np.nan
         return uh

@@ -7,6 +7,7 @@ measured anew on the surfaces that the last displacement has moved, between thei
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,11 +20,18 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact import Contact, ContactPair, MatchedContact, RigidObstacle
+from fenics_tfeti.fem.contact import (
+    Contact,
+    ContactPair,
+    ContactResult,
+    MatchedContact,
+    RigidObstacle,
+)
 from fenics_tfeti.fem.surface import Surface, facet_normals
+from fenics_tfeti.feti import GeometryPass
 from fenics_tfeti.feti.exchange import concatenate_ranks, together
 
-__all__ = ["DeformedContact", "deformed_contact"]
+__all__ = ["DeformedContact", "deformed_contact", "geometry_pass"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -47,6 +55,9 @@ class DeformedContact:
         Outward unit normals of the slave in the deformed state.
     gap : (k,) array
         Bound c of the row (u_slave - u_partner)'n <= c, in terms of the total displacement [m].
+    distance : (k,) array
+        How far the deformed slave node is from the deformed master or obstacle, along the normal;
+        negative inside [m].
     penetration : (k,) array
         How deep the deformed slave node is in the deformed master body or in the obstacle; 0
         outside [m].
@@ -58,6 +69,7 @@ class DeformedContact:
 
     normal: Vector
     gap: Vector
+    distance: Vector
     penetration: Vector
     partner_penetration: Vector
 
@@ -109,6 +121,41 @@ def deformed_contact(
     if isinstance(contact, RigidObstacle):
         return _at_obstacle(space, contact, matched, displacement, keep_normal)
     return _at_master(space, contact, matched, displacement, keep_normal)
+
+
+def geometry_pass(
+    deformed: Sequence[DeformedContact],
+    results: Sequence[ContactResult],
+    displacement: Function,
+    products: int,
+) -> GeometryPass:
+    """Sum up how far the deformed surfaces are from touching without penetration.
+
+    Parameters
+    ----------
+    deformed : sequence of DeformedContact
+        All contacts, this rank's parts.
+    results : sequence of ContactResult
+        Who presses.
+    displacement : Function
+        Which deformed them [m].
+    products : int
+        What it cost.
+    """
+    pressing = [
+        np.abs(new.distance[result.active]) for new, result in zip(deformed, results, strict=True)
+    ]
+    largest = np.array(
+        [
+            max((float(new.penetration.max(initial=0.0)) for new in deformed), default=0.0),
+            max((float(distance.max(initial=0.0)) for distance in pressing), default=0.0),
+            float(np.abs(displacement.x.array).max(initial=0.0)),
+        ]
+    )
+    displacement.function_space.mesh.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+    penetration, separation, size = largest.tolist()
+    error = max(penetration, separation) / size if size > 0.0 else 0.0
+    return GeometryPass(penetration, separation, error, products)
 
 
 @dataclass(frozen=True)
@@ -194,6 +241,7 @@ def _at_master(
     return DeformedContact(
         normal,
         free_way + np.sum(relative * normal, axis=1),
+        free_way,
         np.maximum(-signed, 0.0),
         np.maximum(-inside, 0.0),
     )
@@ -223,7 +271,7 @@ def _at_obstacle(
             normal = slave.normals(matched.name)[here]
     assert normal is not None
     bound = gap + np.sum(moves * normal, axis=1)
-    return DeformedContact(normal, bound, np.maximum(-gap, 0.0), np.zeros(gap.size))
+    return DeformedContact(normal, bound, gap, np.maximum(-gap, 0.0), np.zeros(gap.size))
 
 
 def _ask_obstacle(

@@ -43,12 +43,13 @@ class Distance:
     signed : (k,) array
         Distance to the surface, negative inside the body [m].
     normal : (k, gdim) array
-        Outward unit normal of the surface at the closest point; the mean of the adjacent facets'
-        at an edge, weighted with their angles at a vertex.
+        Unit vectors along which it grows: from the closest point to a point outside, and from a
+        point inside to the closest one. On the surface its outward normal, at an edge the mean of
+        the adjacent facets', at a vertex weighted with their angles.
     beside : (k,) bool array
         Whether the point is beside the border of the surface, by no more than half a facet: there
-        the surface counts as continued by the plane across `normal`, `signed` is the distance to
-        that.
+        the surface counts as continued by the plane across its normal at the border, `signed` and
+        `normal` are those of the plane.
     """
 
     signed: Vector
@@ -158,15 +159,17 @@ class Surface:
         border = self._feature_border[facet, feature]
         beside = border & (aside <= self._feature_half[facet, feature])
         signed = np.where(beside, height, np.where(border | (height >= 0.0), length, -length))
+        away = ~beside & (length > self._rounding)
+        normal[away] = offset[away] / signed[away, None]
         return Distance(signed, normal, beside)
 
     def gap_along(self, x: Vector, direction: Vector) -> tuple[Vector, Vector]:
         """Find how far points can go along a direction until they meet the surface.
 
         Of the facets that face the direction, the nearest one ahead counts for a point outside,
-        the nearest one behind for a point inside: it has to go back. The result is at most twice
-        the distance to the surface, so that lines that graze it do not count as far away; it is
-        the distance itself where the line meets nothing.
+        the nearest one behind for a point inside: it has to go back. Where there is none, the
+        plane across the way to the closest point takes the surface's place. The result is at most
+        twice the distance to the surface, also where the direction grazes or leaves it.
 
         Parameters
         ----------
@@ -183,13 +186,12 @@ class Surface:
         distance = self.distance(x)
         met = [self._meet(*part) for part in zip(_blocks(x), _blocks(direction), strict=True)]
         ahead, behind = (np.concatenate(column) for column in zip(*met, strict=True))
-        sign, length = np.sign(distance.signed), np.abs(distance.signed)
+        length = np.abs(distance.signed)
         cosine = -np.sum(direction * distance.normal, axis=1)
-        continued = distance.beside & (cosine > _GRAZING)
-        along = np.where(sign > 0.0, ahead, behind)
-        along[continued] = np.minimum(along, length / np.maximum(cosine, _GRAZING))[continued]
-        along = np.where(np.isfinite(along), np.minimum(along, _OBLIQUE * length), length)
-        return sign * along, distance.signed
+        plane = length / np.maximum(cosine, 1.0 / _OBLIQUE)
+        along = np.where(distance.signed > 0.0, ahead, behind)
+        along = np.where(np.isfinite(along), np.minimum(along, _OBLIQUE * length), plane)
+        return np.sign(distance.signed) * along, distance.signed
 
     def _closest(self, x: Vector) -> tuple[Vector, Numbers, Numbers]:
         """Return the closest points, their facets, and the features of these they are on."""

@@ -170,7 +170,7 @@ def _face(problem: DualProblem, active: Mask) -> tuple[Projector, Mask]:
     motions close join them.
     """
     space, constraints = problem.space, problem.space.constraints
-    scale = max(float(np.linalg.norm(problem.e)), np.finfo(float).tiny)
+    scale = float(np.linalg.norm(problem.e))
     while True:
         columns = constraints.equality
         columns[constraints.inequality] = active
@@ -207,15 +207,16 @@ def _solve_on(
         return face.complement(np.where(inside, x, 0.0))
 
     r = project(problem.d - Fl)
-    p, rz = np.zeros_like(r), 1.0
+    p = np.zeros_like(r)
+    rz = 1.0
     residual = inner.norm(r)
     while residual > tolerance and products.total < max_products:
         z = r
         if problem.precondition is not None:
             products.preconditioner += 1
             z = project(problem.precondition(r))
-        rz, before = inner.dots((r, z))[0], rz
-        p = z + (rz / before) * p
+        before, rz = rz, inner.dots((r, z))[0]
+        p = z + rz / before * p
         products.cg += 1
         Fp = problem.F(p)
         curvature = inner.dots((p, Fp))[0]

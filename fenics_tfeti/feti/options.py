@@ -71,7 +71,7 @@ class Options:
     fixing_nodes: int = 8
     factor: Package = "auto"
     method: Literal["active_set", "smalbe"] = "active_set"
-    preconditioner: Literal["none", "lumped", "dirichlet"] = "none"
+    preconditioner: Literal["none", "lumped", "dirichlet"] = "lumped"
     scaling: Scaling = "stiffness"
     expansion: Expansion = "projected_cg"
     rho: float = 1.0

@@ -17,6 +17,7 @@ from typing import Any
 from mpi4py import MPI
 
 from fenics_tfeti.feti.active_set import ActiveSetStep
+from fenics_tfeti.feti.pairing_table import pairing_table
 from fenics_tfeti.feti.recovery import Certificate
 from fenics_tfeti.qp import OuterIteration
 
@@ -60,7 +61,7 @@ class GeometryPass:
     penetration : float
         How deep a node is in the other body at most [m].
     separation : float
-        How far a node that presses is from the other body at most [m].
+        How far a node that presses is from the other body's surface at most [m].
     error : float
         The larger of both relative to the largest displacement.
     products : int
@@ -121,6 +122,12 @@ class Report:
     passes : list of GeometryPass
         One entry for each solution on the way to exact non-penetration; products, seconds and
         history of the report are those of the last one.
+    pairing : list of dict
+        For each contact its name, the numbers of ``pairs`` and ``unmatched`` slave nodes,
+        ``largest_distance`` [m] (what the tolerance limits; None for obstacles) and
+        ``largest_relative_distance`` (to the size of the facets), ``largest_angle`` between the
+        slave's normal and the opposite of its partner's [degrees], ``smallest_gap`` and
+        ``largest_gap`` [m].
     """
 
     unknowns: dict[str, int]
@@ -142,6 +149,11 @@ class Report:
     history: list[OuterIteration]
     faces: list[ActiveSetStep]
     passes: list[GeometryPass] = field(default_factory=list)
+    pairing: list[dict[str, Any]] = field(default_factory=list)
+
+    def pairing_table(self) -> str:
+        """Return `pairing` as a table to read, a line for each contact."""
+        return pairing_table(self.pairing)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as nested dictionaries."""

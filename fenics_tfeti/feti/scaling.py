@@ -15,6 +15,8 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
+from fenics_tfeti.errors import FactorizationError
+from fenics_tfeti.feti.exchange import together
 from fenics_tfeti.feti.torn_system import TornSystem
 
 __all__ = ["Scaling", "node_weights"]
@@ -38,11 +40,29 @@ def node_weights(system: TornSystem, scaling: Scaling) -> Vector:
     -------
     (torn nodes of this rank,) array
         Positive, at most 1.
+
+    Raises
+    ------
+    FactorizationError
+        If a diagonal is not positive.
     """
     if scaling == "multiplicity":
         return np.ones(sum(subdomain.nodes.size for subdomain in system.subdomains))
     diagonals = [s.stiffness.diagonal().reshape(-1, system.gdim) for s in system.subdomains]
     stiffness = np.concatenate([np.zeros((0, system.gdim)), *diagonals]).mean(axis=1)
+    with together(system.comm):
+        _check_positive(system, stiffness)
     largest = system.comm.allreduce(float(stiffness.max(initial=0.0)), MPI.MAX)
     weights: Vector = stiffness / largest
     return weights
+
+
+def _check_positive(system: TornSystem, stiffness: Vector) -> None:
+    bad = np.flatnonzero(~(stiffness > 0.0))
+    if bad.size:
+        ends = np.cumsum([subdomain.nodes.size for subdomain in system.subdomains])
+        subdomain = system.subdomains[int(np.searchsorted(ends, bad[0], side="right"))]
+        raise FactorizationError(
+            f"the diagonal of the stiffness is not positive at {bad.size} nodes, first in "
+            f"{system.body_name(subdomain.body)}: is the form elasticity with positive moduli?"
+        )

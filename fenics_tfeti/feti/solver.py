@@ -53,8 +53,7 @@ _TIGHTENING = 0.1
 _TIGHTENINGS = 4
 # what rounding leaves in the certificate of an exact solution
 _ROUNDING = 1e-9
-# relative to ||d||: a ||b|| that is rounding, so the start solves the problem already, and contact
-# forces that are rounding
+# relative to ||d||: what is rounding in residuals and in contact forces
 _NEGLIGIBLE_LOAD = 1e-13
 
 
@@ -241,7 +240,7 @@ class TornSolver:
             b = self.projector.complement(d)
             space = self.constraints.multipliers.space
             negligible = _NEGLIGIBLE_LOAD * space.norm(d)
-            norm_b = max(space.norm(b), negligible)
+            norm_b = max(space.norm(b), negligible / self.options.rtol)
         indices = self.constraints.inequality
         bounds = Bounds(indices, -self.start[indices])
 

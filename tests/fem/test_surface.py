@@ -26,10 +26,7 @@ def box(gdim: int, n: int = 5) -> tuple[np.ndarray, np.ndarray]:
             face = np.full((grid[0].size, gdim), side)
             face[:, across] = np.column_stack([g.ravel() for g in grid])
             at = np.arange(len(face)).reshape(grid[0].shape)
-            if gdim == 2:
-                cells = np.column_stack([at[:-1], at[1:]])
-            else:
-                cells = halved(at)
+            cells = np.column_stack([at[:-1], at[1:]]) if gdim == 2 else halved(at)
             inwards = facet_normals(face[cells])[:, axis] * side < 0.0
             cells[inwards] = cells[inwards][:, ::-1]
             facets.append(cells + sum(map(len, points)))
@@ -69,11 +66,19 @@ def test_closed_surface_has_no_border(closed_box):
     assert not surface.distance(somewhere(gdim)).beside.any()
 
 
-def test_normals_at_faces_and_corners(closed_box):
+def test_normal_is_the_gradient_of_the_distance(closed_box):
     surface, gdim = closed_box
-    at_face, at_corner = np.zeros(gdim), HALF[:gdim] + 0.1
-    at_face[-1] = -1.0
-    normal = surface.distance(np.array([at_face, at_corner])).normal
+    x = somewhere(gdim)
+    steps = 1e-6 * np.eye(gdim)
+    growth = [(box_distance(x + step) - box_distance(x - step)) / 2e-6 for step in steps]
+    np.testing.assert_allclose(surface.distance(x).normal, np.transpose(growth), atol=1e-6)
+
+
+def test_normals_on_faces_and_corners(closed_box):
+    surface, gdim = closed_box
+    on_face, corner = np.zeros(gdim), HALF[:gdim]
+    on_face[-1] = -HALF[gdim - 1]
+    normal = surface.distance(np.array([on_face, corner])).normal
     expected = [-np.eye(gdim)[-1], np.full(gdim, gdim**-0.5)]
     np.testing.assert_allclose(normal, expected, atol=1e-14)
 
@@ -98,12 +103,13 @@ def test_line_goes_back_to_the_face_it_came_through(closed_box):
 
 
 def test_face_that_does_not_face_the_line_is_not_met(closed_box):
-    """The line comes to the box from behind: the gap is the distance."""
+    """The line leaves the box."""
     surface, gdim = closed_box
     x, up = np.zeros((1, gdim)), np.eye(gdim)[-1:]
     x[0, -1] = 0.3
     gap, signed = surface.gap_along(x, up)
-    assert gap == signed == pytest.approx(0.3 - HALF[gdim - 1])
+    assert gap == 2.0 * signed
+    assert signed == pytest.approx(0.3 - HALF[gdim - 1])
 
 
 def test_gap_along_a_grazing_line_is_twice_the_distance(closed_box):
@@ -112,6 +118,14 @@ def test_gap_along_a_grazing_line_is_twice_the_distance(closed_box):
     x[0, -1] = HALF[gdim - 1] + 0.01
     direction[0, 0], direction[0, -1] = np.cos(0.1), -np.sin(0.1)
     assert surface.gap_along(x, direction)[0] == pytest.approx(0.02)
+
+
+def test_line_that_just_misses_a_corner_meets_the_plane_before_it(closed_box):
+    surface, gdim = closed_box
+    x, direction = np.zeros((1, gdim)), np.zeros((1, gdim))
+    x[0, 0], x[0, -1] = HALF[0] - 0.01, HALF[gdim - 1] + 0.1
+    direction[0, 0], direction[0, -1] = np.sin(0.2), -np.cos(0.2)
+    assert surface.gap_along(x, direction)[0] == pytest.approx(0.1 / np.cos(0.2))
 
 
 def test_no_points(closed_box):
@@ -193,7 +207,8 @@ def test_farther_beyond_the_border_is_outside(gdim, height):
     x = np.full((1, gdim), 0.5)
     x[0, 0], x[0, -1] = 1.5, height
     gap, signed = floor(gdim).gap_along(x, -np.eye(gdim)[-1:])
-    assert (gap[0], signed[0]) == pytest.approx((np.hypot(0.5, height),) * 2)
+    distance = np.hypot(0.5, height)
+    assert (gap[0], signed[0]) == pytest.approx((2.0 * distance, distance))
 
 
 def test_line_through_a_common_corner_of_facets_meets_them():
