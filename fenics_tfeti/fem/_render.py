@@ -102,7 +102,6 @@ def photograph(data: Any, limits: tuple[float, float], pixels: tuple[int, int]) 
         plotter.view_vector(data["camera"], viewup=(0, 0, 1))
         plotter.camera.view_angle = 24
     plotter.reset_camera()
-    plotter.camera.zoom(1.15)
     image: Image = plotter.screenshot(None, return_img=True)
     plotter.close()
     return without_margins(image)

@@ -110,12 +110,24 @@ def describe_motion(coordinates: Vector, displacement: Vector) -> str:
     size = np.abs(coordinates - centre).max()
     whole = np.linalg.norm(np.append(translation, size * rotation))
     words = []
+    turns = size * np.linalg.norm(rotation) > 1e-6 * whole
+    if turns:
+        centre, translation = _pole(centre, translation, rotation)
     if np.linalg.norm(translation) > 1e-6 * whole:
         words.append(f"translation along {_direction(translation)}")
-    if size * np.linalg.norm(rotation) > 1e-6 * whole:
+    if turns:
         axis = "" if gdim == 2 else f" about the axis {_direction(rotation)}"
         words.append(f"rotation{axis} through {format_point(centre, size)}")
     return " with ".join(words)
+
+
+def _pole(centre: Vector, translation: Vector, rotation: Vector) -> tuple[Vector, Vector]:
+    """Return the point next to the centre that moves along the axis at most, and how it moves."""
+    if rotation.size == 1:
+        return centre + np.array([-translation[1], translation[0]]) / rotation, np.zeros(2)
+    square = rotation @ rotation
+    along = rotation * (rotation @ translation) / square
+    return centre + np.cross(rotation, translation) / square, along
 
 
 def _direction(vector: Vector) -> str:

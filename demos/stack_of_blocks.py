@@ -1,0 +1,157 @@
+"""Twenty-seven loose blocks in a box: every surface a contact.
+
+# A stack of blocks
+
+3 x 3 x 3 concrete cubes of 1 m stand in a rigid box, open at the top. Nothing joins them: each has
+nodes of its own, and each of the 54 faces between two of them is a contact pair; the cube in the
+middle touches six others. The floor and the walls of the box are rigid planes. No displacement is
+prescribed anywhere: contact alone holds all 27 bodies, against their weight and a pressure on the
+top that grows towards one corner of the box. Some edges of the cubes lift off.
+
+This demo illustrates how to
+
+- build many contact pairs from the names of surfaces in the mesh file;
+- hold bodies by rigid obstacles alone;
+- check a solution by statics: without friction the walls and the neighbours push sideways only,
+  so each column of three cubes carries its own load, layer by layer.
+
+Run it by `python demos/stack_of_blocks.py`, or on several processes by
+`mpirun -n 2 python demos/stack_of_blocks.py`; it writes a picture and fields into `results/`.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle
+from fenics_tfeti.fem.fields import contact_fields, displacement_space, von_mises, write_fields
+from fenics_tfeti.fem.mesh_io import read_msh
+from fenics_tfeti.fem.pictures import draw_deformed
+
+here = Path(__file__).parent
+results = here.parent / "results"
+
+# One line for each outer iteration of the solver, from rank 0.
+logging.basicConfig(stream=sys.stdout, level=logging.WARNING, format="%(message)s", force=True)
+logging.getLogger("fenics_tfeti").setLevel(logging.INFO)
+
+# ## Mesh
+#
+# The surface with the name "2 1 3 +x" is that of the cube (2, 1, 3) at its upper x.
+
+stack = read_msh(here.parent / "meshes" / "stack_of_blocks.msh", MPI.COMM_WORLD)
+mesh, facet_tags, tags = stack.mesh, stack.facet_tags, stack.names
+cubes = [(i, j, k) for k in (1, 2, 3) for j in (1, 2, 3) for i in (1, 2, 3)]
+
+# ## Linear elasticity
+#
+# Concrete: Young's modulus 30 GPa, Poisson's ratio 0.2, weight 24 kN/m^3.
+
+E, nu = 30e9, 0.2
+mu = fem.Constant(mesh, E / (2 * (1 + nu)))
+lmbda = fem.Constant(mesh, E * nu / ((1 + nu) * (1 - 2 * nu)))
+weight = fem.Constant(mesh, np.array([0.0, 0.0, -24e3]))
+
+
+def epsilon(u):
+    """Return the small strain."""
+    return ufl.sym(ufl.grad(u))
+
+
+def sigma(u):
+    """Return the stress [Pa]."""
+    return lmbda * ufl.tr(epsilon(u)) * ufl.Identity(3) + 2 * mu * epsilon(u)
+
+
+V = displacement_space(mesh)
+u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
+a = ufl.inner(sigma(u), epsilon(v)) * ufl.dx
+L = ufl.inner(weight, v) * ufl.dx
+
+# The pressure on the top is 20 MPa (x/3)^4 (y/3)^4; `load` is its integral over the top of a
+# column.
+
+x = ufl.SpatialCoordinate(mesh)
+top = tuple(tags[f"{i} {j} 3 +z"] for i, j, k in cubes if k == 3)
+L -= 20e6 * (x[0] / 3 * x[1] / 3) ** 4 * v[2] * ds(top)
+
+
+def load(i, j):
+    """Return the force on the top of a column [N]."""
+    along_x, along_y = (3 / 5 * ((n / 3) ** 5 - ((n - 1) / 3) ** 5) for n in (i, j))
+    return 20e6 * along_x * along_y
+
+
+# ## Contact
+#
+# Each face between two cubes is a pair; each face on the floor or at a wall meets a rigid plane.
+
+
+def contacts_of_stack(facet_tags, tags):
+    """Return the 54 pairs and the 45 obstacles."""
+    contacts = []
+    for cube in cubes:
+        name = "{} {} {}".format(*cube)
+        for axis, letter in enumerate("xyz"):
+            e = np.eye(3)[axis]
+            if cube[axis] < 3:
+                above = "{:.0f} {:.0f} {:.0f}".format(*(cube + e))
+                pair = tags[f"{above} -{letter}"], tags[f"{name} +{letter}"]
+                contacts.append(ContactPair(facet_tags, *pair, name=f"{above} on {name}"))
+            elif letter != "z":
+                wall = Plane(point=3 * e, normal=-e)
+                face = tags[f"{name} +{letter}"]
+                contacts.append(RigidObstacle(facet_tags, face, wall, name=f"{name} +{letter}"))
+            if cube[axis] == 1:
+                wall = Plane(point=0 * e, normal=e)
+                face = tags[f"{name} -{letter}"]
+                contacts.append(RigidObstacle(facet_tags, face, wall, name=f"{name} -{letter}"))
+    return contacts
+
+
+contacts = contacts_of_stack(facet_tags, tags)
+problem = ContactProblem(a, L, contacts=contacts, options={"rtol": 1e-8})
+uh = problem.solve()
+
+# ## What came out
+#
+# Below the top, each horizontal face carries the load of its column and the weight above it.
+
+report = problem.report
+carried = dict(zip([contact.name for contact in contacts], report.contact_force, strict=True))
+worst = 0.0
+for i, j, k in cubes:
+    below = f"{i} {j} {k} on {i} {j} {k - 1}" if k > 1 else f"{i} {j} {k} -z"
+    expected = load(i, j) + 24e3 * (4 - k)
+    worst = max(worst, abs(carried[below] / expected - 1))
+if mesh.comm.rank == 0:
+    print("unknowns     ", report.unknowns, "in", report.subdomains, "subdomains")
+    print("products     ", report.products, "in", report.outer_iterations, "outer iterations")
+    print(f"largest error of the force through a face {worst:.1e}")
+    print("free motions ", report.free_motions or "none")
+    print("certificate  ", {k: f"{v:.1e}" for k, v in report.to_dict()["certificate"].items()})
+    results.mkdir(exist_ok=True)
+mesh.comm.barrier()
+report.to_json(results / "stack_of_blocks.json")
+
+stress = von_mises(mesh, sigma(uh))
+write_fields(results / "stack_of_blocks.pvd", [uh, stress, *contact_fields(V, problem.contact)])
+draw_deformed(
+    results / "stack_of_blocks.png",
+    uh,
+    stress,
+    label="von Mises stress",
+    unit="MPa",
+    title="27 loose blocks in a rigid box",
+    camera=(1.0, 1.2, 0.6),
+)

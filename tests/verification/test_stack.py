@@ -1,0 +1,202 @@
+"""27 loose blocks in a box: statics in closed form, and the problem solved as a whole."""
+
+from __future__ import annotations
+
+import itertools
+from functools import lru_cache
+
+from mpi4py import MPI
+
+import numpy as np
+import primal_reference as reference
+import pytest
+from scenes import POISSON, YOUNG, Plane, Scene, elasticity, vector_space
+
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc
+
+from fenics_tfeti.fem.structured import Box, boxes, tag_facets
+
+PRESSURE, WEIGHT = 20e6, 24e4
+CUBES = [(i, j, k) for k, j, i in itertools.product(range(3), repeat=3)]
+TOTAL = 1e8  # the scale of the loads [N]
+
+CASES = ["hexahedron", "tetrahedron"]
+every_case = pytest.mark.parametrize("cell", CASES)
+
+
+def body_of(cube):
+    """Return the number of a cube's cells."""
+    return 1 + CUBES.index(tuple(int(i) for i in cube))
+
+
+def face(cube, axis, end):
+    """Return the tag of a face: end is 0 for the lower and 1 for the upper one."""
+    return 10 * body_of(cube) + 2 * axis + end
+
+
+def at(axis, value):
+    return lambda x: np.isclose(x[axis], value)
+
+
+def contacts_of_stack():
+    """Return (contact, cubes) for the 54 pairs, then for the floor and the walls."""
+    axes = np.eye(3, dtype=int)
+    pairs, walls = [], []
+    for cube, axis in itertools.product(CUBES, range(3)):
+        next_one, e = tuple(cube + axes[axis]), axes[axis]
+        if next_one in CUBES:
+            pair = reference.Pair(face(next_one, axis, 0), face(cube, axis, 1), tuple(-e))
+            pairs.append((pair, (next_one, cube)))
+        elif axis < 2:
+            wall = Plane(tuple(3.0 * e), tuple(-e))
+            walls.append((reference.Obstacle(face(cube, axis, 1), wall), (cube,)))
+        if cube[axis] == 0:
+            wall = Plane(tuple(0.0 * e), tuple(e))
+            walls.append((reference.Obstacle(face(cube, axis, 0), wall), (cube,)))
+    return pairs + walls
+
+
+def stack(cell, n, power, weight=WEIGHT):
+    """Return the stack under the pressure p (x y / 9)^power on its top, and its own weight."""
+    parts = [Box(cube, np.add(cube, 1), (n, n, n)) for cube in CUBES]
+    tagged = boxes(MPI.COMM_SELF, parts, cell)
+    mesh = tagged.mesh
+    faces = itertools.product(CUBES, range(3), (0, 1))
+    markers = [(face(c, i, end), at(i, c[i] + end), body_of(c)) for c, i, end in faces]
+    facet_tags = tag_facets(mesh, markers, tagged.cell_tags)
+    V = vector_space(mesh)
+    u, v, x = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
+    young, weighs = fem.Constant(mesh, YOUNG), fem.Constant(mesh, weight)
+    dx, ds = ufl.dx(domain=mesh), ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
+    top = tuple(face(cube, 2, 1) for cube in CUBES if cube[2] == 2)
+    return Scene(
+        mesh=mesh,
+        V=V,
+        a=elasticity(u, v, young),
+        L=-weighs * v[2] * dx - PRESSURE * (x[0] * x[1] / 9) ** power * v[2] * ds(top),
+        bcs=[],
+        contacts=[contact for contact, _ in contacts_of_stack()],
+        facet_tags=facet_tags,
+        cell_tags=tagged.cell_tags,
+        total_forces=[],
+        kept=[young, weighs],
+    )
+
+
+@lru_cache(maxsize=None)
+def solved(cell, power=4, weight=WEIGHT):
+    """Return scene, solved problem and displacement."""
+    scene = stack(cell, 2, power, weight)
+    problem = scene.problem(options={"rtol": 1e-9})
+    return scene, problem, problem.solve()
+
+
+@lru_cache(maxsize=None)
+def as_a_whole(cell):
+    return solved(cell)[0].reference()
+
+
+def load_of_column(i, j, power=4):
+    """Return the force on the top of a column [N]."""
+    x, y = (
+        3 / (power + 1) * (((k + 1) / 3) ** (power + 1) - (k / 3) ** (power + 1)) for k in (i, j)
+    )
+    return PRESSURE * x * y
+
+
+def forces_on_blocks(scene, problem):
+    """Return force and moment about the origin (27, 6) that load and contacts leave on a block."""
+    left = np.zeros((27, 2, 3))
+
+    def add(cube, points, forces):
+        left[body_of(cube) - 1] += forces.sum(axis=0), np.cross(points, forces).sum(axis=0)
+
+    f = petsc.assemble_vector(fem.form(scene.L)).array.reshape(-1, 3)
+    x = scene.V.tabulate_dof_coordinates()
+    for cube in CUBES:
+        cells = scene.cell_tags.find(body_of(cube))
+        nodes = fem.locate_dofs_topological(scene.V, 3, cells)
+        add(cube, x[nodes], f[nodes])
+    for found, (_, cubes) in zip(problem.contact, contacts_of_stack(), strict=True):
+        for cube, sign in zip(cubes, (-1, 1), strict=False):
+            add(cube, found.coordinates, sign * found.normal_force[:, None] * found.normal)
+    return left.reshape(27, 6)
+
+
+def test_each_face_between_two_blocks_is_a_pair():
+    neighbours = [cubes for _, cubes in contacts_of_stack() if len(cubes) == 2]
+    assert len(neighbours) == 54
+    assert sum((1, 1, 1) in cubes for cubes in neighbours) == 6
+
+
+@every_case
+def test_each_face_carries_the_load_of_its_column(cell):
+    """Without friction the neighbours and the walls push sideways only."""
+    _, problem, _ = solved(cell)
+    for found, (_, cubes) in zip(problem.contact, contacts_of_stack(), strict=True):
+        i, j, k = cubes[0]
+        if abs(found.normal[0, 2]) > 0.5:
+            expected = load_of_column(i, j) + WEIGHT * (3 - k)
+            assert found.normal_force.sum() == pytest.approx(expected, abs=1e-8 * TOTAL)
+
+
+@every_case
+@pytest.mark.parametrize("layer", [0, 1, 2])
+def test_each_layer_carries_the_whole_load(cell, layer):
+    """The faces whose normal is vertical: three to a column."""
+    _, problem, _ = solved(cell)
+    carried = sum(
+        found.normal_force.sum()
+        for found in problem.contact
+        if abs(found.normal[0, 2]) > 0.5 and np.isclose(found.coordinates[0, 2], layer)
+    )
+    expected = PRESSURE * 9 / 25 + 9 * WEIGHT * (3 - layer)
+    assert carried == pytest.approx(expected, abs=1e-8 * TOTAL)
+
+
+@every_case
+def test_each_block_is_in_equilibrium(cell):
+    scene, problem, _ = solved(cell)
+    assert np.abs(forces_on_blocks(scene, problem)).max() <= 1e-8 * TOTAL
+
+
+@every_case
+def test_displacement(cell):
+    _, _, uh = solved(cell)
+    expected = as_a_whole(cell).displacement
+    assert np.linalg.norm(uh.x.array - expected) <= 1e-7 * np.linalg.norm(expected)
+
+
+@every_case
+def test_contact_forces(cell):
+    _, problem, _ = solved(cell)
+    expected = as_a_whole(cell).contacts
+    largest = max(contact.forces.max() for contact in expected)
+    for found, contact in zip(problem.contact, expected, strict=True):
+        order = np.argsort(found.nodes)
+        np.testing.assert_allclose(
+            found.normal_force[order], contact.forces, rtol=0.0, atol=1e-7 * largest
+        )
+
+
+@every_case
+def test_some_nodes_lift_off(cell):
+    """Otherwise the inequalities might as well be equations."""
+    forces = np.concatenate([contact.forces for contact in as_a_whole(cell).contacts])
+    assert 0 < np.count_nonzero(forces) < forces.size
+
+
+@every_case
+def test_uniform_pressure_is_exact(cell):
+    """The walls hold the sides: s_zz = -p and s_xx = s_yy = -nu / (1 - nu) p everywhere."""
+    _, problem, uh = solved(cell, power=0, weight=0.0)
+    sideways = POISSON / (1.0 - POISSON) * PRESSURE
+    for found in problem.contact:
+        expected = PRESSURE if abs(found.normal[0, 2]) > 0.5 else sideways
+        np.testing.assert_allclose(found.pressure, expected, rtol=1e-7)
+    stiffness = YOUNG * (1 - POISSON) / ((1 + POISSON) * (1 - 2 * POISSON))
+    exact = np.zeros((uh.x.array.size // 3, 3))
+    exact[:, 2] = -PRESSURE / stiffness * uh.function_space.tabulate_dof_coordinates()[:, 2]
+    np.testing.assert_allclose(uh.x.array, exact.ravel(), atol=1e-8 * np.abs(exact).max())
