@@ -2,8 +2,8 @@
 
 # Hertz's ball
 
-A ball of radius R = 50 mm is pressed onto a rigid, frictionless plane. Where it touches, it flattens
-over a small disc of radius a. Hertz's formulas, exact as long as a is small compared to R, are
+A ball of radius R = 50 mm is pressed onto a rigid, frictionless plane. It flattens where it touches,
+over a small disc of radius a. The formulas of Hertz, exact for a much smaller than R, are
 
     a^3 = 3 F R / (4 E*),   p(r) = p0 sqrt(1 - r^2 / a^2),   p0 = 3 F / (2 pi a^2),
 
@@ -52,7 +52,7 @@ force = 4 / 3 * E_star * 4e-3**3 / R
 
 # ## One solution
 #
-# Everything up to `ContactProblem` is plain dolfinx. The ball stands on its pole, at the origin, and
+# Everything up to `ContactProblem` is plain dolfinx. The ball stands on its pole, the origin, and
 # its flat cut face at z = R carries the force, as a uniform traction.
 
 
