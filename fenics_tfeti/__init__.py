@@ -22,8 +22,10 @@ _LAZY = {
     "ContactPair": "fenics_tfeti.fem.contact",
     "ContactProblem": "fenics_tfeti.problem",
     "ContactResult": "fenics_tfeti.fem.contact",
-    "Plane": "fenics_tfeti.fem.contact",
+    "Cylinder": "fenics_tfeti.fem.obstacles",
+    "Plane": "fenics_tfeti.fem.obstacles",
     "RigidObstacle": "fenics_tfeti.fem.contact",
+    "Sphere": "fenics_tfeti.fem.obstacles",
 }
 
 __all__ = [
@@ -31,11 +33,13 @@ __all__ = [
     "ContactPair",
     "ContactProblem",
     "ContactResult",
+    "Cylinder",
     "FactorizationError",
     "InputError",
     "NotConverged",
     "Plane",
     "RigidObstacle",
+    "Sphere",
     "UnresistedMotion",
 ]
 

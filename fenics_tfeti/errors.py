@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from math import floor, isfinite, log10
 from typing import Any
 
-__all__ = ["ContactError", "FactorizationError", "InputError", "NotConverged", "UnresistedMotion"]
+__all__ = [
+    "ContactError",
+    "FactorizationError",
+    "InputError",
+    "NotConverged",
+    "UnresistedMotion",
+    "format_point",
+]
+
+_DIGITS = 6
 
 
 class ContactError(Exception):
@@ -38,3 +49,33 @@ class NotConverged(ContactError, RuntimeError):
         super().__init__(message)
         self.solution = solution
         self.report = report
+
+
+def format_point(point: Iterable[float], size: float = 0.0) -> str:
+    """Write coordinates for a message, without the rounding errors that they carry.
+
+    Parameters
+    ----------
+    point : (gdim,) or (3,) sequence of float
+        The coordinates; any length unit.
+    size : float
+        Size of what surrounds the point, for points near the origin: six digits are kept of this
+        or of the largest coordinate, whichever is larger.
+
+    Returns
+    -------
+    str
+        Such as "(0.333333, 1, 0)".
+
+    Examples
+    --------
+    >>> format_point((1 / 3, 1.0, 1.4e-17))
+    '(0.333333, 1, 0)'
+    >>> format_point((1.4e-17, 0.0), size=1.0)
+    '(0, 0)'
+    """
+    numbers = [float(x) for x in point]
+    largest = max((abs(x) for x in (*numbers, size) if isfinite(x)), default=0.0)
+    decimals = _DIGITS - floor(log10(largest)) if largest > 0.0 else 0
+    # adding 0.0 turns -0.0 into 0.0
+    return "(" + ", ".join(f"{round(x, decimals) + 0.0:.{_DIGITS}g}" for x in numbers) + ")"

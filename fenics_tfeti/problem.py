@@ -22,9 +22,8 @@ from fenics_tfeti.fem.contact import (
     Contact,
     ContactResult,
     MatchedContact,
-    check_contacts,
     contact_rows,
-    match_contact,
+    match_contacts,
 )
 from fenics_tfeti.fem.displacement import (
     average_of_copies,
@@ -99,8 +98,7 @@ class ContactProblem:
         self.space = displacement_space(a, L)
         prescribed = prescribed_values(self.space, bcs)
         with self._timer.phase("contact search"):
-            check_contacts(contacts, self.space.mesh.comm)
-            self._matched = [match_contact(self.space, c, i) for i, c in enumerate(contacts)]
+            self._matched = match_contacts(self.space, contacts)
         with self._timer.phase("compilation"):
             forms = prepare_forms(self.space, a, L)
         with self._timer.phase("partition"):
@@ -152,7 +150,8 @@ class ContactProblem:
 
     def _take(self, solution: TornSolution) -> Function:
         versions = {**solution.report.versions, "dolfinx": _compat.version()}
-        self.report = replace(solution.report, versions=versions)
+        pairing = [matched.pairing for matched in self._matched]
+        self.report = replace(solution.report, versions=versions, pairing=pairing)
         ends = np.cumsum([matched.slave.size for matched in self._matched])[:-1]
         forces = np.split(solution.normal_force, ends)
         self.contact = [

@@ -10,15 +10,35 @@ from mpi4py import MPI
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
-import ufl
-from dolfinx import fem
 from dolfinx.fem import FunctionSpace
-from dolfinx.mesh import exterior_facet_indices, meshtags
 
-from fenics_tfeti.errors import InputError
+from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.matching import (
+    Match,
+    along_direction,
+    at_images,
+    by_coordinates,
+    nearest,
+)
+from fenics_tfeti.fem.obstacles import Cylinder, Obstacle, Plane, Sphere, gap_and_normal
+from fenics_tfeti.fem.pairing import (
+    angles_between,
+    check_not_crossed,
+    check_one_to_one,
+    check_partners,
+    pairing_entry,
+)
+from fenics_tfeti.fem.surfaces import (
+    GivenNormal,
+    MasterNodes,
+    Surface,
+    area_of_facets,
+    gather_master,
+    tagged_surface,
+    values_on_facets,
+)
 from fenics_tfeti.feti import ContactRows
 from fenics_tfeti.feti.exchange import concatenate_ranks, together
 
@@ -26,29 +46,33 @@ __all__ = [
     "Contact",
     "ContactPair",
     "ContactResult",
+    "Cylinder",
     "MatchedContact",
     "Plane",
     "RigidObstacle",
-    "check_contacts",
+    "Sphere",
     "contact_rows",
     "match_contact",
+    "match_contacts",
 ]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
-Obstacle = Callable[[Vector], tuple[ArrayLike, ArrayLike]]
+VectorField = ArrayLike | Callable[[Vector], ArrayLike]
 
-# a nodal normal whose facets' normals cancel to less than this part of their area
-_VANISHING_NORMAL = 1e-3
 # of coordinates, relative to the largest one of the surface
 _ROUNDING = 1e-13
+# normals of one node in two contacts that are closer than this say the same [degrees]; others meet
+# at an edge of the body
+_EDGE_ANGLE = 45.0
 
 
 @dataclass(frozen=True)
 class ContactPair:
     """Two tagged surfaces that may touch but not penetrate each other.
 
-    Each slave node meets the nearest master node; the grids have to match up to `tolerance`.
+    Each slave node meets one master node: the nearest one, unless `direction`, `mapping` or `pairs`
+    says how to find it. The grids have to match up to `tolerance`.
 
     Attributes
     ----------
@@ -59,8 +83,22 @@ class ContactPair:
     name : str
         For messages and the report.
     tolerance : float
-        How far, along the surface, a master node may be from its slave node, relative to the local
-        size of the slave's facets.
+        How far a master node may be from where its slave node looks for it, relative to the edges
+        of the slave's facets there. The distance is along the surface to the nearest node, across
+        the `direction`, from the `mapping`'s image, or from the points of `pairs` to the nodes.
+    direction : (gdim,) array-like or callable, optional
+        Partners are sought along this line, forwards and backwards, among the master nodes whose
+        normals point against the slave's. A callable gets x (3, n) [m] and returns (gdim, n).
+    mapping : callable, optional
+        chi of sec. 11.1: x (3, n) -> (3, n), where the partner of each slave node is expected [m].
+    pairs : (slave points, master points), optional
+        Arrays (k, 3) of coordinates [m]: the pairs one by one. The same on all ranks.
+    normal : (gdim,) array-like or callable, optional
+        Outward normals of the slave, of any length; a callable gets x (3, n) and returns (gdim, n).
+        By default the area-weighted average of the facets' normals at each node.
+    partial : bool
+        Whether slave nodes without partner, and those that belong to the master as well, stay free
+        instead of being an error. They are counted in the report.
     """
 
     facet_tags: Any
@@ -68,6 +106,11 @@ class ContactPair:
     master: int
     name: str = ""
     tolerance: float = 0.1
+    direction: VectorField | None = None
+    mapping: Callable[[Vector], ArrayLike] | None = None
+    pairs: tuple[ArrayLike, ArrayLike] | None = None
+    normal: GivenNormal = None
+    partial: bool = False
 
 
 @dataclass(frozen=True)
@@ -82,7 +125,8 @@ class RigidObstacle:
         Tag of the surface.
     obstacle : callable
         x -> (gap, normal) for points x of shape (3, n): the distance (n,) to the obstacle [m] and
-        the unit normal (gdim, n) that points from the obstacle to the body. `Plane` is one.
+        the unit normal (gdim, n) that points from the obstacle to the body. Or x -> gap, the
+        distance along the surface's own outward normal. `Plane`, `Sphere` and `Cylinder` are such.
     name : str
         For messages and the report.
     """
@@ -94,39 +138,6 @@ class RigidObstacle:
 
 
 Contact = ContactPair | RigidObstacle
-
-
-@dataclass(frozen=True)
-class Plane:
-    """A rigid half space.
-
-    Attributes
-    ----------
-    point : sequence of float
-        A point of its boundary [m].
-    normal : sequence of float
-        Normal of the boundary that points out of the obstacle, at the body; of any length.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> gap, normal = Plane(point=(0, 0, 0), normal=(0, 0, 2))(np.array([[0.0], [0.0], [0.5]]))
-    >>> gap.tolist(), normal.ravel().tolist()
-    ([0.5], [0.0, 0.0, 1.0])
-    """
-
-    point: Sequence[float]
-    normal: Sequence[float]
-
-    def __call__(self, x: Vector) -> tuple[Vector, Vector]:
-        """Return the distances and normals at points x of shape (3, n)."""
-        normal = np.asarray(self.normal, dtype=float)
-        length = np.linalg.norm(normal)
-        if not length > 0.0:
-            raise InputError(f"the plane's normal is {self.normal}: it has no direction")
-        unit, gdim = normal / length, normal.size
-        gap = unit @ (x[:gdim] - np.asarray(self.point, dtype=float)[:gdim, None])
-        return gap, np.tile(unit[:, None], (1, x.shape[1]))
 
 
 @dataclass(frozen=True)
@@ -148,7 +159,10 @@ class MatchedContact:
     gap : (k,) array
         (chi(x) - x)'n (11.7) [m].
     area : (k,) array
-        Area of the surface (length in 2D) that belongs to the node [m^2 or m].
+        Area of the surface (length in 2D) that belongs to the node [m^2 or m]; in a partial contact
+        that of facets whose nodes all have partners, where the node has such facets.
+    pairing : dict
+        The contact's entry of `Report.pairing`.
     """
 
     name: str
@@ -158,6 +172,7 @@ class MatchedContact:
     normal: Vector
     gap: Vector
     area: Vector
+    pairing: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -205,14 +220,30 @@ class ContactResult:
         return replace(self, comm=MPI.COMM_SELF, **whole)
 
 
-@dataclass(frozen=True)
-class _Surface:
-    """The nodes of a tagged surface that this rank owns."""
+def match_contacts(space: FunctionSpace, contacts: Sequence[Contact]) -> list[MatchedContact]:
+    """Match all contacts, and check that no two of them say the same thing.
 
-    nodes: Numbers
-    coordinates: Vector
-    normal: Vector
-    area: Vector
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    contacts : sequence of ContactPair or RigidObstacle
+        What may touch.
+
+    Returns
+    -------
+    list of MatchedContact
+        This rank's part.
+
+    Raises
+    ------
+    InputError
+        As `match_contact`; two contacts of the same surfaces, or of the same node with the same.
+    """
+    _check_different_surfaces(contacts, space.mesh.comm)
+    matched = [match_contact(space, contact, i) for i, contact in enumerate(contacts)]
+    _check_different_nodes(contacts, matched, space.mesh.comm)
+    return matched
 
 
 def match_contact(space: FunctionSpace, contact: Contact, number: int) -> MatchedContact:
@@ -237,43 +268,14 @@ def match_contact(space: FunctionSpace, contact: Contact, number: int) -> Matche
     Raises
     ------
     InputError
-        Tags on no facet or on interior ones, slave nodes without a partner, shared nodes.
+        Tags on no facet or on interior ones, slave nodes without a partner, shared nodes, pairs
+        that cross or are not one to one, wrong normals.
     """
     kind = "pair" if isinstance(contact, ContactPair) else "obstacle"
     name = contact.name or f"contact {number} ({kind})"
-    slave = _surface(space, contact.facet_tags, contact.slave, f"slave of {name}")
     if isinstance(contact, RigidObstacle):
-        with together(space.mesh.comm):
-            matched = _match_obstacle(name, slave, contact)
-        gap = _without_rounding(space.mesh.comm, matched.gap, slave.coordinates)
-        return replace(matched, gap=gap)
-    with together(space.mesh.comm):
-        if contact.slave == contact.master:
-            raise InputError(f"{name}: slave and master have the same tag {contact.slave}")
-    master = _surface(space, contact.facet_tags, contact.master, f"master of {name}")
-    return _match_pair(space.mesh.comm, name, slave, master, contact.tolerance)
-
-
-def check_contacts(contacts: Sequence[Contact], comm: MPI.Intracomm) -> None:
-    """Check that no two contacts say the same thing twice.
-
-    Raises
-    ------
-    InputError
-        If two pairs join the same surfaces.
-    """
-    pairs: dict[frozenset[int], int] = {}
-    with together(comm):
-        for number, contact in enumerate(contacts):
-            if not isinstance(contact, ContactPair):
-                continue
-            tags = frozenset((contact.slave, contact.master))
-            if tags in pairs:
-                raise InputError(
-                    f"contacts {pairs[tags]} and {number} join the same two surfaces, with slave "
-                    f"and master {sorted(tags)}: keep one of them"
-                )
-            pairs[tags] = number
+        return _match_obstacle(space, name, contact)
+    return _match_pair(space, name, contact)
 
 
 def contact_rows(matched: Sequence[MatchedContact], gdim: int) -> ContactRows:
@@ -289,162 +291,194 @@ def contact_rows(matched: Sequence[MatchedContact], gdim: int) -> ContactRows:
     )
 
 
-def _surface(space: FunctionSpace, facet_tags: Any, tag: int, what: str) -> _Surface:
-    """Find the owned nodes of a tagged surface, with area-weighted normals."""
-    domain, dim = space.mesh, space.mesh.topology.dim
-    with together(domain.comm):
-        if not _compat.tags_are_on(facet_tags, domain):
-            raise InputError(f"{what}: facet_tags belong to another mesh than the displacement")
-        if facet_tags.dim != dim - 1:
-            raise InputError(
-                f"{what}: facet_tags are on entities of dimension {facet_tags.dim}, facets have "
-                f"dimension {dim - 1}"
-            )
-    domain.topology.create_connectivity(dim - 1, dim)
-    owned = domain.topology.index_map(dim - 1).size_local
-    facets = facet_tags.find(tag)
-    facets = np.sort(facets[facets < owned])
-    _check_facets(domain, facet_tags, tag, facets, what)
-
-    ours = meshtags(domain, dim - 1, facets, np.ones(facets.size, dtype=np.int32))
-    ds = ufl.Measure("ds", domain=domain, subdomain_data=ours)
-    # the integral of the normal times a node's shape function: direction, and the area that turns
-    # a uniform pressure into the node's normal force
-    weight = ufl.inner(ufl.FacetNormal(domain), ufl.TestFunction(space)) * ds(1)
-    gdim = space.dofmap.index_map_bs
-    normal = _compat.assemble_distributed(weight).reshape(-1, gdim)
-
-    nodes = np.asarray(fem.locate_dofs_topological(space, dim - 1, facets), dtype=np.int32)
-    nodes = np.sort(nodes[nodes < space.dofmap.index_map.size_local])
-    area = np.linalg.norm(normal[nodes], axis=1)
-    coordinates = space.tabulate_dof_coordinates()[nodes]
-    with together(domain.comm):
-        _check_area(area, coordinates, what)
-    return _Surface(
-        np.asarray(space.dofmap.index_map.local_to_global(nodes), dtype=np.int64),
-        coordinates,
-        normal[nodes] / area[:, None],
-        area,
-    )
-
-
-def _check_facets(
-    domain: Any, facet_tags: Any, tag: int, facets: NDArray[np.int32], what: str
-) -> None:
-    comm = domain.comm
-    inside = np.setdiff1d(facets, exterior_facet_indices(domain.topology)).size
-    number, interior = comm.allreduce(facets.size), comm.allreduce(inside)
-    if number == 0:
-        there = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
-        raise InputError(f"{what}: tag {tag} is on no facet; the tags there are {there}")
-    if interior:
-        raise InputError(
-            f"{what}: {interior} of the {number} facets with tag {tag} are inside a body: only "
-            "facets on the boundary can touch. Do the bodies share nodes where they should not?"
-        )
-
-
-def _check_area(area: Vector, coordinates: Vector, what: str) -> None:
-    vanishing = np.flatnonzero(area <= _VANISHING_NORMAL * np.median(area)) if area.size else area
-    if vanishing.size:
-        raise InputError(
-            f"{what}: the normals of the facets around {vanishing.size} nodes cancel, the first at "
-            f"{coordinates[int(vanishing[0])]}: tag one side of an edge only"
-        )
-
-
-def _match_obstacle(name: str, slave: _Surface, contact: RigidObstacle) -> MatchedContact:
-    k, gdim = slave.normal.shape
-    values = contact.obstacle(np.ascontiguousarray(slave.coordinates.T))
-    try:
-        gap, outward = (np.asarray(value, dtype=float) for value in values)
-    except (TypeError, ValueError):
-        raise InputError(f"{name}: the obstacle has to return (gap, normal)") from None
-    if gap.shape != (k,) or outward.shape not in ((gdim, k), (3, k)):
-        raise InputError(
-            f"{name}: for points of shape (3, {k}) the obstacle returned a gap of shape "
-            f"{gap.shape} and a normal of shape {outward.shape}; expected ({k},) and ({gdim}, {k})"
-        )
-    if not (np.isfinite(gap).all() and np.isfinite(outward).all()):
-        raise InputError(f"{name}: the obstacle's gap or normal is NaN or infinite at some points")
-    length = np.linalg.norm(outward[:gdim], axis=0)
-    if np.any(np.abs(length - 1.0) > 1e-6):
-        worst = int(np.argmax(np.abs(length - 1.0)))
-        raise InputError(
-            f"{name}: the obstacle's normal at {slave.coordinates[worst]} has length "
-            f"{length[worst]:g} in {gdim} dimensions, expected 1"
-        )
-    none = np.full(k, -1, dtype=np.int64)
-    # u'n <= gap with n pointing into the obstacle
-    normal = -outward[:gdim].T
-    return MatchedContact(name, slave.nodes, none, slave.coordinates, normal, gap, slave.area)
-
-
-def _match_pair(
-    comm: MPI.Intracomm, name: str, slave: _Surface, master: _Surface, tolerance: float
-) -> MatchedContact:
-    nodes = concatenate_ranks(comm, master.nodes)
-    points = concatenate_ranks(comm, master.coordinates)
+def _match_obstacle(space: FunctionSpace, name: str, contact: RigidObstacle) -> MatchedContact:
+    comm = space.mesh.comm
+    slave = tagged_surface(space, contact.facet_tags, contact.slave, f"slave of {name}")
     with together(comm):
-        _check_shared_nodes(name, slave, nodes)
-
-    gdim = slave.normal.shape[1]
-    nearest = cKDTree(points).query(slave.coordinates)[1] if slave.nodes.size else np.zeros(0, int)
-    offset = points[nearest][:, :gdim] - slave.coordinates[:, :gdim]
-    gap = _without_rounding(comm, np.sum(offset * slave.normal, axis=1), slave.coordinates)
-    along = np.linalg.norm(offset - gap[:, None] * slave.normal, axis=1)
-    _check_partners(comm, name, slave, along, tolerance * _facet_size(slave, gdim))
-    _check_one_to_one(comm, name, nodes[nearest])
+        gap, outward = gap_and_normal(contact.obstacle, slave.coordinates, slave.normal, name)
+    gap = _without_rounding(gap, slave)
+    # u'n <= gap with n pointing into the obstacle
+    normal = -outward
+    if not comm.allreduce(int(np.sum(np.sum(normal * slave.normal, axis=1) > 0.0))):
+        raise InputError(
+            f"{name}: at none of the {comm.allreduce(slave.nodes.size)} nodes does the obstacle's "
+            "normal point at the body. It has to point out of the obstacle: turn it round (for a "
+            "Sphere or Cylinder around the body, hollow=True)"
+        )
     return MatchedContact(
-        name, slave.nodes, nodes[nearest], slave.coordinates, slave.normal, gap, slave.area
+        name,
+        slave.nodes,
+        np.full(slave.nodes.size, -1, dtype=np.int64),
+        slave.coordinates,
+        normal,
+        gap,
+        slave.area,
+        pairing_entry(comm, name, gap, angles_between(slave.normal, normal), slave.nodes.size),
     )
 
 
-def _without_rounding(comm: MPI.Intracomm, gap: Vector, coordinates: Vector) -> Vector:
-    """Set gaps to zero that are no more than the rounding of coordinates."""
-    largest = comm.allreduce(float(np.abs(coordinates).max(initial=0.0)), MPI.MAX)
-    return np.where(np.abs(gap) <= _ROUNDING * largest, 0.0, gap)
+def _match_pair(space: FunctionSpace, name: str, contact: ContactPair) -> MatchedContact:
+    comm = space.mesh.comm
+    with together(comm):
+        _check_arguments(contact, name)
+    tags = contact.facet_tags
+    slave = tagged_surface(space, tags, contact.slave, f"slave of {name}", contact.normal)
+    master = gather_master(comm, tagged_surface(space, tags, contact.master, f"master of {name}"))
+    shared = _shared_nodes(comm, name, slave, master, contact.partial)
+    match = _search(comm, contact, slave, master.without(shared), name)
+    match.distance[np.isin(slave.nodes, shared)] = np.inf
+    limit = contact.tolerance * slave.size
+    check_partners(comm, slave, match, limit, contact.partial, name)
+
+    master = master.without(shared)
+    found = match.distance <= limit
+    check_one_to_one(comm, slave, master, match, found, contact.partial, name)
+    partner = master.points[match.partner[found]]
+    covered = _facets_with_partners(space, slave, found, partner, name)
+    area = _area_with_partners(space, slave, covered) if contact.partial else slave.area
+
+    normal = slave.normal[found]
+    gap = _without_rounding(np.sum((partner - slave.points[found]) * normal, axis=1), slave)
+    distance = _without_rounding(match.distance[found], slave)
+    entry = pairing_entry(
+        comm,
+        name,
+        gap,
+        angles_between(normal, -master.normal[match.partner[found]]),
+        slave.nodes.size,
+        distance,
+        distance / slave.size[found],
+    )
+    return MatchedContact(
+        name,
+        slave.nodes[found],
+        master.nodes[match.partner[found]],
+        slave.coordinates[found],
+        normal,
+        gap,
+        area[found],
+        entry,
+    )
 
 
-def _facet_size(surface: _Surface, gdim: int) -> Vector:
-    size: Vector = surface.area ** (1.0 / (gdim - 1))
-    return size
+def _search(
+    comm: MPI.Intracomm, contact: ContactPair, slave: Surface, master: MasterNodes, name: str
+) -> Match:
+    if contact.direction is not None:
+        return along_direction(comm, slave, master, contact.direction, contact.tolerance, name)
+    if contact.mapping is not None:
+        return at_images(comm, slave, master, contact.mapping, name)
+    if contact.pairs is not None:
+        return by_coordinates(comm, slave, master, contact.pairs, contact.tolerance, name)
+    return nearest(slave, master)
 
 
-def _check_shared_nodes(name: str, slave: _Surface, master_nodes: Numbers) -> None:
-    shared = np.flatnonzero(np.isin(slave.nodes, master_nodes))
-    if shared.size:
+def _check_arguments(contact: ContactPair, name: str) -> None:
+    if contact.slave == contact.master:
+        raise InputError(f"{name}: slave and master have the same tag {contact.slave}")
+    ways = [way for way in ("direction", "mapping", "pairs") if getattr(contact, way) is not None]
+    if len(ways) > 1:
         raise InputError(
-            f"{name}: slave and master share {shared.size} nodes, the first at "
-            f"{slave.coordinates[shared[0]]}. The surfaces overlap or the bodies are one: each "
-            "body needs nodes of its own"
+            f"{name}: {' and '.join(ways)} are given; partners can be found in one way only"
+        )
+    if contact.mapping is not None and not callable(contact.mapping):
+        raise InputError(f"{name}: the mapping has to be a function x (3, n) -> (3, n)")
+    try:
+        positive = 0.0 < float(contact.tolerance) < np.inf
+    except (TypeError, ValueError):
+        positive = False
+    if not positive:
+        raise InputError(
+            f"{name}: the tolerance is {contact.tolerance!r}; a positive number is expected, "
+            "relative to the size of the slave's facets"
         )
 
 
-def _check_partners(
-    comm: MPI.Intracomm, name: str, slave: _Surface, along: Vector, limit: Vector
+def _shared_nodes(
+    comm: MPI.Intracomm, name: str, slave: Surface, master: MasterNodes, partial: bool
+) -> Numbers:
+    """Return the nodes that are slave and master, such as the tip of a crack; partial only."""
+    at = np.isin(slave.nodes, master.nodes)
+    shared, points = (concatenate_ranks(comm, part[at]) for part in (slave.nodes, slave.points))
+    if shared.size and (not partial or shared.size == len(master.nodes)):
+        first = format_point(points[np.lexsort(points.T[::-1])[0]], slave.extent)
+        raise InputError(
+            f"{name}: slave and master share {shared.size} nodes, the first at {first}. The "
+            "surfaces overlap or the bodies are one: each body needs nodes of its own. (Where two "
+            "faces of one body meet, such as at the tip of a crack, partial=True leaves the "
+            "shared nodes free)"
+        )
+    return shared
+
+
+def _facets_with_partners(
+    space: FunctionSpace, slave: Surface, found: NDArray[np.bool_], partner: Vector, name: str
+) -> NDArray[np.bool_]:
+    """Tell which of this rank's facets have partners at all nodes; check that pairs don't cross."""
+    images = np.full_like(slave.points, np.nan)
+    images[found] = partner
+    images = values_on_facets(space, slave, images)
+    normals = values_on_facets(space, slave, slave.normal)
+    corners = space.tabulate_dof_coordinates()[slave.vertices, : slave.points.shape[1]]
+    check_not_crossed(space.mesh.comm, slave, corners, normals, images, name)
+    covered: NDArray[np.bool_] = np.isfinite(images).all(axis=(1, 2))
+    return covered
+
+
+def _area_with_partners(space: FunctionSpace, slave: Surface, covered: NDArray[np.bool_]) -> Vector:
+    """Return the area that contact forces of a node stand for, for pressures."""
+    area = area_of_facets(space, slave, covered)
+    return np.where(area > _ROUNDING * slave.area, area, slave.area)
+
+
+def _without_rounding(lengths: Vector, slave: Surface) -> Vector:
+    """Set lengths to zero that are no more than the rounding of coordinates."""
+    return np.where(np.abs(lengths) <= _ROUNDING * slave.extent, 0.0, lengths)
+
+
+def _check_different_surfaces(contacts: Sequence[Contact], comm: MPI.Intracomm) -> None:
+    pairs: dict[tuple[int, frozenset[int]], int] = {}
+    with together(comm):
+        for number, contact in enumerate(contacts):
+            if not isinstance(contact, ContactPair):
+                continue
+            tags = frozenset((contact.slave, contact.master))
+            key = (id(_compat.cpp_object(contact.facet_tags)), tags)
+            if key in pairs:
+                raise InputError(
+                    f"contacts {pairs[key]} and {number} join the same two surfaces, with slave "
+                    f"and master {sorted(tags)}: keep one of them"
+                )
+            pairs[key] = number
+
+
+def _check_different_nodes(
+    contacts: Sequence[Contact], matched: Sequence[MatchedContact], comm: MPI.Intracomm
 ) -> None:
-    far = along > limit
-    columns = (slave.coordinates[far], along[far], limit[far])
-    points, distances, limits = (concatenate_ranks(comm, column) for column in columns)
-    total = comm.allreduce(slave.nodes.size)
-    if len(points):
-        first = "; ".join(
-            f"{point} at distance {distance:.3g} (tolerance {most:.3g})"
-            for point, distance, most in list(zip(points, distances, limits, strict=True))[:3]
-        )
-        raise InputError(
-            f"{name}: {len(points)} of {total} slave nodes have no partner: {first}. Distances are "
-            "along the surface to the nearest master node. Mesh the two surfaces alike, tag only "
-            "where they face each other, or raise the pair's tolerance"
-        )
+    """Check that no slave node meets the same surface or obstacle in two contacts."""
+    for second, other in enumerate(contacts):
+        for first, one in enumerate(contacts[:second]):
+            if not _same_master(one, other):
+                continue
+            a, b = matched[first], matched[second]
+            _, at_a, at_b = np.intersect1d(a.slave, b.slave, return_indices=True)
+            # at an edge of the body a node is in the way twice, in two directions
+            same = angles_between(a.normal[at_a], b.normal[at_b]) < _EDGE_ANGLE
+            points = concatenate_ranks(comm, a.coordinates[at_a[same], : a.normal.shape[1]])
+            if len(points):
+                size = float(np.abs(points).max())
+                place = format_point(points[np.lexsort(points.T[::-1])[0]], size)
+                raise InputError(
+                    f"{a.name} and {b.name} match {len(points)} slave nodes twice with the same "
+                    f"master surface or obstacle, the first at {place}: join the two slave "
+                    "surfaces under one tag, or separate them"
+                )
 
 
-def _check_one_to_one(comm: MPI.Intracomm, name: str, partners: Numbers) -> None:
-    together_, counts = np.unique(concatenate_ranks(comm, partners), return_counts=True)
-    twice = together_[counts > 1]
-    if twice.size:
-        raise InputError(
-            f"{name}: {twice.size} master nodes are the nearest of several slave nodes each; the "
-            "mapping has to be one to one. Exchange slave and master, or mesh the surfaces alike"
-        )
+def _same_master(one: Contact, other: Contact) -> bool:
+    if isinstance(one, ContactPair) and isinstance(other, ContactPair):
+        tags = (_compat.cpp_object(c.facet_tags) for c in (one, other))
+        return one.master == other.master and next(tags) is next(tags)
+    if isinstance(one, RigidObstacle) and isinstance(other, RigidObstacle):
+        return one.obstacle is other.obstacle
+    return False

@@ -16,6 +16,7 @@ from typing import Any
 
 from mpi4py import MPI
 
+from fenics_tfeti.feti.pairing_table import pairing_table
 from fenics_tfeti.feti.recovery import Certificate
 from fenics_tfeti.qp import OuterIteration
 
@@ -90,6 +91,12 @@ class Report:
         The options of the solve.
     history : list of OuterIteration
         One entry for each outer iteration.
+    pairing : list of dict
+        For each contact its name, the numbers of ``pairs`` and ``unmatched`` slave nodes,
+        ``largest_distance`` [m] (what the tolerance limits; None for obstacles) and
+        ``largest_relative_distance`` (to the size of the facets), ``largest_angle`` between the
+        slave's normal and the opposite of its partner's [degrees], ``smallest_gap`` and
+        ``largest_gap`` [m].
     """
 
     unknowns: dict[str, int]
@@ -108,6 +115,11 @@ class Report:
     versions: dict[str, str]
     options: dict[str, Any]
     history: list[OuterIteration]
+    pairing: list[dict[str, Any]] = field(default_factory=list)
+
+    def pairing_table(self) -> str:
+        """Return `pairing` as a table to read, a line for each contact."""
+        return pairing_table(self.pairing)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as nested dictionaries."""
