@@ -2,8 +2,8 @@
 
 # Hertz's ball
 
-A ball of radius R = 50 mm is pressed onto a rigid, frictionless plane. It flattens where it touches,
-over a small disc of radius a. The formulas of Hertz, exact for a much smaller than R, are
+A ball of radius R = 50 mm is pressed onto a rigid plane without friction. It flattens
+over a small disc of radius a. Formulas that hold for a much smaller than R are
 
     a^3 = 3 F R / (4 E*),   p(r) = p0 sqrt(1 - r^2 / a^2),   p0 = 3 F / (2 pi a^2),
 

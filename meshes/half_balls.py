@@ -1,6 +1,6 @@
 """Make hertz_*.msh: a half ball (half disc in 2D), or two that touch with their poles.
 
-    python meshes/half_balls.py [--cell tetrahedron] [--balls 2] [--element-size 5e-4] OUTPUT
+    python meshes/half_balls.py FILE [--cell tetrahedron] [--element-size 5e-4] [--radii 0.05 0.1]
 
 Needs Gmsh with its Python module ('apt install python3-gmsh' or 'pip install gmsh').
 Lengths are in metres. Of each half ball only the quarter x >= 0, y >= 0 is meshed (of a half disc
@@ -12,12 +12,12 @@ area is resolved within a large body. In 2D, y takes the place of z.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import gmsh
 import numpy as np
 
-RADIUS = 0.05  # of the ball [m]
 PATCH = 5e-3  # the uniform part of the mesh reaches so far from the pole [m]
 GROWTH = 1.25  # of neighbouring elements outside the patch
 
@@ -53,7 +53,7 @@ def brick(axes: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     return nodes.reshape(-1, len(axes)), np.stack(cells, axis=-1).reshape(-1, len(cells))
 
 
-def structured_half_ball(gdim: int, size: float) -> tuple[np.ndarray, np.ndarray]:
+def structured_half_ball(gdim: int, radius: float, size: float) -> tuple[np.ndarray, np.ndarray]:
     """Cut the quarter of a half ball into hexahedra, or quadrilaterals.
 
     First a half space is meshed up to the distance of 2 radii: a cube of equal elements at the
@@ -61,7 +61,7 @@ def structured_half_ball(gdim: int, size: float) -> tuple[np.ndarray, np.ndarray
     touches the half space at the origin and has its centre at the antipole then makes a ball of the
     half space. It keeps all angles, and near the origin all lengths.
     """
-    far = 2 * RADIUS
+    far = 2 * radius
     steps = np.linspace(0, 1, round(PATCH / size) + 1)
     shells = np.linspace(0, 1, int(np.ceil(np.log(far / PATCH) / np.log(GROWTH))) + 1)
     nodes, cells = brick([steps] * gdim)
@@ -88,18 +88,18 @@ def structured_half_ball(gdim: int, size: float) -> tuple[np.ndarray, np.ndarray
     return points + antipole, place.ravel()[cells]
 
 
-def unstructured_half_ball(gdim: int, size: float) -> tuple[np.ndarray, np.ndarray]:
+def unstructured_half_ball(gdim: int, radius: float, size: float) -> tuple[np.ndarray, np.ndarray]:
     """Fill the quarter of a half ball with tetrahedra, or triangles."""
     occ, mesh = gmsh.model.occ, gmsh.model.mesh
     gmsh.model.add("unstructured")
     if gdim == 3:
-        ball = occ.addSphere(0, 0, RADIUS, RADIUS)
+        ball = occ.addSphere(0, 0, radius, radius)
         # The poles and the seam of the parametrisation go where the quarter is not.
-        occ.rotate([(3, ball)], 0, 0, RADIUS, 1, 1, 0, -np.pi / 2)
-        box = occ.addBox(0, 0, 0, RADIUS, RADIUS, RADIUS)
+        occ.rotate([(3, ball)], 0, 0, radius, 1, 1, 0, -np.pi / 2)
+        box = occ.addBox(0, 0, 0, radius, radius, radius)
     else:
-        ball = occ.addDisk(0, RADIUS, 0, RADIUS, RADIUS)
-        box = occ.addRectangle(0, 0, 0, RADIUS, RADIUS)
+        ball = occ.addDisk(0, radius, 0, radius, radius)
+        box = occ.addRectangle(0, 0, 0, radius, radius)
     occ.intersect([(gdim, ball)], [(gdim, box)])
     occ.synchronize()
     field = mesh.field.add("MathEval")
@@ -119,7 +119,7 @@ def unstructured_half_ball(gdim: int, size: float) -> tuple[np.ndarray, np.ndarr
 
 
 def boundary(
-    points: np.ndarray, cells: np.ndarray, sides: list[list[int]]
+    points: np.ndarray, radius: float, cells: np.ndarray, sides: list[list[int]]
 ) -> dict[str, np.ndarray]:
     """Return the facets of the boundary in each group, as rows of nodes."""
     facets = np.concatenate([cells[:, side] for side in sides])
@@ -127,17 +127,17 @@ def boundary(
         np.sort(facets, axis=1), axis=0, return_index=True, return_counts=True
     )
     facets = facets[first[count == 1]]
-    x, tiny = points[facets], 1e-9 * RADIUS
+    x, tiny = points[facets], 1e-9 * radius
 
     def all_nodes(condition: np.ndarray) -> np.ndarray:
         return facets[condition.all(axis=1)]
 
-    on_sphere = np.abs(np.linalg.norm(x - RADIUS * np.eye(x.shape[2])[-1], axis=2) - RADIUS) < tiny
+    on_sphere = np.abs(np.linalg.norm(x - radius * np.eye(x.shape[2])[-1], axis=2) - radius) < tiny
     near = np.linalg.norm(x[..., :-1], axis=2) < 1.5 * PATCH
     groups = {
         # somewhat more than what will touch
         "contact": all_nodes(on_sphere & near),
-        "flat": all_nodes(np.abs(x[..., -1] - RADIUS) < tiny),
+        "flat": all_nodes(np.abs(x[..., -1] - radius) < tiny),
         "symmetry_x": all_nodes(np.abs(x[..., 0]) < tiny),
     }
     if x.shape[2] == 3:
@@ -146,29 +146,37 @@ def boundary(
 
 
 def half_balls(
-    output: Path, cell: str = "hexahedron", element_size: float = 5e-4, balls: int = 1
+    output: Path,
+    cell: str = "hexahedron",
+    element_size: float = 5e-4,
+    radii: Sequence[float] = (0.05,),
 ) -> None:
-    """Mesh one half ball above the plane z = 0 (y = 0 in 2D), or also its mirror image below."""
+    """Mesh a half ball above the plane z = 0 (y = 0 in 2D) and, given a second radius, one below.
+
+    Of equal radii, the two are mirror images. Of different ones, the grids of hexahedra still match
+    near the pole, those of tetrahedra do not.
+    """
     gdim, *types, sides = CELLS[cell]
     gmsh.initialize(readConfigFiles=False)
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         structured = cell in ("hexahedron", "quadrilateral")
         make = structured_half_ball if structured else unstructured_half_ball
-        points, cells = make(gdim, element_size)
-        points = np.round(points, 12)  # a picometre; shorter files
-        groups, bodies = boundary(points, cells, sides), {"upper": cells}
-        if balls == 2:
-            n, down = len(points), np.ones(gdim)
-            down[-1] = -1
-            points = np.concatenate([points, points * down])
-            bodies["lower"] = cells + n
-            for name in ("contact", "flat"):
-                rows = groups.pop(name)
-                groups |= {f"{name}_upper": rows, f"{name}_lower": rows + n}
-            for name in groups.keys() & {"symmetry_x", "symmetry_y"}:
-                groups[name] = np.concatenate([groups[name], groups[name] + n])
-        write(output, points, bodies, dict(sorted(groups.items())), types)
+        start, points = 0, []
+        bodies: dict[str, np.ndarray] = {}
+        groups: dict[str, list[np.ndarray]] = {}
+        for name, sign, radius in zip(("upper", "lower"), (1, -1), radii, strict=False):
+            nodes, cells = make(gdim, radius, element_size)
+            nodes = np.round(nodes, 12)  # a picometre; shorter files
+            for group, rows in boundary(nodes, radius, cells, sides).items():
+                apart = len(radii) == 2 and group in ("contact", "flat")
+                groups.setdefault(f"{group}_{name}" if apart else group, []).append(rows + start)
+            nodes[:, -1] *= sign
+            points.append(nodes)
+            bodies[name] = cells + start
+            start += len(nodes)
+        facets = {name: np.concatenate(rows) for name, rows in sorted(groups.items())}
+        write(output, np.concatenate(points), bodies, facets, types)
     finally:
         gmsh.finalize()
 
@@ -202,8 +210,8 @@ def write(
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cell", choices=CELLS, default="hexahedron")
-    parser.add_argument("--element-size", type=float, default=5e-4)
-    parser.add_argument("--balls", type=int, choices=(1, 2), default=1)
+    parser.add_argument("--element-size", type=float, default=5e-4, help="around the pole [m]")
+    parser.add_argument("--radii", type=float, nargs="+", default=[0.05], help="one or two [m]")
     parser.add_argument("output", type=Path)
     options = parser.parse_args()
-    half_balls(options.output, options.cell, options.element_size, options.balls)
+    half_balls(options.output, options.cell, options.element_size, options.radii)
