@@ -20,6 +20,7 @@ from fenics_tfeti.errors import NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact import (
     Contact,
+    ContactPair,
     ContactResult,
     MatchedContact,
     contact_rows,
@@ -215,12 +216,12 @@ class ContactProblem:
 
     def _correct_geometry(self, uh: Function) -> Function:
         """Repeat with normals and gaps of the deformed surfaces, sec. 11.1 and 11.11.2."""
-        gdim, passes = self.space.mesh.geometry.dim, list[GeometryPass]()
+        gdim, passes, moved = self.space.mesh.geometry.dim, list[GeometryPass](), self._matched
         while True:
             with self._timer.phase("deformed surfaces"):
                 deformed = [
-                    deformed_contact(self.space, contact, matched, uh)
-                    for contact, matched in zip(self.contacts, self._matched, strict=True)
+                    deformed_contact(self.space, contact, matched, uh, _gives_normals(contact))
+                    for contact, matched in zip(self.contacts, moved, strict=True)
                 ]
             products = self.report.products["total"]
             passes.append(geometry_pass(deformed, self.contact, uh, products))
@@ -230,8 +231,8 @@ class ContactProblem:
             if len(passes) == self.options.max_passes:
                 return self._not_exact(uh, passes[-1])
             moved = [
-                replace(matched, normal=new.normal, gap=new.gap)
-                for matched, new in zip(self._matched, deformed, strict=True)
+                replace(matched, master=new.master, normal=new.normal, gap=new.gap)
+                for matched, new in zip(moved, deformed, strict=True)
             ]
             uh = self._solve_linearised(replace(self.system, contacts=contact_rows(moved, gdim)))
 
@@ -261,6 +262,10 @@ class ContactProblem:
             for matched, force in zip(self._matched, forces, strict=False)
         ]
         return average_of_copies(self.space, self.system.subdomains, solution.displacements)
+
+
+def _gives_normals(contact: Contact) -> bool:
+    return isinstance(contact, ContactPair) and contact.normal is not None
 
 
 def _contact_result(

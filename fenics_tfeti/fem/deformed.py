@@ -1,8 +1,8 @@
 """Contact geometry in the deformed state, for exact non-penetration (sec. 11.1, 11.11.2).
 
 The linearized condition (11.1) is exact if the normals are those of the deformed state and the
-partners are opposite each other in it. Here the node pairs stay, and normals and gaps are
-measured anew on the surfaces that the last displacement has moved, between their facets.
+partners are opposite each other in it. Here normals and gaps are measured anew on the surfaces that
+the last displacement has moved, between their facets, and nodes that slid get new partners.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from dolfinx.fem import Function, FunctionSpace
 
@@ -40,6 +41,8 @@ Numbers = NDArray[np.int64]
 _VANISHING_NORMAL = 1e-3
 # of the length of an obstacle's unit normal
 _UNIT = 1e-6
+# ratio of distances at which another node takes a partner's place
+_CLEARLY_NEARER = 1.5
 _CORNERS = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 4}
 # corners in an order that turns the facet round
 _TURNED = {2: [1, 0], 3: [0, 2, 1], 4: [0, 2, 1, 3]}
@@ -51,6 +54,9 @@ class DeformedContact:
 
     Attributes
     ----------
+    master : (k,) integer array
+        Global node of the partner: that of `MatchedContact`, or the master's node that is now
+        opposite, where the surfaces slid; -1 for an obstacle.
     normal : (k, gdim) array
         Outward unit normals of the slave in the deformed state.
     gap : (k,) array
@@ -67,6 +73,7 @@ class DeformedContact:
         from arcs, and decreases with the square of their size.
     """
 
+    master: Numbers
     normal: Vector
     gap: Vector
     distance: Vector
@@ -236,15 +243,27 @@ def _at_master(
     partner = np.searchsorted(master.nodes, matched.master)
     normal = matched.normal if keep_normal else slave.normals(matched.name)[here]
     free_way, signed = master.surface().gap_along(slave.points[here], normal)
+    partner = _opposite(master, partner, slave.points[here] + free_way[:, None] * normal)
     relative = slave.displacement[here] - master.displacement[partner]
     inside = slave.surface().distance(master.points[partner]).signed
     return DeformedContact(
+        master.nodes[partner],
         normal,
         free_way + np.sum(relative * normal, axis=1),
         free_way,
         np.maximum(-signed, 0.0),
         np.maximum(-inside, 0.0),
     )
+
+
+def _opposite(master: _Moved, partner: Numbers, foot: Vector) -> Numbers:
+    """Return the master's nodes next to the points that the slave's nodes face.
+
+    A partner stays where another node is not clearly nearer: the passes shall not alternate.
+    """
+    distance, nearest = cKDTree(master.points).query(foot) if len(foot) else (foot[:, 0], partner)
+    present = np.linalg.norm(master.points[partner] - foot, axis=1)
+    return np.where(present > _CLEARLY_NEARER * distance, nearest, partner)
 
 
 def _at_obstacle(
@@ -271,7 +290,9 @@ def _at_obstacle(
             normal = slave.normals(matched.name)[here]
     assert normal is not None
     bound = gap + np.sum(moves * normal, axis=1)
-    return DeformedContact(normal, bound, gap, np.maximum(-gap, 0.0), np.zeros(gap.size))
+    return DeformedContact(
+        matched.master, normal, bound, gap, np.maximum(-gap, 0.0), np.zeros(gap.size)
+    )
 
 
 def _ask_obstacle(
