@@ -224,7 +224,11 @@ class ContactResult:
         return replace(self, comm=MPI.COMM_SELF, **whole)
 
 
-def match_contacts(space: FunctionSpace, contacts: Sequence[Contact]) -> list[MatchedContact]:
+def match_contacts(
+    space: FunctionSpace,
+    contacts: Sequence[Contact],
+    known: Sequence[tuple[Contact, MatchedContact]] = (),
+) -> list[MatchedContact]:
     """Match all contacts, and check that no two of them say the same thing.
 
     Parameters
@@ -233,6 +237,8 @@ def match_contacts(space: FunctionSpace, contacts: Sequence[Contact]) -> list[Ma
         The displacement's space.
     contacts : sequence of ContactPair or RigidObstacle
         What may touch.
+    known : sequence of (contact, match)
+        Matched before: pairs among them are taken as they are, obstacles are evaluated anew.
 
     Returns
     -------
@@ -245,7 +251,11 @@ def match_contacts(space: FunctionSpace, contacts: Sequence[Contact]) -> list[Ma
         As `match_contact`; two contacts of the same surfaces, or of the same node with the same.
     """
     _check_different_surfaces(contacts, space.mesh.comm)
-    matched = [match_contact(space, contact, i) for i, contact in enumerate(contacts)]
+    pairs = {id(contact): match for contact, match in known if isinstance(contact, ContactPair)}
+    matched = [
+        pairs[id(contact)] if id(contact) in pairs else match_contact(space, contact, i)
+        for i, contact in enumerate(contacts)
+    ]
     _check_different_nodes(contacts, matched, space.mesh.comm)
     return matched
 
