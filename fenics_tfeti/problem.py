@@ -114,6 +114,7 @@ class ContactProblem:
         self.bcs, self.contacts = list(bcs), list(contacts)
         self._searched: list[Contact] = []
         self._matched: list[MatchedContact] = []
+        self._moved: list[MatchedContact] = []
         self._solver: TornSolver | None = None
         prescribed = prescribed_values(self.space, self.bcs)
         with self._timer.phase("partition"):
@@ -162,12 +163,15 @@ class ContactProblem:
         if self._stale:
             self._refresh()
         self._stale = True
-        uh = self._solve_linearised(self.system)
-        return uh if self.options.non_penetration == "linearised" else self._correct_geometry(uh)
+        if self.options.non_penetration == "linearised":
+            return self._solve_linearised(self._matched)
+        return self._solve_exactly()
 
     def _match_contacts(self) -> None:
         with self._timer.phase("contact search"):
             known = list(zip(self._searched, self._matched, strict=True))
+            if [id(c) for c in self._searched] != [id(c) for c in self.contacts]:
+                self._moved = []
             self._matched = match_contacts(self.space, self.contacts, known)
             self._searched = list(self.contacts)
 
@@ -204,37 +208,41 @@ class ContactProblem:
             torn = self._assemble(torn)
         self.system = self._torn_system(torn, prescribed)
 
-    def _solve_linearised(self, system: TornSystem) -> Function:
+    def _solve_linearised(self, matched: Sequence[MatchedContact]) -> Function:
+        rows = contact_rows(matched, self.system.gdim)
+        system = replace(self.system, contacts=rows)
         self._solver = TornSolver(system, self.options, self._timer, self._solver)
         try:
             solution = self._solver.solve()
         except NotConverged as error:
-            error.solution = self._take(error.solution)
+            error.solution = self._take(error.solution, matched)
             error.report = self.report
             raise
-        return self._take(solution)
+        return self._take(solution, matched)
 
-    def _correct_geometry(self, uh: Function) -> Function:
-        """Repeat with normals and gaps of the deformed surfaces, sec. 11.1 and 11.11.2."""
-        gdim, passes, moved = self.space.mesh.geometry.dim, list[GeometryPass](), self._matched
+    def _solve_exactly(self) -> Function:
+        """Repeat with normals, gaps and partners of the deformed surfaces, sec. 11.1, 11.11.2."""
+        passes = list[GeometryPass]()
+        # where the last solution ended is nearer to the present one than the undeformed state
+        matched = self._moved or self._matched
         while True:
+            uh = self._solve_linearised(matched)
             with self._timer.phase("deformed surfaces"):
                 deformed = [
-                    deformed_contact(self.space, contact, matched, uh, _gives_normals(contact))
-                    for contact, matched in zip(self.contacts, moved, strict=True)
+                    deformed_contact(self.space, contact, match, uh, _gives_normals(contact))
+                    for contact, match in zip(self.contacts, matched, strict=True)
                 ]
             products = self.report.products["total"]
             passes.append(geometry_pass(deformed, self.contact, uh, products))
             self.report = replace(self.report, passes=passes)
+            matched = self._moved = [
+                replace(match, master=new.master, normal=new.normal, gap=new.gap)
+                for match, new in zip(matched, deformed, strict=True)
+            ]
             if passes[-1].error <= self.options.penetration_tolerance:
                 return uh
             if len(passes) == self.options.max_passes:
                 return self._not_exact(uh, passes[-1])
-            moved = [
-                replace(matched, master=new.master, normal=new.normal, gap=new.gap)
-                for matched, new in zip(moved, deformed, strict=True)
-            ]
-            uh = self._solve_linearised(replace(self.system, contacts=contact_rows(moved, gdim)))
 
     def _not_exact(self, uh: Function, last: GeometryPass) -> Function:
         reason = (
@@ -251,15 +259,16 @@ class ContactProblem:
             )
         return uh
 
-    def _take(self, solution: TornSolution) -> Function:
+    def _take(self, solution: TornSolution, matched: Sequence[MatchedContact]) -> Function:
         versions = {**solution.report.versions, "dolfinx": _compat.version()}
-        pairing = [matched.pairing for matched in self._matched]
+        pairing = [match.pairing for match in self._matched]
         self.report = replace(solution.report, versions=versions, pairing=pairing)
-        ends = np.cumsum([matched.slave.size for matched in self._matched])[:-1]
+        ends = np.cumsum([match.slave.size for match in self._matched])[:-1]
         forces = np.split(solution.normal_force, ends)
         self.contact = [
-            _contact_result(matched, force, self.space.mesh.comm)
-            for matched, force in zip(self._matched, forces, strict=False)
+            # the gap of the undeformed surfaces, with the normal that the force acts along
+            _contact_result(replace(match, gap=first.gap), force, self.space.mesh.comm)
+            for match, first, force in zip(matched, self._matched, forces, strict=False)
         ]
         return average_of_copies(self.space, self.system.subdomains, solution.displacements)
 
