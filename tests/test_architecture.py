@@ -59,7 +59,12 @@ def test_lower_storeys_need_no_dolfinx():
 
 
 @pytest.mark.parametrize(
-    "first", ["from fenics_tfeti import ContactProblem", "import fenics_tfeti.feti"]
+    "first",
+    [
+        "from fenics_tfeti import ContactProblem",
+        "import fenics_tfeti.feti",
+        "import fenics_tfeti.fem.fields",
+    ],
 )
 def test_package_may_be_the_first_import(first):
     """Of the wheels, mpi4py has to be imported before petsc4py and dolfinx."""
