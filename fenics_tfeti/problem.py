@@ -8,6 +8,8 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
+from mpi4py import MPI
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -278,7 +280,7 @@ def _gives_normals(contact: Contact) -> bool:
 
 
 def _contact_result(
-    matched: MatchedContact, force: NDArray[np.float64], comm: Any
+    matched: MatchedContact, force: NDArray[np.float64], comm: MPI.Intracomm
 ) -> ContactResult:
     return ContactResult(
         matched.name,

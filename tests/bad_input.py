@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 import scenes
-from bad_meshes import grid, merged, mesh_of, problem_on, slit, tags_of, together
+from mesh_arrays import grid, merged, mesh_of, problem_on, slit, tags_of, together
 from scenes import CLAMPED, LOADED, MASTER, ROLLER, SLAVE, YOUNG
 
 import ufl

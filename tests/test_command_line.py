@@ -45,5 +45,5 @@ def test_command_line_comes_before_the_script():
 
 
 def test_modules_that_were_started_with_the_command_line_do_not_count_it_twice():
-    start = "import sys, mpi4py.MPI, petsc4py; petsc4py.init(sys.argv)"
+    start = "import sys, mpi4py.MPI, petsc4py; petsc4py.init(['name', *sys.argv[1:]])"
     assert run(f"{start}\n{SOLVE}", "-tfeti_rtol", "1e-4") == "True 0.0001 1.0"

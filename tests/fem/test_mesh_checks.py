@@ -6,7 +6,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from bad_meshes import grid, merged, mesh_of, slit, tags_of, together
+from mesh_arrays import grid, merged, mesh_of, slit, tags_of, together
 
 from dolfinx.mesh import CellType, create_unit_cube, create_unit_square
 

@@ -6,7 +6,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from bad_meshes import grid, mesh_of, slit, tags_of
+from mesh_arrays import grid, mesh_of, slit, tags_of
 
 from fenics_tfeti import InputError
 from fenics_tfeti.fem.mesh_checks import check_mesh

@@ -1,4 +1,4 @@
-"""Meshes of a few cells from arrays: with flat, twisted, torn or missing parts."""
+"""Meshes from arrays: small ones, also flat, twisted or torn, and unstructured ones of Gmsh."""
 
 from __future__ import annotations
 
@@ -83,3 +83,37 @@ def problem_on(domain: Any, **arguments: Any) -> Any:
     nothing = fem.Constant(domain, 0.0)
     a = scenes.elasticity(u, v, fem.Constant(domain, scenes.YOUNG))
     return ContactProblem(a, nothing * v[0] * ufl.dx, **arguments)
+
+
+def unstructured_block(cell: str, size: float) -> tuple[Any, Any]:
+    """Return points and cells of a unit square or cube that Gmsh has meshed, finer at one corner.
+
+    `size` is that of the edges of triangles and tetrahedra; quadrilaterals are thirds of triangles,
+    hexahedra quarters of tetrahedra.
+    """
+    import gmsh
+
+    dim = 3 if "hedron" in cell else 2
+    kind = {"triangle": 2, "quadrilateral": 3, "tetrahedron": 4, "hexahedron": 5}[cell]
+    order = {3: [0, 1, 3, 2], 5: [0, 1, 3, 2, 4, 5, 7, 6]}.get(kind, slice(None))
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("Mesh.SubdivisionAlgorithm", {3: 1, 5: 2}.get(kind, 0))
+        if dim == 3:
+            gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
+        else:
+            gmsh.model.occ.addRectangle(0, 0, 0, 1, 1)
+        gmsh.model.occ.synchronize()
+        corners = gmsh.model.getEntities(0)
+        gmsh.model.mesh.setSize(corners, size)
+        gmsh.model.mesh.setSize(corners[:1], 0.5 * size)
+        gmsh.model.mesh.generate(dim)
+        numbers, points, _ = gmsh.model.mesh.getNodes()
+        nodes = gmsh.model.mesh.getElementsByType(kind)[1]
+    finally:
+        gmsh.finalize()
+    used, cells = np.unique(nodes, return_inverse=True)
+    place = np.argsort(numbers)[np.searchsorted(np.sort(numbers), used)]
+    vertices = {2: 3, 3: 4, 4: 4, 5: 8}[kind]
+    return points.reshape(-1, 3)[place, :dim], cells.reshape(-1, vertices)[:, order]
