@@ -25,14 +25,25 @@ from fenics_tfeti.fem.contact import (
     contact_rows,
     match_contacts,
 )
+from fenics_tfeti.fem.deformed import deformed_contact, geometry_pass
 from fenics_tfeti.fem.displacement import (
     average_of_copies,
     displacement_space,
     prescribed_values,
 )
 from fenics_tfeti.fem.partition import find_bodies, given_subdomains, split_into_subdomains
-from fenics_tfeti.fem.subdomain import prepare_forms
-from fenics_tfeti.feti import Report, Timer, TornSolution, TornSolver, TornSystem, parse_options
+from fenics_tfeti.fem.subdomain import prepare_forms, same_values
+from fenics_tfeti.feti import (
+    GeometryPass,
+    Prescribed,
+    Report,
+    Subdomain,
+    Timer,
+    TornSolution,
+    TornSolver,
+    TornSystem,
+    parse_options,
+)
 from fenics_tfeti.feti.exchange import together
 
 __all__ = ["ContactProblem"]
@@ -96,32 +107,33 @@ class ContactProblem:
         self.options = parse_options({**(options or {}), **_command_line()})
         self._timer = Timer()
         self.space = displacement_space(a, L)
-        prescribed = prescribed_values(self.space, bcs)
-        with self._timer.phase("contact search"):
-            self._matched = match_contacts(self.space, contacts)
+        self.bcs, self.contacts = list(bcs), list(contacts)
+        self._searched: list[Contact] = []
+        self._matched: list[MatchedContact] = []
+        self._solver: TornSolver | None = None
+        prescribed = prescribed_values(self.space, self.bcs)
+        self._match_contacts()
         with self._timer.phase("compilation"):
-            forms = prepare_forms(self.space, a, L)
+            self._forms = prepare_forms(self.space, a, L)
         with self._timer.phase("partition"):
             bodies = find_bodies(self.space.mesh, cell_tags)
             if subdomains is None:
                 cells = split_into_subdomains(self.space, bodies, self.options.subdomain_size)
             else:
                 cells = given_subdomains(self.space.mesh, bodies, subdomains)
-        with self._timer.phase("assembly"), together(self.space.mesh.comm):
-            torn = [forms.subdomain(part, int(bodies.of_cell[part[0]])) for part in cells]
-        gdim = self.space.mesh.geometry.dim
-        self.system = TornSystem(
-            torn,
-            prescribed,
-            contact_rows(self._matched, gdim),
-            gdim,
-            bodies.names,
-            [matched.name for matched in self._matched],
-            self.space.mesh.comm,
-        )
+        self._parts = [(part, int(bodies.of_cell[part[0]])) for part in cells]
+        self._body_names = bodies.names
+        self._values = self._forms.values()
+        self.system = self._torn_system(self._assemble(), prescribed)
+        self._stale = False
 
     def solve(self) -> Function:
-        """Solve the problem.
+        """Solve the problem, at the present values of loads, prescribed displacements and contacts.
+
+        For load steps, change the values of constants and functions in `L` and in the Dirichlet
+        conditions, or the entries of ``contacts`` (obstacles are evaluated anew in any case), and
+        solve again: what did not change is reused, and the iterations start from the last contact
+        forces. Changed data of `a` are noticed too, and cost a new assembly and factorisation.
 
         Returns
         -------
@@ -137,16 +149,101 @@ class ContactProblem:
         FactorizationError
             The form is not positive on a subdomain.
         NotConverged
-            At a limit on iterations; its ``solution`` is the last iterate, `contact` and `report`
-            are that one's. With the option ``error_if_not_converged`` false, it is returned.
+            At a limit on iterations or on geometry passes; its ``solution`` is the last iterate,
+            `contact` and `report` are that one's. With the option ``error_if_not_converged`` false,
+            it is returned.
         """
+        if self._stale:
+            self._refresh()
+        self._stale = True
+        uh = self._solve_linearised(self.system)
+        return uh if self.options.non_penetration == "linearised" else self._correct_geometry(uh)
+
+    def _match_contacts(self) -> None:
+        with self._timer.phase("contact search"):
+            known = list(zip(self._searched, self._matched, strict=True))
+            self._matched = match_contacts(self.space, self.contacts, known)
+            self._searched = list(self.contacts)
+
+    def _assemble(self, known: Sequence[Subdomain] | None = None) -> list[Subdomain]:
+        """Assemble the subdomains, or only the loads of known ones."""
+        with self._timer.phase("assembly"), together(self.space.mesh.comm):
+            return [
+                self._forms.subdomain(part, body, known[i] if known else None)
+                for i, (part, body) in enumerate(self._parts)
+            ]
+
+    def _torn_system(self, torn: Sequence[Subdomain], prescribed: Prescribed) -> TornSystem:
+        gdim = self.space.mesh.geometry.dim
+        return TornSystem(
+            torn,
+            prescribed,
+            contact_rows(self._matched, gdim),
+            gdim,
+            self._body_names,
+            [matched.name for matched in self._matched],
+            self.space.mesh.comm,
+        )
+
+    def _refresh(self) -> None:
+        """Take in what changed since the last solve."""
+        self._timer = Timer()
+        prescribed = prescribed_values(self.space, self.bcs)
+        self._match_contacts()
+        before, self._values = self._values, self._forms.values()
+        comm, torn = self.space.mesh.comm, self.system.subdomains
+        if not same_values(before.bilinear, self._values.bilinear, comm):
+            torn = self._assemble()
+        elif not same_values(before.linear, self._values.linear, comm):
+            torn = self._assemble(torn)
+        self.system = self._torn_system(torn, prescribed)
+
+    def _solve_linearised(self, system: TornSystem) -> Function:
+        self._solver = TornSolver(system, self.options, self._timer, self._solver)
         try:
-            solution = TornSolver(self.system, self.options, self._timer).solve()
+            solution = self._solver.solve()
         except NotConverged as error:
             error.solution = self._take(error.solution)
             error.report = self.report
             raise
         return self._take(solution)
+
+    def _correct_geometry(self, uh: Function) -> Function:
+        """Repeat with normals and gaps of the deformed surfaces, sec. 11.1 and 11.11.2."""
+        gdim, passes = self.space.mesh.geometry.dim, list[GeometryPass]()
+        while True:
+            with self._timer.phase("deformed surfaces"):
+                deformed = [
+                    deformed_contact(self.space, contact, matched, uh)
+                    for contact, matched in zip(self.contacts, self._matched, strict=True)
+                ]
+            products = self.report.products["total"]
+            passes.append(geometry_pass(deformed, self.contact, uh, products))
+            self.report = replace(self.report, passes=passes)
+            if passes[-1].error <= self.options.penetration_tolerance:
+                return uh
+            if len(passes) == self.options.max_passes:
+                return self._not_exact(uh, passes[-1])
+            moved = [
+                replace(matched, normal=new.normal, gap=new.gap)
+                for matched, new in zip(self._matched, deformed, strict=True)
+            ]
+            uh = self._solve_linearised(replace(self.system, contacts=contact_rows(moved, gdim)))
+
+    def _not_exact(self, uh: Function, last: GeometryPass) -> Function:
+        reason = (
+            f"limit of {self.options.max_passes} geometry passes (max_passes): the deformed "
+            f"surfaces penetrate or gape by {last.error:.1e} of the largest displacement"
+        )
+        self.report = replace(self.report, converged=False, reason=reason)
+        if self.options.error_if_not_converged:
+            raise NotConverged(
+                f"no exact non-penetration to {self.options.penetration_tolerance:g}: {reason}. "
+                "Raise the limit or penetration_tolerance, or set error_if_not_converged to false",
+                uh,
+                self.report,
+            )
+        return uh
 
     def _take(self, solution: TornSolution) -> Function:
         versions = {**solution.report.versions, "dolfinx": _compat.version()}

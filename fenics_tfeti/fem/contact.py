@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any
 
 from mpi4py import MPI
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dolfinx.fem import FunctionSpace
 
-from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.matching import (
     Match,
@@ -39,6 +40,7 @@ from fenics_tfeti.fem.surfaces import (
     tagged_surface,
     values_on_facets,
 )
+from fenics_tfeti.fem.user_data import refuse_where
 from fenics_tfeti.feti import ContactRows
 from fenics_tfeti.feti.exchange import concatenate_ranks, together
 
@@ -72,7 +74,9 @@ class ContactPair:
     """Two tagged surfaces that may touch but not penetrate each other.
 
     Each slave node meets one master node: the nearest one, unless `direction`, `mapping` or `pairs`
-    says how to find it. The grids have to match up to `tolerance`.
+    says how to find it. The grids have to match up to `tolerance`. Where nobody meshed the surfaces
+    alike, let the finer one, about twice as fine, be the master and raise the tolerance to 0.8;
+    what still has no partner, over the rim of the master, can stay free by `partial`.
 
     Attributes
     ----------
@@ -220,7 +224,11 @@ class ContactResult:
         return replace(self, comm=MPI.COMM_SELF, **whole)
 
 
-def match_contacts(space: FunctionSpace, contacts: Sequence[Contact]) -> list[MatchedContact]:
+def match_contacts(
+    space: FunctionSpace,
+    contacts: Sequence[Contact],
+    known: Sequence[tuple[Contact, MatchedContact]] = (),
+) -> list[MatchedContact]:
     """Match all contacts, and check that no two of them say the same thing.
 
     Parameters
@@ -229,6 +237,8 @@ def match_contacts(space: FunctionSpace, contacts: Sequence[Contact]) -> list[Ma
         The displacement's space.
     contacts : sequence of ContactPair or RigidObstacle
         What may touch.
+    known : sequence of (contact, match)
+        Matched before: pairs among them are taken as they are, obstacles are evaluated anew.
 
     Returns
     -------
@@ -241,7 +251,11 @@ def match_contacts(space: FunctionSpace, contacts: Sequence[Contact]) -> list[Ma
         As `match_contact`; two contacts of the same surfaces, or of the same node with the same.
     """
     _check_different_surfaces(contacts, space.mesh.comm)
-    matched = [match_contact(space, contact, i) for i, contact in enumerate(contacts)]
+    pairs = {id(contact): match for contact, match in known if isinstance(contact, ContactPair)}
+    matched = [
+        pairs[id(contact)] if id(contact) in pairs else match_contact(space, contact, i)
+        for i, contact in enumerate(contacts)
+    ]
     _check_different_nodes(contacts, matched, space.mesh.comm)
     return matched
 
@@ -294,17 +308,9 @@ def contact_rows(matched: Sequence[MatchedContact], gdim: int) -> ContactRows:
 def _match_obstacle(space: FunctionSpace, name: str, contact: RigidObstacle) -> MatchedContact:
     comm = space.mesh.comm
     slave = tagged_surface(space, contact.facet_tags, contact.slave, f"slave of {name}")
-    with together(comm):
-        gap, outward = gap_and_normal(contact.obstacle, slave.coordinates, slave.normal, name)
+    gap, outward = gap_and_normal(comm, contact.obstacle, slave.coordinates, slave.normal, name)
     gap = _without_rounding(gap, slave)
-    # u'n <= gap with n pointing into the obstacle
-    normal = -outward
-    if not comm.allreduce(int(np.sum(np.sum(normal * slave.normal, axis=1) > 0.0))):
-        raise InputError(
-            f"{name}: at none of the {comm.allreduce(slave.nodes.size)} nodes does the obstacle's "
-            "normal point at the body. It has to point out of the obstacle: turn it round (for a "
-            "Sphere or Cylinder around the body, hollow=True)"
-        )
+    normal = -outward  # u'n <= gap with n pointing into the obstacle
     return MatchedContact(
         name,
         slave.nodes,
@@ -399,15 +405,18 @@ def _shared_nodes(
 ) -> Numbers:
     """Return the nodes that are slave and master, such as the tip of a crack; partial only."""
     at = np.isin(slave.nodes, master.nodes)
-    shared, points = (concatenate_ranks(comm, part[at]) for part in (slave.nodes, slave.points))
-    if shared.size and (not partial or shared.size == len(master.nodes)):
-        first = format_point(points[np.lexsort(points.T[::-1])[0]], slave.extent)
-        raise InputError(
-            f"{name}: slave and master share {shared.size} nodes, the first at {first}. The "
-            "surfaces overlap or the bodies are one: each body needs nodes of its own. (Where two "
-            "faces of one body meet, such as at the tip of a crack, partial=True leaves the "
-            "shared nodes free)"
-        )
+    shared = concatenate_ranks(comm, slave.nodes[at])
+    refuse_where(
+        comm,
+        at if not partial or shared.size == len(master.nodes) else np.zeros_like(at),
+        slave.points,
+        lambda number, place: (
+            f"{name}: slave and master share {number} nodes, the first at {place}. The surfaces "
+            "overlap or the bodies are one: each body needs nodes of its own. (Where two faces of "
+            "one body meet, such as at the tip of a crack, partial=True leaves the shared nodes "
+            "free)"
+        ),
+    )
     return shared
 
 
@@ -456,23 +465,24 @@ def _check_different_nodes(
     contacts: Sequence[Contact], matched: Sequence[MatchedContact], comm: MPI.Intracomm
 ) -> None:
     """Check that no slave node meets the same surface or obstacle in two contacts."""
-    for second, other in enumerate(contacts):
-        for first, one in enumerate(contacts[:second]):
-            if not _same_master(one, other):
-                continue
-            a, b = matched[first], matched[second]
-            _, at_a, at_b = np.intersect1d(a.slave, b.slave, return_indices=True)
-            # at an edge of the body a node is in the way twice, in two directions
-            same = angles_between(a.normal[at_a], b.normal[at_b]) < _EDGE_ANGLE
-            points = concatenate_ranks(comm, a.coordinates[at_a[same], : a.normal.shape[1]])
-            if len(points):
-                size = float(np.abs(points).max())
-                place = format_point(points[np.lexsort(points.T[::-1])[0]], size)
-                raise InputError(
-                    f"{a.name} and {b.name} match {len(points)} slave nodes twice with the same "
-                    f"master surface or obstacle, the first at {place}: join the two slave "
-                    "surfaces under one tag, or separate them"
-                )
+    for (one, a), (other, b) in combinations(zip(contacts, matched, strict=True), 2):
+        if _same_master(one, other):
+            _check_common_nodes(comm, a, b)
+
+
+def _check_common_nodes(comm: MPI.Intracomm, a: MatchedContact, b: MatchedContact) -> None:
+    _, at_a, at_b = np.intersect1d(a.slave, b.slave, return_indices=True)
+    refuse_where(
+        comm,
+        # at an edge of the body a node is in the way twice, in two directions
+        angles_between(a.normal[at_a], b.normal[at_b]) < _EDGE_ANGLE,
+        a.coordinates[at_a, : a.normal.shape[1]],
+        lambda number, place: (
+            f"{a.name} and {b.name} match {number} slave nodes twice with the same master surface "
+            f"or obstacle, the first at {place}: join the two slave surfaces under one tag, or "
+            "separate them"
+        ),
+    )
 
 
 def _same_master(one: Contact, other: Contact) -> bool:

@@ -12,7 +12,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import Function, FunctionSpace
 
-from fenics_tfeti.errors import InputError
+from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.feti import Prescribed, Subdomain
 from fenics_tfeti.feti.exchange import together
@@ -131,8 +131,8 @@ def _check_values(
         block = space.dofmap.index_map_bs
         x = space.tabulate_dof_coordinates()[wrong[0] // block]
         raise InputError(
-            f"contradictory Dirichlet values: component {wrong[0] % block} at {x} is "
-            f"{values[wrong[0]]:g} by an earlier condition and {new[dofs == wrong[0]][0]:g} by "
+            f"contradictory Dirichlet values: component {wrong[0] % block} at {format_point(x)} "
+            f"is {values[wrong[0]]:g} by an earlier condition and {new[dofs == wrong[0]][0]:g} by "
             f"condition {number} ({wrong.size} such contradictions)"
         )
 

@@ -18,7 +18,7 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact import ContactResult
-from fenics_tfeti.fem.mesh_io import together
+from fenics_tfeti.feti.exchange import together
 
 __all__ = ["contact_fields", "displacement_space", "von_mises", "write_fields"]
 

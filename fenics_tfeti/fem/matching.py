@@ -28,6 +28,10 @@ _LINES = 4096
 # nodes of one sheet of the master within the reach of a line, seen along the line: no farther
 # apart than this many times the reach (a sheet as steep as 60 degrees)
 _SHEET = 4.0
+# at most so many nodes of a grid are equally near to a place in its middle
+_EQUALLY_NEAR = 8
+# of distances that are equal but for rounding
+_ROUNDING = 1e-9
 _CURE = (
     "mesh the two surfaces alike, tag only where they face each other, raise the pair's tolerance"
 )
@@ -97,10 +101,8 @@ def along_direction(
     Match
         The distance is across the direction.
     """
-    with together(comm):
-        lines = unit_vectors(
-            direction, slave.coordinates, slave.normal.shape[1], f"the direction of {name}"
-        )
+    gdim = slave.normal.shape[1]
+    lines = unit_vectors(comm, direction, slave.coordinates, gdim, f"the direction of {name}")
     reach = tolerance * slave.size
     k = slave.nodes.size
     partner, distance = np.full(k, -1, dtype=np.int64), np.full(k, np.inf)
@@ -138,9 +140,8 @@ def at_images(
     name: str,
 ) -> Match:
     """Match each slave node x with the master node nearest to the user's chi(x)."""
-    with together(comm):
-        gdim = slave.normal.shape[1]
-        images = vectors_at(mapping, slave.coordinates, gdim, f"the mapping of {name}")
+    gdim = slave.normal.shape[1]
+    images = vectors_at(comm, mapping, slave.coordinates, gdim, f"the mapping of {name}")
     distance, partner = _query(master.points, images)
     return Match(
         partner,
@@ -195,11 +196,17 @@ def by_coordinates(
 
 
 def _query(points: Vector, places: Vector) -> tuple[Vector, Numbers]:
-    """Return the distance to, and the position of, the point nearest to each place."""
+    """Return the distance to, and the position of, the point nearest to each place.
+
+    Of several equally near ones up to rounding it is the first.
+    """
     if not len(points) or not len(places):
         return np.full(len(places), np.inf), np.zeros(len(places), dtype=np.int64)
-    distance, at = cKDTree(points).query(places)
-    return distance, at.astype(np.int64)
+    distances, at = cKDTree(points).query(places, k=range(1, min(_EQUALLY_NEAR, len(points)) + 1))
+    tie = distances <= distances[:, :1] * (1.0 + _ROUNDING)
+    first = np.argmin(np.where(tie, at, len(points)), axis=1)[:, None]
+    distance, position = (np.take_along_axis(a, first, axis=1)[:, 0] for a in (distances, at))
+    return distance, position.astype(np.int64)
 
 
 def _leaves(points: Vector) -> list[Numbers]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import pickle
 import signal
 import threading
 from collections.abc import Iterator
@@ -21,8 +20,9 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.feti.exchange import together
 
-__all__ = ["TaggedMesh", "read_msh", "together"]
+__all__ = ["TaggedMesh", "read_msh"]
 
 _log = logging.getLogger(__name__)
 
@@ -112,42 +112,6 @@ def read_msh(
             f"{_KIND[gdim - 1]} groups are not sides of cells; mesh the {_KIND[gdim]}s again"
         )
     return TaggedMesh(mesh, cell_tags, facet_tags, names)
-
-
-@contextmanager
-def together(comm: MPI.Comm) -> Iterator[None]:
-    """Raise an error of one rank on all ranks, so that none is left waiting.
-
-    Collective: at its end, all ranks of `comm` learn of each other's errors. The first rank's
-    error is raised where there is no other.
-
-    Examples
-    --------
-    >>> with together(MPI.COMM_WORLD):
-    ...     if MPI.COMM_WORLD.rank == 0:
-    ...         raise ValueError("bad input")
-    Traceback (most recent call last):
-    ValueError: bad input
-    """
-    own: Exception | None = None
-    try:
-        yield
-    except Exception as error:
-        own = error
-    errors = [error for error in comm.allgather(_portable(own)) if error is not None]
-    if own is not None:
-        raise own
-    if errors:
-        raise errors[0]
-
-
-def _portable(error: Exception | None) -> Exception | None:
-    """Return an exception that survives pickling."""
-    try:
-        pickle.loads(pickle.dumps(error))
-    except Exception:
-        return RuntimeError(f"{type(error).__name__}: {error}")
-    return error
 
 
 def _import_gmsh() -> Any:

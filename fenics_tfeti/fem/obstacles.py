@@ -6,11 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fenics_tfeti.errors import InputError, format_point
-from fenics_tfeti.fem.user_data import called, first_place
+from fenics_tfeti.fem.user_data import called, refuse_where
+from fenics_tfeti.feti.exchange import together
 
 __all__ = ["Cylinder", "Obstacle", "Plane", "Sphere", "gap_and_normal"]
 
@@ -174,12 +177,14 @@ class Cylinder:
 
 
 def gap_and_normal(
-    obstacle: Obstacle, points: Vector, normal: Vector, name: str
-) -> tuple[Any, ...]:
-    """Return the gaps to an obstacle and its unit normals, checked.
+    comm: MPI.Intracomm, obstacle: Obstacle, points: Vector, normal: Vector, name: str
+) -> tuple[Vector, Vector]:
+    """Return the gaps to an obstacle and its unit normals, checked. Collective.
 
     Parameters
     ----------
+    comm : MPI.Intracomm
+        The ranks.
     obstacle : callable
         x (3, k) -> (gap, normal), or -> gap along the body's own normal.
     points : (k, 3) array
@@ -197,10 +202,47 @@ def gap_and_normal(
     Raises
     ------
     InputError
-        Wrong shapes, NaN, normals that are not of unit length, what the function raises.
+        Wrong shapes, NaN, normals that are not of unit length, what the function raises; an
+        obstacle that is turned inside out.
     """
+    gdim = normal.shape[1]
+    with together(comm):
+        gap, outward = _called_obstacle(obstacle, points, normal, name)
+    refuse_where(
+        comm,
+        ~(np.isfinite(gap) & np.isfinite(outward).all(axis=1)),
+        points[:, :gdim],
+        lambda number, place: (
+            f"{name}: the obstacle's gap or normal is NaN or infinite at {number} points, the "
+            f"first at {place}"
+        ),
+    )
+    length = np.linalg.norm(outward, axis=1)
+    refuse_where(
+        comm,
+        np.abs(length - 1.0) > _UNIT,
+        points[:, :gdim],
+        lambda number, place: (
+            f"{name}: the obstacle's normal is no unit vector in {gdim} dimensions at {number} "
+            f"points, the first at {place}. Divide it by its length"
+        ),
+    )
+    facing = comm.allreduce(int(np.sum(np.sum(outward * normal, axis=1) < 0.0)))
+    if not facing:
+        raise InputError(
+            f"{name}: at none of the {comm.allreduce(len(points))} nodes does the obstacle's "
+            "normal point at the body. It has to point out of the obstacle: turn it round (for a "
+            "Sphere or Cylinder around the body, hollow=True)"
+        )
+    return gap, outward / length[:, None]
+
+
+def _called_obstacle(
+    obstacle: Obstacle, points: Vector, normal: Vector, name: str
+) -> tuple[Vector, Vector]:
+    """Return gap (k,) and normal (k, gdim) as the user's function gives them."""
     k, gdim = normal.shape
-    if k == 0:
+    if k == 0:  # a user's function need not be prepared for that
         return np.zeros(0), np.zeros((0, gdim))
     gap, outward = _gap_then_normal(called(obstacle, points, f"{name}: the obstacle"), name)
     if outward is None:
@@ -210,21 +252,7 @@ def gap_and_normal(
             f"{name}: for points of shape (3, {k}) the obstacle returned a gap of shape "
             f"{gap.shape} and a normal of shape {outward.shape}; expected ({k},) and ({gdim}, {k})"
         )
-    finite = np.isfinite(gap) & np.isfinite(outward).all(axis=0)
-    if not finite.all():
-        raise InputError(
-            f"{name}: the obstacle's gap or normal is NaN or infinite at {np.sum(~finite)} points, "
-            f"the first at {first_place(points, ~finite, gdim)}"
-        )
-    length = np.linalg.norm(outward[:gdim], axis=0)
-    worst = int(np.argmax(np.abs(length - 1.0)))
-    if abs(length[worst] - 1.0) > _UNIT:
-        place = format_point(points[worst, :gdim], float(np.abs(points).max()))
-        raise InputError(
-            f"{name}: the obstacle's normal at {place} has length {length[worst]:g} in {gdim} "
-            "dimensions, expected 1"
-        )
-    return gap, outward[:gdim].T / length[:, None]
+    return gap, outward[:gdim].T
 
 
 def _gap_then_normal(values: Any, name: str) -> tuple[Vector, Vector | None]:

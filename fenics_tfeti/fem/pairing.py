@@ -28,6 +28,8 @@ Numbers = NDArray[np.int64]
 _NAMED = 3  # places in a message
 # of the product of two edges: the rounding of edges at right angles
 _ROUNDING = 1e-9
+# of unit vectors that differ by rounding
+_SAME = 1e-13
 
 
 def check_partners(
@@ -152,8 +154,9 @@ def check_not_crossed(
     normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)
     # along the surface only: gaps may differ from node to node
     edge = _tangential(ends[:, 1] - ends[:, 0], normal)
-    image = _tangential(partners[:, 1] - partners[:, 0], normal)
+    image = partners[:, 1] - partners[:, 0]
     product = np.linalg.norm(edge, axis=1) * np.linalg.norm(image, axis=1)
+    image = _tangential(image, normal)
     crossed = np.sum(edge * image, axis=1) < -_ROUNDING * product  # false where there is a NaN
 
     found = np.concatenate([ends[crossed], partners[crossed]], axis=1)
@@ -221,6 +224,7 @@ def angles_between(first: Vector, second: Vector) -> Vector:
     """Return the angles between unit vectors (k, gdim), row by row [degrees]."""
     # exact for small angles, unlike the inverse cosine
     chord = np.linalg.norm(first - second, axis=1)
+    chord[chord < _SAME] = 0.0
     angle: Vector = np.degrees(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
     return angle
 

@@ -24,7 +24,7 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.fields import field_degree
-from fenics_tfeti.fem.mesh_io import together
+from fenics_tfeti.feti.exchange import together
 
 __all__ = ["draw_deformed", "draw_profile"]
 

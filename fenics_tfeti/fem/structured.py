@@ -15,7 +15,8 @@ from dolfinx.mesh import Mesh, exterior_facet_indices, meshtags
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.mesh_io import TaggedMesh, together
+from fenics_tfeti.fem.mesh_io import TaggedMesh
+from fenics_tfeti.feti.exchange import together
 
 __all__ = ["Box", "boxes", "tag_facets"]
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -22,7 +23,7 @@ from fenics_tfeti.fem.partition import cell_facets
 from fenics_tfeti.feti import Subdomain
 from fenics_tfeti.feti.exchange import together
 
-__all__ = ["BoundForms", "prepare_forms"]
+__all__ = ["BoundForms", "FormValues", "prepare_forms", "same_values"]
 
 Numbers = NDArray[np.int32]
 
@@ -53,10 +54,14 @@ class _PreparedForm:
 
     Attributes
     ----------
+    name : str
+        For messages.
     compiled : CompiledForm
         The kernel.
     coefficients : list of Function
         The user's coefficients.
+    constants : list of Constant
+        The user's constants.
     cell_tag : (cells,) integer array or None
         Tag of each cell, where integrals over cells are tagged.
     facet_tag : (cells, facets of a cell) integer array or None
@@ -65,12 +70,28 @@ class _PreparedForm:
         The tags that the form's integrals name.
     """
 
+    name: str
     compiled: _compat.CompiledForm
     coefficients: list[Function]
+    constants: list[Any]
     cell_tag: NDArray[np.int64] | None
     facet_tag: NDArray[np.int64] | None
     cell_ids: list[int]
     facet_ids: list[int]
+
+
+@dataclass(frozen=True)
+class FormValues:
+    """Copies of the coefficients' and constants' values, to see later whether they changed.
+
+    Attributes
+    ----------
+    bilinear, linear : list of arrays
+        Of a and L.
+    """
+
+    bilinear: list[NDArray[np.float64]]
+    linear: list[NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -89,7 +110,7 @@ class BoundForms:
     bilinear: _PreparedForm
     linear: _PreparedForm
 
-    def subdomain(self, cells: Numbers, body: int) -> Subdomain:
+    def subdomain(self, cells: Numbers, body: int, known: Subdomain | None = None) -> Subdomain:
         """Assemble K_i and f_i of some of this rank's cells.
 
         Parameters
@@ -98,6 +119,8 @@ class BoundForms:
             The cells, connected through facets.
         body : int
             Their body.
+        known : Subdomain, optional
+            The same subdomain at an earlier time: all but f_i is taken from it.
 
         Returns
         -------
@@ -106,8 +129,10 @@ class BoundForms:
         """
         sub = _submesh(self.space.mesh, cells)
         V = _compat.space_like(sub.mesh, self.space)
-        indptr, indices, data = _compat.assemble_stiffness(_bind(self.bilinear, sub, [V, V]))
         load = _compat.assemble_load(_bind(self.linear, sub, [V]))
+        if known is not None:
+            return replace(known, load=load)
+        indptr, indices, data = _compat.assemble_stiffness(_bind(self.bilinear, sub, [V, V]))
         gdim = self.space.dofmap.index_map_bs
         return Subdomain(
             sp.csr_matrix((data, indices, indptr)),
@@ -116,6 +141,17 @@ class BoundForms:
             self._global_nodes(sub, V),
             body,
         )
+
+    def values(self) -> FormValues:
+        """Return the present values of all that the forms depend on.
+
+        Raises
+        ------
+        InputError
+            NaN in coefficients and constants.
+        """
+        with together(self.space.mesh.comm):
+            return FormValues(_values(self.bilinear), _values(self.linear))
 
     def _global_nodes(self, sub: _Submesh, V: FunctionSpace) -> NDArray[np.int64]:
         local = _parent_dofs(self.space, V, sub)
@@ -151,6 +187,20 @@ def prepare_forms(space: FunctionSpace, a: ufl.Form, L: ufl.Form) -> BoundForms:
     )
 
 
+def same_values(
+    before: Sequence[NDArray[np.float64]], now: Sequence[NDArray[np.float64]], comm: MPI.Intracomm
+) -> bool:
+    """Tell, on all ranks alike, whether values are what they were."""
+    same = all(np.array_equal(x, y) for x, y in zip(before, now, strict=True))
+    return bool(comm.allreduce(same, MPI.LAND))
+
+
+def _values(form: _PreparedForm) -> list[NDArray[np.float64]]:
+    _check_values(form.name, form.coefficients, form.constants)
+    coefficients = [np.array(w.x.array, dtype=float) for w in form.coefficients]
+    return coefficients + [np.array(c.value, dtype=float) for c in form.constants]
+
+
 def _prepare(
     space: FunctionSpace, form: ufl.Form, name: str, exterior: NDArray[np.bool_]
 ) -> _PreparedForm:
@@ -178,8 +228,10 @@ def _prepare(
         facet_tag = np.where(exterior, of_facet[facet_of[:owned]], _NOWHERE)
         facet_ids = _tagged_ids(form, "exterior_facet")
     return _PreparedForm(
+        name,
         _compat.CompiledForm(form, domain.comm),
         list(form.coefficients()),
+        list(form.constants()),
         cell_tag,
         facet_tag,
         cell_ids,
@@ -199,7 +251,7 @@ def _check_integrals(form: ufl.Form, name: str) -> None:
 
 def _check_data(form: ufl.Form, name: str, domain: Mesh) -> None:
     for number, coefficient in enumerate(form.coefficients()):
-        label = f"coefficient {number} ({getattr(coefficient, 'name', 'unnamed')}) of the {name}"
+        label = _label(number, coefficient, name)
         W = coefficient.function_space
         if _compat.cpp_object(W.mesh) is not _compat.cpp_object(domain):
             raise InputError(f"{label} lives on another mesh than the displacement")
@@ -209,14 +261,25 @@ def _check_data(form: ufl.Form, name: str, domain: Mesh) -> None:
                 f"{label} has the element {family} of degree {degree}; coefficients may be "
                 "discontinuous Lagrange of any degree, or Lagrange of degree 1 or 2. Interpolate it"
             )
-        if not np.isfinite(coefficient.x.array).all():
-            bad = np.count_nonzero(~np.isfinite(coefficient.x.array))
-            raise InputError(f"{label} has {bad} values that are NaN or infinite")
-    for number, constant in enumerate(form.constants()):
+    _check_values(name, form.coefficients(), form.constants())
+
+
+def _check_values(name: str, coefficients: Sequence[Function], constants: Sequence[Any]) -> None:
+    for number, coefficient in enumerate(coefficients):
+        bad = np.count_nonzero(~np.isfinite(coefficient.x.array))
+        if bad:
+            raise InputError(
+                f"{_label(number, coefficient, name)} has {bad} values that are NaN or infinite"
+            )
+    for number, constant in enumerate(constants):
         if not np.isfinite(constant.value).all():
             raise InputError(
                 f"constant {number} of the {name} is NaN or infinite: {constant.value}"
             )
+
+
+def _label(number: int, coefficient: Function, name: str) -> str:
+    return f"coefficient {number} ({getattr(coefficient, 'name', 'unnamed')}) of the {name}"
 
 
 def _tagged_ids(form: ufl.Form, kind: str) -> list[int]:

@@ -18,7 +18,7 @@ from dolfinx.mesh import exterior_facet_indices, meshtags
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.user_data import first_place, unit_vectors
+from fenics_tfeti.fem.user_data import refuse_where, unit_vectors
 from fenics_tfeti.feti.exchange import Directory, concatenate_ranks, together
 
 __all__ = [
@@ -166,8 +166,7 @@ def tagged_surface(
     global_nodes = np.asarray(to_global(nodes), dtype=np.int64)
     of_vertices = np.asarray(to_global(vertices.ravel()), dtype=np.int64).reshape(vertices.shape)
     size = _smallest_facets(domain, rows, of_vertices, global_nodes)
-    with together(domain.comm):
-        normal, area = _normals(weighted, size, coordinates, given, what)
+    normal, area = _normals(domain.comm, weighted, size, coordinates, given, what)
     return Surface(global_nodes, nodes, coordinates, normal, area, size, facets, vertices, extent)
 
 
@@ -265,36 +264,40 @@ def _weighted_normals(space: FunctionSpace, facets: Indices) -> Vector:
 
 
 def _normals(
-    weighted: Vector, size: Vector, coordinates: Vector, given: GivenNormal, what: str
+    comm: MPI.Intracomm,
+    weighted: Vector,
+    size: Vector,
+    coordinates: Vector,
+    given: GivenNormal,
+    what: str,
 ) -> tuple[Vector, Vector]:
     """Return unit normals and areas; the areas are those that the normals see."""
     gdim = weighted.shape[1]
     length = np.linalg.norm(weighted, axis=1)
     least = _VANISHING_NORMAL * size ** (gdim - 1)
     if given is None:
-        _check_normals(
+        refuse_where(
+            comm,
             length <= least,
-            coordinates,
-            gdim,
-            f"{what}: the normals of the facets around {{}} nodes cancel, the first at {{}}: tag "
-            "one side of an edge only, or give a normal",
+            coordinates[:, :gdim],
+            lambda number, place: (
+                f"{what}: the normals of the facets around {number} nodes cancel, the first at "
+                f"{place}: tag one side of an edge only, or give a normal"
+            ),
         )
         return weighted / length[:, None], length
-    normal = unit_vectors(given, coordinates, gdim, f"the normal of the {what}")
+    normal = unit_vectors(comm, given, coordinates, gdim, f"the normal of the {what}")
     area = np.sum(weighted * normal, axis=1)
-    _check_normals(
+    refuse_where(
+        comm,
         area <= least,
-        coordinates,
-        gdim,
-        f"the normal of the {what} points into the body or along its surface at {{}} nodes, the "
-        "first at {}: it has to point out of the slave, as the facets' normals do",
+        coordinates[:, :gdim],
+        lambda number, place: (
+            f"the normal of the {what} points into the body or along its surface at {number} "
+            f"nodes, the first at {place}: it has to point out of the slave, as the facets' do"
+        ),
     )
     return normal, area
-
-
-def _check_normals(wrong: NDArray[np.bool_], coordinates: Vector, gdim: int, message: str) -> None:
-    if wrong.any():
-        raise InputError(message.format(int(wrong.sum()), first_place(coordinates, wrong, gdim)))
 
 
 def _facet_rows(domain: Any, facets: Indices) -> Indices:

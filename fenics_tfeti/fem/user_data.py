@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.feti.exchange import concatenate_ranks, together
 
-__all__ = ["called", "first_place", "points_of", "unit_vectors", "vectors_at"]
+__all__ = ["called", "points_of", "refuse_where", "unit_vectors", "vectors_at"]
 
 Vector = NDArray[np.float64]
 
@@ -46,33 +49,40 @@ def called(function: Callable[[Vector], Any], points: Vector, what: str) -> Any:
 
 
 def vectors_at(
-    function: Callable[[Vector], ArrayLike], points: Vector, gdim: int, what: str
+    comm: MPI.Intracomm,
+    function: Callable[[Vector], ArrayLike],
+    points: Vector,
+    gdim: int,
+    what: str,
 ) -> Vector:
-    """Return a user's vectors (k, gdim) at points (k, 3).
+    """Return a user's vectors (k, gdim) at points (k, 3). Collective.
 
     Raises
     ------
     InputError
         A wrong shape, NaN, or what the function itself raises.
     """
-    k = len(points)
-    if k == 0:
-        return np.zeros((0, gdim))
-    values = _numbers(called(function, points, what), what)
-    if values.shape not in ((gdim, k), (3, k)):
-        raise InputError(
-            f"{what} returned shape {values.shape} for points of shape (3, {k}), expected "
-            f"({gdim}, {k})"
-        )
-    vectors = values[:gdim].T
-    _check_finite(vectors, points, what)
+    with together(comm):
+        vectors = _vectors(function, points, gdim, what)
+    refuse_where(
+        comm,
+        ~np.isfinite(vectors).all(axis=1),
+        points[:, :gdim],
+        lambda number, place: f"{what} is NaN or infinite at {number} points, the first at {place}",
+    )
     return vectors
 
 
 def unit_vectors(
-    given: ArrayLike | Callable[[Vector], ArrayLike], points: Vector, gdim: int, what: str
+    comm: MPI.Intracomm,
+    given: ArrayLike | Callable[[Vector], ArrayLike],
+    points: Vector,
+    gdim: int,
+    what: str,
 ) -> Vector:
     """Return a constant or a user's function as unit vectors (k, gdim) at points (k, 3).
+
+    Collective.
 
     Raises
     ------
@@ -80,25 +90,49 @@ def unit_vectors(
         A wrong shape, NaN, a vector without direction.
     """
     if callable(given):
-        vectors = vectors_at(given, points, gdim, what)
+        vectors = vectors_at(comm, given, points, gdim, what)
     else:
-        constant = _numbers(given, what)
-        if constant.shape != (gdim,):
-            raise InputError(
-                f"{what} has shape {constant.shape}; expected ({gdim},) or a function of x"
-            )
-        if not np.isfinite(constant).all() or not np.any(constant):
-            raise InputError(f"{what} is {constant.tolist()}: it has no direction")
-        vectors = np.tile(constant, (len(points), 1))
+        with together(comm):
+            vectors = np.tile(_direction(given, gdim, what), (len(points), 1))
     length = np.linalg.norm(vectors, axis=1)
-    vanishing = length <= _NO_DIRECTION * length.max(initial=0.0)
-    if vanishing.any():
-        raise InputError(
-            f"{what} vanishes at {np.count_nonzero(vanishing)} points, the first at "
-            f"{first_place(points, vanishing, gdim)}: give a direction at every node of the slave"
-        )
+    longest = comm.allreduce(float(length.max(initial=0.0)), MPI.MAX)
+    refuse_where(
+        comm,
+        length <= _NO_DIRECTION * longest,
+        points[:, :gdim],
+        lambda number, place: (
+            f"{what} vanishes at {number} points, the first at {place}: give a direction at every "
+            "node of the slave"
+        ),
+    )
     unit: Vector = vectors / length[:, None]
     return unit
+
+
+def refuse_where(
+    comm: MPI.Intracomm,
+    wrong: NDArray[np.bool_],
+    points: Vector,
+    message: Callable[[int, str], str],
+) -> None:
+    """Raise an `InputError` on all ranks if something is wrong at some points of some ranks.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks.
+    wrong : (k,) bool array
+        Whether it is wrong at this rank's points.
+    points : (k, gdim) array
+        [m].
+    message : callable
+        (number of wrong points, the first of them by its coordinates) -> message.
+    """
+    found = concatenate_ranks(comm, points[wrong])
+    size = comm.allreduce(float(np.abs(points).max(initial=0.0)), MPI.MAX)
+    if len(found):
+        first = found[np.lexsort(found.T[::-1])[0]]
+        raise InputError(message(len(found), format_point(first, size)))
 
 
 def points_of(given: ArrayLike, gdim: int, what: str) -> Vector:
@@ -128,17 +162,28 @@ def _numbers(given: Any, what: str) -> Vector:
         )
 
 
-def _check_finite(vectors: Vector, points: Vector, what: str) -> None:
-    wrong = ~np.isfinite(vectors).all(axis=1)
-    if wrong.any():
+def _vectors(
+    function: Callable[[Vector], ArrayLike], points: Vector, gdim: int, what: str
+) -> Vector:
+    k = len(points)
+    if k == 0:  # a user's function need not be prepared for that
+        return np.zeros((0, gdim))
+    values = _numbers(called(function, points, what), what)
+    if values.shape not in ((gdim, k), (3, k)):
         raise InputError(
-            f"{what} is NaN or infinite at {np.count_nonzero(wrong)} points, the first at "
-            f"{first_place(points, wrong, vectors.shape[1])}"
+            f"{what} returned shape {values.shape} for points of shape (3, {k}), expected "
+            f"({gdim}, {k})"
         )
+    vectors: Vector = values[:gdim].T
+    return vectors
 
 
-def first_place(points: Vector, wrong: NDArray[np.bool_], gdim: int) -> str:
-    """Write the first of some points (k, 3), by their coordinates."""
-    some = points[wrong][:, :gdim]
-    size = float(np.abs(points).max(initial=0.0))
-    return format_point(some[np.lexsort(some.T[::-1])[0]], size)
+def _direction(given: ArrayLike, gdim: int, what: str) -> Vector:
+    constant = _numbers(given, what)
+    if constant.shape != (gdim,):
+        raise InputError(
+            f"{what} has shape {constant.shape}; expected ({gdim},) or a function of x"
+        )
+    if not np.isfinite(constant).all() or not np.any(constant):
+        raise InputError(f"{what} is {constant.tolist()}: it has no direction")
+    return constant

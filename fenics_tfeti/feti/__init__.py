@@ -6,13 +6,14 @@ A researcher with K_i, f_i and node numbers from any code fills a `TornSystem` a
 
 from fenics_tfeti.feti.options import Options, parse_options
 from fenics_tfeti.feti.recovery import Certificate
-from fenics_tfeti.feti.report import Report, Timer
+from fenics_tfeti.feti.report import GeometryPass, Report, Timer
 from fenics_tfeti.feti.solver import TornSolution, TornSolver
 from fenics_tfeti.feti.torn_system import ContactRows, Prescribed, Subdomain, TornSystem
 
 __all__ = [
     "Certificate",
     "ContactRows",
+    "GeometryPass",
     "Options",
     "Prescribed",
     "Report",

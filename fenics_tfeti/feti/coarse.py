@@ -15,7 +15,7 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.linalg import qr
+from scipy.linalg import block_diag, qr
 
 from fenics_tfeti.feti.cholesky import SparseCholesky
 from fenics_tfeti.feti.constraints import Constraints
@@ -97,7 +97,8 @@ class CoarseSpace:
             Package for the factors of coarse matrices.
         """
         n = constraints.matrix.shape[1]
-        R = sp.block_diag(kernels, format="csr") if len(kernels) else sp.csr_matrix((n, 0))
+        blocks = [sp.coo_matrix(R) for R in kernels]
+        R = sp.block_diag(blocks, format="csr") if blocks else sp.csr_matrix((n, 0))
         own = (constraints.matrix @ R).T.tocsr()
         own.sum_duplicates()
         first, total = first_of_rank(system.comm, own.shape[0])
@@ -128,8 +129,10 @@ class CoarseSpace:
 
     def restrict_to_owned(self, columns: Mask) -> sp.csr_matrix:
         """Return all rows of G in the owned columns of a mask."""
-        owned = np.arange(columns.size) < self.constraints.multipliers.owned
-        return self.all[:, np.flatnonzero(columns & owned)]
+        return self.all[:, np.flatnonzero(self._owned(columns))]
+
+    def _owned(self, columns: Mask) -> Mask:
+        return columns & (np.arange(columns.size) < self.constraints.multipliers.owned)
 
     def unresisted(self, columns: Mask) -> Vector:
         """Return the rigid motions of bodies that the chosen rows of B do not resist.
@@ -144,7 +147,10 @@ class CoarseSpace:
         (coarse, k) array
             Orthonormal basis of the kernel of the chosen columns' G'.
         """
-        resisted = (self.bodies.basis.T @ self.restrict_to_owned(columns)).tocsr()
+        # rows of unit length, whatever their weights: what resists is a matter of geometry
+        resisted = self.bodies.basis.T @ self.restrict_to_owned(columns)
+        lengths = self.constraints.row_lengths[np.flatnonzero(self._owned(columns))]
+        resisted = (resisted @ sp.diags(1.0 / lengths)).tocsr()
         gram = self.comm.allreduce((resisted @ resisted.T).toarray()) + self.bodies.energy
         resistance, motions = np.linalg.eigh(gram)
         free: Vector = self.bodies.basis @ motions[:, resistance <= _UNRESISTED]
@@ -266,7 +272,7 @@ def _body_motions(system: TornSystem, kernels: Sequence[Vector]) -> BodyMotions:
     scaled = [t.T @ e @ t for t, e in zip(inverse, energy, strict=True)]
     # rounding leaves traces of 1e-16 in what should vanish
     scaled = [np.where(np.abs(e) > _UNRESISTED, e, 0.0) for e in scaled]
-    return BodyMotions(basis, sp.block_diag(scaled).toarray() if bodies else np.zeros((0, 0)))
+    return BodyMotions(basis, block_diag(*scaled) if bodies else np.zeros((0, 0)))
 
 
 def _centres_and_sizes(system: TornSystem, bodies: int) -> tuple[Vector, Vector]:

@@ -6,6 +6,7 @@ set-up, but for `SharedIndices.sum`, the one neighbour exchange of a product wit
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -15,7 +16,6 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from fenics_tfeti.errors import ContactError
 from fenics_tfeti.qp import Space
 
 __all__ = [
@@ -23,7 +23,6 @@ __all__ = [
     "SharedIndices",
     "concatenate_ranks",
     "first_of_rank",
-    "raise_together",
     "together",
 ]
 
@@ -32,26 +31,44 @@ Vector = NDArray[np.float64]
 Array = NDArray[Any]
 
 
-def raise_together(comm: MPI.Intracomm, error: ContactError | None) -> None:
-    """Raise on all ranks if any rank has an error: the lowest rank's, for one message."""
-    for rank, other in enumerate(comm.allgather(error)):
-        if other is not None:
-            # its own one keeps the traceback
-            raise error if error is not None and rank == comm.rank else other
-
-
 @contextmanager
-def together(comm: MPI.Intracomm) -> Iterator[None]:
-    """Make a ContactError in a block *without communication* an error on all ranks.
+def together(comm: MPI.Comm) -> Iterator[None]:
+    """Make an error in a block *without communication* an error on all ranks.
 
-    No rank leaves the block before the others, so none waits for one that has raised.
+    Collective: no rank leaves the block before the others, so none waits for one that has raised.
+    All raise the error of the lowest rank that has one, which there keeps its traceback. What
+    cannot be pickled arrives on the others as a RuntimeError with its name and message.
+
+    Parameters
+    ----------
+    comm : MPI.Comm
+        The ranks.
+
+    Examples
+    --------
+    >>> with together(MPI.COMM_WORLD):
+    ...     if MPI.COMM_WORLD.rank == 0:
+    ...         raise ValueError("bad input")
+    Traceback (most recent call last):
+    ValueError: bad input
     """
-    error: ContactError | None = None
+    own: Exception | None = None
     try:
         yield
-    except ContactError as caught:
-        error = caught
-    raise_together(comm, error)
+    except Exception as caught:
+        own = caught
+    for rank, error in enumerate(comm.allgather(_portable(own))):
+        if error is not None:
+            raise own if own is not None and rank == comm.rank else error
+
+
+def _portable(error: Exception | None) -> Exception | None:
+    """Return an exception that survives pickling."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError(f"{type(error).__name__}: {error}")
+    return error
 
 
 def concatenate_ranks(comm: MPI.Intracomm, part: Array) -> Array:

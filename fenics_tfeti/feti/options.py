@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.cholesky import Package
 from fenics_tfeti.feti.pseudoinverse import GeneralisedInverse
+from fenics_tfeti.feti.scaling import Scaling
 from fenics_tfeti.qp.mprgp import Expansion
 
 __all__ = ["Options", "parse_options"]
@@ -32,8 +33,12 @@ class Options:
         M of algorithm 11.1.
     factor : {"auto", "cholmod", "mumps"}
         Package of the sparse Cholesky factors; auto takes the first that PETSc has.
+    method : {"active_set", "smalbe"}
+        SMALBE-M over MPRGP alone, or started from where a primal-dual active set method leads.
     preconditioner : {"none", "lumped", "dirichlet"}
         Preconditioner in the face.
+    scaling : {"stiffness", "multiplicity"}
+        D in B D^{-1} B' = I: the diagonal of the stiffness, or the identity as in (11.22).
     expansion : {"standard", "projected_cg"}
         Expansion step of MPRGP: the half step and fixed step of algorithm 8.2, or the projected
         conjugate gradient step with fall-back on the former.
@@ -48,6 +53,14 @@ class Options:
         Lanczos steps for ||PFP||.
     seed : int
         Seed of the start vector of these.
+    non_penetration : {"linearised", "exact"}
+        Contact conditions with the normals and gaps of the undeformed surfaces, or corrected until
+        the deformed surfaces touch.
+    penetration_tolerance : float
+        Penetration and separation of the deformed surfaces that count as none, relative to the
+        largest displacement.
+    max_passes : int
+        Limit on the solutions with corrected normals and gaps.
     error_if_not_converged : bool
         Raise `NotConverged`, or else return the last iterate marked as such in the report.
     """
@@ -57,7 +70,9 @@ class Options:
     generalised_inverse: GeneralisedInverse = "fixing_nodes"
     fixing_nodes: int = 8
     factor: Package = "auto"
-    preconditioner: Literal["none", "lumped", "dirichlet"] = "none"
+    method: Literal["active_set", "smalbe"] = "active_set"
+    preconditioner: Literal["none", "lumped", "dirichlet"] = "lumped"
+    scaling: Scaling = "stiffness"
     expansion: Expansion = "projected_cg"
     rho: float = 1.0
     M0: float = 3.0
@@ -69,6 +84,9 @@ class Options:
     max_products: int = 10_000
     norm_steps: int = 15
     seed: int = 0
+    non_penetration: Literal["linearised", "exact"] = "linearised"
+    penetration_tolerance: float = 1e-3
+    max_passes: int = 20
     error_if_not_converged: bool = True
 
     def __post_init__(self) -> None:
@@ -89,6 +107,8 @@ _RANGES: dict[str, tuple[float, float]] = {
     "step_length": (0.0, 2.0),
     "max_outer": (0, float("inf")),
     "max_products": (0, float("inf")),
+    "penetration_tolerance": (0.0, float("inf")),
+    "max_passes": (0, float("inf")),
     "norm_steps": (0, float("inf")),
     "seed": (-1, 2**63),
 }

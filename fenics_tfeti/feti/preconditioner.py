@@ -24,11 +24,11 @@ def boundary_operator(
     subdomains: Sequence[Subdomain],
     package: str,
 ) -> Callable[[Vector], Vector]:
-    """Return x -> B S B'x with the stiffness S that displaced subdomain boundaries feel.
+    """Return x -> B D^{-1} S D^{-1} B'x, S the stiffness that displaced subdomain boundaries feel.
 
     Lumped takes K_bb, the interior held still; Dirichlet the Schur complement
     K_bb - K_bi K_ii^{-1} K_ib, the interior free to follow. The boundary is what B has entries on.
-    As BB' = I, no further scaling is due for one material.
+    As B D^{-1} B' = I, this is the scaled B_D S B_D' with B_D = (B D^{-1} B')^{-1} B D^{-1}.
 
     Parameters
     ----------
@@ -48,12 +48,14 @@ def boundary_operator(
         for subdomain, part in zip(subdomains, F.slices, strict=True)
     ]
 
+    B_D = (B @ sp.diags(1.0 / F.constraints.weights)).tocsr()
+
     def apply(x: Vector) -> Vector:
-        displacement = B.T @ x
+        displacement = B_D.T @ x
         force = np.zeros_like(displacement)
         for reaction, part in zip(reactions, F.slices, strict=True):
             force[part] = reaction(displacement[part])
-        return F.constraints.multipliers.sum(B @ force)
+        return F.constraints.multipliers.sum(B_D @ force)
 
     return apply
 

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fenics_tfeti.errors import FactorizationError
+from fenics_tfeti.errors import FactorizationError, format_point
 from fenics_tfeti.feti.cholesky import SparseCholesky
 from fenics_tfeti.feti.fixing_nodes import fixing_nodes
 from fenics_tfeti.feti.torn_system import Subdomain
@@ -93,8 +93,11 @@ class Pseudoinverse:
                 fixed = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
                 self._factor = SparseCholesky(regularised_stiffness(K, R, fixed), package)
         except FactorizationError as error:
+            place = format_point(
+                subdomain.coordinates.mean(axis=0), float(np.abs(subdomain.coordinates).max())
+            )
             raise FactorizationError(
-                f"subdomain of body {subdomain.body} at {subdomain.coordinates.mean(axis=0)}: "
+                f"subdomain of body {subdomain.body} at {place}: "
                 f"{error}. Is the form elasticity with positive moduli, and each subdomain "
                 "connected through facets?"
             ) from error

@@ -9,16 +9,22 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 from fenics_tfeti.feti.coarse import CoarseSpace, Projector
 from fenics_tfeti.feti.dual import DualOperator
+from fenics_tfeti.feti.exchange import concatenate_ranks
 
-__all__ = ["Certificate", "PrimalProblem", "recover_displacement"]
+__all__ = ["Certificate", "PrimalProblem", "least_distance", "recover_displacement"]
 
 Vector = NDArray[np.float64]
 
 # forces and energies below this part of the uncancelled sums |K||u| count as none
 _CANCELLED = 1e-6
+# rounds of taking in violated conditions
+_CUTS = 100
+# residual of the least-distance problem that says that there is no solution
+_NO_ROOM = 1e-12
 
 
 @dataclass(frozen=True)
@@ -65,7 +71,7 @@ def recover_displacement(
     """Return u = K^+(f - B'lambda) + R alpha (11.29).
 
     alpha makes the equality rows and the active inequality rows hold, in the least squares sense;
-    where these leave motions free, it is the one of smallest norm.
+    where these leave motions free, it is the one of smallest norm that penetrates nothing.
 
     Parameters
     ----------
@@ -97,7 +103,76 @@ def recover_displacement(
     missing = constraints.rhs - constraints.multipliers.sum(constraints.matrix @ u)
     alpha = active.coefficients(missing)
     alpha -= active.free @ (active.free.T @ alpha)
-    return u + R @ active.own_part(alpha), active
+    u += R @ active.own_part(alpha)
+    if active.free.shape[1]:
+        room = constraints.rhs - constraints.multipliers.sum(constraints.matrix @ u)
+        u += R @ active.own_part(active.free @ _out_of_the_way(space, active, room))
+    return u, active
+
+
+def _out_of_the_way(space: CoarseSpace, active: Projector, room: Vector) -> Vector:
+    """Return the smallest free motions (in the basis ``active.free``) that penetrate nothing.
+
+    Bodies that nothing presses together may part, but not overlap. The conditions are taken in as
+    they are violated: the worst of each contact and rank at a time.
+    """
+    constraints, comm = space.constraints, space.comm
+    open_rows = constraints.inequality[: constraints.owned_inequalities]
+    contact = constraints.contact[: open_rows.size]
+    inactive = ~active.columns[open_rows]
+    open_rows, contact = open_rows[inactive], contact[inactive]
+    closing = np.asarray(space.all[:, open_rows].T @ active.free)
+    room = room[open_rows]
+    z = np.zeros(active.free.shape[1])
+    taken, limits = np.zeros((0, z.size)), np.zeros(0)
+    negligible = 1e-9 * comm.allreduce(float((-room).max(initial=0.0)), MPI.MAX)
+    for _ in range(_CUTS):
+        excess = closing @ z - room
+        order = np.lexsort((-excess, contact))
+        worst = order[np.unique(contact[order], return_index=True)[1]]
+        worst = worst[excess[worst] > negligible]
+        new = concatenate_ranks(comm, closing[worst])
+        if not len(new):
+            break
+        taken = np.concatenate([taken, new])
+        limits = np.concatenate([limits, concatenate_ranks(comm, room[worst])])
+        z = least_distance(taken, limits)
+    return z
+
+
+def least_distance(A: Vector, b: Vector) -> Vector:
+    """Minimise ||z|| subject to Az <= b (Lawson and Hanson, Solving Least Squares Problems, 23.4).
+
+    Parameters
+    ----------
+    A : (m, k) array
+        Rows of any length.
+    b : (m,) array
+        Right-hand sides.
+
+    Returns
+    -------
+    (k,) array
+        The solution; zeros if no z fulfils the conditions.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> least_distance(np.array([[-1.0, 0.0], [0.0, -2.0]]), np.array([-1.0, 4.0])).tolist()
+    [1.0, 0.0]
+    """
+    scale = float(np.abs(b).max(initial=0.0))
+    if scale == 0.0:
+        return np.zeros(A.shape[1])
+    lengths = np.maximum(np.linalg.norm(A, axis=1), np.finfo(float).tiny)
+    rows = np.vstack([A.T / lengths, b / lengths / scale])
+    target = np.append(np.zeros(A.shape[1]), 1.0)
+    weights = nnls(-rows, target, maxiter=10 * max(A.shape))[0]
+    residual = -rows @ weights - target
+    if np.linalg.norm(residual) <= _NO_ROOM:
+        return np.zeros(A.shape[1])
+    z: Vector = -scale * residual[:-1] / residual[-1]
+    return z
 
 
 @dataclass(frozen=True)
@@ -148,17 +223,20 @@ class PrimalProblem:
             )
         )
         # what is left of cancelling stiffness times displacement is rounding, not a force or energy
+        rhs_gap = constraints.rhs[constraints.inequality] / constraints.scale
+        largest_gap = comm.allreduce(float(np.abs(rhs_gap).max(initial=0.0)), MPI.MAX)
+        size = np.maximum(np.abs(u), _CANCELLED * largest_gap)
         spring = np.empty_like(u)
         for K, part in zip(self.stiffness, self.F.slices, strict=True):
-            spring[part] = abs(K) @ np.abs(u[part])
-        spring2, strain = comm.allreduce(np.array([spring @ spring, np.abs(u) @ spring]))
+            spring[part] = abs(K) @ size[part]
+        spring2, strain = comm.allreduce(np.array([spring @ spring, size @ spring]))
         jump = constraints.multipliers.sum(constraints.matrix @ u) - constraints.rhs
         contact = constraints.inequality
         distance = jump[contact] / constraints.scale
         normal_force = multipliers[contact] * constraints.scale
         maxima = np.array(
             [
-                np.abs(u).max(initial=0.0),
+                size.max(initial=0.0),
                 np.abs(jump[constraints.equality]).max(initial=0.0),
                 distance.max(initial=0.0),
                 normal_force.max(initial=0.0),

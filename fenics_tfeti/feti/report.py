@@ -16,11 +16,12 @@ from typing import Any
 
 from mpi4py import MPI
 
+from fenics_tfeti.feti.active_set import ActiveSetStep
 from fenics_tfeti.feti.pairing_table import pairing_table
 from fenics_tfeti.feti.recovery import Certificate
 from fenics_tfeti.qp import OuterIteration
 
-__all__ = ["Report", "Timer", "peak_memory"]
+__all__ = ["GeometryPass", "Report", "Timer", "peak_memory"]
 
 
 @dataclass
@@ -52,6 +53,28 @@ def peak_memory(comm: MPI.Intracomm) -> int:
 
 
 @dataclass(frozen=True)
+class GeometryPass:
+    """How far the surfaces of one solution, deformed, are from touching without penetration.
+
+    Attributes
+    ----------
+    penetration : float
+        How deep a node is in the other body at most [m].
+    separation : float
+        How far a node that presses is from the other body's surface at most [m].
+    error : float
+        The larger of both relative to the largest displacement.
+    products : int
+        Applications of F that the solution cost.
+    """
+
+    penetration: float
+    separation: float
+    error: float
+    products: int
+
+
+@dataclass(frozen=True)
 class Report:
     """What a solve was, and how good its result is; equal on all ranks.
 
@@ -59,7 +82,10 @@ class Report:
     ----------
     unknowns : dict
         Numbers of ``primal``, ``torn`` and ``dual`` unknowns, of ``inequalities``, ``active`` ones,
-        and of the ``coarse`` problem.
+        of the ``coarse`` problem, of contact rows dropped as ``redundant``, and of others that
+        depend linearly on the rest (``dependent``).
+    reused : list of str
+        What was taken over from the last solve.
     subdomains : int
         Their number over all ranks.
     outer_iterations : int
@@ -91,6 +117,11 @@ class Report:
         The options of the solve.
     history : list of OuterIteration
         One entry for each outer iteration.
+    faces : list of ActiveSetStep
+        One entry for each face of the primal-dual active set method.
+    passes : list of GeometryPass
+        One entry for each solution on the way to exact non-penetration; products, seconds and
+        history of the report are those of the last one.
     pairing : list of dict
         For each contact its name, the numbers of ``pairs`` and ``unmatched`` slave nodes,
         ``largest_distance`` [m] (what the tolerance limits; None for obstacles) and
@@ -100,6 +131,7 @@ class Report:
     """
 
     unknowns: dict[str, int]
+    reused: list[str]
     subdomains: int
     outer_iterations: int
     products: dict[str, int]
@@ -115,6 +147,8 @@ class Report:
     versions: dict[str, str]
     options: dict[str, Any]
     history: list[OuterIteration]
+    faces: list[ActiveSetStep]
+    passes: list[GeometryPass] = field(default_factory=list)
     pairing: list[dict[str, Any]] = field(default_factory=list)
 
     def pairing_table(self) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.torn_system import Subdomain
 
 __all__ = ["describe_motion", "kernel", "rigid_body_modes"]
@@ -113,14 +114,11 @@ def describe_motion(coordinates: Vector, displacement: Vector) -> str:
         words.append(f"translation along {_direction(translation)}")
     if size * np.linalg.norm(rotation) > 1e-6 * whole:
         axis = "" if gdim == 2 else f" about the axis {_direction(rotation)}"
-        words.append(f"rotation{axis} through {_direction(centre, unit=False)}")
+        words.append(f"rotation{axis} through {format_point(centre, size)}")
     return " with ".join(words)
 
 
-def _direction(vector: Vector, unit: bool = True) -> str:
-    values = vector / np.linalg.norm(vector) if unit else vector
-    return (
-        "("
-        + ", ".join(f"{v + 0.0:.3g}" for v in np.where(np.abs(values) < 1e-6, 0.0, values))
-        + ")"
-    )
+def _direction(vector: Vector) -> str:
+    unit = vector / np.linalg.norm(vector)
+    # 0.0 is added because of -0.0
+    return "(" + ", ".join(f"{v + 0.0:.3g}" for v in np.where(np.abs(unit) < 1e-6, 0.0, unit)) + ")"

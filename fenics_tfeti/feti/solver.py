@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 from mpi4py import MPI
 
@@ -15,6 +15,7 @@ import scipy
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import FactorizationError, NotConverged
+from fenics_tfeti.feti.active_set import ActiveSetStep, DualProblem, primal_dual_active_set
 from fenics_tfeti.feti.cholesky import choose_package
 from fenics_tfeti.feti.coarse import CoarseSpace, Projector, describe_body_motion
 from fenics_tfeti.feti.constraints import Constraints, build_constraints
@@ -27,6 +28,7 @@ from fenics_tfeti.feti.pseudoinverse import Pseudoinverse
 from fenics_tfeti.feti.recovery import Certificate, PrimalProblem, recover_displacement
 from fenics_tfeti.feti.report import Report, Timer, peak_memory
 from fenics_tfeti.feti.rigid_body_modes import kernel
+from fenics_tfeti.feti.scaling import node_weights
 from fenics_tfeti.feti.torn_system import TornSystem
 from fenics_tfeti.qp import (
     Bounds,
@@ -51,7 +53,7 @@ _TIGHTENING = 0.1
 _TIGHTENINGS = 4
 # what rounding leaves in the certificate of an exact solution
 _ROUNDING = 1e-9
-# ||b|| below this part of ||d|| is rounding: the start solves the problem already
+# relative to ||d||: what is rounding in residuals and in contact forces
 _NEGLIGIBLE_LOAD = 1e-13
 
 
@@ -93,6 +95,11 @@ class _Recovered:
 class TornSolver:
     """Total FETI for one torn system; what does not depend on the iterations is set up at once.
 
+    For a sequence of systems, give each solver the one before: factors are shared where the
+    stiffness matrices are the same objects, the coarse problem, the norm and the preconditioner
+    where the constraint rows are equal too (whatever their gaps), and the iterations start from the
+    last multipliers.
+
     Parameters
     ----------
     system : TornSystem
@@ -101,6 +108,8 @@ class TornSolver:
         Tolerances and methods.
     timer : Timer, optional
         To add the times of phases to.
+    previous : TornSolver, optional
+        Solver of an earlier, similar system with the same options.
 
     Raises
     ------
@@ -112,8 +121,21 @@ class TornSolver:
         A stiffness matrix is not positive semidefinite.
     """
 
+    weights: Vector
+    kernels: list[Vector]
+    space: CoarseSpace
+    projector: Projector
+    F: DualOperator
+    norm: float
+    state: SMALBEState | None
+    _boundary: Callable[[Vector], Vector] | None
+
     def __init__(
-        self, system: TornSystem, options: Options | None = None, timer: Timer | None = None
+        self,
+        system: TornSystem,
+        options: Options | None = None,
+        timer: Timer | None = None,
+        previous: TornSolver | None = None,
     ) -> None:
         self.system = system
         self.options = options or Options()
@@ -121,23 +143,46 @@ class TornSolver:
         self.comm = system.comm
         with together(self.comm):
             self.package = _choose_package(self.options)
+        same_K = previous if previous is not None and previous._has_stiffness_of(system) else None
         with self.timer.phase("constraints"):
-            system.check()
-            self.constraints: Constraints = build_constraints(system)
+            system.check(stiffness=same_K is None)
+            self.weights = same_K.weights if same_K else node_weights(system, self.options.scaling)
+            self.constraints: Constraints = build_constraints(system, self.weights)
+            same_B = same_K if same_K and self.constraints.same_rows(same_K.constraints) else None
+            if same_B:
+                self.constraints = replace(same_B.constraints, rhs=self.constraints.rhs)
         with self.timer.phase("coarse problem"):
-            self.kernels = [kernel(subdomain) for subdomain in system.subdomains]
+            self.kernels = same_K.kernels if same_K else [kernel(s) for s in system.subdomains]
             self.load = np.concatenate([np.zeros(0), *(s.load for s in system.subdomains)])
-            self.space = CoarseSpace.build(system, self.constraints, self.kernels, self.package)
-            self.projector = Projector.build(self.space)
+            self.space = same_B.space if same_B else self._coarse_space()
+            self.projector = same_B.projector if same_B else Projector.build(self.space)
         with self.timer.phase("feasible start"):
             self.start = self._feasible_start()
         with self.timer.phase("factorisation"):
-            self.F = self._dual_operator()
+            inverses = same_K.F.inverses if same_K else self._inverses()
+            self.F = DualOperator.build(self.constraints, system.subdomains, inverses)
         with self.timer.phase("norm"):
-            self.norm = norm_of_projected(
-                self.F, self.projector.complement, self.options.norm_steps, self.options.seed
-            )
+            self.norm = same_B.norm if same_B else self._norm()
+        with self.timer.phase("factorisation"):
+            self._boundary = same_B._boundary if same_B else self._boundary_operator()
+        self.state = self._first_state(previous)
         self.products = Products()
+        self.reused = [
+            *(["factors"] if same_K else []),
+            *(["coarse problem", "norm"] if same_B else []),
+            *(["multipliers"] if self.state is not None else []),
+        ]
+
+    def _has_stiffness_of(self, system: TornSystem) -> bool:
+        ours, theirs = self.system.subdomains, system.subdomains
+        same = len(ours) == len(theirs) and all(
+            s.stiffness is t.stiffness and s.nodes is t.nodes
+            for s, t in zip(ours, theirs, strict=True)
+        )
+        return bool(self.comm.allreduce(same, MPI.LAND))
+
+    def _coarse_space(self) -> CoarseSpace:
+        return CoarseSpace.build(self.system, self.constraints, self.kernels, self.package)
 
     def _feasible_start(self) -> Vector:
         e = concatenate_ranks(self.comm, self.space.kernels.T @ self.load)
@@ -145,16 +190,30 @@ class TornSolver:
         check_load(self.system, self.kernels, self.projector, e, norm)
         return feasible_start(self.system, self.kernels, self.space, e, norm)
 
-    def _dual_operator(self) -> DualOperator:
+    def _inverses(self) -> list[Pseudoinverse]:
         options = self.options
         with together(self.comm):
-            inverses = [
+            return [
                 Pseudoinverse(
                     subdomain, R, self.package, options.generalised_inverse, options.fixing_nodes
                 )
                 for subdomain, R in zip(self.system.subdomains, self.kernels, strict=True)
             ]
-        return DualOperator.build(self.constraints, self.system.subdomains, inverses)
+
+    def _norm(self) -> float:
+        return norm_of_projected(
+            self.F, self.projector.complement, self.options.norm_steps, self.options.seed
+        )
+
+    def _first_state(self, previous: TornSolver | None) -> SMALBEState | None:
+        """Return where the last solve ended, if its multipliers are the same ones."""
+        if previous is None or previous.state is None:
+            return None
+        if not self.constraints.same_numbering(previous.constraints):
+            return None
+        multipliers = previous.start + previous.state.x
+        q = self.projector.coarse(previous.state.q) * (previous.norm / self.norm)
+        return SMALBEState(multipliers - self.start, q)
 
     def hessian(self, x: Vector) -> tuple[Vector, Vector]:
         """Return (PFP + rho Q) x with F in units of ||PFP||, and Qx."""
@@ -175,22 +234,24 @@ class TornSolver:
         NotConverged
             At a limit on iterations, unless the options ask for the last iterate.
         """
-        with self.timer.phase("factorisation"):
-            precondition = self._preconditioner()
         with self.timer.phase("iterations"):
             # d = BK^+(f - B'lambda~) - c: that of (11.39) without a product with F
             d = self.F.load(self.load - self.constraints.matrix.T @ self.start) / self.norm
             b = self.projector.complement(d)
             space = self.constraints.multipliers.space
-            norm_b = max(space.norm(b), _NEGLIGIBLE_LOAD * space.norm(d))
+            negligible = _NEGLIGIBLE_LOAD * space.norm(d)
+            norm_b = max(space.norm(b), negligible / self.options.rtol)
         indices = self.constraints.inequality
         bounds = Bounds(indices, -self.start[indices])
 
-        rtol, history = self.options.rtol, list[OuterIteration]()
+        precondition = self._precondition()
+        rtol, history, faces = self.options.rtol, list[OuterIteration](), list[ActiveSetStep]()
         # from multipliers that vanish: no contact, no glue; on average cheaper than from lambda~
-        state = SMALBEState(bounds.project(-self.start), np.zeros_like(b))
+        state = self.state or SMALBEState(-self.start, np.zeros_like(b))
         for _ in range(_TIGHTENINGS + 1):
             with self.timer.phase("iterations"):
+                if self.options.method == "active_set":
+                    state = self._guess_active_set(state, rtol, norm_b, faces)
                 result = smalbe(
                     self.hessian,
                     b,
@@ -206,12 +267,13 @@ class TornSolver:
             history += result.history
             state = result.state
             with self.timer.phase("recovery"):
-                recovered = self._recover(state)
+                recovered = self._recover(state, negligible)
             certified = recovered.certificate.worst <= max(self.options.rtol, _ROUNDING)
             if certified or not result.converged:
                 break
             rtol *= _TIGHTENING
-        return self._solution(recovered, result, certified, history)
+        self.state = state
+        return self._solution(recovered, result, certified, history, faces)
 
     def _smalbe_options(self, rtol: float, outer_so_far: int) -> SMALBEOptions:
         options = self.options
@@ -232,13 +294,18 @@ class TornSolver:
             inner=inner,
         )
 
-    def _preconditioner(self) -> Callable[[Vector], Vector] | None:
-        """Return M^{-1} = ||PFP|| P B S B' P + Q / rho, to go with A = PFP / ||PFP|| + rho Q."""
+    def _boundary_operator(self) -> Callable[[Vector], Vector] | None:
         kind = self.options.preconditioner
         if kind == "none":
             return None
         with together(self.comm):
-            boundary = boundary_operator(kind, self.F, self.system.subdomains, self.package)
+            return boundary_operator(kind, self.F, self.system.subdomains, self.package)
+
+    def _precondition(self) -> Callable[[Vector], Vector] | None:
+        """Return M^{-1} = ||PFP|| P B S B' P + Q / rho, to go with A = PFP / ||PFP|| + rho Q."""
+        boundary = self._boundary
+        if boundary is None:
+            return None
 
         def apply(x: Vector) -> Vector:
             Qx = self.projector.coarse(x)
@@ -247,8 +314,52 @@ class TornSolver:
 
         return apply
 
-    def _recover(self, state: SMALBEState) -> _Recovered:
+    def _guess_active_set(
+        self, state: SMALBEState, rtol: float, norm_b: float, steps: list[ActiveSetStep]
+    ) -> SMALBEState:
+        """Go as far as the primal-dual active set method leads; SMALBE-M goes on from there."""
         multipliers = self.start + state.x
+        problem = DualProblem(
+            self.F,
+            self.F.load(self.load),
+            concatenate_ranks(self.comm, self.space.kernels.T @ self.load),
+            self.projector,
+            self.norm,
+            self._boundary,
+        )
+        # all at first, later those that press
+        active = multipliers[self.constraints.inequality] > 0.0
+        if not self.comm.allreduce(bool(active.any()), MPI.LOR):
+            active[:] = True
+
+        def log(step: ActiveSetStep) -> None:
+            steps.append(step)
+            if self.comm.rank == 0:
+                logger.info(
+                    "face  %3d  products %4d  residual %.2e  active %d  changed %d",
+                    len(steps) - 1,
+                    *asdict(step).values(),
+                )
+
+        multipliers, q = primal_dual_active_set(
+            problem,
+            multipliers,
+            active,
+            tolerance=rtol * norm_b * self.norm,
+            norm_b=norm_b * self.norm,
+            max_products=self.options.max_products,
+            products=self.products,
+            monitor=log,
+        )
+        return SMALBEState(multipliers - self.start, q / self.norm)
+
+    def _recover(self, state: SMALBEState, negligible: float) -> _Recovered:
+        multipliers = self.start + state.x
+        contact = self.constraints.inequality
+        # lambda~ + x where both cancel: no force, and no row for the rigid motions to follow
+        multipliers[contact] = np.where(
+            multipliers[contact] > negligible, multipliers[contact], 0.0
+        )
         displacement, active = recover_displacement(self.F, self.space, self.load, multipliers)
         certificate = self._primal_problem().certify(displacement, multipliers)
         return _Recovered(displacement, multipliers, certificate, active)
@@ -274,6 +385,7 @@ class TornSolver:
         result: SMALBEResult,
         certified: bool,
         history: list[OuterIteration],
+        faces: list[ActiveSetStep],
     ) -> TornSolution:
         converged = result.converged and certified
         reason = result.reason
@@ -293,7 +405,7 @@ class TornSolver:
             normal_force,
             normal_force > 0.0,
             multipliers,
-            self._report(recovered, converged, reason, history),
+            self._report(recovered, converged, reason, history, faces),
         )
         if not converged and self.options.error_if_not_converged:
             raise NotConverged(
@@ -305,7 +417,12 @@ class TornSolver:
         return solution
 
     def _report(
-        self, recovered: _Recovered, converged: bool, reason: str, history: list[OuterIteration]
+        self,
+        recovered: _Recovered,
+        converged: bool,
+        reason: str,
+        history: list[OuterIteration],
+        faces: list[ActiveSetStep],
     ) -> Report:
         system, constraints, comm = self.system, self.constraints, self.comm
         owned = constraints.owned_inequalities
@@ -328,6 +445,8 @@ class TornSolver:
                 "inequalities": constraints.multipliers.size - equality,
                 "active": comm.allreduce(int(np.count_nonzero(force[:owned] > 0.0))),
                 "coarse": self.space.size,
+                "redundant": constraints.redundant,
+                "dependent": constraints.dependent,
             },
             subdomains=comm.allreduce(len(system.subdomains)),
             outer_iterations=len(history),
@@ -336,9 +455,10 @@ class TornSolver:
                 "cg": self.products.cg,
                 "expansion": self.products.expansion,
                 "proportioning": self.products.proportioning,
-                "norm": self.options.norm_steps,
+                "norm": 0 if "norm" in self.reused else self.options.norm_steps,
                 "preconditioner": self.products.preconditioner,
             },
+            reused=self.reused,
             seconds={**slowest, "total": sum(slowest.values())},
             peak_memory_bytes=peak_memory(comm),
             energy=self._primal_problem().energy(recovered.displacement),
@@ -351,6 +471,7 @@ class TornSolver:
             versions=_versions(),
             options=asdict(self.options),
             history=history,
+            faces=faces,
         )
 
     def _primal_unknowns(self) -> int:

@@ -140,8 +140,13 @@ class TornSystem:
         """Return the name of a body."""
         return self.body_names[body] if body < len(self.body_names) else f"body {body}"
 
-    def check(self) -> None:
+    def check(self, stiffness: bool = True) -> None:
         """Check shapes, numbers and symmetry.
+
+        Parameters
+        ----------
+        stiffness : bool
+            Whether to look at the stiffness matrices too; false where that was done before.
 
         Raises
         ------
@@ -151,6 +156,8 @@ class TornSystem:
         with together(self.comm):
             for number, subdomain in enumerate(self.subdomains):
                 _check_subdomain(number, subdomain, self.gdim)
+                if stiffness:
+                    _check_stiffness(number, subdomain)
             _check_finite("prescribed displacements", self.prescribed.values)
             _check_finite("contact gaps", self.contacts.gap)
             _check_finite("contact normals", self.contacts.normal)
@@ -158,7 +165,7 @@ class TornSystem:
 
 
 def _check_subdomain(number: int, subdomain: Subdomain, gdim: int) -> None:
-    name = f"subdomain {number} (body {subdomain.body})"
+    name = _name(number, subdomain)
     n = gdim * subdomain.nodes.size
     shapes = {
         "stiffness": (subdomain.stiffness.shape, (n, n)),
@@ -168,10 +175,17 @@ def _check_subdomain(number: int, subdomain: Subdomain, gdim: int) -> None:
     for what, (shape, expected) in shapes.items():
         if tuple(shape) != expected:
             raise InputError(f"{name}: {what} has shape {shape}, expected {expected}")
-    _check_finite(f"stiffness of {name}", subdomain.stiffness.data, "a material coefficient?")
     _check_finite(f"load of {name}", subdomain.load, "a traction or body force?")
     _check_finite(f"coordinates of {name}", subdomain.coordinates)
-    K = subdomain.stiffness
+
+
+def _name(number: int, subdomain: Subdomain) -> str:
+    return f"subdomain {number} (body {subdomain.body})"
+
+
+def _check_stiffness(number: int, subdomain: Subdomain) -> None:
+    K, name = subdomain.stiffness, _name(number, subdomain)
+    _check_finite(f"stiffness of {name}", K.data, "a material coefficient?")
     skew = abs(K - K.T).max() if K.nnz else 0.0
     if skew > SYMMETRY_TOLERANCE * abs(K).max():
         raise InputError(

@@ -17,7 +17,7 @@ import ufl
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.mesh_io import read_msh, together
+from fenics_tfeti.fem.mesh_io import read_msh
 
 gmsh = pytest.importorskip("gmsh")
 
@@ -218,15 +218,6 @@ def test_handler_of_interrupts_is_kept(tmp_path):
         assert signal.getsignal(signal.SIGINT) is handler
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def test_error_that_cannot_be_sent_keeps_its_type_where_it_was_raised():
-    class OddError(Exception):
-        def __init__(self, first, second):
-            super().__init__(first)
-
-    with pytest.raises(OddError), together(MPI.COMM_SELF):
-        raise OddError("a", "b")
 
 
 def two_beams_script():

@@ -13,7 +13,7 @@ import dolfinx
 import ufl
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.mesh_io import read_msh, together
+from fenics_tfeti.fem.mesh_io import read_msh
 from fenics_tfeti.fem.structured import Box, boxes, tag_facets
 
 COMM = MPI.COMM_WORLD
@@ -91,20 +91,3 @@ def test_tag_of_no_facet_is_an_error_on_all_ranks():
     mesh = boxes(COMM, [Box((0, 0), (1, 1), (8, 8))], "triangle").mesh
     with pytest.raises(InputError, match=r"tags \[4\]"):
         tag_facets(mesh, {3: lambda x: x[0] < 1e-9, 4: lambda x: x[0] > 2})
-
-
-def test_error_of_one_rank_is_raised_on_all():
-    with pytest.raises(ValueError, match="rank 0"), together(COMM):
-        if COMM.rank == 0:
-            raise ValueError("rank 0")
-
-
-def test_error_that_cannot_be_sent_is_raised_on_all():
-    class OddError(Exception):
-        def __init__(self, first, second):
-            super().__init__(first)
-
-    with pytest.raises((OddError, RuntimeError)) as caught, together(COMM):
-        if COMM.rank == COMM.size - 1:
-            raise OddError("odd", "error")
-    assert "odd" in str(caught.value)

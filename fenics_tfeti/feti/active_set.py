@@ -1,0 +1,239 @@
+"""Primal-dual active set (semismooth Newton) on the dual, with projected conjugate gradients.
+
+Each step takes the contact rows that press as equalities, the others as no rows at all, and solves
+that linear problem by projected conjugate gradients, with the projector of just these rows. The
+signs of forces and gaps give the next set. Few steps lead to the solution where they do, but the
+loop may cycle: it then stops, and SMALBE-M, which cannot, goes on from where it came.
+
+After Hintermueller, Ito, Kunisch, SIAM J. Optim. 13 (2002) 865-888.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.coarse import CoarseSpace, Projector
+from fenics_tfeti.feti.exchange import concatenate_ranks
+from fenics_tfeti.qp import Products
+
+__all__ = ["ActiveSetStep", "DualProblem", "primal_dual_active_set"]
+
+Vector = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# relative to the first residual: accuracy of the first face, and its gain from face to face
+_FIRST_ACCURACY = 0.1
+_GAIN = 0.1
+_MAX_FACES = 40
+# relative to ||e||: work on motions that a face leaves free that counts as none
+_NO_WORK = 1e-9
+
+
+@dataclass(frozen=True)
+class DualProblem:
+    """Minimise 1/2 l'Fl - d'l subject to Gl = e and l_I >= o, (11.35).
+
+    Attributes
+    ----------
+    F : callable
+        The dual operator.
+    d : (m,) array
+        Its load.
+    e : (coarse,) array
+        R'f of all subdomains.
+    projector : Projector
+        That of all rows.
+    norm : float
+        ||PFP||.
+    precondition : callable or None
+        x -> B_D S B_D'x.
+    """
+
+    F: Callable[[Vector], Vector]
+    d: Vector
+    e: Vector
+    projector: Projector
+    norm: float
+    precondition: Callable[[Vector], Vector] | None
+
+    @property
+    def space(self) -> CoarseSpace:
+        """G."""
+        return self.projector.space
+
+
+@dataclass(frozen=True)
+class ActiveSetStep:
+    """Where one face of the primal-dual active set method ended.
+
+    Attributes
+    ----------
+    products : int
+        Products so far.
+    residual : float
+        Norm of the projected residual on the face, relative to ||b||.
+    active : int
+        Active contact rows of the face.
+    changed : int
+        Rows that enter or leave the set after it.
+    """
+
+    products: int
+    residual: float
+    active: int
+    changed: int
+
+
+@dataclass(frozen=True)
+class _Iterate:
+    multipliers: Vector
+    gradient: Vector  # Fl - d + G'a, not negative where l = o in the end
+    coarse_gradient: Vector  # Q(Fl - d) + G'a
+    residual: float
+
+
+def primal_dual_active_set(
+    problem: DualProblem,
+    multipliers: Vector,
+    active: Mask,
+    *,
+    tolerance: float,
+    norm_b: float,
+    max_products: int,
+    products: Products,
+    monitor: Callable[[ActiveSetStep], None],
+) -> tuple[Vector, Vector]:
+    """Run the active set method until its set does not change, or it cycles.
+
+    Parameters
+    ----------
+    problem : DualProblem
+        The problem.
+    multipliers : (m,) array
+        Where to start from.
+    active : (i,) bool array
+        The first guess of the inequality rows that are active.
+    tolerance, norm_b : float
+        Norm of the projected residual to end with, and the scale of the first ones.
+    max_products : int
+        Limit.
+    products : Products
+        Counter to add to.
+    monitor : callable
+        Called with every `ActiveSetStep`.
+
+    Returns
+    -------
+    multipliers : (m,) array
+        Nonnegative on the inequality rows, and G l = e up to what cutting negative forces does.
+    coarse_gradient : (m,) array
+        Q(Fl - d) + G'a with the rigid motions a: the equalities' part of the gradient.
+    """
+    space = problem.space
+    rows = space.constraints.inequality
+    seen: list[Mask] = []
+    wanted = max(tolerance, _FIRST_ACCURACY * norm_b)
+    while True:
+        face, active = _face(problem, active)
+        iterate = _solve_on(face, problem, multipliers, wanted, max_products, products)
+        multipliers = iterate.multipliers
+        following = multipliers[rows] > iterate.gradient[rows] / problem.norm
+        changed, size = _counts(space, following != active, active)
+        monitor(ActiveSetStep(products.total, iterate.residual / norm_b, size, changed))
+        done = changed == 0 and iterate.residual <= tolerance
+        exact = wanted <= tolerance
+        cycles = exact and any(not _counts(space, following != s, s)[0] for s in seen)
+        if done or cycles or len(seen) >= _MAX_FACES or products.total >= max_products:
+            multipliers[rows] = np.maximum(multipliers[rows], 0.0)
+            return multipliers, iterate.coarse_gradient
+        if exact:
+            seen.append(active)
+        wanted = max(tolerance, _GAIN * wanted) if changed else tolerance
+        active = following
+
+
+def _counts(space: CoarseSpace, *masks: Mask) -> list[int]:
+    """Count the entries of masks over the inequality rows of all ranks."""
+    owned = space.constraints.owned_inequalities
+    part = np.array([float(np.count_nonzero(mask[:owned])) for mask in masks])
+    return [int(n) for n in space.constraints.multipliers.space.sums(*part)]
+
+
+def _face(problem: DualProblem, active: Mask) -> tuple[Projector, Mask]:
+    """Return the projector of the equality and active rows, and the set.
+
+    Where the load would push bodies along motions that these rows leave free, the rows that the
+    motions close join them.
+    """
+    space, constraints = problem.space, problem.space.constraints
+    scale = float(np.linalg.norm(problem.e))
+    while True:
+        columns = constraints.equality
+        columns[constraints.inequality] = active
+        face = Projector.build(space, columns)
+        work = face.free.T @ problem.e
+        if np.linalg.norm(work) <= _NO_WORK * scale:
+            return face, active
+        closing = (space.all.T @ (face.free @ work))[constraints.inequality] > 0.0
+        joining = closing & ~active
+        if _counts(space, joining)[0] == 0:
+            return face, active
+        active = active | joining
+
+
+def _solve_on(
+    face: Projector,
+    problem: DualProblem,
+    multipliers: Vector,
+    tolerance: float,
+    max_products: int,
+    products: Products,
+) -> _Iterate:
+    """Solve the linear problem on a face by projected, preconditioned conjugate gradients."""
+    inner = problem.space.constraints.multipliers.space
+    inside = face.columns
+    # the nearest multipliers with Gl = e and nothing off the face
+    l = np.where(inside, multipliers, 0.0)
+    missing = problem.e - concatenate_ranks(problem.space.comm, problem.space.own @ l)
+    l = l + face.expand(face.solve(_resisted(face, missing)))
+    products.cg += 1
+    Fl = problem.F(l)
+
+    def project(x: Vector) -> Vector:
+        return face.complement(np.where(inside, x, 0.0))
+
+    r = project(problem.d - Fl)
+    p = np.zeros_like(r)
+    rz = 1.0
+    residual = inner.norm(r)
+    while residual > tolerance and products.total < max_products:
+        z = r
+        if problem.precondition is not None:
+            products.preconditioner += 1
+            z = project(problem.precondition(r))
+        before, rz = rz, inner.dots((r, z))[0]
+        p = z + rz / before * p
+        products.cg += 1
+        Fp = problem.F(p)
+        curvature = inner.dots((p, Fp))[0]
+        if curvature <= 0.0:
+            break
+        length = rz / curvature
+        l, Fl = l + length * p, Fl + length * Fp
+        r = r - length * project(Fp)
+        residual = inner.norm(r)
+    # the smallest of the motions that the face leaves free
+    motion = _resisted(face, face.coefficients(problem.d - Fl))
+    pull = problem.space.all.T @ motion
+    jump = Fl - problem.d
+    return _Iterate(l, jump + pull, problem.projector.coarse(jump) + pull, residual)
+
+
+def _resisted(face: Projector, coarse: Vector) -> Vector:
+    """Return a coarse vector without its part in the motions that the face leaves free."""
+    part: Vector = coarse - face.free @ (face.free.T @ coarse)
+    return part
