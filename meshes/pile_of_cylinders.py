@@ -42,20 +42,20 @@ def point_on_circle(centre: Point, angle: float, size: float) -> int:
     return gmsh.model.geo.addPoint(x, y, z, size)
 
 
-def graded(start: float, end: float, finest: float, coarsest: float) -> list[float]:
+def graded(start: float, end: float, finest: float, coarsest: float, growth: float) -> list[float]:
     """Divide an interval, finely at its ends, symmetric about its middle; its ends are left out."""
     half, step = (end - start) / 2, finest
     distances = [0.0]
     while distances[-1] < half:
         distances.append(distances[-1] + step)
-        step = min(GROWTH * step, coarsest)
+        step = min(growth * step, coarsest)
     distances = [half * distance / distances[-1] for distance in distances[1:]]
     first = [start + distance for distance in distances]
     return first + [end - distance for distance in reversed(distances[:-1])]
 
 
 def disc(
-    centre: Point, directions: dict[str, tuple[float, float]], elements: int
+    centre: Point, directions: dict[str, tuple[float, float]], elements: int, growth: float
 ) -> tuple[int, dict[str, list[int]]]:
     """Make a disc, and return its surface and the arcs at each place of contact.
 
@@ -72,7 +72,7 @@ def disc(
             corners.append((angles[name] + k * finest, finest, touches))
         start, end = angles[name] + HALF_ANGLE, angles[following] - HALF_ANGLE
         end = start + (end - start) % (2 * math.pi)
-        corners += [(angle, coarsest, "") for angle in graded(start, end, finest, coarsest)]
+        corners += [(angle, coarsest, "") for angle in graded(start, end, finest, coarsest, growth)]
     middle = gmsh.model.geo.addPoint(*centre)
     points = [point_on_circle(centre, angle, RADIUS * size) for angle, size, _ in corners]
     loop = [
@@ -126,14 +126,15 @@ def pile_of_cylinders(output: Path, dim: int = 2, elements: int = 12) -> None:
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.model.add("pile_of_cylinders")
+        growth = GROWTH
         if dim == 3:  # every cell is cut into hexahedra, half as large
             gmsh.option.setNumber("Mesh.SubdivisionAlgorithm", 2)
-            elements //= 2
+            elements, growth = elements // 2, GROWTH**2
         solids = []
         for number, (body, ((x, y), directions)) in enumerate(DISCS.items()):
             # Gmsh would merge points at one place: each body is made behind the one before
             shift = 2 * LENGTH * number if dim == 3 else 0.0
-            solid, contacts = disc((RADIUS * x, RADIUS * y, shift), directions, elements)
+            solid, contacts = disc((RADIUS * x, RADIUS * y, shift), directions, elements, growth)
             if dim == 3:
                 solid, contacts = extruded(solid, contacts)
             name_group(dim, [solid], body)

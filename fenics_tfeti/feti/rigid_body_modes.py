@@ -117,7 +117,10 @@ def describe_motion(coordinates: Vector, displacement: Vector, either_way: bool 
     words = []
     turns = size * np.linalg.norm(rotation) > 1e-6 * whole
     if turns:
-        centre, translation = _pole(centre, translation, rotation)
+        pole, along = _pole(centre, translation, rotation)
+        # a rotation about a point far away looks like a translation
+        if np.linalg.norm(pole - centre) <= 2.0 * size:
+            centre, translation = pole, along
     if np.linalg.norm(translation) > 1e-6 * whole:
         words.append(f"translation along {_direction(translation)}")
     if turns:
