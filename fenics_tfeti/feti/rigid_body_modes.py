@@ -118,8 +118,11 @@ def describe_motion(coordinates: Vector, displacement: Vector, either_way: bool 
     turns = size * np.linalg.norm(rotation) > 1e-6 * whole
     if turns:
         pole, along = _pole(centre, translation, rotation)
-        # a rotation about a point far away looks like a translation
-        if np.linalg.norm(pole - centre) <= 2.0 * size:
+        # a rotation about a point farther than the body is wide looks like a translation
+        if (
+            np.linalg.norm(pole - centre)
+            <= 2.0 * np.linalg.norm(coordinates - centre, axis=1).max()
+        ):
             centre, translation = pole, along
     if np.linalg.norm(translation) > 1e-6 * whole:
         words.append(f"translation along {_direction(translation)}")
