@@ -102,9 +102,8 @@ def solve(path, gdim):
 #
 # All pressures relative to the mean one, F / (pi a^2) and F' / (2 a). Linear elements cannot follow
 # the pressure at the edge: the node there carries the force of its surroundings, and its neighbour
-# lacks it. The force F is too large for the same reason: a body of finitely many elements is too
-# stiff, mostly at the edge. Both errors
-# become three times smaller with elements of half the size.
+# lacks it. F is too large for the same reason: a body of finitely many elements is too stiff,
+# mostly at the edge. Both errors become three times smaller with elements of half the size.
 
 curves = {}
 s = np.linspace(0, 0.995, 400)
