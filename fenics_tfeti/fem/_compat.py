@@ -374,7 +374,11 @@ def assemble_distributed(form: ufl.Form) -> NDArray[np.float64]:
 
 
 def distributed_mesh(
-    comm: MPI.Comm, cells: NDArray[np.int64], points: NDArray[np.float64], cell: str
+    comm: MPI.Comm,
+    cells: NDArray[np.int64],
+    points: NDArray[np.float64],
+    cell: str,
+    like: dolfinx.mesh.Mesh | None = None,
 ) -> dolfinx.mesh.Mesh:
     """Create a distributed mesh of first-order cells from arrays.
 
@@ -394,6 +398,9 @@ def distributed_mesh(
         This rank's share of the nodes [m]; they are numbered through the ranks.
     cell : str
         Shape of the cells, such as "hexahedron".
+    like : Mesh, optional
+        Take its coordinate element. Meshes that 0.11 reads from Gmsh have another variant (equally
+        spaced points) than the default one, and forms compiled for one do not fit the other.
     """
     gdim = points.shape[1]
     if "domain" in inspect.signature(mesh.create_mesh).parameters:
@@ -402,7 +409,8 @@ def distributed_mesh(
         return mesh.create_mesh(comm, cells, points, domain=domain)
     import basix.ufl
 
-    domain = ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(gdim,)))
+    element = basix.ufl.element("Lagrange", cell, 1, shape=(gdim,))
+    domain = ufl.Mesh(element if like is None else like.ufl_domain().ufl_coordinate_element())
     return mesh.create_mesh(comm, cells, x=points, e=domain)
 
 

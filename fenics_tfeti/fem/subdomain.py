@@ -347,6 +347,7 @@ def _submesh(domain: Mesh, cells: Numbers) -> _Submesh:
         local.reshape(geometry.shape).astype(np.int64),
         np.ascontiguousarray(x),
         _compat.cell_name(domain),
+        like=domain,
     )
     return _Submesh(sub, cells[np.asarray(sub.topology.original_cell_index)])
 
