@@ -28,8 +28,8 @@ from fenics_tfeti.fem.contact import (
     MatchedContact,
     RigidObstacle,
 )
+from fenics_tfeti.fem.faceted_surface import FacetedSurface, facet_normals
 from fenics_tfeti.fem.obstacles import gap_and_normal
-from fenics_tfeti.fem.surface import Surface, facet_normals
 from fenics_tfeti.feti import GeometryPass
 from fenics_tfeti.feti.exchange import concatenate_ranks, together
 
@@ -95,7 +95,7 @@ def deformed_contact(
 
     The normal at a node is the integral of the deformed facets' normal times the node's shape
     function, as that of `match_contact`. The gap to a master is measured along it, see
-    `Surface.gap_along`; to an obstacle it is what the obstacle says.
+    `FacetedSurface.gap_along`; to an obstacle it is what the obstacle says.
 
     Parameters
     ----------
@@ -186,9 +186,9 @@ class _Moved:
     displacement: Vector
     facets: Numbers
 
-    def surface(self) -> Surface:
+    def surface(self) -> FacetedSurface:
         if self.facets.shape[1] != 4:
-            return Surface(self.points, self.facets)
+            return FacetedSurface(self.points, self.facets)
         middle = len(self.points) + np.arange(len(self.facets))
         circle = self.facets[:, [0, 1, 3, 2]]
         triangles = [
@@ -196,7 +196,7 @@ class _Moved:
             for start, end in zip(circle.T, np.roll(circle, -1, axis=1).T, strict=True)
         ]
         points = np.concatenate([self.points, self.points[self.facets].mean(axis=1)])
-        return Surface(points, np.concatenate(triangles))
+        return FacetedSurface(points, np.concatenate(triangles))
 
     def normals(self, name: str) -> Vector:
         """Return the unit normals at all nodes, by the integral with the shape functions."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-__all__ = ["Distance", "Surface", "facet_normals"]
+__all__ = ["Distance", "FacetedSurface", "facet_normals"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -78,7 +78,7 @@ def facet_normals(corners: Vector) -> Vector:
     return normals
 
 
-class Surface:
+class FacetedSurface:
     """An oriented surface, open or closed, on every rank as a whole.
 
     Parameters

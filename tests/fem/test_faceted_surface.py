@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fenics_tfeti.fem.surface import Surface, facet_normals
+from fenics_tfeti.fem.faceted_surface import FacetedSurface, facet_normals
 
 HALF = np.array([0.5, 0.3, 0.2])
 
@@ -47,7 +47,7 @@ def somewhere(gdim: int, k: int = 500, size: float = 0.8) -> np.ndarray:
 
 @pytest.fixture(scope="module", params=[2, 3])
 def closed_box(request):
-    return Surface(*box(request.param)), request.param
+    return FacetedSurface(*box(request.param)), request.param
 
 
 def test_distance_to_a_box(closed_box):
@@ -165,7 +165,7 @@ def test_tree_finds_the_closest_of_all_facets(thin):
     points = np.column_stack([X.ravel(), Y.ravel(), 0.1 * rng.random(X.size)])
     facets = halved(np.arange(X.size).reshape(X.shape))
     x = rng.random((200, 3)) * [1.0, thin, 0.2]
-    found = Surface(points, facets).distance(x)
+    found = FacetedSurface(points, facets).distance(x)
     exact = np.min([distance_to_triangle(points[facet], x) for facet in facets], axis=0)
     compared = ~found.beside
     assert compared.sum() > 50
@@ -174,22 +174,24 @@ def test_tree_finds_the_closest_of_all_facets(thin):
 
 def test_inside_and_outside_at_a_sharp_edge():
     """The facet on the other side of the edge takes the point for one inside."""
-    wedge = Surface(np.array([[-0.1, -1.0], [0.0, 0.0], [0.1, -1.0]]), np.array([[1, 0], [2, 1]]))
+    wedge = FacetedSurface(
+        np.array([[-0.1, -1.0], [0.0, 0.0], [0.1, -1.0]]), np.array([[1, 0], [2, 1]])
+    )
     x = np.array([[-0.5, 0.2], [0.5, 0.2], [0.0, -0.5]])
     signed = wedge.distance(x).signed
     depth = 0.05 / np.sqrt(1.01)
     np.testing.assert_allclose(signed, [np.hypot(0.5, 0.2)] * 2 + [-depth])
 
 
-def floor(gdim: int) -> Surface:
+def floor(gdim: int) -> FacetedSurface:
     """Return an open surface at height 0 between 0 and 1, with facets of length 0.25."""
     x = np.linspace(0.0, 1.0, 5)
     if gdim == 2:
-        return Surface(
+        return FacetedSurface(
             np.column_stack([x, 0 * x]), np.column_stack([np.arange(1, 5), np.arange(4)])
         )
     X, Y = (g.ravel() for g in np.meshgrid(x, x, indexing="ij"))
-    return Surface(np.column_stack([X, Y, 0 * X]), halved(np.arange(25).reshape(5, 5)))
+    return FacetedSurface(np.column_stack([X, Y, 0 * X]), halved(np.arange(25).reshape(5, 5)))
 
 
 @pytest.mark.parametrize("gdim", [2, 3])
@@ -219,14 +221,14 @@ def test_line_through_a_common_corner_of_facets_meets_them():
 
 def test_facet_without_length_changes_nothing():
     points = np.array([[1.0, 0.0], [0.5, 0.0], [0.5, 0.0], [0.0, 0.0]])
-    surface = Surface(points, np.array([[0, 1], [1, 2], [2, 3]]))
+    surface = FacetedSurface(points, np.array([[0, 1], [1, 2], [2, 3]]))
     x = np.array([[0.5, 0.1], [0.2, -0.1]])
     np.testing.assert_allclose(surface.distance(x).signed, [0.1, -0.1])
 
 
 def test_facet_without_area_changes_nothing():
     points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [2.0, 0.0, 0.0]])
-    surface = Surface(points, np.array([[0, 1, 2], [0, 3, 1]]))
+    surface = FacetedSurface(points, np.array([[0, 1, 2], [0, 3, 1]]))
     x = np.array([[0.2, 0.2, 0.1], [0.5, 0.1, -0.05]])
     gap, signed = surface.gap_along(x, np.tile([0.0, 0.0, -1.0], (2, 1)))
     np.testing.assert_allclose(signed, [0.1, -0.05])
