@@ -27,7 +27,12 @@ from fenics_tfeti.fem.fields import displacement_space
 from fenics_tfeti.fem.structured import Box, boxes, tag_facets
 
 CLAMPED, GUIDED, SLAVE, MASTER, LOADED = 3, 4, 5, 6, 7
-PLAIN = {"method": "smalbe", "expansion": "standard", "preconditioner": "none"}
+PLAIN = {
+    "method": "smalbe",
+    "expansion": "standard",
+    "preconditioner": "none",
+    "scaling": "multiplicity",
+}
 
 
 def parse_arguments() -> argparse.Namespace:
