@@ -8,6 +8,8 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
+from mpi4py import MPI
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -20,6 +22,7 @@ from fenics_tfeti.errors import NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact import (
     Contact,
+    ContactPair,
     ContactResult,
     MatchedContact,
     contact_rows,
@@ -31,6 +34,7 @@ from fenics_tfeti.fem.displacement import (
     displacement_space,
     prescribed_values,
 )
+from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.fem.partition import find_bodies, given_subdomains, split_into_subdomains
 from fenics_tfeti.fem.subdomain import prepare_forms, same_values
 from fenics_tfeti.feti import (
@@ -63,8 +67,10 @@ class ContactProblem:
     contacts : sequence of ContactPair or RigidObstacle
         What may touch.
     cell_tags : MeshTags, optional
-        A tag for every cell, where bodies are to be told apart by tags; by default the bodies are
-        the connected components of the mesh.
+        A tag for every cell, where bodies are to be told apart by tags: each tag is one body, its
+        cells connected through facets. Bodies that share facets are glued there. By default the
+        bodies are the connected parts of the mesh, which tells bodies apart that have nodes of
+        their own. Tags of materials, which may be in several places, belong into ``dx`` alone.
     subdomains : sequence of int, optional
         A label for each cell that this rank owns: cells with the same label make a subdomain. By
         default each rank splits its cells by a graph partitioner.
@@ -110,13 +116,16 @@ class ContactProblem:
         self.bcs, self.contacts = list(bcs), list(contacts)
         self._searched: list[Contact] = []
         self._matched: list[MatchedContact] = []
+        self._moved: list[MatchedContact] = []
         self._solver: TornSolver | None = None
         prescribed = prescribed_values(self.space, self.bcs)
+        with self._timer.phase("partition"):
+            bodies = find_bodies(self.space.mesh, cell_tags)
+            check_mesh(self.space.mesh, bodies, self.contacts)
         self._match_contacts()
         with self._timer.phase("compilation"):
             self._forms = prepare_forms(self.space, a, L)
         with self._timer.phase("partition"):
-            bodies = find_bodies(self.space.mesh, cell_tags)
             if subdomains is None:
                 cells = split_into_subdomains(self.space, bodies, self.options.subdomain_size)
             else:
@@ -156,12 +165,15 @@ class ContactProblem:
         if self._stale:
             self._refresh()
         self._stale = True
-        uh = self._solve_linearised(self.system)
-        return uh if self.options.non_penetration == "linearised" else self._correct_geometry(uh)
+        if self.options.non_penetration == "linearised":
+            return self._solve_linearised(self._matched)
+        return self._solve_exactly()
 
     def _match_contacts(self) -> None:
         with self._timer.phase("contact search"):
             known = list(zip(self._searched, self._matched, strict=True))
+            if [id(c) for c in self._searched] != [id(c) for c in self.contacts]:
+                self._moved = []
             self._matched = match_contacts(self.space, self.contacts, known)
             self._searched = list(self.contacts)
 
@@ -198,37 +210,41 @@ class ContactProblem:
             torn = self._assemble(torn)
         self.system = self._torn_system(torn, prescribed)
 
-    def _solve_linearised(self, system: TornSystem) -> Function:
+    def _solve_linearised(self, matched: Sequence[MatchedContact]) -> Function:
+        rows = contact_rows(matched, self.system.gdim)
+        system = replace(self.system, contacts=rows)
         self._solver = TornSolver(system, self.options, self._timer, self._solver)
         try:
             solution = self._solver.solve()
         except NotConverged as error:
-            error.solution = self._take(error.solution)
+            error.solution = self._take(error.solution, matched)
             error.report = self.report
             raise
-        return self._take(solution)
+        return self._take(solution, matched)
 
-    def _correct_geometry(self, uh: Function) -> Function:
-        """Repeat with normals and gaps of the deformed surfaces, sec. 11.1 and 11.11.2."""
-        gdim, passes = self.space.mesh.geometry.dim, list[GeometryPass]()
+    def _solve_exactly(self) -> Function:
+        """Repeat with normals, gaps and partners of the deformed surfaces, sec. 11.1, 11.11.2."""
+        passes = list[GeometryPass]()
+        # where the last solution ended is nearer to the present one than the undeformed state
+        matched = self._moved or self._matched
         while True:
+            uh = self._solve_linearised(matched)
             with self._timer.phase("deformed surfaces"):
                 deformed = [
-                    deformed_contact(self.space, contact, matched, uh)
-                    for contact, matched in zip(self.contacts, self._matched, strict=True)
+                    deformed_contact(self.space, contact, match, uh, _gives_normals(contact))
+                    for contact, match in zip(self.contacts, matched, strict=True)
                 ]
             products = self.report.products["total"]
             passes.append(geometry_pass(deformed, self.contact, uh, products))
             self.report = replace(self.report, passes=passes)
+            matched = self._moved = [
+                replace(match, master=new.master, normal=new.normal, gap=new.gap)
+                for match, new in zip(matched, deformed, strict=True)
+            ]
             if passes[-1].error <= self.options.penetration_tolerance:
                 return uh
             if len(passes) == self.options.max_passes:
                 return self._not_exact(uh, passes[-1])
-            moved = [
-                replace(matched, normal=new.normal, gap=new.gap)
-                for matched, new in zip(self._matched, deformed, strict=True)
-            ]
-            uh = self._solve_linearised(replace(self.system, contacts=contact_rows(moved, gdim)))
 
     def _not_exact(self, uh: Function, last: GeometryPass) -> Function:
         reason = (
@@ -245,21 +261,26 @@ class ContactProblem:
             )
         return uh
 
-    def _take(self, solution: TornSolution) -> Function:
+    def _take(self, solution: TornSolution, matched: Sequence[MatchedContact]) -> Function:
         versions = {**solution.report.versions, "dolfinx": _compat.version()}
-        pairing = [matched.pairing for matched in self._matched]
+        pairing = [match.pairing for match in self._matched]
         self.report = replace(solution.report, versions=versions, pairing=pairing)
-        ends = np.cumsum([matched.slave.size for matched in self._matched])[:-1]
+        ends = np.cumsum([match.slave.size for match in self._matched])[:-1]
         forces = np.split(solution.normal_force, ends)
         self.contact = [
-            _contact_result(matched, force, self.space.mesh.comm)
-            for matched, force in zip(self._matched, forces, strict=False)
+            # the gap of the undeformed surfaces, with the normal that the force acts along
+            _contact_result(replace(match, gap=first.gap), force, self.space.mesh.comm)
+            for match, first, force in zip(matched, self._matched, forces, strict=False)
         ]
         return average_of_copies(self.space, self.system.subdomains, solution.displacements)
 
 
+def _gives_normals(contact: Contact) -> bool:
+    return isinstance(contact, ContactPair) and contact.normal is not None
+
+
 def _contact_result(
-    matched: MatchedContact, force: NDArray[np.float64], comm: Any
+    matched: MatchedContact, force: NDArray[np.float64], comm: MPI.Intracomm
 ) -> ContactResult:
     return ContactResult(
         matched.name,
@@ -277,7 +298,8 @@ def _contact_result(
 def _command_line() -> dict[str, str]:
     """Return the options given as ``-tfeti_name value`` to PETSc or to the script."""
     database = PETSc.Options("tfeti_")
-    for word, following in pairwise([*sys.argv[1:], ""]):
+    # a program that embeds Python may have no command line
+    for word, following in pairwise([*getattr(sys, "argv", [])[1:], ""]):
         # PETSc knows the command line only if petsc4py was started with it
         if word.startswith("-tfeti_") and not database.hasName(word.removeprefix("-tfeti_")):
             database.setValue(word.removeprefix("-tfeti_"), following)

@@ -70,7 +70,7 @@ class Blocks:
         matched, uh = self.matched(self.pair), self.displacement(lower, upper)
         result = deformed_contact(self.space, self.pair, matched, uh, **arguments)
         u = uh.x.array.reshape(-1, self.mesh.geometry.dim)
-        return matched, result, u[matched.slave], u[matched.master]
+        return matched, result, u[matched.slave], u[result.master]
 
 
 def blocks(

@@ -56,3 +56,16 @@ def test_lower_storeys_need_no_dolfinx():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "apt install python3-dolfinx-real" in done.stdout
+
+
+@pytest.mark.parametrize(
+    "first",
+    [
+        "from fenics_tfeti import ContactProblem",
+        "import fenics_tfeti.feti",
+        "import fenics_tfeti.fem.fields",
+    ],
+)
+def test_package_may_be_the_first_import(first):
+    """Of the wheels, mpi4py has to be imported before petsc4py and dolfinx."""
+    subprocess.run([sys.executable, "-c", first], check=True)

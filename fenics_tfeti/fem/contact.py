@@ -74,7 +74,9 @@ class ContactPair:
     """Two tagged surfaces that may touch but not penetrate each other.
 
     Each slave node meets one master node: the nearest one, unless `direction`, `mapping` or `pairs`
-    says how to find it. The grids have to match up to `tolerance`.
+    says how to find it. The grids have to match up to `tolerance`. Where nobody meshed the surfaces
+    alike, let the finer one, about twice as fine, be the master and raise the tolerance to 0.8;
+    what still has no partner, over the rim of the master, can stay free by `partial`.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
 """Contact geometry in the deformed state, for exact non-penetration (sec. 11.1, 11.11.2).
 
 The linearized condition (11.1) is exact if the normals are those of the deformed state and the
-partners are opposite each other in it. Here the node pairs stay, and normals and gaps are
-measured anew on the surfaces that the last displacement has moved, between their facets.
+partners are opposite each other in it. Here normals and gaps are measured anew on the surfaces that
+the last displacement has moved, between their facets, and nodes that slid get new partners.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from dolfinx.fem import Function, FunctionSpace
 
@@ -27,6 +28,7 @@ from fenics_tfeti.fem.contact import (
     MatchedContact,
     RigidObstacle,
 )
+from fenics_tfeti.fem.obstacles import gap_and_normal
 from fenics_tfeti.fem.surface import Surface, facet_normals
 from fenics_tfeti.feti import GeometryPass
 from fenics_tfeti.feti.exchange import concatenate_ranks, together
@@ -38,8 +40,8 @@ Numbers = NDArray[np.int64]
 
 # a nodal normal whose facets' normals cancel to less than this part of their area
 _VANISHING_NORMAL = 1e-3
-# of the length of an obstacle's unit normal
-_UNIT = 1e-6
+# ratio of distances at which another node takes a partner's place
+_CLEARLY_NEARER = 1.5
 _CORNERS = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 4}
 # corners in an order that turns the facet round
 _TURNED = {2: [1, 0], 3: [0, 2, 1], 4: [0, 2, 1, 3]}
@@ -51,6 +53,9 @@ class DeformedContact:
 
     Attributes
     ----------
+    master : (k,) integer array
+        Global node of the partner: that of `MatchedContact`, or the master's node that is now
+        opposite, where the surfaces slid; -1 for an obstacle.
     normal : (k, gdim) array
         Outward unit normals of the slave in the deformed state.
     gap : (k,) array
@@ -67,6 +72,7 @@ class DeformedContact:
         from arcs, and decreases with the square of their size.
     """
 
+    master: Numbers
     normal: Vector
     gap: Vector
     distance: Vector
@@ -103,7 +109,7 @@ def deformed_contact(
     displacement : Function
         On the space [m]; its ghosts are updated.
     keep_normal : bool
-        Keep the slave's normals as they were matched, because the user gave them.
+        Keep the slave's normals of a pair as they were matched, because the user gave them.
 
     Returns
     -------
@@ -119,7 +125,7 @@ def deformed_contact(
     _check_displacement(space, displacement)
     displacement.x.scatter_forward()
     if isinstance(contact, RigidObstacle):
-        return _at_obstacle(space, contact, matched, displacement, keep_normal)
+        return _at_obstacle(space, contact, matched, displacement)
     return _at_master(space, contact, matched, displacement, keep_normal)
 
 
@@ -236,9 +242,11 @@ def _at_master(
     partner = np.searchsorted(master.nodes, matched.master)
     normal = matched.normal if keep_normal else slave.normals(matched.name)[here]
     free_way, signed = master.surface().gap_along(slave.points[here], normal)
+    partner = _opposite(master, partner, slave.points[here] + free_way[:, None] * normal)
     relative = slave.displacement[here] - master.displacement[partner]
     inside = slave.surface().distance(master.points[partner]).signed
     return DeformedContact(
+        master.nodes[partner],
         normal,
         free_way + np.sum(relative * normal, axis=1),
         free_way,
@@ -247,54 +255,34 @@ def _at_master(
     )
 
 
+def _opposite(master: _Moved, partner: Numbers, foot: Vector) -> Numbers:
+    """Return the master's nodes next to the points that the slave's nodes face.
+
+    A partner stays where another node is not clearly nearer: the passes shall not alternate.
+    """
+    distance, nearest = cKDTree(master.points).query(foot) if len(foot) else (foot[:, 0], partner)
+    present = np.linalg.norm(master.points[partner] - foot, axis=1)
+    return np.where(present > _CLEARLY_NEARER * distance, nearest, partner)
+
+
 def _at_obstacle(
     space: FunctionSpace,
     contact: RigidObstacle,
     matched: MatchedContact,
     displacement: Function,
-    keep_normal: bool,
 ) -> DeformedContact:
     gdim = space.dofmap.index_map_bs
-    first = space.dofmap.index_map.local_range[0]
-    moves = displacement.x.array.reshape(-1, gdim)[matched.slave - first]
-    points = matched.coordinates.copy()
-    points[:, :gdim] += moves
-    comm = space.mesh.comm
-    with together(comm):
-        gap, normal = _ask_obstacle(matched.name, contact, points, gdim)
-    # all ranks have to take part in finding the slave's normals
-    if comm.allreduce(normal is None, MPI.LOR):
-        normal = matched.normal
-        if not keep_normal:
-            slave = _gather(space, contact.facet_tags, contact.slave, displacement)
-            here = np.searchsorted(slave.nodes, matched.slave)
-            normal = slave.normals(matched.name)[here]
-    assert normal is not None
-    bound = gap + np.sum(moves * normal, axis=1)
-    return DeformedContact(normal, bound, gap, np.maximum(-gap, 0.0), np.zeros(gap.size))
-
-
-def _ask_obstacle(
-    name: str, contact: RigidObstacle, points: Vector, gdim: int
-) -> tuple[Vector, Vector | None]:
-    """Return gaps, and normals into the obstacle if it tells them."""
-    k = len(points)
-    answer: Any = contact.obstacle(np.ascontiguousarray(points.T))
-    alone = not (isinstance(answer, tuple | list) and len(answer) == 2)
-    gap = np.asarray(answer if alone else answer[0], dtype=float)
-    outward = np.zeros((gdim, k)) if alone else np.asarray(answer[1], dtype=float)
-    if gap.shape != (k,) or outward.shape not in ((gdim, k), (3, k)):
-        raise InputError(
-            f"{name}: for points of shape (3, {k}) the obstacle returned a gap of shape "
-            f"{gap.shape} and a normal of shape {outward.shape}; expected ({k},) and ({gdim}, {k})"
-        )
-    length = np.linalg.norm(outward[:gdim], axis=0)
-    if not np.isfinite(gap).all() or not (alone or np.all(np.abs(length - 1.0) <= _UNIT)):
-        raise InputError(
-            f"{name}: where the displacement has moved the slave, the obstacle's gap is NaN or "
-            "infinite or its normal is not of length 1; define it around the body, too"
-        )
-    return gap, None if alone else -outward[:gdim].T
+    slave = _gather(space, contact.facet_tags, contact.slave, displacement)
+    here = np.searchsorted(slave.nodes, matched.slave)
+    points = np.pad(slave.points[here], ((0, 0), (0, 3 - gdim)))
+    body_normal = slave.normals(matched.name)[here]
+    gap, outward = gap_and_normal(
+        space.mesh.comm, contact.obstacle, points, body_normal, matched.name
+    )
+    bound = gap - np.sum(slave.displacement[here] * outward, axis=1)
+    return DeformedContact(
+        matched.master, -outward, bound, gap, np.maximum(-gap, 0.0), np.zeros(gap.size)
+    )
 
 
 def _gather(space: FunctionSpace, facet_tags: Any, tag: int, displacement: Function) -> _Moved:

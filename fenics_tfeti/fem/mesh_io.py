@@ -15,10 +15,11 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dolfinx.mesh import Mesh
 
-from fenics_tfeti.errors import InputError
+from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.feti.exchange import together
 
@@ -58,7 +59,8 @@ def read_msh(
     """Read a mesh and its physical groups from a Gmsh file.
 
     Rank 0 reads the file, then dolfinx distributes the cells. Nodes at the same place stay
-    separate nodes, thus bodies that touch stay separate bodies. Collective.
+    separate nodes, thus bodies that touch stay separate bodies. Nodes of no cell are left out, with
+    a warning in the log. Collective.
 
     Parameters
     ----------
@@ -82,8 +84,9 @@ def read_msh(
     ImportError
         If the Python module of Gmsh is missing.
     InputError
-        If the file cannot be read, or its physical groups do not give each cell one tag and each
-        facet at most one. All errors are raised on all ranks.
+        If the file cannot be read, a cell is there twice or names a node twice, or the physical
+        groups do not give each cell one tag and each facet at most one. All errors are raised on
+        all ranks.
 
     Examples
     --------
@@ -242,10 +245,40 @@ def _prepare(model: Any, path: Path, gdim: int) -> tuple[dict[str, int], int]:
     for dim, tag in model.getPhysicalGroups():
         if dim < dimension - 1:
             _elements(model, dim, tag, path)
+    _check_cell_nodes(model, path, dimension)
     nodes = model.mesh.getNodes()[0]
     if len(nodes) != nodes.max():
         model.mesh.renumberNodes()  # dolfinx wants numbers without gaps
     return _names(model, cells + facets, path), tagged_facets
+
+
+def _check_cell_nodes(model: Any, path: Path, dim: int) -> None:
+    """Check that no cell is there twice or has a node twice, and name nodes of no cell."""
+    types, _, rows = model.mesh.getElements(dim)
+    cells = np.sort(rows[0].reshape(-1, model.mesh.getElementProperties(types[0])[3]), axis=1)
+
+    def around(wrong: NDArray[Any]) -> str:
+        first = format_point(np.mean([model.mesh.getNode(n)[0] for n in cells[wrong[0]]], axis=0))
+        return f"{len(wrong)} of {len(cells)}, the first around {first}"
+
+    collapsed = np.flatnonzero(np.any(cells[:, 1:] == cells[:, :-1], axis=1))
+    if len(collapsed):
+        raise InputError(
+            f"{path} has cells that name a node twice: {around(collapsed)}; mesh there again, "
+            "without collapsed cells"
+        )
+    once = np.unique(cells, axis=0, return_index=True)[1]
+    again = np.setdiff1d(np.arange(len(cells)), once)
+    if len(again):
+        raise InputError(
+            f"{path} has cells that are there several times: {around(again)}; remove the copies "
+            "(removeDuplicateElements in Gmsh)"
+        )
+    unused = np.setdiff1d(model.mesh.getNodes()[0], cells)
+    if len(unused):
+        # such as centres of circles, which Gmsh saves with its option Mesh.SaveAll
+        first = format_point(model.mesh.getNode(unused[0])[0])
+        _log.warning("%s: left out %d nodes of no cell, one at %s", path, len(unused), first)
 
 
 def _check_cell_groups(model: Any, groups: list[tuple[int, int]], path: Path, dim: int) -> None:

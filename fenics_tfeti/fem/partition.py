@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx.fem import FunctionSpace
-from dolfinx.mesh import Mesh
+from dolfinx.mesh import Mesh, exterior_facet_indices
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
@@ -41,10 +41,16 @@ class Bodies:
         The body of each cell that this rank owns.
     names : list of str
         Names for messages, by number; the same on all ranks.
+    tags : (bodies,) integer array or None
+        The tag of each, where cells are tagged; the same on all ranks.
+    part : (bodies,) integer array
+        The connected part of the mesh, whatever the tags, that each is in; the same on all ranks.
     """
 
     of_cell: Numbers
     names: list[str]
+    tags: Numbers | None
+    part: Numbers
 
 
 def find_bodies(domain: Mesh, cell_tags: Any | None) -> Bodies:
@@ -67,22 +73,21 @@ def find_bodies(domain: Mesh, cell_tags: Any | None) -> Bodies:
     InputError
         If some cells have no tag.
     """
-    comm = domain.comm
     tags = _cell_tags(domain, cell_tags)
+    tagged = cell_tags is not None
     graph = _cell_graph(domain)
-    count, piece = connected_components(_cut_between(graph, tags), directed=False)
-    # pieces of this rank, numbered over all ranks, then joined through facets shared by ranks
-    first, total = first_of_rank(comm, count)
-    body_of_piece = _join_pieces(domain, piece + first, tags, total)
-    bodies = int(body_of_piece.max(initial=-1)) + 1
-    unordered = body_of_piece[piece + first]
+    unordered, bodies = _components(domain, graph, tags)
+    part = _components(domain, graph, np.zeros_like(tags))[0] if tagged else unordered
 
-    tag, lowest = _describe(domain, unordered, tags, bodies)
-    order = np.lexsort((lowest, tag))
+    common, lowest = _describe(domain, unordered, np.stack([tags, part], axis=1), bodies)
+    order = np.lexsort((lowest, common[:, 0]))
     number = np.empty(bodies, dtype=np.int64)
     number[order] = np.arange(bodies)
     of_cell = number[unordered]
-    return Bodies(of_cell, _names(domain, of_cell, tag[order], cell_tags is not None))
+    tag_of_body = common[order, 0] if tagged else None
+    return Bodies(
+        of_cell, _names(domain, of_cell, bodies, tag_of_body), tag_of_body, common[order, 1]
+    )
 
 
 def split_into_subdomains(
@@ -219,6 +224,18 @@ def cell_facets(domain: Mesh) -> tuple[NDArray[np.int32], int]:
     return table.reshape(count, per_cell[_compat.cell_name(domain)]), cells.size_local
 
 
+def exterior_cell_facets(domain: Mesh) -> NDArray[np.bool_]:
+    """Tell which facets of each owned cell are on the boundary of the whole mesh."""
+    dim = domain.topology.dim
+    domain.topology.create_entities(dim - 1)
+    domain.topology.create_connectivity(dim - 1, dim)
+    facet_of, owned = cell_facets(domain)
+    exterior = np.zeros(int(facet_of.max(initial=-1)) + 1, dtype=bool)
+    exterior[exterior_facet_indices(domain.topology)] = True
+    of_cell: NDArray[np.bool_] = exterior[facet_of[:owned]]
+    return of_cell
+
+
 def _cut_between(graph: sp.csr_matrix, label: Numbers) -> sp.csr_matrix:
     """Return the graph without the edges between different labels."""
     coo = graph.tocoo()
@@ -237,6 +254,15 @@ def _connected_groups(
 ) -> list[NDArray[np.int32]]:
     _, piece = connected_components(_cut_between(graph, label), directed=False)
     return [cells[group] for group in _groups(piece)]
+
+
+def _components(domain: Mesh, graph: sp.csr_matrix, tags: Numbers) -> tuple[Numbers, int]:
+    """Return for each cell which connected component of one tag it is in, and their number."""
+    count, piece = connected_components(_cut_between(graph, tags), directed=False)
+    # pieces of this rank, numbered over all ranks, then joined through facets shared by ranks
+    first, total = first_of_rank(domain.comm, count)
+    of_piece = _join_pieces(domain, piece + first, tags, total)
+    return of_piece[piece + first], int(of_piece.max(initial=-1)) + 1
 
 
 def _join_pieces(domain: Mesh, piece: Numbers, tags: Numbers, total: int) -> Numbers:
@@ -266,31 +292,34 @@ def _join_pieces(domain: Mesh, piece: Numbers, tags: Numbers, total: int) -> Num
     return body
 
 
-def _describe(domain: Mesh, body: Numbers, tags: Numbers, bodies: int) -> tuple[Numbers, Numbers]:
-    """Return each body's tag and lowest global cell number."""
+def _describe(
+    domain: Mesh, body: Numbers, columns: Numbers, bodies: int
+) -> tuple[Numbers, Numbers]:
+    """Return what the cells of each body have in common, and its lowest global cell number."""
     cells = np.arange(body.size, dtype=np.int32)
     numbers = domain.topology.index_map(domain.topology.dim).local_to_global(cells)
-    tag = np.full(bodies, np.iinfo(np.int64).min)
+    common = np.full((bodies, columns.shape[1]), np.iinfo(np.int64).min)
     lowest = np.full(bodies, np.iinfo(np.int64).max)
-    np.maximum.at(tag, body, tags)
+    common[body] = columns
     np.minimum.at(lowest, body, np.asarray(numbers, dtype=np.int64))
-    domain.comm.Allreduce(MPI.IN_PLACE, tag, MPI.MAX)
+    domain.comm.Allreduce(MPI.IN_PLACE, common, MPI.MAX)
     domain.comm.Allreduce(MPI.IN_PLACE, lowest, MPI.MIN)
-    return tag, lowest
+    return common, lowest
 
 
-def _names(domain: Mesh, body: Numbers, tag: Numbers, tagged: bool) -> list[str]:
+def _names(domain: Mesh, body: Numbers, bodies: int, tags: Numbers | None) -> list[str]:
     """Name the bodies by number, tag and where they are."""
-    low = np.full((tag.size, 3), np.inf)
+    gdim = domain.geometry.dim
+    low = np.full((bodies, gdim), np.inf)
     high = -low
-    x = domain.geometry.x[_compat.geometry_cells(domain)[: body.size]]
+    x = domain.geometry.x[:, :gdim][_compat.geometry_cells(domain)[: body.size]]
     np.minimum.at(low, body, x.min(axis=1, initial=np.inf))
     np.maximum.at(high, body, x.max(axis=1, initial=-np.inf))
     domain.comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)
     domain.comm.Allreduce(MPI.IN_PLACE, high, MPI.MAX)
     names = []
-    for number in range(tag.size):
-        label = f" (cell tag {tag[number]})" if tagged else ""
+    for number in range(bodies):
+        label = "" if tags is None else f" (cell tag {tags[number]})"
         box = " x ".join(
             f"[{a:.4g}, {b:.4g}]" for a, b in zip(low[number], high[number], strict=True)
         )

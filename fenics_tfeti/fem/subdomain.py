@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 import ufl
 from dolfinx import fem
 from dolfinx.fem import Function, FunctionSpace
-from dolfinx.mesh import Mesh, exterior_facet_indices
+from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.partition import cell_facets
+from fenics_tfeti.fem.partition import cell_facets, exterior_cell_facets
 from fenics_tfeti.feti import Subdomain
 from fenics_tfeti.feti.exchange import together
 
@@ -179,7 +179,7 @@ def prepare_forms(space: FunctionSpace, a: ufl.Form, L: ufl.Form) -> BoundForms:
     InputError
         Unsupported integrals, coefficients or tag data; NaN in coefficients and constants.
     """
-    exterior = _exterior_cell_facets(space.mesh)
+    exterior = exterior_cell_facets(space.mesh)
     return BoundForms(
         space,
         _prepare(space, a, "bilinear form a (the stiffness)", exterior),
@@ -335,18 +335,6 @@ def _tag_everywhere(form: ufl.Form, ids: list[int]) -> tuple[ufl.Form, int]:
             integral = integral.reconstruct(subdomain_id=(*ids, rest) if ids else rest)
         integrals.append(integral)
     return ufl.Form(integrals), rest
-
-
-def _exterior_cell_facets(domain: Mesh) -> NDArray[np.bool_]:
-    """Tell which facets of each owned cell are on the boundary of the whole mesh."""
-    dim = domain.topology.dim
-    domain.topology.create_entities(dim - 1)
-    domain.topology.create_connectivity(dim - 1, dim)
-    facet_of, owned = cell_facets(domain)
-    exterior = np.zeros(int(facet_of.max(initial=-1)) + 1, dtype=bool)
-    exterior[exterior_facet_indices(domain.topology)] = True
-    of_cell: NDArray[np.bool_] = exterior[facet_of[:owned]]
-    return of_cell
 
 
 def _submesh(domain: Mesh, cells: Numbers) -> _Submesh:

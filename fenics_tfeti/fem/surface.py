@@ -21,7 +21,7 @@ Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 # facets in a box that is not divided any further
-_LEAF = 4
+_LEAF = 2
 # points that descend the tree at once; bounds the memory where many facets are equally far
 _BLOCK = 2048
 # of barycentric coordinates: closer to a corner or an edge than this is upon it
@@ -94,7 +94,7 @@ class Surface:
         self._corners = points[facets]
         areas = facet_normals(self._corners)
         self._normals = _unit(areas)
-        self._vertices = cKDTree(points[np.unique(facets)])
+        self._middles = cKDTree(self._corners.mean(axis=1))
         self._tree = _BoxTree(self._corners)
         self._rounding = 1e-14 * float(np.abs(points).max(initial=0.0))
         self._describe_features(facets)
@@ -195,7 +195,10 @@ class Surface:
 
     def _closest(self, x: Vector) -> tuple[Vector, Numbers, Numbers]:
         """Return the closest points, their facets, and the features of these they are on."""
-        limit = self._vertices.query(x)[0] * (1.0 + 1e-9) + self._rounding
+        # as far as one facet is, others may be
+        one = self._middles.query(x)[1]
+        point = _closest_on(self._corners[one], self._normals[one], x)[0]
+        limit = np.linalg.norm(point - x, axis=1) * (1.0 + 1e-9) + self._rounding
 
         def near(row: Numbers, low: Vector, high: Vector) -> Mask:
             away = np.maximum(np.maximum(low - x[row], x[row] - high), 0.0)

@@ -291,7 +291,7 @@ def _centres_and_sizes(system: TornSystem, bodies: int) -> tuple[Vector, Vector]
 
 
 def describe_body_motion(
-    system: TornSystem, kernels: Sequence[Vector], own_motion: Vector
+    system: TornSystem, kernels: Sequence[Vector], own_motion: Vector, either_way: bool = False
 ) -> list[str]:
     """Name the bodies that take part in a motion, and how each of them moves.
 
@@ -303,6 +303,8 @@ def describe_body_motion(
         R_i of this rank's subdomains.
     own_motion : array
         This rank's part of the coarse vector xi of the motion R xi.
+    either_way : bool
+        Whether the opposite motion is meant as well.
 
     Returns
     -------
@@ -315,7 +317,8 @@ def describe_body_motion(
         displacement = R @ own_motion[ends[i] : ends[i + 1]]
         size = float(np.abs(displacement).max(initial=0.0))
         if size > parts.get(subdomain.body, (0.0, ""))[0]:
-            parts[subdomain.body] = size, describe_motion(subdomain.coordinates, displacement)
+            words = describe_motion(subdomain.coordinates, displacement, either_way)
+            parts[subdomain.body] = size, words
     merged: dict[int, tuple[float, str]] = {}
     for part in system.comm.allgather(parts):
         for body, value in part.items():

@@ -87,7 +87,7 @@ def kernel(subdomain: Subdomain) -> Vector:
     return free
 
 
-def describe_motion(coordinates: Vector, displacement: Vector) -> str:
+def describe_motion(coordinates: Vector, displacement: Vector, either_way: bool = False) -> str:
     """Say in words which rigid motion a displacement field is.
 
     Parameters
@@ -96,6 +96,9 @@ def describe_motion(coordinates: Vector, displacement: Vector) -> str:
         [m].
     displacement : (gdim * nodes,) array
         A rigid motion of the nodes.
+    either_way : bool
+        Whether the opposite motion is meant as well: then the one whose first component is positive
+        is named.
 
     Returns
     -------
@@ -106,6 +109,8 @@ def describe_motion(coordinates: Vector, displacement: Vector) -> str:
     centre = coordinates.mean(axis=0)
     modes = raw_modes(coordinates, centre)
     parts = np.linalg.lstsq(modes, displacement, rcond=None)[0]
+    if either_way:
+        parts = parts * np.sign(parts[np.abs(parts) > 1e-6 * np.abs(parts).max()][0])
     translation, rotation = parts[:gdim], parts[gdim:]
     size = np.abs(coordinates - centre).max()
     whole = np.linalg.norm(np.append(translation, size * rotation))

@@ -250,7 +250,7 @@ class TornSolver:
         state = self.state or SMALBEState(-self.start, np.zeros_like(b))
         for _ in range(_TIGHTENINGS + 1):
             with self.timer.phase("iterations"):
-                if self.options.method == "active_set":
+                if self.options.method == "active_set" and norm_b > 0.0:
                     state = self._guess_active_set(state, rtol, norm_b, faces)
                 result = smalbe(
                     self.hessian,
@@ -480,7 +480,11 @@ class TornSolver:
 
     def _free_motions(self, active: Projector) -> list[str]:
         return [
-            "; ".join(describe_body_motion(self.system, self.kernels, active.own_part(motion)))
+            "; ".join(
+                describe_body_motion(
+                    self.system, self.kernels, active.own_part(motion), either_way=True
+                )
+            )
             for motion in active.free.T
         ]
 

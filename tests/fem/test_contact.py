@@ -289,6 +289,43 @@ def test_surfaces_that_nobody_meshed_alike():
     )
 
 
+@pytest.mark.parametrize("way", [{}, {"direction": (0.0, 0.0, 1.0)}], ids=["nearest", "direction"])
+def test_unstructured_faces_that_nobody_meshed_alike(tmp_path, way):
+    """All slave nodes over the finer master find a node of it, those over its rim stay free."""
+    gmsh = pytest.importorskip("gmsh")
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        occ, mesh = gmsh.model.occ, gmsh.model.mesh
+        bodies = [occ.addBox(0, 0, 0, 1, 1, 0.5), occ.addBox(-0.25, 0.1, 0.5, 1.5, 0.8, 0.5)]
+        occ.synchronize()
+        for body, tag, size in zip(bodies, (MASTER, SLAVE), (0.07, 0.2), strict=True):
+            gmsh.model.addPhysicalGroup(3, [body], body)
+            faces = [face for _, face in gmsh.model.getBoundary([(3, body)], oriented=False)]
+            touching = [f for f in faces if abs(occ.getCenterOfMass(2, f)[2] - 0.5) < 1e-9]
+            gmsh.model.addPhysicalGroup(2, touching, tag)
+            mesh.setSize(gmsh.model.getBoundary([(3, body)], recursive=True), size)
+        mesh.generate(3)
+        gmsh.write(str(tmp_path / "blocks.msh"))
+    finally:
+        gmsh.finalize()
+    blocks = read_msh(tmp_path / "blocks.msh", MPI.COMM_SELF)
+    V = scenes.vector_space(blocks.mesh)
+    pair = ContactPair(blocks.facet_tags, SLAVE, MASTER, tolerance=0.5, partial=True, **way)
+    x, partner, matched = partners(V, pair)
+    points = V.tabulate_dof_coordinates()
+    slave, master = (
+        points[fem.locate_dofs_topological(V, 2, blocks.facet_tags.find(tag))]
+        for tag in (SLAVE, MASTER)
+    )
+    over = np.sum((slave[:, 0] > -1e-9) & (slave[:, 0] < 1 + 1e-9))
+    assert over <= len(x) < len(slave)
+    assert matched.pairing["unmatched"] == len(slave) - len(x)
+    distance = np.linalg.norm(x[:, None] - master, axis=2)
+    np.testing.assert_allclose(np.linalg.norm(x - partner, axis=1), distance.min(axis=1))
+    assert len(np.unique(np.round(partner, 9), axis=0)) == len(x)
+
+
 # -- partial contacts ------------------------------------------------------------------------------
 
 

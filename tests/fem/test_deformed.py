@@ -296,14 +296,6 @@ def test_gap_alone_counts_along_the_deformed_normal(cell):
     np.testing.assert_allclose(result.gap, expected, atol=1e-14)
 
 
-@every_cell
-def test_gap_alone_along_kept_normals(cell):
-    gdim = dimension(cell)
-    motion = turned(0.3, gdim, shift=0.5)[1]
-    matched, result, _, _ = at_obstacle(blocks(cell), lambda x: x[0], motion, keep_normal=True)
-    assert np.array_equal(result.normal, matched.normal)
-
-
 # -- errors --------------------------------------------------------------------------------------
 
 

@@ -102,11 +102,38 @@ def test_nodes_at_the_same_place_stay_separate(tmp_path):
     assert mesh.topology.index_map(0).size_global == 8
 
 
-def test_gaps_in_the_node_numbers_and_unused_nodes_do_no_harm(tmp_path):
-    points = [*SQUARE[:3], (7, 7, 0)]
-    path = write_msh(tmp_path / "a.msh", points, [(2, 1, (3, 20, 9))], numbers=[3, 20, 9, 40])
+def test_gaps_in_the_node_numbers_do_no_harm(tmp_path):
+    path = write_msh(tmp_path / "a.msh", SQUARE[:3], [(2, 1, (3, 20, 9))], numbers=[3, 20, 9])
     mesh = read_msh(path, MPI.COMM_SELF, gdim=2).mesh
     assert integral(mesh, ufl.dx(domain=mesh)) == pytest.approx(0.5)
+
+
+def test_nodes_of_no_cell_are_left_out_with_a_warning(tmp_path, caplog):
+    points = [*SQUARE[:3], (7, 8, 0), (9, 9, 0)]
+    elements = [(2, 1, (1, 2, 3)), (15, 0, (4,)), (15, 2, (5,))]
+    path = write_msh(tmp_path / "a.msh", points, elements)
+    mesh = read_msh(path, MPI.COMM_SELF, gdim=2).mesh
+    assert mesh.geometry.x.shape[0] == mesh.topology.index_map(0).size_global == 3
+    assert "a.msh: left out 2 nodes of no cell, one at (7, 8, 0)" in caplog.text
+
+
+def test_mesh_whose_nodes_are_all_in_cells_gives_no_warning(tmp_path, caplog):
+    read_msh(write_cell(tmp_path / "cell.msh", "hexahedron"), MPI.COMM_SELF)
+    assert not caplog.text
+
+
+def test_cell_that_is_there_twice_is_refused(tmp_path):
+    elements = [(2, 1, (1, 2, 3)), (2, 1, (1, 3, 4)), (2, 1, (3, 1, 2))]
+    path = write_msh(tmp_path / "a.msh", SQUARE, elements)
+    with pytest.raises(InputError, match=r"several times: 1 of 3, .* \(0\.666667, 0\.333333, 0\)"):
+        read_msh(path, MPI.COMM_SELF, gdim=2)
+
+
+def test_cell_that_names_a_node_twice_is_refused(tmp_path):
+    elements = [(3, 1, (1, 2, 3, 3))]
+    path = write_msh(tmp_path / "a.msh", SQUARE, elements)
+    with pytest.raises(InputError, match="a node twice: 1 of 1, the first around"):
+        read_msh(path, MPI.COMM_SELF, gdim=2)
 
 
 def test_physical_points_do_no_harm(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import doctest
+
 from mpi4py import MPI
 
 import numpy as np
@@ -10,6 +12,7 @@ from scenes import GROUND, pressed_block
 
 from fenics_tfeti import Cylinder, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import obstacles
 from fenics_tfeti.fem.contact import match_contact
 
 X = np.array([[3.0, 0.0], [4.0, -10.0], [0.0, 0.0]])
@@ -18,6 +21,11 @@ X = np.array([[3.0, 0.0], [4.0, -10.0], [0.0, 0.0]])
 def matched(obstacle, cell="quadrilateral", gap=0.0):
     scene = pressed_block(MPI.COMM_SELF, cell, 2, gap=gap)
     return match_contact(scene.V, RigidObstacle(scene.facet_tags, GROUND, obstacle), 0)
+
+
+def test_examples_of_the_docstrings():
+    failed, tried = doctest.testmod(obstacles)
+    assert (failed, tried > 5) == (0, True)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,164 @@
+"""A rigid flat punch on an elastic half space: infinite pressure at its edge.
+
+# Flat punch
+
+A rigid punch with a flat end of radius a = 10 mm is pushed by delta = 0.1 mm into a half space. In
+contrast to a ball, its area of contact is known, but the pressure grows beyond all bounds towards
+the edge. The force and the pressure under a circular punch are
+
+    F = 2 a E* delta,   p(r) = F / (2 pi a sqrt(a^2 - r^2)),   E* = E / (1 - nu^2).
+
+Under a long punch of width 2a (plane strain) with the force F' per unit of length,
+
+    p(x) = F' / (pi sqrt(a^2 - x^2)).
+
+This demo illustrates how to
+
+- describe an obstacle by a function of your own: how far it is from each point;
+- push by a distance: a negative gap is an obstacle that has moved into the body;
+- help the solver by a preconditioner where the elements' sizes differ much.
+
+Run it by `python demos/flat_punch.py`, or on several processes by
+`mpirun -n 2 python demos/flat_punch.py`; it writes pictures and fields into `results/`. The meshes
+come from `meshes/half_space.py`. All units are SI.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactProblem, RigidObstacle
+from fenics_tfeti.fem.fields import contact_fields, displacement_space, von_mises, write_fields
+from fenics_tfeti.fem.mesh_io import read_msh
+from fenics_tfeti.fem.pictures import draw_profile
+
+here = Path(__file__).parent
+results = here.parent / "results"
+comm = MPI.COMM_WORLD
+
+# ## Data
+#
+# A hard plastic.
+
+a, delta, E, nu = 0.01, 1e-4, 2e9, 0.3
+E_star = E / (1 - nu**2)
+
+# ## One solution, in two or three dimensions
+#
+# Only a half (a quarter) of the body is meshed. It ends at a distance of 200 a, where it is held.
+
+
+def solve(path, gdim):
+    """Solve on the mesh of a file; return the problem, the displacement and the stress."""
+    body = read_msh(path, comm, gdim)
+    mesh, facet_tags, tags = body.mesh, body.facet_tags, body.names
+    mu = fem.Constant(mesh, E / (2 * (1 + nu)))
+    lmbda = fem.Constant(mesh, E * nu / ((1 + nu) * (1 - 2 * nu)))
+    no_load = fem.Constant(mesh, 0.0)
+
+    def epsilon(u):
+        return ufl.sym(ufl.grad(u))
+
+    def sigma(u):
+        return lmbda * ufl.tr(epsilon(u)) * ufl.Identity(gdim) + 2 * mu * epsilon(u)
+
+    V = displacement_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    a_form = ufl.inner(sigma(u), epsilon(v)) * ufl.dx
+    L_form = no_load * v[0] * ufl.dx
+
+    # Nothing moves across a plane of symmetry, and nothing at all moves far away.
+    far = fem.locate_dofs_topological(V, gdim - 1, facet_tags.find(tags["far"]))
+    bcs = [fem.dirichletbc(np.zeros(gdim), far, V)]
+    for component, plane in enumerate(("symmetry_x", "symmetry_y")[: gdim - 1]):
+        Vi = V.sub(component)
+        dofs = fem.locate_dofs_topological(Vi, gdim - 1, facet_tags.find(tags[plane]))
+        bcs.append(fem.dirichletbc(0.0, dofs, Vi))
+
+    # Under the punch the gap is -delta. Beside it there is nothing to touch: a gap of a, which no
+    # point will ever cross, says so. The normal points from the obstacle to the body: downwards.
+    def punch(x):
+        r = np.linalg.norm(x[: gdim - 1], axis=0)
+        gap = np.where(r < a * (1 + 1e-6), -delta, a)
+        normal = np.zeros((gdim, r.size))
+        normal[-1] = -1.0
+        return gap, normal
+
+    contact = RigidObstacle(facet_tags, slave=tags["top"], obstacle=punch)
+    options = {"rtol": 1e-6, "preconditioner": "lumped"}
+    problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=[contact], options=options)
+    uh = problem.solve()
+    return problem, uh, von_mises(mesh, sigma(uh), poisson_ratio=nu)
+
+
+# ## Comparison with the formulas
+#
+# All pressures relative to the mean one, F / (pi a^2) and F' / (2 a). Linear elements cannot follow
+# the pressure at the edge: the node there carries the force of its surroundings, and its neighbour
+# lacks it. The force F is too large for the same reason: a body of finitely many elements is too
+# stiff, mostly at the edge. Both errors
+# become three times smaller with elements of half the size.
+
+curves = {}
+s = np.linspace(0, 0.995, 400)
+for name, gdim, style in (("strip", 2, "s"), ("disc", 3, "o")):
+    problem, uh, stress = solve(here.parent / "meshes" / f"punch_{name}.msh", gdim)
+    contact = problem.contact[0].gather()
+    r = np.linalg.norm(contact.coordinates[:, : gdim - 1], axis=1) / a
+    F = 2 ** (gdim - 1) * problem.report.contact_force[0]
+    p = contact.pressure / (F / (np.pi * a**2 if gdim == 3 else 2 * a))
+    factor = 1 / 2 if gdim == 3 else 2 / np.pi
+    inner = r < 0.75
+    error = np.abs(p[inner] * np.sqrt(1 - r[inner] ** 2) / factor - 1).max()
+    if comm.rank == 0:
+        report = problem.report
+        print(f"{name}: {report.unknowns['primal']} unknowns, {report.products['total']} products")
+        print(f"  pressure up to 3/4 a: error at most {100 * error:.2f} %")
+        if gdim == 3:
+            exact = 2 * a * E_star * delta
+            print(f"  F = {F:.2f} N, 2 a E* delta = {exact:.2f} N  {100 * (F / exact - 1):+.2f} %")
+    below = r < 0.999
+    curves[name] = (r[below], p[below], style)
+    curves[f"formula, {name}"] = (s, factor / np.sqrt(1 - s**2), "-")
+
+# ## Pictures
+
+write_fields(
+    results / "flat_punch.pvd",
+    [uh, stress, *contact_fields(uh.function_space, problem.contact)],
+)
+problem.report.to_json(results / "flat_punch.json")
+draw_profile(
+    results / "flat_punch_pressure.png",
+    curves,
+    xlabel="distance from the middle / a",
+    ylabel="pressure / mean pressure",
+    title="Pressure under a flat punch",
+    comm=comm,
+)
+
+# The surface under and beside the disc sinks by delta and by 2 delta / pi arcsin(a / r). The rank
+# that draws collects the nodes on the line y = z = 0 from all ranks.
+
+V = uh.function_space
+nodes = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
+on_line = np.flatnonzero((np.abs(nodes[:, 1:]) < 1e-9 * a).all(axis=1) & (nodes[:, 0] < 5 * a))
+line = np.column_stack([nodes[on_line, 0] / a, 1e3 * uh.x.array.reshape(-1, 3)[on_line, 2]])
+x, sinking = np.concatenate(comm.allgather(line)).T
+s = np.linspace(0, 5, 400)
+formula = -2 * delta / np.pi * np.arcsin(1 / np.maximum(1, s))
+draw_profile(
+    results / "flat_punch_surface.png",
+    {"nodes of the surface": (x, sinking, "o"), "formula": (s, 1e3 * formula, "-")},
+    xlabel="distance from the middle / a",
+    ylabel="height [mm]",
+    title="The surface under a circular punch",
+    comm=comm,
+)

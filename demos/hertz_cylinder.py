@@ -1,0 +1,143 @@
+"""A long elastic roller on a rigid plane, and in a rigid groove (plane strain).
+
+# Hertz's roller
+
+A roller of radius R1 = 50 mm is pressed by a force F' per unit of length, first onto a rigid plane,
+then into a rigid groove of radius R2 = 100 mm. It flattens over a strip of half width a. Formulas
+of Hertz that hold for a much smaller than the radii are
+
+    a^2 = 4 F' R / (pi E*),   p(x) = p0 sqrt(1 - x^2 / a^2),   p0 = 2 F' / (pi a),
+
+with 1/R = 1/R1 on the plane and 1/R = 1/R1 - 1/R2 in the groove, and E* = E / (1 - nu^2).
+
+This demo illustrates how to
+
+- solve in two dimensions, in a state of plane strain;
+- press one body against different rigid obstacles: `Plane`, and `Sphere`, which is a disc in two
+  dimensions, and with `hollow=True` all that is around the disc.
+
+Run it by `python demos/hertz_cylinder.py`; it writes pictures and fields into `results/`. The mesh
+comes from `meshes/half_balls.py`. All units are SI.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactProblem, Plane, RigidObstacle, Sphere
+from fenics_tfeti.fem.fields import contact_fields, displacement_space, von_mises, write_fields
+from fenics_tfeti.fem.mesh_io import read_msh
+from fenics_tfeti.fem.pictures import draw_deformed, draw_profile
+
+here = Path(__file__).parent
+results = here.parent / "results"
+
+# ## Data
+#
+# A hard plastic. The force is the one for which the formula says a = 3 mm on the plane.
+
+R1, R2, E, nu = 0.05, 0.1, 2e9, 0.3
+E_star = E / (1 - nu**2)
+force = np.pi * E_star * 3e-3**2 / (4 * R1)
+
+# ## Mesh
+#
+# One half of the lower half of the circle: its pole is the origin, x = 0 is a plane of symmetry.
+
+roller = read_msh(here.parent / "meshes" / "hertz_cylinder.msh", MPI.COMM_WORLD, gdim=2)
+mesh, facet_tags, tags = roller.mesh, roller.facet_tags, roller.names
+
+# ## Linear elasticity, plane strain
+
+mu = fem.Constant(mesh, E / (2 * (1 + nu)))
+lmbda = fem.Constant(mesh, E * nu / ((1 + nu) * (1 - 2 * nu)))
+traction = fem.Constant(mesh, -force / (2 * R1))
+
+
+def epsilon(u):
+    """Return the small strain."""
+    return ufl.sym(ufl.grad(u))
+
+
+def sigma(u):
+    """Return the stress in the plane [Pa]."""
+    return lmbda * ufl.tr(epsilon(u)) * ufl.Identity(2) + 2 * mu * epsilon(u)
+
+
+V = displacement_space(mesh)
+u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
+a_form = ufl.inner(sigma(u), epsilon(v)) * ufl.dx
+L_form = traction * v[1] * ds(tags["flat"])
+
+V0 = V.sub(0)
+middle = fem.locate_dofs_topological(V0, 1, facet_tags.find(tags["symmetry_x"]))
+bcs = [fem.dirichletbc(0.0, middle, V0)]
+
+# ## Two obstacles
+#
+# Nothing but the obstacle stops the roller: its vertical position is part of the solution.
+
+cases = {
+    "plane": (R1, Plane(point=(0, 0), normal=(0, 1))),
+    "groove": (1 / (1 / R1 - 1 / R2), Sphere(centre=(0, R2), radius=R2, hollow=True)),
+}
+curves = {}
+for (name, (R, obstacle)), style in zip(cases.items(), ("o", "s"), strict=True):
+    contact = RigidObstacle(facet_tags, slave=tags["contact"], obstacle=obstacle)
+    problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=[contact])
+    uh = problem.solve()
+
+    # The formulas take the force that the solution transmits, twice that of the half. The pressure
+    # of a node is its contact force over the length that belongs to it. By Hertz, p^2 is a linear
+    # function of x^2; a straight line through the nodes with more than 30 % of the largest pressure
+    # gives a and p0.
+    nodes = problem.contact[0].gather()
+    x, p = nodes.coordinates[:, 0], nodes.pressure
+    F = 2 * problem.report.contact_force[0]
+    a = np.sqrt(4 * F * R / (np.pi * E_star))
+    p0 = 2 * F / (np.pi * a)
+    inner = p > 0.3 * p.max()
+    slope, intercept = np.polyfit(x[inner] ** 2, p[inner] ** 2, 1)
+    a_fit, p0_fit = np.sqrt(-intercept / slope), np.sqrt(intercept)
+    if mesh.comm.rank == 0:
+        report = problem.report
+        print(f"{name}: {report.unknowns['primal']} unknowns, {report.products['total']} products")
+        print(f"  a  = {1e3 * a_fit:7.4f} mm  Hertz {1e3 * a:7.4f}  {100 * (a_fit / a - 1):+.2f} %")
+        print(
+            f"  p0 = {1e-6 * p0_fit:7.3f} MPa Hertz {1e-6 * p0:7.3f}  "
+            f"{100 * (p0_fit / p0 - 1):+.2f} %"
+        )
+    line = np.linspace(0, a, 400)
+    curves[f"on the {name}" if name == "plane" else f"in the {name}"] = (1e3 * x, 1e-6 * p, style)
+    curves[f"Hertz, {name}"] = (1e3 * line, 1e-6 * p0 * np.sqrt(1 - (line / a) ** 2), "-")
+
+# ## Pictures
+
+stress = von_mises(mesh, sigma(uh), poisson_ratio=nu)
+write_fields(results / "hertz_cylinder.pvd", [uh, stress, *contact_fields(V, problem.contact)])
+problem.report.to_json(results / "hertz_cylinder.json")
+draw_profile(
+    results / "hertz_cylinder_pressure.png",
+    curves,
+    xlabel="distance from the middle [mm]",
+    ylabel="normal pressure [MPa]",
+    title="Roller on a rigid plane, and in a rigid groove",
+    comm=mesh.comm,
+)
+draw_deformed(
+    results / "hertz_cylinder.png",
+    uh,
+    stress,
+    label="von Mises stress",
+    unit="MPa",
+    scale=1,
+    title="A quarter of the roller in the groove",
+)

@@ -1,0 +1,166 @@
+"""Two elastic balls of different radii and materials, pressed together.
+
+# Two balls
+
+A ball of radius R1 = 50 mm is pressed onto one of R2 = 100 mm, which is stiffer. Formulas of Hertz
+that hold while the radius a of the contact area is much smaller than R1 and R2 are
+
+    a^3 = 3 F R / (4 E*),   p(r) = p0 sqrt(1 - r^2 / a^2),   p0 = 3 F / (2 pi a^2),
+
+    1/R = 1/R1 + 1/R2,      1/E* = (1 - nu1^2) / E1 + (1 - nu2^2) / E2.
+
+This demo illustrates how to
+
+- let two curved bodies touch, whose nodes do not lie on each other: `direction` says along which
+  line the partner of a node is to be found;
+- give each body its own material.
+
+Run it by `python demos/hertz_two_balls.py`, or on several processes by
+`mpirun -n 2 python demos/hertz_two_balls.py`; it writes pictures and fields into `results/`. The
+mesh comes from `meshes/half_balls.py`. All units are SI.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti.fem.fields import contact_fields, displacement_space, von_mises, write_fields
+from fenics_tfeti.fem.mesh_io import read_msh
+from fenics_tfeti.fem.pictures import draw_deformed, draw_profile
+
+here = Path(__file__).parent
+results = here.parent / "results"
+
+# ## Data
+#
+# The force is the one for which the formula says a = 4 mm.
+
+R1, E1, nu1 = 0.05, 2e9, 0.4
+R2, E2, nu2 = 0.1, 6e9, 0.3
+R = 1 / (1 / R1 + 1 / R2)
+E_star = 1 / ((1 - nu1**2) / E1 + (1 - nu2**2) / E2)
+force = 4 / 3 * E_star * 4e-3**3 / R
+
+# ## Mesh
+#
+# A quarter of the lower half of the upper ball and of the upper half of the lower one. They touch
+# at the origin. The grids match there: seen along z, their nodes lie nearly on each other.
+
+balls = read_msh(here.parent / "meshes" / "hertz_two_balls.msh", MPI.COMM_WORLD)
+mesh, facet_tags, tags = balls.mesh, balls.facet_tags, balls.names
+
+# ## Linear elasticity
+#
+# One form with one integral for each body.
+
+
+def epsilon(u):
+    """Return the small strain."""
+    return ufl.sym(ufl.grad(u))
+
+
+def hooke(E, nu):
+    """Return the stress as a function of the displacement."""
+    mu = fem.Constant(mesh, E / (2 * (1 + nu)))
+    lmbda = fem.Constant(mesh, E * nu / ((1 + nu) * (1 - 2 * nu)))
+    return lambda u: lmbda * ufl.tr(epsilon(u)) * ufl.Identity(3) + 2 * mu * epsilon(u)
+
+
+sigma_1, sigma_2 = hooke(E1, nu1), hooke(E2, nu2)
+V = displacement_space(mesh)
+u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+dx = ufl.Measure("dx", domain=mesh, subdomain_data=balls.cell_tags)
+ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
+traction = fem.Constant(mesh, -force / (np.pi * R1**2))
+a_form = sum(
+    ufl.inner(sigma(u), epsilon(v)) * dx(tags[body])
+    for sigma, body in ((sigma_1, "upper"), (sigma_2, "lower"))
+)
+L_form = traction * v[2] * ds(tags["flat_upper"])
+
+# ## Supports
+#
+# Nothing moves across the planes of symmetry, and the lower ball stands on its flat face. The upper
+# one is held by contact alone.
+
+bcs = []
+for component, surface in ((0, "symmetry_x"), (1, "symmetry_y"), (2, "flat_lower")):
+    Vi = V.sub(component)
+    dofs = fem.locate_dofs_topological(Vi, 2, facet_tags.find(tags[surface]))
+    bcs.append(fem.dirichletbc(0.0, dofs, Vi))
+
+# ## Contact
+#
+# Partners are on a vertical line, and the gap between them is vertical too.
+
+down = (0, 0, -1)
+pair = ContactPair(
+    facet_tags,
+    slave=tags["contact_upper"],
+    master=tags["contact_lower"],
+    direction=down,
+    normal=down,
+)
+problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=[pair], options={"rtol": 1e-6})
+uh = problem.solve()
+
+# ## Comparison with Hertz
+#
+# The formulas take the force that the solution transmits, four times that of the quarter. The
+# pressure of a node is its contact force over the area that belongs to it. By Hertz, p^2 is a
+# linear function of r^2; a straight line through the nodes with more than 30 % of the largest
+# pressure gives a and p0.
+
+report = problem.report
+contact = problem.contact[0].gather()
+r, p = np.linalg.norm(contact.coordinates[:, :2], axis=1), contact.pressure
+F = 4 * report.contact_force[0]
+a = (3 * F * R / (4 * E_star)) ** (1 / 3)
+p0 = 3 * F / (2 * np.pi * a**2)
+inner = p > 0.3 * p.max()
+slope, intercept = np.polyfit(r[inner] ** 2, p[inner] ** 2, 1)
+a_fit, p0_fit = np.sqrt(-intercept / slope), np.sqrt(intercept)
+if mesh.comm.rank == 0:
+    print(f"{report.unknowns['primal']} unknowns, {report.products['total']} products")
+    print(f"farthest partner {1e3 * report.pairing[0]['largest_distance']:.3f} mm across z")
+    print(f"F  = {F:9.2f} N   of the {force:.2f} N that push")
+    print(f"a  = {1e3 * a_fit:9.4f} mm  Hertz {1e3 * a:9.4f}  {100 * (a_fit / a - 1):+.2f} %")
+    print(f"p0 = {1e-6 * p0_fit:9.3f} MPa Hertz {1e-6 * p0:9.3f}  {100 * (p0_fit / p0 - 1):+.2f} %")
+
+# ## Pictures
+
+is_upper = ufl.conditional(ufl.gt(ufl.SpatialCoordinate(mesh)[2], 0), 1.0, 0.0)
+stress = von_mises(mesh, is_upper * sigma_1(uh) + (1 - is_upper) * sigma_2(uh))
+write_fields(results / "hertz_two_balls.pvd", [uh, stress, *contact_fields(V, problem.contact)])
+report.to_json(results / "hertz_two_balls.json")
+radius = np.linspace(0, a, 400)
+draw_profile(
+    results / "hertz_two_balls_pressure.png",
+    {
+        "all nodes of the slave": (1e3 * r, 1e-6 * p, "o"),
+        "Hertz": (1e3 * radius, 1e-6 * p0 * np.sqrt(1 - (radius / a) ** 2), "-"),
+    },
+    xlabel="distance from the axis [mm]",
+    ylabel="normal pressure [MPa]",
+    title="Two balls: contact pressure",
+    comm=mesh.comm,
+)
+draw_deformed(
+    results / "hertz_two_balls.png",
+    uh,
+    stress,
+    label="von Mises stress",
+    unit="MPa",
+    scale=1,
+    title="Two balls, a quarter of the halves that touch",
+    camera=(-1.0, -1.3, 0.15),
+    size=(1200, 1500),
+)

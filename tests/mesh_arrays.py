@@ -1,0 +1,119 @@
+"""Meshes from arrays: small ones, also flat, twisted or torn, and unstructured ones of Gmsh."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import scenes
+from numpy.typing import ArrayLike
+
+import ufl
+from dolfinx import fem, mesh
+
+from fenics_tfeti import ContactProblem
+from fenics_tfeti.fem import _compat
+
+
+def mesh_of(comm: MPI.Comm, cell: str, points: ArrayLike, cells: ArrayLike) -> Any:
+    """Distribute a mesh that rank 0 has."""
+    x, nodes = np.asarray(points, dtype=float), np.asarray(cells, dtype=np.int64)
+    if comm.rank > 0:
+        x, nodes = x[:0], nodes[:0]
+    return _compat.distributed_mesh(comm, nodes, np.ascontiguousarray(x), cell)
+
+
+def tags_of(domain: Any, values: ArrayLike) -> Any:
+    """Tag the cells, given in the order of the arrays that the mesh was made of."""
+    owned = domain.topology.index_map(domain.topology.dim).size_local
+    of_cell = np.asarray(values, dtype=np.int32)[domain.topology.original_cell_index[:owned]]
+    return mesh.meshtags(domain, domain.topology.dim, np.arange(owned, dtype=np.int32), of_cell)
+
+
+def grid(divisions: tuple[int, ...], corner: tuple[float, ...] = ()) -> tuple[Any, Any]:
+    """Return points and cells of a box of unit squares or cubes; the first axis runs fastest."""
+    lattice = [range(n + 1) for n in reversed(divisions)]
+    points = np.array(list(itertools.product(*lattice)), dtype=float)[:, ::-1]
+    strides = np.cumprod([1, *np.add(divisions, 1)])[:-1]
+    offsets = (np.arange(2 ** len(divisions))[:, None] >> np.arange(len(divisions)) & 1) @ strides
+    blocks = np.array(list(itertools.product(*(range(n) for n in reversed(divisions)))))[:, ::-1]
+    return points + np.array(corner or 0.0), (blocks @ strides)[:, None] + offsets
+
+
+def together(*parts: tuple[Any, Any]) -> tuple[Any, Any]:
+    """Put meshes into one, without common nodes."""
+    first = np.cumsum([0, *(len(points) for points, _ in parts)])
+    return (
+        np.concatenate([points for points, _ in parts]),
+        np.concatenate([cells + k for (_, cells), k in zip(parts, first, strict=False)]),
+    )
+
+
+def merged(points: Any, cells: Any, where: Any = ...) -> tuple[Any, Any]:
+    """Merge the nodes at the same place, or of these only those given by their numbers."""
+    target = np.arange(len(points))
+    chosen = target[where]
+    _, first, inverse = np.unique(points[chosen], axis=0, return_index=True, return_inverse=True)
+    target[chosen] = chosen[first][inverse.ravel()]
+    used, renumbered = np.unique(target[cells], return_inverse=True)
+    return points[used], renumbered.reshape(cells.shape)
+
+
+def slit(n: int = 4) -> tuple[Any, Any]:
+    """Return a square of n x n cells with a crack from the middle of its lower side to its centre.
+
+    The n / 2 nodes of the crack, without its tip, are there twice.
+    """
+    points, cells = grid((n, n))
+    half = n // 2
+    crack = np.flatnonzero((points[:, 0] == half) & (points[:, 1] < half))
+    copies = dict(zip(crack, range(len(points), len(points) + crack.size), strict=True))
+    right = points[cells].mean(axis=1)[:, 0] > half
+    cells[right] = np.vectorize(lambda node: copies.get(node, node))(cells[right])
+    return np.concatenate([points, points[crack]]), cells
+
+
+def problem_on(domain: Any, **arguments: Any) -> Any:
+    """Pose a problem with steel, no load and no supports."""
+    V = scenes.vector_space(domain)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    nothing = fem.Constant(domain, 0.0)
+    a = scenes.elasticity(u, v, fem.Constant(domain, scenes.YOUNG))
+    return ContactProblem(a, nothing * v[0] * ufl.dx, **arguments)
+
+
+def unstructured_block(cell: str, size: float) -> tuple[Any, Any]:
+    """Return points and cells of a unit square or cube that Gmsh has meshed, finer at one corner.
+
+    `size` is that of the edges of triangles and tetrahedra; quadrilaterals are thirds of triangles,
+    hexahedra quarters of tetrahedra.
+    """
+    import gmsh
+
+    dim = 3 if "hedron" in cell else 2
+    kind = {"triangle": 2, "quadrilateral": 3, "tetrahedron": 4, "hexahedron": 5}[cell]
+    order = {3: [0, 1, 3, 2], 5: [0, 1, 3, 2, 4, 5, 7, 6]}.get(kind, slice(None))
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("Mesh.SubdivisionAlgorithm", {3: 1, 5: 2}.get(kind, 0))
+        if dim == 3:
+            gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
+        else:
+            gmsh.model.occ.addRectangle(0, 0, 0, 1, 1)
+        gmsh.model.occ.synchronize()
+        corners = gmsh.model.getEntities(0)
+        gmsh.model.mesh.setSize(corners, size)
+        gmsh.model.mesh.setSize(corners[:1], 0.5 * size)
+        gmsh.model.mesh.generate(dim)
+        numbers, points, _ = gmsh.model.mesh.getNodes()
+        nodes = gmsh.model.mesh.getElementsByType(kind)[1]
+    finally:
+        gmsh.finalize()
+    used, cells = np.unique(nodes, return_inverse=True)
+    place = np.argsort(numbers)[np.searchsorted(np.sort(numbers), used)]
+    vertices = {2: 3, 3: 4, 4: 4, 5: 8}[kind]
+    return points.reshape(-1, 3)[place, :dim], cells.reshape(-1, vertices)[:, order]

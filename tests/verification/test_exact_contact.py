@@ -1,0 +1,135 @@
+"""Exact non-penetration: the deformed surfaces touch, and report and forces say so."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scenes import CLAMPED, GROUND, MASTER, SLAVE, at, elasticity, fixed, vector_space
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem, NotConverged, Plane, RigidObstacle, Sphere
+from fenics_tfeti.fem.structured import Box, boxes, tag_facets
+
+YOUNG = 1e6
+OPTIONS = {"rtol": 1e-8, "non_penetration": "exact", "penetration_tolerance": 1e-7}
+BUMP = Sphere(centre=(0.75, -1.0, 0.0), radius=1.0)
+
+
+def problem_on(mesh, tags, moves, contacts, options, n=8):
+    """Prescribe the displacement of the facets tagged CLAMPED, nothing else."""
+    V = vector_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    zero = fem.Constant(mesh, np.zeros(2))
+    bcs = [fixed(V, tags, CLAMPED, i, value) for i, value in enumerate(moves)]
+    a, L = elasticity(u, v, YOUNG), ufl.inner(zero, v) * ufl.dx
+    problem = ContactProblem(a, L, bcs=bcs, contacts=contacts, options=options)
+    problem.kept = zero
+    return problem
+
+
+def block_over_bump(options, moves=(0.25, -0.03), n=16):
+    """A block whose top is moved sideways and down, over a rigid disc."""
+    mesh = boxes(MPI.COMM_SELF, [Box((0, 0), (1, 0.5), (n, n // 2))], "quadrilateral").mesh
+    tags = tag_facets(mesh, [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))])
+    contact = RigidObstacle(tags, slave=SLAVE, obstacle=BUMP)
+    return problem_on(mesh, tags, moves, [contact], options)
+
+
+def distance_to_bump(problem, uh):
+    """Return the distances of the deformed slave nodes to the disc, from the displacement alone."""
+    contact = problem.contact[0]
+    x = contact.coordinates[:, :2] + uh.x.array.reshape(-1, 2)[contact.nodes]
+    return np.linalg.norm(x - np.array(BUMP.centre[:2]), axis=1) - BUMP.radius
+
+
+def test_deformed_nodes_are_on_the_obstacle_where_they_press():
+    problem = block_over_bump(OPTIONS)
+    uh = problem.solve()
+    distance, pressing = distance_to_bump(problem, uh), problem.contact[0].active
+    assert pressing.any() and not pressing.all()
+    assert np.abs(distance[pressing]).max() <= 1e-7 * 0.3
+    assert distance.min() >= -1e-7 * 0.3
+
+
+def test_linearised_conditions_leave_an_error():
+    """Otherwise the test above would show nothing."""
+    problem = block_over_bump({"rtol": 1e-8})
+    distance = distance_to_bump(problem, problem.solve())
+    assert np.abs(distance[problem.contact[0].active]).max() > 1e-3
+
+
+def test_forces_are_along_the_deformed_normals():
+    problem = block_over_bump(OPTIONS)
+    uh = problem.solve()
+    contact = problem.contact[0]
+    x = contact.coordinates[:, :2] + uh.x.array.reshape(-1, 2)[contact.nodes]
+    inward = np.array(BUMP.centre[:2]) - x
+    inward /= np.linalg.norm(inward, axis=1)[:, None]
+    # distances are of second order in the angle
+    np.testing.assert_allclose(contact.normal, inward, atol=np.sqrt(2 * 1e-7 * 0.3))
+
+
+def test_passes_converge_and_reuse_what_stays():
+    problem = block_over_bump(OPTIONS)
+    problem.solve()
+    passes = problem.report.passes
+    assert passes[-1].error <= OPTIONS["penetration_tolerance"]
+    assert 2 <= len(passes) <= 8
+    assert problem.report.reused == ["factors", "multipliers"]
+    assert passes[-1].products < passes[0].products
+
+
+def test_flat_contact_needs_no_pass():
+    """A plane is the same wherever the body slides along it."""
+    mesh = boxes(MPI.COMM_SELF, [Box((0, 0), (1, 0.5), (8, 4))], "quadrilateral").mesh
+    tags = tag_facets(mesh, [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))])
+    contact = RigidObstacle(tags, slave=SLAVE, obstacle=Plane((0, 0), (0, 1)))
+    problem = problem_on(mesh, tags, (0.3, -0.01), [contact], OPTIONS)
+    problem.solve()
+    assert len(problem.report.passes) == 1
+
+
+def test_limit_of_passes():
+    with pytest.raises(NotConverged, match="max_passes") as caught:
+        block_over_bump({**OPTIONS, "max_passes": 1}).solve()
+    assert not caught.value.report.converged
+
+
+def two_blocks(slide, options, n=12):
+    """An upper block on the parabolic bump of a lower one, its top moved sideways and down."""
+    parts = [Box((0, 0), (2, 0.5), (2 * n, n // 2)), Box((0.5, 0.5), (1.5, 1.0), (n, n // 2))]
+    blocks = boxes(MPI.COMM_SELF, parts, "quadrilateral")
+    mesh = blocks.mesh
+    markers = [
+        (SLAVE, at(1, 0.5), 2),
+        (MASTER, at(1, 0.5), 1),
+        (CLAMPED, at(1, 1.0)),
+        (GROUND, at(1, 0.0)),
+    ]
+    tags = tag_facets(mesh, markers, blocks.cell_tags)
+    x = mesh.geometry.x
+    bump = 0.3 * (0.25 - (x[:, 0] - 1.0) ** 2)
+    # both surfaces bulge alike, the outer faces stay
+    x[:, 1] += bump * (1.0 - np.abs(x[:, 1] - 0.5) / 0.5)
+    V = vector_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    zero = fem.Constant(mesh, np.zeros(2))
+    bcs = [fixed(V, tags, CLAMPED, i, value) for i, value in enumerate((slide, -0.005))]
+    bcs += [fixed(V, tags, GROUND, i) for i in (0, 1)]
+    a, L = elasticity(u, v, YOUNG), ufl.inner(zero, v) * ufl.dx
+    contact = ContactPair(tags, slave=SLAVE, master=MASTER, partial=True)
+    problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], options=options)
+    problem.kept = zero
+    return problem
+
+
+@pytest.mark.parametrize("slide", [0.01, 0.3])
+def test_bodies_that_slide(slide):
+    options = {**OPTIONS, "penetration_tolerance": 1e-4, "max_passes": 40}
+    problem = two_blocks(slide, options)
+    problem.solve()
+    assert problem.report.passes[-1].error <= 1e-4

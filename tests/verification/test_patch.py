@@ -1,0 +1,226 @@
+"""Contact patch test: a uniform state of stress is exact on any mesh, across contact as well.
+
+Blocks of different materials lie on each other, pressed by a uniform pressure. Symmetry planes let
+all of them expand and slide on each other, so the displacement is linear in each block:
+
+- across horizontal contacts the stress is uniaxial, u = diag(strain) x + a rise of the block;
+- across inclined contacts it is a pressure from all sides, which has no shear on any plane.
+
+Both are in the discrete space; what is left is the solver's tolerance and rounding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from mesh_arrays import mesh_of, slit, tags_of, together, unstructured_block
+from scenes import at, elasticity, fixed, stress, vector_space
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.structured import tag_facets
+
+pytest.importorskip("gmsh")
+
+PRESSURE = 2e7
+HEIGHTS = (1.0, 1.9, 3.0)  # of the blocks' upper faces, at the origin where these are inclined
+YOUNG = (2.1e11, 7e10, 1.2e11)
+POISSON = (0.3, 0.33, 0.2)
+SLOPES = {"horizontal": ((0.0, 0.0), (0.0, 0.0)), "inclined": ((0.3, -0.2), (-0.25, 0.1))}
+LOADED, SUPPORTED = 1, (2, 3, 4)
+UPPER, LOWER = (10, 11, 12), (20, 21, 22)
+
+# edges of triangles and tetrahedra before they are cut, and unknowns of a subdomain: two or more
+# subdomains in each block
+SIZES = {
+    "triangle": (0.25, 40),
+    "quadrilateral": (0.4, 80),
+    "tetrahedron": (0.35, 150),
+    "hexahedron": (0.7, 300),
+}
+CELLS = list(SIZES)
+every_patch = pytest.mark.parametrize(
+    ("cell", "contact"), [(cell, contact) for cell in CELLS for contact in SLOPES]
+)
+
+
+def faces(contact: str, gdim: int) -> list[tuple[Any, float]]:
+    """Return slopes (gdim - 1,) and height at the origin of the blocks' faces, from below."""
+    flat = np.zeros(gdim - 1)
+    inner = [np.array(slope[: gdim - 1]) for slope in SLOPES[contact]]
+    return list(zip([flat, *inner, flat], (0.0, *HEIGHTS), strict=True))
+
+
+def stack(cell: str, contact: str) -> tuple[Any, Any, Any]:
+    """Return the mesh of the blocks, tags of cells and of facets.
+
+    Neighbours are images of one unstructured block in a mirror, so their nodes match at contacts.
+    """
+    points, cells = unstructured_block(cell, SIZES[cell][0])
+    gdim = points.shape[1]
+    levels = faces(contact, gdim)
+    parts = []
+    for k in range(len(YOUNG)):
+        x = points.copy()
+        below, above = (height + x[:, :-1] @ slope for slope, height in levels[k : k + 2])
+        part = x[:, -1] if k % 2 == 0 else 1.0 - x[:, -1]
+        x[:, -1] = (1.0 - part) * below + part * above
+        parts.append((x, cells))
+    points, cells = together(*parts)
+    domain = mesh_of(MPI.COMM_SELF, cell, points, cells)
+    cell_tags = tags_of(domain, np.repeat(range(len(parts)), len(parts[0][1])))
+
+    def on(slope: Any, height: float) -> Any:
+        return lambda x: np.isclose(x[gdim - 1], height + slope @ x[: gdim - 1])
+
+    markers = [(SUPPORTED[axis], at(axis, 0.0)) for axis in range(gdim)]
+    markers += [(LOADED, lambda x: np.isclose(x[gdim - 1], HEIGHTS[-1]))]
+    if contact == "inclined":
+        markers += [(LOADED, at(axis, 1.0)) for axis in range(gdim - 1)]
+    for k, (slope, height) in enumerate(levels[1:-1]):
+        markers += [(UPPER[k], on(slope, height), k), (LOWER[k], on(slope, height), k + 1)]
+    return domain, cell_tags, tag_facets(domain, markers, cell_tags)
+
+
+def strain(block: int, contact: str, gdim: int) -> Any:
+    """Return the strains along the axes (gdim,), in two dimensions for plane strain."""
+    nu, unit = POISSON[block], PRESSURE / YOUNG[block]
+    if contact == "inclined":
+        return np.full(gdim, -unit * (1 - 2 * nu) * (1.0 if gdim == 3 else 1 + nu))
+    if gdim == 3:
+        return unit * np.array([nu, nu, -1.0])
+    return unit * np.array([nu * (1 + nu), -(1 - nu**2)])
+
+
+def rises(contact: str, gdim: int) -> list[float]:
+    """Return how far each block moves up as a whole, so that it touches the one below."""
+    found = [0.0]
+    levels = faces(contact, gdim)
+    for k in range(1, len(YOUNG)):
+        jump = strain(k - 1, contact, gdim)[-1] - strain(k, contact, gdim)[-1]
+        found.append(found[-1] + jump * levels[k][1])
+    return found
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A solved patch test; displacements are of shape (nodes, gdim)."""
+
+    problem: ContactProblem
+    displacement: Any
+    exact: Any
+
+
+@lru_cache(maxsize=None)
+def solved(cell: str, contact: str) -> Patch:
+    domain, cell_tags, facet_tags = stack(cell, contact)
+    gdim = domain.geometry.dim
+    V = vector_space(domain)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    dx = ufl.Measure("dx", domain=domain, subdomain_data=cell_tags)
+    ds = ufl.Measure("ds", domain=domain, subdomain_data=facet_tags)
+    young = [fem.Constant(domain, modulus) for modulus in YOUNG]
+    pressure = fem.Constant(domain, PRESSURE)
+    a = sum(
+        ufl.inner(stress(u, E, nu), ufl.sym(ufl.grad(v))) * dx(k)
+        for k, (E, nu) in enumerate(zip(young, POISSON, strict=True))
+    )
+    L = -pressure * ufl.inner(ufl.FacetNormal(domain), v) * ds(LOADED)
+    problem = ContactProblem(
+        a,
+        L,
+        bcs=[fixed(V, facet_tags, SUPPORTED[axis], axis) for axis in range(gdim)],
+        contacts=[ContactPair(facet_tags, slave=LOWER[k], master=UPPER[k]) for k in range(2)],
+        cell_tags=cell_tags,
+        options={"rtol": 1e-12, "subdomain_size": SIZES[cell][1]},
+    )
+    uh = problem.solve()
+    exact = exact_displacement(V, contact, cell_tags)
+    return Patch(problem, uh.x.array.reshape(-1, gdim), exact)
+
+
+def exact_displacement(V: Any, contact: str, cell_tags: Any) -> Any:
+    gdim = V.mesh.geometry.dim
+    x, dofs = V.tabulate_dof_coordinates()[:, :gdim], _compat.cell_dofs(V)
+    exact = np.empty_like(x)
+    for k, rise in enumerate(rises(contact, gdim)):
+        nodes = np.unique(dofs[cell_tags.find(k)])
+        exact[nodes] = strain(k, contact, gdim) * x[nodes]
+        exact[nodes, -1] += rise
+    return exact
+
+
+@every_patch
+def test_displacement_is_linear_in_each_block(cell, contact):
+    patch = solved(cell, contact)
+    largest = np.abs(patch.exact).max()
+    np.testing.assert_allclose(patch.displacement, patch.exact, rtol=0.0, atol=1e-10 * largest)
+
+
+@every_patch
+def test_pressure_is_uniform(cell, contact):
+    for face in solved(cell, contact).problem.contact:
+        np.testing.assert_allclose(face.pressure, PRESSURE, rtol=1e-10)
+
+
+@every_patch
+def test_force_is_pressure_times_area(cell, contact):
+    slopes = SLOPES[contact]
+    dim = solved(cell, contact).displacement.shape[1] - 1
+    areas = [np.sqrt(1.0 + np.sum(np.square(slope[:dim]))) for slope in slopes]
+    forces = solved(cell, contact).problem.report.contact_force
+    np.testing.assert_allclose(forces, PRESSURE * np.array(areas), rtol=1e-10)
+
+
+@every_patch
+def test_normals_are_those_of_the_planes(cell, contact):
+    gdim = solved(cell, contact).displacement.shape[1]
+    for face, slope in zip(solved(cell, contact).problem.contact, SLOPES[contact], strict=True):
+        downwards = np.array([*slope[: gdim - 1], -1.0])
+        downwards /= np.linalg.norm(downwards)
+        np.testing.assert_allclose(face.normal - downwards, 0.0, atol=1e-14)
+
+
+@every_patch
+def test_each_block_is_torn(cell, contact):
+    subdomains = solved(cell, contact).problem.system.subdomains
+    assert np.bincount([s.body for s in subdomains]).min() >= 2
+
+
+def test_closed_crack_is_as_if_it_were_not_there():
+    """A square is pressed across its crack, whose faces touch up to the facets at its tip."""
+    points, cells = slit(6)
+    domain = mesh_of(MPI.COMM_SELF, "quadrilateral", points, cells)
+    sides = tags_of(domain, 1 + (points[cells].mean(axis=1)[:, 0] > 3.0))
+
+    def crack(x: Any) -> Any:
+        return (x[0] == 3.0) & (x[1] <= 2.0)
+
+    outer = [(SUPPORTED[0], at(0, 0.0)), (SUPPORTED[1], at(1, 0.0)), (LOADED, at(0, 6.0))]
+    facet_tags = tag_facets(domain, [*outer, (5, crack, 1), (6, crack, 2)], sides)
+    V = vector_space(domain)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    ds = ufl.Measure("ds", domain=domain, subdomain_data=facet_tags)
+    young, pressure = fem.Constant(domain, YOUNG[0]), fem.Constant(domain, PRESSURE)
+    problem = ContactProblem(
+        elasticity(u, v, young),
+        -pressure * v[0] * ds(LOADED),
+        bcs=[fixed(V, facet_tags, SUPPORTED[axis], axis) for axis in (0, 1)],
+        contacts=[ContactPair(facet_tags, slave=5, master=6)],
+        options={"rtol": 1e-12, "subdomain_size": 40},
+    )
+    uh = problem.solve().x.array.reshape(-1, 2)
+    nu, unit = POISSON[0], PRESSURE / YOUNG[0]
+    exact = V.tabulate_dof_coordinates()[:, :2] * unit * [-(1 - nu**2), nu * (1 + nu)]
+    np.testing.assert_allclose(uh, exact, rtol=0.0, atol=1e-10 * np.abs(exact).max())
+    # the last pair of nodes also carries half of the facet at the tip
+    assert problem.report.contact_force[0] == pytest.approx(2.5 * PRESSURE, rel=1e-10)
