@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import POISSON, elasticity, vector_space
+from scenes import elasticity, vector_space
 
 import ufl
 from dolfinx import fem
@@ -117,11 +117,14 @@ def test_force_is_that_of_statics_in_the_limit(name):
     assert errors[2] <= 0.5 * errors[1]
 
 
-@every_contact
-def test_stiff_bodies_are_rigid_ones(name):
+def test_stiffer_bodies_are_closer_to_rigid_ones():
     """With the weight of the polygon, what is left is the displacement of the contacts."""
     weight = meshed_weight(2, 16, "top")
-    assert error(2, 16, name, weight, young=100 * YOUNG) <= 1e-4
+    soft, stiff = (
+        max(error(2, 16, name, weight, young) for name in STATICS) for young in (YOUNG, 10 * YOUNG)
+    )
+    assert soft <= 2e-4
+    assert stiff <= 0.5 * soft
 
 
 @pytest.mark.heavy
@@ -164,17 +167,7 @@ def test_cylinders_are_free_to_slide_along_their_axes():
     assert len(solved(3, 4).report.free_motions) == 4
 
 
-@pytest.mark.parametrize("elements", [8, 16])
-def test_places_of_contact_are_some_elements_wide(elements):
+def test_places_of_contact_are_some_elements_wide():
     """Not a single node, and not the whole tagged arc."""
-    for contact in solved(2, elements).contact:
-        assert 2 <= np.count_nonzero(contact.active) <= contact.active.size / 2
-
-
-def test_half_width_of_the_contact_with_the_floor():
-    """By Hertz, a disc on a rigid plane: b^2 = 4 F R (1 - nu^2) / (pi E)."""
-    (floor,) = (c for c in solved(2, 16).contact if c.name == "left floor")
-    x = floor.coordinates[:, 0] + 1.2 * RADIUS
-    width = 2.0 * np.sqrt(floor.normal_force @ x**2 / floor.normal_force.sum())
-    hertz = np.sqrt(4 * 1.5 * CIRCLE * RADIUS * (1 - POISSON**2) / (np.pi * YOUNG))
-    assert width == pytest.approx(hertz, rel=0.05)
+    for contact in solved(2, 16).contact:
+        assert 3 <= np.count_nonzero(contact.active) <= contact.active.size / 2
