@@ -40,7 +40,7 @@ def at(axis, value):
     return lambda x: np.isclose(x[axis], value)
 
 
-def contacts_of_stack():
+def contacts_of_stack(with_walls=True):
     """Return (contact, cubes) for the 54 pairs, then for the floor and the walls."""
     axes = np.eye(3, dtype=int)
     pairs, walls = [], []
@@ -49,16 +49,16 @@ def contacts_of_stack():
         if next_one in CUBES:
             pair = reference.Pair(face(next_one, axis, 0), face(cube, axis, 1), tuple(-e))
             pairs.append((pair, (next_one, cube)))
-        elif axis < 2:
+        elif axis < 2 and with_walls:
             wall = Plane(tuple(3.0 * e), tuple(-e))
             walls.append((reference.Obstacle(face(cube, axis, 1), wall), (cube,)))
-        if cube[axis] == 0:
+        if cube[axis] == 0 and (axis == 2 or with_walls):
             wall = Plane(tuple(0.0 * e), tuple(e))
             walls.append((reference.Obstacle(face(cube, axis, 0), wall), (cube,)))
     return pairs + walls
 
 
-def stack(cell, n, power, weight=WEIGHT):
+def stack(cell, n, power, weight=WEIGHT, walls=True):
     """Return the stack under the pressure p (x y / 9)^power on its top, and its own weight."""
     parts = [Box(cube, np.add(cube, 1), (n, n, n)) for cube in CUBES]
     tagged = boxes(MPI.COMM_SELF, parts, cell)
@@ -77,7 +77,7 @@ def stack(cell, n, power, weight=WEIGHT):
         a=elasticity(u, v, young),
         L=-weighs * v[2] * dx - PRESSURE * (x[0] * x[1] / 9) ** power * v[2] * ds(top),
         bcs=[],
-        contacts=[contact for contact, _ in contacts_of_stack()],
+        contacts=[contact for contact, _ in contacts_of_stack(walls)],
         facet_tags=facet_tags,
         cell_tags=tagged.cell_tags,
         total_forces=[],
@@ -200,3 +200,34 @@ def test_uniform_pressure_is_exact(cell):
     exact = np.zeros((uh.x.array.size // 3, 3))
     exact[:, 2] = -PRESSURE / stiffness * uh.function_space.tabulate_dof_coordinates()[:, 2]
     np.testing.assert_allclose(uh.x.array, exact.ravel(), atol=1e-8 * np.abs(exact).max())
+
+
+@lru_cache(maxsize=None)
+def without_walls(cell):
+    """Return the solved problem of the stack with free sides.
+
+    Few rows press and many do not, so a larger penalty than usual spares outer iterations.
+    """
+    problem = stack(cell, 2, 4, walls=False).problem(options={"rtol": 1e-8, "rho": 10.0})
+    problem.solve()
+    return problem
+
+
+@every_case
+def test_free_columns_stand_alone(cell):
+    """Where nothing holds the sides, neighbours cannot press each other."""
+    problem = without_walls(cell)
+    contacts = zip(problem.contact, contacts_of_stack(False), strict=True)
+    for found, (_, cubes) in contacts:
+        i, j, k = cubes[0]
+        vertical = abs(found.normal[0, 2]) > 0.5
+        expected = load_of_column(i, j) + WEIGHT * (3 - k) if vertical else 0.0
+        assert found.normal_force.sum() == pytest.approx(expected, abs=1e-8 * TOTAL)
+
+
+@every_case
+def test_free_blocks_part_but_do_not_overlap(cell):
+    """What expands under the load pushes its neighbours aside, where nothing resists."""
+    report = without_walls(cell).report
+    assert report.free_motions
+    assert report.certificate.penetration <= 1e-8

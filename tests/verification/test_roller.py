@@ -1,0 +1,152 @@
+"""A roller between two plates: Hertz's line contact, equilibrium, motions that nothing resists."""
+
+from __future__ import annotations
+
+import importlib.util
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scenes import POISSON, YOUNG, elasticity, fixed, vector_space
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem, UnresistedMotion
+from fenics_tfeti.fem.mesh_io import read_msh
+
+pytest.importorskip("gmsh")
+
+SCRIPT = Path(__file__).parents[2] / "meshes" / "roller.py"
+RADIUS, LOAD = 0.1, 4e6  # [m], [N/m]
+HALF_WIDTH = np.sqrt(8 * LOAD * RADIUS * (1 - POISSON**2) / (np.pi * YOUNG))
+PEAK = 2 * LOAD / (np.pi * HALF_WIDTH)
+SLAVES = ["roller", "plates"]
+
+
+@lru_cache(maxsize=None)
+def meshed(elements):
+    """Return the bodies, meshed by the script of the demo."""
+    spec = importlib.util.spec_from_file_location("roller_mesh", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    with TemporaryDirectory() as folder:
+        module.roller_between_plates(Path(folder, "roller.msh"), elements)
+        return read_msh(Path(folder, "roller.msh"), MPI.COMM_SELF, gdim=2)
+
+
+def problem(elements, slave, force=(0.0, 0.0)):
+    """Return the problem with a force [N/m] on the roller."""
+    bodies = meshed(elements)
+    mesh, facet_tags, tags = bodies.mesh, bodies.facet_tags, bodies.names
+    V = vector_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    dx = ufl.Measure("dx", domain=mesh, subdomain_data=bodies.cell_tags)
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
+    a = elasticity(u, v, fem.Constant(mesh, YOUNG))
+    down = fem.Constant(mesh, np.array([0.0, -LOAD / 0.4]))
+    body_force = fem.Constant(mesh, np.array(force) / (np.pi * RADIUS**2))
+    L = ufl.inner(down, v) * ds(tags["upper outer"])
+    L += ufl.inner(body_force, v) * dx(tags["roller"])
+    bcs = [fixed(V, facet_tags, tags["lower outer"], None)]
+    bcs += [fixed(V, facet_tags, tags[f"upper {side}"], 0) for side in ("left", "right")]
+    contacts = []
+    for where, plate in (("below", "lower"), ("above", "upper")):
+        surfaces = tags[f"roller {where}"], tags[f"{plate} inner"]
+        round_ = slave == "roller"
+        one, other = surfaces if round_ else surfaces[::-1]
+        normal = (lambda x: x[:2]) if round_ else None
+        contacts.append(ContactPair(facet_tags, one, other, direction=(0, 1), normal=normal))
+    return ContactProblem(a, L, bcs, contacts, cell_tags=bodies.cell_tags, options={"rtol": 1e-9})
+
+
+@lru_cache(maxsize=None)
+def solved(slave, elements=24):
+    found = problem(elements, slave)
+    found.solve()
+    return found
+
+
+def resultant(contact):
+    """Return the force on the slave."""
+    return -contact.normal_force @ contact.normal
+
+
+@pytest.mark.parametrize("slave", SLAVES)
+def test_each_contact_carries_the_load(slave):
+    up = 1.0 if slave == "roller" else -1.0
+    lower, upper = solved(slave).contact
+    assert resultant(lower)[1] == pytest.approx(up * LOAD, rel=1e-8)
+    assert resultant(upper)[1] == pytest.approx(-up * LOAD, rel=1e-8)
+
+
+@pytest.mark.parametrize("slave", SLAVES)
+def test_the_roller_is_in_equilibrium(slave):
+    np.testing.assert_allclose(sum(map(resultant, solved(slave).contact)), 0.0, atol=1e-8 * LOAD)
+
+
+def test_the_pressure_has_no_moment_about_the_axis():
+    for contact in solved("roller").contact:
+        arm = contact.coordinates[:, :2]
+        moment = contact.normal_force @ np.cross(arm, contact.normal)
+        assert abs(moment) <= 1e-12 * LOAD * RADIUS
+
+
+@pytest.mark.parametrize("slave", SLAVES)
+def test_pressure_and_width_by_hertz(slave):
+    """For half spaces; the bodies are 48 and 70 half-widths thick, a half-width 10 elements."""
+    for contact in solved(slave).contact:
+        x, force = contact.coordinates[:, 0], contact.normal_force
+        width = 2.0 * np.sqrt(force @ x**2 / force.sum())
+        assert width == pytest.approx(HALF_WIDTH, rel=0.02)
+        assert contact.pressure.max() == pytest.approx(PEAK, rel=0.02)
+
+
+@pytest.mark.parametrize("slave", SLAVES)
+def test_pressure_along_the_surface(slave):
+    for contact in solved(slave).contact:
+        square = 1.0 - (contact.coordinates[:, 0] / HALF_WIDTH) ** 2
+        inner = square > 0.2
+        hertz = PEAK * np.sqrt(square[inner])
+        np.testing.assert_allclose(contact.pressure[inner], hertz, atol=0.04 * PEAK)
+        assert not contact.active[square < -0.3].any()
+
+
+@pytest.mark.parametrize(
+    ("slave", "motion"), [("roller", "rotation through (0, 0)"), ("plates", "translation along (")]
+)
+def test_the_motion_that_nothing_resists_is_listed(slave, motion):
+    """The roller's normals leave it free to spin, the plates' free to slide."""
+    (free,) = solved(slave).report.free_motions
+    assert motion in free
+    assert "[-0.1, 0.1] x [-0.1, 0.1]" in free
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_force_along_the_plates_is_an_error(sign):
+    """It names the body and the motion."""
+    with pytest.raises(UnresistedMotion, match=r"body 1 \(cell tag 6\) in \[-0.1, 0.1\]") as error:
+        problem(6, "plates", force=(sign * 1e3, 0.0)).solve()
+    assert f"translation along ({sign}, 0)" in str(error.value)
+
+
+def test_force_across_the_plates_is_carried():
+    """The weight of the roller adds to the lower contact."""
+    found = problem(6, "plates", force=(0.0, -1e5))
+    found.solve()
+    lower, upper = (contact.normal_force.sum() for contact in found.contact)
+    assert upper == pytest.approx(LOAD, rel=1e-8)
+    weight = 1e5 * meshed_area(6) / (np.pi * RADIUS**2)
+    assert lower == pytest.approx(LOAD + weight, rel=1e-8)
+
+
+def meshed_area(elements):
+    """Return the area of the roller's polygon."""
+    bodies = meshed(elements)
+    dx = ufl.Measure("dx", domain=bodies.mesh, subdomain_data=bodies.cell_tags)
+    one = fem.Constant(bodies.mesh, 1.0)
+    return fem.assemble_scalar(fem.form(one * dx(bodies.names["roller"])))
