@@ -3,7 +3,7 @@ PY := .venv/bin/python
 SPHINXOPTS ?= -W --keep-going
 
 .DEFAULT_GOAL := help
-.PHONY: help env env-wheel demo test test-wheel doctest verify check format docs clean
+.PHONY: help env env-wheel demo demos test test-wheel doctest verify check format docs clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  \1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -17,13 +17,19 @@ env-wheel:  ## fill .venv-wheel with the dolfinx wheel from PyPI (Python >= 3.12
 demo: env  ## two beams in contact; writes to results/
 	$(PY) demos/two_beams.py
 
+demos: env  ## all demos; write to results/
+	for demo in demos/*.py; do $(PY) $$demo || exit 1; done
+
 test: env  ## doctests, serial tests, then the MPI tests on 2 and 3 ranks
 	@tools/test.sh .venv
 
 test-wheel: env-wheel  ## the same tests with the dolfinx wheel
 	@tools/test.sh .venv-wheel
 
-doctest: env  ## the examples in the docstrings
+docdemos: env  ## all demos; write to results/
+	for demo in demos/*.py; do $(PY) $$demo || exit 1; done
+
+test: env  ## the examples in the docstrings
 	$(PY) -m pytest -q --doctest-modules fenics_tfeti/qp fenics_tfeti/feti
 
 verify: env  ## the tests marked heavy
