@@ -101,8 +101,15 @@ def cell_dofs(space: fem.FunctionSpace) -> Numbers:
     """
     dofs = space.dofmap.list
     if hasattr(dofs, "array"):
-        return np.asarray(dofs.array).reshape(dofs.num_nodes, -1)
+        return _rows(dofs)
     return np.asarray(dofs)
+
+
+def _rows(links: Any) -> Numbers:
+    """Return an adjacency list, whose rows are all of one length, as a matrix."""
+    numbers = np.asarray(links.array)
+    # a rank may have no cells
+    return numbers.reshape(links.num_nodes, numbers.size // max(links.num_nodes, 1))
 
 
 def geometry_cells(domain: mesh.Mesh) -> Numbers:
@@ -116,17 +123,18 @@ def geometry_cells(domain: mesh.Mesh) -> Numbers:
         return np.asarray(geometry.dofmaps[0])
     nodes = geometry.dofmap
     if hasattr(nodes, "array"):
-        return np.asarray(nodes.array).reshape(nodes.num_nodes, -1)
+        return _rows(nodes)
     return np.asarray(nodes)
 
 
 def geometry_degree(domain: mesh.Mesh) -> int:
-    """Return the degree of the cells' geometry.
+    """Return the degree of the cells' geometry. Collective.
 
     - 0.5.2 and 0.9 have ``geometry.cmap``, 0.11 ``geometry.cmaps``. The number of nodes says
       the same in all of them.
     """
-    nodes = geometry_cells(domain).shape[1]
+    # a rank may have no cells
+    nodes = domain.comm.allreduce(geometry_cells(domain).shape[1], MPI.MAX)
     vertices = {"triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8}
     return 1 if nodes == vertices[cell_name(domain)] else 2
 
