@@ -71,6 +71,10 @@ def choose_package(package: Package) -> str:
     )
 
 
+# right-hand sides that are solved for together
+_COLUMNS = 64
+
+
 class SparseCholesky:
     """The factor of a sparse symmetric positive definite matrix.
 
@@ -142,13 +146,29 @@ class SparseCholesky:
     def solve(self, b: Vector) -> Vector:
         """Solve for a vector (n,) or, column by column, for a matrix (n, k)."""
         if b.ndim == 2:
-            return np.stack([self.solve(column) for column in b.T], axis=1) if b.size else b.copy()
+            return self._solve_columns(b)
         self._b.array_w[:] = b
         self._factor.solve(self._b, self._x)
         x: Vector = self._x.array_r.copy()
         return x
 
+    def _solve_columns(self, b: Vector) -> Vector:
+        """Solve for a matrix, some columns at a time: the factor is read once for all of them."""
+        x = np.empty(b.shape, order="F")
+        for start in range(0, b.shape[1], _COLUMNS):
+            columns = np.asfortranarray(b[:, start : start + _COLUMNS])
+            result = np.empty_like(columns)
+            mats = [
+                PETSc.Mat().createDense(array.shape, array=array.ravel("F"), comm=PETSc.COMM_SELF)
+                for array in (columns, result)
+            ]
+            self._factor.matSolve(*mats)
+            x[:, start : start + _COLUMNS] = mats[1].getDenseArray()
+            for mat in mats:
+                mat.destroy()
+        return x
+
     @property
-    def bytes(self) -> int:
-        """Memory of the factor's entries."""
-        return int(8 * self._factor.getInfo()["nz_used"])
+    def entries(self) -> int:
+        """Number of the factor's entries."""
+        return int(self._factor.getInfo()["nz_used"])

@@ -41,49 +41,67 @@ class BodyMotions:
     ----------
     basis : (coarse, modes * bodies) scipy.sparse.csr_matrix
         T: R T z moves each body rigidly, orthonormal columns for each body.
-    energy : (modes * bodies, modes * bodies) array
-        What of the motions is outside the kernel of K (elastic supports), as a Gram matrix.
+    held : (modes * bodies, modes * bodies) array
+        How elastic supports and the equality rows of B resist the motions, as a Gram matrix. Rows
+        are taken with unit length: what resists is a matter of geometry.
+    contact : (modes * bodies, owned inequality rows) scipy.sparse.csr_matrix
+        What the motions do to the contact rows, again of unit length.
     """
 
     basis: sp.csr_matrix
-    energy: Vector
+    held: Vector
+    contact: sp.csr_matrix
 
 
 @dataclass(frozen=True)
 class CoarseSpace:
-    """G on this rank, and the bodies' rigid motions.
+    """G = R'B' on this rank, and the bodies' rigid motions.
+
+    G is applied as R' after B'; only its columns for contact rows and GG' of the equality rows are
+    kept as matrices.
 
     Attributes
     ----------
-    own : (coarse of this rank, m) scipy.sparse.csr_matrix
-        The rows of G for this rank's subdomains; complete.
-    all : (coarse, m) scipy.sparse.csr_matrix
-        All rows of G, in the columns that this rank holds.
-    first : int
-        Number of this rank's first row.
+    boundary : Boundary
+        B and the classes of congruent subdomains.
+    kernels : sequence of (n_i, k_i) arrays
+        R_i of this rank's subdomains; congruent ones share it.
+    ends : (subdomains + 1,) integer array
+        Where the subdomains' coarse unknowns begin among this rank's, and where they end.
+    first, size : int
+        Number of this rank's first coarse unknown, and of all.
+    contact : (coarse, i) scipy.sparse.csr_matrix
+        All rows of G in the inequality columns that this rank holds.
+    equality : (coarse, coarse) scipy.sparse.csr_matrix
+        GG' of the equality rows alone.
     bodies : BodyMotions
         Rigid motions of bodies.
-    kernels : (n, coarse of this rank) scipy.sparse.csr_matrix
-        R = diag(R_i) of this rank's subdomains.
     constraints : Constraints
         The columns.
     package : str
         Package for the factors.
     """
 
-    own: sp.csr_matrix
-    all: sp.csr_matrix
+    boundary: Boundary
+    kernels: Sequence[Vector]
+    ends: Numbers
     first: int
+    size: int
+    contact: sp.csr_matrix
+    equality: sp.csr_matrix
     bodies: BodyMotions
-    kernels: sp.csr_matrix
     constraints: Constraints
     package: str
 
     @staticmethod
     def build(
-        system: TornSystem, constraints: Constraints, kernels: Sequence[Vector], package: str
+        system: TornSystem,
+        constraints: Constraints,
+        boundary: Boundary,
+        kernels: Sequence[Vector],
+        package: str,
     ) -> CoarseSpace:
-        """Form G = R'B' and exchange its shared columns with the neighbours.
+        """Form G, exchange its shared columns with the neighbours, keep what is needed of it.
 
         Parameters
         ----------
@@ -91,30 +109,31 @@ class CoarseSpace:
             The subdomains.
         constraints : Constraints
             B.
+        boundary : Boundary
+            Its packed columns.
         kernels : sequence of (n_i, k_i) arrays
             R_i of this rank's subdomains.
         package : str
             Package for the factors of coarse matrices.
         """
-        n = constraints.matrix.shape[1]
-        blocks = [sp.coo_matrix(R) for R in kernels]
-        R = sp.block_diag(blocks, format="csr") if blocks else sp.csr_matrix((n, 0))
-        own = (constraints.matrix @ R).T.tocsr()
-        own.sum_duplicates()
-        first, total = first_of_rank(system.comm, own.shape[0])
-        coo = own.tocoo()
-        rows = coo.row.astype(np.int64) + first
-        columns = coo.col.astype(np.int64)
-        theirs = constraints.multipliers.shared_entries(rows, columns, coo.data)
-        complete = sp.csr_matrix(
-            (
-                np.concatenate([coo.data, theirs[2]]),
-                (np.concatenate([rows, theirs[0]]), np.concatenate([columns, theirs[1]])),
-            ),
-            shape=(total, own.shape[1]),
-        )
+        ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
+        first, size = first_of_rank(system.comm, int(ends[-1]))
+        # G' with this rank's rows of G as columns, then with those of all
+        own = (boundary.matrix @ _packed_kernels(boundary, kernels, ends)).tocsr()
+        everyone = _with_neighbours(constraints, own, first, size)
+        equality = constraints.equality
+        rows = (own.T.tocsr()[:, equality] @ everyone[equality]).tocoo()
         return CoarseSpace(
-            own, complete, first, _body_motions(system, kernels), R, constraints, package
+            boundary,
+            kernels,
+            ends,
+            first,
+            size,
+            everyone[constraints.inequality].T.tocsr(),
+            _gather_rows(system.comm, rows, first, size),
+            _body_motions(system, kernels, constraints, everyone),
+            constraints,
+            package,
         )
 
     @property
@@ -122,36 +141,67 @@ class CoarseSpace:
         """The ranks."""
         return self.constraints.multipliers.comm
 
-    @property
-    def size(self) -> int:
-        """Number of rows of G."""
-        return int(self.all.shape[0])
+    def restrict(self, x: Vector) -> Vector:
+        """Return Gx for the coarse unknowns of all ranks; one gathering reduction."""
+        packed = self.boundary.blocks(self.boundary.matrix.T @ x)
+        part = np.empty(int(self.ends[-1]))
+        for congruent, local, rows in zip(
+            self.boundary.classes, self.boundary.unknowns, packed, strict=True
+        ):
+            part[self._places(congruent)] = rows @ self.kernels[congruent.first][local]
+        return concatenate_ranks(self.comm, part)
 
-    def restrict_to_owned(self, columns: Mask) -> sp.csr_matrix:
-        """Return all rows of G in the owned columns of a mask."""
-        return self.all[:, np.flatnonzero(self._owned(columns))]
+    def prolong(self, coarse: Vector) -> Vector:
+        """Return G'a for a coarse vector of all ranks; one neighbour exchange."""
+        own = self.own_part(coarse)
+        blocks = [
+            (own[self._places(congruent)] @ self.kernels[congruent.first][local].T).ravel()
+            for congruent, local in zip(self.boundary.classes, self.boundary.unknowns, strict=True)
+        ]
+        part = self.boundary.matrix @ np.concatenate([np.zeros(0), *blocks])
+        return self.constraints.multipliers.sum(part)
 
-    def _owned(self, columns: Mask) -> Mask:
-        return columns & (np.arange(columns.size) < self.constraints.multipliers.owned)
+    def work(self, forces: Vector) -> Vector:
+        """Return R'f for the coarse unknowns of all ranks; one gathering reduction."""
+        part = np.empty(int(self.ends[-1]))
+        for congruent in self.boundary.classes:
+            part[self._places(congruent)] = congruent.rows(forces) @ self.kernels[congruent.first]
+        return concatenate_ranks(self.comm, part)
 
-    def unresisted(self, columns: Mask) -> Vector:
-        """Return the rigid motions of bodies that the chosen rows of B do not resist.
+    def motion(self, coarse: Vector) -> Vector:
+        """Return R a on this rank's torn unknowns for a coarse vector of all ranks."""
+        own = self.own_part(coarse)
+        displacement = np.empty(self.constraints.matrix.shape[1])
+        for congruent in self.boundary.classes:
+            rows = own[self._places(congruent)] @ self.kernels[congruent.first].T
+            congruent.put(displacement, rows)
+        return displacement
+
+    def own_part(self, coarse: Vector) -> Vector:
+        """Return this rank's part of a coarse vector."""
+        return coarse[self.first : self.first + int(self.ends[-1])]
+
+    def _places(self, congruent: Congruent) -> Numbers:
+        modes = self.kernels[congruent.first].shape[1]
+        places: Numbers = self.ends[congruent.members][:, None] + np.arange(modes)
+        return places
+
+    def unresisted(self, active: Mask) -> Vector:
+        """Return the rigid motions of bodies that the equality and some contact rows do not resist.
 
         Parameters
         ----------
-        columns : (m,) bool array
-            The rows of B (columns of G).
+        active : (i,) bool array
+            The contact rows.
 
         Returns
         -------
         (coarse, k) array
-            Orthonormal basis of the kernel of the chosen columns' G'.
+            Orthonormal basis of the kernel of these rows' G'.
         """
-        # rows of unit length, whatever their weights: what resists is a matter of geometry
-        resisted = self.bodies.basis.T @ self.restrict_to_owned(columns)
-        lengths = self.constraints.row_lengths[np.flatnonzero(self._owned(columns))]
-        resisted = (resisted @ sp.diags(1.0 / lengths)).tocsr()
-        gram = self.comm.allreduce((resisted @ resisted.T).toarray()) + self.bodies.energy
+        chosen = np.flatnonzero(active[: self.constraints.owned_inequalities])
+        resisted = self.bodies.contact[:, chosen]
+        gram = self.comm.allreduce((resisted @ resisted.T).toarray()) + self.bodies.held
         resistance, motions = np.linalg.eigh(gram)
         free: Vector = self.bodies.basis @ motions[:, resistance <= _UNRESISTED]
         return np.linalg.qr(free)[0]
@@ -159,7 +209,7 @@ class CoarseSpace:
 
 @dataclass(frozen=True)
 class Projector:
-    """Q and P for the columns of G in a mask (all of them, the equalities, the active rows).
+    """Q and P for the equality rows and some contact rows (all of them, none, the active ones).
 
     The coarse matrix is gathered and factored on every rank: it grows with the number of
     subdomains, not of unknowns.
@@ -169,7 +219,7 @@ class Projector:
     space : CoarseSpace
         G.
     columns : (m,) bool array
-        The columns used.
+        The columns of G used.
     free : (coarse, k) array
         Orthonormal basis of the kernel of the coarse matrix.
     """
@@ -177,39 +227,45 @@ class Projector:
     space: CoarseSpace
     columns: Mask
     free: Vector
-    own: sp.csr_matrix
-    transposed: sp.csr_matrix
     factor: SparseCholesky | None
 
     @staticmethod
-    def build(space: CoarseSpace, columns: Mask | None = None) -> Projector:
-        """Factor the coarse matrix GG' of the chosen columns (default: all)."""
-        m = space.own.shape[1]
-        columns = np.ones(m, dtype=bool) if columns is None else columns
-        select = sp.diags(columns.astype(float), format="csr")
-        own, transposed = (space.own @ select).tocsr(), (space.all @ select).T.tocsr()
-        free = space.unresisted(columns)
-        matrix = _gather_rows(space, (own @ transposed).tocoo())
+    def build(space: CoarseSpace, active: Mask | None = None) -> Projector:
+        """Factor the coarse matrix GG' of the equality rows and the chosen contact rows.
+
+        Parameters
+        ----------
+        space : CoarseSpace
+            G.
+        active : (i,) bool array, optional
+            The contact rows; all by default.
+        """
+        constraints = space.constraints
+        chosen = np.ones(constraints.inequality.size, dtype=bool) if active is None else active
+        columns = constraints.equality
+        columns[constraints.inequality] = chosen
+        free = space.unresisted(chosen)
+        contact = space.contact[:, np.flatnonzero(chosen)]
+        own = contact[space.first : space.first + int(space.ends[-1])]
+        rows = (own @ contact.T).tocoo()
+        matrix = space.equality + _gather_rows(space.comm, rows, space.first, space.size)
         if free.shape[1]:
             # no row at all leaves a zero matrix
             matrix = matrix + _pins(free, matrix.diagonal().max() or 1.0)
         factor = SparseCholesky(matrix.tocsr(), space.package) if space.size else None
-        return Projector(space, columns, free, own, transposed, factor)
+        return Projector(space, columns, free, factor)
 
     def coefficients(self, x: Vector) -> Vector:
-        """Return (GG')^+ G x for all subdomains; one gathering reduction."""
-        part = self.own @ x
-        comm = self.space.comm
-        return self.solve(part if comm.size == 1 else concatenate_ranks(comm, part))
+        """Return (GG')^+ G x for all subdomains, G with the chosen columns."""
+        return self.solve(self.space.restrict(np.where(self.columns, x, 0.0)))
 
     def solve(self, coarse: Vector) -> Vector:
         """Return (GG')^+ applied to a coarse vector in the range of G."""
         return coarse if self.factor is None else self.factor.solve(coarse)
 
     def expand(self, coarse: Vector) -> Vector:
-        """Return G' applied to a coarse vector of all subdomains."""
-        y: Vector = self.transposed @ coarse
-        return y
+        """Return G' applied to a coarse vector of all subdomains, in the chosen columns."""
+        return np.where(self.columns, self.space.prolong(coarse), 0.0)
 
     def coarse(self, x: Vector) -> Vector:
         """Return Qx = G'(GG')^{-1}Gx."""
@@ -219,17 +275,52 @@ class Projector:
         """Return Px = x - Qx."""
         return x - self.coarse(x)
 
-    def own_part(self, coarse: Vector) -> Vector:
-        """Return this rank's part of a coarse vector."""
-        return coarse[self.space.first : self.space.first + self.own.shape[0]]
+
+def _packed_kernels(
+    boundary: Boundary, kernels: Sequence[Vector], ends: Numbers
+) -> sp.csr_matrix:
+    """Return R on the packed boundary unknowns, a column for each own coarse unknown."""
+    data, columns, counts = [np.zeros(0)], [np.zeros(0, dtype=np.int32)], [np.zeros(0, dtype=int)]
+    for congruent, local in zip(boundary.classes, boundary.unknowns, strict=True):
+        R = kernels[congruent.first][local]
+        k = congruent.members.size
+        places = ends[congruent.members][:, None, None] + np.arange(R.shape[1])
+        data.append(np.tile(R.ravel(), k))
+        columns.append(np.broadcast_to(places, (k, *R.shape)).ravel().astype(np.int32))
+        counts.append(np.full(k * local.size, R.shape[1]))
+    indptr = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
+    return sp.csr_matrix(
+        (np.concatenate(data), np.concatenate(columns), indptr),
+        shape=(boundary.columns.size, int(ends[-1])),
+    )
 
 
-def _gather_rows(space: CoarseSpace, own_rows: sp.coo_matrix) -> sp.csr_matrix:
+def _with_neighbours(
+    constraints: Constraints, own: sp.csr_matrix, first: int, size: int
+) -> sp.csr_matrix:
+    """Return G' with the columns of all ranks, in the rows (of G') that this rank holds."""
+    if constraints.multipliers.comm.size == 1:
+        return own
+    coo = own.tocoo()
+    columns, rows = coo.col.astype(np.int64) + first, coo.row.astype(np.int64)
+    theirs = constraints.multipliers.shared_entries(columns, rows, coo.data)
+    return sp.csr_matrix(
+        (
+            np.concatenate([coo.data, theirs[2]]),
+            (np.concatenate([rows, theirs[1]]), np.concatenate([columns, theirs[0]])),
+        ),
+        shape=(own.shape[0], size),
+    )
+
+
+def _gather_rows(
+    comm: MPI.Intracomm, own_rows: sp.coo_matrix, first: int, size: int
+) -> sp.csr_matrix:
     entries = [
-        concatenate_ranks(space.comm, column)
-        for column in (own_rows.row + space.first, own_rows.col, own_rows.data)
+        concatenate_ranks(comm, column)
+        for column in (own_rows.row.astype(np.int64) + first, own_rows.col, own_rows.data)
     ]
-    return sp.csr_matrix((entries[2], (entries[0], entries[1])), shape=(space.size, space.size))
+    return sp.csr_matrix((entries[2], (entries[0], entries[1])), shape=(size, size))
 
 
 def _pins(free: Vector, stiffness: float) -> sp.csr_matrix:
@@ -244,7 +335,32 @@ def _pins(free: Vector, stiffness: float) -> sp.csr_matrix:
     return sp.diags(diagonal, format="csr")
 
 
-def _body_motions(system: TornSystem, kernels: Sequence[Vector]) -> BodyMotions:
+def _body_motions(
+    system: TornSystem,
+    kernels: Sequence[Vector],
+    constraints: Constraints,
+    everyone: sp.csr_matrix,
+) -> BodyMotions:
+    basis, energy = _motions_and_energy(system, kernels)
+    owned = constraints.multipliers.owned
+    # (rows of B, motions): what each motion does to rows of unit length
+    moved = sp.diags(1.0 / constraints.row_lengths[:owned]) @ (everyone[:owned] @ basis)
+    # gluing rows resist no motion of a whole body; rounding leaves traces of them
+    moved.data[np.abs(moved.data) <= _TRACE] = 0.0
+    moved.eliminate_zeros()
+    equality = constraints.equality[:owned]
+    held = moved[np.flatnonzero(equality)]
+    return BodyMotions(
+        basis,
+        system.comm.allreduce((held.T @ held).toarray()) + energy,
+        moved[np.flatnonzero(~equality)].T.tocsr(),
+    )
+
+
+def _motions_and_energy(
+    system: TornSystem, kernels: Sequence[Vector]
+) -> tuple[sp.csr_matrix, Vector]:
+    """Return T, and the energy of the motions outside the kernel of K (elastic supports)."""
     comm = system.comm
     gdim = system.gdim
     bodies = comm.allreduce(max((s.body + 1 for s in system.subdomains), default=0), MPI.MAX)
@@ -265,14 +381,16 @@ def _body_motions(system: TornSystem, kernels: Sequence[Vector]) -> BodyMotions:
     inverse = [np.linalg.inv(np.linalg.cholesky(g)).T if g.any() else g for g in gram]
     rows = [sp.csr_matrix((0, modes * bodies))]
     for body, inside in blocks:
-        block = sp.lil_matrix((inside.shape[0], modes * bodies))
-        block[:, body * modes : (body + 1) * modes] = inside @ inverse[body]
-        rows.append(block.tocsr())
+        data = (inside @ inverse[body]).ravel()
+        columns = np.tile(body * modes + np.arange(modes), len(inside))
+        indptr = modes * np.arange(len(inside) + 1)
+        shape = (len(inside), modes * bodies)
+        rows.append(sp.csr_matrix((data, columns, indptr), shape=shape))
     basis = sp.vstack(comm.allgather(sp.vstack(rows, format="csr")), format="csr")
     scaled = [t.T @ e @ t for t, e in zip(inverse, energy, strict=True)]
     # rounding leaves traces of 1e-16 in what should vanish
     scaled = [np.where(np.abs(e) > _UNRESISTED, e, 0.0) for e in scaled]
-    return BodyMotions(basis, block_diag(*scaled) if bodies else np.zeros((0, 0)))
+    return basis, scipy.linalg.block_diag(*scaled) if bodies else np.zeros((0, 0))
 
 
 def _centres_and_sizes(system: TornSystem, bodies: int) -> tuple[Vector, Vector]:

@@ -4,18 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fenics_tfeti.feti.congruence import Boundary, apply_by_class
 from fenics_tfeti.feti.constraints import Constraints
 from fenics_tfeti.feti.pseudoinverse import Pseudoinverse
-from fenics_tfeti.feti.torn_system import Subdomain
 from fenics_tfeti.qp import lanczos_upper_bound
 
-__all__ = ["DualOperator", "norm_of_projected", "seeded_vector"]
+__all__ = ["DualOperator", "DualOperatorKind", "norm_of_projected", "seeded_vector"]
 
 Vector = NDArray[np.float64]
+DualOperatorKind = Literal["auto", "implicit", "explicit"]
+
+# right-hand sides at once for the explicit matrix
+_COLUMNS = 512
+# by how much several right-hand sides make a triangular solve and a dense product cheaper, measured
+_SHARING_OF_SOLVES = 3
+_SHARING_OF_PRODUCTS = 8
+# products of a typical solve
+_PRODUCTS = 50
 
 
 @dataclass(frozen=True)
@@ -26,45 +37,120 @@ class DualOperator:
     ----------
     constraints : Constraints
         B, c.
+    boundary : Boundary
+        B on the unknowns that it acts on, and the classes of congruent subdomains.
     inverses : sequence of Pseudoinverse
-        K_i^+ of this rank's subdomains.
-    slices : sequence of slice
-        The subdomains' parts of the torn unknowns.
+        K_i^+ of each class.
+    on_boundary : sequence of callable
+        The part of K_i^+ between boundary unknowns of each class, (k, b) -> (k, b).
     """
 
     constraints: Constraints
+    boundary: Boundary
     inverses: Sequence[Pseudoinverse]
-    slices: Sequence[slice]
+    on_boundary: Sequence[Callable[[Vector], Vector]]
 
     @staticmethod
     def build(
         constraints: Constraints,
-        subdomains: Sequence[Subdomain],
+        boundary: Boundary,
         inverses: Sequence[Pseudoinverse],
+        kind: DualOperatorKind = "auto",
     ) -> DualOperator:
-        """Make the operator from the subdomains in their order."""
-        ends = np.cumsum([0, *(s.size for s in subdomains)])
-        return DualOperator(
-            constraints, inverses, [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
-        )
+        """Make the operator, with explicit matrices or solves as asked for.
+
+        Parameters
+        ----------
+        constraints : Constraints
+            B, c.
+        boundary : Boundary
+            Its packed columns.
+        inverses : sequence of Pseudoinverse
+            K_i^+ of each class.
+        kind : {"auto", "implicit", "explicit"}
+            Sparse solves, or a dense matrix for each class; auto counts bytes.
+        """
+        on_boundary = [
+            _explicit(inverse, local)
+            if kind == "explicit"
+            or (kind == "auto" and _explicit_pays(inverse, local.size, congruent.members.size))
+            else _implicit(inverse, local, congruent.size)
+            for inverse, local, congruent in zip(
+                inverses, boundary.unknowns, boundary.classes, strict=True
+            )
+        ]
+        return DualOperator(constraints, boundary, inverses, on_boundary)
 
     def __call__(self, multipliers: Vector) -> Vector:
-        """Return F lambda: one solve for each subdomain, one neighbour exchange."""
-        B = self.constraints.matrix
-        jumps = B @ self.generalised_inverse(B.T @ multipliers)
+        """Return F lambda: one solve or product for each class, one neighbour exchange."""
+        B = self.boundary.matrix
+        jumps = B @ self.boundary.apply(self.on_boundary, B.T @ multipliers)
         return self.constraints.multipliers.sum(jumps)
+
+    def constraint_forces(self, multipliers: Vector) -> Vector:
+        """Return B'lambda on this rank's torn unknowns."""
+        forces = np.zeros(self.constraints.matrix.shape[1])
+        forces[self.boundary.columns] = self.boundary.matrix.T @ multipliers
+        return forces
+
+    def jumps(self, displacement: Vector) -> Vector:
+        """Return Bu of a torn displacement; one neighbour exchange."""
+        part = self.boundary.matrix @ displacement[self.boundary.columns]
+        return self.constraints.multipliers.sum(part)
 
     def generalised_inverse(self, forces: Vector) -> Vector:
         """Return K^+ forces for torn forces."""
-        displacement = np.empty_like(forces)
-        for inverse, part in zip(self.inverses, self.slices, strict=True):
-            displacement[part] = inverse.solve(forces[part])
-        return displacement
+        operators = [partial(_solve_rows, inverse) for inverse in self.inverses]
+        return apply_by_class(self.boundary.classes, operators, forces)
 
     def load(self, forces: Vector) -> Vector:
         """Return d = BK^+f - c."""
-        jumps = self.constraints.matrix @ self.generalised_inverse(forces)
-        return self.constraints.multipliers.sum(jumps) - self.constraints.rhs
+        return self.jumps(self.generalised_inverse(forces)) - self.constraints.rhs
+
+
+def _solve_rows(inverse: Pseudoinverse, rows: Vector) -> Vector:
+    """Apply K^+ to the rows of a matrix, without those that vanish."""
+    result = np.zeros_like(rows)
+    loaded = np.flatnonzero(rows.any(axis=1))
+    if loaded.size == 1:
+        result[loaded[0]] = inverse.solve(rows[loaded[0]])
+    elif loaded.size:
+        result[loaded] = inverse.solve(rows[loaded].T).T
+    return result
+
+
+def _implicit(
+    inverse: Pseudoinverse, local: NDArray[np.int64], size: int
+) -> Callable[[Vector], Vector]:
+    def solve(rows: Vector) -> Vector:
+        forces = np.zeros((len(rows), size))
+        forces[:, local] = rows
+        return _solve_rows(inverse, forces)[:, local]
+
+    return solve
+
+
+def _explicit(inverse: Pseudoinverse, local: NDArray[np.int64]) -> Callable[[Vector], Vector]:
+    columns = np.empty((local.size, local.size))
+    for start in range(0, local.size, _COLUMNS):
+        some = local[start : start + _COLUMNS]
+        unit = np.zeros((inverse.size, some.size), order="F")
+        unit[some, np.arange(some.size)] = 1.0
+        columns[:, start : start + some.size] = inverse.solve(unit)[local]
+    # symmetric but for rounding
+    return lambda rows: rows @ columns
+
+
+def _explicit_pays(inverse: Pseudoinverse, boundary: int, members: int) -> bool:
+    """Count the bytes that all products of a solve move, with solves and with a dense matrix.
+
+    A solve reads the factor (value and index) twice, but several right-hand sides share that; so
+    they do with a dense matrix, which also has to be computed first.
+    """
+    solve = 24.0 * inverse.entries / min(members, _SHARING_OF_SOLVES)
+    product = 8.0 * boundary**2 / min(members, _SHARING_OF_PRODUCTS)
+    set_up = boundary * 24.0 * inverse.entries / _SHARING_OF_SOLVES
+    return set_up + _PRODUCTS * members * product < _PRODUCTS * members * solve
 
 
 def seeded_vector(numbers: NDArray[np.int64], seed: int) -> Vector:

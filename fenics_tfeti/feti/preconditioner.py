@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.feti.cholesky import SparseCholesky
 from fenics_tfeti.feti.dual import DualOperator
-from fenics_tfeti.feti.torn_system import Subdomain
 
 __all__ = ["boundary_operator"]
 
@@ -21,7 +20,7 @@ Vector = NDArray[np.float64]
 def boundary_operator(
     kind: Literal["lumped", "dirichlet"],
     F: DualOperator,
-    subdomains: Sequence[Subdomain],
+    stiffness: Sequence[sp.csr_matrix],
     package: str,
 ) -> Callable[[Vector], Vector]:
     """Return x -> B D^{-1} S D^{-1} B'x, S the stiffness that displaced subdomain boundaries feel.
@@ -36,45 +35,40 @@ def boundary_operator(
         Which.
     F : DualOperator
         For B.
-    subdomains : sequence of Subdomain
-        This rank's subdomains.
+    stiffness : sequence of (n, n) scipy.sparse.csr_matrix
+        K_i of each class of congruent subdomains.
     package : str
         Package for the factors of K_ii.
     """
-    B = F.constraints.matrix
-    on_boundary = np.asarray(abs(B).sum(axis=0)).ravel() > 0.0
+    boundary, multipliers = F.boundary, F.constraints.multipliers
     reactions = [
-        _reaction(kind, subdomain.stiffness, on_boundary[part], package)
-        for subdomain, part in zip(subdomains, F.slices, strict=True)
+        _reaction(kind, K, local, package)
+        for K, local in zip(stiffness, boundary.unknowns, strict=True)
     ]
-
-    B_D = (B @ sp.diags(1.0 / F.constraints.weights)).tocsr()
+    B_D = (boundary.matrix @ sp.diags(1.0 / F.constraints.weights[boundary.columns])).tocsr()
 
     def apply(x: Vector) -> Vector:
-        displacement = B_D.T @ x
-        force = np.zeros_like(displacement)
-        for reaction, part in zip(reactions, F.slices, strict=True):
-            force[part] = reaction(displacement[part])
-        return F.constraints.multipliers.sum(B_D @ force)
+        return multipliers.sum(B_D @ boundary.apply(reactions, B_D.T @ x))
 
     return apply
 
 
 def _reaction(
-    kind: str, K: sp.csr_matrix, on_boundary: NDArray[np.bool_], package: str
+    kind: str, K: sp.csr_matrix, local: NDArray[np.int64], package: str
 ) -> Callable[[Vector], Vector]:
     """Return the forces on a subdomain's boundary as a function of its displacements there."""
-    interior = np.flatnonzero(~on_boundary)
-    # displacements vanish in the interior, so K itself acts as K_bb; B reads boundary forces only
+    interior = np.setdiff1d(np.arange(K.shape[0]), local)
+    rows = K[local]
+    K_bb = rows[:, local].tocsr()
     if kind == "lumped" or interior.size == 0:
-        return lambda u: K @ u
-    K_interior = K[interior]
-    factor = SparseCholesky(K_interior[:, interior].tocsr(), package)
+        return lambda u: (K_bb @ u.T).T
+    K_bi = rows[:, interior].tocsr()
+    K_ib = K_bi.T.tocsr()
+    factor = SparseCholesky(K[interior][:, interior].tocsr(), package)
 
     def schur_complement(u: Vector) -> Vector:
-        follow = u.copy()
-        follow[interior] = -factor.solve(K_interior @ u)
-        reaction: Vector = K @ follow
+        follow = factor.solve(K_ib @ u.T if len(u) > 1 else K_ib @ u[0])
+        reaction = (K_bb @ u.T).T - (K_bi @ follow).T
         return reaction
 
     return schur_complement

@@ -85,6 +85,7 @@ class Pseudoinverse:
         number: int = 8,
     ) -> None:
         K, gdim = subdomain.stiffness, subdomain.coordinates.shape[1]
+        self.size = subdomain.size
         try:
             if method == "null_pivots":
                 self._factor = SparseCholesky(K, package, null_pivots=True)
@@ -113,6 +114,6 @@ class Pseudoinverse:
         return self._factor.solve(b)
 
     @property
-    def bytes(self) -> int:
-        """Memory of the factor."""
-        return self._factor.bytes
+    def entries(self) -> int:
+        """Entries of the factor."""
+        return self._factor.entries
