@@ -101,7 +101,8 @@ def cell_dofs(space: fem.FunctionSpace) -> Numbers:
     """
     dofs = space.dofmap.list
     if hasattr(dofs, "array"):
-        return np.asarray(dofs.array).reshape(dofs.num_nodes, -1)
+        # a rank may have no cells
+        return np.asarray(dofs.array).reshape(-1, space.dofmap.dof_layout.num_dofs)
     return np.asarray(dofs)
 
 
@@ -116,7 +117,7 @@ def geometry_cells(domain: mesh.Mesh) -> Numbers:
         return np.asarray(geometry.dofmaps[0])
     nodes = geometry.dofmap
     if hasattr(nodes, "array"):
-        return np.asarray(nodes.array).reshape(nodes.num_nodes, -1)
+        return np.asarray(nodes.array).reshape(-1, geometry.cmap.create_dof_layout().num_dofs)
     return np.asarray(nodes)
 
 
