@@ -52,7 +52,7 @@ MODULI = {
 }
 JUMPS = [name for name in MODULI if name != "uniform"]
 # (metre, pascal) in other units; newtons follow
-UNITS = {"mm, MPa": (1e3, 1e-6), "mm, Pa": (1e3, 1.0), "m, MPa": (1.0, 1e-6), "km, Pa": (1e-3, 1.0)}
+UNITS = {"mm, MPa": (1e3, 1e-6), "m, MPa": (1.0, 1e-6), "km, Pa": (1e-3, 1.0)}
 
 
 @lru_cache(maxsize=None)
@@ -157,14 +157,8 @@ def test_aligned_jumps_cost_at_most_twice_the_products(name, preconditioner):
 @pytest.mark.parametrize("name", JUMPS)
 def test_scaling_by_multiplicity_is_no_remedy(name):
     """Otherwise the jumps of this file might as well not be there."""
-    assert products(name, "lumped", "multiplicity") > 3 * products(name, "lumped", "stiffness")
-
-
-@pytest.mark.parametrize("rtol", [1e-4, 1e-6, 1e-8])
-@pytest.mark.parametrize("name", [*JUMPS, "fibres"])
-def test_displacement_with_jumps(name, rtol):
-    uh, expected = displacements(name, rtol)
-    assert np.linalg.norm(uh - expected) <= rtol * np.linalg.norm(expected)
+    uniform = products("uniform", "lumped", "multiplicity")
+    assert products(name, "lumped", "multiplicity") > 2 * uniform
 
 
 @lru_cache(maxsize=None)
@@ -173,9 +167,12 @@ def reference(name: str) -> tuple[Scene, Any]:
     return what, what.reference().displacement
 
 
-def displacements(name: str, rtol: float) -> tuple[Any, Any]:
+@pytest.mark.parametrize("rtol", [1e-4, 1e-6, 1e-8])
+@pytest.mark.parametrize("name", [*JUMPS, "fibres"])
+def test_displacement_with_jumps(name, rtol):
     what, expected = reference(name)
-    return solved(what, rtol=rtol)[1], expected
+    _, u = solved(what, rtol=rtol)
+    assert np.linalg.norm(u - expected) <= rtol * np.linalg.norm(expected)
 
 
 @lru_cache(maxsize=None)
