@@ -124,7 +124,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--jump", type=float, default=1e4, help="stiff modulus / soft modulus")
     parser.add_argument("--rtol", type=float, default=1e-6)
     parser.add_argument("--max-products", type=int, default=300)
-    parser.add_argument("--all", action="store_true", help="all cases; takes minutes")
+    parser.add_argument("--all", action="store_true", help="all cases; takes twice as long")
     parser.add_argument("--json", metavar="FILE", help="write the table")
     return parser.parse_known_args()[0]
 
