@@ -6,12 +6,13 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import CLAMPED, GROUND, MASTER, SLAVE, at, elasticity, fixed, vector_space
+from scenes import CLAMPED, SLAVE, at, elasticity, fixed, vector_space
+from stepped_blocks import two_blocks
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, NotConverged, Plane, RigidObstacle, Sphere
+from fenics_tfeti import ContactProblem, NotConverged, Plane, RigidObstacle, Sphere
 from fenics_tfeti.fem.structured import Box, boxes, tag_facets
 
 YOUNG = 1e6
@@ -97,34 +98,6 @@ def test_limit_of_passes():
     with pytest.raises(NotConverged, match="max_passes") as caught:
         block_over_bump({**OPTIONS, "max_passes": 1}).solve()
     assert not caught.value.report.converged
-
-
-def two_blocks(slide, options, n=12):
-    """An upper block on the parabolic bump of a lower one, its top moved sideways and down."""
-    parts = [Box((0, 0), (2, 0.5), (2 * n, n // 2)), Box((0.5, 0.5), (1.5, 1.0), (n, n // 2))]
-    blocks = boxes(MPI.COMM_SELF, parts, "quadrilateral")
-    mesh = blocks.mesh
-    markers = [
-        (SLAVE, at(1, 0.5), 2),
-        (MASTER, at(1, 0.5), 1),
-        (CLAMPED, at(1, 1.0)),
-        (GROUND, at(1, 0.0)),
-    ]
-    tags = tag_facets(mesh, markers, blocks.cell_tags)
-    x = mesh.geometry.x
-    bump = 0.3 * (0.25 - (x[:, 0] - 1.0) ** 2)
-    # both surfaces bulge alike, the outer faces stay
-    x[:, 1] += bump * (1.0 - np.abs(x[:, 1] - 0.5) / 0.5)
-    V = vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    zero = fem.Constant(mesh, np.zeros(2))
-    bcs = [fixed(V, tags, CLAMPED, i, value) for i, value in enumerate((slide, -0.005))]
-    bcs += [fixed(V, tags, GROUND, i) for i in (0, 1)]
-    a, L = elasticity(u, v, YOUNG), ufl.inner(zero, v) * ufl.dx
-    contact = ContactPair(tags, slave=SLAVE, master=MASTER, partial=True)
-    problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], options=options)
-    problem.kept = zero
-    return problem
 
 
 @pytest.mark.parametrize("slide", [0.01, 0.3])
