@@ -13,6 +13,7 @@ from scenes import (
     GROUND,
     MASTER,
     SIDE_X,
+    SIDE_Y,
     SLAVE,
     YOUNG,
     at,
@@ -60,6 +61,7 @@ def two_blocks_on_a_floor(comm=MPI.COMM_SELF, gap=1e-4, n=8):
         (CLAMPED, at(1, top), 2),
         (GROUND, at(1, 0.0), 1),
         (SIDE_X, at(0, 0.0), 1),
+        (SIDE_Y, at(0, 1.0), 1),
     ]
     tags = tag_facets(mesh, markers, blocks.cell_tags)
     V = vector_space(mesh)
@@ -154,6 +156,12 @@ def given_normals(scene):
     return ["factors", "multipliers"]
 
 
+def added_wall(scene):
+    wall = Plane((1.0, 0.0), (-1.0, 0.0))
+    scene.contacts.append(RigidObstacle(scene.tags, SIDE_Y, wall, name="wall"))
+    return ["factors"]
+
+
 def nothing(scene):
     return EVERYTHING
 
@@ -169,6 +177,7 @@ CHANGES = [
     other_floor,
     round_floor,
     given_normals,
+    added_wall,
     nothing,
 ]
 
