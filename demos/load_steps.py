@@ -14,7 +14,7 @@ This demo illustrates how to
 
 - change the load of a problem and solve it again;
 - see what that saves: factors and coarse problem are those of the first step, and the iterations
-  start from the last contact forces. Each step is also solved by a new `ContactProblem`, to compare.
+  start from the last contact forces. A new `ContactProblem` solves each step as well, to compare.
 
 Run it by `python demos/load_steps.py`, or on several processes by
 `mpirun -n 2 python demos/load_steps.py`; it draws a picture into `results/`. All units are SI.
@@ -148,10 +148,10 @@ for step, fraction in enumerate(fractions):
         cold_setup + cold_seconds,
     )
     costs.append(cost)
-    hertz = (3 * F * R / (4 * E_star)) ** (1 / 3)
+    error = 100 * (radius / (3 * F * R / (4 * E_star)) ** (1 / 3) - 1)
     tell(
-        f"  {step:4d} {F:9.2f} {fraction:7.3f} {1e3 * radius:9.4f} {100 * (radius / hertz - 1):+7.2f} %"
-        f" {cost[0]:9d} {cost[1]:10.2f} {cost[2]:9d} {cost[3]:12.2f}"
+        f"  {step:4d} {F:9.2f} {fraction:7.3f} {1e3 * radius:9.4f} {error:+7.2f} % "
+        f"{cost[0]:9d} {cost[1]:10.2f} {cost[2]:9d} {cost[3]:12.2f}"
     )
 
 again, again_seconds, scratch, scratch_seconds = np.sum(costs[1:], axis=0)
@@ -173,11 +173,11 @@ for step in range(8, len(fractions)):
 
 # ## Picture
 
-curve = np.linspace(0, max(forces), 400)
+curve = np.linspace(0, max(radii), 400)
 draw_profile(
     results / "load_steps.png",
     {
-        "Hertz": (1e-3 * curve, 1e3 * (3 * curve * R / (4 * E_star)) ** (1 / 3), "-"),
+        "Hertz": (1e-3 * 4 / 3 * E_star * curve**3 / R, 1e3 * curve, "-"),
         "pressed": (1e-3 * np.array(forces[:8]), 1e3 * np.array(radii[:8]), "o"),
         "let go": (1e-3 * np.array(forces[8:]), 1e3 * np.array(radii[8:]), "x"),
     },
