@@ -174,21 +174,20 @@ rise = np.max(bump - foot, axis=1)
 rigid = pressure * width * np.gradient(rise, fine)
 
 top = len(H) // 2
+rigid_work = pressure * width * height
 parts = 0.5 * (H[1:] + H[:-1]) * np.diff(position)
 tell(f"largest force              {np.abs(H).max():9.1f} N/m  rigid {np.abs(rigid).max():.1f}")
 tell(f"force at the top           {H[top]:9.1f} N/m")
 tell(f"force on the flats         {np.abs(H[[0, 1, -2, -1]]).max():9.1f} N/m")
 tell(f"largest H(-x) + H(x)       {np.abs(H + H[::-1]).max():9.1f} N/m")
-tell(
-    f"work up to the top         {parts[:top].sum():9.1f} J/m  load x height {pressure * width * height:.1f}"
-)
+tell(f"work up to the top         {parts[:top].sum():9.1f} J/m  rigid {rigid_work:.1f}")
 tell(f"work over the whole bump   {parts.sum():9.1f} J/m")
 
 draw_profile(
     results / "sliding_block_force.png",
     {
         "rigid bodies": (fine, 1e-3 * rigid, "--"),
-        "elastic bodies": (position, 1e-3 * H, "o-"),
+        "elastic bodies": (position, 1e-3 * H, "o"),
     },
     xlabel="position of the block against the top of the bump [m]",
     ylabel="horizontal force [kN/m]",
