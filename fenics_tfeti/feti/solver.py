@@ -150,7 +150,8 @@ class TornSolver:
             self.constraints: Constraints = build_constraints(system, self.weights)
             same_B = same_K if same_K and self.constraints.same_rows(same_K.constraints) else None
             if same_B:
-                self.constraints = replace(same_B.constraints, rhs=self.constraints.rhs)
+                here = self.constraints
+                self.constraints = replace(same_B.constraints, rhs=here.rhs, contact=here.contact)
         with self.timer.phase("coarse problem"):
             self.kernels = same_K.kernels if same_K else [kernel(s) for s in system.subdomains]
             self.load = np.concatenate([np.zeros(0), *(s.load for s in system.subdomains)])

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
+from scenes import CLAMPED, GROUND, SLAVE, YOUNG, at, elasticity, fixed, vector_space
 from stepped_blocks import (
     CHANGES,
+    OPTIONS,
     added_wall,
     new_problem,
     nothing,
@@ -15,7 +19,11 @@ from stepped_blocks import (
     two_blocks_on_a_floor,
 )
 
-from fenics_tfeti import InputError, NotConverged, Plane, RigidObstacle
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactProblem, InputError, NotConverged, Plane, RigidObstacle
+from fenics_tfeti.fem.structured import Box, boxes, tag_facets
 
 every_change = pytest.mark.parametrize("change", CHANGES)
 
@@ -170,3 +178,27 @@ def test_step_without_convergence_can_be_repeated():
     uh = problem.solve()
     other = new_problem(scene)
     assert_same(problem, uh, other, other.solve())
+
+
+def test_contacts_joined():
+    """The same rows, now of one contact."""
+    parts = [Box((2 * k, 0), (2 * k + 1, 1), (3, 3)) for k in (0, 1)]
+    blocks = boxes(MPI.COMM_SELF, parts, "quadrilateral")
+    mesh, top = blocks.mesh, (CLAMPED, at(1, 1.0))
+    apart = tag_facets(
+        mesh, [top, (SLAVE, at(1, 0.0), 1), (GROUND, at(1, 0.0), 2)], blocks.cell_tags
+    )
+    whole = tag_facets(mesh, [top, (SLAVE, at(1, 0.0))], blocks.cell_tags)
+    V = vector_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    none = fem.Constant(mesh, 0.0)
+    bcs = [fixed(V, apart, CLAMPED, i, -1e-3 * i) for i in (0, 1)]
+    floor = Plane((0, 0), (0, 1))
+    contacts = [RigidObstacle(apart, tag, floor) for tag in (SLAVE, GROUND)]
+    a, L = elasticity(u, v, YOUNG), none * v[0] * ufl.dx
+    problem = ContactProblem(a, L, bcs, contacts, options=OPTIONS)
+    problem.solve()
+    two = problem.report.contact_force
+    problem.contacts = [RigidObstacle(whole, SLAVE, floor)]
+    problem.solve()
+    np.testing.assert_allclose(problem.report.contact_force, [sum(two)], rtol=1e-7)
