@@ -150,7 +150,8 @@ class TornSolver:
             self.constraints: Constraints = build_constraints(system, self.weights)
             same_B = same_K if same_K and self.constraints.same_rows(same_K.constraints) else None
             if same_B:
-                self.constraints = replace(same_B.constraints, rhs=self.constraints.rhs)
+                here = self.constraints
+                self.constraints = replace(same_B.constraints, rhs=here.rhs, contact=here.contact)
         with self.timer.phase("coarse problem"):
             self.kernels = same_K.kernels if same_K else [kernel(s) for s in system.subdomains]
             self.load = np.concatenate([np.zeros(0), *(s.load for s in system.subdomains)])
@@ -248,9 +249,12 @@ class TornSolver:
         rtol, history, faces = self.options.rtol, list[OuterIteration](), list[ActiveSetStep]()
         # from multipliers that vanish: no contact, no glue; on average cheaper than from lambda~
         state = self.state or SMALBEState(-self.start, np.zeros_like(b))
+        at_rest = self._at_rest()
+        if at_rest:
+            state = SMALBEState(-self.start, -self.projector.coarse(d))
         for _ in range(_TIGHTENINGS + 1):
             with self.timer.phase("iterations"):
-                if self.options.method == "active_set" and norm_b > 0.0:
+                if self.options.method == "active_set" and norm_b > 0.0 and not at_rest:
                     state = self._guess_active_set(state, rtol, norm_b, faces)
                 result = smalbe(
                     self.hessian,
@@ -274,6 +278,19 @@ class TornSolver:
             rtol *= _TIGHTENING
         self.state = state
         return self._solution(recovered, result, certified, history, faces)
+
+    def _at_rest(self) -> bool:
+        """Tell whether nothing moves: nothing pushes, is displaced or is in the way.
+
+        Displacements of rounding size, with nothing to compare them to, would never be certified.
+        """
+        constraints = self.constraints
+        rest = (
+            not self.load.any()
+            and not constraints.rhs[constraints.equality].any()
+            and bool((constraints.rhs[constraints.inequality] >= 0.0).all())
+        )
+        return bool(self.comm.allreduce(rest, MPI.LAND))
 
     def _smalbe_options(self, rtol: float, outer_so_far: int) -> SMALBEOptions:
         options = self.options
