@@ -106,7 +106,7 @@ def primal_dual_active_set(
     max_products: int,
     products: Products,
     monitor: Callable[[ActiveSetStep], None],
-) -> tuple[Vector, Vector]:
+) -> tuple[Vector, Vector, bool]:
     """Run the active set method until its set does not change, or it cycles.
 
     Parameters
@@ -132,6 +132,9 @@ def primal_dual_active_set(
         Nonnegative on the inequality rows, and G l = e up to what cutting negative forces does.
     coarse_gradient : (m,) array
         Q(Fl - d) + G'a with the rigid motions a: the equalities' part of the gradient.
+    solved : bool
+        Whether residual and signs are as they should be; else the set was there before, or a limit
+        was met.
     """
     space = problem.space
     rows = space.constraints.inequality
@@ -148,7 +151,7 @@ def primal_dual_active_set(
         cycles = exact and any(not _counts(space, following != s, s)[0] for s in seen)
         if done or cycles or len(seen) >= _MAX_FACES or products.total >= max_products:
             multipliers[rows] = np.maximum(multipliers[rows], 0.0)
-            return multipliers, iterate.coarse_gradient
+            return multipliers, iterate.coarse_gradient, done
         if exact:
             seen.append(active)
         active = following

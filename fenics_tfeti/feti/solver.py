@@ -36,7 +36,6 @@ from fenics_tfeti.qp import (
     OuterIteration,
     Products,
     SMALBEOptions,
-    SMALBEResult,
     SMALBEState,
     smalbe,
 )
@@ -253,31 +252,40 @@ class TornSolver:
         if at_rest:
             state = SMALBEState(-self.start, -self.projector.coarse(d))
         for _ in range(_TIGHTENINGS + 1):
+            solved, reason = False, ""
             with self.timer.phase("iterations"):
                 if self.options.method == "active_set" and norm_b > 0.0 and not at_rest:
-                    state = self._guess_active_set(state, rtol, norm_b, faces)
-                result = smalbe(
-                    self.hessian,
-                    b,
-                    bounds,
-                    state,
-                    norm_b=norm_b,
-                    options=self._smalbe_options(rtol, len(history)),
-                    space=space,
-                    precondition=precondition,
-                    products=self.products,
-                    monitor=lambda line: self._log(line, len(history)),  # noqa: B023 - used at once
-                )
-            history += result.history
-            state = result.state
+                    state, solved = self._guess_active_set(state, rtol, norm_b, faces)
+                if not solved:
+                    result = smalbe(
+                        self.hessian,
+                        b,
+                        bounds,
+                        state,
+                        norm_b=norm_b,
+                        options=self._smalbe_options(rtol, len(history)),
+                        space=space,
+                        precondition=precondition,
+                        products=self.products,
+                        monitor=lambda line: self._log(line, len(history)),  # noqa: B023
+                    )
+                    history += result.history
+                    state, solved, reason = result.state, result.converged, result.reason
             with self.timer.phase("recovery"):
                 recovered = self._recover(state, negligible)
             certified = recovered.certificate.worst <= max(self.options.rtol, _ROUNDING)
-            if certified or not result.converged:
+            if certified or not solved:
                 break
             rtol *= _TIGHTENING
         self.state = state
-        return self._solution(recovered, result, certified, history, faces)
+        if certified:
+            reason = "converged"
+        elif solved:
+            reason = (
+                f"the certificate's worst residual is {recovered.certificate.worst:.1e} although "
+                "the dual problem is solved: the accuracy is at the limit of rounding"
+            )
+        return self._solution(recovered, certified, reason, history, faces)
 
     def _at_rest(self) -> bool:
         """Tell whether nothing moves: nothing pushes, is displaced or is in the way.
@@ -333,8 +341,8 @@ class TornSolver:
 
     def _guess_active_set(
         self, state: SMALBEState, rtol: float, norm_b: float, steps: list[ActiveSetStep]
-    ) -> SMALBEState:
-        """Go as far as the primal-dual active set method leads; SMALBE-M goes on from there."""
+    ) -> tuple[SMALBEState, bool]:
+        """Go as far as the primal-dual active set method leads; tell whether it is the solution."""
         multipliers = self.start + state.x
         problem = DualProblem(
             self.F,
@@ -358,7 +366,7 @@ class TornSolver:
                     *asdict(step).values(),
                 )
 
-        multipliers, q = primal_dual_active_set(
+        multipliers, q, solved = primal_dual_active_set(
             problem,
             multipliers,
             active,
@@ -368,7 +376,7 @@ class TornSolver:
             products=self.products,
             monitor=log,
         )
-        return SMALBEState(multipliers - self.start, q / self.norm)
+        return SMALBEState(multipliers - self.start, q / self.norm), solved
 
     def _recover(self, state: SMALBEState, negligible: float) -> _Recovered:
         multipliers = self.start + state.x
@@ -399,18 +407,11 @@ class TornSolver:
     def _solution(
         self,
         recovered: _Recovered,
-        result: SMALBEResult,
-        certified: bool,
+        converged: bool,
+        reason: str,
         history: list[OuterIteration],
         faces: list[ActiveSetStep],
     ) -> TornSolution:
-        converged = result.converged and certified
-        reason = result.reason
-        if result.converged and not certified:
-            reason = (
-                f"the certificate's worst residual is {recovered.certificate.worst:.1e} although "
-                "the dual problem is solved: the accuracy is at the limit of rounding"
-            )
         constraints, multipliers = self.constraints, recovered.multipliers
         own = constraints.own_rows
         scale = np.zeros(multipliers.size)
