@@ -27,7 +27,9 @@ Mask = NDArray[np.bool_]
 
 # reduction of the residual after which the signs are looked at
 _LOOK = 0.5
-_MAX_FACES = 100
+# the violation of signs has to fall by this factor, or else so many faces may follow without
+_PROGRESS = 0.7
+_PATIENCE = 8
 # relative to ||e||: work on motions that a face leaves free that counts as none
 _NO_WORK = 1e-9
 
@@ -139,19 +141,28 @@ def primal_dual_active_set(
     space = problem.space
     rows = space.constraints.inequality
     seen: list[Mask] = []
+    accuracy, best, failures = 1.0, np.inf, 0
     while True:
         face, active = _face(problem, active)
-        iterate = _solve_on(face, active, problem, multipliers, tolerance, max_products, products)
+        iterate = _solve_on(
+            face, active, problem, multipliers, (accuracy, tolerance), max_products, products
+        )
         multipliers = iterate.multipliers
         following = multipliers[rows] > iterate.gradient[rows] / problem.norm
         changed, size = _counts(space, following != active, active)
         monitor(ActiveSetStep(products.total, iterate.residual / norm_b, size, changed))
         exact = iterate.residual <= tolerance
-        done = exact and iterate.violation <= tolerance
+        solved = exact and iterate.violation <= tolerance
         cycles = exact and any(not _counts(space, following != s, s)[0] for s in seen)
-        if done or cycles or len(seen) >= _MAX_FACES or products.total >= max_products:
+        if iterate.violation < _PROGRESS * best:
+            best, failures = iterate.violation, 0
+        else:
+            # perhaps the faces were judged by too rough solutions
+            accuracy, failures = _LOOK * accuracy, failures + 1
+        hopeless = cycles or failures > _PATIENCE or products.total >= max_products
+        if solved or hopeless:
             multipliers[rows] = np.maximum(multipliers[rows], 0.0)
-            return multipliers, iterate.coarse_gradient, done
+            return multipliers, iterate.coarse_gradient, solved
         if exact:
             seen.append(active)
         active = following
@@ -191,17 +202,19 @@ def _solve_on(
     active: Mask,
     problem: DualProblem,
     multipliers: Vector,
-    tolerance: float,
+    tolerances: tuple[float, float],
     max_products: int,
     products: Products,
 ) -> _Iterate:
     """Solve the linear problem on a face by projected, preconditioned conjugate gradients.
 
-    The face is left as soon as the residual is no larger than the violation of signs: more accuracy
-    would be spent on the wrong rows. The signs are looked at whenever the residual has halved.
+    The face is left as soon as the residual is smaller than the violation of signs times the first
+    tolerance, or than the second one: more accuracy would be spent on the wrong rows. The signs are
+    looked at whenever the residual has halved.
     """
     inner = problem.space.constraints.multipliers.space
     inside = face.columns
+    accuracy, tolerance = tolerances
     # the nearest multipliers with Gl = e and nothing off the face
     l = np.where(inside, multipliers, 0.0)
     missing = problem.e - concatenate_ranks(problem.space.comm, problem.space.own @ l)
@@ -220,7 +233,8 @@ def _solve_on(
     while True:
         if residual <= wanted or products.total >= max_products:
             iterate = _examine(face, active, problem, l, Fl, residual)
-            if residual <= max(iterate.violation, tolerance) or products.total >= max_products:
+            enough = max(accuracy * iterate.violation, tolerance)
+            if residual <= enough or products.total >= max_products:
                 return iterate
             wanted = max(tolerance, _LOOK * residual)
         z = r

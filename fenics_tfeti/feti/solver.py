@@ -251,11 +251,13 @@ class TornSolver:
         at_rest = self._at_rest()
         if at_rest:
             state = SMALBEState(-self.start, -self.projector.coarse(d))
+        promising = self.options.method == "active_set" and norm_b > 0.0 and not at_rest
         for _ in range(_TIGHTENINGS + 1):
-            solved, reason = False, ""
+            reason = ""
             with self.timer.phase("iterations"):
-                if self.options.method == "active_set" and norm_b > 0.0 and not at_rest:
-                    state, solved = self._guess_active_set(state, rtol, norm_b, faces)
+                if promising:
+                    state, promising = self._guess_active_set(state, rtol, norm_b, faces)
+                solved = promising
                 if not solved:
                     result = smalbe(
                         self.hessian,
