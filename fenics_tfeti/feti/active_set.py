@@ -32,6 +32,10 @@ _PROGRESS = 0.7
 _PATIENCE = 8
 # relative to ||e||: work on motions that a face leaves free that counts as none
 _NO_WORK = 1e-9
+# relative to the motion: a row that does not close
+_NO_SPEED = 1e-9
+# relative: rows that close at once
+_AT_ONCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -142,12 +146,13 @@ def primal_dual_active_set(
     rows = space.constraints.inequality
     seen: list[Mask] = []
     accuracy, best, failures = 1.0, np.inf, 0
+    room = space.constraints.rhs[rows]
     while True:
-        face, active = _face(problem, active)
+        face, active = _face(problem, active, room)
         iterate = _solve_on(
             face, active, problem, multipliers, (accuracy, tolerance), max_products, products
         )
-        multipliers = iterate.multipliers
+        multipliers, room = iterate.multipliers, iterate.gradient[rows]
         following = multipliers[rows] > iterate.gradient[rows] / problem.norm
         changed, size = _counts(space, following != active, active)
         monitor(ActiveSetStep(products.total, iterate.residual / norm_b, size, changed))
@@ -175,14 +180,25 @@ def _counts(space: CoarseSpace, *masks: Mask) -> list[int]:
     return [int(n) for n in space.constraints.multipliers.space.sums(*part)]
 
 
-def _face(problem: DualProblem, active: Mask) -> tuple[Projector, Mask]:
+def _face(problem: DualProblem, active: Mask, room: Vector) -> tuple[Projector, Mask]:
     """Return the projector of the equality and active rows, and the set.
 
-    Where the load would push bodies along motions that these rows leave free, the rows that the
-    motions close join them.
+    Where the load would push bodies along motions that these rows leave free, the bodies move until
+    the first rows close; these join the set, and so on until the load is balanced.
+
+    Parameters
+    ----------
+    problem : DualProblem
+        The problem.
+    active : (i,) bool array
+        Rows of the face.
+    room : (i,) array
+        How far each row is from closing; negative numbers count as none.
     """
     space, constraints = problem.space, problem.space.constraints
+    vectors = constraints.multipliers.space
     scale = float(np.linalg.norm(problem.e))
+    room = np.maximum(room, 0.0)
     while True:
         columns = constraints.equality
         columns[constraints.inequality] = active
@@ -190,11 +206,14 @@ def _face(problem: DualProblem, active: Mask) -> tuple[Projector, Mask]:
         work = face.free.T @ problem.e
         if np.linalg.norm(work) <= _NO_WORK * scale:
             return face, active
-        closing = (space.all.T @ (face.free @ work))[constraints.inequality] > 0.0
-        joining = closing & ~active
-        if _counts(space, joining)[0] == 0:
+        speed = (space.all.T @ (face.free @ work))[constraints.inequality]
+        closing = ~active & (speed > _NO_SPEED * np.linalg.norm(work))
+        way = np.divide(room, speed, out=np.full(room.size, np.inf), where=closing)
+        first = vectors.min_over_ranks(float(way.min(initial=np.inf)))
+        if not np.isfinite(first):
             return face, active
-        active = active | joining
+        active = active | (way <= first * (1.0 + _AT_ONCE))
+        room = np.where(active, 0.0, np.maximum(room - first * speed, 0.0))
 
 
 def _solve_on(
