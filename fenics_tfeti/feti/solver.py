@@ -354,10 +354,8 @@ class TornSolver:
             self.norm,
             self._boundary,
         )
-        # all at first, later those that press
+        # none at first: bodies then move until contact holds them
         active = multipliers[self.constraints.inequality] > 0.0
-        if not self.comm.allreduce(bool(active.any()), MPI.LOR):
-            active[:] = True
 
         def log(step: ActiveSetStep) -> None:
             steps.append(step)
