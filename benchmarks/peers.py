@@ -1,6 +1,7 @@
 """fenics_tfeti and other codes on the same mesh, side by side.
 
     python benchmarks/peers.py --divisions 8 16 --json out.json
+    python benchmarks/peers.py --divisions 8 --codes getfem snesvi-icc
 
 Each code runs in a process of its own, on one thread. Seconds count from the arrays of the mesh to
 the displacement at the nodes; imports and just-in-time compilation are apart. Where others use the
