@@ -273,7 +273,9 @@ class ContactProblem:
             _contact_result(replace(match, gap=first.gap), force, self.space.mesh.comm)
             for match, first, force in zip(matched, self._matched, forces, strict=False)
         ]
-        return average_of_copies(self.space, self.system.subdomains, solution.displacements)
+        return average_of_copies(
+            self.space, self.system.subdomains, solution.displacements, solution.weights
+        )
 
 
 def _gives_normals(contact: Contact) -> bool:

@@ -70,6 +70,8 @@ class TornSolution:
         Whether the row is active.
     multipliers : (m,) array
         lambda, as far as this rank holds it.
+    weights : (torn nodes of this rank,) array
+        Weights of the copies of nodes.
     report : Report
         What was done.
     """
@@ -78,6 +80,7 @@ class TornSolution:
     normal_force: Vector
     active: NDArray[np.bool_]
     multipliers: Vector
+    weights: Vector
     report: Report
 
 
@@ -423,6 +426,7 @@ class TornSolver:
             normal_force,
             normal_force > 0.0,
             multipliers,
+            self.weights,
             self._report(recovered, converged, reason, history, faces),
         )
         if not converged and self.options.error_if_not_converged:
