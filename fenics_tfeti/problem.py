@@ -134,7 +134,7 @@ class ContactProblem:
         self._body_names = bodies.names
         self._values = self._forms.values()
         self.system = self._torn_system(self._assemble(), prescribed)
-        self._stale = False
+        self._solved_before = False
 
     def solve(self) -> Function:
         """Solve the problem, at the present values of loads, prescribed displacements and contacts.
@@ -162,9 +162,11 @@ class ContactProblem:
             `contact` and `report` are that one's. With the option ``error_if_not_converged`` false,
             it is returned.
         """
-        if self._stale:
-            self._refresh()
-        self._stale = True
+        if self._solved_before:
+            self._timer = Timer()
+        self._solved_before = True
+        # also at first: values may have changed since the problem was set up
+        self._refresh()
         if self.options.non_penetration == "linearised":
             return self._solve_linearised(self._matched)
         return self._solve_exactly()
@@ -198,8 +200,7 @@ class ContactProblem:
         )
 
     def _refresh(self) -> None:
-        """Take in what changed since the last solve."""
-        self._timer = Timer()
+        """Take in what changed since the last solve, or since the problem was set up."""
         prescribed = prescribed_values(self.space, self.bcs)
         self._match_contacts()
         before, self._values = self._values, self._forms.values()
@@ -272,7 +273,9 @@ class ContactProblem:
             _contact_result(replace(match, gap=first.gap), force, self.space.mesh.comm)
             for match, first, force in zip(matched, self._matched, forces, strict=False)
         ]
-        return average_of_copies(self.space, self.system.subdomains, solution.displacements)
+        return average_of_copies(
+            self.space, self.system.subdomains, solution.displacements, solution.weights
+        )
 
 
 def _gives_normals(contact: Contact) -> bool:

@@ -99,6 +99,15 @@ def plate(elements: int, name: str, sign: int) -> None:
         gmsh.model.mesh.setTransfiniteCurve(side, elements + 1)
 
 
+def grow_from_contact(elements: int) -> None:
+    """Let the elements grow with the distance from the nearer place of contact."""
+    finest = TOUCHING / elements
+    field = gmsh.model.mesh.field.add("MathEval")
+    square = f"(x*x + (abs(y) - {RADIUS})*(abs(y) - {RADIUS}))"
+    gmsh.model.mesh.field.setString(field, "F", f"sqrt({finest**2} + {0.12**2}*{square})")
+    gmsh.model.mesh.field.setAsBackgroundMesh(field)
+
+
 def roller_between_plates(output: Path, elements: int = 24) -> None:
     """Mesh the three bodies by triangles and write the file."""
     gmsh.initialize()
@@ -108,6 +117,7 @@ def roller_between_plates(output: Path, elements: int = 24) -> None:
         plate(elements, "lower", -1)
         roller(elements)
         plate(elements, "upper", 1)
+        grow_from_contact(elements)
         gmsh.model.mesh.generate(2)
         gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
         gmsh.write(str(output))

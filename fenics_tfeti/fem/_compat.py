@@ -101,15 +101,9 @@ def cell_dofs(space: fem.FunctionSpace) -> Numbers:
     """
     dofs = space.dofmap.list
     if hasattr(dofs, "array"):
-        return _rows(dofs)
+        # a rank may have no cells
+        return np.asarray(dofs.array).reshape(-1, space.dofmap.dof_layout.num_dofs)
     return np.asarray(dofs)
-
-
-def _rows(links: Any) -> Numbers:
-    """Return an adjacency list, whose rows are all of one length, as a matrix."""
-    numbers = np.asarray(links.array)
-    # a rank may have no cells
-    return numbers.reshape(links.num_nodes, numbers.size // max(links.num_nodes, 1))
 
 
 def geometry_cells(domain: mesh.Mesh) -> Numbers:
@@ -123,18 +117,17 @@ def geometry_cells(domain: mesh.Mesh) -> Numbers:
         return np.asarray(geometry.dofmaps[0])
     nodes = geometry.dofmap
     if hasattr(nodes, "array"):
-        return _rows(nodes)
+        return np.asarray(nodes.array).reshape(-1, geometry.cmap.create_dof_layout().num_dofs)
     return np.asarray(nodes)
 
 
 def geometry_degree(domain: mesh.Mesh) -> int:
-    """Return the degree of the cells' geometry. Collective.
+    """Return the degree of the cells' geometry.
 
     - 0.5.2 and 0.9 have ``geometry.cmap``, 0.11 ``geometry.cmaps``. The number of nodes says
       the same in all of them.
     """
-    # a rank may have no cells
-    nodes = domain.comm.allreduce(geometry_cells(domain).shape[1], MPI.MAX)
+    nodes = geometry_cells(domain).shape[1]
     vertices = {"triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8}
     return 1 if nodes == vertices[cell_name(domain)] else 2
 

@@ -55,6 +55,23 @@ def grid_of(data: Any) -> pyvista.UnstructuredGrid:
     return grid
 
 
+def edges_of(surface: pyvista.PolyData) -> pyvista.PolyData:
+    """Return the sharp edges and the boundary of each body.
+
+    The filter joins points at the same place; bodies that touch are drawn apart for it.
+    """
+    surface.point_data["place"] = surface.points
+    bodies = surface.connectivity("all")
+    apart = 2 * bodies.length * bodies.point_data["RegionId"]
+    bodies.points = bodies.points + np.outer(apart, [1.0, 0.0, 0.0])
+    edges = bodies.extract_feature_edges(
+        feature_angle=30, boundary_edges=True, manifold_edges=False, non_manifold_edges=False
+    )
+    if edges.n_points:
+        edges.points = edges.point_data["place"]
+    return edges
+
+
 def right_handed(cells: Numbers, points: NDArray[np.float64], shape: str) -> Numbers:
     """Mirror the cells that are left-handed: the edges of bodies are found by outward normals."""
     neighbours = NEIGHBOURS[shape]
@@ -67,9 +84,7 @@ def right_handed(cells: Numbers, points: NDArray[np.float64], shape: str) -> Num
 def photograph(data: Any, limits: tuple[float, float], pixels: tuple[int, int]) -> Image:
     """Return an image (height, width, 3) of the deformed mesh on white, without empty margins."""
     surface = grid_of(data).extract_surface(algorithm="dataset_surface")
-    edges = surface.extract_feature_edges(
-        feature_angle=30, boundary_edges=True, manifold_edges=False, non_manifold_edges=False
-    )
+    edges = edges_of(surface)
     deformed, deformed_edges = (part.copy() for part in (surface, edges))
     for part in (deformed, deformed_edges):
         part.points = part.points + float(data["scale"]) * part["displacement"]

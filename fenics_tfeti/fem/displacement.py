@@ -138,9 +138,12 @@ def _check_values(
 
 
 def average_of_copies(
-    space: FunctionSpace, subdomains: Sequence[Subdomain], displacements: Sequence[Vector]
+    space: FunctionSpace,
+    subdomains: Sequence[Subdomain],
+    displacements: Sequence[Vector],
+    weights: Vector,
 ) -> Function:
-    """Put torn displacements together: at each node the mean of this rank's copies.
+    """Put torn displacements together: at each node the weighted mean of this rank's copies.
 
     Parameters
     ----------
@@ -150,6 +153,9 @@ def average_of_copies(
         This rank's subdomains.
     displacements : sequence of (n_i,) arrays
         Their displacements [m].
+    weights : (torn nodes of this rank,) array
+        Of the copies: what is left of a jump is a strain in both materials, so the stiffer copy
+        should move less.
 
     Returns
     -------
@@ -159,13 +165,15 @@ def average_of_copies(
     block = space.dofmap.index_map_bs
     index_map = space.dofmap.index_map
     total = np.zeros((index_map.size_local + index_map.num_ghosts, block))
-    copies = np.zeros(len(total))
-    for subdomain, displacement in zip(subdomains, displacements, strict=True):
+    weight = np.zeros(len(total))
+    ends = np.cumsum([subdomain.nodes.size for subdomain in subdomains])[:-1]
+    parts = np.split(weights, ends)
+    for subdomain, displacement, w in zip(subdomains, displacements, parts, strict=False):
         local = _local_nodes(space, subdomain.nodes)
-        total[local] += displacement.reshape(-1, block)
-        copies[local] += 1.0
+        total[local] += w[:, None] * displacement.reshape(-1, block)
+        weight[local] += w
     uh = fem.Function(space, name="displacement")
-    uh.x.array[:] = (total / np.maximum(copies, 1.0)[:, None]).ravel()
+    uh.x.array[:] = (total / np.where(weight > 0.0, weight, 1.0)[:, None]).ravel()
     uh.x.scatter_forward()
     return uh
 

@@ -248,7 +248,7 @@ def _sides(facets: NDArray[np.int32], cells: _Cells) -> Vector:
     for k in range(per_cell):
         of = facets[:, k]
         height[:, k] = np.einsum("ij,ij->i", cells.midpoint - centre[of], normal[of])
-    limit = _FLAT * np.linalg.norm(normal, axis=1)[facets] * cells.size[:, None]
+    limit = _FLAT * cells.size[:, None] ** x.shape[2]
     return np.where(np.abs(height) > limit, np.sign(height), 0.0)
 
 

@@ -110,10 +110,7 @@ def read_msh(
     owned = mesh.topology.index_map(gdim - 1).size_local
     found = comm.allreduce(int(np.count_nonzero(facet_tags.indices < owned)))
     if found != tagged_facets:
-        raise InputError(
-            f"{path}: {tagged_facets - found} of the {tagged_facets} elements in the physical "
-            f"{_KIND[gdim - 1]} groups are not sides of cells; mesh the {_KIND[gdim]}s again"
-        )
+        raise _not_sides(path, tagged_facets - found, tagged_facets, gdim - 1)
     return TaggedMesh(mesh, cell_tags, facet_tags, names)
 
 
@@ -241,11 +238,10 @@ def _prepare(model: Any, path: Path, gdim: int) -> tuple[dict[str, int], int]:
         for codim in (0, 1)
     )
     _check_cell_groups(model, cells, path, dimension)
-    tagged_facets = _check_facet_groups(model, facets, path, dimension - 1)
-    for dim, tag in model.getPhysicalGroups():
-        if dim < dimension - 1:
-            _elements(model, dim, tag, path)
     _check_cell_nodes(model, path, dimension)
+    tagged_facets = _check_facet_groups(model, facets, path, dimension - 1)
+    if len(model.getPhysicalGroups()) > len(cells + facets):
+        _keep_groups(model, cells + facets)
     nodes = model.mesh.getNodes()[0]
     if len(nodes) != nodes.max():
         model.mesh.renumberNodes()  # dolfinx wants numbers without gaps
@@ -315,7 +311,18 @@ def _check_facet_groups(model: Any, groups: list[tuple[int, int]], path: Path, d
             f"{path}: a facet is in several physical {_KIND[dim]} groups, but can have one tag "
             "only; split the groups so that they do not overlap"
         )
+    in_cells = np.unique(model.mesh.getElements(dim + 1)[2][0])
+    alone = np.count_nonzero(~np.isin(facets, in_cells).all(axis=1))
+    if alone:
+        raise _not_sides(path, alone, len(facets), dim)
     return len(facets)
+
+
+def _not_sides(path: Path, count: int, total: int, dim: int) -> InputError:
+    return InputError(
+        f"{path}: {count} of the {total} elements in the physical {_KIND[dim]} groups are not "
+        f"sides of cells; mesh the {_KIND[dim + 1]}s again"
+    )
 
 
 def _elements(model: Any, dim: int, group: int, path: Path) -> tuple[list[Any], list[Any]]:
@@ -336,6 +343,19 @@ def _elements(model: Any, dim: int, group: int, path: Path) -> tuple[list[Any], 
 def _shape(model: Any, element_type: int) -> str:
     """Return the shape of a Gmsh element type, "Hexahedron" for example."""
     return str(model.mesh.getElementProperties(element_type)[0]).split()[0]
+
+
+def _keep_groups(model: Any, groups: list[tuple[int, int]]) -> None:
+    """Remove other physical groups; dolfinx crashes at points and curves that are in no cell."""
+    kept = [
+        (dim, model.getEntitiesForPhysicalGroup(dim, tag), tag, model.getPhysicalName(dim, tag))
+        for dim, tag in groups
+    ]
+    # all of them at once: Gmsh 4.8 fails at some that come from a file
+    model.removePhysicalGroups()
+    for dim, entities, tag, name in kept:
+        model.addPhysicalGroup(dim, entities, tag)
+        model.setPhysicalName(dim, tag, name)
 
 
 def _names(model: Any, groups: list[tuple[int, int]], path: Path) -> dict[str, int]:

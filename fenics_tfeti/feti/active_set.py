@@ -25,12 +25,17 @@ __all__ = ["ActiveSetStep", "DualProblem", "primal_dual_active_set"]
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# relative to the first residual: accuracy of the first face, and its gain from face to face
-_FIRST_ACCURACY = 0.1
-_GAIN = 0.1
-_MAX_FACES = 40
+# reduction of the residual after which the signs are looked at
+_LOOK = 0.5
+# the violation of signs has to fall by this factor, or else so many faces may follow without
+_PROGRESS = 0.7
+_PATIENCE = 8
 # relative to ||e||: work on motions that a face leaves free that counts as none
 _NO_WORK = 1e-9
+# relative to the motion: a row that does not close
+_NO_SPEED = 1e-9
+# relative: rows that close at once
+_AT_ONCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -94,6 +99,7 @@ class _Iterate:
     gradient: Vector  # Fl - d + G'a, not negative where l = o in the end
     coarse_gradient: Vector  # Q(Fl - d) + G'a
     residual: float
+    violation: float  # of the signs of forces and gaps, in units of the residual
 
 
 def primal_dual_active_set(
@@ -106,7 +112,7 @@ def primal_dual_active_set(
     max_products: int,
     products: Products,
     monitor: Callable[[ActiveSetStep], None],
-) -> tuple[Vector, Vector]:
+) -> tuple[Vector, Vector, bool]:
     """Run the active set method until its set does not change, or it cycles.
 
     Parameters
@@ -132,27 +138,38 @@ def primal_dual_active_set(
         Nonnegative on the inequality rows, and G l = e up to what cutting negative forces does.
     coarse_gradient : (m,) array
         Q(Fl - d) + G'a with the rigid motions a: the equalities' part of the gradient.
+    solved : bool
+        Whether residual and signs are as they should be; else the set was there before, or a limit
+        was met.
     """
     space = problem.space
     rows = space.constraints.inequality
     seen: list[Mask] = []
-    wanted = max(tolerance, _FIRST_ACCURACY * norm_b)
+    accuracy, best, failures = 1.0, np.inf, 0
+    room = space.constraints.rhs[rows]
     while True:
-        face, active = _face(problem, active)
-        iterate = _solve_on(face, problem, multipliers, wanted, max_products, products)
-        multipliers = iterate.multipliers
+        face, active = _face(problem, active, room)
+        iterate = _solve_on(
+            face, active, problem, multipliers, (accuracy, tolerance), max_products, products
+        )
+        multipliers, room = iterate.multipliers, iterate.gradient[rows]
         following = multipliers[rows] > iterate.gradient[rows] / problem.norm
         changed, size = _counts(space, following != active, active)
         monitor(ActiveSetStep(products.total, iterate.residual / norm_b, size, changed))
-        done = changed == 0 and iterate.residual <= tolerance
-        exact = wanted <= tolerance
+        exact = iterate.residual <= tolerance
+        solved = exact and iterate.violation <= tolerance
         cycles = exact and any(not _counts(space, following != s, s)[0] for s in seen)
-        if done or cycles or len(seen) >= _MAX_FACES or products.total >= max_products:
+        if iterate.violation < _PROGRESS * best:
+            best, failures = iterate.violation, 0
+        else:
+            # perhaps the faces were judged by too rough solutions
+            accuracy, failures = _LOOK * accuracy, failures + 1
+        hopeless = cycles or failures > _PATIENCE or products.total >= max_products
+        if solved or hopeless:
             multipliers[rows] = np.maximum(multipliers[rows], 0.0)
-            return multipliers, iterate.coarse_gradient
+            return multipliers, iterate.coarse_gradient, solved
         if exact:
             seen.append(active)
-        wanted = max(tolerance, _GAIN * wanted) if changed else tolerance
         active = following
 
 
@@ -163,14 +180,25 @@ def _counts(space: CoarseSpace, *masks: Mask) -> list[int]:
     return [int(n) for n in space.constraints.multipliers.space.sums(*part)]
 
 
-def _face(problem: DualProblem, active: Mask) -> tuple[Projector, Mask]:
+def _face(problem: DualProblem, active: Mask, room: Vector) -> tuple[Projector, Mask]:
     """Return the projector of the equality and active rows, and the set.
 
-    Where the load would push bodies along motions that these rows leave free, the rows that the
-    motions close join them.
+    Where the load would push bodies along motions that these rows leave free, the bodies move until
+    the first rows close; these join the set, and so on until the load is balanced.
+
+    Parameters
+    ----------
+    problem : DualProblem
+        The problem.
+    active : (i,) bool array
+        Rows of the face.
+    room : (i,) array
+        How far each row is from closing; negative numbers count as none.
     """
     space, constraints = problem.space, problem.space.constraints
+    vectors = constraints.multipliers.space
     scale = float(np.linalg.norm(problem.e))
+    room = np.maximum(room, 0.0)
     while True:
         columns = constraints.equality
         columns[constraints.inequality] = active
@@ -178,24 +206,34 @@ def _face(problem: DualProblem, active: Mask) -> tuple[Projector, Mask]:
         work = face.free.T @ problem.e
         if np.linalg.norm(work) <= _NO_WORK * scale:
             return face, active
-        closing = (space.all.T @ (face.free @ work))[constraints.inequality] > 0.0
-        joining = closing & ~active
-        if _counts(space, joining)[0] == 0:
+        speed = (space.all.T @ (face.free @ work))[constraints.inequality]
+        closing = ~active & (speed > _NO_SPEED * np.linalg.norm(work))
+        way = np.divide(room, speed, out=np.full(room.size, np.inf), where=closing)
+        first = vectors.min_over_ranks(float(way.min(initial=np.inf)))
+        if not np.isfinite(first):
             return face, active
-        active = active | joining
+        active = active | (way <= first * (1.0 + _AT_ONCE))
+        room = np.where(active, 0.0, np.maximum(room - first * speed, 0.0))
 
 
 def _solve_on(
     face: Projector,
+    active: Mask,
     problem: DualProblem,
     multipliers: Vector,
-    tolerance: float,
+    tolerances: tuple[float, float],
     max_products: int,
     products: Products,
 ) -> _Iterate:
-    """Solve the linear problem on a face by projected, preconditioned conjugate gradients."""
+    """Solve the linear problem on a face by projected, preconditioned conjugate gradients.
+
+    The face is left as soon as the residual is smaller than the violation of signs times the first
+    tolerance, or than the second one: more accuracy would be spent on the wrong rows. The signs are
+    looked at whenever the residual has halved.
+    """
     inner = problem.space.constraints.multipliers.space
     inside = face.columns
+    accuracy, tolerance = tolerances
     # the nearest multipliers with Gl = e and nothing off the face
     l = np.where(inside, multipliers, 0.0)
     missing = problem.e - concatenate_ranks(problem.space.comm, problem.space.own @ l)
@@ -210,7 +248,14 @@ def _solve_on(
     p = np.zeros_like(r)
     rz = 1.0
     residual = inner.norm(r)
-    while residual > tolerance and products.total < max_products:
+    wanted = max(tolerance, _LOOK * residual)
+    while True:
+        if residual <= wanted or products.total >= max_products:
+            iterate = _examine(face, active, problem, l, Fl, residual)
+            enough = max(accuracy * iterate.violation, tolerance)
+            if residual <= enough or products.total >= max_products:
+                return iterate
+            wanted = max(tolerance, _LOOK * residual)
         z = r
         if problem.precondition is not None:
             products.preconditioner += 1
@@ -221,16 +266,35 @@ def _solve_on(
         Fp = problem.F(p)
         curvature = inner.dots((p, Fp))[0]
         if curvature <= 0.0:
-            break
+            return _examine(face, active, problem, l, Fl, residual)
         length = rz / curvature
         l, Fl = l + length * p, Fl + length * Fp
         r = r - length * project(Fp)
         residual = inner.norm(r)
-    # the smallest of the motions that the face leaves free
-    motion = _resisted(face, face.coefficients(problem.d - Fl))
-    pull = problem.space.all.T @ motion
+
+
+def _examine(
+    face: Projector,
+    active: Mask,
+    problem: DualProblem,
+    multipliers: Vector,
+    Fl: Vector,
+    residual: float,
+) -> _Iterate:
+    """Return the gradient with the rigid motions of the face, and how far signs are violated."""
+    space = problem.space
     jump = Fl - problem.d
-    return _Iterate(l, jump + pull, problem.projector.coarse(jump) + pull, residual)
+    # the smallest of the motions that the face leaves free
+    motion = _resisted(face, -face.coefficients(jump))
+    pull = space.all.T @ motion
+    gradient = jump + pull
+    rows = space.constraints.inequality
+    wrong = np.zeros_like(jump)
+    wrong[rows] = np.where(active, problem.norm * multipliers[rows], gradient[rows])
+    violation = space.constraints.multipliers.space.norm(np.minimum(wrong, 0.0))
+    return _Iterate(
+        multipliers, gradient, problem.projector.coarse(jump) + pull, residual, violation
+    )
 
 
 def _resisted(face: Projector, coarse: Vector) -> Vector:

@@ -80,7 +80,7 @@ class Options:
     eta: float = 0.1
     Gamma: float = 1.0
     step_length: float = 1.9
-    max_outer: int = 200
+    max_outer: int = 1000
     max_products: int = 10_000
     norm_steps: int = 15
     seed: int = 0

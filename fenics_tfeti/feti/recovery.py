@@ -102,7 +102,9 @@ def recover_displacement(
     active = Projector.build(space, columns)
     missing = constraints.rhs - constraints.multipliers.sum(constraints.matrix @ u)
     alpha = active.coefficients(missing)
-    alpha -= active.free @ (active.free.T @ alpha)
+    # K^+ leaves some of the free motions in u
+    present = alpha + concatenate_ranks(space.comm, R.T @ u)
+    alpha -= active.free @ (active.free.T @ present)
     u += R @ active.own_part(alpha)
     if active.free.shape[1]:
         room = constraints.rhs - constraints.multipliers.sum(constraints.matrix @ u)

@@ -36,7 +36,6 @@ from fenics_tfeti.qp import (
     OuterIteration,
     Products,
     SMALBEOptions,
-    SMALBEResult,
     SMALBEState,
     smalbe,
 )
@@ -71,6 +70,8 @@ class TornSolution:
         Whether the row is active.
     multipliers : (m,) array
         lambda, as far as this rank holds it.
+    weights : (torn nodes of this rank,) array
+        Weights of the copies of nodes.
     report : Report
         What was done.
     """
@@ -79,6 +80,7 @@ class TornSolution:
     normal_force: Vector
     active: NDArray[np.bool_]
     multipliers: Vector
+    weights: Vector
     report: Report
 
 
@@ -150,7 +152,8 @@ class TornSolver:
             self.constraints: Constraints = build_constraints(system, self.weights)
             same_B = same_K if same_K and self.constraints.same_rows(same_K.constraints) else None
             if same_B:
-                self.constraints = replace(same_B.constraints, rhs=self.constraints.rhs)
+                here = self.constraints
+                self.constraints = replace(same_B.constraints, rhs=here.rhs, contact=here.contact)
         with self.timer.phase("coarse problem"):
             self.kernels = same_K.kernels if same_K else [kernel(s) for s in system.subdomains]
             self.load = np.concatenate([np.zeros(0), *(s.load for s in system.subdomains)])
@@ -248,32 +251,59 @@ class TornSolver:
         rtol, history, faces = self.options.rtol, list[OuterIteration](), list[ActiveSetStep]()
         # from multipliers that vanish: no contact, no glue; on average cheaper than from lambda~
         state = self.state or SMALBEState(-self.start, np.zeros_like(b))
+        at_rest = self._at_rest()
+        if at_rest:
+            state = SMALBEState(-self.start, -self.projector.coarse(d))
+        promising = self.options.method == "active_set" and norm_b > 0.0 and not at_rest
         for _ in range(_TIGHTENINGS + 1):
+            reason = ""
             with self.timer.phase("iterations"):
-                if self.options.method == "active_set" and norm_b > 0.0:
-                    state = self._guess_active_set(state, rtol, norm_b, faces)
-                result = smalbe(
-                    self.hessian,
-                    b,
-                    bounds,
-                    state,
-                    norm_b=norm_b,
-                    options=self._smalbe_options(rtol, len(history)),
-                    space=space,
-                    precondition=precondition,
-                    products=self.products,
-                    monitor=lambda line: self._log(line, len(history)),  # noqa: B023 - used at once
-                )
-            history += result.history
-            state = result.state
+                if promising:
+                    state, promising = self._guess_active_set(state, rtol, norm_b, faces)
+                solved = promising
+                if not solved:
+                    result = smalbe(
+                        self.hessian,
+                        b,
+                        bounds,
+                        state,
+                        norm_b=norm_b,
+                        options=self._smalbe_options(rtol, len(history)),
+                        space=space,
+                        precondition=precondition,
+                        products=self.products,
+                        monitor=lambda line: self._log(line, len(history)),  # noqa: B023
+                    )
+                    history += result.history
+                    state, solved, reason = result.state, result.converged, result.reason
             with self.timer.phase("recovery"):
                 recovered = self._recover(state, negligible)
             certified = recovered.certificate.worst <= max(self.options.rtol, _ROUNDING)
-            if certified or not result.converged:
+            if certified or not solved:
                 break
             rtol *= _TIGHTENING
         self.state = state
-        return self._solution(recovered, result, certified, history, faces)
+        if certified:
+            reason = "converged"
+        elif solved:
+            reason = (
+                f"the certificate's worst residual is {recovered.certificate.worst:.1e} although "
+                "the dual problem is solved: the accuracy is at the limit of rounding"
+            )
+        return self._solution(recovered, certified, reason, history, faces)
+
+    def _at_rest(self) -> bool:
+        """Tell whether nothing moves: nothing pushes, is displaced or is in the way.
+
+        Displacements of rounding size, with nothing to compare them to, would never be certified.
+        """
+        constraints = self.constraints
+        rest = (
+            not self.load.any()
+            and not constraints.rhs[constraints.equality].any()
+            and bool((constraints.rhs[constraints.inequality] >= 0.0).all())
+        )
+        return bool(self.comm.allreduce(rest, MPI.LAND))
 
     def _smalbe_options(self, rtol: float, outer_so_far: int) -> SMALBEOptions:
         options = self.options
@@ -316,8 +346,8 @@ class TornSolver:
 
     def _guess_active_set(
         self, state: SMALBEState, rtol: float, norm_b: float, steps: list[ActiveSetStep]
-    ) -> SMALBEState:
-        """Go as far as the primal-dual active set method leads; SMALBE-M goes on from there."""
+    ) -> tuple[SMALBEState, bool]:
+        """Go as far as the primal-dual active set method leads; tell whether it is the solution."""
         multipliers = self.start + state.x
         problem = DualProblem(
             self.F,
@@ -327,10 +357,8 @@ class TornSolver:
             self.norm,
             self._boundary,
         )
-        # all at first, later those that press
+        # none at first: bodies then move until contact holds them
         active = multipliers[self.constraints.inequality] > 0.0
-        if not self.comm.allreduce(bool(active.any()), MPI.LOR):
-            active[:] = True
 
         def log(step: ActiveSetStep) -> None:
             steps.append(step)
@@ -341,7 +369,7 @@ class TornSolver:
                     *asdict(step).values(),
                 )
 
-        multipliers, q = primal_dual_active_set(
+        multipliers, q, solved = primal_dual_active_set(
             problem,
             multipliers,
             active,
@@ -351,7 +379,7 @@ class TornSolver:
             products=self.products,
             monitor=log,
         )
-        return SMALBEState(multipliers - self.start, q / self.norm)
+        return SMALBEState(multipliers - self.start, q / self.norm), solved
 
     def _recover(self, state: SMALBEState, negligible: float) -> _Recovered:
         multipliers = self.start + state.x
@@ -382,18 +410,11 @@ class TornSolver:
     def _solution(
         self,
         recovered: _Recovered,
-        result: SMALBEResult,
-        certified: bool,
+        converged: bool,
+        reason: str,
         history: list[OuterIteration],
         faces: list[ActiveSetStep],
     ) -> TornSolution:
-        converged = result.converged and certified
-        reason = result.reason
-        if result.converged and not certified:
-            reason = (
-                f"the certificate's worst residual is {recovered.certificate.worst:.1e} although "
-                "the dual problem is solved: the accuracy is at the limit of rounding"
-            )
         constraints, multipliers = self.constraints, recovered.multipliers
         own = constraints.own_rows
         scale = np.zeros(multipliers.size)
@@ -405,6 +426,7 @@ class TornSolver:
             normal_force,
             normal_force > 0.0,
             multipliers,
+            self.weights,
             self._report(recovered, converged, reason, history, faces),
         )
         if not converged and self.options.error_if_not_converged:

@@ -139,8 +139,10 @@ def test_cell_that_names_a_node_twice_is_refused(tmp_path):
 def test_physical_points_do_no_harm(tmp_path):
     points, elements = CELLS["tetrahedron"]
     elements = [*elements, (15, 5, (1,)), (1, 6, (1, 2))]
-    path = write_msh(tmp_path / "a.msh", points, elements)
-    assert set(read_msh(path, MPI.COMM_SELF).facet_tags.values) == {9}
+    names = ['3 4 "body"', '2 9 "support"', '0 5 "corner"']
+    tagged = read_msh(write_msh(tmp_path / "a.msh", points, elements, names), MPI.COMM_SELF)
+    assert set(tagged.facet_tags.values) == {9}
+    assert tagged.names == {"body": 4, "support": 9}
 
 
 def test_missing_file_is_named(tmp_path):
@@ -189,9 +191,11 @@ def test_facet_in_two_groups_is_refused(tmp_path):
         read_msh(path, MPI.COMM_SELF)
 
 
-def test_tagged_facet_that_is_no_side_of_a_cell_is_refused(tmp_path):
+@pytest.mark.parametrize("ends", [(1, 3), (1, 5), (5, 6)])
+def test_tagged_facet_that_is_no_side_of_a_cell_is_refused(tmp_path, ends):
     points, elements = CELLS["quadrilateral"]
-    path = write_msh(tmp_path / "a.msh", points, [*elements, (1, 8, (1, 3))])
+    points = [*points, (7, 7, 0), (8, 8, 0)]
+    path = write_msh(tmp_path / "a.msh", points, [*elements, (1, 8, ends)])
     with pytest.raises(InputError, match="1 of the 2 elements .* are not sides of cells"):
         read_msh(path, MPI.COMM_SELF, gdim=2)
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import subprocess
+import sys
 
 from mpi4py import MPI
 
@@ -62,6 +64,28 @@ def test_body_that_does_not_move_can_be_drawn(tmp_path):
     u.x.array[:] = 0
     draw_deformed(tmp_path / "a.png", u, size=(240, 150))
     assert (tmp_path / "a.png").exists()
+
+
+EDGES = """
+import runpy, sys
+import numpy as np
+import pyvista
+edges_of = runpy.run_path(sys.argv[1])["edges_of"]
+square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
+points = np.concatenate([square, square + [0, 1, 0]])
+both = pyvista.PolyData(points, [4, 0, 1, 2, 3, 4, 4, 5, 6, 7])
+both.point_data["displacement"] = np.outer([0, 0, 0, 0, 5, 5, 5, 5], [1.0, 0, 0])
+edges = edges_of(both)
+ends = (edges.points + edges.point_data["displacement"])[edges.lines.reshape(-1, 3)[:, 1:]]
+print(len(ends), np.ptp(ends, axis=1).max(), both.points[:, 0].max())
+"""
+
+
+def test_edges_stay_with_their_body():
+    """Two squares touch; the upper one is moved by 5."""
+    command = [sys.executable, "-P", "-c", EDGES, str(pictures._RENDER)]
+    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    assert [float(number) for number in told] == [8.0, 1.0, 1.0]
 
 
 @pytest.mark.parametrize("cell", GDIM)

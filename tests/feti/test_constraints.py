@@ -9,6 +9,7 @@ from torn import column, cube
 from fenics_tfeti import InputError
 from fenics_tfeti.feti import ContactRows, Prescribed, TornSystem
 from fenics_tfeti.feti.constraints import build_constraints
+from fenics_tfeti.feti.scaling import node_weights
 
 
 def eight_cubes(**parts) -> TornSystem:
@@ -41,6 +42,54 @@ WITH_OTHER_ROWS = {
 def test_rows_are_orthonormal(name):
     B = build_constraints({**GLUED, **WITH_OTHER_ROWS}[name]).matrix.toarray()
     np.testing.assert_allclose(B @ B.T, np.eye(len(B)), atol=1e-14)
+
+
+def random_weights(system: TornSystem, seed: int) -> np.ndarray:
+    """Return weights of the copies between 1e-4 and 1."""
+    copies = sum(subdomain.nodes.size for subdomain in system.subdomains)
+    return 10.0 ** np.random.default_rng(seed).uniform(-4.0, 0.0, copies)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", [*GLUED, *WITH_OTHER_ROWS])
+def test_rows_are_orthonormal_in_the_inverse_weights(name, seed):
+    system = {**GLUED, **WITH_OTHER_ROWS}[name]
+    constraints = build_constraints(system, random_weights(system, seed))
+    B = constraints.matrix.toarray() / np.sqrt(constraints.weights)
+    np.testing.assert_allclose(B @ B.T, np.eye(len(B)), rtol=0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", [*GLUED, *WITH_OTHER_ROWS])
+def test_weights_keep_the_constraints(name):
+    """They combine gluing rows with gluing rows and scale the others by positive numbers."""
+    system = {**GLUED, **WITH_OTHER_ROWS}[name]
+    plain = build_constraints(system)
+    weighted = build_constraints(system, random_weights(system, 0))
+    factor = weighted.scale / plain.scale
+    assert np.all(factor > 0.0)
+    u = np.linalg.lstsq(plain.matrix.toarray(), plain.rhs, rcond=None)[0]
+    np.testing.assert_allclose(weighted.matrix @ u, weighted.rhs, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", [*GLUED, *WITH_OTHER_ROWS])
+def test_scaling_by_multiplicity_gives_orthonormal_rows(name):
+    system = {**GLUED, **WITH_OTHER_ROWS}[name]
+    B = build_constraints(system, node_weights(system, "multiplicity")).matrix.toarray()
+    np.testing.assert_allclose(B @ B.T, np.eye(len(B)), rtol=0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1e12])
+def test_weights_by_stiffness_have_no_unit(unit):
+    system = column()
+    scaled = dataclasses.replace(
+        system,
+        subdomains=[
+            dataclasses.replace(s, stiffness=unit * s.stiffness) for s in system.subdomains
+        ],
+    )
+    weights = node_weights(system, "stiffness")
+    assert weights.max() == 1.0
+    np.testing.assert_allclose(node_weights(scaled, "stiffness"), weights, rtol=1e-14)
 
 
 @pytest.mark.parametrize("name", GLUED)

@@ -121,9 +121,9 @@ def test_stiffer_bodies_are_closer_to_rigid_ones():
     """With the weight of the polygon, what is left is the displacement of the contacts."""
     weight = meshed_weight(2, 16, "top")
     soft, stiff = (
-        max(error(2, 16, name, weight, young) for name in STATICS) for young in (YOUNG, 10 * YOUNG)
+        max(error(2, 16, name, weight, young) for name in STATICS) for young in (YOUNG / 10, YOUNG)
     )
-    assert soft <= 2e-4
+    assert soft <= 1e-3
     assert stiff <= 0.5 * soft
 
 
@@ -151,7 +151,8 @@ def test_contact_of_round_bodies_has_no_moment_about_the_axis(dim, elements):
     for contact in solved(dim, elements).contact:
         if contact.name.startswith("top"):
             arm = contact.coordinates[:, :2] - [0.0, 2.6 * RADIUS]
-            moment = contact.normal_force @ np.cross(arm, contact.normal[:, :2])
+            n = contact.normal
+            moment = contact.normal_force @ (arm[:, 0] * n[:, 1] - arm[:, 1] * n[:, 0])
             assert abs(moment) <= 1e-12 * CIRCLE * RADIUS
 
 

@@ -91,8 +91,8 @@ def test_the_roller_is_in_equilibrium(slave):
 
 def test_the_pressure_has_no_moment_about_the_axis():
     for contact in solved("roller").contact:
-        arm = contact.coordinates[:, :2]
-        moment = contact.normal_force @ np.cross(arm, contact.normal)
+        arm, n = contact.coordinates, contact.normal
+        moment = contact.normal_force @ (arm[:, 0] * n[:, 1] - arm[:, 1] * n[:, 0])
         assert abs(moment) <= 1e-12 * LOAD * RADIUS
 
 
@@ -102,8 +102,8 @@ def test_pressure_and_width_by_hertz(slave):
     for contact in solved(slave).contact:
         x, force = contact.coordinates[:, 0], contact.normal_force
         width = 2.0 * np.sqrt(force @ x**2 / force.sum())
-        assert width == pytest.approx(HALF_WIDTH, rel=0.02)
-        assert contact.pressure.max() == pytest.approx(PEAK, rel=0.02)
+        assert width == pytest.approx(HALF_WIDTH, rel=0.01)
+        assert contact.pressure.max() == pytest.approx(PEAK, rel=0.01)
 
 
 @pytest.mark.parametrize("slave", SLAVES)
@@ -112,7 +112,7 @@ def test_pressure_along_the_surface(slave):
         square = 1.0 - (contact.coordinates[:, 0] / HALF_WIDTH) ** 2
         inner = square > 0.2
         hertz = PEAK * np.sqrt(square[inner])
-        np.testing.assert_allclose(contact.pressure[inner], hertz, atol=0.04 * PEAK)
+        np.testing.assert_allclose(contact.pressure[inner], hertz, atol=0.02 * PEAK)
         assert not contact.active[square < -0.3].any()
 
 

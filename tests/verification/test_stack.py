@@ -115,6 +115,7 @@ def forces_on_blocks(scene, problem):
 
     f = petsc.assemble_vector(fem.form(scene.L)).array.reshape(-1, 3)
     x = scene.V.tabulate_dof_coordinates()
+    scene.mesh.topology.create_connectivity(3, 3)
     for cube in CUBES:
         cells = scene.cell_tags.find(body_of(cube))
         nodes = fem.locate_dofs_topological(scene.V, 3, cells)

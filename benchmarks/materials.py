@@ -1,0 +1,344 @@
+"""What jumps of Young's modulus cost, by preconditioner and scaling: a table of products with F.
+
+    python benchmarks/materials.py --blocks-per-metre 2 --elements-per-metre 10 --json out.json
+
+The two beams of sec. 11.11.1 are made of cubic blocks that an unstructured mesh of tetrahedra
+follows. Moduli jump from body to body, from block to block, where subdomains are blocks as well
+("aligned"), or anywhere in subdomains that SCOTCH has cut without knowing of them ("cut").
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import gmsh
+import numpy as np
+from numpy.typing import NDArray
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.fields import displacement_space
+from fenics_tfeti.fem.mesh_io import TaggedMesh, read_msh
+from fenics_tfeti.fem.partition import find_bodies, split_into_subdomains
+from fenics_tfeti.feti import TornSolver, TornSystem, parse_options
+
+SOFT = 2.1e11
+LOWER, UPPER = 0, 1
+CORNERS = {LOWER: (0, 0, 0), UPPER: (1, 0, 1)}
+CLAMPED, GUIDED, SLAVE, MASTER, LOADED = 3, 4, 5, 6, 7
+PRECONDITIONERS = ("none", "lumped", "dirichlet")
+SCALINGS = ("multiplicity", "stiffness")
+
+Places = NDArray[np.float64]  # midpoints of cells, (3, cells)
+
+
+# -- materials -----------------------------------------------------------------------------------
+
+
+def upper(x: Places) -> NDArray[np.bool_]:
+    return x[2] > 1.0
+
+
+def lower(x: Places) -> NDArray[np.bool_]:
+    return x[2] < 1.0
+
+
+def layers(x: Places) -> NDArray[np.bool_]:
+    """Of half a metre, one upon the other."""
+    return np.floor(2 * x[2]) % 2 == 0
+
+
+def slices(x: Places) -> NDArray[np.bool_]:
+    """Of half a metre, side by side."""
+    return np.floor(2 * x[0]) % 2 == 0
+
+
+def one_block(x: Places) -> NDArray[np.bool_]:
+    return (x[0] > 0.5) & (x[0] < 1.0) & (x[1] < 0.5) & (x[2] > 0.5) & (x[2] < 1.0)
+
+
+def checkerboard(x: Places) -> NDArray[np.bool_]:
+    """Stiff cubes of half a metre that touch each other along edges only."""
+    return np.floor(2 * x).sum(axis=0) % 2 == 0
+
+
+def fibres(x: Places) -> NDArray[np.bool_]:
+    """One along the axis of each beam, 0.3 m thick."""
+    return np.hypot(x[1] - 0.5, x[2] % 1.0 - 0.5) < 0.15
+
+
+def inclusions(x: Places) -> NDArray[np.bool_]:
+    """Balls of 0.36 m, half a metre from each other."""
+    return np.linalg.norm(x % 0.5 - 0.25, axis=0) < 0.18
+
+
+def matrix_of_inclusions(x: Places) -> NDArray[np.bool_]:
+    return ~inclusions(x)
+
+
+def uniform(x: Places) -> NDArray[np.bool_]:
+    return np.zeros(x.shape[1], dtype=bool)
+
+
+@dataclass(frozen=True)
+class Case:
+    """Where the material is stiff, and whether subdomains know."""
+
+    stiff: Callable[[Places], NDArray[np.bool_]]
+    aligned: bool
+
+    @property
+    def name(self) -> str:
+        return f"{self.stiff.__name__.replace('_', ' ')}, {'aligned' if self.aligned else 'cut'}"
+
+
+CASES = [
+    *(Case(stiff, True) for stiff in (uniform, upper, lower, layers, slices, one_block)),
+    Case(checkerboard, True),
+    *(Case(stiff, False) for stiff in (uniform, upper, lower, layers, slices, checkerboard)),
+    *(Case(stiff, False) for stiff in (fibres, inclusions, matrix_of_inclusions)),
+]
+
+
+# what is shown unless all cases are asked for
+SHORT = (uniform, upper, lower, layers, slices, fibres, inclusions)
+
+
+def parse_arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--blocks-per-metre", type=int, default=2, help="a multiple of 2")
+    parser.add_argument("--elements-per-metre", type=int, default=8)
+    parser.add_argument("--subdomain-size", type=int, default=450, help="of those that SCOTCH cuts")
+    parser.add_argument("--jump", type=float, default=1e4, help="stiff modulus / soft modulus")
+    parser.add_argument("--rtol", type=float, default=1e-6)
+    parser.add_argument("--max-products", type=int, default=300)
+    parser.add_argument("--all", action="store_true", help="all cases; takes twice as long")
+    parser.add_argument("--json", metavar="FILE", help="write the table")
+    return parser.parse_known_args()[0]
+
+
+# -- mesh ----------------------------------------------------------------------------------------
+
+
+def add_beam(body: int, blocks_per_metre: int) -> None:
+    """Add a beam of blocks that share their faces, each a physical group."""
+    size, corner = 1 / blocks_per_metre, np.array(CORNERS[body], float)
+    cubes = []
+    for place in itertools.product(*map(range, np.array([2, 1, 1]) * blocks_per_metre)):
+        cubes.append((3, gmsh.model.occ.addBox(*(corner + size * np.array(place)), *[size] * 3)))
+    gmsh.model.occ.fragment(cubes[:1], cubes[1:])
+    gmsh.model.occ.synchronize()
+    for _, cube in cubes:
+        gmsh.model.addPhysicalGroup(3, [cube], 100 + cube)
+
+
+def surfaces(body: int, axis: int, value: float, low: float, high: float) -> list[int]:
+    """Find the surfaces of a body in a plane across an axis, with centres from low to high in x."""
+    eps = 1e-6
+    first, last = np.array(CORNERS[body], float) - eps, np.array(CORNERS[body], float) + eps
+    last += (2, 1, 1)
+    first[axis], last[axis] = value - eps, value + eps
+    first[0], last[0] = max(first[0], low - eps), min(last[0], high + eps)
+    volumes = {cube for _, cube in gmsh.model.getEntitiesInBoundingBox(*box_of(body), 3)}
+    found = [tag for _, tag in gmsh.model.getEntitiesInBoundingBox(*first, *last, 2)]
+    return [tag for tag in found if volumes.intersection(gmsh.model.getAdjacencies(2, tag)[0])]
+
+
+def centre(surface: int) -> tuple[float, ...]:
+    return tuple(np.round(gmsh.model.occ.getCenterOfMass(2, surface), 6))
+
+
+def box_of(body: int) -> list[float]:
+    corner = np.array(CORNERS[body], float)
+    return [*(corner - 1e-6), *(corner + (2, 1, 1) + 1e-6)]
+
+
+def write_mesh(path: Path, blocks_per_metre: int, elements_per_metre: int) -> None:
+    """Mesh the blocks with tetrahedra, alike on both sides of the contact."""
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.add("blocks")
+        for body in CORNERS:
+            add_beam(body, blocks_per_metre)
+        groups = {
+            CLAMPED: surfaces(LOWER, 0, 0.0, 0.0, 0.0),
+            GUIDED: surfaces(UPPER, 0, 3.0, 3.0, 3.0),
+            SLAVE: surfaces(UPPER, 2, 1.0, 1.0, 2.0),
+            MASTER: surfaces(LOWER, 2, 1.0, 1.0, 2.0),
+            LOADED: surfaces(UPPER, 2, 2.0, 1.0, 3.0) + surfaces(UPPER, 0, 1.0, 1.0, 1.0),
+        }
+        for tag, found in groups.items():
+            gmsh.model.addPhysicalGroup(2, found, tag)
+        gmsh.model.mesh.setSize(gmsh.model.getEntities(0), 1 / elements_per_metre)
+        sides = [sorted(groups[side], key=centre) for side in (SLAVE, MASTER)]
+        for slave, master in zip(*sides, strict=True):
+            gmsh.model.mesh.setPeriodic(2, [slave], [master], np.eye(4).ravel().tolist())
+        gmsh.model.mesh.generate(3)
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+
+
+def read_mesh(blocks_per_metre: int, elements_per_metre: int) -> TaggedMesh:
+    comm = MPI.COMM_WORLD
+    with tempfile.TemporaryDirectory() as directory:
+        path = comm.bcast(Path(directory) / "blocks.msh")
+        if comm.rank == 0:
+            write_mesh(path, blocks_per_metre, elements_per_metre)
+        comm.barrier()
+        beams = read_msh(path, comm)
+        comm.barrier()
+    return beams
+
+
+# -- problems ------------------------------------------------------------------------------------
+
+
+class Beams:
+    """The forms, with a modulus for each cell."""
+
+    def __init__(self, tagged: TaggedMesh) -> None:
+        mesh, facet_tags = tagged.mesh, tagged.facet_tags
+        self.facet_tags = facet_tags
+        cells = _compat.geometry_cells(mesh)
+        self.owned = mesh.topology.index_map(3).size_local
+        self.midpoints = mesh.geometry.x[cells].mean(axis=1).T
+        # in the order of the cells
+        self.blocks = np.zeros(self.owned, dtype=np.int64)
+        mine = tagged.cell_tags.indices < self.owned
+        self.blocks[tagged.cell_tags.indices[mine]] = tagged.cell_tags.values[mine]
+        constant = _compat.lagrange_space(mesh, 0, discontinuous=True)
+        self.young = fem.Function(constant)
+        self.dof_of_cell = _compat.cell_dofs(constant).ravel()
+        V = self.V = displacement_space(mesh)
+        u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+
+        def strain(w):
+            return ufl.sym(ufl.grad(w))
+
+        mu, lmbda = self.young / 2.6, self.young * 0.3 / 0.52
+        stress = lmbda * ufl.tr(strain(u)) * ufl.Identity(3) + 2 * mu * strain(u)
+        ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
+        self.traction = fem.Constant(mesh, np.array([0.0, 0.0, -20e6]))
+        self.a = ufl.inner(stress, strain(v)) * ufl.dx
+        self.L = ufl.inner(self.traction, v) * ds(LOADED)
+        fixed = fem.locate_dofs_topological(V, 2, facet_tags.find(CLAMPED))
+        self.bcs = [fem.dirichletbc(np.zeros(3), fixed, V)]
+        for component in (0, 1):
+            part = V.sub(component)
+            dofs = fem.locate_dofs_topological(part, 2, facet_tags.find(GUIDED))
+            self.bcs.append(fem.dirichletbc(0.0, dofs, part))
+
+    def cut(self, unknowns: int) -> NDArray[np.int64]:
+        """Label the subdomains that SCOTCH makes; once, as it does not cut twice alike."""
+        bodies = find_bodies(self.V.mesh, None)
+        labels = np.zeros(self.owned, dtype=np.int64)
+        for number, cells in enumerate(split_into_subdomains(self.V, bodies, unknowns)):
+            labels[cells] = number
+        return labels
+
+    def problem(self, case: Case, jump: float, subdomains: NDArray[np.int64]) -> ContactProblem:
+        factor = np.where(case.stiff(self.midpoints), jump, 1.0)
+        self.young.x.array[self.dof_of_cell] = SOFT * factor
+        return ContactProblem(
+            self.a,
+            self.L,
+            bcs=self.bcs,
+            contacts=[ContactPair(self.facet_tags, slave=SLAVE, master=MASTER)],
+            subdomains=subdomains,
+        )
+
+
+def measure(system: TornSystem, **options: Any) -> dict[str, Any]:
+    """Solve one torn system from scratch with some options."""
+    every = {"error_if_not_converged": False, **options}
+    report = TornSolver(system, parse_options(every)).solve().report
+    return {
+        **options,
+        "products": report.products["total"],
+        "preconditioned": report.products["preconditioner"],
+        "seconds": report.seconds,
+        "converged": report.converged,
+        "subdomains": report.subdomains,
+        "unknowns": report.unknowns,
+        "faces": len(report.faces),
+        "outer_iterations": report.outer_iterations,
+    }
+
+
+# -- table ---------------------------------------------------------------------------------------
+
+
+def print_row(name: str, entries: Sequence[str]) -> None:
+    if MPI.COMM_WORLD.rank == 0:
+        print(f"{name:<28}", *(f"{entry:>17}" for entry in entries), flush=True)
+
+
+def entry(run: dict[str, Any]) -> str:
+    """Say products with F + applications of the preconditioner, and seconds of the solver."""
+    count = f"{run['products']}+{run['preconditioned']}" if run["converged"] else "-"
+    return f"{count} {run['seconds']['total']:7.2f}"
+
+
+def print_worst(runs: Sequence[dict[str, Any]], ways: Sequence[tuple[str, str]]) -> None:
+    """Print the largest number of products relative to the uniform material, for each way."""
+    for aligned in (True, False):
+        row = []
+        for way in ways:
+            counts = [
+                run["products"] if run["converged"] else np.inf
+                for run in runs
+                if (run["preconditioner"], run["scaling"], run["aligned"]) == (*way, aligned)
+            ]
+            ratio = max(counts) / counts[0]
+            row.append(f"{ratio:.1f}" if np.isfinite(ratio) else "-")
+        print_row(f"worst / uniform, {'aligned' if aligned else 'cut'}", row)
+
+
+def main() -> None:
+    arguments = parse_arguments()
+    beams = Beams(read_mesh(arguments.blocks_per_metre, arguments.elements_per_metre))
+    cut = beams.cut(arguments.subdomain_size)
+    ways = list(itertools.product(PRECONDITIONERS, SCALINGS))
+    print_row("", [preconditioner for preconditioner, _ in ways])
+    print_row("", [scaling for _, scaling in ways])
+    runs = []
+    for case in CASES if arguments.all else [case for case in CASES if case.stiff in SHORT]:
+        problem = beams.problem(case, arguments.jump, beams.blocks if case.aligned else cut)
+        row = [
+            measure(
+                problem.system,
+                preconditioner=preconditioner,
+                scaling=scaling,
+                rtol=arguments.rtol,
+                max_products=arguments.max_products,
+            )
+            for preconditioner, scaling in ways
+        ]
+        print_row(case.name, [entry(run) for run in row])
+        runs += [{"case": case.name, "aligned": case.aligned, **run} for run in row]
+    print_worst(runs, ways)
+    if MPI.COMM_WORLD.rank == 0:
+        sizes = runs[-1]["unknowns"]["primal"], runs[0]["subdomains"], runs[-1]["subdomains"]
+        print("{} unknowns; {} subdomains aligned, {} cut".format(*sizes))
+        print("products with F + applications of the preconditioner, seconds of the solver")
+        print(f"-: more than {arguments.max_products} products")
+        if arguments.json:
+            Path(arguments.json).write_text(json.dumps(runs, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,222 @@
+"""fenics_tfeti and other codes on the same mesh, side by side.
+
+    python benchmarks/peers.py --divisions 8 16 --json out.json
+    python benchmarks/peers.py --divisions 8 --codes getfem snesvi-icc
+
+Each code runs in a process of its own, on one thread. Seconds count from the arrays of the mesh to
+the displacement at the nodes; imports and just-in-time compilation are apart. Where others use the
+machine too, compare the seconds of the processor rather than those of the clock.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.util
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from peers_scene import SCENES, Answer, sort_key
+
+TWO, RIGID = SCENES
+RTOL = 1e-6
+
+
+@dataclass(frozen=True)
+class Code:
+    """A way to solve a scene: a function of `module`, and the Debian package that has it."""
+
+    scene: str
+    module: str
+    function: str
+    arguments: tuple[Any, ...]
+    package: str = ""
+    find: Callable[[], object] = lambda: True
+
+
+def _getfem() -> object:
+    return importlib.util.find_spec("getfem")
+
+
+def _ccx() -> object:
+    return shutil.which("ccx")
+
+
+# the first of each scene is what the others are compared with
+CODES = {
+    "tfeti": Code(TWO, "peers_fenics", "solve_by_tfeti", (RTOL,)),
+    "tfeti-cubes": Code(TWO, "peers_fenics", "solve_by_tfeti", (RTOL, 2)),
+    "getfem": Code(TWO, "peers_getfem", "solve_by_getfem", (RTOL,), "python3-getfem", _getfem),
+    "calculix-penalty": Code(
+        TWO, "peers_calculix", "solve_by_calculix", ("penalty",), "calculix-ccx", _ccx
+    ),
+    "calculix-mortar": Code(
+        TWO, "peers_calculix", "solve_by_calculix", ("mortar",), "calculix-ccx", _ccx
+    ),
+    "tfeti-rigid": Code(RIGID, "peers_fenics", "solve_by_tfeti", (RTOL,)),
+    "tfeti-rigid-cubes": Code(RIGID, "peers_fenics", "solve_by_tfeti", (RTOL, 2)),
+    "snesvi-icc": Code(RIGID, "peers_fenics", "solve_by_snesvi", (RTOL, "icc")),
+    "snesvi-gamg": Code(RIGID, "peers_fenics", "solve_by_snesvi", (RTOL, "gamg")),
+    "snesvi-mumps": Code(RIGID, "peers_fenics", "solve_by_snesvi", (RTOL, "mumps")),
+}
+OURS = {TWO: "tfeti", RIGID: "tfeti-rigid"}
+COLUMNS = (
+    ("code", "{:<17}"),
+    ("seconds", "{:>8.2f}"),
+    ("processor_seconds", "{:>8.2f}"),
+    ("ratio", "{:>6.1f}"),
+    ("peak_memory_mb", "{:>6.0f}"),
+    ("iterations", "{:>6d}"),
+    ("difference", "{:>9.1e}"),
+    ("force_difference", "{:>9.1e}"),
+)
+HEADER = """\
+                     clock process.  ratio         iter-         u     force
+code                     s        s            MB ations   differ.   differ."""
+
+
+def main() -> None:
+    arguments = parse_arguments()
+    if arguments.child:
+        run_child(*arguments.child)
+        return
+    chosen = list(CODES) if "all" in arguments.codes else arguments.codes
+    # what the others are compared with runs in any case
+    wanted = {OURS[CODES[name].scene] for name in chosen}.union(chosen)
+    rows: list[dict[str, Any]] = []
+    for scene in (s for s in SCENES if OURS[s] in wanted):
+        names = [n for n in CODES if n in wanted and CODES[n].scene == scene]
+        for divisions in arguments.divisions:
+            rows += compare(scene, names, divisions)
+    if arguments.json:
+        Path(arguments.json).write_text(json.dumps({"rtol": RTOL, "rows": rows}, indent=1))
+
+
+def parse_arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument(
+        "--divisions", type=int, nargs="+", default=[8], metavar="1/h", help="elements per metre"
+    )
+    parser.add_argument("--codes", nargs="+", default=["all"], choices=["all", *CODES])
+    parser.add_argument("--json", metavar="FILE", help="write all figures")
+    parser.add_argument("--child", nargs=3, help=argparse.SUPPRESS)
+    return parser.parse_args()
+
+
+def compare(scene: str, names: list[str], divisions: int) -> list[dict[str, Any]]:
+    """Run the codes on one mesh, print the table, and return its rows."""
+    unknowns = 3 * len(SCENES[scene](divisions).points)
+    print(f"{scene}, h = 1/{divisions}, {unknowns} unknowns")
+    print(HEADER)
+    rows: list[dict[str, Any]] = []
+    ours: tuple[dict[str, Any], Answer] | None = None
+    for name in names:
+        row: dict[str, Any] = {"scene": scene, "divisions": divisions, "unknowns": unknowns}
+        row["code"] = name
+        rows.append(row)
+        if not CODES[name].find():
+            row["skipped"] = f"{name} needs the Debian package {CODES[name].package}"
+            print(f"{name:<17} skipped: {sys.executable} does not find {CODES[name].package}")
+            continue
+        try:
+            figures, answer = run(name, divisions)
+        except RuntimeError as error:
+            if ours is None:  # then there is nothing to compare with
+                raise
+            row["failed"] = str(error)
+            print(f"{name:<17} failed: {error}")
+            continue
+        row.update(figures)
+        ours = ours or (row, answer)
+        row.update(differences(row, answer, *ours))
+        print(*(form.format(row[key]) for key, form in COLUMNS), flush=True)
+    print()
+    return rows
+
+
+def differences(
+    row: dict[str, Any], answer: Answer, our_row: dict[str, Any], ours: Answer
+) -> dict[str, float]:
+    """Compare with the answer of fenics_tfeti, at nodes of the same coordinates and body."""
+    order, our_order = (sort_key(a.coordinates, a.body) for a in (answer, ours))
+    same = np.allclose(answer.coordinates[order], ours.coordinates[our_order], atol=1e-6)
+    if not (same and np.array_equal(answer.body[order], ours.body[our_order])):
+        raise AssertionError("the codes did not solve on the same nodes")
+    u, v = answer.displacement[order], ours.displacement[our_order]
+    return {
+        "difference": float(np.linalg.norm(u - v) / np.linalg.norm(v)),
+        "force_difference": abs(answer.force - ours.force) / abs(ours.force),
+        "ratio": row["processor_seconds"] / our_row["processor_seconds"],
+    }
+
+
+def run(name: str, divisions: int) -> tuple[dict[str, Any], Answer]:
+    """Run a code in a process of its own; raise RuntimeError with its last words if it fails."""
+    one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    with tempfile.TemporaryDirectory() as folder:
+        output = Path(folder) / "answer.npz"
+        command = [sys.executable, __file__, "--child", name, str(divisions), str(output)]
+        done = subprocess.run(
+            command, env={**os.environ, **one_thread}, capture_output=True, text=True
+        )
+        if done.returncode:
+            words = (done.stderr or done.stdout).strip().splitlines()
+            raise RuntimeError("\n".join(words[-5:]) or f"exit code {done.returncode}")
+        with np.load(output) as arrays:
+            figures = json.loads(str(arrays["figures"]))
+            answer = Answer(
+                arrays["coordinates"], arrays["displacement"], arrays["body"], figures["force"]
+            )
+    return figures, answer
+
+
+def run_child(name: str, divisions: str, output: str) -> None:
+    """Solve, and write the answer with the figures of this process and its own children."""
+    code = CODES[name]
+    solve = getattr(importlib.import_module(code.module), code.function)
+    if code.module == "peers_fenics":
+        solve(SCENES[code.scene](2), *code.arguments)  # compile the forms, or load them
+    scene = SCENES[code.scene](int(divisions))
+    clock, processor = time.perf_counter(), _processor_seconds()
+    answer: Answer = solve(scene, *code.arguments)
+    figures = {
+        "seconds": time.perf_counter() - clock,
+        "processor_seconds": _processor_seconds() - processor,
+        "peak_memory_mb": _peak_memory() / 1e6,
+        "force": answer.force,
+        **answer.facts,
+    }
+    np.savez(
+        output,
+        coordinates=answer.coordinates,
+        displacement=answer.displacement,
+        body=answer.body,
+        figures=json.dumps(figures),
+    )
+
+
+def _processor_seconds() -> float:
+    """Return what this process and the children it waited for have used."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(usage.ru_utime + usage.ru_stime for usage in used)
+
+
+def _peak_memory() -> int:
+    """Return the largest resident set [B] of this process or a child of it."""
+    who = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    return 1024 * max(resource.getrusage(w).ru_maxrss for w in who)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,196 @@
+"""A block pushed over a bump: contact of surfaces that slide far, without penetration.
+
+# Sliding block
+
+An elastic block with a round foot is pushed, step by step, over the bump of another elastic body,
+in two dimensions (plane strain). A carriage holds the upper part of the block: it moves it
+sideways by s and does not let it turn, but lets it rise and sink. A traction presses it down.
+There is no friction. What force does the push need?
+
+Linearised contact conditions know the surfaces only as they were at first: each node of the foot
+would slide along its own tangent, away from the base, whether there is a bump or not. With the
+option `non_penetration="exact"` the solver measures normals and gaps on the deformed surfaces,
+finds new partners for nodes that slid, and solves again until nothing penetrates, and nothing
+presses that does not touch.
+
+Two things are known about the force H(s):
+
+- The bump is symmetric, so H is antisymmetric about its top.
+- Nothing is lost without friction: the work of H over the whole bump is zero.
+
+Were the bodies rigid, H would be the slope of the way that the block takes, times the load. Elastic
+ones differ from that little, as they touch in a narrow strip.
+
+This demo illustrates how to
+
+- ask for exact non-penetration, and see what each of its passes leaves;
+- move a body in steps, by a prescribed displacement that is a constant;
+- get resultants out of nodal forces and normals.
+
+Run it by `python demos/sliding_block.py`, or on several processes by
+`mpirun -n 2 python demos/sliding_block.py`; it draws pictures into `results/`. The mesh comes from
+`meshes/sliding_block.py`. All units are SI, forces are per metre of depth.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti.fem.fields import displacement_space, von_mises
+from fenics_tfeti.fem.mesh_io import read_msh
+from fenics_tfeti.fem.pictures import draw_deformed, draw_profile
+
+here = Path(__file__).parent
+results = here.parent / "results"
+comm = MPI.COMM_WORLD
+
+# ## Data
+#
+# Hard rubber, pressed by 50 kPa on 0.6 m. The block starts 1.2 m left of the top of the bump, which
+# is a cosine, 1.2 m wide and 80 mm high. The foot is an arc of radius 0.5 m.
+
+E, nu = 1e7, 0.3
+pressure, width = 5e4, 0.6
+start, height, half_width, radius = -1.2, 0.08, 0.6, 0.5
+steps = np.linspace(0, -2 * start, 23)
+
+bodies = read_msh(here.parent / "meshes" / "sliding_block.msh", comm, gdim=2)
+mesh, facet_tags, tags = bodies.mesh, bodies.facet_tags, bodies.names
+mu = fem.Constant(mesh, E / (2 * (1 + nu)))
+lmbda = fem.Constant(mesh, E * nu / ((1 + nu) * (1 - 2 * nu)))
+load = fem.Constant(mesh, -pressure)
+shift, zero = fem.Constant(mesh, 0.0), fem.Constant(mesh, 0.0)
+
+
+def epsilon(u):
+    """Return the small strain."""
+    return ufl.sym(ufl.grad(u))
+
+
+def sigma(u):
+    """Return the stress [Pa]."""
+    return lmbda * ufl.tr(epsilon(u)) * ufl.Identity(2) + 2 * mu * epsilon(u)
+
+
+V = displacement_space(mesh)
+u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
+a = ufl.inner(sigma(u), epsilon(v)) * ufl.dx
+L = load * v[1] * ds(tags["top"])
+
+# The base is fixed below. The carriage holds the top and the upper part of the sides.
+
+bcs = []
+for name, component, value in (
+    ("ground", 0, zero),
+    ("ground", 1, zero),
+    ("top", 0, shift),
+    ("guide", 0, shift),
+):
+    Vi = V.sub(component)
+    dofs = fem.locate_dofs_topological(Vi, 1, facet_tags.find(tags[name]))
+    bcs.append(fem.dirichletbc(value, dofs, Vi))
+
+# The foot is the slave. Its nodes at first stand over nodes of the base, and are paired vertically.
+
+contact = ContactPair(
+    facet_tags, slave=tags["block surface"], master=tags["base surface"], direction=(0, 1)
+)
+exact = {"non_penetration": "exact", "penetration_tolerance": 1e-5, "max_passes": 40}
+problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], options=exact)
+
+# The linearised solution, for the comparison, is what one pass alone gives.
+
+linearised = {**exact, "max_passes": 1, "error_if_not_converged": False}
+
+
+def tell(line):
+    """Print on one rank."""
+    if comm.rank == 0:
+        print(line, flush=True)
+
+
+# ## Steps
+#
+# Each solve starts from where the last one ended: forces, normals and partners. The block pushes
+# with -force * normal on itself where its nodes press; the carriage has to balance that.
+
+drawn = {0: "start", 7: "up", 11: "top", 15: "down"}
+H, F = [], []
+
+
+def error(one):
+    """Return how deep nodes penetrate, or how far pressing ones are from the other body [mm]."""
+    return 1e3 * max(one.penetration, one.separation)
+
+
+tell("position   H [N/m]  F [N/m]  products  linearised  penetration or gap of each pass [mm]")
+for step, s in enumerate(steps):
+    shift.value = s
+    uh = problem.solve()
+    found = problem.contact[0].gather()
+    push = found.normal_force @ found.normal
+    H.append(push[0])
+    F.append(-push[1])
+
+    other = ContactProblem(a, L, bcs=bcs, contacts=[contact], options=linearised)
+    other.solve()
+    passes = problem.report.passes
+    tell(
+        f"{s + start:+8.3f} {H[-1]:9.1f} {F[-1]:8.1f} {sum(one.products for one in passes):9d}"
+        f" {error(other.report.passes[0]):11.3f}  "
+        + " ".join(f"{error(one):.4f}" for one in passes)
+    )
+    if step in drawn:
+        draw_deformed(
+            results / f"sliding_block_{drawn[step]}.png",
+            uh,
+            von_mises(mesh, sigma(uh), poisson_ratio=nu),
+            label="von Mises stress",
+            unit="kPa",
+            title=f"A block pushed over a bump, at {s + start:+.1f} m from its top",
+            scale=1,
+        )
+
+# ## The force against the position
+#
+# A rigid block would rise as far as its foot needs to clear the bump.
+
+position, H = steps + start, np.array(H)
+fine = np.linspace(start, -start, 2001)
+offset = np.linspace(-0.5 * width, 0.5 * width, 2001)
+foot = radius - np.sqrt(radius**2 - offset**2)
+x = fine[:, None] + offset
+bump = np.where(np.abs(x) < half_width, 0.5 * height * (1 + np.cos(np.pi * x / half_width)), 0)
+rise = np.max(bump - foot, axis=1)
+rigid = pressure * width * np.gradient(rise, fine)
+
+top = len(H) // 2
+rigid_work = pressure * width * height
+parts = 0.5 * (H[1:] + H[:-1]) * np.diff(position)
+tell(f"largest force              {np.abs(H).max():9.1f} N/m  rigid {np.abs(rigid).max():.1f}")
+tell(f"force at the top           {H[top]:9.1f} N/m")
+tell(f"force on the flats         {np.abs(H[[0, 1, -2, -1]]).max():9.1f} N/m")
+tell(f"largest H(-x) + H(x)       {np.abs(H + H[::-1]).max():9.1f} N/m")
+tell(f"work up to the top         {parts[:top].sum():9.1f} J/m  rigid {rigid_work:.1f}")
+tell(f"work over the whole bump   {parts.sum():9.1f} J/m")
+
+draw_profile(
+    results / "sliding_block_force.png",
+    {
+        "rigid bodies": (fine, 1e-3 * rigid, "--"),
+        "elastic bodies": (position, 1e-3 * H, "o"),
+    },
+    xlabel="position of the block against the top of the bump [m]",
+    ylabel="horizontal force [kN/m]",
+    title="Force that pushes a block over a bump without friction",
+    comm=comm,
+)

@@ -1,0 +1,90 @@
+"""Weighted rows of B on several ranks: orthonormal, and those of one process."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from torn import cube
+
+from fenics_tfeti.feti import ContactRows, Prescribed, TornSystem
+from fenics_tfeti.feti.constraints import Constraints, build_constraints
+from fenics_tfeti.feti.scaling import node_weights
+
+comm = MPI.COMM_WORLD
+CUBES = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+CENTRE, OTHER = 2002002, 2002001  # nodes of eight cubes, and of four of them
+WAYS = ("random", "stiffness", "multiplicity")
+
+
+def system(ranks: MPI.Comm) -> TornSystem:
+    """Return eight glued cubes of different moduli, dealt to the ranks in turn; rank 0 gives rows.
+
+    One row is between two nodes, both have several copies.
+    """
+    mine = [cube(2, corner) for corner in CUBES]
+    for number, subdomain in enumerate(mine):
+        subdomain.stiffness.data *= 10.0 ** (number % 4)
+    prescribed, contacts = Prescribed(), ContactRows.none(3)
+    if ranks.rank == 0:
+        prescribed = Prescribed(np.array([CENTRE]), np.array([0]), np.array([0.5]))
+        contacts = ContactRows(
+            np.array([CENTRE]),
+            np.array([OTHER]),
+            np.array([[0.6, 0.0, 0.8]]),
+            np.array([0.1]),
+            np.array([0]),
+        )
+    return TornSystem(mine[ranks.rank :: ranks.size], prescribed, contacts, 3, comm=ranks)
+
+
+def weights(torn: TornSystem, way: str) -> np.ndarray:
+    """Return weights of the copies, the same for each cube wherever it is."""
+    if way != "random":
+        return node_weights(torn, way)
+    parts = []
+    for subdomain in torn.subdomains:
+        generator = np.random.default_rng(int(subdomain.nodes[0]))
+        parts.append(10.0 ** generator.uniform(-4.0, 0.0, subdomain.nodes.size))
+    return np.concatenate(parts)
+
+
+def whole(constraints: Constraints, ranks: MPI.Comm) -> np.ndarray:
+    """Return B D^{-1/2} of all cubes in the order of `CUBES`."""
+    part = constraints.matrix.toarray() / np.sqrt(constraints.weights)
+    cubes = CUBES[ranks.rank :: ranks.size]
+    blocks = np.split(part, len(cubes), axis=1)
+    found = np.zeros((constraints.multipliers.size, len(CUBES), blocks[0].shape[1]))
+    for corner, block in zip(cubes, blocks, strict=True):
+        found[constraints.multipliers.numbers, CUBES.index(corner)] = block
+    return ranks.allreduce(found).reshape(constraints.multipliers.size, -1)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_rows_are_orthonormal_in_the_inverse_weights(way):
+    torn = system(comm)
+    B = whole(build_constraints(torn, weights(torn, way)), comm)
+    np.testing.assert_allclose(B @ B.T, np.eye(len(B)), rtol=0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_rows_span_what_they_span_in_one_process(way):
+    """The projector B'(BB')^{-1}B does not depend on the order of the rows."""
+    together, alone = system(comm), system(MPI.COMM_SELF)
+    found = whole(build_constraints(together, weights(together, way)), comm)
+    expected = whole(build_constraints(alone, weights(alone, way)), MPI.COMM_SELF)
+    np.testing.assert_allclose(found.T @ found, expected.T @ expected, rtol=0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_contact_row_is_that_of_one_process(way):
+    together, alone = system(comm), system(MPI.COMM_SELF)
+    rows = []
+    for torn, ranks in ((together, comm), (alone, MPI.COMM_SELF)):
+        constraints = build_constraints(torn, weights(torn, way))
+        row = constraints.multipliers.size - 1  # inequalities come last
+        at = constraints.inequality[: constraints.owned_inequalities]
+        rhs = ranks.allreduce(float(constraints.rhs[at].sum()))
+        rows.append(np.append(whole(constraints, ranks)[row], rhs))
+    np.testing.assert_allclose(rows[0], rows[1], rtol=0.0, atol=1e-13)

@@ -1,0 +1,43 @@
+"""Exact non-penetration on any number of ranks is that of one."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from stepped_blocks import two_blocks
+
+COMM = MPI.COMM_WORLD
+OPTIONS = {
+    "rtol": 1e-8,
+    "non_penetration": "exact",
+    "penetration_tolerance": 1e-4,
+    "max_passes": 40,
+    "subdomain_size": 200,
+}
+
+
+@pytest.mark.parametrize("slide", [0.01, 0.3])
+def test_bodies_that_slide(slide):
+    problem = two_blocks(slide, OPTIONS, comm=COMM)
+    alone = two_blocks(slide, OPTIONS, comm=MPI.COMM_SELF)
+    problem.solve()
+    alone.solve()
+    mine, theirs = problem.report.passes, alone.report.passes
+    assert len(mine) == len(theirs)
+    for one, other in zip(mine, theirs, strict=True):
+        np.testing.assert_allclose(
+            [one.penetration, one.separation],
+            [other.penetration, other.separation],
+            rtol=1e-3,
+            atol=1e-7,
+        )
+    np.testing.assert_allclose(problem.report.contact_force, alone.report.contact_force, rtol=1e-5)
+    found, expected = (p.contact[0].gather() for p in (problem, alone))
+    order, expected_order = (np.argsort(c.coordinates[:, 0]) for c in (found, expected))
+    np.testing.assert_allclose(
+        found.normal_force[order],
+        expected.normal_force[expected_order],
+        atol=1e-4 * expected.normal_force.max(),
+    )

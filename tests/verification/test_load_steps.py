@@ -1,0 +1,204 @@
+"""A problem solved again after a change gives what a new problem gives, and reuses what it can."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scenes import CLAMPED, GROUND, SLAVE, YOUNG, at, elasticity, fixed, vector_space
+from stepped_blocks import (
+    CHANGES,
+    OPTIONS,
+    added_wall,
+    new_problem,
+    nothing,
+    round_floor,
+    two_blocks_on_a_floor,
+)
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactProblem, InputError, NotConverged, Plane, RigidObstacle
+from fenics_tfeti.fem.structured import Box, boxes, tag_facets
+
+every_change = pytest.mark.parametrize("change", CHANGES)
+
+
+def assert_same(problem, uh, other, expected):
+    np.testing.assert_allclose(
+        uh.x.array, expected.x.array, atol=1e-7 * np.abs(expected.x.array).max()
+    )
+    assert len(problem.contact) == len(other.contact)
+    for mine, theirs in zip(problem.contact, other.contact, strict=True):
+        assert mine.name == theirs.name
+        for name in ("nodes", "gap", "normal"):
+            np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
+        np.testing.assert_allclose(
+            mine.normal_force, theirs.normal_force, atol=1e-6 * theirs.normal_force.max()
+        )
+    np.testing.assert_allclose(
+        problem.report.contact_force, other.report.contact_force, rtol=1e-7, atol=1e-3
+    )
+    assert problem.report.pairing == other.report.pairing
+
+
+@every_change
+def test_solved_again_is_solved_anew(change):
+    scene = two_blocks_on_a_floor()
+    problem = new_problem(scene)
+    before = problem.solve()
+    reused = change(scene)
+    problem.contacts = list(scene.contacts)
+    uh = problem.solve()
+    other = new_problem(scene)
+    assert_same(problem, uh, other, other.solve())
+    assert other.report.reused == []
+    assert problem.report.reused == reused
+    moved = np.abs(uh.x.array - before.x.array).max() / np.abs(uh.x.array).max()
+    assert (moved > 1e-2) == (change is not nothing)
+
+
+@every_change
+def test_changes_before_the_first_solve(change):
+    scene = two_blocks_on_a_floor()
+    problem = new_problem(scene)
+    change(scene)
+    problem.contacts = list(scene.contacts)
+    uh = problem.solve()
+    other = new_problem(scene)
+    assert_same(problem, uh, other, other.solve())
+
+
+def test_there_and_back():
+    """Without friction there is no history."""
+    scene = two_blocks_on_a_floor()
+    problem = new_problem(scene)
+    first = problem.solve()
+    for factor in (1.5, 0.2, 1.0):
+        scene.load.value = factor * -2e7
+        last = problem.solve()
+    np.testing.assert_allclose(last.x.array, first.x.array, atol=1e-7 * np.abs(first.x.array).max())
+
+
+def test_results_of_earlier_steps_stay():
+    scene = two_blocks_on_a_floor()
+    problem = new_problem(scene)
+    first, contact, report = problem.solve(), problem.contact, problem.report
+    u, force = first.x.array.copy(), contact[0].normal_force.copy()
+    scene.load.value *= 2.0
+    problem.solve()
+    np.testing.assert_array_equal(first.x.array, u)
+    np.testing.assert_array_equal(contact[0].normal_force, force)
+    assert report.reused == []
+
+
+def test_warm_start_spares_products():
+    """On a round floor, where a cold solve has to find out who touches."""
+    scene = two_blocks_on_a_floor(n=16)
+    round_floor(scene)
+    problem = new_problem(scene, rtol=1e-6)
+    problem.solve()
+    scene.load.value *= 1.1
+    problem.solve()
+    other = new_problem(scene, rtol=1e-6)
+    other.solve()
+    assert problem.report.products["total"] <= 0.75 * other.report.products["total"]
+
+
+def test_seconds_and_products_are_those_of_the_step():
+    scene = two_blocks_on_a_floor()
+    problem = new_problem(scene)
+    problem.solve()
+    assert problem.report.products["norm"] > 0
+    problem.solve()
+    report = problem.report
+    assert report.products["norm"] == 0
+    assert "partition" not in report.seconds and "compilation" not in report.seconds
+    assert report.seconds["factorisation"] < 0.01
+
+
+@pytest.mark.parametrize("what", ["load", "young", "shift"])
+def test_nan_is_noticed_and_forgiven(what):
+    scene = two_blocks_on_a_floor()
+    problem = new_problem(scene)
+    before = problem.solve().x.array
+    constant = getattr(scene, what)
+    right = float(constant.value)
+    constant.value = np.nan
+    with pytest.raises(InputError, match="NaN"):
+        problem.solve()
+    constant.value = right
+    np.testing.assert_allclose(problem.solve().x.array, before, atol=1e-7 * np.abs(before).max())
+
+
+def test_contact_removed():
+    scene = two_blocks_on_a_floor()
+    before = list(scene.contacts)
+    added_wall(scene)
+    problem = new_problem(scene)
+    problem.solve()
+    problem.contacts = scene.contacts = before
+    uh = problem.solve()
+    other = new_problem(scene)
+    assert_same(problem, uh, other, other.solve())
+
+
+def test_wrong_contact_added():
+    """The error leaves the problem as it was."""
+    scene = two_blocks_on_a_floor()
+    problem = new_problem(scene)
+    before = problem.solve().x.array
+    problem.contacts.append(RigidObstacle(scene.tags, 99, Plane((0, 0), (0, 1)), name="wrong"))
+    with pytest.raises(InputError, match="wrong"):
+        problem.solve()
+    problem.contacts.pop()
+    np.testing.assert_allclose(problem.solve().x.array, before, atol=1e-7 * np.abs(before).max())
+
+
+def test_load_taken_away():
+    """Nothing pushes: nothing moves, up to the last digit."""
+    scene = two_blocks_on_a_floor()
+    problem = new_problem(scene)
+    problem.solve()
+    scene.load.value = scene.shift.value = 0.0
+    assert not problem.solve().x.array.any()
+    assert problem.report.converged
+
+
+def test_step_without_convergence_can_be_repeated():
+    scene = two_blocks_on_a_floor()
+    problem = new_problem(scene, max_products=3)
+    with pytest.raises(NotConverged):
+        problem.solve()
+    problem.options = replace(problem.options, max_products=1000)
+    uh = problem.solve()
+    other = new_problem(scene)
+    assert_same(problem, uh, other, other.solve())
+
+
+def test_contacts_joined():
+    """The same rows, now of one contact."""
+    parts = [Box((2 * k, 0), (2 * k + 1, 1), (3, 3)) for k in (0, 1)]
+    blocks = boxes(MPI.COMM_SELF, parts, "quadrilateral")
+    mesh, top = blocks.mesh, (CLAMPED, at(1, 1.0))
+    apart = tag_facets(
+        mesh, [top, (SLAVE, at(1, 0.0), 1), (GROUND, at(1, 0.0), 2)], blocks.cell_tags
+    )
+    whole = tag_facets(mesh, [top, (SLAVE, at(1, 0.0))], blocks.cell_tags)
+    V = vector_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    none = fem.Constant(mesh, 0.0)
+    bcs = [fixed(V, apart, CLAMPED, i, -1e-3 * i) for i in (0, 1)]
+    floor = Plane((0, 0), (0, 1))
+    contacts = [RigidObstacle(apart, tag, floor) for tag in (SLAVE, GROUND)]
+    a, L = elasticity(u, v, YOUNG), none * v[0] * ufl.dx
+    problem = ContactProblem(a, L, bcs, contacts, options=OPTIONS)
+    problem.solve()
+    two = problem.report.contact_force
+    problem.contacts = [RigidObstacle(whole, SLAVE, floor)]
+    problem.solve()
+    np.testing.assert_allclose(problem.report.contact_force, [sum(two)], rtol=1e-7)

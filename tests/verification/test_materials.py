@@ -1,0 +1,231 @@
+"""Materials that jump, and units that change: the same numbers of products, the same solution.
+
+Two beams of unstructured tetrahedra, one upon the other's end, each of two cubes. The cubes are
+bodies of their own for the partition, so that jumps from cube to cube follow subdomains.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from mesh_arrays import merged, mesh_of, tags_of, together, unstructured_block
+from primal_reference import Pair
+from scenes import (
+    CLAMPED,
+    LOADED,
+    MASTER,
+    ROLLER,
+    SLAVE,
+    TRACTION,
+    YOUNG,
+    Scene,
+    at,
+    beams_supports,
+    elasticity,
+    scalar_space,
+    vector_space,
+)
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.structured import tag_facets
+
+pytest.importorskip("gmsh")
+
+SIZE = 0.35  # of the edges
+SUBDOMAIN = 100  # unknowns
+JUMP = 1e4
+# moduli of the cubes, from x = 0 to the end of each beam, the lower one's first
+MODULI = {
+    "uniform": (1.0, 1.0, 1.0, 1.0),
+    "upper body stiff": (1.0, 1.0, JUMP, JUMP),
+    "lower body stiff": (JUMP, JUMP, 1.0, 1.0),
+    "second and fourth cube stiff": (1.0, JUMP, 1.0, JUMP),
+    "cubes on each other stiff": (1.0, JUMP, JUMP, 1.0),
+}
+JUMPS = [name for name in MODULI if name != "uniform"]
+# (metre, pascal) in other units; newtons follow
+UNITS = {"mm, MPa": (1e3, 1e-6), "m, MPa": (1.0, 1e-6), "km, Pa": (1e-3, 1.0)}
+
+
+@lru_cache(maxsize=None)
+def cubes() -> tuple[Any, Any]:
+    """Return points and cells of four cubes, images of one in mirrors; beams are glued."""
+    unit, cells = unstructured_block("tetrahedron", SIZE)
+
+    def image(*corner: int) -> Any:
+        turned = np.array(corner) % 2
+        return corner + turned + (1.0 - 2.0 * turned) * unit, cells
+
+    beams = [
+        merged(*together(image(first, 0, first), image(first + 1, 0, first))) for first in (0, 1)
+    ]
+    return together(*beams)
+
+
+def scene(
+    moduli: tuple[float, ...] = MODULI["uniform"],
+    gap: float = 0.0,
+    metre: float = 1.0,
+    pascal: float = 1.0,
+) -> Scene:
+    """Return the chapter's benchmark with a modulus for each cube.
+
+    `gap` [m] is between the beams; `metre` and `pascal` are what these are in the units used.
+    """
+    points, cells = cubes()
+    middle = points[cells].mean(axis=1)
+    upper = middle[:, 2] > 1.0
+    raised = points.copy()
+    raised[np.unique(cells[upper]), 2] += gap
+    domain = mesh_of(MPI.COMM_SELF, "tetrahedron", metre * raised, cells)
+    cube = tags_of(domain, 2 * upper + np.floor(middle[:, 0] - upper))
+
+    def end(height: float) -> Any:
+        return lambda x: at(2, metre * height)(x) & (0.99 * metre < x[0]) & (x[0] < 2.01 * metre)
+
+    facet_tags = tag_facets(
+        domain,
+        [
+            (CLAMPED, at(0, 0.0), 0),
+            (ROLLER, at(0, 3.0 * metre), 1),
+            (LOADED, at(2, metre * (2.0 + gap)), 1),
+            (LOADED, at(0, metre), 1),
+            (SLAVE, end(1.0 + gap), 1),
+            (MASTER, end(1.0), 0),
+        ],
+        tags_of(domain, upper),
+    )
+    V, constant = vector_space(domain), scalar_space(domain, "DG", 0)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    young = fem.Function(constant)
+    of_cell = _compat.cell_dofs(constant).ravel()[cube.indices]
+    young.x.array[of_cell] = pascal * YOUNG * np.array(moduli)[cube.values]
+    traction = fem.Constant(domain, -TRACTION * pascal)
+    ds = ufl.Measure("ds", domain=domain, subdomain_data=facet_tags)
+    return Scene(
+        mesh=domain,
+        V=V,
+        a=elasticity(u, v, young),
+        L=traction * v[2] * ds(LOADED),
+        bcs=beams_supports(V, facet_tags),
+        contacts=[Pair(SLAVE, MASTER)],
+        facet_tags=facet_tags,
+        cell_tags=cube,
+        total_forces=[3.0 * TRACTION * pascal * metre**2],
+        kept=[young, traction],
+    )
+
+
+def with_fibres() -> Scene:
+    """Return the uniform beams with a stiff fibre along each axis, which subdomains cut."""
+    what = scene()
+    young = what.kept[0]
+    places = young.function_space.tabulate_dof_coordinates()
+    inside = np.hypot(places[:, 1] - 0.5, places[:, 2] % 1.0 - 0.5) < 0.2
+    young.x.array[inside] *= JUMP
+    return what
+
+
+def solved(what: Scene, **options: Any) -> tuple[Any, Any]:
+    """Return the solved problem and its displacement."""
+    problem = what.problem(options={"subdomain_size": SUBDOMAIN, **options})
+    return problem, problem.solve().x.array
+
+
+@lru_cache(maxsize=None)
+def products(name: str, preconditioner: str, scaling: str) -> int:
+    problem, _ = solved(scene(MODULI[name]), preconditioner=preconditioner, scaling=scaling)
+    assert problem.report.subdomains == 12
+    return problem.report.products["total"]
+
+
+@pytest.mark.parametrize("preconditioner", ["none", "lumped", "dirichlet"])
+@pytest.mark.parametrize("name", JUMPS)
+def test_aligned_jumps_cost_at_most_twice_the_products(name, preconditioner):
+    uniform = products("uniform", preconditioner, "stiffness")
+    assert products(name, preconditioner, "stiffness") <= 2 * uniform
+
+
+@pytest.mark.parametrize("name", JUMPS)
+def test_scaling_by_multiplicity_is_no_remedy(name):
+    """Otherwise the jumps of this file might as well not be there."""
+    uniform = products("uniform", "lumped", "multiplicity")
+    assert products(name, "lumped", "multiplicity") > 2 * uniform
+
+
+@lru_cache(maxsize=None)
+def reference(name: str) -> tuple[Scene, Any]:
+    what = with_fibres() if name == "fibres" else scene(MODULI[name])
+    return what, what.reference().displacement
+
+
+every_rtol = pytest.mark.parametrize("rtol", [1e-4, 1e-6, 1e-8])
+
+
+@every_rtol
+@pytest.mark.parametrize("name", JUMPS)
+def test_displacement_with_aligned_jumps(name, rtol):
+    what, expected = reference(name)
+    _, u = solved(what, rtol=rtol)
+    assert np.linalg.norm(u - expected) <= rtol * np.linalg.norm(expected)
+
+
+@every_rtol
+def test_displacement_with_jumps_inside_subdomains(rtol):
+    """The error follows rtol, with the condition of the problem for a factor."""
+    what, expected = reference("fibres")
+    _, u = solved(what, rtol=rtol)
+    assert np.linalg.norm(u - expected) <= 30.0 * rtol * np.linalg.norm(expected)
+
+
+@lru_cache(maxsize=None)
+def in_units(units: str, gap: float) -> tuple[Scene, Any, Any]:
+    metre, pascal = {**UNITS, "m, Pa": (1.0, 1.0)}[units]
+    what = scene(MODULI["upper body stiff"], gap, metre, pascal)
+    problem, u = solved(what)
+    return what, problem, u / metre
+
+
+every_unit = pytest.mark.parametrize("units", UNITS)
+every_gap = pytest.mark.parametrize("gap", [0.0, 2e-3])
+
+
+@every_gap
+@every_unit
+def test_units_do_not_change_the_number_of_products(units, gap):
+    counts = [in_units(name, gap)[1].report.products["total"] for name in (units, "m, Pa")]
+    assert abs(counts[0] - counts[1]) <= 0.05 * counts[1]
+
+
+@every_gap
+@every_unit
+def test_units_do_not_change_the_displacement(units, gap):
+    found, expected = (in_units(name, gap)[2] for name in (units, "m, Pa"))
+    assert np.linalg.norm(found - expected) <= 1e-6 * np.linalg.norm(expected)
+
+
+@every_gap
+@every_unit
+def test_units_do_not_change_the_forces(units, gap):
+    found, expected = (
+        in_units(name, gap)[1].contact[0].normal_force / in_units(name, gap)[0].total_forces[0]
+        for name in (units, "m, Pa")
+    )
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-6)
+    assert found.sum() == pytest.approx(1.0, rel=1e-6)
+
+
+@every_gap
+@every_unit
+def test_units_do_not_change_the_certificate(units, gap):
+    problem = in_units(units, gap)[1]
+    assert problem.report.converged
+    assert problem.report.certificate.worst <= 1e-6
