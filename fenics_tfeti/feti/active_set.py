@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse import CoarseSpace, Projector
-from fenics_tfeti.feti.exchange import concatenate_ranks
 from fenics_tfeti.qp import Products
 
 __all__ = ["ActiveSetStep", "DualProblem", "primal_dual_active_set"]
@@ -200,13 +199,11 @@ def _face(problem: DualProblem, active: Mask, room: Vector) -> tuple[Projector, 
     scale = float(np.linalg.norm(problem.e))
     room = np.maximum(room, 0.0)
     while True:
-        columns = constraints.equality
-        columns[constraints.inequality] = active
-        face = Projector.build(space, columns)
+        face = Projector.build(space, active)
         work = face.free.T @ problem.e
         if np.linalg.norm(work) <= _NO_WORK * scale:
             return face, active
-        speed = (space.all.T @ (face.free @ work))[constraints.inequality]
+        speed = space.contact.T @ (face.free @ work)
         closing = ~active & (speed > _NO_SPEED * np.linalg.norm(work))
         way = np.divide(room, speed, out=np.full(room.size, np.inf), where=closing)
         first = vectors.min_over_ranks(float(way.min(initial=np.inf)))
@@ -236,7 +233,7 @@ def _solve_on(
     accuracy, tolerance = tolerances
     # the nearest multipliers with Gl = e and nothing off the face
     l = np.where(inside, multipliers, 0.0)
-    missing = problem.e - concatenate_ranks(problem.space.comm, problem.space.own @ l)
+    missing = problem.e - problem.space.restrict(l)
     l = l + face.expand(face.solve(_resisted(face, missing)))
     products.cg += 1
     Fl = problem.F(l)
@@ -286,7 +283,7 @@ def _examine(
     jump = Fl - problem.d
     # the smallest of the motions that the face leaves free
     motion = _resisted(face, -face.coefficients(jump))
-    pull = space.all.T @ motion
+    pull = space.prolong(motion)
     gradient = jump + pull
     rows = space.constraints.inequality
     wrong = np.zeros_like(jump)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag, qr
 
 from fenics_tfeti.feti.cholesky import SparseCholesky
+from fenics_tfeti.feti.congruence import Boundary, Congruent
 from fenics_tfeti.feti.constraints import Constraints
 from fenics_tfeti.feti.exchange import concatenate_ranks, first_of_rank
 from fenics_tfeti.feti.rigid_body_modes import describe_motion, raw_modes
@@ -31,6 +32,8 @@ Mask = NDArray[np.bool_]
 
 # ||B R xi||^2 / ||R xi||^2 of a rigid motion of a body below which no constraint resists it
 _UNRESISTED = 1e-12
+# what rounding leaves of rigid motions of a body in its gluing rows
+_TRACE = 1e-13
 
 
 @dataclass(frozen=True)
@@ -276,9 +279,7 @@ class Projector:
         return x - self.coarse(x)
 
 
-def _packed_kernels(
-    boundary: Boundary, kernels: Sequence[Vector], ends: Numbers
-) -> sp.csr_matrix:
+def _packed_kernels(boundary: Boundary, kernels: Sequence[Vector], ends: Numbers) -> sp.csr_matrix:
     """Return R on the packed boundary unknowns, a column for each own coarse unknown."""
     data, columns, counts = [np.zeros(0)], [np.zeros(0, dtype=np.int32)], [np.zeros(0, dtype=int)]
     for congruent, local in zip(boundary.classes, boundary.unknowns, strict=True):
@@ -390,7 +391,7 @@ def _motions_and_energy(
     scaled = [t.T @ e @ t for t, e in zip(inverse, energy, strict=True)]
     # rounding leaves traces of 1e-16 in what should vanish
     scaled = [np.where(np.abs(e) > _UNRESISTED, e, 0.0) for e in scaled]
-    return basis, scipy.linalg.block_diag(*scaled) if bodies else np.zeros((0, 0))
+    return basis, block_diag(*scaled) if bodies else np.zeros((0, 0))
 
 
 def _centres_and_sizes(system: TornSystem, bodies: int) -> tuple[Vector, Vector]:

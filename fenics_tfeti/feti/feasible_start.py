@@ -52,7 +52,7 @@ def check_load(
     """
     work = projector.free.T @ e
     if np.linalg.norm(work) > _NO_WORK * norm:
-        _raise_unresisted(system, kernels, projector.own_part(projector.free @ work))
+        _raise_unresisted(system, kernels, projector.space.own_part(projector.free @ work))
 
 
 def feasible_start(
@@ -84,13 +84,12 @@ def feasible_start(
         If no contact forces balance the load (11.16), naming body and motion.
     """
     constraints = space.constraints
-    supports = Projector.build(space, constraints.equality)
+    supports = Projector.build(space, np.zeros(constraints.inequality.size, dtype=bool))
     start = np.zeros(constraints.rhs.size)
     if supports.free.shape[1]:
         start[constraints.inequality] = _contact_forces(system, kernels, space, supports, e, norm)
     # (11.38) for what the contact forces leave
-    pushed = space.own @ start
-    left = e - np.concatenate(space.comm.allgather(pushed))
+    left = e - space.restrict(start)
     return start + supports.expand(supports.solve(left))
 
 
@@ -105,7 +104,7 @@ def _contact_forces(
     """Return least-norm nonnegative multipliers that balance the load on the free motions."""
     constraints = space.constraints
     # the ranks' columns side by side: as many as contact rows, not as unknowns
-    held = (space.all[:, constraints.inequality].T @ supports.free).T
+    held = (space.contact.T @ supports.free).T
     owned = constraints.owned_inequalities
     columns = space.comm.allgather(held[:, :owned])
     first = sum(part.shape[1] for part in columns[: space.comm.rank])
@@ -115,7 +114,7 @@ def _contact_forces(
         return np.zeros(constraints.inequality.size)
     forces, residual = least_norm_nonnegative(C, d)
     if np.linalg.norm(residual) > _NO_WORK * norm:
-        _raise_unresisted(system, kernels, supports.own_part(supports.free @ residual))
+        _raise_unresisted(system, kernels, space.own_part(supports.free @ residual))
     multipliers = np.zeros(constraints.rhs.size)
     multipliers[constraints.inequality[:owned]] = forces[first : first + owned]
     shared: Vector = constraints.multipliers.sum(multipliers)[constraints.inequality]

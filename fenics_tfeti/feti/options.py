@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.cholesky import Package
+from fenics_tfeti.feti.dual import DualOperatorKind
 from fenics_tfeti.feti.pseudoinverse import GeneralisedInverse
 from fenics_tfeti.feti.scaling import Scaling
 from fenics_tfeti.qp.mprgp import Expansion
@@ -33,6 +34,9 @@ class Options:
         M of algorithm 11.1.
     factor : {"auto", "cholmod", "mumps"}
         Package of the sparse Cholesky factors; auto takes the first that PETSc has.
+    dual_operator : {"auto", "implicit", "explicit"}
+        F by sparse solves, or by a dense matrix between the boundary unknowns of each class of
+        congruent subdomains; auto counts the bytes that either moves.
     method : {"active_set", "smalbe"}
         SMALBE-M over MPRGP alone, or started from where a primal-dual active set method leads.
     preconditioner : {"none", "lumped", "dirichlet"}
@@ -70,6 +74,7 @@ class Options:
     generalised_inverse: GeneralisedInverse = "fixing_nodes"
     fixing_nodes: int = 8
     factor: Package = "auto"
+    dual_operator: DualOperatorKind = "auto"
     method: Literal["active_set", "smalbe"] = "active_set"
     preconditioner: Literal["none", "lumped", "dirichlet"] = "lumped"
     scaling: Scaling = "stiffness"

@@ -68,7 +68,7 @@ def _reaction(
 
     def schur_complement(u: Vector) -> Vector:
         follow = factor.solve(K_ib @ u.T if len(u) > 1 else K_ib @ u[0])
-        reaction = (K_bb @ u.T).T - (K_bi @ follow).T
+        reaction: Vector = (K_bb @ u.T).T - (K_bi @ follow).T
         return reaction
 
     return schur_complement

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 
 from mpi4py import MPI
 
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from fenics_tfeti.feti.coarse import CoarseSpace, Projector
+from fenics_tfeti.feti.congruence import apply_by_class
 from fenics_tfeti.feti.dual import DualOperator
 from fenics_tfeti.feti.exchange import concatenate_ranks
 
@@ -92,23 +95,19 @@ def recover_displacement(
         That of the equality and active rows; its ``free`` motions are those left undetermined.
     """
     constraints = F.constraints
-    forces = load - constraints.matrix.T @ multipliers
-    R = space.kernels
+    forces = load - F.constraint_forces(multipliers)
     # what the stopping test left in the kernel of K; K^+ would turn it into a displacement
-    u = F.generalised_inverse(forces - R @ (R.T @ forces))
+    u = F.generalised_inverse(forces - space.motion(space.work(forces)))
 
-    columns = constraints.equality
-    columns[constraints.inequality] = multipliers[constraints.inequality] > 0.0
-    active = Projector.build(space, columns)
-    missing = constraints.rhs - constraints.multipliers.sum(constraints.matrix @ u)
-    alpha = active.coefficients(missing)
+    active = Projector.build(space, multipliers[constraints.inequality] > 0.0)
+    alpha = active.coefficients(constraints.rhs - F.jumps(u))
     # K^+ leaves some of the free motions in u
-    present = alpha + concatenate_ranks(space.comm, R.T @ u)
+    present = alpha + space.work(u)
     alpha -= active.free @ (active.free.T @ present)
-    u += R @ active.own_part(alpha)
+    u += space.motion(alpha)
     if active.free.shape[1]:
-        room = constraints.rhs - constraints.multipliers.sum(constraints.matrix @ u)
-        u += R @ active.own_part(active.free @ _out_of_the_way(space, active, room))
+        away = _out_of_the_way(space, active, constraints.rhs - F.jumps(u))
+        u += space.motion(active.free @ away)
     return u, active
 
 
@@ -119,12 +118,11 @@ def _out_of_the_way(space: CoarseSpace, active: Projector, room: Vector) -> Vect
     they are violated: the worst of each contact and rank at a time.
     """
     constraints, comm = space.constraints, space.comm
-    open_rows = constraints.inequality[: constraints.owned_inequalities]
-    contact = constraints.contact[: open_rows.size]
-    inactive = ~active.columns[open_rows]
-    open_rows, contact = open_rows[inactive], contact[inactive]
-    closing = np.asarray(space.all[:, open_rows].T @ active.free)
-    room = room[open_rows]
+    owned = constraints.inequality[: constraints.owned_inequalities]
+    inactive = np.flatnonzero(~active.columns[owned])
+    contact = constraints.contact[inactive]
+    closing = np.asarray(space.contact[:, inactive].T @ active.free)
+    room = room[owned[inactive]]
     z = np.zeros(active.free.shape[1])
     taken, limits = np.zeros((0, z.size)), np.zeros(0)
     negligible = 1e-9 * comm.allreduce(float((-room).max(initial=0.0)), MPI.MAX)
@@ -183,8 +181,8 @@ class PrimalProblem:
 
     Attributes
     ----------
-    stiffness : (n, n) scipy.sparse.csr_matrix
-        K = diag(K_i) [N/m].
+    stiffness : list of (n_i, n_i) scipy.sparse.csr_matrix
+        K_i of each class of congruent subdomains [N/m].
     load : (n,) array
         f [N].
     F : DualOperator
@@ -197,10 +195,11 @@ class PrimalProblem:
 
     def internal_forces(self, u: Vector) -> Vector:
         """Return Ku."""
-        forces = np.empty_like(u)
-        for K, part in zip(self.stiffness, self.F.slices, strict=True):
-            forces[part] = K @ u[part]
-        return forces
+        return self._apply(self.stiffness, u)
+
+    def _apply(self, matrices: Sequence[sp.csr_matrix], u: Vector) -> Vector:
+        operators = [partial(_times_rows, K) for K in matrices]
+        return apply_by_class(self.F.boundary.classes, operators, u)
 
     def energy(self, u: Vector) -> float:
         """Return 1/2 u'Ku - f'u [J]."""
@@ -212,7 +211,7 @@ class PrimalProblem:
         constraints = self.F.constraints
         comm, space = constraints.multipliers.comm, constraints.multipliers.space
         Ku = self.internal_forces(u)
-        constraint_forces = constraints.matrix.T @ multipliers
+        constraint_forces = self.F.constraint_forces(multipliers)
         residual, f, reaction, Ku_u, f_u = comm.allreduce(
             np.array(
                 [
@@ -228,11 +227,9 @@ class PrimalProblem:
         rhs_gap = constraints.rhs[constraints.inequality] / constraints.scale
         largest_gap = comm.allreduce(float(np.abs(rhs_gap).max(initial=0.0)), MPI.MAX)
         size = np.maximum(np.abs(u), _CANCELLED * largest_gap)
-        spring = np.empty_like(u)
-        for K, part in zip(self.stiffness, self.F.slices, strict=True):
-            spring[part] = abs(K) @ size[part]
+        spring = self._apply([abs(K) for K in self.stiffness], size)
         spring2, strain = comm.allreduce(np.array([spring @ spring, size @ spring]))
-        jump = constraints.multipliers.sum(constraints.matrix @ u) - constraints.rhs
+        jump = self.F.jumps(u) - constraints.rhs
         contact = constraints.inequality
         distance = jump[contact] / constraints.scale
         normal_force = multipliers[contact] * constraints.scale
@@ -264,6 +261,14 @@ class PrimalProblem:
                 abs(primal - dual), max(abs(primal), 0.5 * Ku_u, _CANCELLED * strain)
             ),
         )
+
+
+def _times_rows(K: sp.csr_matrix, rows: Vector) -> Vector:
+    """Return K times each row of a matrix."""
+    if len(rows) == 1:
+        return np.asarray(K @ rows[0])[None]
+    product: Vector = (K @ rows.T).T
+    return product
 
 
 def _ratio(value: float, scale: float) -> float:

@@ -88,6 +88,8 @@ class Report:
         What was taken over from the last solve.
     subdomains : int
         Their number over all ranks.
+    classes : int
+        Classes of congruent subdomains, which share factors, summed over the ranks.
     outer_iterations : int
         Outer iterations of SMALBE-M.
     products : dict
@@ -133,6 +135,7 @@ class Report:
     unknowns: dict[str, int]
     reused: list[str]
     subdomains: int
+    classes: int
     outer_iterations: int
     products: dict[str, int]
     seconds: dict[str, float]

@@ -12,15 +12,17 @@ from petsc4py import PETSc
 
 import numpy as np
 import scipy
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import FactorizationError, NotConverged
 from fenics_tfeti.feti.active_set import ActiveSetStep, DualProblem, primal_dual_active_set
 from fenics_tfeti.feti.cholesky import choose_package
 from fenics_tfeti.feti.coarse import CoarseSpace, Projector, describe_body_motion
+from fenics_tfeti.feti.congruence import Boundary, Congruent, find_congruent
 from fenics_tfeti.feti.constraints import Constraints, build_constraints
 from fenics_tfeti.feti.dual import DualOperator, norm_of_projected
-from fenics_tfeti.feti.exchange import concatenate_ranks, together
+from fenics_tfeti.feti.exchange import together
 from fenics_tfeti.feti.feasible_start import check_load, feasible_start
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.preconditioner import boundary_operator
@@ -124,6 +126,7 @@ class TornSolver:
     """
 
     weights: Vector
+    classes: list[Congruent]
     kernels: list[Vector]
     space: CoarseSpace
     projector: Projector
@@ -155,7 +158,8 @@ class TornSolver:
                 here = self.constraints
                 self.constraints = replace(same_B.constraints, rhs=here.rhs, contact=here.contact)
         with self.timer.phase("coarse problem"):
-            self.kernels = same_K.kernels if same_K else [kernel(s) for s in system.subdomains]
+            self.classes = same_K.classes if same_K else find_congruent(system.subdomains)
+            self.kernels = same_K.kernels if same_K else self._kernels()
             self.load = np.concatenate([np.zeros(0), *(s.load for s in system.subdomains)])
             self.space = same_B.space if same_B else self._coarse_space()
             self.projector = same_B.projector if same_B else Projector.build(self.space)
@@ -163,7 +167,13 @@ class TornSolver:
             self.start = self._feasible_start()
         with self.timer.phase("factorisation"):
             inverses = same_K.F.inverses if same_K else self._inverses()
-            self.F = DualOperator.build(self.constraints, system.subdomains, inverses)
+            self.F = (
+                replace(same_B.F, constraints=self.constraints)
+                if same_B
+                else DualOperator.build(
+                    self.constraints, self.space.boundary, inverses, self.options.dual_operator
+                )
+            )
         with self.timer.phase("norm"):
             self.norm = same_B.norm if same_B else self._norm()
         with self.timer.phase("factorisation"):
@@ -184,11 +194,23 @@ class TornSolver:
         )
         return bool(self.comm.allreduce(same, MPI.LAND))
 
+    def _kernels(self) -> list[Vector]:
+        subdomains = self.system.subdomains
+        kernels = [np.zeros((0, 0))] * len(subdomains)
+        for congruent in self.classes:
+            shared = kernel(subdomains[congruent.first])
+            for member in congruent.members:
+                kernels[member] = shared
+        return kernels
+
     def _coarse_space(self) -> CoarseSpace:
-        return CoarseSpace.build(self.system, self.constraints, self.kernels, self.package)
+        boundary = Boundary.build(self.constraints.matrix, self.classes)
+        return CoarseSpace.build(
+            self.system, self.constraints, boundary, self.kernels, self.package
+        )
 
     def _feasible_start(self) -> Vector:
-        e = concatenate_ranks(self.comm, self.space.kernels.T @ self.load)
+        e = self.space.work(self.load)
         norm = float(np.sqrt(self.comm.allreduce(float(self.load @ self.load))))
         check_load(self.system, self.kernels, self.projector, e, norm)
         return feasible_start(self.system, self.kernels, self.space, e, norm)
@@ -198,10 +220,17 @@ class TornSolver:
         with together(self.comm):
             return [
                 Pseudoinverse(
-                    subdomain, R, self.package, options.generalised_inverse, options.fixing_nodes
+                    self.system.subdomains[congruent.first],
+                    self.kernels[congruent.first],
+                    self.package,
+                    options.generalised_inverse,
+                    options.fixing_nodes,
                 )
-                for subdomain, R in zip(self.system.subdomains, self.kernels, strict=True)
+                for congruent in self.classes
             ]
+
+    def _stiffness(self) -> list[sp.csr_matrix]:
+        return [self.system.subdomains[congruent.first].stiffness for congruent in self.classes]
 
     def _norm(self) -> float:
         return norm_of_projected(
@@ -239,7 +268,7 @@ class TornSolver:
         """
         with self.timer.phase("iterations"):
             # d = BK^+(f - B'lambda~) - c: that of (11.39) without a product with F
-            d = self.F.load(self.load - self.constraints.matrix.T @ self.start) / self.norm
+            d = self.F.load(self.load - self.F.constraint_forces(self.start)) / self.norm
             b = self.projector.complement(d)
             space = self.constraints.multipliers.space
             negligible = _NEGLIGIBLE_LOAD * space.norm(d)
@@ -329,7 +358,7 @@ class TornSolver:
         if kind == "none":
             return None
         with together(self.comm):
-            return boundary_operator(kind, self.F, self.system.subdomains, self.package)
+            return boundary_operator(kind, self.F, self._stiffness(), self.package)
 
     def _precondition(self) -> Callable[[Vector], Vector] | None:
         """Return M^{-1} = ||PFP|| P B S B' P + Q / rho, to go with A = PFP / ||PFP|| + rho Q."""
@@ -352,7 +381,7 @@ class TornSolver:
         problem = DualProblem(
             self.F,
             self.F.load(self.load),
-            concatenate_ranks(self.comm, self.space.kernels.T @ self.load),
+            self.space.work(self.load),
             self.projector,
             self.norm,
             self._boundary,
@@ -393,7 +422,7 @@ class TornSolver:
         return _Recovered(displacement, multipliers, certificate, active)
 
     def _primal_problem(self) -> PrimalProblem:
-        return PrimalProblem([s.stiffness for s in self.system.subdomains], self.load, self.F)
+        return PrimalProblem(self._stiffness(), self.load, self.F)
 
     def _log(self, line: OuterIteration, before: int) -> None:
         if self.comm.rank == 0:
@@ -421,8 +450,9 @@ class TornSolver:
         scale[constraints.inequality] = constraints.scale
         decided = own < 0
         normal_force = np.where(decided, 0.0, (scale * multipliers)[own]) if own.size else scale[:0]
+        ends = np.cumsum([s.size for s in self.system.subdomains])[:-1]
         solution = TornSolution(
-            [recovered.displacement[part] for part in self.F.slices],
+            np.split(recovered.displacement, ends),
             normal_force,
             normal_force > 0.0,
             multipliers,
@@ -471,6 +501,7 @@ class TornSolver:
                 "dependent": constraints.dependent,
             },
             subdomains=comm.allreduce(len(system.subdomains)),
+            classes=comm.allreduce(len(self.classes)),
             outer_iterations=len(history),
             products={
                 "total": self.products.total,
@@ -504,7 +535,7 @@ class TornSolver:
         return [
             "; ".join(
                 describe_body_motion(
-                    self.system, self.kernels, active.own_part(motion), either_way=True
+                    self.system, self.kernels, self.space.own_part(motion), either_way=True
                 )
             )
             for motion in active.free.T

@@ -154,10 +154,12 @@ class TornSystem:
             On all ranks, naming the subdomain or row and what is wrong with it.
         """
         with together(self.comm):
+            known: set[int] = set()
             for number, subdomain in enumerate(self.subdomains):
                 _check_subdomain(number, subdomain, self.gdim)
-                if stiffness:
+                if stiffness and id(subdomain.stiffness) not in known:
                     _check_stiffness(number, subdomain)
+                    known.add(id(subdomain.stiffness))
             _check_finite("prescribed displacements", self.prescribed.values)
             _check_finite("contact gaps", self.contacts.gap)
             _check_finite("contact normals", self.contacts.normal)
