@@ -26,10 +26,7 @@ test: env  ## doctests, serial tests, then the MPI tests on 2 and 3 ranks
 test-wheel: env-wheel  ## the same tests with the dolfinx wheel
 	@tools/test.sh .venv-wheel
 
-docdemos: env  ## all demos; write to results/
-	for demo in demos/*.py; do $(PY) $$demo || exit 1; done
-
-test: env  ## the examples in the docstrings
+doctest: env  ## the examples in the docstrings
 	$(PY) -m pytest -q --doctest-modules fenics_tfeti/qp fenics_tfeti/feti
 
 verify: env  ## the tests marked heavy
