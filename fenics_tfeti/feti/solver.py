@@ -221,6 +221,17 @@ class TornSolver:
         y = self.projector.complement(self.F(x - Qx)) / self.norm
         return y + self.options.rho * Qx, Qx
 
+    def dual_problem(self) -> DualProblem:
+        """Return the dual problem (11.35), not scaled, with the preconditioner of the options."""
+        return DualProblem(
+            self.F,
+            self.F.load(self.load),
+            concatenate_ranks(self.comm, self.space.kernels.T @ self.load),
+            self.projector,
+            self.norm,
+            self._boundary,
+        )
+
     def solve(self) -> TornSolution:
         """Solve (11.39) by SMALBE-M over MPRGP and recover the displacement (11.29).
 
@@ -319,14 +330,6 @@ class TornSolver:
     ) -> SMALBEState:
         """Go as far as the primal-dual active set method leads; SMALBE-M goes on from there."""
         multipliers = self.start + state.x
-        problem = DualProblem(
-            self.F,
-            self.F.load(self.load),
-            concatenate_ranks(self.comm, self.space.kernels.T @ self.load),
-            self.projector,
-            self.norm,
-            self._boundary,
-        )
         # all at first, later those that press
         active = multipliers[self.constraints.inequality] > 0.0
         if not self.comm.allreduce(bool(active.any()), MPI.LOR):
@@ -341,8 +344,8 @@ class TornSolver:
                     *asdict(step).values(),
                 )
 
-        multipliers, q = primal_dual_active_set(
-            problem,
+        solution = primal_dual_active_set(
+            self.dual_problem(),
             multipliers,
             active,
             tolerance=rtol * norm_b * self.norm,
@@ -351,7 +354,10 @@ class TornSolver:
             products=self.products,
             monitor=log,
         )
-        return SMALBEState(multipliers - self.start, q / self.norm)
+        x = solution.multipliers - self.start
+        # Gx = o but for rounding
+        gradient = solution.gradient / self.norm, self.projector.coarse(x)
+        return SMALBEState(x, solution.coarse_gradient / self.norm, gradient=gradient)
 
     def _recover(self, state: SMALBEState, negligible: float) -> _Recovered:
         multipliers = self.start + state.x

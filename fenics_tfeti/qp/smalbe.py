@@ -90,11 +90,14 @@ class SMALBEState:
         G'mu, the equality multipliers' part of the gradient.
     M : float or None
         The balance M_k; None starts with M_0.
+    gradient : pair of (n,) arrays, or None
+        Gradient of the augmented Lagrangian and Qx at x, where they are known: saves a product.
     """
 
     x: Vector
     q: Vector
     M: float | None = None
+    gradient: tuple[Vector, Vector] | None = None
 
 
 @dataclass(frozen=True)
@@ -193,7 +196,7 @@ def smalbe(
 
     x, q = bounds.project(start.x.copy()), start.q
     M = options.M0 if start.M is None else start.M
-    gradient = _first_gradient(hessian, b, x, q, space, products)
+    gradient = _first_gradient(hessian, b, x, start, space, products)
     history: list[OuterIteration] = []
     previous_lagrangian = -np.inf
     reason = f"limit of {options.max_outer} outer iterations (max_outer)"
@@ -251,14 +254,21 @@ def smalbe(
 
 
 def _first_gradient(
-    hessian: Hessian, b: Vector, x: Vector, q: Vector, space: Space, products: Products
+    hessian: Hessian,
+    b: Vector,
+    x: Vector,
+    start: SMALBEState,
+    space: Space,
+    products: Products,
 ) -> tuple[Vector, Vector | None]:
-    """Return the gradient and Qx at the start, without a product where x = o."""
+    """Return the gradient and Qx at the start, without a product where known or x = o."""
+    if start.gradient is not None and space.norm(x - start.x) == 0.0:
+        return start.gradient
     if space.norm(x) == 0.0:
-        return q - b, np.zeros_like(x)
+        return start.q - b, np.zeros_like(x)
     products.cg += 1
     Ax, Qx = hessian(x)
-    return Ax - b + q, Qx
+    return Ax - b + start.q, Qx
 
 
 def _count_active(bounds: Bounds, x: Vector, space: Space) -> int:
