@@ -14,6 +14,9 @@ from fenics_tfeti.feti import (
     TornSolver,
     TornSystem,
 )
+from fenics_tfeti.feti.active_set import solve_on_face
+from fenics_tfeti.feti.coarse import Projector
+from fenics_tfeti.qp import Products
 
 # Curtis, Han, Robinson, Comput. Optim. Appl. 60 (2015), example 1: active sets that repeat
 CYCLING = np.array([[4.0, 5.0, -5.0], [5.0, 9.0, -5.0], [-5.0, -5.0, 7.0]])
@@ -67,6 +70,21 @@ def test_set_that_stays_ends_the_loop_and_smalbe_confirms(preconditioner):
     report = TornSolver(column(), Options(preconditioner=preconditioner)).solve().report
     assert report.faces[-1].changed == 0
     assert report.outer_iterations == 1
+
+
+@pytest.mark.parametrize("preconditioner", ["none", "lumped", "dirichlet"])
+def test_contact_that_stays_closed_costs_what_glue_does(preconditioner):
+    solver = TornSolver(column(), Options(preconditioner=preconditioner))
+    report = solver.solve().report
+    problem, products = solver.dual_problem(), Products()
+    m = solver.constraints.multipliers.size
+    face = Projector.build(solver.space, np.ones(m, dtype=bool))
+    tolerance = report.options["rtol"] * np.linalg.norm(
+        solver.projector.complement(problem.d - solver.F(solver.start))
+    )
+    solve_on_face(face, problem, np.zeros(m), tolerance, 1000, products)
+    assert report.unknowns["active"] == report.unknowns["inequalities"]
+    assert report.products["total"] == products.total
 
 
 def test_limit_of_products_holds_here_too():

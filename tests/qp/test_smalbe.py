@@ -231,3 +231,18 @@ def test_membranes(dual, minimum, project, rtol, error, expansion):
     result = solve(problem, rtol, expansion=expansion)
     assert result.converged
     assert dual.cost(result.state.x) == pytest.approx(minimum, rel=error)
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_known_gradient_saves_the_first_product(moved):
+    """Unless the start is outside the bounds: projected, it has another gradient."""
+    problem = random_problem(3, equalities=2)
+    solved = solve(problem)
+    x, q = solved.state.x.copy(), solved.state.q
+    if moved:
+        x[np.flatnonzero(np.isfinite(problem.lower))[0]] = -10.0
+    known = solved.gradient, problem.G.T @ (problem.G @ x)
+    problem.calls = 0
+    result = solve(problem, start=SMALBEState(x, q, gradient=known))
+    assert result.converged
+    assert (problem.calls > 0) == moved
