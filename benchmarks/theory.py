@@ -199,6 +199,7 @@ def draw(tables: dict[str, list[dict[str, float]]], path: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--ratios", nargs="+", type=int, default=[4, 8, 16], help="H/h in 3D")
+    parser.add_argument("--per-metre", type=int, default=2, help="cubes, where H/h varies in 3D")
     parser.add_argument("--ratios-2d", nargs="+", type=int, default=[4, 8, 16, 32, 64])
     parser.add_argument("--metres", nargs="+", type=int, default=[1, 2, 3, 4], help="at fixed H/h")
     parser.add_argument("--json", metavar="FILE")
@@ -208,7 +209,7 @@ def main() -> None:
         "2D, against H/h": (two_sheets, [(2, r) for r in arguments.ratios_2d], "H/h"),
         "2D, against 1/h": (two_sheets, [(m, 16) for m in arguments.metres], "1/h"),
         "3D, against 1/h": (two_beams, [(m, 4) for m in arguments.metres], "1/h"),
-        "3D, against H/h": (two_beams, [(2, r) for r in arguments.ratios], "H/h"),
+        "3D, against H/h": (two_beams, [(arguments.per_metre, r) for r in arguments.ratios], "H/h"),
     }
     tables = {name: sweep(name, *rest) for name, rest in sweeps.items()}
     if arguments.json:
