@@ -19,7 +19,13 @@ from numpy.typing import NDArray
 from fenics_tfeti.feti.coarse import CoarseSpace, Projector
 from fenics_tfeti.qp import Products
 
-__all__ = ["ActiveSetStep", "DualProblem", "primal_dual_active_set"]
+__all__ = [
+    "ActiveSetStep",
+    "DualProblem",
+    "FaceSolution",
+    "primal_dual_active_set",
+    "solve_on_face",
+]
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -93,12 +99,28 @@ class ActiveSetStep:
 
 
 @dataclass(frozen=True)
-class _Iterate:
+class FaceSolution:
+    """A solution of the linear problem on a face.
+
+    Attributes
+    ----------
+    multipliers : (m,) array
+        l, with Gl = e and zeros off the face.
+    gradient : (m,) array
+        Fl - d + G'a with the rigid motions a of the face; in the end not negative where l = o.
+    coarse_gradient : (m,) array
+        Q(Fl - d) + G'a, the equalities' part of it.
+    residual : float
+        Norm of the projected residual on the face.
+    violation : float
+        Norm of what the signs of forces and gaps violate, in units of the residual.
+    """
+
     multipliers: Vector
-    gradient: Vector  # Fl - d + G'a, not negative where l = o in the end
-    coarse_gradient: Vector  # Q(Fl - d) + G'a
+    gradient: Vector
+    coarse_gradient: Vector
     residual: float
-    violation: float  # of the signs of forces and gaps, in units of the residual
+    violation: float
 
 
 def primal_dual_active_set(
@@ -148,8 +170,14 @@ def primal_dual_active_set(
     room = space.constraints.rhs[rows]
     while True:
         face, active = _face(problem, active, room)
-        iterate = _solve_on(
-            face, active, problem, multipliers, (accuracy, tolerance), max_products, products
+        iterate = solve_on_face(
+            face,
+            active,
+            problem,
+            multipliers,
+            (accuracy, tolerance),
+            max_products,
+            products,
         )
         multipliers, room = iterate.multipliers, iterate.gradient[rows]
         following = multipliers[rows] > iterate.gradient[rows] / problem.norm
@@ -213,34 +241,57 @@ def _face(problem: DualProblem, active: Mask, room: Vector) -> tuple[Projector, 
         room = np.where(active, 0.0, np.maximum(room - first * speed, 0.0))
 
 
-def _solve_on(
+def solve_on_face(
     face: Projector,
     active: Mask,
     problem: DualProblem,
-    multipliers: Vector,
+    start: Vector,
     tolerances: tuple[float, float],
     max_products: int,
     products: Products,
-) -> _Iterate:
+) -> FaceSolution:
     """Solve the linear problem on a face by projected, preconditioned conjugate gradients.
 
-    The face is left as soon as the residual is smaller than the violation of signs times the first
-    tolerance, or than the second one: more accuracy would be spent on the wrong rows. The signs are
-    looked at whenever the residual has halved.
+    Minimise 1/2 l'Fl - d'l subject to Gl = e and l = o off the face. The face is left as soon as
+    the residual is smaller than the violation of signs times the first tolerance, or than the
+    second one: more accuracy would be spent on the wrong rows. The signs are looked at whenever the
+    residual has halved.
+
+    Parameters
+    ----------
+    face : Projector
+        That of the rows on the face.
+    active : (i,) bool array
+        The inequality rows on it.
+    problem : DualProblem
+        The problem.
+    start : (m,) array
+        Multipliers to start from.
+    tolerances : (float, float)
+        Relative to the violation, and absolute. With zero for the first, the signs do not matter.
+    max_products : int
+        Limit on `products`.
+    products : Products
+        Counter to add to.
     """
     inner = problem.space.constraints.multipliers.space
-    inside = face.columns
     accuracy, tolerance = tolerances
-    # the nearest multipliers with Gl = e and nothing off the face
-    l = np.where(inside, multipliers, 0.0)
-    missing = problem.e - problem.space.restrict(l)
-    l = l + face.expand(face.solve(_resisted(face, missing)))
-    products.cg += 1
-    Fl = problem.F(l)
 
     def project(x: Vector) -> Vector:
-        return face.complement(np.where(inside, x, 0.0))
+        return face.complement(np.where(face.columns, x, 0.0))
 
+    def precondition(r: Vector) -> Vector:
+        if problem.precondition is None:
+            return r
+        products.preconditioner += 1
+        return project(problem.precondition(r))
+
+    def product(x: Vector) -> Vector:
+        products.cg += 1
+        return problem.F(x)
+
+    l = _nearest_on(face, problem, start)
+    Fl = product(l)
     r = project(problem.d - Fl)
     p = np.zeros_like(r)
     rz = 1.0
@@ -248,19 +299,15 @@ def _solve_on(
     wanted = max(tolerance, _LOOK * residual)
     while True:
         if residual <= wanted or products.total >= max_products:
-            iterate = _examine(face, active, problem, l, Fl, residual)
-            enough = max(accuracy * iterate.violation, tolerance)
+            solution = _examine(face, active, problem, l, Fl, residual)
+            enough = max(accuracy * solution.violation, tolerance)
             if residual <= enough or products.total >= max_products:
-                return iterate
+                return solution
             wanted = max(tolerance, _LOOK * residual)
-        z = r
-        if problem.precondition is not None:
-            products.preconditioner += 1
-            z = project(problem.precondition(r))
+        z = precondition(r)
         before, rz = rz, inner.dots((r, z))[0]
         p = z + rz / before * p
-        products.cg += 1
-        Fp = problem.F(p)
+        Fp = product(p)
         curvature = inner.dots((p, Fp))[0]
         if curvature <= 0.0:
             return _examine(face, active, problem, l, Fl, residual)
@@ -270,6 +317,14 @@ def _solve_on(
         residual = inner.norm(r)
 
 
+def _nearest_on(face: Projector, problem: DualProblem, multipliers: Vector) -> Vector:
+    """Return the nearest multipliers with Gl = e and nothing off the face."""
+    l = np.where(face.columns, multipliers, 0.0)
+    missing = problem.e - problem.space.restrict(l)
+    nearest: Vector = l + face.expand(face.solve(_resisted(face, missing)))
+    return nearest
+
+
 def _examine(
     face: Projector,
     active: Mask,
@@ -277,20 +332,22 @@ def _examine(
     multipliers: Vector,
     Fl: Vector,
     residual: float,
-) -> _Iterate:
+) -> FaceSolution:
     """Return the gradient with the rigid motions of the face, and how far signs are violated."""
     space = problem.space
     jump = Fl - problem.d
     # the smallest of the motions that the face leaves free
-    motion = _resisted(face, -face.coefficients(jump))
-    pull = space.prolong(motion)
+    pull = space.prolong(_resisted(face, -face.coefficients(jump)))
     gradient = jump + pull
     rows = space.constraints.inequality
     wrong = np.zeros_like(jump)
     wrong[rows] = np.where(active, problem.norm * multipliers[rows], gradient[rows])
-    violation = space.constraints.multipliers.space.norm(np.minimum(wrong, 0.0))
-    return _Iterate(
-        multipliers, gradient, problem.projector.coarse(jump) + pull, residual, violation
+    return FaceSolution(
+        multipliers,
+        gradient,
+        problem.projector.coarse(jump) + pull,
+        residual,
+        space.constraints.multipliers.space.norm(np.minimum(wrong, 0.0)),
     )
 
 

@@ -373,12 +373,9 @@ class TornSolver:
 
         return apply
 
-    def _guess_active_set(
-        self, state: SMALBEState, rtol: float, norm_b: float, steps: list[ActiveSetStep]
-    ) -> tuple[SMALBEState, bool]:
-        """Go as far as the primal-dual active set method leads; tell whether it is the solution."""
-        multipliers = self.start + state.x
-        problem = DualProblem(
+    def dual_problem(self) -> DualProblem:
+        """Return (11.35), to solve it in another way."""
+        return DualProblem(
             self.F,
             self.F.load(self.load),
             self.space.work(self.load),
@@ -386,6 +383,12 @@ class TornSolver:
             self.norm,
             self._boundary,
         )
+
+    def _guess_active_set(
+        self, state: SMALBEState, rtol: float, norm_b: float, steps: list[ActiveSetStep]
+    ) -> tuple[SMALBEState, bool]:
+        """Go as far as the primal-dual active set method leads; tell whether it is the solution."""
+        multipliers = self.start + state.x
         # none at first: bodies then move until contact holds them
         active = multipliers[self.constraints.inequality] > 0.0
 
@@ -399,7 +402,7 @@ class TornSolver:
                 )
 
         multipliers, q, solved = primal_dual_active_set(
-            problem,
+            self.dual_problem(),
             multipliers,
             active,
             tolerance=rtol * norm_b * self.norm,

@@ -186,7 +186,7 @@ class _Iteration:
     g: Vector = field(init=False)
     Qx: Vector | None = field(init=False)
     split: Split = field(init=False)
-    p: Vector = field(init=False)
+    p: Vector | None = field(init=False)  # None: to start from the free gradient
     recurrences: int = field(init=False, default=0)
 
     def start(self, x: Vector, gradient: tuple[Vector, Vector | None] | None) -> None:
@@ -211,9 +211,10 @@ class _Iteration:
             self.proportioning_step()
 
     def conjugate_gradient_step(self) -> None:
-        Ap, Qp = self.product(self.p, "cg")
-        gp, curvature, pp = self.space.dots((self.g, self.p), (self.p, Ap), (self.p, self.p))
-        longest = self.space.min_over_ranks(self.bounds.longest_step(self.x, self.p))
+        p = self.preconditioned_free_gradient() if self.p is None else self.p
+        Ap, Qp = self.product(p, "cg")
+        gp, curvature, pp = self.space.dots((self.g, p), (p, Ap), (p, p))
+        longest = self.space.min_over_ranks(self.bounds.longest_step(self.x, p))
         # 1 / step_length stands for ||A||: no curvature but that of rounding
         flat = curvature <= 1e-15 * pp / self.options.step_length
         if flat and not np.isfinite(longest):
@@ -223,7 +224,7 @@ class _Iteration:
             )
         length = np.inf if flat else gp / curvature
         if length <= longest:
-            self.move(length, self.p, Ap, Qp)
+            self.move(length, p, Ap, Qp)
             if self.recurrences >= self.options.refresh:
                 self.recompute_gradient("cg")
                 self.new_face()
@@ -231,17 +232,17 @@ class _Iteration:
             self.update_split()
             z = self.preconditioned_free_gradient()
             gamma = self.space.dots((z, Ap))[0] / curvature
-            self.p = z - gamma * self.p
+            self.p = z - gamma * p
         elif self.options.expansion == "projected_cg" and not flat:
-            self.projected_step(length, longest, Ap, Qp)
+            self.projected_step(length, longest, p, Ap, Qp)
         else:
-            self.expansion_step(longest, Ap, Qp)
+            self.expansion_step(longest, p, Ap, Qp)
 
-    def expansion_step(self, longest: float, Ap: Vector, Qp: Vector | None) -> None:
+    def expansion_step(self, longest: float, p: Vector, Ap: Vector, Qp: Vector | None) -> None:
         """Go to the nearest bound, then along the free gradient with projection."""
         self.products.cg -= 1
         self.products.expansion += 1
-        self.move(longest, self.p, Ap, Qp)
+        self.move(longest, p, Ap, Qp)
         free = self.g.copy()
         on_bounds = self.bounds.indices[self.bounds.active(self.x)]
         free[on_bounds] = 0.0
@@ -250,10 +251,12 @@ class _Iteration:
         self.recompute_gradient("expansion")
         self.new_face()
 
-    def projected_step(self, length: float, longest: float, Ap: Vector, Qp: Vector | None) -> None:
+    def projected_step(
+        self, length: float, longest: float, p: Vector, Ap: Vector, Qp: Vector | None
+    ) -> None:
         """Take the whole conjugate gradient step and project; undo it if the cost rose."""
         before = self.x, self.g, self.Qx, self.cost()
-        self.x = self.bounds.project(self.x - length * self.p)
+        self.x = self.bounds.project(self.x - length * p)
         self.recompute_gradient("expansion")
         if self.cost() <= before[3]:
             self.products.cg -= 1
@@ -261,7 +264,7 @@ class _Iteration:
             self.new_face()
         else:
             self.x, self.g, self.Qx = before[:3]
-            self.expansion_step(longest, Ap, Qp)
+            self.expansion_step(longest, p, Ap, Qp)
 
     def proportioning_step(self) -> None:
         """Release the bounds whose multipliers have the wrong sign."""
@@ -305,7 +308,7 @@ class _Iteration:
     def new_face(self) -> None:
         """Restart the conjugate gradients."""
         self.update_split()
-        self.p = self.preconditioned_free_gradient()
+        self.p = None
 
     def preconditioned_free_gradient(self) -> Vector:
         if self.precondition is None:

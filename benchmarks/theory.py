@@ -1,0 +1,222 @@
+"""Theorem 11.1 measured: the spectrum of PFP on ker G against H/h and against 1/h.
+
+    python benchmarks/theory.py [--ratios 4 8 16] [--metres 1 2 3] [--json FILE] [--plot FILE]
+
+The theorem bounds the eigenvalues of PFP + rho Q between c and C H/h, with F in units of the
+inverse of E h (E in the plane): the smallest should stay where it is, the largest grow like H/h,
+and neither should see 1/h at fixed H/h. The orthonormal rows of B that it assumes (11.22) are those
+of scaling="multiplicity". Measured on the two beams of sec. 11.11.1 in cubes, and, to larger H/h,
+on two sheets in squares. Beside it the products of plain SMALBE-M and of the default method.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from mpi4py import MPI
+
+import beams
+import numpy as np
+from scipy.sparse.linalg import LinearOperator, eigsh
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.fields import displacement_space
+from fenics_tfeti.fem.structured import Box, boxes, tag_facets
+from fenics_tfeti.feti import Options, TornSolver, TornSystem
+
+YOUNG, POISSON = 2.1e11, 0.3
+PLAIN = Options(rtol=1e-4, **beams.PLAIN)
+
+
+def extreme_eigenvalues(solver: TornSolver, rtol: float = 1e-4) -> tuple[float, float]:
+    """Return the smallest and the largest eigenvalue of PFP on ker G, by Lanczos. Serial.
+
+    On Im G', which P removes, the operator is made to be in the way of neither end: zero while the
+    largest eigenvalue is looked for, more than that one for the smallest.
+    """
+    projector, m = solver.projector, solver.constraints.multipliers.size
+
+    def operator(shift: float) -> LinearOperator:
+        def apply(x: np.ndarray) -> np.ndarray:
+            x = x.ravel()
+            Qx = projector.coarse(x)
+            return projector.complement(solver.F(x - Qx)) + shift * Qx
+
+        return LinearOperator((m, m), apply, dtype=float)
+
+    start = projector.complement(np.random.default_rng(0).standard_normal(m))
+
+    def end(which: str, shift: float) -> float:
+        found = eigsh(
+            operator(shift), 1, which=which, v0=start, tol=rtol, return_eigenvectors=False
+        )
+        return float(found[0])
+
+    largest = end("LA", 0.0)
+    return end("SA", 2.0 * largest), largest
+
+
+def two_beams(metres: int, ratio: int) -> ContactProblem:
+    """Return the two beams, `metres` cubes of `ratio`^3 elements a metre."""
+    return beams.build(
+        argparse.Namespace(
+            subdomains_per_metre=metres, elements_per_subdomain=ratio, rtol=1e-4, plain=True
+        )
+    )
+
+
+def two_sheets(metres: int, ratio: int) -> ContactProblem:
+    """Return the same in the plane: two sheets, one on the other, in plane strain."""
+    n = metres * ratio
+    parts = [Box((0, 0), (2, 1), (2 * n, n)), Box((1, 1), (3, 2), (2 * n, n))]
+    tagged = boxes(MPI.COMM_WORLD, parts, "quadrilateral")
+    mesh, cell_tags = tagged.mesh, tagged.cell_tags
+    facet_tags = tag_facets(
+        mesh,
+        [
+            (1, lambda x: np.isclose(x[0], 0), 1),
+            (2, lambda x: np.isclose(x[0], 3), 2),
+            (3, lambda x: np.isclose(x[1], 1) & (x[0] < 2 + 1e-9), 2),
+            (4, lambda x: np.isclose(x[1], 1) & (x[0] > 1 - 1e-9), 1),
+            (5, lambda x: np.isclose(x[1], 2), 2),
+        ],
+        cell_tags,
+    )
+    V = displacement_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    mu = fem.Constant(mesh, YOUNG / (2 * (1 + POISSON)))
+    lmbda = fem.Constant(mesh, YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON)))
+    traction = fem.Constant(mesh, np.array([0.0, -20e6]))
+
+    def strain(w):
+        return ufl.sym(ufl.grad(w))
+
+    stress = lmbda * ufl.tr(strain(u)) * ufl.Identity(2) + 2 * mu * strain(u)
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
+    fixed = fem.locate_dofs_topological(V, 1, facet_tags.find(1))
+    guided = fem.locate_dofs_topological(V.sub(0), 1, facet_tags.find(2))
+    owned = mesh.topology.index_map(2).size_local
+    middles = mesh.geometry.x[_compat.geometry_cells(mesh)[:owned]].mean(axis=1)
+    x, y = np.floor(metres * middles[:, :2]).astype(np.int64).T
+    return ContactProblem(
+        ufl.inner(stress, strain(v)) * ufl.dx,
+        ufl.inner(traction, v) * ds(5),
+        bcs=[
+            fem.dirichletbc(np.zeros(2), fixed, V),
+            fem.dirichletbc(0.0, guided, V.sub(0)),
+        ],
+        contacts=[ContactPair(facet_tags, slave=3, master=4)],
+        subdomains=(cell_tags.values[:owned] * 4 * metres + x) * 4 * metres + y,
+    )
+
+
+def measure(system: TornSystem, metres: int, ratio: int) -> dict[str, float]:
+    """Return a row of the table."""
+    plain = TornSolver(system, PLAIN)
+    # F in units of 1 / (E h), in the plane 1 / E
+    unit = YOUNG * (1.0 / (metres * ratio)) ** (system.gdim - 2)
+    smallest, largest = (unit * value for value in extreme_eigenvalues(plain))
+    products = plain.solve().report.products["total"]
+    default = TornSolver(system, Options(rtol=1e-4)).solve().report.products["total"]
+    return {
+        "dimension": system.gdim,
+        "subdomains per metre": metres,
+        "H/h": ratio,
+        "1/h": metres * ratio,
+        "subdomains": len(system.subdomains),
+        "dual": plain.constraints.multipliers.size,
+        "smallest": smallest,
+        "largest": largest,
+        "condition": largest / smallest,
+        "plain products": products,
+        "default products": default,
+    }
+
+
+def slope(rows: list[dict[str, float]], x: str, y: str) -> float:
+    """Return the slope in the log-log plot by least squares, m = 1 left out where m varies.
+
+    A cube at a beam's end has neighbours on one side only: no node has eight copies there.
+    """
+    if x == "1/h":
+        rows = [row for row in rows if row["subdomains per metre"] > 1] or rows
+    return float(np.polyfit(np.log([r[x] for r in rows]), np.log([r[y] for r in rows]), 1)[0])
+
+
+def sweep(name: str, build, pairs: list[tuple[int, int]], x: str) -> list[dict[str, float]]:
+    """Measure and print one table, with slopes against `x`."""
+    print(f"\n{name}\n  m  H/h  1/h  subd.    dual  smallest  largest  cond.  plain  default")
+    rows = []
+    for metres, ratio in pairs:
+        problem = build(metres, ratio)  # owns the communicator of its torn system
+        row = measure(problem.system, metres, ratio)
+        rows.append(row)
+        print(
+            f"{metres:>3} {ratio:>4} {row['1/h']:>4} {row['subdomains']:>6} {row['dual']:>7} "
+            f"{row['smallest']:>9.4f} {row['largest']:>8.3f} {row['condition']:>6.1f} "
+            f"{row['plain products']:>6} {row['default products']:>8}",
+            flush=True,
+        )
+    if len(rows) > 2:
+        slopes = {y: round(slope(rows, x, y), 2) for y in ("smallest", "largest", "condition")}
+        print(f"slopes against {x}: {slopes}")
+    return rows
+
+
+def draw(tables: dict[str, list[dict[str, float]]], path: str) -> None:
+    """Draw the eigenvalues of all tables, log-log."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), sharey=True)
+    for ax, x in zip(axes, ("H/h", "1/h"), strict=True):
+        for (name, rows), colour in zip(
+            [(n, r) for n, r in tables.items() if n.endswith(x)], ("C0", "C1"), strict=False
+        ):
+            at = [row[x] for row in rows]
+            label = name.split(",")[0]
+            for y, mark in (("largest", "o-"), ("smallest", "s--")):
+                values = [row[y] for row in rows]
+                text = f"{label}, {y}, slope {slope(rows, x, y):.2f}"
+                ax.loglog(at, values, mark, color=colour, label=text)
+        ax.set_xlabel(x if x == "H/h" else "1/h at fixed H/h [1/m]")
+        ax.grid(True, which="both", alpha=0.3)
+        ax.legend(fontsize=7)
+    axes[0].set_ylabel("eigenvalues of PFP on ker G, scaled")
+    figure.suptitle("Theorem 11.1 on the two beams (3D) and two sheets (2D)", fontsize=10)
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--ratios", nargs="+", type=int, default=[4, 8, 16], help="H/h in 3D")
+    parser.add_argument("--per-metre", type=int, default=2, help="cubes, where H/h varies in 3D")
+    parser.add_argument("--ratios-2d", nargs="+", type=int, default=[4, 8, 16, 32, 64])
+    parser.add_argument("--metres", nargs="+", type=int, default=[1, 2, 3, 4], help="at fixed H/h")
+    parser.add_argument("--json", metavar="FILE")
+    parser.add_argument("--plot", metavar="FILE")
+    arguments = parser.parse_args()
+    sweeps = {
+        "2D, against H/h": (two_sheets, [(2, r) for r in arguments.ratios_2d], "H/h"),
+        "2D, against 1/h": (two_sheets, [(m, 16) for m in arguments.metres], "1/h"),
+        "3D, against 1/h": (two_beams, [(m, 4) for m in arguments.metres], "1/h"),
+        "3D, against H/h": (two_beams, [(arguments.per_metre, r) for r in arguments.ratios], "H/h"),
+    }
+    tables = {name: sweep(name, *rest) for name, rest in sweeps.items()}
+    if arguments.json:
+        Path(arguments.json).write_text(json.dumps(tables, indent=1) + "\n")
+    if arguments.plot:
+        draw(tables, arguments.plot)
+
+
+if __name__ == "__main__":
+    main()
