@@ -106,6 +106,8 @@ class FaceSolution:
     ----------
     multipliers : (m,) array
         l, with Gl = e and zeros off the face.
+    Fl : (m,) array
+        The product with them.
     gradient : (m,) array
         Fl - d + G'a with the rigid motions a of the face; in the end not negative where l = o.
     coarse_gradient : (m,) array
@@ -114,13 +116,17 @@ class FaceSolution:
         Norm of the projected residual on the face.
     violation : float
         Norm of what the signs of forces and gaps violate, in units of the residual.
+    step_length : float
+        A typical step length of the conjugate gradients.
     """
 
     multipliers: Vector
+    Fl: Vector
     gradient: Vector
     coarse_gradient: Vector
     residual: float
     violation: float
+    step_length: float
 
 
 def primal_dual_active_set(
@@ -167,17 +173,12 @@ def primal_dual_active_set(
     rows = space.constraints.inequality
     seen: list[Mask] = []
     accuracy, best, failures = 1.0, np.inf, 0
+    start: Vector | FaceSolution = multipliers
     room = space.constraints.rhs[rows]
     while True:
         face, active = _face(problem, active, room)
-        iterate = solve_on_face(
-            face,
-            active,
-            problem,
-            multipliers,
-            (accuracy, tolerance),
-            max_products,
-            products,
+        start = iterate = solve_on_face(
+            face, active, problem, start, (accuracy, tolerance), max_products, products
         )
         multipliers, room = iterate.multipliers, iterate.gradient[rows]
         following = multipliers[rows] > iterate.gradient[rows] / problem.norm
@@ -245,7 +246,7 @@ def solve_on_face(
     face: Projector,
     active: Mask,
     problem: DualProblem,
-    start: Vector,
+    start: Vector | FaceSolution,
     tolerances: tuple[float, float],
     max_products: int,
     products: Products,
@@ -265,8 +266,8 @@ def solve_on_face(
         The inequality rows on it.
     problem : DualProblem
         The problem.
-    start : (m,) array
-        Multipliers to start from.
+    start : (m,) array or FaceSolution
+        Multipliers to start from, or where another face ended.
     tolerances : (float, float)
         Relative to the violation, and absolute. With zero for the first, the signs do not matter.
     max_products : int
@@ -290,7 +291,14 @@ def solve_on_face(
         products.cg += 1
         return problem.F(x)
 
-    l = _nearest_on(face, problem, start)
+    lengths: list[float] = []
+    if isinstance(start, FaceSolution):
+        # a first step at once, with the residual before the change: no product of its own
+        lengths.append(start.step_length)
+        step = precondition(project(problem.d - start.Fl))
+        l = _nearest_on(face, problem, start.multipliers) + start.step_length * step
+    else:
+        l = _nearest_on(face, problem, start)
     Fl = product(l)
     r = project(problem.d - Fl)
     p = np.zeros_like(r)
@@ -299,7 +307,7 @@ def solve_on_face(
     wanted = max(tolerance, _LOOK * residual)
     while True:
         if residual <= wanted or products.total >= max_products:
-            solution = _examine(face, active, problem, l, Fl, residual)
+            solution = _examine(face, active, problem, l, Fl, residual, lengths)
             enough = max(accuracy * solution.violation, tolerance)
             if residual <= enough or products.total >= max_products:
                 return solution
@@ -310,10 +318,10 @@ def solve_on_face(
         Fp = product(p)
         curvature = inner.dots((p, Fp))[0]
         if curvature <= 0.0:
-            return _examine(face, active, problem, l, Fl, residual)
-        length = rz / curvature
-        l, Fl = l + length * p, Fl + length * Fp
-        r = r - length * project(Fp)
+            return _examine(face, active, problem, l, Fl, residual, lengths)
+        lengths.append(rz / curvature)
+        l, Fl = l + lengths[-1] * p, Fl + lengths[-1] * Fp
+        r = r - lengths[-1] * project(Fp)
         residual = inner.norm(r)
 
 
@@ -332,6 +340,7 @@ def _examine(
     multipliers: Vector,
     Fl: Vector,
     residual: float,
+    lengths: list[float],
 ) -> FaceSolution:
     """Return the gradient with the rigid motions of the face, and how far signs are violated."""
     space = problem.space
@@ -344,10 +353,12 @@ def _examine(
     wrong[rows] = np.where(active, problem.norm * multipliers[rows], gradient[rows])
     return FaceSolution(
         multipliers,
+        Fl,
         gradient,
         problem.projector.coarse(jump) + pull,
         residual,
         space.constraints.multipliers.space.norm(np.minimum(wrong, 0.0)),
+        float(np.median(lengths)) if lengths else 0.0,
     )
 
 
