@@ -158,7 +158,8 @@ def least_distance(A: Vector, b: Vector) -> Vector:
     Examples
     --------
     >>> import numpy as np
-    >>> least_distance(np.array([[-1.0, 0.0], [0.0, -2.0]]), np.array([-1.0, 4.0])).tolist()
+    >>> z = least_distance(np.array([[-1.0, 0.0], [0.0, -2.0]]), np.array([-1.0, 4.0]))
+    >>> (z.round(12) + 0.0).tolist()
     [1.0, 0.0]
     """
     scale = float(np.abs(b).max(initial=0.0))
