@@ -1,0 +1,203 @@
+"""The ladder of sec. 11.11.1 up to its largest problem: two beams of congruent cubes.
+
+    python benchmarks/ladder.py [--subdomains-per-metre 3 5 7 9] [--elements-per-subdomain 10]
+
+The whole is never meshed. One cube is assembled by dolfinx, with the loads of a cube at the top and
+at the left face; the others are told apart by their place in the lattice. That they are congruent
+is found by the solver from matrices and coordinates: `--softer` makes one of them softer. Each size
+runs in a process of its own, so that the peak of memory is its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti.fem.fields import displacement_space
+from fenics_tfeti.fem.structured import Box, boxes, tag_facets
+from fenics_tfeti.fem.subdomain import prepare_forms
+from fenics_tfeti.feti import ContactRows, Options, Prescribed, Subdomain, TornSolver, TornSystem
+
+YOUNG, POISSON = 2.1e11, 0.3
+TRACTION = -20e6  # [Pa] in z
+LOWER, UPPER = 0, 1
+FIRST = {LOWER: (0, 0), UPPER: (1, 1)}  # where the beams begin, x and z [m]
+
+
+def cubes(m: int, n: int) -> dict[str, Subdomain]:
+    """Assemble a cube of n^3 elements, 1/m wide, without load and with a load on a face."""
+    mesh = boxes(MPI.COMM_SELF, [Box((0, 0, 0), (1 / m, 1 / m, 1 / m), (n, n, n))]).mesh
+    tags = tag_facets(
+        mesh, {1: lambda x: np.isclose(x[2], 1 / m), 2: lambda x: np.isclose(x[0], 0.0)}
+    )
+    V = displacement_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    mu = fem.Constant(mesh, YOUNG / (2 * (1 + POISSON)))
+    lmbda = fem.Constant(mesh, YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON)))
+    strain, test = ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))
+    stress = lmbda * ufl.tr(strain) * ufl.Identity(3) + 2 * mu * strain
+    a = ufl.inner(stress, test) * ufl.dx
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
+    traction = fem.Constant(mesh, TRACTION)
+    cells = np.arange(n**3, dtype=np.int32)
+    top, left = (
+        prepare_forms(V, a, traction * v[2] * ds(tag)).subdomain(cells, 0) for tag in (1, 2)
+    )
+    return {
+        "": replace(top, load=np.zeros(top.size)),
+        "top": top,
+        "left": replace(top, load=left.load),
+        "top left": replace(top, load=top.load + left.load),
+    }
+
+
+def lattice_numbers(points: NDArray[np.int64], body: int, per_metre: int) -> NDArray[np.int64]:
+    """Number the nodes of a beam by their place in its lattice, the upper beam's behind."""
+    edge = per_metre + 1
+    number = (points[:, 0] * edge + points[:, 1]) * edge + points[:, 2]
+    return number + body * (2 * per_metre + 1) * edge**2
+
+
+def two_beams(m: int, n: int, softer: bool) -> TornSystem:
+    """Return the torn system of m subdomains a metre with n^3 elements each."""
+    per_metre = m * n
+    template = cubes(m, n)
+    local = np.rint(template[""].coordinates * per_metre).astype(np.int64)
+    subdomains = []
+    places = itertools.product((LOWER, UPPER), range(2 * m), range(m), range(m))
+    for body, *place in places:
+        loaded = [
+            name
+            for name, there in (("top", place[2] == m - 1), ("left", place[0] == 0))
+            if there and body == UPPER
+        ]
+        part = template[" ".join(loaded)]
+        begin = np.array(place) / m + np.array([FIRST[body][0], 0, FIRST[body][1]])
+        nodes = lattice_numbers(local + n * np.array(place), body, per_metre)
+        subdomains.append(
+            replace(part, coordinates=part.coordinates + begin, nodes=nodes, body=body)
+        )
+    if softer:
+        middle = len(subdomains) // 4
+        soft = subdomains[middle]
+        subdomains[middle] = replace(soft, stiffness=soft.stiffness * 0.5)
+    return TornSystem(
+        subdomains,
+        supports(per_metre),
+        contact(per_metre),
+        3,
+        ["lower beam", "upper beam"],
+        ["contact"],
+    )
+
+
+def face(x: range, y: range, z: range, body: int, per_metre: int) -> NDArray[np.int64]:
+    """Return the nodes of a part of a beam's lattice."""
+    points = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
+    return lattice_numbers(points, body, per_metre)
+
+
+def supports(per_metre: int) -> Prescribed:
+    """Clamp the lower beam at x = 0, guide the upper one at x = 3."""
+    edge, end = range(per_metre + 1), 2 * per_metre
+    clamped = face(range(1), edge, edge, LOWER, per_metre)
+    guided = face(range(end, end + 1), edge, edge, UPPER, per_metre)
+    nodes = np.concatenate([np.repeat(clamped, 3), np.repeat(guided, 2)])
+    components = np.concatenate([np.tile([0, 1, 2], clamped.size), np.tile([0, 1], guided.size)])
+    return Prescribed(nodes, components, np.zeros(nodes.size))
+
+
+def contact(per_metre: int) -> ContactRows:
+    """Pair the bottom of the upper beam with the top of the lower one, 1 <= x <= 2."""
+    edge = range(per_metre + 1)
+    slave = face(edge, edge, range(1), UPPER, per_metre)
+    shifted = range(per_metre, 2 * per_metre + 1)
+    master = face(shifted, edge, range(per_metre, per_metre + 1), LOWER, per_metre)
+    down = np.tile([0.0, 0.0, -1.0], (slave.size, 1))
+    return ContactRows(slave, master, down, np.zeros(slave.size), np.zeros_like(slave))
+
+
+def solve(m: int, n: int, rtol: float, softer: bool) -> dict[str, object]:
+    """Build and solve one size; return a row of the table."""
+    begin = time.perf_counter()
+    system = two_beams(m, n, softer)
+    built = time.perf_counter() - begin
+    report = TornSolver(system, Options(rtol=rtol)).solve().report
+    wall = time.perf_counter() - begin
+    torn = report.unknowns["torn"]
+    return {
+        "m": m,
+        "n": n,
+        "subdomains": report.subdomains,
+        "classes": report.classes,
+        "torn": torn,
+        "dual": report.unknowns["dual"],
+        "F": report.products["total"],
+        "preconditioner": report.products["preconditioner"],
+        "norm": report.products["norm"],
+        "faces": len(report.faces),
+        "outer": report.outer_iterations,
+        "seconds": wall,
+        "bytes": report.peak_memory_bytes,
+        "microseconds an unknown": 1e6 * wall / torn,
+        "bytes an unknown": report.peak_memory_bytes / torn,
+        "force": report.contact_force[0],
+        "certificate": report.certificate.worst,
+        "phases": {"building": built, **report.seconds},
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--subdomains-per-metre", type=int, nargs="+", default=[3, 5, 7, 9])
+    parser.add_argument("--elements-per-subdomain", type=int, default=10, metavar="H/h")
+    parser.add_argument("--rtol", type=float, default=1e-4)
+    parser.add_argument("--softer", action="store_true", help="one subdomain of half the stiffness")
+    parser.add_argument("--json", metavar="FILE")
+    parser.add_argument("--single", action="store_true", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    n = arguments.elements_per_subdomain
+    if arguments.single:
+        (m,) = arguments.subdomains_per_metre
+        print(json.dumps(solve(m, n, arguments.rtol, arguments.softer)))
+        return
+    table = []
+    print(
+        " m subdomains classes torn unknowns      dual    F  M  seconds     MB  us/unknown  B/unk."
+    )
+    for m in arguments.subdomains_per_metre:
+        command = [sys.executable, __file__, "--single", "--subdomains-per-metre", str(m)]
+        command += ["--elements-per-subdomain", str(n), "--rtol", str(arguments.rtol)]
+        command += ["--softer"] if arguments.softer else []
+        answer = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+        row = json.loads(answer.splitlines()[-1])
+        table.append(row)
+        print(
+            f"{m:2} {row['subdomains']:10} {row['classes']:7} {row['torn']:13,} {row['dual']:9,} "
+            f"{row['F']:4} {row['preconditioner']:2} {row['seconds']:8.1f} "
+            f"{row['bytes'] / 1e6:6.0f} {row['microseconds an unknown']:11.1f} "
+            f"{row['bytes an unknown']:7.0f}   force {row['force']:.6e} N, "
+            f"certificate {row['certificate']:.1e}",
+            flush=True,
+        )
+        print("  ", ", ".join(f"{k} {v:.1f}" for k, v in row["phases"].items()), flush=True)
+    if arguments.json:
+        Path(arguments.json).write_text(json.dumps(table, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
