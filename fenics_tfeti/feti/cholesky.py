@@ -71,6 +71,8 @@ def choose_package(package: Package) -> str:
     )
 
 
+# MUMPS' INFOG(1) when it did not initialise
+_NO_COMMUNICATOR = -3
 # right-hand sides that are solved for together
 _COLUMNS = 64
 
@@ -130,6 +132,13 @@ class SparseCholesky:
         self._reject_indefinite(matrix, package)
 
     def _reject_indefinite(self, matrix: sp.csr_matrix, package: str) -> None:
+        if package == "mumps" and self._factor.getMumpsInfog(1) == _NO_COMMUNICATOR:
+            raise FactorizationError(
+                "MUMPS could not start: the MPI library has no communicators left, and each factor "
+                "holds some (MPICH has 2048, enough for about 400 factors a rank). Use fewer "
+                "subdomains (a larger 'subdomain_size'), more ranks, or a PETSc with CHOLMOD; solved "
+                "problems that are not needed any more hold communicators too"
+            )
         # MUMPS factors indefinite matrices, and PETSc passes on no failure of CHOLMOD: try a solve
         probe = np.random.default_rng(0).standard_normal(matrix.shape[0])
         b = matrix @ probe
