@@ -136,8 +136,8 @@ class SparseCholesky:
             raise FactorizationError(
                 "MUMPS could not start: the MPI library has no communicators left, and each factor "
                 "holds some (MPICH has 2048, enough for about 400 factors a rank). Use fewer "
-                "subdomains (a larger 'subdomain_size'), more ranks, or a PETSc with CHOLMOD; solved "
-                "problems that are not needed any more hold communicators too"
+                "subdomains (a larger 'subdomain_size'), more ranks, or a PETSc with CHOLMOD; "
+                "solved problems that are not needed any more hold communicators too"
             )
         # MUMPS factors indefinite matrices, and PETSc passes on no failure of CHOLMOD: try a solve
         probe = np.random.default_rng(0).standard_normal(matrix.shape[0])
