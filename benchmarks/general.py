@@ -43,7 +43,7 @@ from fenics_tfeti.feti.report import Timer, peak_memory
 MESHES = Path(__file__).parents[1] / "meshes"
 CONTACT = ("contact_upper", "contact_lower")
 # at 0.1 million unknowns thresholds 0 to 0.05, 0 to 2 aggressive levels and 1 to 4 smoothing steps
-# were at best 6 % faster; without an aggressive level it takes five times as long
+# were at best 6 % faster; without an aggressive level it takes four to five times as long
 GAMG = {
     "pc_gamg_type": "agg",
     "pc_gamg_agg_nsmooths": 1,
