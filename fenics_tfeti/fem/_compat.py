@@ -7,6 +7,9 @@ for an attribute or an argument, before any communication.
 from __future__ import annotations
 
 import inspect
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -185,7 +188,7 @@ def tags_are_on(tags: Any, domain: mesh.Mesh) -> bool:
 
 
 def partition_graph(offsets: Numbers, neighbours: Numbers, parts: int) -> Numbers:
-    """Partition a graph of this rank alone by SCOTCH.
+    """Partition a graph of this rank alone by SCOTCH, on one thread: always into the same parts.
 
     - 0.5.2 has ``graph.create_adjacencylist``, 0.9 ``graph.adjacencylist``; 0.11 wraps its
       result in a Python class that the partitioner does not take.
@@ -207,7 +210,23 @@ def partition_graph(offsets: Numbers, neighbours: Numbers, parts: int) -> Number
     create = getattr(dolfinx.graph, "adjacencylist", None) or dolfinx.graph.create_adjacencylist
     graph = create(neighbours.astype(np.int64), offsets.astype(np.int32))
     partitioner = dolfinx.graph.partitioner_scotch(seed=0)
-    return np.array(partitioner(MPI.COMM_SELF, parts, cpp_object(graph), False).array)
+    with _one_scotch_thread():
+        return np.array(partitioner(MPI.COMM_SELF, parts, cpp_object(graph), False).array)
+
+
+@contextmanager
+def _one_scotch_thread() -> Iterator[None]:
+    """Keep SCOTCH 7 from sharing work out to threads, whose parts differ from run to run."""
+    name = "SCOTCH_PTHREAD_NUMBER"
+    before = os.environ.get(name)
+    os.environ[name] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
 
 
 # -- forms -------------------------------------------------------------------------------------

@@ -1,0 +1,324 @@
+"""Contact of unstructured tetrahedra against one linear solve of the same mesh, glued.
+
+    python benchmarks/general.py [--elements-per-metre 21 35] [--rtol 1e-4 1e-6] [--ranks 1 2]
+        [--option subdomain_size=6000 ...] [--json out.json]
+
+The two beams of demos/two_beams.py by ContactProblem with its default subdomains, and the same mesh
+with coincident nodes merged (all pairs closed, no contact to find) by dolfinx's assembly and
+PETSc's CG with GAMG. Each solve runs in processes of its own with one thread a rank; seconds are
+from the mesh and the forms to the displacement, after a solve of a small mesh has compiled them.
+
+CG stops at ||b - Ax|| <= rtol ||b||, ContactProblem when all numbers of its certificate are below
+rtol. "residual" is the same for both, measured after the solve: ||b - Ax|| / ||b|| of the assembled
+matrix, supported unknowns and the contact forces left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+from petsc4py import PETSc
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc as fem_petsc
+
+from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti.fem.fields import displacement_space
+from fenics_tfeti.fem.mesh_io import TaggedMesh, read_msh
+from fenics_tfeti.feti.report import Timer, peak_memory
+
+MESHES = Path(__file__).parents[1] / "meshes"
+CONTACT = ("contact_upper", "contact_lower")
+# at 0.1 million unknowns thresholds 0 to 0.05, 0 to 2 aggressive levels and 1 to 4 smoothing steps
+# were at best 6 % faster; without an aggressive level it takes four to five times as long
+GAMG = {
+    "pc_gamg_type": "agg",
+    "pc_gamg_agg_nsmooths": 1,
+    "pc_gamg_threshold": 0.01,
+    "pc_gamg_aggressive_coarsening": 1,
+    "mg_levels_ksp_type": "chebyshev",
+    "mg_levels_ksp_max_it": 2,
+    "mg_levels_pc_type": "jacobi",
+}
+WARM_UP = 4  # elements a metre
+
+
+class Beams:
+    """Forms and supports as in demos/two_beams.py, on the mesh of two bodies or the glued one."""
+
+    def __init__(self, tagged: TaggedMesh) -> None:
+        mesh, facet_tags, tags = tagged.mesh, tagged.facet_tags, tagged.names
+        self.facet_tags, self.tags = facet_tags, tags
+        self.space = displacement_space(mesh)
+        mu, lmbda = (fem.Constant(mesh, 2.1e11 * factor) for factor in (1 / 2.6, 0.3 / 0.52))
+        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
+        strain = ufl.sym(ufl.grad(u))
+        stress = lmbda * ufl.tr(strain) * ufl.Identity(3) + 2 * mu * strain
+        ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
+        traction = fem.Constant(mesh, np.array([0.0, 0.0, -20e6]))
+        self.a = ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx
+        self.L = ufl.inner(traction, v) * ds(tags["loaded"])
+        wanted = [("clamped", 0), ("clamped", 1), ("clamped", 2), ("guided", 0), ("guided", 1)]
+        self.fixed = np.unique(np.concatenate([self.dofs(*where) for where in wanted]))
+        self.bcs = [
+            fem.dirichletbc(0.0, self.dofs(*where), self.space.sub(where[1])) for where in wanted
+        ]
+
+    def dofs(self, surface: str, component: int) -> Any:
+        """Return the degrees of freedom of one component on a surface."""
+        facets = self.facet_tags.find(self.tags[surface])
+        return fem.locate_dofs_topological(self.space.sub(component), 2, facets)
+
+    def load(self) -> PETSc.Vec:
+        """Assemble the load; zero at the supports."""
+        b = fem_petsc.assemble_vector(fem.form(self.L))
+        b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        self.clear(b, self.fixed)
+        return b
+
+    @staticmethod
+    def clear(b: PETSc.Vec, dofs: Any) -> None:
+        """Set components to zero; ghosts among them are their owners' business."""
+        b.array_w[dofs[dofs < b.getLocalSize()]] = 0.0
+
+
+def relative_residual(A: PETSc.Mat, x: PETSc.Vec, b: PETSc.Vec, without: Any) -> float:
+    """Return ||b - Ax|| / ||b||, some components left out."""
+    r = b.duplicate()
+    A.mult(x, r)
+    r.aypx(-1.0, b)
+    Beams.clear(r, without)
+    return float(r.norm() / b.norm())
+
+
+def solve_contact(path: Path, rtol: float, options: dict[str, str]) -> dict[str, Any]:
+    """Solve by ContactProblem; return a row of the table."""
+    beams = Beams(read_msh(path))
+    comm = beams.space.mesh.comm
+    before = peak_memory(comm)
+    begin = _now(comm)
+    upper, lower = (beams.tags[name] for name in CONTACT)
+    problem = ContactProblem(
+        beams.a,
+        beams.L,
+        bcs=beams.bcs,
+        contacts=[ContactPair(beams.facet_tags, slave=upper, master=lower)],
+        options={"rtol": rtol, **options},
+    )
+    uh = problem.solve()
+    seconds, processor = _now(comm) - begin
+    report = problem.report
+    A = fem_petsc.assemble_matrix(fem.form(beams.a), bcs=beams.bcs)
+    A.assemble()
+    x = A.createVecRight()
+    x.array_w[:] = uh.x.array[: x.getLocalSize()]
+    # the normal is along z
+    left_out = np.concatenate([beams.fixed, *(beams.dofs(name, 2) for name in CONTACT)])
+    return {
+        "unknowns": report.unknowns["primal"],
+        "torn": report.unknowns["torn"],
+        "dual": report.unknowns["dual"],
+        "subdomains": report.subdomains,
+        "products": report.products,
+        "seconds": seconds,
+        "processor seconds": processor,
+        "phases": {**report.seconds, "total": seconds},
+        "bytes": report.peak_memory_bytes,
+        "bytes before": before,
+        "residual": relative_residual(A, x, beams.load(), left_out),
+        "certificate": report.to_dict()["certificate"],
+        "force": report.contact_force[0],
+    }
+
+
+def solve_glued(path: Path, rtol: float) -> dict[str, Any]:
+    """Solve the linear problem by CG with GAMG; return a row of the table."""
+    beams = Beams(read_msh(path))
+    comm = beams.space.mesh.comm
+    before = peak_memory(comm)
+    timer, begin = Timer(), _now(comm)
+    with timer.phase("assembly"):
+        A = fem_petsc.assemble_matrix(fem.form(beams.a), bcs=beams.bcs)
+        A.assemble()
+        A.setOption(PETSc.Mat.Option.SPD, True)
+        b = beams.load()
+    with timer.phase("set-up"):
+        nodes = beams.space.tabulate_dof_coordinates()[: b.getLocalSize() // 3]
+        points = b.duplicate()
+        points.setBlockSize(3)
+        points.array_w[:] = nodes.ravel()
+        A.setNearNullSpace(PETSc.NullSpace().createRigidBody(points))
+        ksp = PETSc.KSP().create(comm)
+        ksp.setOperators(A)
+        ksp.setType("cg")
+        ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        ksp.setTolerances(rtol=rtol, atol=0.0, max_it=2000)
+        ksp.getPC().setType("gamg")
+        known = PETSc.Options()
+        for name, value in GAMG.items():
+            if not known.hasName(name):
+                known[name] = value
+        ksp.setFromOptions()
+        ksp.setUp()
+    with timer.phase("solve"):
+        x = b.duplicate()
+        ksp.solve(b, x)
+    seconds, processor = _now(comm) - begin
+    if ksp.getConvergedReason() < 0:
+        raise RuntimeError(f"CG did not converge: {ksp.getConvergedReason()}")
+    return {
+        "unknowns": b.getSize(),
+        "iterations": ksp.getIterationNumber(),
+        "seconds": seconds,
+        "processor seconds": processor,
+        "phases": timer.seconds,
+        "bytes": peak_memory(comm),
+        "bytes before": before,
+        "residual": relative_residual(A, x, b, beams.fixed),
+    }
+
+
+def _now(comm: MPI.Comm) -> np.ndarray:
+    """Return wall time and the busiest rank's processor time, all ranks together."""
+    comm.barrier()
+    return np.array([time.perf_counter(), comm.allreduce(time.process_time(), MPI.MAX)])
+
+
+def make_meshes(n: int, folder: Path) -> dict[str, Path]:
+    """Write the mesh of the two beams, and that with the interface glued."""
+    sys.path.insert(0, str(MESHES))
+    from two_beams import two_beams
+
+    paths = {kind: folder / f"{kind}_{n}.msh" for kind in ("contact", "glued")}
+    if not all(path.exists() for path in paths.values()):
+        two_beams(paths["contact"], "tetrahedron", n)
+        glue(paths["contact"], paths["glued"])
+    return paths
+
+
+def glue(source: Path, target: Path) -> None:
+    """Merge coincident nodes, and forget the surfaces in contact."""
+    import gmsh
+
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.open(str(source))
+        names = {
+            group: gmsh.model.getPhysicalName(*group) for group in gmsh.model.getPhysicalGroups()
+        }
+        kept = [
+            (*group, name, gmsh.model.getEntitiesForPhysicalGroup(*group))
+            for group, name in names.items()
+            if name not in CONTACT
+        ]
+        gmsh.model.removePhysicalGroups()
+        for dim, tag, name, entities in kept:
+            gmsh.model.addPhysicalGroup(dim, entities, tag)
+            gmsh.model.setPhysicalName(dim, tag, name)
+        gmsh.model.mesh.removeDuplicateNodes()
+        gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
+        gmsh.write(str(target))
+    finally:
+        gmsh.finalize()
+
+
+def run(kind: str, path: Path, rtol: float, ranks: int, options: list[str]) -> dict[str, Any]:
+    """Solve in processes of their own."""
+    command = [sys.executable, __file__, "--single", kind, "--mesh", str(path)]
+    command += ["--rtol", str(rtol), *(f"--option={option}" for option in options)]
+    if ranks > 1:
+        command = ["mpirun", "--oversubscribe", "-n", str(ranks), *command]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    for name in ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM"):
+        environment[name] = "1"
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=environment)
+    row: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return {"kind": kind, "rtol": rtol, "ranks": ranks, "options": options, **row}
+
+
+def single(arguments: argparse.Namespace) -> None:
+    """Solve once, in this process, and print a row as JSON."""
+    (rtol,) = arguments.rtol
+    if arguments.single == "contact":
+        options = dict(option.split("=", 1) for option in arguments.option)
+        row = solve_contact(arguments.mesh, rtol, options)
+    else:
+        row = solve_glued(arguments.mesh, rtol)
+    if MPI.COMM_WORLD.rank == 0:
+        print(json.dumps(row))
+
+
+def print_row(row: dict[str, Any], linear: dict[str, Any] | None = None) -> None:
+    """Print a solve in two lines."""
+    if row["kind"] == "contact":
+        products = row["products"]
+        work = f"{row['subdomains']:4} sub. F+M {products['total']}+{products['preconditioner']}"
+    else:
+        work = f"{row['iterations']} iterations"
+    ratio = ""
+    if linear:
+        ratios = (row[name] / linear[name] for name in ("seconds", "processor seconds"))
+        ratio = "  ratios {:.2f} {:.2f}".format(*ratios)
+    print(
+        f"{row['kind']:7} {row['unknowns']:9,} unknowns  {row['ranks']} ranks  rtol {row['rtol']:g}"
+        f"  {work:26} {row['seconds']:7.1f} s "
+        f"{row['processor seconds']:7.1f} processor s {row['bytes'] / 1e6:6.0f} MB "
+        f"{row['bytes'] / row['unknowns']:6.0f} B/unknown  residual {row['residual']:.1e}{ratio}"
+    )
+    print(
+        "   ", ", ".join(f"{name} {time:.2f}" for name, time in row["phases"].items()), flush=True
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--elements-per-metre", type=int, nargs="+", default=[21, 35])
+    parser.add_argument("--rtol", type=float, nargs="+", default=[1e-4, 1e-6])
+    parser.add_argument("--ranks", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--option", action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--only", choices=("contact", "glued"))
+    parser.add_argument("--meshes", type=Path, help="folder to keep the meshes in")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--single", help=argparse.SUPPRESS)
+    parser.add_argument("--mesh", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.single:
+        single(arguments)
+        return
+    rows = []
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = arguments.meshes or Path(temporary)
+        kinds = [arguments.only] if arguments.only else ["glued", "contact"]
+        for kind, path in make_meshes(WARM_UP, folder).items():
+            run(kind, path, 1e-4, 1, [])
+        for n in arguments.elements_per_metre:
+            paths = make_meshes(n, folder)
+            for ranks in arguments.ranks:
+                for rtol in arguments.rtol:
+                    linear = None
+                    for kind in kinds:
+                        options = arguments.option if kind == "contact" else []
+                        row = run(kind, paths[kind], rtol, ranks, options)
+                        print_row(row, linear)
+                        linear = row
+                        rows.append(row)
+                        if arguments.json:
+                            arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
