@@ -284,11 +284,12 @@ class TornSolver:
         if at_rest:
             state = SMALBEState(-self.start, -self.projector.coarse(d))
         promising = self.options.method == "active_set" and norm_b > 0.0 and not at_rest
+        problem = self.dual_problem() if promising else None
         for _ in range(_TIGHTENINGS + 1):
             reason = ""
             with self.timer.phase("iterations"):
-                if promising:
-                    state, promising = self._guess_active_set(state, rtol, norm_b, faces)
+                if problem is not None and promising:
+                    state, promising = self._guess_active_set(problem, state, rtol, norm_b, faces)
                 solved = promising
                 if not solved:
                     result = smalbe(
@@ -385,7 +386,12 @@ class TornSolver:
         )
 
     def _guess_active_set(
-        self, state: SMALBEState, rtol: float, norm_b: float, steps: list[ActiveSetStep]
+        self,
+        problem: DualProblem,
+        state: SMALBEState,
+        rtol: float,
+        norm_b: float,
+        steps: list[ActiveSetStep],
     ) -> tuple[SMALBEState, bool]:
         """Go as far as the primal-dual active set method leads; tell whether it is the solution."""
         multipliers = self.start + state.x
@@ -402,7 +408,7 @@ class TornSolver:
                 )
 
         multipliers, q, solved = primal_dual_active_set(
-            self.dual_problem(),
+            problem,
             multipliers,
             active,
             tolerance=rtol * norm_b * self.norm,
