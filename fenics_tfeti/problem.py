@@ -31,8 +31,8 @@ from fenics_tfeti.fem.contact import (
 from fenics_tfeti.fem.deformed import deformed_contact, geometry_pass
 from fenics_tfeti.fem.displacement import (
     average_of_copies,
-    displacement_space,
     prescribed_values,
+    space_of_forms,
 )
 from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.fem.partition import find_bodies, given_subdomains, split_into_subdomains
@@ -112,7 +112,7 @@ class ContactProblem:
     ) -> None:
         self.options = parse_options({**(options or {}), **_command_line()})
         self._timer = Timer()
-        self.space = displacement_space(a, L)
+        self.space = space_of_forms(a, L)
         self.bcs, self.contacts = list(bcs), list(contacts)
         self._searched: list[Contact] = []
         self._matched: list[MatchedContact] = []

@@ -18,12 +18,12 @@ from fenics_tfeti.feti import Prescribed, Subdomain
 from fenics_tfeti.feti.exchange import together
 from fenics_tfeti.feti.torn_system import SAME_VALUE
 
-__all__ = ["average_of_copies", "displacement_space", "prescribed_values"]
+__all__ = ["average_of_copies", "space_of_forms", "prescribed_values"]
 
 Vector = NDArray[np.float64]
 
 
-def displacement_space(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
+def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
     """Return the space of the forms' arguments, after checking that it is one for displacements.
 
     Parameters
