@@ -45,12 +45,15 @@ class Bodies:
         The tag of each, where cells are tagged; the same on all ranks.
     part : (bodies,) integer array
         The connected part of the mesh, whatever the tags, that each is in; the same on all ranks.
+    graph : (cells, cells) scipy.sparse.csr_matrix
+        The cells that this rank owns, joined through facets, whatever the tags.
     """
 
     of_cell: Numbers
     names: list[str]
     tags: Numbers | None
     part: Numbers
+    graph: sp.csr_matrix
 
 
 def find_bodies(domain: Mesh, cell_tags: Any | None) -> Bodies:
@@ -85,9 +88,8 @@ def find_bodies(domain: Mesh, cell_tags: Any | None) -> Bodies:
     number[order] = np.arange(bodies)
     of_cell = number[unordered]
     tag_of_body = common[order, 0] if tagged else None
-    return Bodies(
-        of_cell, _names(domain, of_cell, bodies, tag_of_body), tag_of_body, common[order, 1]
-    )
+    names = _names(domain, of_cell, bodies, tag_of_body)
+    return Bodies(of_cell, names, tag_of_body, common[order, 1], graph)
 
 
 def split_into_subdomains(
@@ -109,7 +111,7 @@ def split_into_subdomains(
     list of integer arrays
         The cells of each subdomain.
     """
-    graph = _cell_graph(space.mesh)
+    graph = bodies.graph
     dofs = _compat.cell_dofs(space)
     block = space.dofmap.index_map_bs
     _, piece = connected_components(_cut_between(graph, bodies.of_cell), directed=False)
@@ -157,7 +159,7 @@ def given_subdomains(
                 f"'subdomains' has shape {label.shape}, but rank {domain.comm.rank} owns {owned} "
                 "cells: give one label for each cell that the rank owns, ghosts left out"
             )
-    graph = _cell_graph(domain)
+    graph = bodies.graph
     both = np.unique(np.stack([bodies.of_cell, label]), axis=1, return_inverse=True)[1].ravel()
     subdomains = _connected_groups(graph, both, np.arange(owned, dtype=np.int32))
     if len(subdomains) > np.unique(both).size:
@@ -312,9 +314,13 @@ def _names(domain: Mesh, body: Numbers, bodies: int, tags: Numbers | None) -> li
     gdim = domain.geometry.dim
     low = np.full((bodies, gdim), np.inf)
     high = -low
-    x = domain.geometry.x[:, :gdim][_compat.geometry_cells(domain)[: body.size]]
-    np.minimum.at(low, body, x.min(axis=1, initial=np.inf))
-    np.maximum.at(high, body, x.max(axis=1, initial=-np.inf))
+    order = np.argsort(body, kind="stable")
+    here, first = np.unique(body[order], return_index=True)
+    nodes = _compat.geometry_cells(domain)[order]
+    x = domain.geometry.x[nodes.ravel(), :gdim]
+    if here.size:
+        low[here] = np.minimum.reduceat(x, first * nodes.shape[1])
+        high[here] = np.maximum.reduceat(x, first * nodes.shape[1])
     domain.comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)
     domain.comm.Allreduce(MPI.IN_PLACE, high, MPI.MAX)
     names = []

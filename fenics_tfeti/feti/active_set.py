@@ -58,7 +58,7 @@ class DualProblem:
     projector : Projector
         That of all rows.
     norm : float
-        ||PFP||.
+        ||PFP||, roughly: the scale of gaps by forces.
     precondition : callable or None
         x -> B_D S B_D'x.
     """

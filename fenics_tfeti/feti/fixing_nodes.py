@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.feti.rigid_body_modes import rigid_body_modes
 
-__all__ = ["fixing_nodes", "node_graph", "perron_centre", "split_nodes"]
+__all__ = ["fixing_nodes", "node_graph", "perron_centres", "split_nodes"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -35,14 +35,10 @@ def node_graph(stiffness: sp.csr_matrix, gdim: int) -> sp.csr_matrix:
     (nodes, nodes) scipy.sparse.csr_matrix
         Ones, also on the diagonal.
     """
-    coo = stiffness.tocoo()
+    blocks = stiffness.tobsr(blocksize=(gdim, gdim))
+    ones = np.ones(blocks.indices.size)
     nodes = stiffness.shape[0] // gdim
-    graph = sp.csr_matrix(
-        (np.ones(coo.nnz), (coo.row // gdim, coo.col // gdim)), shape=(nodes, nodes)
-    )
-    graph.sum_duplicates()
-    graph.data[:] = 1.0
-    return graph
+    return sp.csr_matrix((ones, blocks.indices, blocks.indptr), shape=(nodes, nodes))
 
 
 def split_nodes(coordinates: Vector, parts: int) -> list[Numbers]:
@@ -73,13 +69,33 @@ def split_nodes(coordinates: Vector, parts: int) -> list[Numbers]:
     return bisect(np.arange(coordinates.shape[0]), min(parts, coordinates.shape[0]))
 
 
-def perron_centre(graph: sp.csr_matrix) -> int:
-    """Return the node of a connected graph where its Perron vector is largest (step 3)."""
-    walks = np.ones(graph.shape[0])
+def perron_centres(graph: sp.csr_matrix, part: Numbers) -> Numbers:
+    """Return the node of each part's graph where its Perron vector is largest (steps 2, 3).
+
+    Parameters
+    ----------
+    graph : (nodes, nodes) scipy.sparse.csr_matrix
+        Adjacency matrix.
+    part : (nodes,) integer array
+        The part of each node; of one that falls into pieces, the largest stands for it.
+
+    Returns
+    -------
+    (parts,) integer array
+        Of equal ones the first.
+    """
+    coo = graph.tocoo()
+    inside = part[coo.row] == part[coo.col]
+    pieces = sp.csr_matrix((coo.data[inside], (coo.row[inside], coo.col[inside])), coo.shape)
+    _, piece = connected_components(pieces, directed=False)
+    size = np.bincount(piece)[piece]
+    # of all pieces at once: walks do not leave them
+    walks = np.ones(part.size)
     for _ in range(_WALK_LENGTH):
-        walks = graph @ walks
-        walks /= walks.max()
-    return int(np.argmax(walks))
+        walks = pieces @ walks
+    order = np.lexsort((-walks, piece, -size, part))
+    centres: Numbers = order[np.unique(part[order], return_index=True)[1]]
+    return centres
 
 
 def fixing_nodes(stiffness: sp.csr_matrix, coordinates: Vector, number: int) -> Numbers:
@@ -101,19 +117,13 @@ def fixing_nodes(stiffness: sp.csr_matrix, coordinates: Vector, number: int) -> 
     """
     graph = node_graph(stiffness, coordinates.shape[1])
     while True:
-        chosen = np.unique([_centre(graph, part) for part in split_nodes(coordinates, number)])
+        parts = split_nodes(coordinates, number)
+        part = np.empty(coordinates.shape[0], dtype=np.int64)
+        part[np.concatenate(parts)] = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
+        chosen = np.sort(perron_centres(graph, part))
         if chosen.size == coordinates.shape[0] or _hold_still(coordinates, chosen):
             return chosen
         number *= 2
-
-
-def _centre(graph: sp.csr_matrix, nodes: Numbers) -> int:
-    subgraph = graph[nodes][:, nodes]
-    count, label = connected_components(subgraph, directed=False)
-    if count > 1:  # step 2: the largest connected piece stands for a part that fell apart
-        piece = np.flatnonzero(label == np.argmax(np.bincount(label)))
-        nodes, subgraph = nodes[piece], subgraph[piece][:, piece]
-    return int(nodes[perron_centre(subgraph)])
 
 
 def _hold_still(coordinates: Vector, chosen: Numbers) -> bool:

@@ -54,7 +54,7 @@ class Options:
     max_outer, max_products : int
         Limits on the outer iterations and on the products with F.
     norm_steps : int
-        Lanczos steps for ||PFP||.
+        Lanczos steps for ||PFP||, by which SMALBE-M is scaled.
     seed : int
         Seed of the start vector of these.
     non_penetration : {"linearised", "exact"}

@@ -38,6 +38,7 @@ from fenics_tfeti.qp import (
     OuterIteration,
     Products,
     SMALBEOptions,
+    SMALBEResult,
     SMALBEState,
     smalbe,
 )
@@ -54,6 +55,8 @@ _TIGHTENING = 0.1
 _TIGHTENINGS = 4
 # what rounding leaves in the certificate of an exact solution
 _ROUNDING = 1e-9
+# Lanczos steps for the scale of gaps by forces, which the active set method needs roughly
+_SCALE_STEPS = 3
 # relative to ||d||: what is rounding in residuals and in contact forces
 _NEGLIGIBLE_LOAD = 1e-13
 
@@ -131,7 +134,6 @@ class TornSolver:
     space: CoarseSpace
     projector: Projector
     F: DualOperator
-    norm: float
     state: SMALBEState | None
     _boundary: Callable[[Vector], Vector] | None
 
@@ -174,12 +176,12 @@ class TornSolver:
                     self.constraints, self.space.boundary, inverses, self.options.dual_operator
                 )
             )
-        with self.timer.phase("norm"):
-            self.norm = same_B.norm if same_B else self._norm()
+        self._norms: dict[int, float] = same_B._norms if same_B else {}
         with self.timer.phase("factorisation"):
             self._boundary = same_B._boundary if same_B else self._boundary_operator()
         self.state = self._first_state(previous)
         self.products = Products()
+        self.norm_products = 0
         self.reused = [
             *(["factors"] if same_K else []),
             *(["coarse problem", "norm"] if same_B else []),
@@ -232,10 +234,28 @@ class TornSolver:
     def _stiffness(self) -> list[sp.csr_matrix]:
         return [self.system.subdomains[congruent.first].stiffness for congruent in self.classes]
 
-    def _norm(self) -> float:
-        return norm_of_projected(
-            self.F, self.projector.complement, self.options.norm_steps, self.options.seed
-        )
+    def norm(self, steps: int) -> float:
+        """Estimate ||PFP|| by that many Lanczos steps, unless at least as many were taken before.
+
+        Parameters
+        ----------
+        steps : int
+            Products with F to spend.
+
+        Returns
+        -------
+        float
+            [m/N].
+        """
+        known = max(self._norms, default=0)
+        if known < steps:
+            known = steps
+            with self.timer.phase("norm"):
+                self._norms[steps] = norm_of_projected(
+                    self.F, self.projector.complement, steps, self.options.seed
+                )
+            self.norm_products += steps
+        return self._norms[known]
 
     def _first_state(self, previous: TornSolver | None) -> SMALBEState | None:
         """Return where the last solve ended, if its multipliers are the same ones."""
@@ -244,14 +264,7 @@ class TornSolver:
         if not self.constraints.same_numbering(previous.constraints):
             return None
         multipliers = previous.start + previous.state.x
-        q = self.projector.coarse(previous.state.q) * (previous.norm / self.norm)
-        return SMALBEState(multipliers - self.start, q)
-
-    def hessian(self, x: Vector) -> tuple[Vector, Vector]:
-        """Return (PFP + rho Q) x with F in units of ||PFP||, and Qx."""
-        Qx = self.projector.coarse(x)
-        y = self.projector.complement(self.F(x - Qx)) / self.norm
-        return y + self.options.rho * Qx, Qx
+        return SMALBEState(multipliers - self.start, self.projector.coarse(previous.state.q))
 
     def solve(self) -> TornSolution:
         """Solve (11.39) by SMALBE-M over MPRGP and recover the displacement (11.29).
@@ -268,18 +281,13 @@ class TornSolver:
         """
         with self.timer.phase("iterations"):
             # d = BK^+(f - B'lambda~) - c: that of (11.39) without a product with F
-            d = self.F.load(self.load - self.F.constraint_forces(self.start)) / self.norm
-            b = self.projector.complement(d)
+            d = self.F.load(self.load - self.F.constraint_forces(self.start))
             space = self.constraints.multipliers.space
             negligible = _NEGLIGIBLE_LOAD * space.norm(d)
-            norm_b = max(space.norm(b), negligible / self.options.rtol)
-        indices = self.constraints.inequality
-        bounds = Bounds(indices, -self.start[indices])
-
-        precondition = self._precondition()
+            norm_b = max(space.norm(self.projector.complement(d)), negligible / self.options.rtol)
         rtol, history, faces = self.options.rtol, list[OuterIteration](), list[ActiveSetStep]()
         # from multipliers that vanish: no contact, no glue; on average cheaper than from lambda~
-        state = self.state or SMALBEState(-self.start, np.zeros_like(b))
+        state = self.state or SMALBEState(-self.start, np.zeros_like(d))
         at_rest = self._at_rest()
         if at_rest:
             state = SMALBEState(-self.start, -self.projector.coarse(d))
@@ -287,25 +295,12 @@ class TornSolver:
         problem = self.dual_problem() if promising else None
         for _ in range(_TIGHTENINGS + 1):
             reason = ""
-            with self.timer.phase("iterations"):
-                if problem is not None and promising:
-                    state, promising = self._guess_active_set(problem, state, rtol, norm_b, faces)
-                solved = promising
-                if not solved:
-                    result = smalbe(
-                        self.hessian,
-                        b,
-                        bounds,
-                        state,
-                        norm_b=norm_b,
-                        options=self._smalbe_options(rtol, len(history)),
-                        space=space,
-                        precondition=precondition,
-                        products=self.products,
-                        monitor=lambda line: self._log(line, len(history)),  # noqa: B023
-                    )
-                    history += result.history
-                    state, solved, reason = result.state, result.converged, result.reason
+            if problem is not None and promising:
+                state, promising = self._guess_active_set(problem, state, rtol, norm_b, faces)
+            solved = promising
+            if not solved:
+                result = self._smalbe(d, state, rtol, norm_b, history)
+                state, solved, reason = result.state, result.converged, result.reason
             with self.timer.phase("recovery"):
                 recovered = self._recover(state, negligible)
             certified = recovered.certificate.worst <= max(self.options.rtol, _ROUNDING)
@@ -335,6 +330,56 @@ class TornSolver:
         )
         return bool(self.comm.allreduce(rest, MPI.LAND))
 
+    def _smalbe(
+        self,
+        d: Vector,
+        state: SMALBEState,
+        rtol: float,
+        norm_b: float,
+        history: list[OuterIteration],
+    ) -> SMALBEResult:
+        """Run SMALBE-M on (11.39) in units of ||PFP||; add its outer iterations to the history."""
+        norm, space = self.norm(self.options.norm_steps), self.constraints.multipliers.space
+        indices, before = self.constraints.inequality, len(history)
+        with self.timer.phase("iterations"):
+            result = smalbe(
+                self.hessian(norm),
+                self.projector.complement(d) / norm,
+                Bounds(indices, -self.start[indices]),
+                replace(state, q=state.q / norm),
+                norm_b=norm_b / norm,
+                options=self._smalbe_options(rtol, before),
+                space=space,
+                precondition=self._precondition(norm),
+                products=self.products,
+                monitor=lambda line: self._log(line, before),
+            )
+        history += result.history
+        return replace(result, state=replace(result.state, q=norm * result.state.q))
+
+    def hessian(self, norm: float) -> Callable[[Vector], tuple[Vector, Vector]]:
+        """Return x -> (PFP + rho Q) x, Qx with F in units of the norm."""
+
+        def apply(x: Vector) -> tuple[Vector, Vector]:
+            Qx = self.projector.coarse(x)
+            y = self.projector.complement(self.F(x - Qx)) / norm
+            return y + self.options.rho * Qx, Qx
+
+        return apply
+
+    def _precondition(self, norm: float) -> Callable[[Vector], Vector] | None:
+        """Return M^{-1} = norm P B S B' P + Q / rho, to go with A = PFP / norm + rho Q."""
+        boundary = self._boundary
+        if boundary is None:
+            return None
+
+        def apply(x: Vector) -> Vector:
+            Qx = self.projector.coarse(x)
+            y = self.projector.complement(boundary(x - Qx))
+            return norm * y + Qx / self.options.rho
+
+        return apply
+
     def _smalbe_options(self, rtol: float, outer_so_far: int) -> SMALBEOptions:
         options = self.options
         inner = MPRGPOptions(
@@ -361,19 +406,6 @@ class TornSolver:
         with together(self.comm):
             return boundary_operator(kind, self.F, self._stiffness(), self.package)
 
-    def _precondition(self) -> Callable[[Vector], Vector] | None:
-        """Return M^{-1} = ||PFP|| P B S B' P + Q / rho, to go with A = PFP / ||PFP|| + rho Q."""
-        boundary = self._boundary
-        if boundary is None:
-            return None
-
-        def apply(x: Vector) -> Vector:
-            Qx = self.projector.coarse(x)
-            y = self.projector.complement(boundary(x - Qx))
-            return self.norm * y + Qx / self.options.rho
-
-        return apply
-
     def dual_problem(self) -> DualProblem:
         """Return (11.35), to solve it in another way."""
         return DualProblem(
@@ -381,7 +413,7 @@ class TornSolver:
             self.F.load(self.load),
             self.space.work(self.load),
             self.projector,
-            self.norm,
+            self.norm(_SCALE_STEPS),
             self._boundary,
         )
 
@@ -407,17 +439,18 @@ class TornSolver:
                     *asdict(step).values(),
                 )
 
-        multipliers, q, solved = primal_dual_active_set(
-            problem,
-            multipliers,
-            active,
-            tolerance=rtol * norm_b * self.norm,
-            norm_b=norm_b * self.norm,
-            max_products=self.options.max_products,
-            products=self.products,
-            monitor=log,
-        )
-        return SMALBEState(multipliers - self.start, q / self.norm), solved
+        with self.timer.phase("iterations"):
+            multipliers, q, solved = primal_dual_active_set(
+                problem,
+                multipliers,
+                active,
+                tolerance=rtol * norm_b,
+                norm_b=norm_b,
+                max_products=self.options.max_products,
+                products=self.products,
+                monitor=log,
+            )
+        return SMALBEState(multipliers - self.start, q), solved
 
     def _recover(self, state: SMALBEState, negligible: float) -> _Recovered:
         multipliers = self.start + state.x
@@ -517,7 +550,7 @@ class TornSolver:
                 "cg": self.products.cg,
                 "expansion": self.products.expansion,
                 "proportioning": self.products.proportioning,
-                "norm": 0 if "norm" in self.reused else self.options.norm_steps,
+                "norm": self.norm_products,
                 "preconditioner": self.products.preconditioner,
             },
             reused=self.reused,

@@ -10,13 +10,13 @@ from mpi4py import MPI
 import numpy as np
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.partition import _cell_graph
+from fenics_tfeti.fem.partition import find_bodies
 from fenics_tfeti.fem.structured import Box, boxes
 
 
 def test_a_graph_is_always_cut_into_the_same_parts():
     mesh = boxes(MPI.COMM_SELF, [Box((0, 0, 0), (1, 1, 1), (24, 24, 24))]).mesh
-    graph = _cell_graph(mesh)
+    graph = find_bodies(mesh, None).graph
     parts = [_compat.partition_graph(graph.indptr, graph.indices, 8) for _ in range(4)]
     assert all(np.array_equal(one, other) for one, other in pairwise(parts))
 

@@ -8,7 +8,7 @@ from torn import cube
 from fenics_tfeti import FactorizationError
 from fenics_tfeti.feti import Subdomain
 from fenics_tfeti.feti.cholesky import available_packages
-from fenics_tfeti.feti.fixing_nodes import fixing_nodes, perron_centre, split_nodes
+from fenics_tfeti.feti.fixing_nodes import fixing_nodes, perron_centres, split_nodes
 from fenics_tfeti.feti.pseudoinverse import Pseudoinverse, regularised_stiffness
 from fenics_tfeti.feti.rigid_body_modes import describe_motion, kernel, rigid_body_modes
 
@@ -98,7 +98,14 @@ def test_split_covers_all_nodes_evenly(parts):
 
 def test_perron_centre_of_a_path_is_its_middle():
     path = sp.diags([np.ones(8), np.ones(9), np.ones(8)], [-1, 0, 1], format="csr")
-    assert perron_centre(path) == 4
+    assert perron_centres(path, np.zeros(9, dtype=int)).tolist() == [4]
+
+
+def test_perron_centre_of_a_part_is_in_its_largest_piece():
+    """Nodes 0 and 4 to 8 are a part that the other cuts in two."""
+    path = sp.diags([np.ones(8), np.ones(9), np.ones(8)], [-1, 0, 1], format="csr")
+    part = np.array([1, 0, 0, 0, 1, 1, 1, 1, 1])
+    assert perron_centres(path, part).tolist() == [2, 6]
 
 
 def test_indefinite_matrix_is_refused():
