@@ -37,6 +37,7 @@ from fenics_tfeti.fem.displacement import (
 from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.fem.partition import find_bodies, given_subdomains, split_into_subdomains
 from fenics_tfeti.fem.subdomain import prepare_forms, same_values
+from fenics_tfeti.fem.surfaces import MeshBoundary
 from fenics_tfeti.feti import (
     GeometryPass,
     Prescribed,
@@ -122,6 +123,8 @@ class ContactProblem:
         with self._timer.phase("partition"):
             bodies = find_bodies(self.space.mesh, cell_tags)
             check_mesh(self.space.mesh, bodies, self.contacts)
+        with self._timer.phase("contact search"):
+            self._boundary = MeshBoundary.of(self.space)
         self._match_contacts()
         with self._timer.phase("compilation"):
             self._forms = prepare_forms(self.space, a, L)
@@ -176,7 +179,7 @@ class ContactProblem:
             known = list(zip(self._searched, self._matched, strict=True))
             if [id(c) for c in self._searched] != [id(c) for c in self.contacts]:
                 self._moved = []
-            self._matched = match_contacts(self.space, self.contacts, known)
+            self._matched = match_contacts(self._boundary, self.contacts, known)
             self._searched = list(self.contacts)
 
     def _assemble(self, known: Sequence[Subdomain] | None = None) -> list[Subdomain]:

@@ -18,6 +18,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact import ContactPair, MatchedContact, RigidObstacle, match_contact
 from fenics_tfeti.fem.deformed import DeformedContact, deformed_contact
 from fenics_tfeti.fem.structured import Box, boxes, tag_facets
+from fenics_tfeti.fem.surfaces import MeshBoundary
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 LOWER, UPPER = 1, 2
@@ -45,7 +46,7 @@ class Blocks:
         return RigidObstacle(self.facet_tags, slave=GROUND, obstacle=surface)
 
     def matched(self, contact: Any) -> MatchedContact:
-        return match_contact(self.space, contact, 0)
+        return match_contact(MeshBoundary.of(self.space), contact, 0)
 
     def displacement(
         self, lower: Motion | None = None, upper: Motion | None = None

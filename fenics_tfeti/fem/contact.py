@@ -12,8 +12,6 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dolfinx.fem import FunctionSpace
-
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.matching import (
@@ -34,6 +32,7 @@ from fenics_tfeti.fem.pairing import (
 from fenics_tfeti.fem.surfaces import (
     GivenNormal,
     MasterNodes,
+    MeshBoundary,
     Surface,
     area_of_facets,
     gather_master,
@@ -167,6 +166,8 @@ class MatchedContact:
         that of facets whose nodes all have partners, where the node has such facets.
     pairing : dict
         The contact's entry of `Report.pairing`.
+    surface : Surface
+        All of the slave's surface.
     """
 
     name: str
@@ -177,6 +178,7 @@ class MatchedContact:
     gap: Vector
     area: Vector
     pairing: dict[str, Any]
+    surface: Surface
 
 
 @dataclass(frozen=True)
@@ -225,7 +227,7 @@ class ContactResult:
 
 
 def match_contacts(
-    space: FunctionSpace,
+    boundary: MeshBoundary,
     contacts: Sequence[Contact],
     known: Sequence[tuple[Contact, MatchedContact]] = (),
 ) -> list[MatchedContact]:
@@ -233,8 +235,8 @@ def match_contacts(
 
     Parameters
     ----------
-    space : FunctionSpace
-        The displacement's space.
+    boundary : MeshBoundary
+        Of the displacement's mesh.
     contacts : sequence of ContactPair or RigidObstacle
         What may touch.
     known : sequence of (contact, match)
@@ -250,29 +252,35 @@ def match_contacts(
     InputError
         As `match_contact`; two contacts of the same surfaces, or of the same node with the same.
     """
-    _check_different_surfaces(contacts, space.mesh.comm)
-    pairs = {id(contact): match for contact, match in known if isinstance(contact, ContactPair)}
+    comm = boundary.space.mesh.comm
+    _check_different_surfaces(contacts, comm)
+    before = {id(contact): match for contact, match in known}
     matched = [
-        pairs[id(contact)] if id(contact) in pairs else match_contact(space, contact, i)
+        match_contact(boundary, contact, i, before.get(id(contact)))
         for i, contact in enumerate(contacts)
     ]
-    _check_different_nodes(contacts, matched, space.mesh.comm)
+    _check_different_nodes(contacts, matched, comm)
     return matched
 
 
-def match_contact(space: FunctionSpace, contact: Contact, number: int) -> MatchedContact:
+def match_contact(
+    boundary: MeshBoundary, contact: Contact, number: int, before: MatchedContact | None = None
+) -> MatchedContact:
     """Find the slave's nodes, normals, partners and gaps.
 
     The master's surface nodes are gathered on all ranks: their number grows with the surface.
 
     Parameters
     ----------
-    space : FunctionSpace
-        The displacement's space.
+    boundary : MeshBoundary
+        Of the displacement's mesh.
     contact : ContactPair or RigidObstacle
         What may touch.
     number : int
         Its number, for a name.
+    before : MatchedContact, optional
+        What was found for it before: pairs are not searched again, of obstacles only the surface is
+        kept.
 
     Returns
     -------
@@ -288,8 +296,8 @@ def match_contact(space: FunctionSpace, contact: Contact, number: int) -> Matche
     kind = "pair" if isinstance(contact, ContactPair) else "obstacle"
     name = contact.name or f"contact {number} ({kind})"
     if isinstance(contact, RigidObstacle):
-        return _match_obstacle(space, name, contact)
-    return _match_pair(space, name, contact)
+        return _match_obstacle(boundary, name, contact, before)
+    return before or _match_pair(boundary, name, contact)
 
 
 def contact_rows(matched: Sequence[MatchedContact], gdim: int) -> ContactRows:
@@ -305,9 +313,15 @@ def contact_rows(matched: Sequence[MatchedContact], gdim: int) -> ContactRows:
     )
 
 
-def _match_obstacle(space: FunctionSpace, name: str, contact: RigidObstacle) -> MatchedContact:
-    comm = space.mesh.comm
-    slave = tagged_surface(space, contact.facet_tags, contact.slave, f"slave of {name}")
+def _match_obstacle(
+    boundary: MeshBoundary, name: str, contact: RigidObstacle, before: MatchedContact | None
+) -> MatchedContact:
+    comm = boundary.space.mesh.comm
+    slave = (
+        before.surface
+        if before
+        else tagged_surface(boundary, contact.facet_tags, contact.slave, f"slave of {name}")
+    )
     gap, outward = gap_and_normal(comm, contact.obstacle, slave.coordinates, slave.normal, name)
     gap = _without_rounding(gap, slave)
     normal = -outward  # u'n <= gap with n pointing into the obstacle
@@ -320,16 +334,18 @@ def _match_obstacle(space: FunctionSpace, name: str, contact: RigidObstacle) -> 
         gap,
         slave.area,
         pairing_entry(comm, name, gap, angles_between(slave.normal, normal), slave.nodes.size),
+        slave,
     )
 
 
-def _match_pair(space: FunctionSpace, name: str, contact: ContactPair) -> MatchedContact:
-    comm = space.mesh.comm
+def _match_pair(boundary: MeshBoundary, name: str, contact: ContactPair) -> MatchedContact:
+    comm = boundary.space.mesh.comm
     with together(comm):
         _check_arguments(contact, name)
     tags = contact.facet_tags
-    slave = tagged_surface(space, tags, contact.slave, f"slave of {name}", contact.normal)
-    master = gather_master(comm, tagged_surface(space, tags, contact.master, f"master of {name}"))
+    slave = tagged_surface(boundary, tags, contact.slave, f"slave of {name}", contact.normal)
+    other = tagged_surface(boundary, tags, contact.master, f"master of {name}")
+    master = gather_master(comm, other)
     shared = _shared_nodes(comm, name, slave, master, contact.partial)
     match = _search(comm, contact, slave, master.without(shared), name)
     match.distance[np.isin(slave.nodes, shared)] = np.inf
@@ -340,8 +356,8 @@ def _match_pair(space: FunctionSpace, name: str, contact: ContactPair) -> Matche
     found = match.distance <= limit
     check_one_to_one(comm, slave, master, match, found, contact.partial, name)
     partner = master.points[match.partner[found]]
-    covered = _facets_with_partners(space, slave, found, partner, name)
-    area = _area_with_partners(space, slave, covered) if contact.partial else slave.area
+    covered = _facets_with_partners(boundary, slave, found, partner, name)
+    area = _area_with_partners(boundary, slave, covered) if contact.partial else slave.area
 
     normal = slave.normal[found]
     gap = _without_rounding(np.sum((partner - slave.points[found]) * normal, axis=1), slave)
@@ -364,6 +380,7 @@ def _match_pair(space: FunctionSpace, name: str, contact: ContactPair) -> Matche
         gap,
         area[found],
         entry,
+        slave,
     )
 
 
@@ -421,22 +438,25 @@ def _shared_nodes(
 
 
 def _facets_with_partners(
-    space: FunctionSpace, slave: Surface, found: NDArray[np.bool_], partner: Vector, name: str
+    boundary: MeshBoundary, slave: Surface, found: NDArray[np.bool_], partner: Vector, name: str
 ) -> NDArray[np.bool_]:
     """Tell which of this rank's facets have partners at all nodes; check that pairs don't cross."""
     images = np.full_like(slave.points, np.nan)
     images[found] = partner
+    space = boundary.space
     images = values_on_facets(space, slave, images)
     normals = values_on_facets(space, slave, slave.normal)
-    corners = space.tabulate_dof_coordinates()[slave.vertices, : slave.points.shape[1]]
+    corners = boundary.coordinates[slave.vertices, : slave.points.shape[1]]
     check_not_crossed(space.mesh.comm, slave, corners, normals, images, name)
     covered: NDArray[np.bool_] = np.isfinite(images).all(axis=(1, 2))
     return covered
 
 
-def _area_with_partners(space: FunctionSpace, slave: Surface, covered: NDArray[np.bool_]) -> Vector:
+def _area_with_partners(
+    boundary: MeshBoundary, slave: Surface, covered: NDArray[np.bool_]
+) -> Vector:
     """Return the area that contact forces of a node stand for, for pressures."""
-    area = area_of_facets(space, slave, covered)
+    area = area_of_facets(boundary, slave, covered)
     return np.where(area > _ROUNDING * slave.area, area, slave.area)
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 import ufl
 from dolfinx import fem
 from dolfinx.fem import FunctionSpace
-from dolfinx.mesh import exterior_facet_indices, meshtags
+from dolfinx.mesh import exterior_facet_indices
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
@@ -25,6 +25,7 @@ __all__ = [
     "FACET_EDGES",
     "GivenNormal",
     "MasterNodes",
+    "MeshBoundary",
     "Surface",
     "area_of_facets",
     "gather_master",
@@ -45,6 +46,56 @@ FACET_EDGES = {
 }
 # a nodal normal whose facets' normals cancel to less than this part of their area
 _VANISHING_NORMAL = 1e-3
+
+
+@dataclass(frozen=True)
+class MeshBoundary:
+    """What all surfaces of a mesh have in common, found once.
+
+    Attributes
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    coordinates : (nodes, 3) array
+        Of this rank's nodes, ghosts last [m].
+    node_of_row : integer array
+        The local node at each row of ``geometry.x``.
+    exterior : bool array
+        Whether each facet of this rank is on the boundary of the mesh; ghosts are not.
+    normal_form : FacetForm
+        The normal times each node's shape function, to be integrated over facets.
+    """
+
+    space: FunctionSpace
+    coordinates: Vector
+    node_of_row: Indices
+    exterior: NDArray[np.bool_]
+    normal_form: _compat.FacetForm
+
+    @staticmethod
+    def of(space: FunctionSpace) -> MeshBoundary:
+        """Look at the boundary of a space's mesh. Collective."""
+        domain, dim = space.mesh, space.mesh.topology.dim
+        domain.topology.create_entities(dim - 1)
+        domain.topology.create_connectivity(dim - 1, dim)
+        facets = domain.topology.index_map(dim - 1)
+        exterior = np.zeros(facets.size_local + facets.num_ghosts, dtype=bool)
+        exterior[exterior_facet_indices(domain.topology)] = True
+        node_of_row = np.full(domain.geometry.x.shape[0], -1, dtype=np.int32)
+        # cell by cell they are the same
+        node_of_row[_compat.geometry_cells(domain)] = _compat.cell_dofs(space)
+        normal = ufl.inner(ufl.FacetNormal(domain), ufl.TestFunction(space))
+        form = _compat.FacetForm(normal, space)
+        coordinates = space.tabulate_dof_coordinates()
+        return MeshBoundary(space, coordinates, node_of_row, exterior, form)
+
+    def weighted_normals(self, facets: Indices) -> Vector:
+        """Integrate the normal times each node's shape function over facets: (nodes, gdim).
+
+        Its length is the area that turns a uniform pressure into the node's force.
+        """
+        values = self.normal_form.assemble(facets)
+        return values.reshape(-1, self.space.dofmap.index_map_bs)
 
 
 @dataclass(frozen=True)
@@ -119,14 +170,14 @@ class MasterNodes:
 
 
 def tagged_surface(
-    space: FunctionSpace, facet_tags: Any, tag: int, what: str, given: GivenNormal = None
+    boundary: MeshBoundary, facet_tags: Any, tag: int, what: str, given: GivenNormal = None
 ) -> Surface:
     """Find the nodes of a tagged surface.
 
     Parameters
     ----------
-    space : FunctionSpace
-        The displacement's space.
+    boundary : MeshBoundary
+        Of the displacement's mesh.
     facet_tags : MeshTags
         Tags of facets.
     tag : int
@@ -146,23 +197,23 @@ def tagged_surface(
     InputError
         Tags of another mesh, on no facet or on interior ones; normals that vanish or point inwards.
     """
+    space = boundary.space
     domain, dim = space.mesh, space.mesh.topology.dim
     with together(domain.comm):
         _check_tags(domain, facet_tags, what)
-    domain.topology.create_connectivity(dim - 1, dim)
     owned = domain.topology.index_map(dim - 1).size_local
     facets = facet_tags.find(tag)
     facets = np.sort(facets[facets < owned])
-    _check_facets(domain, facet_tags, tag, facets, what)
+    _check_facets(boundary, facet_tags, tag, facets, what)
 
     nodes = np.asarray(fem.locate_dofs_topological(space, dim - 1, facets), dtype=np.int32)
     nodes = np.sort(nodes[nodes < space.dofmap.index_map.size_local])
-    coordinates = space.tabulate_dof_coordinates()[nodes]
+    coordinates = boundary.coordinates[nodes]
     extent = domain.comm.allreduce(float(np.abs(coordinates).max(initial=0.0)), MPI.MAX)
-    weighted = _weighted_normals(space, facets)[nodes]
+    weighted = boundary.weighted_normals(facets)[nodes]
     to_global = space.dofmap.index_map.local_to_global
     rows = _facet_rows(domain, facets)
-    vertices = _node_of_row(space)[rows]
+    vertices = boundary.node_of_row[rows]
     global_nodes = np.asarray(to_global(nodes), dtype=np.int64)
     of_vertices = np.asarray(to_global(vertices.ravel()), dtype=np.int64).reshape(vertices.shape)
     size = _smallest_facets(domain, rows, of_vertices, global_nodes)
@@ -204,13 +255,13 @@ def values_on_facets(space: FunctionSpace, surface: Surface, values: Vector) -> 
     return at
 
 
-def area_of_facets(space: FunctionSpace, surface: Surface, chosen: NDArray[np.bool_]) -> Vector:
+def area_of_facets(boundary: MeshBoundary, surface: Surface, chosen: NDArray[np.bool_]) -> Vector:
     """Return the part of each node's area that some of the facets make up.
 
     Parameters
     ----------
-    space : FunctionSpace
-        The displacement's space.
+    boundary : MeshBoundary
+        Of the displacement's mesh.
     surface : Surface
         The surface.
     chosen : (f,) bool array
@@ -221,7 +272,7 @@ def area_of_facets(space: FunctionSpace, surface: Surface, chosen: NDArray[np.bo
     (k,) array
         [m^2 or m].
     """
-    weighted = _weighted_normals(space, surface.facets[chosen])[surface.local]
+    weighted = boundary.weighted_normals(surface.facets[chosen])[surface.local]
     area: Vector = np.sum(weighted * surface.normal, axis=1)
     return area
 
@@ -237,9 +288,11 @@ def _check_tags(domain: Any, facet_tags: Any, what: str) -> None:
         )
 
 
-def _check_facets(domain: Any, facet_tags: Any, tag: int, facets: Indices, what: str) -> None:
-    comm = domain.comm
-    inside = np.setdiff1d(facets, exterior_facet_indices(domain.topology)).size
+def _check_facets(
+    boundary: MeshBoundary, facet_tags: Any, tag: int, facets: Indices, what: str
+) -> None:
+    comm = boundary.space.mesh.comm
+    inside = int(np.count_nonzero(~boundary.exterior[facets]))
     number, interior = comm.allreduce(facets.size), comm.allreduce(inside)
     if number == 0:
         there = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
@@ -249,18 +302,6 @@ def _check_facets(domain: Any, facet_tags: Any, tag: int, facets: Indices, what:
             f"{what}: {interior} of the {number} facets with tag {tag} are inside a body: only "
             "facets on the boundary can touch. Do the bodies share nodes where they should not?"
         )
-
-
-def _weighted_normals(space: FunctionSpace, facets: Indices) -> Vector:
-    """Integrate the normal times each node's shape function over facets: (owned nodes, gdim).
-
-    Its length is the area that turns a uniform pressure into the node's force.
-    """
-    domain = space.mesh
-    ours = meshtags(domain, domain.topology.dim - 1, facets, np.ones(facets.size, dtype=np.int32))
-    ds = ufl.Measure("ds", domain=domain, subdomain_data=ours)
-    weight = ufl.inner(ufl.FacetNormal(domain), ufl.TestFunction(space)) * ds(1)
-    return _compat.assemble_distributed(weight).reshape(-1, space.dofmap.index_map_bs)
 
 
 def _normals(
@@ -305,13 +346,6 @@ def _facet_rows(domain: Any, facets: Indices) -> Indices:
     vertices = {"tetrahedron": 3, "hexahedron": 4}.get(_compat.cell_name(domain), 2)
     rows = _compat.entity_nodes(domain, domain.topology.dim - 1, facets)
     return rows.reshape(facets.size, vertices)
-
-
-def _node_of_row(space: FunctionSpace) -> Indices:
-    """Return the local node at each row of ``geometry.x``: cell by cell they are the same."""
-    node_of_row = np.full(space.mesh.geometry.x.shape[0], -1, dtype=np.int32)
-    node_of_row[_compat.geometry_cells(space.mesh)] = _compat.cell_dofs(space)
-    return node_of_row
 
 
 def _smallest_facets(domain: Any, rows: Indices, vertices: Numbers, nodes: Numbers) -> Vector:

@@ -20,6 +20,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact import match_contact, match_contacts
 from fenics_tfeti.fem.mesh_io import read_msh
 from fenics_tfeti.fem.structured import Box, boxes, tag_facets
+from fenics_tfeti.fem.surfaces import MeshBoundary
 
 CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
 SECOND_SLAVE, SECOND_MASTER = 15, 16
@@ -57,7 +58,7 @@ def ring(outer_radius=2.0, n=8):
 
 def partners(space, contact):
     """Match, and return slave and partner coordinates, by the slave's."""
-    matched = match_contact(space, contact, 0)
+    matched = match_contact(MeshBoundary.of(space), contact, 0)
     gdim = space.mesh.geometry.dim
     order = np.lexsort(np.round(matched.coordinates, 12).T[::-1])
     points = space.tabulate_dof_coordinates()[:, :gdim]
@@ -71,7 +72,7 @@ def ways(V, tags, gap):
     """Return the arguments of all ways to say that partners are `gap` below."""
     up = V.mesh.geometry.dim - 1
     down = np.eye(3)[up] * gap
-    slave = match_contact(V, ContactPair(tags, SLAVE, MASTER), 0).coordinates
+    slave = match_contact(MeshBoundary.of(V), ContactPair(tags, SLAVE, MASTER), 0).coordinates
     gdim = V.mesh.geometry.dim
     return {
         "nearest": {},
@@ -108,7 +109,7 @@ def test_direction_that_is_not_the_nearest():
     np.testing.assert_allclose(partner - x, np.tile([0.125, -0.25], (5, 1)), atol=1e-14)
     np.testing.assert_allclose(matched.gap, 0.25)
     with pytest.raises(InputError, match="5 of 5 slave nodes"):
-        match_contact(V, ContactPair(tags, SLAVE, MASTER), 0)
+        match_contact(MeshBoundary.of(V), ContactPair(tags, SLAVE, MASTER), 0)
 
 
 def radial(x):
@@ -191,7 +192,7 @@ def test_micrometres_give_the_pairs_of_metres(way):
         slave = scene.V.mesh.geometry.x[:, 1] > 1.05 * metre
         bend(scene.V, lambda x, s=slave: s, lambda x, m=metre: x + [0.02 * m, 0, 0])
         wide = ContactPair(scene.facet_tags, SLAVE, MASTER, tolerance=0.09)
-        x = match_contact(scene.V, wide, 0).coordinates
+        x = match_contact(MeshBoundary.of(scene.V), wide, 0).coordinates
         arguments = {
             "nearest": {},
             "direction": {"direction": (0.0, 1.0)},
@@ -200,12 +201,14 @@ def test_micrometres_give_the_pairs_of_metres(way):
             "pairs": {"pairs": (x, x - [0, 0.1 * metre, 0])},
         }[way]
         matched = match_contact(
-            scene.V, ContactPair(scene.facet_tags, SLAVE, MASTER, tolerance=0.09, **arguments), 0
+            MeshBoundary.of(scene.V),
+            ContactPair(scene.facet_tags, SLAVE, MASTER, tolerance=0.09, **arguments),
+            0,
         )
         numbers.append((matched.slave.tolist(), matched.master.tolist()))
         with pytest.raises(InputError, match="5 (of 5 slave nodes|pairs)"):
             match_contact(
-                scene.V,
+                MeshBoundary.of(scene.V),
                 ContactPair(scene.facet_tags, SLAVE, MASTER, tolerance=0.07, **arguments),
                 0,
             )
@@ -221,7 +224,7 @@ def test_tolerance_is_relative_to_the_local_facets():
         return np.stack([places + 0.008 * (x[:, 1] > 1.05), x[:, 1], x[:, 2]], axis=1)
 
     bend(V, lambda x: np.ones(len(x), dtype=bool), grade)
-    matched = match_contact(V, ContactPair(tags, SLAVE, MASTER, partial=True), 0)
+    matched = match_contact(MeshBoundary.of(V), ContactPair(tags, SLAVE, MASTER, partial=True), 0)
     assert sorted(np.round(matched.coordinates[:, 0], 12)) == [0.158, 0.358, 1.008]
     assert matched.pairing["unmatched"] == 2
     assert matched.pairing["largest_relative_distance"] == pytest.approx(0.08)
@@ -239,7 +242,7 @@ def test_meshes_that_correspond_but_are_not_identical():
         ),
     )
     pair = ContactPair(scene.facet_tags, SLAVE, MASTER, tolerance=0.9)
-    assert match_contact(scene.V, pair, 0).pairing["pairs"] == 25
+    assert match_contact(MeshBoundary.of(scene.V), pair, 0).pairing["pairs"] == 25
 
 
 # -- meshes by gmsh --------------------------------------------------------------------------------
@@ -278,8 +281,10 @@ def test_surfaces_that_nobody_meshed_alike():
     """17 slave nodes on 12 master nodes: a partial contact takes those near enough, no others."""
     V, tags = strips((11, 3), (16, 3), gap=0.05)
     with pytest.raises(InputError, match=r"15 of 17 slave nodes have no partner"):
-        match_contact(V, ContactPair(tags, SLAVE, MASTER, tolerance=1e-3), 0)
-    matched = match_contact(V, ContactPair(tags, SLAVE, MASTER, tolerance=0.5, partial=True), 0)
+        match_contact(MeshBoundary.of(V), ContactPair(tags, SLAVE, MASTER, tolerance=1e-3), 0)
+    matched = match_contact(
+        MeshBoundary.of(V), ContactPair(tags, SLAVE, MASTER, tolerance=0.5, partial=True), 0
+    )
     i, j = np.arange(17), np.arange(12)
     misses = np.abs(i[:, None] / 16 - j / 11).min(axis=1) * 16
     assert matched.pairing["pairs"] == np.sum(misses <= 0.5) == 12
@@ -374,7 +379,7 @@ def both(tags):
 @pytest.mark.parametrize("cell", CELLS)
 def test_partial_contact_counts_the_free_nodes(cell):
     _, tags, V = slab_on_two(MPI.COMM_SELF, cell)
-    pairing = [matched.pairing for matched in match_contacts(V, both(tags))]
+    pairing = [matched.pairing for matched in match_contacts(MeshBoundary.of(V), both(tags))]
     rows = 3 if scenes.dimension(cell) == 3 else 1
     assert [entry["pairs"] for entry in pairing] == [5 * rows, 5 * rows]
     assert [entry["unmatched"] for entry in pairing] == [8 * rows, 8 * rows]
@@ -383,14 +388,14 @@ def test_partial_contact_counts_the_free_nodes(cell):
 @pytest.mark.parametrize("cell", CELLS)
 def test_area_of_a_partial_contact_is_that_of_the_master(cell):
     _, tags, V = slab_on_two(MPI.COMM_SELF, cell)
-    for matched in match_contacts(V, both(tags)):
+    for matched in match_contacts(MeshBoundary.of(V), both(tags)):
         assert matched.area.sum() == pytest.approx(1.0, rel=1e-12)
 
 
 def test_nodes_are_errors_where_the_contact_is_not_partial():
     _, tags, V = slab_on_two(MPI.COMM_SELF)
     with pytest.raises(InputError, match=r"8 of 13 slave nodes .*partial=True"):
-        match_contact(V, ContactPair(tags, SLAVE, MASTER), 0)
+        match_contact(MeshBoundary.of(V), ContactPair(tags, SLAVE, MASTER), 0)
 
 
 def test_slab_over_two_bodies():
@@ -464,7 +469,7 @@ def test_shared_nodes_of_a_partial_contact_stay_free():
     np.testing.assert_allclose(partner, x[:, ::-1], atol=1e-14)
     assert matched.pairing["pairs"] == 2 and matched.pairing["unmatched"] == 1
     with pytest.raises(InputError, match=r"share 1 nodes, the first at \(0, 0\).*partial=True"):
-        match_contact(V, ContactPair(tags, SLAVE, MASTER), 0)
+        match_contact(MeshBoundary.of(V), ContactPair(tags, SLAVE, MASTER), 0)
 
 
 # -- normals ---------------------------------------------------------------------------------------
@@ -473,7 +478,7 @@ def test_shared_nodes_of_a_partial_contact_stay_free():
 @pytest.mark.parametrize("given", [(0.0, -3.0), lambda x: -np.array([0 * x[0], 1 + x[0]])])
 def test_normals_are_scaled_to_unit_length(given):
     V, tags = strips()
-    matched = match_contact(V, ContactPair(tags, SLAVE, MASTER, normal=given), 0)
+    matched = match_contact(MeshBoundary.of(V), ContactPair(tags, SLAVE, MASTER, normal=given), 0)
     np.testing.assert_allclose(matched.normal, np.tile([0.0, -1.0], (5, 1)), atol=1e-15)
 
 
@@ -499,7 +504,7 @@ def test_tilted_normal_shortens_the_gap():
     pair = ContactPair(
         tags, SLAVE, MASTER, normal=(0.6, -0.8), mapping=lambda x: x - [[0], [0.1], [0]]
     )
-    np.testing.assert_allclose(match_contact(V, pair, 0).gap, 0.08, rtol=1e-13)
+    np.testing.assert_allclose(match_contact(MeshBoundary.of(V), pair, 0).gap, 0.08, rtol=1e-13)
 
 
 # -- what is reported ------------------------------------------------------------------------------
@@ -510,7 +515,9 @@ def test_pairing_entry():
     V, tags = strips(gap=0.1)
     bend(V, lambda x: x[:, 1] > 1.05, lambda x: x + np.outer(x[:, 0], [0.0, 1.0, 0.0]))
     mapping = {"mapping": lambda x: np.array([x[0] + 0.01, 1 + 0 * x[1], x[2]])}
-    entry = match_contact(V, ContactPair(tags, SLAVE, MASTER, name="a", **mapping), 0).pairing
+    entry = match_contact(
+        MeshBoundary.of(V), ContactPair(tags, SLAVE, MASTER, name="a", **mapping), 0
+    ).pairing
     assert entry == {
         "contact": "a",
         "pairs": 5,
@@ -562,7 +569,7 @@ def test_edge_node_meets_one_surface_from_two_sides():
         ContactPair(tags, SLAVE, MASTER, direction=(0.0, 1.0)),
         ContactPair(tags, SECOND_SLAVE, MASTER, direction=(1.0, 0.0)),
     ]
-    assert [m.pairing["pairs"] for m in match_contacts(V, contacts)] == [5, 3]
+    assert [m.pairing["pairs"] for m in match_contacts(MeshBoundary.of(V), contacts)] == [5, 3]
 
 
 def test_equal_tags_of_different_mesh_tags_are_different_surfaces():
@@ -572,4 +579,4 @@ def test_equal_tags_of_different_mesh_tags_are_different_surfaces():
         ContactPair(tags, SLAVE, MASTER),
         ContactPair(other, SLAVE, MASTER, mapping=lambda x: x + [[1], [0], [0]]),
     ]
-    assert [m.pairing["pairs"] for m in match_contacts(V, contacts)] == [5, 6]
+    assert [m.pairing["pairs"] for m in match_contacts(MeshBoundary.of(V), contacts)] == [5, 6]

@@ -14,13 +14,16 @@ from fenics_tfeti import Cylinder, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import obstacles
 from fenics_tfeti.fem.contact import match_contact
+from fenics_tfeti.fem.surfaces import MeshBoundary
 
 X = np.array([[3.0, 0.0], [4.0, -10.0], [0.0, 0.0]])
 
 
 def matched(obstacle, cell="quadrilateral", gap=0.0):
     scene = pressed_block(MPI.COMM_SELF, cell, 2, gap=gap)
-    return match_contact(scene.V, RigidObstacle(scene.facet_tags, GROUND, obstacle), 0)
+    return match_contact(
+        MeshBoundary.of(scene.V), RigidObstacle(scene.facet_tags, GROUND, obstacle), 0
+    )
 
 
 def test_examples_of_the_docstrings():
@@ -95,7 +98,7 @@ def test_gap_alone_is_along_the_own_normal():
 def test_gap_alone_of_two_nodes_is_not_taken_for_gap_and_normal():
     scene = pressed_block(MPI.COMM_SELF, "quadrilateral", 1)
     contact = RigidObstacle(scene.facet_tags, GROUND, lambda x: [0.25 + 0 * y for y in x[1]])
-    np.testing.assert_allclose(match_contact(scene.V, contact, 0).gap, 0.25)
+    np.testing.assert_allclose(match_contact(MeshBoundary.of(scene.V), contact, 0).gap, 0.25)
 
 
 @pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])

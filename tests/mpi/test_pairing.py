@@ -11,6 +11,7 @@ from scenes import GROUND, MASTER, SLAVE
 
 from fenics_tfeti import ContactPair, RigidObstacle, Sphere
 from fenics_tfeti.fem.contact import match_contact
+from fenics_tfeti.fem.surfaces import MeshBoundary
 from fenics_tfeti.feti.exchange import concatenate_ranks
 
 comm = MPI.COMM_WORLD
@@ -32,7 +33,9 @@ ARGUMENTS = {
 def gathered(on, arguments):
     """Match; return the pairs by the slave's coordinates, and the entry of the pairing table."""
     scene = scenes.two_beams(on, "hexahedron", 4, gap=0.1)
-    matched = match_contact(scene.V, ContactPair(scene.facet_tags, SLAVE, MASTER, **arguments), 0)
+    matched = match_contact(
+        MeshBoundary.of(scene.V), ContactPair(scene.facet_tags, SLAVE, MASTER, **arguments), 0
+    )
     points = scene.V.tabulate_dof_coordinates()
     own = scene.V.dofmap.index_map.size_local
     node = concatenate_ranks(
@@ -74,7 +77,9 @@ def test_pairing_of_an_obstacle():
     def entry(on):
         scene = scenes.block_on_ball(on, "tetrahedron", 3)
         ball = Sphere((0.4, 0.5, -10.0), 10.0)
-        return match_contact(scene.V, RigidObstacle(scene.facet_tags, GROUND, ball), 0).pairing
+        return match_contact(
+            MeshBoundary.of(scene.V), RigidObstacle(scene.facet_tags, GROUND, ball), 0
+        ).pairing
 
     assert rounded(entry(comm)) == rounded(entry(MPI.COMM_SELF))
 
@@ -84,7 +89,7 @@ def test_pairs_that_differ_between_ranks_are_refused():
     pairs = (X, X - 0.1 * UP - 1e-9 * comm.rank)
     pair = ContactPair(scene.facet_tags, SLAVE, MASTER, pairs=pairs)
     if comm.size == 1:
-        assert match_contact(scene.V, pair, 0).pairing["pairs"] == 25
+        assert match_contact(MeshBoundary.of(scene.V), pair, 0).pairing["pairs"] == 25
         return
     with pytest.raises(ValueError, match="pairs differ between ranks"):
-        match_contact(scene.V, pair, 0)
+        match_contact(MeshBoundary.of(scene.V), pair, 0)
