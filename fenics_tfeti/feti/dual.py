@@ -83,14 +83,16 @@ class DualOperator:
 
     def __call__(self, multipliers: Vector) -> Vector:
         """Return F lambda: one solve or product for each class, one neighbour exchange."""
-        B = self.boundary.matrix
-        jumps = B @ self.boundary.apply(self.on_boundary, B.T @ multipliers)
+        boundary = self.boundary
+        jumps = boundary.matrix @ boundary.apply(
+            self.on_boundary, boundary.transposed @ multipliers
+        )
         return self.constraints.multipliers.sum(jumps)
 
     def constraint_forces(self, multipliers: Vector) -> Vector:
         """Return B'lambda on this rank's torn unknowns."""
         forces = np.zeros(self.constraints.matrix.shape[1])
-        forces[self.boundary.columns] = self.boundary.matrix.T @ multipliers
+        forces[self.boundary.columns] = self.boundary.transposed @ multipliers
         return forces
 
     def jumps(self, displacement: Vector) -> Vector:
