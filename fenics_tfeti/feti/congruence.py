@@ -7,7 +7,8 @@ unknowns, or of the packed boundary ones, is a matrix with a row for each subdom
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,6 +20,7 @@ __all__ = ["Boundary", "Congruent", "apply_by_class", "find_congruent", "times_r
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
+Real = TypeVar("Real", np.float32, np.float64)
 
 # relative to the largest entry or to the size: what assembly at another place may change
 _SAME = 1e-12
@@ -192,7 +194,15 @@ class Boundary:
         )
         return Boundary(classes, unknowns, columns, packed, packed.T.tocsr())
 
-    def blocks(self, packed: Vector) -> list[Vector]:
+    def in_single_precision(self) -> Boundary:
+        """Return the same with float32 entries of B; the patterns are shared."""
+        matrix, transposed = (
+            sp.csr_matrix((B.data.astype(np.float32), B.indices, B.indptr), shape=B.shape)
+            for B in (self.matrix, self.transposed)
+        )
+        return replace(self, matrix=matrix, transposed=transposed)
+
+    def blocks(self, packed: NDArray[Real]) -> list[NDArray[Real]]:
         """Return a packed vector as matrices (k, boundary unknowns), one for each class."""
         sizes = [c.members.size * u.size for c, u in zip(self.classes, self.unknowns, strict=True)]
         parts = np.split(packed, np.cumsum(sizes)[:-1]) if sizes else []
@@ -201,14 +211,17 @@ class Boundary:
             for part, c, u in zip(parts, self.classes, self.unknowns, strict=True)
         ]
 
-    def apply(self, operators: Sequence[Callable[[Vector], Vector]], packed: Vector) -> Vector:
+    def apply(
+        self, operators: Sequence[Callable[[NDArray[Real]], NDArray[Real]]], packed: NDArray[Real]
+    ) -> NDArray[Real]:
         """Apply an operator (k, b) -> (k, b) to each class' block of a packed vector."""
         return self.pack(
             [op(block) for op, block in zip(operators, self.blocks(packed), strict=True)]
         )
 
-    def pack(self, blocks: Sequence[Vector]) -> Vector:
+    def pack(self, blocks: Sequence[NDArray[Real]]) -> NDArray[Real]:
         """Return the matrices (k, boundary unknowns) of the classes as a packed vector."""
         if len(blocks) == 1:
             return blocks[0].ravel()
-        return np.concatenate([np.zeros(0), *(block.ravel() for block in blocks)])
+        none = np.zeros(0, dtype=self.matrix.dtype)
+        return np.concatenate([none, *(block.ravel() for block in blocks)])

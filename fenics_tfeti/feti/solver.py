@@ -171,7 +171,11 @@ class TornSolver:
                 replace(same_B.F, constraints=self.constraints)
                 if same_B
                 else DualOperator.build(
-                    self.constraints, self.space.boundary, inverses, self.options.dual_operator
+                    self.constraints,
+                    self.space.boundary,
+                    inverses,
+                    self.options.dual_operator,
+                    self.options.operator_precision,
                 )
             )
         with self.timer.phase("norm"):
@@ -383,6 +387,7 @@ class TornSolver:
             self.projector,
             self.norm,
             self._boundary,
+            self.F.rough if self.F.single else None,
         )
 
     def _guess_active_set(
@@ -511,12 +516,14 @@ class TornSolver:
             },
             subdomains=comm.allreduce(len(system.subdomains)),
             classes=comm.allreduce(len(self.classes)),
+            dual_operator=self._dual_operator(),
             outer_iterations=len(history),
             products={
                 "total": self.products.total,
                 "cg": self.products.cg,
                 "expansion": self.products.expansion,
                 "proportioning": self.products.proportioning,
+                "replacement": self.products.replacement,
                 "norm": 0 if "norm" in self.reused else self.options.norm_steps,
                 "preconditioner": self.products.preconditioner,
             },
@@ -535,6 +542,15 @@ class TornSolver:
             history=history,
             faces=faces,
         )
+
+    def _dual_operator(self) -> dict[str, int]:
+        """Count the classes by what their part of F is."""
+        explicit = self.comm.allreduce(self.F.explicit)
+        return {
+            "implicit": self.comm.allreduce(len(self.classes)) - explicit,
+            "explicit": 0 if self.F.single else explicit,
+            "single": explicit if self.F.single else 0,
+        }
 
     def _primal_unknowns(self) -> int:
         """Count the unknowns of the glued problem: each node once."""
