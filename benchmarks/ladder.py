@@ -1,6 +1,7 @@
 """The ladder of sec. 11.11.1 up to its largest problem: two beams of congruent cubes.
 
     python benchmarks/ladder.py [--subdomains-per-metre 3 5 7 9] [--elements-per-subdomain 10]
+                                [--precision single]
 
 The whole is never meshed. One cube is assembled by dolfinx, with the loads of a cube at the top and
 at the left face; the others are told apart by their place in the lattice. That they are congruent
@@ -131,12 +132,12 @@ def contact(per_metre: int) -> ContactRows:
     return ContactRows(slave, master, down, np.zeros(slave.size), np.zeros_like(slave))
 
 
-def solve(m: int, n: int, rtol: float, softer: bool) -> dict[str, object]:
+def solve(m: int, n: int, options: Options, softer: bool) -> dict[str, object]:
     """Build and solve one size; return a row of the table."""
     begin = time.perf_counter()
     system = two_beams(m, n, softer)
     built = time.perf_counter() - begin
-    report = TornSolver(system, Options(rtol=rtol)).solve().report
+    report = TornSolver(system, options).solve().report
     wall = time.perf_counter() - begin
     torn = report.unknowns["torn"]
     return {
@@ -147,6 +148,7 @@ def solve(m: int, n: int, rtol: float, softer: bool) -> dict[str, object]:
         "torn": torn,
         "dual": report.unknowns["dual"],
         "F": report.products["total"],
+        "replacement": report.products["replacement"],
         "preconditioner": report.products["preconditioner"],
         "norm": report.products["norm"],
         "faces": len(report.faces),
@@ -166,6 +168,7 @@ def main() -> None:
     parser.add_argument("--subdomains-per-metre", type=int, nargs="+", default=[3, 5, 7, 9])
     parser.add_argument("--elements-per-subdomain", type=int, default=10, metavar="H/h")
     parser.add_argument("--rtol", type=float, default=1e-4)
+    parser.add_argument("--precision", choices=("double", "single"), default="double")
     parser.add_argument("--softer", action="store_true", help="one subdomain of half the stiffness")
     parser.add_argument("--json", metavar="FILE")
     parser.add_argument("--single", action="store_true", help=argparse.SUPPRESS)
@@ -173,7 +176,8 @@ def main() -> None:
     n = arguments.elements_per_subdomain
     if arguments.single:
         (m,) = arguments.subdomains_per_metre
-        print(json.dumps(solve(m, n, arguments.rtol, arguments.softer)))
+        options = Options(rtol=arguments.rtol, operator_precision=arguments.precision)
+        print(json.dumps(solve(m, n, options, arguments.softer)))
         return
     table = []
     print(
@@ -182,6 +186,7 @@ def main() -> None:
     for m in arguments.subdomains_per_metre:
         command = [sys.executable, __file__, "--single", "--subdomains-per-metre", str(m)]
         command += ["--elements-per-subdomain", str(n), "--rtol", str(arguments.rtol)]
+        command += ["--precision", arguments.precision]
         command += ["--softer"] if arguments.softer else []
         answer = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
         row = json.loads(answer.splitlines()[-1])

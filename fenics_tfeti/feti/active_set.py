@@ -35,6 +35,11 @@ _LOOK = 0.5
 # the violation of signs has to fall by this factor, or else so many faces may follow without
 _PROGRESS = 0.7
 _PATIENCE = 8
+# unit of rounding of the products in single precision, and how small the residual may get
+# relative to what they leave in it before it is replaced (van der Vorst and Ye, SIAM J. Sci.
+# Comput. 22 (2000) 835-852)
+_SINGLE = 2.0**-24
+_TRUSTED = 100.0
 # relative to ||e||: work on motions that a face leaves free that counts as none
 _NO_WORK = 1e-9
 # relative to the motion: a row that does not close
@@ -61,6 +66,8 @@ class DualProblem:
         ||PFP||, roughly: the scale of gaps by forces.
     precondition : callable or None
         x -> B_D S B_D'x.
+    rough : callable or None
+        F in single precision, where conjugate gradients are to use that.
     """
 
     F: Callable[[Vector], Vector]
@@ -69,6 +76,7 @@ class DualProblem:
     projector: Projector
     norm: float
     precondition: Callable[[Vector], Vector] | None
+    rough: Callable[[Vector], Vector] | None = None
 
     @property
     def space(self) -> CoarseSpace:
@@ -118,6 +126,8 @@ class FaceSolution:
         Norm of what the signs of forces and gaps violate, in units of the residual.
     step_length : float
         A typical step length of the conjugate gradients.
+    drift : float
+        Bound of what products in single precision have left in Fl.
     """
 
     multipliers: Vector
@@ -127,6 +137,7 @@ class FaceSolution:
     residual: float
     violation: float
     step_length: float
+    drift: float
 
 
 def primal_dual_active_set(
@@ -258,6 +269,10 @@ def solve_on_face(
     second one: more accuracy would be spent on the wrong rows. The signs are looked at whenever the
     residual has halved.
 
+    With F in single precision, Fl is a sum of products with the changes of l. Before the residual
+    is as small as what rounding has left in the sum, Fl and the residual are computed anew in
+    double: small residuals belong to small changes, and the accuracy is that of double.
+
     Parameters
     ----------
     face : Projector
@@ -289,7 +304,7 @@ def solve_on_face(
 
     def product(x: Vector) -> Vector:
         products.cg += 1
-        return problem.F(x)
+        return problem.F(x) if problem.rough is None else problem.rough(x)
 
     lengths: list[float] = []
     if isinstance(start, FaceSolution):
@@ -299,15 +314,26 @@ def solve_on_face(
         l = _nearest_on(face, problem, start.multipliers) + start.step_length * step
     else:
         l = _nearest_on(face, problem, start)
-    Fl = product(l)
+    if problem.rough is not None and isinstance(start, FaceSolution):
+        change = product(l - start.multipliers)
+        Fl, drift = start.Fl + change, start.drift + _SINGLE * inner.norm(change)
+    else:
+        Fl = product(l)
+        drift = 0.0 if problem.rough is None else _SINGLE * inner.norm(Fl)
     r = project(problem.d - Fl)
     p = np.zeros_like(r)
     rz = 1.0
     residual = inner.norm(r)
     wanted = max(tolerance, _LOOK * residual)
     while True:
+        drifted = max(residual, tolerance) < _TRUSTED * drift
+        if drifted and products.total < max_products:
+            products.replacement += 1
+            Fl, drift = problem.F(l), 0.0
+            r = project(problem.d - Fl)
+            residual = inner.norm(r)
         if residual <= wanted or products.total >= max_products:
-            solution = _examine(face, active, problem, l, Fl, residual, lengths)
+            solution = _examine(face, active, problem, l, Fl, residual, lengths, drift)
             enough = max(accuracy * solution.violation, tolerance)
             if residual <= enough or products.total >= max_products:
                 return solution
@@ -316,11 +342,13 @@ def solve_on_face(
         before, rz = rz, inner.dots((r, z))[0]
         p = z + rz / before * p
         Fp = product(p)
-        curvature = inner.dots((p, Fp))[0]
+        curvature, Fp_Fp = inner.dots((p, Fp), (Fp, Fp))
         if curvature <= 0.0:
-            return _examine(face, active, problem, l, Fl, residual, lengths)
+            return _examine(face, active, problem, l, Fl, residual, lengths, drift)
         lengths.append(rz / curvature)
         l, Fl = l + lengths[-1] * p, Fl + lengths[-1] * Fp
+        if problem.rough is not None:
+            drift += _SINGLE * lengths[-1] * float(np.sqrt(Fp_Fp))
         r = r - lengths[-1] * project(Fp)
         residual = inner.norm(r)
 
@@ -341,6 +369,7 @@ def _examine(
     Fl: Vector,
     residual: float,
     lengths: list[float],
+    drift: float,
 ) -> FaceSolution:
     """Return the gradient with the rigid motions of the face, and how far signs are violated."""
     space = problem.space
@@ -359,6 +388,7 @@ def _examine(
         residual,
         space.constraints.multipliers.space.norm(np.minimum(wrong, 0.0)),
         float(np.median(lengths)) if lengths else 0.0,
+        drift,
     )
 
 

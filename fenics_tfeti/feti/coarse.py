@@ -146,7 +146,7 @@ class CoarseSpace:
 
     def restrict(self, x: Vector) -> Vector:
         """Return Gx for the coarse unknowns of all ranks; one gathering reduction."""
-        packed = self.boundary.blocks(self.boundary.matrix.T @ x)
+        packed = self.boundary.blocks(self.boundary.transposed @ x)
         part = np.empty(int(self.ends[-1]))
         for congruent, local, rows in zip(
             self.boundary.classes, self.boundary.unknowns, packed, strict=True
@@ -158,10 +158,10 @@ class CoarseSpace:
         """Return G'a for a coarse vector of all ranks; one neighbour exchange."""
         own = self.own_part(coarse)
         blocks = [
-            (own[self._places(congruent)] @ self.kernels[congruent.first][local].T).ravel()
+            own[self._places(congruent)] @ self.kernels[congruent.first][local].T
             for congruent, local in zip(self.boundary.classes, self.boundary.unknowns, strict=True)
         ]
-        part = self.boundary.matrix @ np.concatenate([np.zeros(0), *blocks])
+        part = self.boundary.matrix @ self.boundary.pack(blocks)
         return self.constraints.multipliers.sum(part)
 
     def work(self, forces: Vector) -> Vector:

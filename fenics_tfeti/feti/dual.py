@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
+
+from mpi4py import MPI
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +17,20 @@ from fenics_tfeti.feti.constraints import Constraints
 from fenics_tfeti.feti.pseudoinverse import Pseudoinverse
 from fenics_tfeti.qp import lanczos_upper_bound
 
-__all__ = ["DualOperator", "DualOperatorKind", "norm_of_projected", "seeded_vector"]
+__all__ = [
+    "DualOperator",
+    "DualOperatorKind",
+    "OperatorPrecision",
+    "SinglePrecision",
+    "norm_of_projected",
+    "seeded_vector",
+]
 
 Vector = NDArray[np.float64]
+Single = NDArray[np.float32]
+Array = NDArray[Any]
 DualOperatorKind = Literal["auto", "implicit", "explicit"]
+OperatorPrecision = Literal["double", "single"]
 
 # right-hand sides at once for the explicit matrix
 _COLUMNS = 512
@@ -27,6 +39,22 @@ _SHARING_OF_SOLVES = 3
 _SHARING_OF_PRODUCTS = 8
 # products of a typical solve
 _PRODUCTS = 50
+
+
+@dataclass(frozen=True)
+class SinglePrecision:
+    """What a product with F in single precision needs.
+
+    Attributes
+    ----------
+    boundary : Boundary
+        B in float32.
+    on_boundary : sequence of callable
+        The part of K_i^+ between boundary unknowns of each class, (k, b) -> (k, b) in float32.
+    """
+
+    boundary: Boundary
+    on_boundary: Sequence[Callable[[Single], Single]]
 
 
 @dataclass(frozen=True)
@@ -43,12 +71,18 @@ class DualOperator:
         K_i^+ of each class.
     on_boundary : sequence of callable
         The part of K_i^+ between boundary unknowns of each class, (k, b) -> (k, b).
+    explicit : int
+        Classes with a dense matrix.
+    single : SinglePrecision or None
+        For `rough`; None on all ranks if no rank has a dense matrix in single precision.
     """
 
     constraints: Constraints
     boundary: Boundary
     inverses: Sequence[Pseudoinverse]
     on_boundary: Sequence[Callable[[Vector], Vector]]
+    explicit: int
+    single: SinglePrecision | None = None
 
     @staticmethod
     def build(
@@ -56,8 +90,9 @@ class DualOperator:
         boundary: Boundary,
         inverses: Sequence[Pseudoinverse],
         kind: DualOperatorKind = "auto",
+        precision: OperatorPrecision = "double",
     ) -> DualOperator:
-        """Make the operator, with explicit matrices or solves as asked for.
+        """Make the operator, with explicit matrices or solves as asked for; one small reduction.
 
         Parameters
         ----------
@@ -69,28 +104,63 @@ class DualOperator:
             K_i^+ of each class.
         kind : {"auto", "implicit", "explicit"}
             Sparse solves, or a dense matrix for each class; auto counts bytes.
+        precision : {"double", "single"}
+            Of the dense matrices. Where they are single, products in double are solves.
         """
-        on_boundary = [
-            _explicit(inverse, local)
-            if kind == "explicit"
-            or (kind == "auto" and _explicit_pays(inverse, local.size, congruent.members.size))
-            else _implicit(inverse, local, congruent.size)
-            for inverse, local, congruent in zip(
-                inverses, boundary.unknowns, boundary.classes, strict=True
+        dtype = np.float32 if precision == "single" else np.float64
+        implicit, matrices = [], []
+        for inverse, local, congruent in zip(
+            inverses, boundary.unknowns, boundary.classes, strict=True
+        ):
+            pays = kind == "auto" and _explicit_pays(
+                inverse, local.size, congruent.members.size, np.dtype(dtype).itemsize
             )
-        ]
-        return DualOperator(constraints, boundary, inverses, on_boundary)
+            dense = kind == "explicit" or pays
+            implicit.append(_implicit(inverse, local, congruent.size))
+            matrices.append(_boundary_inverse(inverse, local, dtype) if dense else None)
+        explicit = sum(matrix is not None for matrix in matrices)
+        comm = constraints.multipliers.comm
+        single = precision == "single" and bool(comm.allreduce(explicit > 0, MPI.LOR))
+        pairs = list(zip(implicit, matrices, strict=True))
+        return DualOperator(
+            constraints,
+            boundary,
+            inverses,
+            implicit if single else [f if A is None else _times(A) for f, A in pairs],
+            explicit,
+            SinglePrecision(
+                boundary.in_single_precision(),
+                [_rounded(f) if A is None else _times(A) for f, A in pairs],
+            )
+            if single
+            else None,
+        )
 
     def __call__(self, multipliers: Vector) -> Vector:
         """Return F lambda: one solve or product for each class, one neighbour exchange."""
-        B = self.boundary.matrix
-        jumps = B @ self.boundary.apply(self.on_boundary, B.T @ multipliers)
+        boundary = self.boundary
+        jumps = boundary.matrix @ boundary.apply(
+            self.on_boundary, boundary.transposed @ multipliers
+        )
         return self.constraints.multipliers.sum(jumps)
+
+    def rough(self, multipliers: Vector) -> Vector:
+        """Return F lambda with the operators in single precision, if there are any.
+
+        The relative error is some units of rounding of float32. One neighbour exchange, in double.
+        """
+        if self.single is None:
+            return self(multipliers)
+        boundary = self.single.boundary
+        jumps = boundary.matrix @ boundary.apply(
+            self.single.on_boundary, boundary.transposed @ multipliers.astype(np.float32)
+        )
+        return self.constraints.multipliers.sum(jumps.astype(np.float64))
 
     def constraint_forces(self, multipliers: Vector) -> Vector:
         """Return B'lambda on this rank's torn unknowns."""
         forces = np.zeros(self.constraints.matrix.shape[1])
-        forces[self.boundary.columns] = self.boundary.matrix.T @ multipliers
+        forces[self.boundary.columns] = self.boundary.transposed @ multipliers
         return forces
 
     def jumps(self, displacement: Vector) -> Vector:
@@ -130,25 +200,36 @@ def _implicit(
     return solve
 
 
-def _explicit(inverse: Pseudoinverse, local: NDArray[np.int64]) -> Callable[[Vector], Vector]:
-    columns = np.empty((local.size, local.size))
+def _rounded(operator: Callable[[Vector], Vector]) -> Callable[[Single], Single]:
+    return lambda rows: operator(rows.astype(np.float64)).astype(np.float32)
+
+
+def _times(matrix: Array) -> Callable[[Array], Array]:
+    # symmetric but for rounding
+    return lambda rows: rows @ matrix
+
+
+def _boundary_inverse(
+    inverse: Pseudoinverse, local: NDArray[np.int64], dtype: type[np.float64 | np.float32]
+) -> Array:
+    """Return the part of K^+ between boundary unknowns."""
+    columns = np.empty((local.size, local.size), dtype)
     for start in range(0, local.size, _COLUMNS):
         some = local[start : start + _COLUMNS]
         unit = np.zeros((inverse.size, some.size), order="F")
         unit[some, np.arange(some.size)] = 1.0
         columns[:, start : start + some.size] = inverse.solve(unit)[local]
-    # symmetric but for rounding
-    return lambda rows: rows @ columns
+    return columns
 
 
-def _explicit_pays(inverse: Pseudoinverse, boundary: int, members: int) -> bool:
+def _explicit_pays(inverse: Pseudoinverse, boundary: int, members: int, entry: int) -> bool:
     """Count the bytes that all products of a solve move, with solves and with a dense matrix.
 
     A solve reads the factor (value and index) twice, but several right-hand sides share that; so
-    they do with a dense matrix, which also has to be computed first.
+    they do with a dense matrix (`entry` bytes each), which also has to be computed first.
     """
     solve = 24.0 * inverse.entries / min(members, _SHARING_OF_SOLVES)
-    product = 8.0 * boundary**2 / min(members, _SHARING_OF_PRODUCTS)
+    product = entry * boundary**2 / min(members, _SHARING_OF_PRODUCTS)
     set_up = boundary * 24.0 * inverse.entries / _SHARING_OF_SOLVES
     return set_up + _PRODUCTS * members * product < _PRODUCTS * members * solve
 
@@ -175,7 +256,7 @@ def norm_of_projected(
     Parameters
     ----------
     F : DualOperator
-        The operator.
+        The operator; in single precision where it has that, far within the bound's margin.
     complement : callable
         The projector P.
     steps : int
@@ -190,7 +271,7 @@ def norm_of_projected(
     """
     multipliers = F.constraints.multipliers
     return lanczos_upper_bound(
-        lambda x: complement(F(x)),
+        lambda x: complement(F.rough(x)),
         complement(seeded_vector(multipliers.numbers, seed)),
         steps,
         multipliers.space,

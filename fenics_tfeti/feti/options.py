@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.cholesky import Package
-from fenics_tfeti.feti.dual import DualOperatorKind
+from fenics_tfeti.feti.dual import DualOperatorKind, OperatorPrecision
 from fenics_tfeti.feti.pseudoinverse import GeneralisedInverse
 from fenics_tfeti.feti.scaling import Scaling
 from fenics_tfeti.qp.mprgp import Expansion
@@ -37,6 +37,9 @@ class Options:
     dual_operator : {"auto", "implicit", "explicit"}
         F by sparse solves, or by a dense matrix between the boundary unknowns of each class of
         congruent subdomains; auto counts the bytes that either moves.
+    operator_precision : {"double", "single"}
+        Of these matrices. In single, products of the active set method and for the norm take half
+        the time; residuals are replaced by ones with F in double, so results are as accurate.
     method : {"active_set", "smalbe"}
         SMALBE-M over MPRGP alone, or started from where a primal-dual active set method leads.
     preconditioner : {"none", "lumped", "dirichlet"}
@@ -75,6 +78,7 @@ class Options:
     fixing_nodes: int = 8
     factor: Package = "auto"
     dual_operator: DualOperatorKind = "auto"
+    operator_precision: OperatorPrecision = "double"
     method: Literal["active_set", "smalbe"] = "active_set"
     preconditioner: Literal["none", "lumped", "dirichlet"] = "lumped"
     scaling: Scaling = "stiffness"
@@ -95,8 +99,9 @@ class Options:
     error_if_not_converged: bool = True
 
     def __post_init__(self) -> None:
-        """Check the ranges of numbers."""
+        """Check the ranges of numbers, and that single precision has where to act."""
         _check_ranges(self)
+        _check_precision(self)
 
 
 # name: (exclusive lower limit, exclusive upper limit)
@@ -124,6 +129,20 @@ def _check_ranges(options: Options) -> None:
         value = getattr(options, name)
         if not low < value < high:
             raise InputError(f"option {name!r} is {value}, it has to be between {low} and {high}")
+
+
+def _check_precision(options: Options) -> None:
+    if options.operator_precision == "double":
+        return
+    for name, value, reason in (
+        ("dual_operator", "implicit", "sparse factors are double"),
+        ("method", "smalbe", "SMALBE-M takes its products in double"),
+    ):
+        if getattr(options, name) == value:
+            raise InputError(
+                f"operator_precision='single' does nothing with {name}={value!r}: {reason}. "
+                "Leave one of the two options out"
+            )
 
 
 def parse_options(given: Mapping[str, Any]) -> Options:

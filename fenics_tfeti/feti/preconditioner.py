@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.cholesky import SparseCholesky
+from fenics_tfeti.feti.congruence import times_rows
 from fenics_tfeti.feti.dual import DualOperator
 
 __all__ = ["boundary_operator"]
@@ -45,10 +47,14 @@ def boundary_operator(
         _reaction(kind, K, local, package)
         for K, local in zip(stiffness, boundary.unknowns, strict=True)
     ]
-    B_D = (boundary.matrix @ sp.diags(1.0 / F.constraints.weights[boundary.columns])).tocsr()
+    flexibility = 1.0 / F.constraints.weights[boundary.columns]
 
     def apply(x: Vector) -> Vector:
-        return multipliers.sum(B_D @ boundary.apply(reactions, B_D.T @ x))
+        displacements = boundary.transposed @ x
+        displacements *= flexibility
+        forces = boundary.apply(reactions, displacements)
+        forces *= flexibility
+        return multipliers.sum(boundary.matrix @ forces)
 
     return apply
 
@@ -61,14 +67,14 @@ def _reaction(
     rows = K[local]
     K_bb = rows[:, local].tocsr()
     if kind == "lumped" or interior.size == 0:
-        return lambda u: (K_bb @ u.T).T
+        return partial(times_rows, K_bb)
     K_bi = rows[:, interior].tocsr()
     K_ib = K_bi.T.tocsr()
     factor = SparseCholesky(K[interior][:, interior].tocsr(), package)
 
     def schur_complement(u: Vector) -> Vector:
         follow = factor.solve(K_ib @ u.T if len(u) > 1 else K_ib @ u[0])
-        reaction: Vector = (K_bb @ u.T).T - (K_bi @ follow).T
+        reaction: Vector = times_rows(K_bb, u) - (K_bi @ follow).T
         return reaction
 
     return schur_complement

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from fenics_tfeti.feti.coarse import CoarseSpace, Projector
-from fenics_tfeti.feti.congruence import apply_by_class
+from fenics_tfeti.feti.congruence import apply_by_class, times_rows
 from fenics_tfeti.feti.dual import DualOperator
 from fenics_tfeti.feti.exchange import concatenate_ranks
 
@@ -199,7 +199,7 @@ class PrimalProblem:
         return self._apply(self.stiffness, u)
 
     def _apply(self, matrices: Sequence[sp.csr_matrix], u: Vector) -> Vector:
-        operators = [partial(_times_rows, K) for K in matrices]
+        operators = [partial(times_rows, K) for K in matrices]
         return apply_by_class(self.F.boundary.classes, operators, u)
 
     def energy(self, u: Vector) -> float:
@@ -262,14 +262,6 @@ class PrimalProblem:
                 abs(primal - dual), max(abs(primal), 0.5 * Ku_u, _CANCELLED * strain)
             ),
         )
-
-
-def _times_rows(K: sp.csr_matrix, rows: Vector) -> Vector:
-    """Return K times each row of a matrix."""
-    if len(rows) == 1:
-        return np.asarray(K @ rows[0])[None]
-    product: Vector = (K @ rows.T).T
-    return product
 
 
 def _ratio(value: float, scale: float) -> float:

@@ -90,11 +90,15 @@ class Report:
         Their number over all ranks.
     classes : int
         Classes of congruent subdomains, which share factors, summed over the ranks.
+    dual_operator : dict
+        How many of them have solves (``implicit``), a dense matrix in double (``explicit``) or one
+        in ``single`` precision for their part of F.
     outer_iterations : int
         Outer iterations of SMALBE-M.
     products : dict
         Applications of F by kind of step, their ``total``, those for the ``norm`` (not in the
-        total), and those of the ``preconditioner``.
+        total), and those of the ``preconditioner``; ``replacement`` are those in double that
+        replace the residual of products in single precision.
     seconds : dict
         Wall time by phase, the slowest rank's, and the ``total`` [s].
     peak_memory_bytes : int
@@ -136,6 +140,7 @@ class Report:
     reused: list[str]
     subdomains: int
     classes: int
+    dual_operator: dict[str, int]
     outer_iterations: int
     products: dict[str, int]
     seconds: dict[str, float]

@@ -173,7 +173,11 @@ class TornSolver:
                 replace(same_B.F, constraints=self.constraints)
                 if same_B
                 else DualOperator.build(
-                    self.constraints, self.space.boundary, inverses, self.options.dual_operator
+                    self.constraints,
+                    self.space.boundary,
+                    inverses,
+                    self.options.dual_operator,
+                    self.options.operator_precision,
                 )
             )
         self._norms: dict[int, float] = same_B._norms if same_B else {}
@@ -415,6 +419,7 @@ class TornSolver:
             self.projector,
             self.norm(_SCALE_STEPS),
             self._boundary,
+            self.F.rough if self.F.single else None,
         )
 
     def _guess_active_set(
@@ -544,12 +549,14 @@ class TornSolver:
             },
             subdomains=comm.allreduce(len(system.subdomains)),
             classes=comm.allreduce(len(self.classes)),
+            dual_operator=self._dual_operator(),
             outer_iterations=len(history),
             products={
                 "total": self.products.total,
                 "cg": self.products.cg,
                 "expansion": self.products.expansion,
                 "proportioning": self.products.proportioning,
+                "replacement": self.products.replacement,
                 "norm": self.norm_products,
                 "preconditioner": self.products.preconditioner,
             },
@@ -568,6 +575,15 @@ class TornSolver:
             history=history,
             faces=faces,
         )
+
+    def _dual_operator(self) -> dict[str, int]:
+        """Count the classes by what their part of F is."""
+        explicit = self.comm.allreduce(self.F.explicit)
+        return {
+            "implicit": self.comm.allreduce(len(self.classes)) - explicit,
+            "explicit": 0 if self.F.single else explicit,
+            "single": explicit if self.F.single else 0,
+        }
 
     def _primal_unknowns(self) -> int:
         """Count the unknowns of the glued problem: each node once."""

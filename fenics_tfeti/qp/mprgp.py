@@ -23,18 +23,20 @@ Expansion = Literal["standard", "projected_cg"]
 class Products:
     """How often the Hessian (and the preconditioner) was applied, by kind of step.
 
-    The products of a fall-back count as expansion, those that recompute a gradient as cg.
+    The products of a fall-back count as expansion, those that recompute a gradient as cg;
+    replacement counts those in double that replace a residual of products in single precision.
     """
 
     cg: int = 0
     expansion: int = 0
     proportioning: int = 0
+    replacement: int = 0
     preconditioner: int = 0
 
     @property
     def total(self) -> int:
         """All products with the Hessian; applications of the preconditioner are no products."""
-        return self.cg + self.expansion + self.proportioning
+        return self.cg + self.expansion + self.proportioning + self.replacement
 
 
 @dataclass(frozen=True)
