@@ -398,12 +398,11 @@ def _tag_everywhere(
         The form, its tags, and the tag of each entity where it is one of them.
     """
     rest = max(ids, default=0) + 1
-    replacement = {"everywhere": (*ids, rest) if ids else rest, "otherwise": rest}
+    everywhere = (*ids, rest) if ids else rest
     integrals = []
     for integral in form.integrals():
-        of_kind = integral.integral_type() == kind
-        if of_kind and integral.subdomain_id() in replacement:
-            integral = integral.reconstruct(subdomain_id=replacement[integral.subdomain_id()])
+        if integral.integral_type() == kind and integral.subdomain_id() == "everywhere":
+            integral = integral.reconstruct(subdomain_id=everywhere)
         integrals.append(integral)
     form = ufl.Form(integrals)
     used = _tagged_ids(form, kind)
