@@ -29,6 +29,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti.fem.fields import displacement_space
+from fenics_tfeti.fem.parts import number_parts
 from fenics_tfeti.fem.structured import Box, boxes, tag_facets
 from fenics_tfeti.fem.subdomain import prepare_forms
 from fenics_tfeti.feti import ContactRows, Options, Prescribed, Subdomain, TornSolver, TornSystem
@@ -54,9 +55,9 @@ def cubes(m: int, n: int) -> dict[str, Subdomain]:
     a = ufl.inner(stress, test) * ufl.dx
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
     traction = fem.Constant(mesh, TRACTION)
-    cells = np.arange(n**3, dtype=np.int32)
-    top, left = (
-        prepare_forms(V, a, traction * v[2] * ds(tag)).subdomain(cells, 0) for tag in (1, 2)
+    cube = number_parts(V, [np.arange(n**3, dtype=np.int32)], [0])
+    (top,), (left,) = (
+        prepare_forms(V, a, traction * v[2] * ds(tag)).subdomains(cube) for tag in (1, 2)
     )
     return {
         "": replace(top, load=np.zeros(top.size)),

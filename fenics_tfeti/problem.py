@@ -36,6 +36,7 @@ from fenics_tfeti.fem.displacement import (
 )
 from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.fem.partition import find_bodies, given_subdomains, split_into_subdomains
+from fenics_tfeti.fem.parts import number_parts
 from fenics_tfeti.fem.subdomain import prepare_forms, same_values
 from fenics_tfeti.fem.surfaces import MeshBoundary
 from fenics_tfeti.feti import (
@@ -49,7 +50,6 @@ from fenics_tfeti.feti import (
     TornSystem,
     parse_options,
 )
-from fenics_tfeti.feti.exchange import together
 
 __all__ = ["ContactProblem"]
 
@@ -133,7 +133,7 @@ class ContactProblem:
                 cells = split_into_subdomains(self.space, bodies, self.options.subdomain_size)
             else:
                 cells = given_subdomains(self.space.mesh, bodies, subdomains)
-        self._parts = [(part, int(bodies.of_cell[part[0]])) for part in cells]
+            self._parts = number_parts(self.space, cells, [bodies.of_cell[c[0]] for c in cells])
         self._body_names = bodies.names
         self._values = self._forms.values()
         self.system = self._torn_system(self._assemble(), prescribed)
@@ -184,11 +184,8 @@ class ContactProblem:
 
     def _assemble(self, known: Sequence[Subdomain] | None = None) -> list[Subdomain]:
         """Assemble the subdomains, or only the loads of known ones."""
-        with self._timer.phase("assembly"), together(self.space.mesh.comm):
-            return [
-                self._forms.subdomain(part, body, known[i] if known else None)
-                for i, (part, body) in enumerate(self._parts)
-            ]
+        with self._timer.phase("assembly"):
+            return self._forms.subdomains(self._parts, known)
 
     def _torn_system(self, torn: Sequence[Subdomain], prescribed: Prescribed) -> TornSystem:
         gdim = self.space.mesh.geometry.dim

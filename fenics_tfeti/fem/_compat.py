@@ -47,14 +47,35 @@ def cpp_object(thing: Any) -> Any:
     return thing
 
 
-def space_like(domain: mesh.Mesh, space: fem.FunctionSpace) -> fem.FunctionSpace:
-    """Create a function space with the same element on another mesh.
+def space_with_dofs(space: fem.FunctionSpace, dofs: Numbers, size: int) -> fem.FunctionSpace:
+    """Create a space of the same element and mesh with other degrees of freedom. Collective.
 
-    - 0.5.2 has the class ``FunctionSpace(mesh, element)``;
-    - 0.9 and 0.11 have the function ``functionspace(mesh, element)``.
+    - 0.5.2 and 0.9 take the C++ objects alike; 0.5.2's class is ``cpp.fem.FunctionSpace``,
+      0.9's and 0.11's ``cpp.fem.FunctionSpace_float64``.
+
+    Takes the class of the given space.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The space.
+    dofs : (cells, v) integer array
+        The (blocked) degrees of freedom of each cell of this rank, ghosts included.
+    size : int
+        Number of (blocked) degrees of freedom of this rank, none of which other ranks share.
     """
-    create = getattr(fem, "functionspace", None) or fem.FunctionSpace
-    return create(domain, space.ufl_element())
+    domain, old = space.mesh, space.dofmap
+    table = cpp.graph.AdjacencyList_int32(
+        np.ascontiguousarray(dofs, dtype=np.int32).ravel(),
+        np.arange(0, dofs.size + 1, dofs.shape[1], dtype=np.int32),
+    )
+    numbers = cpp.common.IndexMap(domain.comm, size)
+    block = old.index_map_bs
+    dofmap = cpp.fem.DofMap(old.dof_layout, numbers, block, table, old.bs)
+    V = cpp_object(space)
+    return fem.FunctionSpace(
+        domain, space.ufl_element(), type(V)(cpp_object(domain), V.element, dofmap)
+    )
 
 
 def lagrange_space(
@@ -233,7 +254,7 @@ def _one_scotch_thread() -> Iterator[None]:
 
 
 class CompiledForm:
-    """A form compiled once, to be bound to many meshes of the same cell.
+    """A form compiled once, to be bound to spaces with other degrees of freedom and to some cells.
 
     - 0.5.2 compiles with ``jit.ffcx_jit`` and binds by ``cpp.fem.Form_float64``, with tags as
       ``MeshTags``;
@@ -244,7 +265,7 @@ class CompiledForm:
     Parameters
     ----------
     form : ufl.Form
-        Its coefficients and constants are replaced at binding.
+        Its integrals name their tags: none is over "everywhere".
     comm : MPI.Comm
         Rank 0 compiles, then the others load.
     """
@@ -259,40 +280,41 @@ class CompiledForm:
 
     def bind(
         self,
-        domain: mesh.Mesh,
         spaces: list[fem.FunctionSpace],
-        coefficients: dict[Any, fem.Function],
         cells: dict[int, Numbers],
         facets: dict[int, Numbers],
     ) -> Any:
-        """Bind the form to a mesh of one process.
+        """Bind the form to spaces and to what it is integrated over.
 
         Parameters
         ----------
-        domain : Mesh
-            The mesh.
         spaces : list
-            One for each argument.
-        coefficients : dict
-            The function on this mesh for each of the form's coefficients.
+            One for each argument, on the form's mesh.
         cells : dict
-            For each tag of a cell integral the cells.
+            For each tag of a cell integral the cells of this rank.
         facets : dict
-            For each tag of an exterior facet integral rows (cell, local facet).
+            For each tag of an exterior facet integral rows (cell, local facet) of this rank.
         """
+        domain = spaces[0].mesh
         if self._new:
-            return self._create_form(domain, spaces, coefficients, cells, facets)
+            kinds = fem.IntegralType
+            subdomains = {
+                kinds.cell: list(cells.items()),
+                kinds.exterior_facet: [(tag, rows.ravel()) for tag, rows in facets.items()],
+            }
+            own = ({w: w for w in self._form.coefficients()}, {c: c for c in self._constants()})
+            return fem.create_form(self._compiled, spaces, domain, subdomains, *own)
         ufcx_form, module, _ = self._compiled
         functions = self._form.coefficients()
         kinds = cpp.fem.IntegralType
         return cpp.fem.Form_float64(
             module.ffi.cast("uintptr_t", module.ffi.addressof(ufcx_form)),
-            [V._cpp_object for V in spaces],
+            [cpp_object(V) for V in spaces],
             [
-                coefficients[functions[ufcx_form.original_coefficient_position[i]]]._cpp_object
+                cpp_object(functions[ufcx_form.original_coefficient_position[i]])
                 for i in range(ufcx_form.num_coefficients)
             ],
-            [c._cpp_object for c in self._form.constants()],
+            [cpp_object(c) for c in self._constants()],
             {
                 kinds.cell: _tags_from_cells(domain, cells),
                 kinds.exterior_facet: _tags_from_facets(domain, facets),
@@ -302,46 +324,32 @@ class CompiledForm:
             cpp_object(domain),
         )
 
-    def _create_form(
-        self,
-        domain: mesh.Mesh,
-        spaces: list[fem.FunctionSpace],
-        coefficients: dict[Any, fem.Function],
-        cells: dict[int, Numbers],
-        facets: dict[int, Numbers],
-    ) -> Any:
-        kinds = fem.IntegralType
-        subdomains = {
-            kinds.cell: list(cells.items()),
-            kinds.exterior_facet: [(tag, rows.ravel()) for tag, rows in facets.items()],
-        }
-        constants = {c: c for c in self._form.constants()}
-        return fem.create_form(self._compiled, spaces, domain, subdomains, coefficients, constants)
+    def _constants(self) -> list[Any]:
+        return list(self._form.constants())
 
 
 def _tags_from_cells(domain: mesh.Mesh, cells: dict[int, Numbers]) -> Any:
     if not cells:
         return None
-    entities = np.concatenate(list(cells.values()))
-    tags = np.repeat(list(cells), [part.size for part in cells.values()]).astype(np.int32)
-    order = np.argsort(entities)
-    return mesh.meshtags(domain, domain.topology.dim, entities[order], tags[order])
+    return _tags(domain, domain.topology.dim, list(cells.values()), list(cells))
 
 
 def _tags_from_facets(domain: mesh.Mesh, facets: dict[int, Numbers]) -> Any:
     if not facets:
         return None
     dim = domain.topology.dim
-    domain.topology.create_connectivity(dim, dim - 1)
-    domain.topology.create_connectivity(dim - 1, dim)
-    facet_of = domain.topology.connectivity(dim, dim - 1).array.reshape(
-        domain.topology.index_map(dim).size_local, -1
-    )
-    rows = np.concatenate(list(facets.values()))
-    entities = facet_of[rows[:, 0], rows[:, 1]]
-    tags = np.repeat(list(facets), [part.shape[0] for part in facets.values()]).astype(np.int32)
-    order = np.argsort(entities)
-    return mesh.meshtags(domain, dim - 1, entities[order], tags[order])
+    facets_of_cells = domain.topology.connectivity(dim, dim - 1)
+    # a rank may have no cells
+    width = facets_of_cells.array.size // max(facets_of_cells.num_nodes, 1)
+    entities = [facets_of_cells.array[rows @ (width, 1)] for rows in facets.values()]
+    return _tags(domain, dim - 1, entities, list(facets))
+
+
+def _tags(domain: mesh.Mesh, dim: int, entities: list[Numbers], values: list[int]) -> Any:
+    found = np.concatenate(entities)
+    tags = np.repeat(values, [part.size for part in entities]).astype(np.int32)
+    order = np.argsort(found)
+    return mesh.meshtags(domain, dim, found[order], tags[order])
 
 
 def subdomain_data(form: ufl.Form) -> dict[str, Any]:
@@ -357,19 +365,26 @@ def subdomain_data(form: ufl.Form) -> dict[str, Any]:
 
 
 def assemble_stiffness(form: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.float64]]:
-    """Assemble a bilinear form on one process into (indptr, indices, data).
+    """Assemble a bilinear form on a space of which ranks share nothing. Collective.
 
     The PETSc path is the same in all versions (native matrices of 0.5.2 have no blocks).
+
+    Returns
+    -------
+    tuple
+        indptr, indices, data of this rank's rows and columns.
     """
     A = fem.petsc.assemble_matrix(form)
     A.assemble()
     indptr, indices, data = A.getValuesCSR()
+    begin, _ = A.getOwnershipRange()
     A.destroy()
+    indices -= begin
     return indptr, indices, data
 
 
 def assemble_load(form: Any) -> NDArray[np.float64]:
-    """Assemble a linear form on one process.
+    """Assemble a linear form on a space of which ranks share nothing.
 
     - 0.5.2 returns a vector with ``array``, so do 0.9 and 0.11.
     """
@@ -463,7 +478,6 @@ def distributed_mesh(
     cells: NDArray[np.int64],
     points: NDArray[np.float64],
     cell: str,
-    like: dolfinx.mesh.Mesh | None = None,
 ) -> dolfinx.mesh.Mesh:
     """Create a distributed mesh of first-order cells from arrays.
 
@@ -483,9 +497,6 @@ def distributed_mesh(
         This rank's share of the nodes [m]; they are numbered through the ranks.
     cell : str
         Shape of the cells, such as "hexahedron".
-    like : Mesh, optional
-        Take its coordinate element. Meshes that 0.11 reads from Gmsh have another variant (equally
-        spaced points) than the default one, and forms compiled for one do not fit the other.
     """
     gdim = points.shape[1]
     if "domain" in inspect.signature(mesh.create_mesh).parameters:
@@ -495,8 +506,7 @@ def distributed_mesh(
     import basix.ufl
 
     element = basix.ufl.element("Lagrange", cell, 1, shape=(gdim,))
-    domain = ufl.Mesh(element if like is None else like.ufl_domain().ufl_coordinate_element())
-    return mesh.create_mesh(comm, cells, x=points, e=domain)
+    return mesh.create_mesh(comm, cells, x=points, e=ufl.Mesh(element))
 
 
 def gmsh_model_to_mesh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[Any, Any, Any]:

@@ -1,9 +1,15 @@
-"""One subdomain's mesh, and the user's forms bound to it: K_i and f_i (sec. 11.5)."""
+"""The user's forms assembled on torn subdomains: K_i and f_i (sec. 11.5).
+
+No subdomain has a mesh of its own: the forms are integrated on the user's mesh with a space whose
+cells share nodes within a subdomain only. The matrix on it is block diagonal, with K_i as blocks.
+"""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 from mpi4py import MPI
@@ -13,39 +19,41 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 import ufl
-from dolfinx import fem
 from dolfinx.fem import Function, FunctionSpace
 from dolfinx.mesh import Mesh
+from ufl import geometry
+from ufl.corealg.traversal import traverse_unique_terminals
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.partition import cell_facets, exterior_cell_facets
+from fenics_tfeti.fem.parts import Part, find_equal
 from fenics_tfeti.feti import Subdomain
 from fenics_tfeti.feti.exchange import together
 
 __all__ = ["BoundForms", "FormValues", "prepare_forms", "same_values"]
 
+logger = logging.getLogger(__name__)
+
 Numbers = NDArray[np.int32]
 
 _SUPPORTED = ("cell", "exterior_facet")
+_FREE_OF_PLACE = (
+    geometry.CellDiameter,
+    geometry.CellVolume,
+    geometry.Circumradius,
+    geometry.FacetArea,
+    geometry.FacetNormal,
+    geometry.Jacobian,
+    geometry.JacobianDeterminant,
+    geometry.JacobianInverse,
+    geometry.MaxCellEdgeLength,
+    geometry.MaxFacetEdgeLength,
+    geometry.MinCellEdgeLength,
+    geometry.MinFacetEdgeLength,
+)
 # no tag: cells and facets are only ever tagged with what the form integrates over
 _NOWHERE = np.iinfo(np.int64).min
-
-
-@dataclass(frozen=True)
-class _Submesh:
-    """A mesh of some of the user's cells, on this process alone.
-
-    Attributes
-    ----------
-    mesh : Mesh
-        The mesh.
-    cells : (cells,) integer array
-        The user's cell of each of its cells.
-    """
-
-    mesh: Mesh
-    cells: Numbers
 
 
 @dataclass(frozen=True)
@@ -63,11 +71,14 @@ class _PreparedForm:
     constants : list of Constant
         The user's constants.
     cell_tag : (cells,) integer array or None
-        Tag of each cell, where integrals over cells are tagged.
+        Tag of each cell, where the form has integrals over cells.
     facet_tag : (cells, facets of a cell) integer array or None
-        Tag of each facet of each cell, on the boundary of the bodies only.
+        Tag of each facet of each cell, on the boundary of the bodies only, where the form has
+        integrals over facets.
     cell_ids, facet_ids : list of int
         The tags that the form's integrals name.
+    at_any_place : bool
+        Whether equal cells at different places give equal matrices.
     """
 
     name: str
@@ -78,6 +89,7 @@ class _PreparedForm:
     facet_tag: NDArray[np.int64] | None
     cell_ids: list[int]
     facet_ids: list[int]
+    at_any_place: bool
 
 
 @dataclass(frozen=True)
@@ -96,7 +108,7 @@ class FormValues:
 
 @dataclass(frozen=True)
 class BoundForms:
-    """The user's forms, ready to be bound to any of this rank's cells.
+    """The user's forms, ready to be assembled on any of this rank's cells.
 
     Attributes
     ----------
@@ -110,37 +122,39 @@ class BoundForms:
     bilinear: _PreparedForm
     linear: _PreparedForm
 
-    def subdomain(self, cells: Numbers, body: int, known: Subdomain | None = None) -> Subdomain:
-        """Assemble K_i and f_i of some of this rank's cells.
+    def subdomains(
+        self, parts: Sequence[Part], known: Sequence[Subdomain] | None = None
+    ) -> list[Subdomain]:
+        """Assemble K_i and f_i of this rank's subdomains. Collective.
 
         Parameters
         ----------
-        cells : (m,) integer array
-            The cells, connected through facets.
-        body : int
-            Their body.
-        known : Subdomain, optional
-            The same subdomain at an earlier time: all but f_i is taken from it.
+        parts : sequence of Part
+            Their cells and nodes.
+        known : sequence of Subdomain, optional
+            The same subdomains at an earlier time: all but f_i is taken from them.
 
         Returns
         -------
-        Subdomain
-            With the node numbers of the user's space.
+        list of Subdomain
+            With the node numbers of the user's space. Those with equal data of `a` (shape,
+            coefficients and tags, where `a` does not ask for the place) share K_i.
         """
-        sub = _submesh(self.space.mesh, cells)
-        V = _compat.space_like(sub.mesh, self.space)
-        load = _compat.assemble_load(_bind(self.linear, sub, [V]))
+        loads = self._loads(parts)
         if known is not None:
-            return replace(known, load=load)
-        indptr, indices, data = _compat.assemble_stiffness(_bind(self.bilinear, sub, [V, V]))
-        gdim = self.space.dofmap.index_map_bs
-        return Subdomain(
-            sp.csr_matrix((data, indices, indptr)),
-            load,
-            np.ascontiguousarray(V.tabulate_dof_coordinates()[:, :gdim]),
-            self._global_nodes(sub, V),
-            body,
-        )
+            return [replace(old, load=load) for old, load in zip(known, loads, strict=True)]
+        x = self.space.tabulate_dof_coordinates()[:, : self.space.mesh.geometry.dim]
+        to_global = self.space.dofmap.index_map.local_to_global
+        return [
+            Subdomain(
+                K,
+                load,
+                np.ascontiguousarray(x[part.nodes]),
+                np.asarray(to_global(part.nodes), dtype=np.int64),
+                part.body,
+            )
+            for part, K, load in zip(parts, self._stiffnesses(parts, x), loads, strict=True)
+        ]
 
     def values(self) -> FormValues:
         """Return the present values of all that the forms depend on.
@@ -153,10 +167,44 @@ class BoundForms:
         with together(self.space.mesh.comm):
             return FormValues(_values(self.bilinear), _values(self.linear))
 
-    def _global_nodes(self, sub: _Submesh, V: FunctionSpace) -> NDArray[np.int64]:
-        local = _parent_dofs(self.space, V, sub)
-        to_global = self.space.dofmap.index_map.local_to_global
-        return np.asarray(to_global(local), dtype=np.int64)
+    def _stiffnesses(self, parts: Sequence[Part], x: NDArray[np.float64]) -> list[sp.csr_matrix]:
+        """Assemble one matrix for all parts with equal data."""
+        form = self.bilinear
+        data: list[NDArray[Any]] = [
+            values for values in (form.cell_tag, form.facet_tag) if values is not None
+        ]
+        data += [_values_of_cells(w) for w in form.coefficients]
+        first = find_equal(parts, x, data, form.at_any_place)
+        different = sorted(set(first))
+        logger.info(
+            "rank %d: %d subdomains have %d different stiffness matrices",
+            self.space.mesh.comm.rank,
+            len(parts),
+            len(different),
+        )
+        V, ends = self._torn_space([parts[i] for i in different])
+        bound = _bind(form, [V, V], [parts[i].cells for i in different])
+        indptr, indices, values = _compat.assemble_stiffness(bound)
+        blocks = {
+            i: _block(indptr, indices, values, begin, end)
+            for i, (begin, end) in zip(different, pairwise(ends), strict=True)
+        }
+        return [blocks[i] for i in first]
+
+    def _loads(self, parts: Sequence[Part]) -> list[NDArray[np.float64]]:
+        V, ends = self._torn_space(parts)
+        load = _compat.assemble_load(_bind(self.linear, [V], [part.cells for part in parts]))
+        return [load[begin:end].copy() for begin, end in pairwise(ends)]
+
+    def _torn_space(self, parts: Sequence[Part]) -> tuple[FunctionSpace, list[int]]:
+        """Return a space whose nodes are those of the parts, one by one, and where each begins."""
+        ends = np.cumsum([0, *(part.nodes.size for part in parts)])
+        # dolfinx looks at all cells: those that are left out have the same node, behind all others
+        dofs = np.full(_compat.cell_dofs(self.space).shape, ends[-1], dtype=np.int32)
+        for part, begin in zip(parts, ends, strict=False):
+            dofs[part.cells] = part.table + begin
+        block = self.space.dofmap.index_map_bs
+        return _compat.space_with_dofs(self.space, dofs, int(ends[-1]) + 1), list(block * ends)
 
 
 def prepare_forms(space: FunctionSpace, a: ufl.Form, L: ufl.Form) -> BoundForms:
@@ -216,17 +264,17 @@ def _prepare(
             _check_tags(data.get(kind), kind, ids, name, domain)
 
     owned = domain.topology.index_map(domain.topology.dim).size_local
-    cell_tag = _dense_tags(data.get("cell"), owned, cell_ids) if cell_ids else None
-    facet_tag = None
-    if any(i.integral_type() == "exterior_facet" for i in form.integrals()):
+    cell_tag = facet_tag = None
+    if _has(form, "cell"):
+        of_cell = _dense_tags(data.get("cell"), owned, cell_ids)
+        form, cell_ids, cell_tag = _tag_everywhere(form, "cell", cell_ids, of_cell)
+    if _has(form, "exterior_facet"):
         facet_of, _ = cell_facets(domain)
         of_facet = _dense_tags(
             data.get("exterior_facet"), int(facet_of.max(initial=-1)) + 1, facet_ids
         )
-        form, rest = _tag_everywhere(form, facet_ids)
-        of_facet = np.where(of_facet == _NOWHERE, rest, of_facet)
+        form, facet_ids, of_facet = _tag_everywhere(form, "exterior_facet", facet_ids, of_facet)
         facet_tag = np.where(exterior, of_facet[facet_of[:owned]], _NOWHERE)
-        facet_ids = _tagged_ids(form, "exterior_facet")
     return _PreparedForm(
         name,
         _compat.CompiledForm(form, domain.comm),
@@ -236,6 +284,21 @@ def _prepare(
         facet_tag,
         cell_ids,
         facet_ids,
+        _is_free_of_place(form),
+    )
+
+
+def _has(form: ufl.Form, kind: str) -> bool:
+    return any(integral.integral_type() == kind for integral in form.integrals())
+
+
+def _is_free_of_place(form: ufl.Form) -> bool:
+    """Tell whether a form takes nothing from the mesh but what a translation leaves as it is."""
+    return all(
+        isinstance(thing, _FREE_OF_PLACE)
+        for integral in form.integrals()
+        for thing in traverse_unique_terminals(integral.integrand())
+        if isinstance(thing, geometry.GeometricQuantity)
     )
 
 
@@ -322,67 +385,60 @@ def _dense_tags(tags: Any, size: int, ids: list[int]) -> NDArray[np.int64]:
     return dense
 
 
-def _tag_everywhere(form: ufl.Form, ids: list[int]) -> tuple[ufl.Form, int]:
-    """Replace "everywhere" in exterior facet integrals by all tags in use and one for the rest.
+def _tag_everywhere(
+    form: ufl.Form, kind: str, ids: list[int], tags: NDArray[np.int64]
+) -> tuple[ufl.Form, list[int], NDArray[np.int64]]:
+    """Replace "everywhere" in integrals of one kind by all tags in use and one for the rest.
 
-    On a submesh, "everywhere" would take in the interfaces to other subdomains.
+    "Everywhere" would take in cells that are left out and, in some versions, facets between ranks.
+
+    Returns
+    -------
+    tuple
+        The form, its tags, and the tag of each entity where it is one of them.
     """
     rest = max(ids, default=0) + 1
+    everywhere = (*ids, rest) if ids else rest
     integrals = []
     for integral in form.integrals():
-        on_facets = integral.integral_type() == "exterior_facet"
-        if on_facets and integral.subdomain_id() == "everywhere":
-            integral = integral.reconstruct(subdomain_id=(*ids, rest) if ids else rest)
+        if integral.integral_type() == kind and integral.subdomain_id() == "everywhere":
+            integral = integral.reconstruct(subdomain_id=everywhere)
         integrals.append(integral)
-    return ufl.Form(integrals), rest
+    form = ufl.Form(integrals)
+    used = _tagged_ids(form, kind)
+    if rest in used:
+        tags = np.where(tags == _NOWHERE, rest, tags)
+    return form, used, tags
 
 
-def _submesh(domain: Mesh, cells: Numbers) -> _Submesh:
-    """Make a mesh of some cells on this process; the order of vertices in each cell is kept."""
-    geometry = _compat.geometry_cells(domain)[cells]
-    nodes, local = np.unique(geometry, return_inverse=True)
-    x = domain.geometry.x[nodes, : domain.geometry.dim]
-    sub = _compat.distributed_mesh(
-        MPI.COMM_SELF,
-        local.reshape(geometry.shape).astype(np.int64),
-        np.ascontiguousarray(x),
-        _compat.cell_name(domain),
-        like=domain,
-    )
-    return _Submesh(sub, cells[np.asarray(sub.topology.original_cell_index)])
-
-
-def _bind(form: _PreparedForm, sub: _Submesh, spaces: list[FunctionSpace]) -> Any:
-    coefficients = {w: _restrict(w, sub) for w in form.coefficients}
-    # every tag of the form is named, also where this subdomain has nothing of it
-    cells: dict[int, Numbers] = {}
-    facets: dict[int, Numbers] = {}
+def _bind(form: _PreparedForm, spaces: list[FunctionSpace], cells: Sequence[Numbers]) -> Any:
+    """Bind a form to torn spaces and the cells of some parts."""
+    chosen = np.sort(np.concatenate([np.zeros(0, dtype=np.int32), *cells]))
+    # every tag of the form is named, also where these cells have nothing of it
+    of_cells: dict[int, Numbers] = {}
+    of_facets: dict[int, Numbers] = {}
     if form.cell_tag is not None:
-        tag = form.cell_tag[sub.cells]
-        cells = {t: np.flatnonzero(tag == t).astype(np.int32) for t in form.cell_ids}
+        tag = form.cell_tag[chosen]
+        of_cells = {t: chosen[tag == t] for t in form.cell_ids}
     if form.facet_tag is not None:
-        tags = form.facet_tag[sub.cells]
-        facets = {t: np.argwhere(tags == t).astype(np.int32) for t in form.facet_ids}
-    return form.compiled.bind(sub.mesh, spaces, coefficients, cells, facets)
+        tags = form.facet_tag[chosen]
+        for t in form.facet_ids:
+            row, facet = np.nonzero(tags == t)
+            of_facets[t] = np.column_stack([chosen[row], facet]).astype(np.int32)
+    return form.compiled.bind(spaces, of_cells, of_facets)
 
 
-def _parent_dofs(parent: FunctionSpace, child: FunctionSpace, sub: _Submesh) -> Numbers:
-    """Return the parent's (blocked) degree of freedom of each of the child's.
-
-    Cell by cell they are in the same order, for elements without orientation.
-    """
-    dofs = _compat.cell_dofs(child)
-    parents = np.empty(int(dofs.max()) + 1, dtype=np.int32)
-    parents[dofs] = _compat.cell_dofs(parent)[sub.cells]
-    return parents
+def _values_of_cells(function: Function) -> NDArray[np.float64]:
+    """Return a coefficient's values (cells, v, block) on each cell of this rank."""
+    space = function.function_space
+    values = function.x.array.reshape(-1, space.dofmap.index_map_bs)
+    return np.asarray(values[_compat.cell_dofs(space)], dtype=float)
 
 
-def _restrict(function: Function, sub: _Submesh) -> Function:
-    """Return a coefficient on a submesh."""
-    W = function.function_space
-    child = _compat.space_like(sub.mesh, W)
-    restricted = fem.Function(child)
-    block = W.dofmap.index_map_bs
-    parents = _parent_dofs(W, child, sub)
-    restricted.x.array[:] = function.x.array.reshape(-1, block)[parents].ravel()
-    return restricted
+def _block(
+    indptr: NDArray[Any], indices: NDArray[Any], data: NDArray[np.float64], begin: int, end: int
+) -> sp.csr_matrix:
+    """Return a diagonal block; its data are a view of all blocks' data."""
+    entries = slice(indptr[begin], indptr[end])
+    local = (data[entries], indices[entries] - begin, indptr[begin : end + 1] - indptr[begin])
+    return sp.csr_matrix(local, shape=(end - begin, end - begin))
