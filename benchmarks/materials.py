@@ -243,10 +243,10 @@ class Beams:
             self.bcs.append(fem.dirichletbc(0.0, dofs, part))
 
     def cut(self, unknowns: int) -> NDArray[np.int64]:
-        """Label the subdomains that SCOTCH makes; once, as it does not cut twice alike."""
+        """Label the subdomains that SCOTCH makes."""
         bodies = find_bodies(self.V.mesh, None)
         labels = np.zeros(self.owned, dtype=np.int64)
-        for number, cells in enumerate(split_into_subdomains(self.V, bodies, unknowns)):
+        for number, cells in enumerate(split_into_subdomains(self.V, bodies, unknowns, "scotch")):
             labels[cells] = number
         return labels
 

@@ -74,7 +74,8 @@ class ContactProblem:
         their own. Tags of materials, which may be in several places, belong into ``dx`` alone.
     subdomains : sequence of int, optional
         A label for each cell that this rank owns: cells with the same label make a subdomain. By
-        default each rank splits its cells by a graph partitioner.
+        default each rank splits its cells into blocks or by a graph partitioner, see the option
+        ``partitioner``.
     options : mapping, optional
         See `fenics_tfeti.feti.Options`; ``-tfeti_...`` on the command line comes first.
 
@@ -130,7 +131,8 @@ class ContactProblem:
             self._forms = prepare_forms(self.space, a, L)
         with self._timer.phase("partition"):
             if subdomains is None:
-                cells = split_into_subdomains(self.space, bodies, self.options.subdomain_size)
+                size, partitioner = self.options.subdomain_size, self.options.partitioner
+                cells = split_into_subdomains(self.space, bodies, size, partitioner)
             else:
                 cells = given_subdomains(self.space.mesh, bodies, subdomains)
             self._parts = number_parts(self.space, cells, [bodies.of_cell[c[0]] for c in cells])

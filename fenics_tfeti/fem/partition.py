@@ -22,7 +22,9 @@ from dolfinx.mesh import Mesh, exterior_facet_indices
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.grid import Grid, block_of_cells, find_grid
 from fenics_tfeti.feti.exchange import Directory, concatenate_ranks, first_of_rank, together
+from fenics_tfeti.feti.options import Partitioner
 
 __all__ = ["Bodies", "find_bodies", "given_subdomains", "split_into_subdomains"]
 
@@ -93,9 +95,9 @@ def find_bodies(domain: Mesh, cell_tags: Any | None) -> Bodies:
 
 
 def split_into_subdomains(
-    space: FunctionSpace, bodies: Bodies, unknowns: int
+    space: FunctionSpace, bodies: Bodies, unknowns: int, partitioner: Partitioner = "auto"
 ) -> list[NDArray[np.int32]]:
-    """Split this rank's cells, body by body, into connected subdomains by SCOTCH.
+    """Split this rank's cells, body by body, into connected subdomains.
 
     Parameters
     ----------
@@ -105,6 +107,8 @@ def split_into_subdomains(
         The bodies.
     unknowns : int
         Unknowns of a subdomain to aim at.
+    partitioner : {"auto", "scotch"}
+        SCOTCH for all, or blocks where the nodes of this rank's part of a body are a grid.
 
     Returns
     -------
@@ -122,9 +126,20 @@ def split_into_subdomains(
             subdomains.append(cells)
             continue
         inside = graph[cells][:, cells]
-        label = _compat.partition_graph(inside.indptr, inside.indices, min(parts, cells.size))
+        grid = _find_grid(space.mesh, cells) if partitioner == "auto" else None
+        label = (
+            block_of_cells(grid, unknowns / block)
+            if grid is not None
+            else _compat.partition_graph(inside.indptr, inside.indices, min(parts, cells.size))
+        )
         subdomains += _connected_groups(inside, label.astype(np.int64), cells)
     return subdomains
+
+
+def _find_grid(domain: Mesh, cells: NDArray[np.int32]) -> Grid | None:
+    rows, cell_nodes = np.unique(_compat.geometry_cells(domain)[cells], return_inverse=True)
+    points = domain.geometry.x[rows, : domain.geometry.dim]
+    return find_grid(points, cell_nodes.reshape(cells.size, -1))
 
 
 def given_subdomains(

@@ -14,7 +14,9 @@ from fenics_tfeti.feti.pseudoinverse import GeneralisedInverse
 from fenics_tfeti.feti.scaling import Scaling
 from fenics_tfeti.qp.mprgp import Expansion
 
-__all__ = ["Options", "parse_options"]
+__all__ = ["Options", "Partitioner", "parse_options"]
+
+Partitioner = Literal["auto", "scotch"]
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,9 @@ class Options:
         the certificate.
     subdomain_size : int
         Unknowns of a subdomain that the partition aims at.
+    partitioner : {"auto", "scotch"}
+        Subdomains by SCOTCH, or, where the nodes of a body (of the part of it that a rank has) are
+        a full grid along the axes, by blocks of it: equal ones share their factors.
     generalised_inverse : {"fixing_nodes", "null_pivots"}
         K^+ by (11.32)-(11.34), or by the null pivots of MUMPS.
     fixing_nodes : int
@@ -74,6 +79,7 @@ class Options:
 
     rtol: float = 1e-6
     subdomain_size: int = 3000
+    partitioner: Partitioner = "auto"
     generalised_inverse: GeneralisedInverse = "fixing_nodes"
     fixing_nodes: int = 8
     factor: Package = "auto"

@@ -22,7 +22,7 @@ from scenes import (
     two_materials,
 )
 
-OPTIONS = {"rtol": 1e-8, "subdomain_size": 60}
+OPTIONS = {"rtol": 1e-8, "subdomain_size": 60, "partitioner": "scotch"}
 
 SMALL = {
     "beams, quadrilaterals": lambda comm: two_beams(comm, "quadrilateral", 6),
@@ -165,6 +165,7 @@ def test_uniform_pressure_is_exact(name):
         {"factor": "mumps"},
         {"rho": 3.0},
         {"M0": 100.0, "eta": 1.0},
+        {"partitioner": "auto"},
         {"subdomain_size": 30},
         {"subdomain_size": 100_000},
     ],

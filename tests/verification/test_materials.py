@@ -136,7 +136,9 @@ def with_fibres() -> Scene:
 
 def solved(what: Scene, **options: Any) -> tuple[Any, Any]:
     """Return the solved problem and its displacement."""
-    problem = what.problem(options={"subdomain_size": SUBDOMAIN, **options})
+    problem = what.problem(
+        options={"subdomain_size": SUBDOMAIN, "partitioner": "scotch", **options}
+    )
     return problem, problem.solve().x.array
 
 
