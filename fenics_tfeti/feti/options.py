@@ -32,7 +32,7 @@ class Options:
         Unknowns of a subdomain that the partition aims at.
     partitioner : {"auto", "scotch"}
         Subdomains by SCOTCH, or, where the nodes of a body (of the part of it that a rank has) are
-        a full grid along the axes, by blocks of it: equal ones share their factors.
+        a grid along the axes, by blocks of it: equal ones share their factors.
     generalised_inverse : {"fixing_nodes", "null_pivots"}
         K^+ by (11.32)-(11.34), or by the null pivots of MUMPS.
     fixing_nodes : int

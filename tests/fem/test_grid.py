@@ -53,9 +53,18 @@ def test_a_graded_grid_is_one():
     assert tuple(grid_of(mesh).cells) == (4, 3, 2)
 
 
-def test_one_moved_node_makes_no_grid():
+def test_a_corner_may_be_missing():
+    mesh = box((6, 6), "quadrilateral")
+    cells = _compat.geometry_cells(mesh)
+    kept = cells[(mesh.geometry.x[cells][:, :, :2].mean(axis=1) < 0.5).any(axis=1)]
+    nodes, kept = np.unique(kept, return_inverse=True)
+    grid = find_grid(mesh.geometry.x[nodes, :2], kept.reshape(-1, 4))
+    assert (len(grid.cell), *grid.cells) == (27, 6, 6)
+
+
+def test_moved_nodes_are_no_grid():
     mesh = box((4, 3, 2))
-    mesh.geometry.x[7, 1] += 1e-4
+    mesh.geometry.x[:] += 1e-4 * np.random.default_rng(0).standard_normal(mesh.geometry.x.shape)
     assert grid_of(mesh) is None
 
 
