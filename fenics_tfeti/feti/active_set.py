@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse import CoarseSpace, Projector
-from fenics_tfeti.qp import Products
+from fenics_tfeti.qp import Products, Space
 
 __all__ = [
     "ActiveSetStep",
@@ -41,6 +41,8 @@ _NO_WORK = 1e-9
 _NO_SPEED = 1e-9
 # relative: rows that close at once
 _AT_ONCE = 1e-9
+# relative to the one before: a squared residual below it is not taken from a difference of squares
+_CANCELLED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class DualProblem:
     Attributes
     ----------
     F : callable
-        The dual operator.
+        x -> this rank's part of Fx, F the dual operator.
     d : (m,) array
         Its load.
     e : (coarse,) array
@@ -60,7 +62,7 @@ class DualProblem:
     norm : float
         ||PFP||.
     precondition : callable or None
-        x -> B_D S B_D'x.
+        x -> this rank's part of B_D S B_D'x.
     """
 
     F: Callable[[Vector], Vector]
@@ -106,12 +108,8 @@ class FaceSolution:
     ----------
     multipliers : (m,) array
         l, with Gl = e and zeros off the face.
-    Fl : (m,) array
-        The product with them.
     gradient : (m,) array
         Fl - d + G'a with the rigid motions a of the face; in the end not negative where l = o.
-    coarse_gradient : (m,) array
-        Q(Fl - d) + G'a, the equalities' part of it.
     residual : float
         Norm of the projected residual on the face.
     violation : float
@@ -121,9 +119,7 @@ class FaceSolution:
     """
 
     multipliers: Vector
-    Fl: Vector
     gradient: Vector
-    coarse_gradient: Vector
     residual: float
     violation: float
     step_length: float
@@ -195,7 +191,7 @@ def primal_dual_active_set(
         hopeless = cycles or failures > _PATIENCE or products.total >= max_products
         if solved or hopeless:
             multipliers[rows] = np.maximum(multipliers[rows], 0.0)
-            return multipliers, iterate.coarse_gradient, solved
+            return multipliers, problem.projector.coarse(iterate.gradient), solved
         if exact:
             seen.append(active)
         active = following
@@ -235,7 +231,7 @@ def _face(problem: DualProblem, active: Mask, room: Vector) -> tuple[Projector, 
         speed = space.contact.T @ (face.free @ work)
         closing = ~active & (speed > _NO_SPEED * np.linalg.norm(work))
         way = np.divide(room, speed, out=np.full(room.size, np.inf), where=closing)
-        first = vectors.min_over_ranks(float(way.min(initial=np.inf)))
+        first = vectors.dots_and_min(value=float(way.min(initial=np.inf)))[0]
         if not np.isfinite(first):
             return face, active
         active = active | (way <= first * (1.0 + _AT_ONCE))
@@ -275,17 +271,15 @@ def solve_on_face(
     products : Products
         Counter to add to.
     """
-    inner = problem.space.constraints.multipliers.space
+    vectors = problem.space.constraints.multipliers
+    inner = vectors.space
     accuracy, tolerance = tolerances
-
-    def project(x: Vector) -> Vector:
-        return face.complement(np.where(face.columns, x, 0.0))
 
     def precondition(r: Vector) -> Vector:
         if problem.precondition is None:
             return r
         products.preconditioner += 1
-        return project(problem.precondition(r))
+        return face.complement_of_sum(problem.precondition(r))
 
     def product(x: Vector) -> Vector:
         products.cg += 1
@@ -295,19 +289,19 @@ def solve_on_face(
     if isinstance(start, FaceSolution):
         # a first step at once, with the residual before the change: no product of its own
         lengths.append(start.step_length)
-        step = precondition(project(problem.d - start.Fl))
+        step = precondition(-face.complement(face.keep(start.gradient)))
         l = _nearest_on(face, problem, start.multipliers) + start.step_length * step
     else:
         l = _nearest_on(face, problem, start)
-    Fl = product(l)
-    r = project(problem.d - Fl)
+    gradient = face.relax(product(l) - vectors.owned_part(problem.d))
+    r = -face.keep(gradient)
     p = np.zeros_like(r)
     rz = 1.0
     residual = inner.norm(r)
     wanted = max(tolerance, _LOOK * residual)
     while True:
         if residual <= wanted or products.total >= max_products:
-            solution = _examine(face, active, problem, l, Fl, residual, lengths)
+            solution = _examine(active, problem, l, gradient, residual, lengths)
             enough = max(accuracy * solution.violation, tolerance)
             if residual <= enough or products.total >= max_products:
                 return solution
@@ -315,54 +309,63 @@ def solve_on_face(
         z = precondition(r)
         before, rz = rz, inner.dots((r, z))[0]
         p = z + rz / before * p
-        Fp = product(p)
-        curvature = inner.dots((p, Fp))[0]
+        # on the face PFp, elsewhere what the gradient changes by
+        change = face.relax(product(p))
+        q = face.keep(change)
+        curvature, *squares = inner.dots((p, q), (r, r), (r, q), (q, q))
         if curvature <= 0.0:
-            return _examine(face, active, problem, l, Fl, residual, lengths)
+            return _examine(active, problem, l, gradient, residual, lengths)
         lengths.append(rz / curvature)
-        l, Fl = l + lengths[-1] * p, Fl + lengths[-1] * Fp
-        r = r - lengths[-1] * project(Fp)
-        residual = inner.norm(r)
+        l, gradient = l + lengths[-1] * p, gradient + lengths[-1] * change
+        r = -face.keep(gradient)
+        residual = _norm_after_step(r, lengths[-1], squares, inner)
+
+
+def _norm_after_step(r: Vector, length: float, squares: list[float], inner: Space) -> float:
+    """Return ||r|| of r = s - t q from inner products with s and q that came in one reduction.
+
+    Parameters
+    ----------
+    r : (m,) array
+        The residual after the step.
+    length : float
+        t.
+    squares : (float, float, float)
+        s's, s'q and q'q.
+    inner : Space
+        The inner product.
+    """
+    before, mixed, change = squares
+    square = before - 2.0 * length * mixed + length**2 * change
+    # where digits cancel, the inner product itself
+    return float(np.sqrt(square)) if square > _CANCELLED * before else inner.norm(r)
 
 
 def _nearest_on(face: Projector, problem: DualProblem, multipliers: Vector) -> Vector:
     """Return the nearest multipliers with Gl = e and nothing off the face."""
-    l = np.where(face.columns, multipliers, 0.0)
+    l = face.keep(multipliers)
     missing = problem.e - problem.space.restrict(l)
-    nearest: Vector = l + face.expand(face.solve(_resisted(face, missing)))
+    nearest: Vector = l + face.expand(face.solve(face.resisted(missing)))
     return nearest
 
 
 def _examine(
-    face: Projector,
     active: Mask,
     problem: DualProblem,
     multipliers: Vector,
-    Fl: Vector,
+    gradient: Vector,
     residual: float,
     lengths: list[float],
 ) -> FaceSolution:
-    """Return the gradient with the rigid motions of the face, and how far signs are violated."""
+    """Find out how far signs are violated."""
     space = problem.space
-    jump = Fl - problem.d
-    # the smallest of the motions that the face leaves free
-    pull = space.prolong(_resisted(face, -face.coefficients(jump)))
-    gradient = jump + pull
     rows = space.constraints.inequality
-    wrong = np.zeros_like(jump)
+    wrong = np.zeros_like(gradient)
     wrong[rows] = np.where(active, problem.norm * multipliers[rows], gradient[rows])
     return FaceSolution(
         multipliers,
-        Fl,
         gradient,
-        problem.projector.coarse(jump) + pull,
         residual,
         space.constraints.multipliers.space.norm(np.minimum(wrong, 0.0)),
         float(np.median(lengths)) if lengths else 0.0,
     )
-
-
-def _resisted(face: Projector, coarse: Vector) -> Vector:
-    """Return a coarse vector without its part in the motions that the face leaves free."""
-    part: Vector = coarse - face.free @ (face.free.T @ coarse)
-    return part

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fenics_tfeti.feti.coarse import Projector
 from fenics_tfeti.feti.congruence import Boundary, apply_by_class
 from fenics_tfeti.feti.constraints import Constraints
 from fenics_tfeti.feti.pseudoinverse import Pseudoinverse
@@ -82,10 +83,14 @@ class DualOperator:
         return DualOperator(constraints, boundary, inverses, on_boundary)
 
     def __call__(self, multipliers: Vector) -> Vector:
-        """Return F lambda: one solve or product for each class, one neighbour exchange."""
+        """Return F lambda; one neighbour exchange."""
+        return self.constraints.multipliers.sum(self.part(multipliers))
+
+    def part(self, multipliers: Vector) -> Vector:
+        """Return what this rank's subdomains add to F lambda: a solve or product for each class."""
         B = self.boundary.matrix
-        jumps = B @ self.boundary.apply(self.on_boundary, B.T @ multipliers)
-        return self.constraints.multipliers.sum(jumps)
+        jumps: Vector = B @ self.boundary.apply(self.on_boundary, B.T @ multipliers)
+        return jumps
 
     def constraint_forces(self, multipliers: Vector) -> Vector:
         """Return B'lambda on this rank's torn unknowns."""
@@ -167,17 +172,15 @@ def seeded_vector(numbers: NDArray[np.int64], seed: int) -> Vector:
     return values
 
 
-def norm_of_projected(
-    F: DualOperator, complement: Callable[[Vector], Vector], steps: int, seed: int
-) -> float:
+def norm_of_projected(F: DualOperator, projector: Projector, steps: int, seed: int) -> float:
     """Bound ||PFP|| from above by the Lanczos method.
 
     Parameters
     ----------
     F : DualOperator
         The operator.
-    complement : callable
-        The projector P.
+    projector : Projector
+        P.
     steps : int
         Products with F to spend.
     seed : int
@@ -190,8 +193,8 @@ def norm_of_projected(
     """
     multipliers = F.constraints.multipliers
     return lanczos_upper_bound(
-        lambda x: complement(F(x)),
-        complement(seeded_vector(multipliers.numbers, seed)),
+        lambda x: projector.complement_of_sum(F.part(x)),
+        projector.complement(seeded_vector(multipliers.numbers, seed)),
         steps,
         multipliers.space,
     )

@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.cholesky import Package
+from fenics_tfeti.feti.coarse_solver import CoarseSolverKind
 from fenics_tfeti.feti.dual import DualOperatorKind
 from fenics_tfeti.feti.pseudoinverse import GeneralisedInverse
 from fenics_tfeti.feti.scaling import Scaling
@@ -37,6 +38,8 @@ class Options:
     dual_operator : {"auto", "implicit", "explicit"}
         F by sparse solves, or by a dense matrix between the boundary unknowns of each class of
         congruent subdomains; auto counts the bytes that either moves.
+    coarse_solver : {"auto", "redundant", "distributed"}
+        Coarse matrices whole on every rank, or by rows on all of them, with MUMPS; auto counts.
     method : {"active_set", "smalbe"}
         SMALBE-M over MPRGP alone, or started from where a primal-dual active set method leads.
     preconditioner : {"none", "lumped", "dirichlet"}
@@ -75,6 +78,7 @@ class Options:
     fixing_nodes: int = 8
     factor: Package = "auto"
     dual_operator: DualOperatorKind = "auto"
+    coarse_solver: CoarseSolverKind = "auto"
     method: Literal["active_set", "smalbe"] = "active_set"
     preconditioner: Literal["none", "lumped", "dirichlet"] = "lumped"
     scaling: Scaling = "stiffness"

@@ -23,7 +23,7 @@ def boundary_operator(
     stiffness: Sequence[sp.csr_matrix],
     package: str,
 ) -> Callable[[Vector], Vector]:
-    """Return x -> B D^{-1} S D^{-1} B'x, S the stiffness that displaced subdomain boundaries feel.
+    """Return this rank's part of x -> B D^{-1} S D^{-1} B'x, S the stiffness of boundaries.
 
     Lumped takes K_bb, the interior held still; Dirichlet the Schur complement
     K_bb - K_bi K_ii^{-1} K_ib, the interior free to follow. The boundary is what B has entries on.
@@ -40,7 +40,7 @@ def boundary_operator(
     package : str
         Package for the factors of K_ii.
     """
-    boundary, multipliers = F.boundary, F.constraints.multipliers
+    boundary = F.boundary
     reactions = [
         _reaction(kind, K, local, package)
         for K, local in zip(stiffness, boundary.unknowns, strict=True)
@@ -48,7 +48,8 @@ def boundary_operator(
     B_D = (boundary.matrix @ sp.diags(1.0 / F.constraints.weights[boundary.columns])).tocsr()
 
     def apply(x: Vector) -> Vector:
-        return multipliers.sum(B_D @ boundary.apply(reactions, B_D.T @ x))
+        part: Vector = B_D @ boundary.apply(reactions, B_D.T @ x)
+        return part
 
     return apply
 

@@ -206,7 +206,12 @@ class TornSolver:
     def _coarse_space(self) -> CoarseSpace:
         boundary = Boundary.build(self.constraints.matrix, self.classes)
         return CoarseSpace.build(
-            self.system, self.constraints, boundary, self.kernels, self.package
+            self.system,
+            self.constraints,
+            boundary,
+            self.kernels,
+            self.package,
+            self.options.coarse_solver,
         )
 
     def _feasible_start(self) -> Vector:
@@ -234,7 +239,7 @@ class TornSolver:
 
     def _norm(self) -> float:
         return norm_of_projected(
-            self.F, self.projector.complement, self.options.norm_steps, self.options.seed
+            self.F, self.projector, self.options.norm_steps, self.options.seed
         )
 
     def _first_state(self, previous: TornSolver | None) -> SMALBEState | None:
@@ -250,7 +255,7 @@ class TornSolver:
     def hessian(self, x: Vector) -> tuple[Vector, Vector]:
         """Return (PFP + rho Q) x with F in units of ||PFP||, and Qx."""
         Qx = self.projector.coarse(x)
-        y = self.projector.complement(self.F(x - Qx)) / self.norm
+        y = self.projector.complement_of_sum(self.F.part(x - Qx)) / self.norm
         return y + self.options.rho * Qx, Qx
 
     def solve(self) -> TornSolution:
@@ -369,7 +374,7 @@ class TornSolver:
 
         def apply(x: Vector) -> Vector:
             Qx = self.projector.coarse(x)
-            y = self.projector.complement(boundary(x - Qx))
+            y = self.projector.complement_of_sum(boundary(x - Qx))
             return self.norm * y + Qx / self.options.rho
 
         return apply
@@ -377,7 +382,7 @@ class TornSolver:
     def dual_problem(self) -> DualProblem:
         """Return (11.35), to solve it in another way."""
         return DualProblem(
-            self.F,
+            self.F.part,
             self.F.load(self.load),
             self.space.work(self.load),
             self.projector,
