@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse import CoarseSpace, Projector
-from fenics_tfeti.qp import Products, Space
+from fenics_tfeti.qp import Products
 
 __all__ = [
     "ActiveSetStep",
@@ -41,8 +41,6 @@ _NO_WORK = 1e-9
 _NO_SPEED = 1e-9
 # relative: rows that close at once
 _AT_ONCE = 1e-9
-# relative to the one before: a squared residual below it is not taken from a difference of squares
-_CANCELLED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -272,14 +270,14 @@ def solve_on_face(
         Counter to add to.
     """
     vectors = problem.space.constraints.multipliers
-    inner = vectors.space
     accuracy, tolerance = tolerances
 
-    def precondition(r: Vector) -> Vector:
+    def precondition(r: Vector) -> tuple[Vector, float | None]:
+        """Return z and r'z; the latter where it does not cost a reduction more."""
         if problem.precondition is None:
-            return r
+            return r, None
         products.preconditioner += 1
-        return face.complement_of_sum(problem.precondition(r))
+        return face.complement_of_sum(problem.precondition(r), r)
 
     def product(x: Vector) -> Vector:
         products.cg += 1
@@ -289,56 +287,35 @@ def solve_on_face(
     if isinstance(start, FaceSolution):
         # a first step at once, with the residual before the change: no product of its own
         lengths.append(start.step_length)
-        step = precondition(-face.complement(face.keep(start.gradient)))
+        step = precondition(-face.complement(face.keep(start.gradient)))[0]
         l = _nearest_on(face, problem, start.multipliers) + start.step_length * step
     else:
         l = _nearest_on(face, problem, start)
-    gradient = face.relax(product(l) - vectors.owned_part(problem.d))
+    gradient = face.relax(product(l) - vectors.owned_part(problem.d), l)[0]
     r = -face.keep(gradient)
     p = np.zeros_like(r)
     rz = 1.0
-    residual = inner.norm(r)
+    residual, violation = _residual_and_violation(active, problem, l, gradient, r)
     wanted = max(tolerance, _LOOK * residual)
     while True:
         if residual <= wanted or products.total >= max_products:
-            solution = _examine(active, problem, l, gradient, residual, lengths)
-            enough = max(accuracy * solution.violation, tolerance)
+            enough = max(accuracy * violation, tolerance)
             if residual <= enough or products.total >= max_products:
-                return solution
+                break
             wanted = max(tolerance, _LOOK * residual)
-        z = precondition(r)
-        before, rz = rz, inner.dots((r, z))[0]
+        z, rMr = precondition(r)
+        before, rz = rz, residual**2 if rMr is None else rMr
         p = z + rz / before * p
         # on the face PFp, elsewhere what the gradient changes by
-        change = face.relax(product(p))
-        q = face.keep(change)
-        curvature, *squares = inner.dots((p, q), (r, r), (r, q), (q, q))
+        change, curvature = face.relax(product(p), p)
         if curvature <= 0.0:
-            return _examine(active, problem, l, gradient, residual, lengths)
+            break
         lengths.append(rz / curvature)
         l, gradient = l + lengths[-1] * p, gradient + lengths[-1] * change
         r = -face.keep(gradient)
-        residual = _norm_after_step(r, lengths[-1], squares, inner)
-
-
-def _norm_after_step(r: Vector, length: float, squares: list[float], inner: Space) -> float:
-    """Return ||r|| of r = s - t q from inner products with s and q that came in one reduction.
-
-    Parameters
-    ----------
-    r : (m,) array
-        The residual after the step.
-    length : float
-        t.
-    squares : (float, float, float)
-        s's, s'q and q'q.
-    inner : Space
-        The inner product.
-    """
-    before, mixed, change = squares
-    square = before - 2.0 * length * mixed + length**2 * change
-    # where digits cancel, the inner product itself
-    return float(np.sqrt(square)) if square > _CANCELLED * before else inner.norm(r)
+        residual, violation = _residual_and_violation(active, problem, l, gradient, r)
+    typical = float(np.median(lengths)) if lengths else 0.0
+    return FaceSolution(l, gradient, residual, violation, typical)
 
 
 def _nearest_on(face: Projector, problem: DualProblem, multipliers: Vector) -> Vector:
@@ -349,23 +326,13 @@ def _nearest_on(face: Projector, problem: DualProblem, multipliers: Vector) -> V
     return nearest
 
 
-def _examine(
-    active: Mask,
-    problem: DualProblem,
-    multipliers: Vector,
-    gradient: Vector,
-    residual: float,
-    lengths: list[float],
-) -> FaceSolution:
-    """Find out how far signs are violated."""
-    space = problem.space
-    rows = space.constraints.inequality
+def _residual_and_violation(
+    active: Mask, problem: DualProblem, multipliers: Vector, gradient: Vector, r: Vector
+) -> list[float]:
+    """Return the norms of the residual r and of what violates signs, in one reduction."""
+    constraints = problem.space.constraints
+    rows = constraints.inequality
     wrong = np.zeros_like(gradient)
     wrong[rows] = np.where(active, problem.norm * multipliers[rows], gradient[rows])
-    return FaceSolution(
-        multipliers,
-        gradient,
-        residual,
-        space.constraints.multipliers.space.norm(np.minimum(wrong, 0.0)),
-        float(np.median(lengths)) if lengths else 0.0,
-    )
+    wrong = np.minimum(wrong, 0.0)
+    return [float(np.sqrt(x)) for x in constraints.multipliers.space.dots((r, r), (wrong, wrong))]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from mpi4py import MPI  # noqa: F401 - first, or the wheels' petsc4py does not find the MPI library
+from mpi4py import MPI  # first, or the wheels' petsc4py does not find the MPI library
 
 from petsc4py import PETSc
 
@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import FactorizationError
 
-__all__ = ["DistributedCholesky", "Package", "SparseCholesky", "available_packages", "choose_package"]
+__all__ = [
+    "DistributedCholesky",
+    "Package",
+    "SparseCholesky",
+    "available_packages",
+    "choose_package",
+]
 
 Vector = NDArray[np.float64]
 Package = Literal["auto", "cholmod", "mumps"]
@@ -207,6 +213,8 @@ class DistributedCholesky:
     """
 
     def __init__(self, comm: MPI.Intracomm, own_rows: sp.csr_matrix) -> None:
+        # petsc4py takes no class derived from communicators
+        comm = MPI.Intracomm(comm)
         # factors that are not needed any more; MUMPS can end only on all ranks at once
         PETSc.garbage_cleanup(comm)
         rows = own_rows.sorted_indices()

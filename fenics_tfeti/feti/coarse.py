@@ -138,7 +138,8 @@ class CoarseSpace:
             system.comm,
             int(ends[-1]),
             theirs.astype(np.int64),
-            solver == "distributed" or (solver == "auto" and distribution_pays(system.comm, rows)),
+            solver == "distributed"
+            or (solver == "auto" and distribution_pays(system.comm.size, size)),
             package,
         )
         return CoarseSpace(
@@ -302,22 +303,43 @@ class Projector:
         """Return Px = x - Qx."""
         return x - self.coarse(x)
 
-    def complement_of_sum(self, part: Vector) -> Vector:
-        """Return Py in the chosen columns, y the sum of the ranks' parts; one neighbour exchange."""
-        return self.keep(self._sum(part - self._own_motion(part)))
+    def complement_of_sum(self, part: Vector, x: Vector) -> tuple[Vector, float]:
+        """Return Py in the chosen columns and x'y, y the sum of the ranks' parts; one exchange."""
+        motion, xy = self._own_motion(part, x)
+        return self._sum(self.keep(part - motion)), xy
 
-    def relax(self, part: Vector) -> Vector:
-        """Return y - G'a, y the sum of the ranks' parts, with the motions a = (GG')^+ Gy.
+    def part_of_complement(self, part: Vector) -> Vector:
+        """Return this rank's part of Py in the chosen columns, y the sum of the ranks' parts."""
+        return self.keep(part - self._own_motion(part, part)[0])
+
+    def coarse_by_parts(self, x: Vector) -> tuple[Vector, Vector]:
+        """Return this rank's part of Qx, and Qx itself without an exchange of multipliers.
+
+        The latter is not bitwise the same on all ranks that hold a component: good for products
+        that are summed, not for what is compared with bounds.
+        """
+        if self.factor is None:
+            return np.zeros_like(x), np.zeros_like(x)
+        own, theirs = self.factor.solve_own(self.space.restrict_own(self.keep(x)))
+        part = self.keep(self.space.prolong_own(own))
+        return part, part + self.keep(self.space.theirs.T @ theirs)
+
+    def relax(self, part: Vector, x: Vector) -> tuple[Vector, float]:
+        """Return y - G'a, y the sum of the ranks' parts, with the motions a = (GG')^+ Gy; and x'y.
 
         That is Py in the chosen columns; in the others it says what the motions do there. Of the
-        motions that the chosen columns leave free, a has none.
+        motions that the chosen columns leave free, a has none. One neighbour exchange; x'y is
+        summed along with Gy.
 
         Parameters
         ----------
         part : (m,) array
             This rank's part of y.
+        x : (m,) array
+            A vector whose inner product with y is wanted.
         """
-        return self._sum(part - self._own_motion(part, resisted=True))
+        motion, xy = self._own_motion(part, x, resisted=True)
+        return self._sum(part - motion), xy
 
     def keep(self, x: Vector) -> Vector:
         """Return x with zeros outside the chosen columns."""
@@ -328,16 +350,21 @@ class Projector:
         part: Vector = coarse - self.free @ (self.free.T @ coarse)
         return part
 
-    def _own_motion(self, part: Vector, resisted: bool = False) -> Vector:
-        """Return what this rank's subdomains add to G'(GG')^+ G of the sum of the ranks' parts."""
+    def _own_motion(self, part: Vector, x: Vector, resisted: bool = False) -> tuple[Vector, float]:
+        """Return what this rank's subdomains add to G'(GG')^+ Gy, and x'y."""
+        sum_over_ranks = self.space.constraints.multipliers.space.sum_over_ranks
+        # x has the same bits on all ranks that hold a component, so all of them may count
+        xy = float(x @ part)
         if self.factor is None:
-            return np.zeros_like(part)
+            return np.zeros_like(part), float(sum_over_ranks(np.array([xy]))[0])
         chosen = self.keep(part)
-        own = self.factor.solve_sum(self.space.restrict_own(chosen), self.space.theirs @ chosen)
+        own, xy = self.factor.solve_sum(
+            self.space.restrict_own(chosen), self.space.theirs @ chosen, xy
+        )
         if resisted and self.free.shape[1]:
             free = self.space.own_part(self.free)
-            own = own - free @ self.space.constraints.multipliers.space.sum_over_ranks(free.T @ own)
-        return self.space.prolong_own(own)
+            own = own - free @ sum_over_ranks(free.T @ own)
+        return self.space.prolong_own(own), xy
 
     def _sum(self, part: Vector) -> Vector:
         return self.space.constraints.multipliers.sum(part)

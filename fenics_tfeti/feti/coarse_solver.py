@@ -1,4 +1,4 @@
-"""Where the coarse matrix is: whole on every rank, or its rows and its factor spread over the ranks.
+"""Where coarse matrices are: whole on every rank, or rows and factor spread over the ranks.
 
 Coarse vectors are short, and those outside the iterations are whole on every rank. Within the
 iterations, right-hand sides come as sums of the ranks' parts, and a rank needs no more of the
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 from mpi4py import MPI
 
@@ -17,13 +17,29 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fenics_tfeti.feti.cholesky import DistributedCholesky, SparseCholesky
+from fenics_tfeti.feti.cholesky import (
+    DistributedCholesky,
+    SparseCholesky,
+    available_packages,
+)
 
 __all__ = ["CoarseFactor", "CoarseLayout", "CoarseSolverKind", "distribution_pays"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 CoarseSolverKind = Literal["auto", "redundant", "distributed"]
+
+# Counted on lattices of 108 to 2916 cubes, 1 to 16 ranks (docs/communication.rst):
+# entries of the factor / size^1.5
+_ENTRIES = 3.6
+# solves of a face; time of a factorisation in solves; time of MUMPS on one rank / CHOLMOD
+_SOLVES, _FACTORISATION, _SLOWER = 10, 80, 2
+# collective calls of a solve by MUMPS, besides one for each rank; messages for each rank
+_COLLECTIVES, _MESSAGES = 86, 3
+# messages of a factorisation by MUMPS, in solves
+_MESSAGES_OF_FACTORISATION = 4
+# bytes read of memory while a message is under way: 5 us at 10 GB/s
+_LATENCY = 50_000
 
 
 class CoarseFactor(Protocol):
@@ -33,13 +49,19 @@ class CoarseFactor(Protocol):
         """Solve for a right-hand side that every rank has; every rank gets the whole solution."""
         ...
 
-    def solve_sum(self, own: Vector, theirs: Vector) -> Vector:
+    def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
+        """Solve, given this rank's part; return that of `own` and of `theirs` in the solution."""
+        ...
+
+    def solve_sum(self, own: Vector, theirs: Vector, number: float) -> tuple[Vector, float]:
         """Solve for the sum of the ranks' parts; return this rank's part of the solution.
 
         Parameters
         ----------
         own, theirs : (own,), (h,) array
             What this rank adds to its own and to other ranks' unknowns, `CoarseLayout.theirs`.
+        number : float
+            To be summed over the ranks on the occasion; the sum is returned as well.
         """
         ...
 
@@ -52,8 +74,8 @@ class CoarseLayout:
     ----------
     comm : MPI.Intracomm
         The ranks.
-    first, own, size : int
-        Number of this rank's first coarse unknown, how many it has, and how many there are.
+    counts : tuple of int
+        How many unknowns each rank has.
     theirs : (h,) integer array
         Other ranks' unknowns that this rank's multipliers act on, ascending.
     to, of : mapping from int to integer array
@@ -65,9 +87,7 @@ class CoarseLayout:
     """
 
     comm: MPI.Intracomm
-    first: int
-    own: int
-    size: int
+    counts: tuple[int, ...]
     theirs: Numbers
     to: Mapping[int, Numbers]
     of: Mapping[int, Numbers]
@@ -93,45 +113,73 @@ class CoarseLayout:
         package : str
             Package for the factors of whole matrices.
         """
-        ends = np.cumsum(comm.allgather(own))
-        first, size = int(ends[comm.rank]) - own, int(ends[-1])
+        counts = comm.allgather(own)
+        ends = np.cumsum(counts)
+        first = int(ends[comm.rank]) - own
         rank = np.searchsorted(ends, theirs, side="right")
         to = {int(r): np.flatnonzero(rank == r) for r in np.unique(rank)}
         asked = comm.alltoall([theirs[to[r]] if r in to else theirs[:0] for r in range(comm.size)])
         of = {r: numbers - first for r, numbers in enumerate(asked) if numbers.size}
-        return CoarseLayout(comm, first, own, size, theirs, to, of, distributed, package)
+        return CoarseLayout(comm, tuple(counts), theirs, to, of, distributed, package)
+
+    @property
+    def first(self) -> int:
+        """Number of this rank's first unknown."""
+        return sum(self.counts[: self.comm.rank])
+
+    @property
+    def size(self) -> int:
+        """Number of all unknowns."""
+        return sum(self.counts)
 
     @property
     def mine(self) -> slice:
         """Where the own unknowns stand in a whole vector."""
-        return slice(self.first, self.first + self.own)
+        return slice(self.first, self.first + self.counts[self.comm.rank])
 
     def gather(self, own: Vector) -> Vector:
         """Return the whole vector of the ranks' own parts; one gathering."""
         if self.comm.size == 1:
             return own
-        return _concatenate(self.comm, own)
+        whole = np.empty((self.size, *own.shape[1:]))
+        self.comm.Allgatherv(np.ascontiguousarray(own), [whole, list(self.counts)])
+        return whole
 
-    def sum_whole(self, own: Vector, theirs: Vector) -> Vector:
-        """Return the whole sum of the ranks' parts; one reduction."""
+    def sum_whole(self, own: Vector, theirs: Vector, number: float) -> tuple[Vector, float]:
+        """Return the whole sum of the ranks' parts, and that of their numbers; one reduction."""
         if self.comm.size == 1:
-            return own
-        part, total = np.zeros(self.size), np.empty(self.size)
+            return own, number
+        part, total = np.zeros(self.size + 1), np.empty(self.size + 1)
         part[self.mine] = own
         part[self.theirs] = theirs
+        part[-1] = number
         self.comm.Allreduce(part, total)
-        return total
+        return total[:-1], float(total[-1])
 
     def sum_own(self, own: Vector, theirs: Vector) -> Vector:
         """Return this rank's part of the sum of the ranks' parts; one neighbour exchange."""
-        received = {rank: np.empty(at.size) for rank, at in self.of.items()}
-        requests = [self.comm.Irecv(buffer, source=rank) for rank, buffer in received.items()]
-        requests += [self.comm.Isend(theirs[at], dest=rank) for rank, at in self.to.items()]
-        MPI.Request.Waitall(requests)
+        received = self._exchange({rank: theirs[at] for rank, at in self.to.items()}, self.of)
         total = own.copy()
         for rank, part in received.items():
             total[self.of[rank]] += part
         return total
+
+    def fetch(self, own: Vector) -> Vector:
+        """Return `theirs` of a vector of which each rank has its own part; one exchange."""
+        received = self._exchange({rank: own[at] for rank, at in self.of.items()}, self.to)
+        theirs = np.empty(self.theirs.size)
+        for rank, part in received.items():
+            theirs[self.to[rank]] = part
+        return theirs
+
+    def _exchange(
+        self, sent: Mapping[int, Vector], places: Mapping[int, Numbers]
+    ) -> dict[int, Vector]:
+        received = {rank: np.empty(at.size) for rank, at in places.items()}
+        requests = [self.comm.Irecv(buffer, source=rank) for rank, buffer in received.items()]
+        requests += [self.comm.Isend(part, dest=rank) for rank, part in sent.items()]
+        MPI.Request.Waitall(requests)
+        return received
 
     def rows(self, own_rows: sp.csr_matrix) -> sp.csr_matrix:
         """Return the rows of a coarse matrix that this rank keeps, from each rank's own rows."""
@@ -173,8 +221,13 @@ class _Redundant:
     def solve(self, coarse: Vector) -> Vector:
         return self.whole.solve(coarse)
 
-    def solve_sum(self, own: Vector, theirs: Vector) -> Vector:
-        return self.whole.solve(self.layout.sum_whole(own, theirs))[self.layout.mine]
+    def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
+        solution = self.whole.solve(self.layout.gather(own))
+        return solution[self.layout.mine], solution[self.layout.theirs]
+
+    def solve_sum(self, own: Vector, theirs: Vector, number: float) -> tuple[Vector, float]:
+        coarse, total = self.layout.sum_whole(own, theirs, number)
+        return self.whole.solve(coarse)[self.layout.mine], total
 
 
 @dataclass(frozen=True)
@@ -187,11 +240,17 @@ class _Distributed:
     def solve(self, coarse: Vector) -> Vector:
         return self.layout.gather(self.shared.solve(coarse[self.layout.mine]))
 
-    def solve_sum(self, own: Vector, theirs: Vector) -> Vector:
-        return self.shared.solve(self.layout.sum_own(own, theirs))
+    def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
+        solution = self.shared.solve(own)
+        return solution, self.layout.fetch(solution)
+
+    def solve_sum(self, own: Vector, theirs: Vector, number: float) -> tuple[Vector, float]:
+        total = np.array([number])
+        self.layout.comm.Allreduce(MPI.IN_PLACE, total)
+        return self.shared.solve(self.layout.sum_own(own, theirs)), float(total[0])
 
 
-def _concatenate(comm: MPI.Intracomm, part: NDArray[np.generic]) -> NDArray[np.generic]:
+def _concatenate(comm: MPI.Intracomm, part: NDArray[Any]) -> NDArray[Any]:
     """Return the ranks' arrays one behind the other, by buffers."""
     counts = np.empty(comm.size, dtype=np.int64)
     comm.Allgather(np.array([part.size]), counts)
@@ -200,6 +259,27 @@ def _concatenate(comm: MPI.Intracomm, part: NDArray[np.generic]) -> NDArray[np.g
     return whole
 
 
-def distribution_pays(comm: MPI.Intracomm, own_rows: sp.csr_matrix) -> bool:
-    """Decide."""
-    return False
+def distribution_pays(ranks: int, size: int) -> bool:
+    """Tell whether MUMPS over all ranks moves less than a whole factor on each of them.
+
+    For one face of the active set method, in bytes: what factor and solves read of memory, without
+    the share that MUMPS reads too, against what could be read while its messages are under way.
+
+    Parameters
+    ----------
+    ranks : int
+        Number of ranks.
+    size : int
+        Coarse unknowns.
+
+    Examples
+    --------
+    >>> [distribution_pays(ranks, 6 * 1000) for ranks in (2, 8, 64, 1000)]
+    [False, True, True, False]
+    """
+    # each solve reads the entries twice
+    solve = 16.0 * _ENTRIES * size**1.5
+    spared = (_SOLVES + _FACTORISATION) * solve * max(0.0, 1.0 - _SLOWER / ranks)
+    rounds = (_COLLECTIVES + ranks) * np.log2(ranks) + _MESSAGES * ranks
+    messages = (_SOLVES + _MESSAGES_OF_FACTORISATION) * rounds * _LATENCY
+    return bool("mumps" in available_packages() and spared > messages)

@@ -193,7 +193,7 @@ def norm_of_projected(F: DualOperator, projector: Projector, steps: int, seed: i
     """
     multipliers = F.constraints.multipliers
     return lanczos_upper_bound(
-        lambda x: projector.complement_of_sum(F.part(x)),
+        lambda x: projector.complement_of_sum(F.part(x), x)[0],
         projector.complement(seeded_vector(multipliers.numbers, seed)),
         steps,
         multipliers.space,

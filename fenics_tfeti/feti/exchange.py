@@ -1,8 +1,8 @@
 """Communication: finding who shares what, and summing shared components.
 
 Everything here works on integer keys (global node or multiplier numbers) and belongs to the
-set-up, but for `SharedIndices`: its sum is the one neighbour exchange of a product with F, its space
-reduces inner products. These two work on buffers, without pickling.
+set-up, but for `SharedIndices`: its sum is the one neighbour exchange of a product with F, its
+space reduces inner products. Both work on buffers, without pickling.
 """
 
 from __future__ import annotations
@@ -242,10 +242,17 @@ class SharedIndices:
         return positions
 
     def sum(self, part: Vector) -> Vector:
-        """Add up the holders' parts of each component; one exchange with the neighbours."""
+        """Add up the holders' parts of each component; one exchange with the neighbours.
+
+        Parameters
+        ----------
+        part : (m,) or (m, k) array
+            This rank's part of one vector, or of several.
+        """
         if self.comm.size == 1:
             return part
-        received = {rank: np.empty(at.size) for rank, at in self._neighbours.items()}
+        shape = part.shape[1:]
+        received = {rank: np.empty((at.size, *shape)) for rank, at in self._neighbours.items()}
         requests = [self.comm.Irecv(buffer, source=rank) for rank, buffer in received.items()]
         requests += [
             self.comm.Isend(np.ascontiguousarray(part[at]), dest=rank)
@@ -263,7 +270,7 @@ class SharedIndices:
         return total
 
     def owned_part(self, x: Vector) -> Vector:
-        """Return x without the components of other ranks: the holders' parts, of which it is the sum."""
+        """Return the owned components of x, zeros for the others: parts of which x is the sum."""
         part = np.zeros_like(x)
         part[: self.owned] = x[: self.owned]
         return part
@@ -312,7 +319,7 @@ class SharedIndices:
         return total
 
 
-def _sum_and_min(some: MPI.buffer, others: MPI.buffer, kind: MPI.Datatype) -> None:
+def _sum_and_min(some: Any, others: Any, kind: MPI.Datatype) -> None:
     """Add up all numbers of two buffers but the last ones, of which the smaller stays."""
     x, y = np.frombuffer(some), np.frombuffer(others)
     y[:-1] += x[:-1]

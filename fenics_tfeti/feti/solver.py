@@ -238,9 +238,7 @@ class TornSolver:
         return [self.system.subdomains[congruent.first].stiffness for congruent in self.classes]
 
     def _norm(self) -> float:
-        return norm_of_projected(
-            self.F, self.projector, self.options.norm_steps, self.options.seed
-        )
+        return norm_of_projected(self.F, self.projector, self.options.norm_steps, self.options.seed)
 
     def _first_state(self, previous: TornSolver | None) -> SMALBEState | None:
         """Return where the last solve ended, if its multipliers are the same ones."""
@@ -254,9 +252,11 @@ class TornSolver:
 
     def hessian(self, x: Vector) -> tuple[Vector, Vector]:
         """Return (PFP + rho Q) x with F in units of ||PFP||, and Qx."""
-        Qx = self.projector.coarse(x)
-        y = self.projector.complement_of_sum(self.F.part(x - Qx)) / self.norm
-        return y + self.options.rho * Qx, Qx
+        part, Qx = self.projector.coarse_by_parts(x)
+        y = self.projector.part_of_complement(self.F.part(x - Qx)) / self.norm
+        both = np.column_stack([y + self.options.rho * part, part])
+        product, Qx = self.constraints.multipliers.sum(both).T.copy()
+        return product, Qx
 
     def solve(self) -> TornSolution:
         """Solve (11.39) by SMALBE-M over MPRGP and recover the displacement (11.29).
@@ -373,9 +373,9 @@ class TornSolver:
             return None
 
         def apply(x: Vector) -> Vector:
-            Qx = self.projector.coarse(x)
-            y = self.projector.complement_of_sum(boundary(x - Qx))
-            return self.norm * y + Qx / self.options.rho
+            part, Qx = self.projector.coarse_by_parts(x)
+            y = self.projector.part_of_complement(boundary(x - Qx))
+            return self.constraints.multipliers.sum(self.norm * y + part / self.options.rho)
 
         return apply
 
@@ -557,6 +557,8 @@ class TornSolver:
 
 
 def _choose_package(options: Options) -> str:
+    if options.coarse_solver == "distributed":
+        choose_package("mumps")
     if options.generalised_inverse == "null_pivots":
         if options.factor == "cholmod":
             raise FactorizationError(

@@ -31,7 +31,7 @@ class Split:
     constraint2 : float
         ||Qx||^2 = ||Gx||^2, zero without equality constraints. (x'Qx is the same number, but loses
         half of the digits when x is large.)
-    free_Ap : float
+    conjugation : float
         phi'Ap with the last direction p, zero without one.
     """
 
@@ -41,7 +41,7 @@ class Split:
     chopped2: float
     reduced_free: float
     constraint2: float
-    free_Ap: float
+    conjugation: float
 
     @property
     def projected_norm(self) -> float:
@@ -135,11 +135,11 @@ class Bounds:
         owned = None if space.owned is None else int(np.searchsorted(self.indices, space.owned))
         free2 = space.partial(free, free)
         cut = float(phi_bounded[:owned] @ (phi_bounded - reduced)[:owned])
-        free2, chopped2, reduced_free, constraint2, free_Ap = space.sums(
+        free2, chopped2, reduced_free, constraint2, conjugation = space.sums(
             free2,
             float(chopped[:owned] @ chopped[:owned]),
             free2 - cut,
             0.0 if Qx is None else space.partial(Qx, Qx),
             0.0 if Ap is None else space.partial(free, Ap),
         )
-        return Split(free, chopped, free2, chopped2, reduced_free, constraint2, free_Ap)
+        return Split(free, chopped, free2, chopped2, reduced_free, constraint2, conjugation)

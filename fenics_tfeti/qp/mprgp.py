@@ -234,7 +234,7 @@ class _Iteration:
             z = self.preconditioned_free_gradient()
             # without preconditioner z is the free gradient
             alone = self.precondition is None
-            zAp = self.split.free_Ap if alone else self.space.dots((z, Ap))[0]
+            zAp = self.split.conjugation if alone else self.space.dots((z, Ap))[0]
             self.p = z - zAp / curvature * p
         elif self.options.expansion == "projected_cg" and not flat:
             self.projected_step(length, longest, p, Ap, Qp)

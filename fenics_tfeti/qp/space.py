@@ -32,7 +32,8 @@ class Space:
     sum_over_ranks : callable
         Sums an array of partial sums over all processes.
     sum_and_min_over_ranks : callable
-        Sums all numbers of an array but the last, of which it returns the smallest, in one reduction.
+        Sums all numbers of an array over all processes but the last, of which it takes the
+        smallest.
 
     Examples
     --------
