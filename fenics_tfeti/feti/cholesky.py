@@ -79,6 +79,8 @@ def choose_package(package: Package) -> str:
 
 # MUMPS' INFOG(1) when it did not initialise
 _NO_COMMUNICATOR = -3
+# INFOG(12)
+_NEGATIVE_PIVOTS = 12
 # right-hand sides that are solved for together
 _COLUMNS = 64
 
@@ -237,13 +239,13 @@ class DistributedCholesky:
         probe.array_w[:] = np.sin(np.arange(begin, end) + 1.0)
         A.mult(probe, b)
         self._factor.solve(b, self._x)
-        positive = self._x.dot(b) > 0.0
-        size = b.norm()
-        A.multAdd(self._x, -b, b)
-        if not (positive and b.norm() <= 1e-6 * size):
+        residual = (A * self._x - b).norm()
+        negative = self._factor.getMumpsInfog(_NEGATIVE_PIVOTS)
+        if negative or not residual <= 1e-6 * b.norm():
             raise FactorizationError(
-                f"the distributed factorisation of the coarse matrix of order {A.size[0]} is "
-                f"useless (residual {b.norm():.1e}): the matrix is not positive definite"
+                f"the distributed Cholesky factorisation by MUMPS is useless ({negative} negative "
+                f"pivots, residual {residual:.1e}): the matrix of order {A.size[0]} is not "
+                "positive definite"
             )
 
     def solve(self, own: Vector) -> Vector:

@@ -310,7 +310,7 @@ class Projector:
 
     def part_of_complement(self, part: Vector) -> Vector:
         """Return this rank's part of Py in the chosen columns, y the sum of the ranks' parts."""
-        return self.keep(part - self._own_motion(part, part)[0])
+        return self.keep(part - self._own_motion(part)[0])
 
     def coarse_by_parts(self, x: Vector) -> tuple[Vector, Vector]:
         """Return this rank's part of Qx, and Qx itself without an exchange of multipliers.
@@ -350,21 +350,23 @@ class Projector:
         part: Vector = coarse - self.free @ (self.free.T @ coarse)
         return part
 
-    def _own_motion(self, part: Vector, x: Vector, resisted: bool = False) -> tuple[Vector, float]:
-        """Return what this rank's subdomains add to G'(GG')^+ Gy, and x'y."""
+    def _own_motion(
+        self, part: Vector, x: Vector | None = None, resisted: bool = False
+    ) -> tuple[Vector, float]:
+        """Return what this rank's subdomains add to G'(GG')^+ Gy, and x'y (zero without x)."""
         sum_over_ranks = self.space.constraints.multipliers.space.sum_over_ranks
-        # x has the same bits on all ranks that hold a component, so all of them may count
-        xy = float(x @ part)
+        # all holders of a component have the same of x, so each may multiply its part of y
+        numbers = np.zeros(0) if x is None else np.array([x @ part])
         if self.factor is None:
-            return np.zeros_like(part), float(sum_over_ranks(np.array([xy]))[0])
+            return np.zeros_like(part), float(sum_over_ranks(numbers).sum())
         chosen = self.keep(part)
-        own, xy = self.factor.solve_sum(
-            self.space.restrict_own(chosen), self.space.theirs @ chosen, xy
+        own, numbers = self.factor.solve_sum(
+            self.space.restrict_own(chosen), self.space.theirs @ chosen, numbers
         )
         if resisted and self.free.shape[1]:
             free = self.space.own_part(self.free)
             own = own - free @ sum_over_ranks(free.T @ own)
-        return self.space.prolong_own(own), xy
+        return self.space.prolong_own(own), float(numbers.sum())
 
     def _sum(self, part: Vector) -> Vector:
         return self.space.constraints.multipliers.sum(part)

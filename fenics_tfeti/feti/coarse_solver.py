@@ -53,15 +53,15 @@ class CoarseFactor(Protocol):
         """Solve, given this rank's part; return that of `own` and of `theirs` in the solution."""
         ...
 
-    def solve_sum(self, own: Vector, theirs: Vector, number: float) -> tuple[Vector, float]:
+    def solve_sum(self, own: Vector, theirs: Vector, numbers: Vector) -> tuple[Vector, Vector]:
         """Solve for the sum of the ranks' parts; return this rank's part of the solution.
 
         Parameters
         ----------
         own, theirs : (own,), (h,) array
             What this rank adds to its own and to other ranks' unknowns, `CoarseLayout.theirs`.
-        number : float
-            To be summed over the ranks on the occasion; the sum is returned as well.
+        numbers : (k,) array
+            To be summed over the ranks on the occasion; the sums are returned as well.
         """
         ...
 
@@ -145,16 +145,17 @@ class CoarseLayout:
         self.comm.Allgatherv(np.ascontiguousarray(own), [whole, list(self.counts)])
         return whole
 
-    def sum_whole(self, own: Vector, theirs: Vector, number: float) -> tuple[Vector, float]:
+    def sum_whole(self, own: Vector, theirs: Vector, numbers: Vector) -> tuple[Vector, Vector]:
         """Return the whole sum of the ranks' parts, and that of their numbers; one reduction."""
         if self.comm.size == 1:
-            return own, number
-        part, total = np.zeros(self.size + 1), np.empty(self.size + 1)
+            return own, numbers
+        part = np.zeros(self.size + numbers.size)
         part[self.mine] = own
         part[self.theirs] = theirs
-        part[-1] = number
+        part[self.size :] = numbers
+        total = np.empty_like(part)
         self.comm.Allreduce(part, total)
-        return total[:-1], float(total[-1])
+        return total[: self.size], total[self.size :]
 
     def sum_own(self, own: Vector, theirs: Vector) -> Vector:
         """Return this rank's part of the sum of the ranks' parts; one neighbour exchange."""
@@ -225,9 +226,9 @@ class _Redundant:
         solution = self.whole.solve(self.layout.gather(own))
         return solution[self.layout.mine], solution[self.layout.theirs]
 
-    def solve_sum(self, own: Vector, theirs: Vector, number: float) -> tuple[Vector, float]:
-        coarse, total = self.layout.sum_whole(own, theirs, number)
-        return self.whole.solve(coarse)[self.layout.mine], total
+    def solve_sum(self, own: Vector, theirs: Vector, numbers: Vector) -> tuple[Vector, Vector]:
+        coarse, sums = self.layout.sum_whole(own, theirs, numbers)
+        return self.whole.solve(coarse)[self.layout.mine], sums
 
 
 @dataclass(frozen=True)
@@ -244,10 +245,11 @@ class _Distributed:
         solution = self.shared.solve(own)
         return solution, self.layout.fetch(solution)
 
-    def solve_sum(self, own: Vector, theirs: Vector, number: float) -> tuple[Vector, float]:
-        total = np.array([number])
-        self.layout.comm.Allreduce(MPI.IN_PLACE, total)
-        return self.shared.solve(self.layout.sum_own(own, theirs)), float(total[0])
+    def solve_sum(self, own: Vector, theirs: Vector, numbers: Vector) -> tuple[Vector, Vector]:
+        sums = numbers.copy()
+        if numbers.size:
+            self.layout.comm.Allreduce(MPI.IN_PLACE, sums)
+        return self.shared.solve(self.layout.sum_own(own, theirs)), sums
 
 
 def _concatenate(comm: MPI.Intracomm, part: NDArray[Any]) -> NDArray[Any]:
