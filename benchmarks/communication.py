@@ -111,7 +111,8 @@ def _buffered(name: str) -> Callable[..., None]:
 def _pickled(name: str) -> Callable[..., Any]:
     def call(self: CountingComm, *args: Any, **kwargs: Any) -> Any:
         result = getattr(MPI.Intracomm, name)(self, *args, **kwargs)
-        self.calls.append(Call("pickled", bytes=len(pickle.dumps(result))))
+        kind = "all to all" if name == "alltoall" else "pickled"
+        self.calls.append(Call(kind, bytes=len(pickle.dumps(result))))
         return result
 
     return call
@@ -154,8 +155,8 @@ class Tally:
         Reductions and gatherings of coarse vectors.
     exchanges, coarse_exchanges : int
         Exchanges with neighbours of multipliers, and of coarse unknowns.
-    pickled : int
-        Collective calls that send objects.
+    pickled, all_to_all : int
+        Collective calls that send objects; those from each rank to each other one.
     messages : int
         Messages sent in exchanges.
     exchange_bytes, coarse_bytes, pickled_bytes : int
@@ -167,6 +168,7 @@ class Tally:
     exchanges: int
     coarse_exchanges: int
     pickled: int
+    all_to_all: int
     messages: int
     exchange_bytes: int
     coarse_bytes: int
@@ -188,10 +190,11 @@ def tally(calls: list[Call]) -> Tally:
         number("exchange"),
         number("coarse exchange"),
         number("pickled"),
+        number("all to all"),
         sum(c.messages for c in calls),
         received("exchange", "coarse exchange"),
         received("coarse"),
-        received("pickled"),
+        received("pickled", "all to all"),
     )
 
 
@@ -263,7 +266,7 @@ def main() -> None:
             print(
                 f"{comm.size:3} {row['subdomains']:5} {method:14} {solver:11} {counts}  "
                 f"exchanged {one['exchange_bytes']:,} B, coarse {one['coarse_bytes']:,} B, "
-                f"pickled {one['pickled']}",
+                f"pickled {one['pickled'] + one['all_to_all']}",
                 flush=True,
             )
     if comm.rank == 0:

@@ -29,7 +29,7 @@ Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 CoarseSolverKind = Literal["auto", "redundant", "distributed"]
 
-# Counted on lattices of 108 to 2916 cubes, 1 to 16 ranks (docs/communication.rst):
+# Counted on lattices of 108 to 2916 cubes, 1 to 16 ranks (benchmarks/coarse.py):
 # entries of the factor / size^1.5
 _ENTRIES = 3.6
 # solves of a face; time of a factorisation in solves; time of MUMPS on one rank / CHOLMOD
@@ -40,10 +40,17 @@ _COLLECTIVES, _MESSAGES = 86, 3
 _MESSAGES_OF_FACTORISATION = 4
 # bytes read of memory while a message is under way: 5 us at 10 GB/s
 _LATENCY = 50_000
+# what has to be spared for it to pay; less is not worth another package
+_GAIN = 2.0
 
 
 class CoarseFactor(Protocol):
     """A factored coarse matrix."""
+
+    @property
+    def entries(self) -> int:
+        """Number of the factor's entries, over all ranks that share it."""
+        ...
 
     def solve(self, coarse: Vector) -> Vector:
         """Solve for a right-hand side that every rank has; every rank gets the whole solution."""
@@ -187,9 +194,8 @@ class CoarseLayout:
         if self.distributed or self.comm.size == 1:
             return own_rows
         coo = own_rows.tocoo()
-        row, column, data = (
-            _concatenate(self.comm, part)
-            for part in (coo.row.astype(np.int64) + self.first, coo.col.astype(np.int64), coo.data)
+        row, column, data = _concatenate(
+            self.comm, coo.row.astype(np.int64) + self.first, coo.col.astype(np.int64), coo.data
         )
         return sp.csr_matrix((data, (row, column)), shape=(self.size, self.size))
 
@@ -219,6 +225,10 @@ class _Redundant:
     layout: CoarseLayout
     whole: SparseCholesky
 
+    @property
+    def entries(self) -> int:
+        return self.whole.entries
+
     def solve(self, coarse: Vector) -> Vector:
         return self.whole.solve(coarse)
 
@@ -238,6 +248,10 @@ class _Distributed:
     layout: CoarseLayout
     shared: DistributedCholesky
 
+    @property
+    def entries(self) -> int:
+        return self.shared.entries
+
     def solve(self, coarse: Vector) -> Vector:
         return self.layout.gather(self.shared.solve(coarse[self.layout.mine]))
 
@@ -252,12 +266,13 @@ class _Distributed:
         return self.shared.solve(self.layout.sum_own(own, theirs)), sums
 
 
-def _concatenate(comm: MPI.Intracomm, part: NDArray[Any]) -> NDArray[Any]:
-    """Return the ranks' arrays one behind the other, by buffers."""
+def _concatenate(comm: MPI.Intracomm, *parts: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return the ranks' arrays of one length one behind the other, by buffers."""
     counts = np.empty(comm.size, dtype=np.int64)
-    comm.Allgather(np.array([part.size]), counts)
-    whole = np.empty(int(counts.sum()), dtype=part.dtype)
-    comm.Allgatherv(np.ascontiguousarray(part), [whole, counts.astype(int).tolist()])
+    comm.Allgather(np.array([parts[0].size]), counts)
+    whole = [np.empty(int(counts.sum()), dtype=part.dtype) for part in parts]
+    for part, result in zip(parts, whole, strict=True):
+        comm.Allgatherv(np.ascontiguousarray(part), [result, counts.tolist()])
     return whole
 
 
@@ -284,4 +299,4 @@ def distribution_pays(ranks: int, size: int) -> bool:
     spared = (_SOLVES + _FACTORISATION) * solve * max(0.0, 1.0 - _SLOWER / ranks)
     rounds = (_COLLECTIVES + ranks) * np.log2(ranks) + _MESSAGES * ranks
     messages = (_SOLVES + _MESSAGES_OF_FACTORISATION) * rounds * _LATENCY
-    return bool("mumps" in available_packages() and spared > messages)
+    return bool("mumps" in available_packages() and spared > _GAIN * messages)
