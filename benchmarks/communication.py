@@ -266,7 +266,7 @@ def main() -> None:
             print(
                 f"{comm.size:3} {row['subdomains']:5} {method:14} {solver:11} {counts}  "
                 f"exchanged {one['exchange_bytes']:,} B, coarse {one['coarse_bytes']:,} B, "
-                f"pickled {one['pickled'] + one['all_to_all']}",
+                f"pickled {one['pickled'] + one['all_to_all']} ({row['mean']['pickled']:.1f})",
                 flush=True,
             )
     if comm.rank == 0:

@@ -231,7 +231,8 @@ class CoarseSpace:
         """
         chosen = np.flatnonzero(active[: self.constraints.owned_inequalities])
         resisted = self.bodies.contact[:, chosen]
-        gram = self.comm.allreduce((resisted @ resisted.T).toarray()) + self.bodies.held
+        sum_over_ranks = self.constraints.multipliers.space.sum_over_ranks
+        gram = sum_over_ranks((resisted @ resisted.T).toarray()) + self.bodies.held
         resistance, motions = np.linalg.eigh(gram)
         free: Vector = self.bodies.basis @ motions[:, resistance <= _UNRESISTED]
         return np.linalg.qr(free)[0]

@@ -201,8 +201,9 @@ class CoarseLayout:
 
     def largest_diagonal(self, rows: sp.csr_matrix) -> float:
         """Return the largest diagonal entry of a matrix, given the rows that this rank keeps."""
-        diagonal = rows.diagonal(self.first if self.distributed else 0)
-        return float(self.comm.allreduce(float(diagonal.max(initial=0.0)), MPI.MAX))
+        largest = np.array([rows.diagonal(self.first if self.distributed else 0).max(initial=0.0)])
+        self.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+        return float(largest[0])
 
     def add_to_diagonal(self, rows: sp.csr_matrix, places: Numbers, value: float) -> sp.csr_matrix:
         """Return the rows that this rank keeps with a number added at some places."""
