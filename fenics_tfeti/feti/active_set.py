@@ -55,7 +55,7 @@ class DualProblem:
     Attributes
     ----------
     F : callable
-        The dual operator.
+        x -> this rank's part of Fx, F the dual operator.
     d : (m,) array
         Its load.
     e : (coarse,) array
@@ -65,9 +65,9 @@ class DualProblem:
     norm : float
         ||PFP||, roughly: the scale of gaps by forces.
     precondition : callable or None
-        x -> B_D S B_D'x.
+        x -> this rank's part of B_D S B_D'x.
     rough : callable or None
-        F in single precision, where conjugate gradients are to use that.
+        As F, in single precision, where conjugate gradients are to use that.
     """
 
     F: Callable[[Vector], Vector]
@@ -114,30 +114,21 @@ class FaceSolution:
     ----------
     multipliers : (m,) array
         l, with Gl = e and zeros off the face.
-    Fl : (m,) array
-        The product with them.
     gradient : (m,) array
         Fl - d + G'a with the rigid motions a of the face; in the end not negative where l = o.
-    coarse_gradient : (m,) array
-        Q(Fl - d) + G'a, the equalities' part of it.
     residual : float
         Norm of the projected residual on the face.
     violation : float
         Norm of what the signs of forces and gaps violate, in units of the residual.
     step_length : float
         A typical step length of the conjugate gradients.
-    drift : float
-        Bound of what products in single precision have left in Fl.
     """
 
     multipliers: Vector
-    Fl: Vector
     gradient: Vector
-    coarse_gradient: Vector
     residual: float
     violation: float
     step_length: float
-    drift: float
 
 
 def primal_dual_active_set(
@@ -206,7 +197,7 @@ def primal_dual_active_set(
         hopeless = cycles or failures > _PATIENCE or products.total >= max_products
         if solved or hopeless:
             multipliers[rows] = np.maximum(multipliers[rows], 0.0)
-            return multipliers, iterate.coarse_gradient, solved
+            return multipliers, problem.projector.coarse(iterate.gradient), solved
         if exact:
             seen.append(active)
         active = following
@@ -246,7 +237,7 @@ def _face(problem: DualProblem, active: Mask, room: Vector) -> tuple[Projector, 
         speed = space.contact.T @ (face.free @ work)
         closing = ~active & (speed > _NO_SPEED * np.linalg.norm(work))
         way = np.divide(room, speed, out=np.full(room.size, np.inf), where=closing)
-        first = vectors.min_over_ranks(float(way.min(initial=np.inf)))
+        first = vectors.dots_and_min(value=float(way.min(initial=np.inf)))[0]
         if not np.isfinite(first):
             return face, active
         active = active | (way <= first * (1.0 + _AT_ONCE))
@@ -269,9 +260,9 @@ def solve_on_face(
     second one: more accuracy would be spent on the wrong rows. The signs are looked at whenever the
     residual has halved.
 
-    With F in single precision, Fl is a sum of products with the changes of l. Before the residual
-    is as small as what rounding has left in the sum, Fl and the residual are computed anew in
-    double: small residuals belong to small changes, and the accuracy is that of double.
+    With F in single precision, the gradient is computed anew in double before the residual is as
+    small as what rounding has left in it: what is added later belongs to small changes, and the
+    accuracy is that of double (residual replacement, van der Vorst and Ye 2000).
 
     Parameters
     ----------
@@ -290,109 +281,82 @@ def solve_on_face(
     products : Products
         Counter to add to.
     """
-    inner = problem.space.constraints.multipliers.space
+    vectors = problem.space.constraints.multipliers
     accuracy, tolerance = tolerances
+    rough, unit = (problem.F, 0.0) if problem.rough is None else (problem.rough, _SINGLE)
 
-    def project(x: Vector) -> Vector:
-        return face.complement(np.where(face.columns, x, 0.0))
-
-    def precondition(r: Vector) -> Vector:
+    def precondition(r: Vector) -> tuple[Vector, float | None]:
+        """Return z and r'z; the latter where it does not cost a reduction more."""
         if problem.precondition is None:
-            return r
+            return r, None
         products.preconditioner += 1
-        return project(problem.precondition(r))
+        return face.complement_of_sum(problem.precondition(r), r)
 
-    def product(x: Vector) -> Vector:
-        products.cg += 1
-        return problem.F(x) if problem.rough is None else problem.rough(x)
+    def gradient_by(F: Callable[[Vector], Vector], l: Vector) -> Vector:
+        return face.relax(F(l) - vectors.owned_part(problem.d), l)[0]
 
     lengths: list[float] = []
     if isinstance(start, FaceSolution):
         # a first step at once, with the residual before the change: no product of its own
         lengths.append(start.step_length)
-        step = precondition(project(problem.d - start.Fl))
+        step = precondition(-face.complement(face.keep(start.gradient)))[0]
         l = _nearest_on(face, problem, start.multipliers) + start.step_length * step
     else:
         l = _nearest_on(face, problem, start)
-    if problem.rough is not None and isinstance(start, FaceSolution):
-        change = product(l - start.multipliers)
-        Fl, drift = start.Fl + change, start.drift + _SINGLE * inner.norm(change)
-    else:
-        Fl = product(l)
-        drift = 0.0 if problem.rough is None else _SINGLE * inner.norm(Fl)
-    r = project(problem.d - Fl)
-    p = np.zeros_like(r)
-    rz = 1.0
-    residual = inner.norm(r)
+    products.cg += 1
+    gradient = gradient_by(rough, l)
+    p, rz = np.zeros_like(gradient), 1.0
+    residual, violation, *sizes = _norms(face, active, problem, l, gradient, gradient, problem.d)
+    drift = unit * sum(sizes)
     wanted = max(tolerance, _LOOK * residual)
     while True:
-        drifted = max(residual, tolerance) < _TRUSTED * drift
-        if drifted and products.total < max_products:
+        if max(residual, tolerance) < _TRUSTED * drift and products.total < max_products:
             products.replacement += 1
-            Fl, drift = problem.F(l), 0.0
-            r = project(problem.d - Fl)
-            residual = inner.norm(r)
+            gradient, drift = gradient_by(problem.F, l), 0.0
+            residual, violation = _norms(face, active, problem, l, gradient)
         if residual <= wanted or products.total >= max_products:
-            solution = _examine(face, active, problem, l, Fl, residual, lengths, drift)
-            enough = max(accuracy * solution.violation, tolerance)
+            enough = max(accuracy * violation, tolerance)
             if residual <= enough or products.total >= max_products:
-                return solution
+                break
             wanted = max(tolerance, _LOOK * residual)
-        z = precondition(r)
-        before, rz = rz, inner.dots((r, z))[0]
+        z, rMr = precondition(-face.keep(gradient))
+        before, rz = rz, residual**2 if rMr is None else rMr
         p = z + rz / before * p
-        Fp = product(p)
-        curvature, Fp_Fp = inner.dots((p, Fp), (Fp, Fp))
+        products.cg += 1
+        # on the face PFp, elsewhere what the gradient changes by
+        change, curvature = face.relax(rough(p), p)
         if curvature <= 0.0:
-            return _examine(face, active, problem, l, Fl, residual, lengths, drift)
+            break
         lengths.append(rz / curvature)
-        l, Fl = l + lengths[-1] * p, Fl + lengths[-1] * Fp
-        if problem.rough is not None:
-            drift += _SINGLE * lengths[-1] * float(np.sqrt(Fp_Fp))
-        r = r - lengths[-1] * project(Fp)
-        residual = inner.norm(r)
+        l, gradient = l + lengths[-1] * p, gradient + lengths[-1] * change
+        residual, violation, size = _norms(face, active, problem, l, gradient, change)
+        drift += unit * lengths[-1] * size
+    typical = float(np.median(lengths)) if lengths else 0.0
+    return FaceSolution(l, gradient, residual, violation, typical)
 
 
 def _nearest_on(face: Projector, problem: DualProblem, multipliers: Vector) -> Vector:
     """Return the nearest multipliers with Gl = e and nothing off the face."""
-    l = np.where(face.columns, multipliers, 0.0)
+    l = face.keep(multipliers)
     missing = problem.e - problem.space.restrict(l)
-    nearest: Vector = l + face.expand(face.solve(_resisted(face, missing)))
+    nearest: Vector = l + face.expand(face.solve(face.resisted(missing)))
     return nearest
 
 
-def _examine(
+def _norms(
     face: Projector,
     active: Mask,
     problem: DualProblem,
     multipliers: Vector,
-    Fl: Vector,
-    residual: float,
-    lengths: list[float],
-    drift: float,
-) -> FaceSolution:
-    """Return the gradient with the rigid motions of the face, and how far signs are violated."""
-    space = problem.space
-    jump = Fl - problem.d
-    # the smallest of the motions that the face leaves free
-    pull = space.prolong(_resisted(face, -face.coefficients(jump)))
-    gradient = jump + pull
-    rows = space.constraints.inequality
-    wrong = np.zeros_like(jump)
+    gradient: Vector,
+    *more: Vector,
+) -> list[float]:
+    """Return the norms of the residual, of what violates signs and of more; one reduction."""
+    constraints = problem.space.constraints
+    rows = constraints.inequality
+    wrong = np.zeros_like(gradient)
     wrong[rows] = np.where(active, problem.norm * multipliers[rows], gradient[rows])
-    return FaceSolution(
-        multipliers,
-        Fl,
-        gradient,
-        problem.projector.coarse(jump) + pull,
-        residual,
-        space.constraints.multipliers.space.norm(np.minimum(wrong, 0.0)),
-        float(np.median(lengths)) if lengths else 0.0,
-        drift,
-    )
-
-
-def _resisted(face: Projector, coarse: Vector) -> Vector:
-    """Return a coarse vector without its part in the motions that the face leaves free."""
-    part: Vector = coarse - face.free @ (face.free.T @ coarse)
-    return part
+    vectors = (face.keep(gradient), np.minimum(wrong, 0.0), *more)
+    return [
+        float(np.sqrt(x)) for x in constraints.multipliers.space.dots(*((v, v) for v in vectors))
+    ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from mpi4py import MPI  # noqa: F401 - first, or the wheels' petsc4py does not find the MPI library
+from mpi4py import MPI  # first, or the wheels' petsc4py does not find the MPI library
 
 from petsc4py import PETSc
 
@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import FactorizationError
 
-__all__ = ["Package", "SparseCholesky", "available_packages", "choose_package"]
+__all__ = [
+    "DistributedCholesky",
+    "Package",
+    "SparseCholesky",
+    "available_packages",
+    "choose_package",
+]
 
 Vector = NDArray[np.float64]
 Package = Literal["auto", "cholmod", "mumps"]
@@ -73,6 +79,8 @@ def choose_package(package: Package) -> str:
 
 # MUMPS' INFOG(1) when it did not initialise
 _NO_COMMUNICATOR = -3
+# INFOG(12)
+_NEGATIVE_PIVOTS = 12
 # right-hand sides that are solved for together
 _COLUMNS = 64
 
@@ -181,3 +189,73 @@ class SparseCholesky:
     def entries(self) -> int:
         """Number of the factor's entries."""
         return int(self._factor.getInfo()["nz_used"])
+
+
+class DistributedCholesky:
+    """The factor of a sparse symmetric positive definite matrix over several ranks, by MUMPS.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks; everything here is collective.
+    own_rows : (own, n) scipy.sparse.csr_matrix
+        This rank's rows, both triangles; lower ranks have the rows before.
+
+    Raises
+    ------
+    FactorizationError
+        If the matrix is not positive definite, on all ranks.
+
+    Examples
+    --------
+    >>> import numpy as np, scipy.sparse as sp
+    >>> factor = DistributedCholesky(MPI.COMM_SELF, sp.csr_matrix(np.diag([1.0, 2.0])))
+    >>> factor.solve(np.array([3.0, 4.0])).tolist()
+    [3.0, 2.0]
+    """
+
+    def __init__(self, comm: MPI.Intracomm, own_rows: sp.csr_matrix) -> None:
+        # petsc4py takes no class derived from communicators
+        comm = MPI.Intracomm(comm)
+        # factors that are not needed any more; MUMPS can end only on all ranks at once
+        PETSc.garbage_cleanup(comm)
+        rows = own_rows.sorted_indices()
+        indices = (rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType))
+        A = PETSc.Mat().createAIJ((rows.shape, rows.shape), csr=(*indices, rows.data), comm=comm)
+        A.setOption(PETSc.Mat.Option.SPD, True)
+        pc = PETSc.PC().create(comm)
+        pc.setOperators(A)
+        pc.setType("cholesky")
+        pc.setFactorSolverType("mumps")
+        pc.setFactorSetUpSolverType()
+        pc.setUp()
+        self._pc, self._factor = pc, pc.getFactorMatrix()
+        self._x, self._b = A.createVecs()
+        self._reject_indefinite(A)
+
+    def _reject_indefinite(self, A: PETSc.Mat) -> None:
+        probe, b = self._x.duplicate(), self._b.duplicate()
+        begin, end = probe.getOwnershipRange()
+        probe.array_w[:] = np.sin(np.arange(begin, end) + 1.0)
+        A.mult(probe, b)
+        self._factor.solve(b, self._x)
+        residual = (A * self._x - b).norm()
+        negative = self._factor.getMumpsInfog(_NEGATIVE_PIVOTS)
+        if negative or not residual <= 1e-6 * b.norm():
+            raise FactorizationError(
+                f"the distributed Cholesky factorisation by MUMPS is useless ({negative} negative "
+                f"pivots, residual {residual:.1e}): the matrix of order {A.size[0]} is not "
+                "positive definite"
+            )
+
+    def solve(self, own: Vector) -> Vector:
+        """Return this rank's part (own,) of the solution for its part of the right-hand side."""
+        self._b.array_w[:] = own
+        self._factor.solve(self._b, self._x)
+        x: Vector = self._x.array_r.copy()
+        return x
+
+    @property
+    def entries(self) -> int:
+        """Number of the factor's entries over all ranks."""
+        return int(self._factor.getMumpsInfog(29))

@@ -17,10 +17,15 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, qr
 
-from fenics_tfeti.feti.cholesky import SparseCholesky
+from fenics_tfeti.feti.coarse_solver import (
+    CoarseFactor,
+    CoarseLayout,
+    CoarseSolverKind,
+    distribution_pays,
+)
 from fenics_tfeti.feti.congruence import Boundary, Congruent
 from fenics_tfeti.feti.constraints import Constraints
-from fenics_tfeti.feti.exchange import concatenate_ranks, first_of_rank
+from fenics_tfeti.feti.exchange import first_of_rank
 from fenics_tfeti.feti.rigid_body_modes import describe_motion, raw_modes
 from fenics_tfeti.feti.torn_system import TornSystem
 
@@ -60,8 +65,8 @@ class BodyMotions:
 class CoarseSpace:
     """G = R'B' on this rank, and the bodies' rigid motions.
 
-    G is applied as R' after B'; only its columns for contact rows and GG' of the equality rows are
-    kept as matrices.
+    G is applied as R' after B'; only its columns for contact rows, those shared with other ranks'
+    subdomains, and GG' of the equality rows are kept as matrices.
 
     Attributes
     ----------
@@ -71,30 +76,29 @@ class CoarseSpace:
         R_i of this rank's subdomains; congruent ones share it.
     ends : (subdomains + 1,) integer array
         Where the subdomains' coarse unknowns begin among this rank's, and where they end.
-    first, size : int
-        Number of this rank's first coarse unknown, and of all.
+    layout : CoarseLayout
+        Whose the coarse unknowns are, and where coarse matrices are.
+    theirs : (h, m) scipy.sparse.csr_matrix
+        The rows of G of other ranks' subdomains in the columns that this rank holds.
     contact : (coarse, i) scipy.sparse.csr_matrix
         All rows of G in the inequality columns that this rank holds.
-    equality : (coarse, coarse) scipy.sparse.csr_matrix
-        GG' of the equality rows alone.
+    equality : (coarse or own, coarse) scipy.sparse.csr_matrix
+        GG' of the equality rows alone, the rows that this rank keeps.
     bodies : BodyMotions
         Rigid motions of bodies.
     constraints : Constraints
         The columns.
-    package : str
-        Package for the factors.
     """
 
     boundary: Boundary
     kernels: Sequence[Vector]
     ends: Numbers
-    first: int
-    size: int
+    layout: CoarseLayout
+    theirs: sp.csr_matrix
     contact: sp.csr_matrix
     equality: sp.csr_matrix
     bodies: BodyMotions
     constraints: Constraints
-    package: str
 
     @staticmethod
     def build(
@@ -103,6 +107,7 @@ class CoarseSpace:
         boundary: Boundary,
         kernels: Sequence[Vector],
         package: str,
+        solver: CoarseSolverKind = "auto",
     ) -> CoarseSpace:
         """Form G, exchange its shared columns with the neighbours, keep what is needed of it.
 
@@ -117,7 +122,9 @@ class CoarseSpace:
         kernels : sequence of (n_i, k_i) arrays
             R_i of this rank's subdomains.
         package : str
-            Package for the factors of coarse matrices.
+            Package for the factors of coarse matrices that are whole on every rank.
+        solver : {"auto", "redundant", "distributed"}
+            Where coarse matrices are.
         """
         ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
         first, size = first_of_rank(system.comm, int(ends[-1]))
@@ -125,19 +132,32 @@ class CoarseSpace:
         own = (boundary.matrix @ _packed_kernels(boundary, kernels, ends)).tocsr()
         everyone = _with_neighbours(constraints, own, first, size)
         equality = constraints.equality
-        rows = (own.T.tocsr()[:, equality] @ everyone[equality]).tocoo()
+        rows = (own.T.tocsr()[:, equality] @ everyone[equality]).tocsr()
+        theirs = np.setdiff1d(everyone.indices, first + np.arange(ends[-1]))
+        layout = CoarseLayout.build(
+            system.comm,
+            int(ends[-1]),
+            theirs.astype(np.int64),
+            solver == "distributed"
+            or (solver == "auto" and distribution_pays(system.comm.size, size)),
+            package,
+        )
         return CoarseSpace(
             boundary,
             kernels,
             ends,
-            first,
-            size,
+            layout,
+            everyone.T.tocsr()[theirs],
             everyone[constraints.inequality].T.tocsr(),
-            _gather_rows(system.comm, rows, first, size),
+            layout.rows(rows),
             _body_motions(system, kernels, constraints, everyone),
             constraints,
-            package,
         )
+
+    @property
+    def size(self) -> int:
+        """Number of coarse unknowns of all ranks."""
+        return self.layout.size
 
     @property
     def comm(self) -> MPI.Intracomm:
@@ -145,31 +165,38 @@ class CoarseSpace:
         return self.constraints.multipliers.comm
 
     def restrict(self, x: Vector) -> Vector:
-        """Return Gx for the coarse unknowns of all ranks; one gathering reduction."""
+        """Return Gx for the coarse unknowns of all ranks; one gathering."""
+        return self.layout.gather(self.restrict_own(x))
+
+    def restrict_own(self, x: Vector) -> Vector:
+        """Return Gx for this rank's coarse unknowns."""
         packed = self.boundary.blocks(self.boundary.transposed @ x)
         part = np.empty(int(self.ends[-1]))
         for congruent, local, rows in zip(
             self.boundary.classes, self.boundary.unknowns, packed, strict=True
         ):
             part[self._places(congruent)] = rows @ self.kernels[congruent.first][local]
-        return concatenate_ranks(self.comm, part)
+        return part
 
     def prolong(self, coarse: Vector) -> Vector:
         """Return G'a for a coarse vector of all ranks; one neighbour exchange."""
-        own = self.own_part(coarse)
+        return self.constraints.multipliers.sum(self.prolong_own(self.own_part(coarse)))
+
+    def prolong_own(self, own: Vector) -> Vector:
+        """Return what this rank's coarse unknowns add to G'a."""
         blocks = [
             own[self._places(congruent)] @ self.kernels[congruent.first][local].T
             for congruent, local in zip(self.boundary.classes, self.boundary.unknowns, strict=True)
         ]
-        part = self.boundary.matrix @ self.boundary.pack(blocks)
-        return self.constraints.multipliers.sum(part)
+        part: Vector = self.boundary.matrix @ self.boundary.pack(blocks)
+        return part
 
     def work(self, forces: Vector) -> Vector:
-        """Return R'f for the coarse unknowns of all ranks; one gathering reduction."""
+        """Return R'f for the coarse unknowns of all ranks; one gathering."""
         part = np.empty(int(self.ends[-1]))
         for congruent in self.boundary.classes:
             part[self._places(congruent)] = congruent.rows(forces) @ self.kernels[congruent.first]
-        return concatenate_ranks(self.comm, part)
+        return self.layout.gather(part)
 
     def motion(self, coarse: Vector) -> Vector:
         """Return R a on this rank's torn unknowns for a coarse vector of all ranks."""
@@ -182,7 +209,7 @@ class CoarseSpace:
 
     def own_part(self, coarse: Vector) -> Vector:
         """Return this rank's part of a coarse vector."""
-        return coarse[self.first : self.first + int(self.ends[-1])]
+        return coarse[self.layout.mine]
 
     def _places(self, congruent: Congruent) -> Numbers:
         modes = self.kernels[congruent.first].shape[1]
@@ -204,7 +231,8 @@ class CoarseSpace:
         """
         chosen = np.flatnonzero(active[: self.constraints.owned_inequalities])
         resisted = self.bodies.contact[:, chosen]
-        gram = self.comm.allreduce((resisted @ resisted.T).toarray()) + self.bodies.held
+        sum_over_ranks = self.constraints.multipliers.space.sum_over_ranks
+        gram = sum_over_ranks((resisted @ resisted.T).toarray()) + self.bodies.held
         resistance, motions = np.linalg.eigh(gram)
         free: Vector = self.bodies.basis @ motions[:, resistance <= _UNRESISTED]
         return np.linalg.qr(free)[0]
@@ -214,9 +242,6 @@ class CoarseSpace:
 class Projector:
     """Q and P for the equality rows and some contact rows (all of them, none, the active ones).
 
-    The coarse matrix is gathered and factored on every rank: it grows with the number of
-    subdomains, not of unknowns.
-
     Attributes
     ----------
     space : CoarseSpace
@@ -225,12 +250,14 @@ class Projector:
         The columns of G used.
     free : (coarse, k) array
         Orthonormal basis of the kernel of the coarse matrix.
+    factor : CoarseFactor or None
+        That of the coarse matrix; None where no subdomain can move.
     """
 
     space: CoarseSpace
     columns: Mask
     free: Vector
-    factor: SparseCholesky | None
+    factor: CoarseFactor | None
 
     @staticmethod
     def build(space: CoarseSpace, active: Mask | None = None) -> Projector:
@@ -249,14 +276,13 @@ class Projector:
         columns[constraints.inequality] = chosen
         free = space.unresisted(chosen)
         contact = space.contact[:, np.flatnonzero(chosen)]
-        own = contact[space.first : space.first + int(space.ends[-1])]
-        rows = (own @ contact.T).tocoo()
-        matrix = space.equality + _gather_rows(space.comm, rows, space.first, space.size)
+        layout = space.layout
+        rows = space.equality + layout.rows((contact[layout.mine] @ contact.T).tocsr())
         if free.shape[1]:
             # no row at all leaves a zero matrix
-            matrix = matrix + _pins(free, matrix.diagonal().max() or 1.0)
-        factor = SparseCholesky(matrix.tocsr(), space.package) if space.size else None
-        return Projector(space, columns, free, factor)
+            stiffness = layout.largest_diagonal(rows) or 1.0
+            rows = layout.add_to_diagonal(rows, _pins(free), stiffness)
+        return Projector(space, columns, free, layout.factor(rows) if layout.size else None)
 
     def coefficients(self, x: Vector) -> Vector:
         """Return (GG')^+ G x for all subdomains, G with the chosen columns."""
@@ -277,6 +303,74 @@ class Projector:
     def complement(self, x: Vector) -> Vector:
         """Return Px = x - Qx."""
         return x - self.coarse(x)
+
+    def complement_of_sum(self, part: Vector, x: Vector) -> tuple[Vector, float]:
+        """Return Py in the chosen columns and x'y, y the sum of the ranks' parts; one exchange."""
+        motion, xy = self._own_motion(part, x)
+        return self._sum(self.keep(part - motion)), xy
+
+    def part_of_complement(self, part: Vector) -> Vector:
+        """Return this rank's part of Py in the chosen columns, y the sum of the ranks' parts."""
+        return self.keep(part - self._own_motion(part)[0])
+
+    def coarse_by_parts(self, x: Vector) -> tuple[Vector, Vector]:
+        """Return this rank's part of Qx, and Qx itself without an exchange of multipliers.
+
+        The latter is not bitwise the same on all ranks that hold a component: good for products
+        that are summed, not for what is compared with bounds.
+        """
+        if self.factor is None:
+            return np.zeros_like(x), np.zeros_like(x)
+        own, theirs = self.factor.solve_own(self.space.restrict_own(self.keep(x)))
+        part = self.keep(self.space.prolong_own(own))
+        return part, part + self.keep(self.space.theirs.T @ theirs)
+
+    def relax(self, part: Vector, x: Vector) -> tuple[Vector, float]:
+        """Return y - G'a, y the sum of the ranks' parts, with the motions a = (GG')^+ Gy; and x'y.
+
+        That is Py in the chosen columns; in the others it says what the motions do there. Of the
+        motions that the chosen columns leave free, a has none. One neighbour exchange; x'y is
+        summed along with Gy.
+
+        Parameters
+        ----------
+        part : (m,) array
+            This rank's part of y.
+        x : (m,) array
+            A vector whose inner product with y is wanted.
+        """
+        motion, xy = self._own_motion(part, x, resisted=True)
+        return self._sum(part - motion), xy
+
+    def keep(self, x: Vector) -> Vector:
+        """Return x with zeros outside the chosen columns."""
+        return np.where(self.columns, x, 0.0)
+
+    def resisted(self, coarse: Vector) -> Vector:
+        """Return a coarse vector of all subdomains without its part in the free motions."""
+        part: Vector = coarse - self.free @ (self.free.T @ coarse)
+        return part
+
+    def _own_motion(
+        self, part: Vector, x: Vector | None = None, resisted: bool = False
+    ) -> tuple[Vector, float]:
+        """Return what this rank's subdomains add to G'(GG')^+ Gy, and x'y (zero without x)."""
+        sum_over_ranks = self.space.constraints.multipliers.space.sum_over_ranks
+        # all holders of a component have the same of x, so each may multiply its part of y
+        numbers = np.zeros(0) if x is None else np.array([x @ part])
+        if self.factor is None:
+            return np.zeros_like(part), float(sum_over_ranks(numbers).sum())
+        chosen = self.keep(part)
+        own, numbers = self.factor.solve_sum(
+            self.space.restrict_own(chosen), self.space.theirs @ chosen, numbers
+        )
+        if resisted and self.free.shape[1]:
+            free = self.space.own_part(self.free)
+            own = own - free @ sum_over_ranks(free.T @ own)
+        return self.space.prolong_own(own), float(numbers.sum())
+
+    def _sum(self, part: Vector) -> Vector:
+        return self.space.constraints.multipliers.sum(part)
 
 
 def _packed_kernels(boundary: Boundary, kernels: Sequence[Vector], ends: Numbers) -> sp.csr_matrix:
@@ -314,26 +408,14 @@ def _with_neighbours(
     )
 
 
-def _gather_rows(
-    comm: MPI.Intracomm, own_rows: sp.coo_matrix, first: int, size: int
-) -> sp.csr_matrix:
-    entries = [
-        concatenate_ranks(comm, column)
-        for column in (own_rows.row.astype(np.int64) + first, own_rows.col, own_rows.data)
-    ]
-    return sp.csr_matrix((entries[2], (entries[0], entries[1])), shape=(size, size))
+def _pins(free: Vector) -> Numbers:
+    """Return one coarse unknown for each free motion, to pin by a number on the diagonal.
 
-
-def _pins(free: Vector, stiffness: float) -> sp.csr_matrix:
-    """Return a diagonal that pins one coarse unknown for each free motion.
-
-    The sum with the coarse matrix is definite, and for right-hand sides without a part in `free`
-    the pinned unknowns are zero: its inverse is a generalised inverse of the coarse matrix.
+    The coarse matrix is definite then, and for right-hand sides without a part in `free` the
+    pinned unknowns are zero: its inverse is a generalised inverse of the coarse matrix.
     """
-    pivots = qr(free.T, mode="economic", pivoting=True)[2][: free.shape[1]]
-    diagonal = np.zeros(free.shape[0])
-    diagonal[pivots] = stiffness
-    return sp.diags(diagonal, format="csr")
+    pivots: Numbers = qr(free.T, mode="economic", pivoting=True)[2][: free.shape[1]]
+    return pivots.astype(np.int64)
 
 
 def _body_motions(

@@ -12,6 +12,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
+from fenics_tfeti.feti.coarse import Projector
 from fenics_tfeti.feti.congruence import Boundary, apply_by_class
 from fenics_tfeti.feti.constraints import Constraints
 from fenics_tfeti.feti.pseudoinverse import Pseudoinverse
@@ -74,7 +75,7 @@ class DualOperator:
     explicit : int
         Classes with a dense matrix.
     single : SinglePrecision or None
-        For `rough`; None on all ranks if no rank has a dense matrix in single precision.
+        For `rough_part`; None on all ranks if no rank has a dense matrix in single precision.
     """
 
     constraints: Constraints
@@ -137,25 +138,30 @@ class DualOperator:
         )
 
     def __call__(self, multipliers: Vector) -> Vector:
-        """Return F lambda: one solve or product for each class, one neighbour exchange."""
+        """Return F lambda; one neighbour exchange."""
+        return self.constraints.multipliers.sum(self.part(multipliers))
+
+    def part(self, multipliers: Vector) -> Vector:
+        """Return what this rank's subdomains add to F lambda: a solve or product for each class."""
         boundary = self.boundary
-        jumps = boundary.matrix @ boundary.apply(
+        jumps: Vector = boundary.matrix @ boundary.apply(
             self.on_boundary, boundary.transposed @ multipliers
         )
-        return self.constraints.multipliers.sum(jumps)
+        return jumps
 
-    def rough(self, multipliers: Vector) -> Vector:
-        """Return F lambda with the operators in single precision, if there are any.
+    def rough_part(self, multipliers: Vector) -> Vector:
+        """Return this rank's part of F lambda by operators in single precision, if there are any.
 
-        The relative error is some units of rounding of float32. One neighbour exchange, in double.
+        The relative error is some units of rounding of float32; the ranks' parts add up in double.
         """
         if self.single is None:
-            return self(multipliers)
+            return self.part(multipliers)
         boundary = self.single.boundary
-        jumps = boundary.matrix @ boundary.apply(
+        displacements = boundary.apply(
             self.single.on_boundary, boundary.transposed @ multipliers.astype(np.float32)
         )
-        return self.constraints.multipliers.sum(jumps.astype(np.float64))
+        jumps: Vector = (boundary.matrix @ displacements).astype(np.float64)
+        return jumps
 
     def constraint_forces(self, multipliers: Vector) -> Vector:
         """Return B'lambda on this rank's torn unknowns."""
@@ -248,17 +254,15 @@ def seeded_vector(numbers: NDArray[np.int64], seed: int) -> Vector:
     return values
 
 
-def norm_of_projected(
-    F: DualOperator, complement: Callable[[Vector], Vector], steps: int, seed: int
-) -> float:
+def norm_of_projected(F: DualOperator, projector: Projector, steps: int, seed: int) -> float:
     """Bound ||PFP|| from above by the Lanczos method.
 
     Parameters
     ----------
     F : DualOperator
         The operator; in single precision where it has that, far within the bound's margin.
-    complement : callable
-        The projector P.
+    projector : Projector
+        P.
     steps : int
         Products with F to spend.
     seed : int
@@ -271,8 +275,8 @@ def norm_of_projected(
     """
     multipliers = F.constraints.multipliers
     return lanczos_upper_bound(
-        lambda x: complement(F.rough(x)),
-        complement(seeded_vector(multipliers.numbers, seed)),
+        lambda x: projector.complement_of_sum(F.rough_part(x), x)[0],
+        projector.complement(seeded_vector(multipliers.numbers, seed)),
         steps,
         multipliers.space,
     )

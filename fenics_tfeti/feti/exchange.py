@@ -1,7 +1,8 @@
 """Communication: finding who shares what, and summing shared components.
 
 Everything here works on integer keys (global node or multiplier numbers) and belongs to the
-set-up, but for `SharedIndices.sum`, the one neighbour exchange of a product with F.
+set-up, but for `SharedIndices`: its sum is the one neighbour exchange of a product with F, its
+space reduces inner products. Both work on buffers, without pickling.
 """
 
 from __future__ import annotations
@@ -231,7 +232,7 @@ class SharedIndices:
         self._shared = np.unique(
             np.concatenate([np.zeros(0, dtype=np.int64), *self._neighbours.values()])
         )
-        self.space = Space(self.owned, self._sum_over_ranks, self._min_over_ranks)
+        self.space = Space(self.owned, self._sum_over_ranks, self._sum_and_min_over_ranks)
 
     def local(self, numbers: Keys) -> Keys:
         """Return the local positions of global numbers that this rank holds."""
@@ -241,10 +242,17 @@ class SharedIndices:
         return positions
 
     def sum(self, part: Vector) -> Vector:
-        """Add up the holders' parts of each component; one exchange with the neighbours."""
+        """Add up the holders' parts of each component; one exchange with the neighbours.
+
+        Parameters
+        ----------
+        part : (m,) or (m, k) array
+            This rank's part of one vector, or of several.
+        """
         if self.comm.size == 1:
             return part
-        received = {rank: np.empty(at.size) for rank, at in self._neighbours.items()}
+        shape = part.shape[1:]
+        received = {rank: np.empty((at.size, *shape)) for rank, at in self._neighbours.items()}
         requests = [self.comm.Irecv(buffer, source=rank) for rank, buffer in received.items()]
         requests += [
             self.comm.Isend(np.ascontiguousarray(part[at]), dest=rank)
@@ -260,6 +268,12 @@ class SharedIndices:
             else:
                 total[self._neighbours[rank]] += received[rank]
         return total
+
+    def owned_part(self, x: Vector) -> Vector:
+        """Return the owned components of x, zeros for the others: parts of which x is the sum."""
+        part = np.zeros_like(x)
+        part[: self.owned] = x[: self.owned]
+        return part
 
     def shared_entries(self, rows: Keys, columns: Keys, values: Vector) -> tuple[Array, ...]:
         """Send entries of a matrix in shared columns to the columns' other holders.
@@ -294,5 +308,22 @@ class SharedIndices:
         self.comm.Allreduce(partial, total)
         return total
 
-    def _min_over_ranks(self, value: float) -> float:
-        return value if self.comm.size == 1 else float(self.comm.allreduce(value, MPI.MIN))
+    def _sum_and_min_over_ranks(self, partial: Vector) -> Vector:
+        if self.comm.size == 1:
+            return partial
+        total = np.empty_like(partial)
+        # one item of a type of its own, or else MPI may reduce the numbers in pieces
+        kind = MPI.DOUBLE.Create_contiguous(partial.size).Commit()
+        self.comm.Allreduce([partial, 1, kind], [total, 1, kind], _SUM_AND_MIN)
+        kind.Free()
+        return total
+
+
+def _sum_and_min(some: Any, others: Any, kind: MPI.Datatype) -> None:
+    """Add up all numbers of two buffers but the last ones, of which the smaller stays."""
+    x, y = np.frombuffer(some), np.frombuffer(others)
+    y[:-1] += x[:-1]
+    y[-1] = min(x[-1], y[-1])
+
+
+_SUM_AND_MIN = MPI.Op.Create(_sum_and_min, commute=True)

@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.cholesky import Package
+from fenics_tfeti.feti.coarse_solver import CoarseSolverKind
 from fenics_tfeti.feti.dual import DualOperatorKind, OperatorPrecision
 from fenics_tfeti.feti.pseudoinverse import GeneralisedInverse
 from fenics_tfeti.feti.scaling import Scaling
@@ -45,6 +46,8 @@ class Options:
     operator_precision : {"double", "single"}
         Of these matrices. In single, products of the active set method and for the norm take half
         the time; residuals are replaced by ones with F in double, so results are as accurate.
+    coarse_solver : {"auto", "redundant", "distributed"}
+        Coarse matrices whole on every rank, or by rows on all of them, with MUMPS; auto counts.
     method : {"active_set", "smalbe"}
         SMALBE-M over MPRGP alone, or started from where a primal-dual active set method leads.
     preconditioner : {"none", "lumped", "dirichlet"}
@@ -85,6 +88,7 @@ class Options:
     factor: Package = "auto"
     dual_operator: DualOperatorKind = "auto"
     operator_precision: OperatorPrecision = "double"
+    coarse_solver: CoarseSolverKind = "auto"
     method: Literal["active_set", "smalbe"] = "active_set"
     preconditioner: Literal["none", "lumped", "dirichlet"] = "lumped"
     scaling: Scaling = "stiffness"

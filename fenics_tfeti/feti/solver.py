@@ -212,7 +212,12 @@ class TornSolver:
     def _coarse_space(self) -> CoarseSpace:
         boundary = Boundary.build(self.constraints.matrix, self.classes)
         return CoarseSpace.build(
-            self.system, self.constraints, boundary, self.kernels, self.package
+            self.system,
+            self.constraints,
+            boundary,
+            self.kernels,
+            self.package,
+            self.options.coarse_solver,
         )
 
     def _feasible_start(self) -> Vector:
@@ -256,7 +261,7 @@ class TornSolver:
             known = steps
             with self.timer.phase("norm"):
                 self._norms[steps] = norm_of_projected(
-                    self.F, self.projector.complement, steps, self.options.seed
+                    self.F, self.projector, steps, self.options.seed
                 )
             self.norm_products += steps
         return self._norms[known]
@@ -365,9 +370,11 @@ class TornSolver:
         """Return x -> (PFP + rho Q) x, Qx with F in units of the norm."""
 
         def apply(x: Vector) -> tuple[Vector, Vector]:
-            Qx = self.projector.coarse(x)
-            y = self.projector.complement(self.F(x - Qx)) / norm
-            return y + self.options.rho * Qx, Qx
+            part, Qx = self.projector.coarse_by_parts(x)
+            y = self.projector.part_of_complement(self.F.part(x - Qx)) / norm
+            both = np.column_stack([y + self.options.rho * part, part])
+            product, Qx = self.constraints.multipliers.sum(both).T.copy()
+            return product, Qx
 
         return apply
 
@@ -378,9 +385,9 @@ class TornSolver:
             return None
 
         def apply(x: Vector) -> Vector:
-            Qx = self.projector.coarse(x)
-            y = self.projector.complement(boundary(x - Qx))
-            return norm * y + Qx / self.options.rho
+            part, Qx = self.projector.coarse_by_parts(x)
+            y = self.projector.part_of_complement(boundary(x - Qx))
+            return self.constraints.multipliers.sum(norm * y + part / self.options.rho)
 
         return apply
 
@@ -413,13 +420,13 @@ class TornSolver:
     def dual_problem(self) -> DualProblem:
         """Return (11.35), to solve it in another way."""
         return DualProblem(
-            self.F,
+            self.F.part,
             self.F.load(self.load),
             self.space.work(self.load),
             self.projector,
             self.norm(_SCALE_STEPS),
             self._boundary,
-            self.F.rough if self.F.single else None,
+            self.F.rough_part if self.F.single else None,
         )
 
     def _guess_active_set(
@@ -601,6 +608,8 @@ class TornSolver:
 
 
 def _choose_package(options: Options) -> str:
+    if options.coarse_solver == "distributed":
+        choose_package("mumps")
     if options.generalised_inverse == "null_pivots":
         if options.factor == "cholmod":
             raise FactorizationError(

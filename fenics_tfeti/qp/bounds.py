@@ -31,6 +31,8 @@ class Split:
     constraint2 : float
         ||Qx||^2 = ||Gx||^2, zero without equality constraints. (x'Qx is the same number, but loses
         half of the digits when x is large.)
+    conjugation : float
+        phi'Ap with the last direction p, zero without one.
     """
 
     free: Vector
@@ -39,6 +41,7 @@ class Split:
     chopped2: float
     reduced_free: float
     constraint2: float
+    conjugation: float
 
     @property
     def projected_norm(self) -> float:
@@ -98,7 +101,13 @@ class Bounds:
         return float(np.min((x[towards] - self.lower[downwards]) / p[towards]))
 
     def split(
-        self, x: Vector, g: Vector, step_length: float, space: Space, Qx: Vector | None = None
+        self,
+        x: Vector,
+        g: Vector,
+        step_length: float,
+        space: Space,
+        Qx: Vector | None = None,
+        Ap: Vector | None = None,
     ) -> Split:
         """Split the gradient g at x; one reduction over the processes.
 
@@ -112,6 +121,8 @@ class Bounds:
             The inner product.
         Qx : (n,) array, optional
             G'Gx with orthonormal rows of G, to get ||Gx|| in the same reduction.
+        Ap : (n,) array, optional
+            To get phi'Ap in it, too.
         """
         g_bounded = g[self.indices]
         active = self.active(x)
@@ -124,10 +135,11 @@ class Bounds:
         owned = None if space.owned is None else int(np.searchsorted(self.indices, space.owned))
         free2 = space.partial(free, free)
         cut = float(phi_bounded[:owned] @ (phi_bounded - reduced)[:owned])
-        free2, chopped2, reduced_free, constraint2 = space.sums(
+        free2, chopped2, reduced_free, constraint2, conjugation = space.sums(
             free2,
             float(chopped[:owned] @ chopped[:owned]),
             free2 - cut,
             0.0 if Qx is None else space.partial(Qx, Qx),
+            0.0 if Ap is None else space.partial(free, Ap),
         )
-        return Split(free, chopped, free2, chopped2, reduced_free, constraint2)
+        return Split(free, chopped, free2, chopped2, reduced_free, constraint2, conjugation)

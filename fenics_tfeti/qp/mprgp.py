@@ -215,8 +215,9 @@ class _Iteration:
     def conjugate_gradient_step(self) -> None:
         p = self.preconditioned_free_gradient() if self.p is None else self.p
         Ap, Qp = self.product(p, "cg")
-        gp, curvature, pp = self.space.dots((self.g, p), (p, Ap), (p, p))
-        longest = self.space.min_over_ranks(self.bounds.longest_step(self.x, p))
+        gp, curvature, pp, longest = self.space.dots_and_min(
+            (self.g, p), (p, Ap), (p, p), value=self.bounds.longest_step(self.x, p)
+        )
         # 1 / step_length stands for ||A||: no curvature but that of rounding
         flat = curvature <= 1e-15 * pp / self.options.step_length
         if flat and not np.isfinite(longest):
@@ -231,10 +232,12 @@ class _Iteration:
                 self.recompute_gradient("cg")
                 self.new_face()
                 return
-            self.update_split()
+            self.update_split(Ap)
             z = self.preconditioned_free_gradient()
-            gamma = self.space.dots((z, Ap))[0] / curvature
-            self.p = z - gamma * p
+            # without preconditioner z is the free gradient
+            alone = self.precondition is None
+            zAp = self.split.conjugation if alone else self.space.dots((z, Ap))[0]
+            self.p = z - zAp / curvature * p
         elif self.options.expansion == "projected_cg" and not flat:
             self.projected_step(length, longest, p, Ap, Qp)
         else:
@@ -302,9 +305,9 @@ class _Iteration:
     def cost(self) -> float:
         return 0.5 * self.space.sums(self.space.partial(self.x, self.g - self.b))[0]
 
-    def update_split(self) -> None:
+    def update_split(self, Ap: Vector | None = None) -> None:
         self.split = self.bounds.split(
-            self.x, self.g, self.options.step_length, self.space, self.Qx
+            self.x, self.g, self.options.step_length, self.space, self.Qx, Ap
         )
 
     def new_face(self) -> None:

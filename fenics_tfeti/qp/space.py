@@ -17,10 +17,6 @@ def _same_array(values: Vector) -> Vector:
     return values
 
 
-def _same_number(value: float) -> float:
-    return value
-
-
 @dataclass(frozen=True)
 class Space:
     """The Euclidean space of the unknowns.
@@ -35,8 +31,9 @@ class Space:
         Number of owned components; None means all.
     sum_over_ranks : callable
         Sums an array of partial sums over all processes.
-    min_over_ranks : callable
-        The smallest of the processes' numbers.
+    sum_and_min_over_ranks : callable
+        Sums all numbers of an array over all processes but the last, of which it takes the
+        smallest.
 
     Examples
     --------
@@ -48,7 +45,7 @@ class Space:
 
     owned: int | None = None
     sum_over_ranks: Callable[[Vector], Vector] = _same_array
-    min_over_ranks: Callable[[float], float] = _same_number
+    sum_and_min_over_ranks: Callable[[Vector], Vector] = _same_array
 
     def partial(self, x: Vector, y: Vector) -> float:
         """Return this process's part of the inner product x'y."""
@@ -62,6 +59,12 @@ class Space:
     def dots(self, *pairs: tuple[Vector, Vector]) -> list[float]:
         """Return several inner products for the price of one reduction."""
         return self.sums(*(self.partial(x, y) for x, y in pairs))
+
+    def dots_and_min(self, *pairs: tuple[Vector, Vector], value: float) -> list[float]:
+        """Return several inner products and the smallest of the processes' values, likewise."""
+        partial = [*(self.partial(x, y) for x, y in pairs), value]
+        total: list[float] = self.sum_and_min_over_ranks(np.array(partial)).tolist()
+        return total
 
     def norm(self, x: Vector) -> float:
         """Return the Euclidean norm of x."""

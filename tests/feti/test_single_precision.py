@@ -57,7 +57,7 @@ def test_iterations_are_as_many_as_in_double(rtol):
 
 def test_products_are_counted_by_precision(monkeypatch):
     solver = TornSolver(column(height=3), options("single", 1e-10))
-    calls = dict.fromkeys(("__call__", "rough"), 0)
+    calls = dict.fromkeys(("part", "rough_part"), 0)
 
     def counted(name, apply):
         def counting(self, x):
@@ -71,7 +71,7 @@ def test_products_are_counted_by_precision(monkeypatch):
         monkeypatch.setattr(dual.DualOperator, name, counted(name, apply))
     products = solver.solve().report.products
     rough = products["cg"] + products["norm"]
-    assert calls == {"__call__": products["replacement"], "rough": rough}
+    assert calls == {"part": products["replacement"], "rough_part": rough}
     assert products["total"] == products["replacement"] + products["cg"]
 
 
@@ -83,14 +83,14 @@ def test_limit_of_products_holds_with_replacements():
 def test_rough_product_has_the_accuracy_of_float32():
     F = solved("single")[0].F
     x = np.random.default_rng(0).standard_normal(F.constraints.multipliers.numbers.size)
-    error = np.linalg.norm(F.rough(x) - F(x)) / np.linalg.norm(F(x))
+    error = np.linalg.norm(F.rough_part(x) - F(x)) / np.linalg.norm(F(x))
     assert 1e-9 < error < 1e-6
 
 
 def test_rough_product_in_double_is_the_product():
     F = solved("double")[0].F
     x = np.ones(F.constraints.multipliers.numbers.size)
-    np.testing.assert_array_equal(F.rough(x), F(x))
+    np.testing.assert_array_equal(F.rough_part(x), F(x))
 
 
 @pytest.mark.parametrize(

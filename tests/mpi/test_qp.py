@@ -37,7 +37,9 @@ class Shared:
         self.space = Space(
             owned.size,
             sum_over_ranks=lambda values: comm.allreduce(values),
-            min_over_ranks=lambda value: comm.allreduce(value, MPI.MIN),
+            sum_and_min_over_ranks=lambda values: np.append(
+                comm.allreduce(values[:-1]), comm.allreduce(values[-1], MPI.MIN)
+            ),
         )
 
     def whole(self, x):

@@ -1,0 +1,119 @@
+"""The coarse matrix of the ladder's beams: entries of its factor, time and messages of a solve.
+
+    mpirun -n 4 python benchmarks/coarse.py [--subdomains-per-metre 3 5 7] [--json out.json]
+
+Whole on every rank with CHOLMOD, and over all ranks with MUMPS. The calls of MUMPS are counted if
+`count_calls.so` (see `count_calls.c`) is preloaded: mpirun -x LD_PRELOAD=...
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import json
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import ladder
+import numpy as np
+from communication import dealt
+
+from fenics_tfeti.feti.coarse import CoarseSpace, Projector
+from fenics_tfeti.feti.coarse_solver import distribution_pays
+from fenics_tfeti.feti.congruence import Boundary, find_congruent
+from fenics_tfeti.feti.constraints import build_constraints
+from fenics_tfeti.feti.rigid_body_modes import kernel
+
+comm = MPI.COMM_WORLD
+SOLVES = 10
+
+
+class Counts:
+    """Messages, bytes and collective calls of MUMPS on this rank, where they are counted."""
+
+    def __init__(self) -> None:
+        preloaded = os.environ.get("LD_PRELOAD", "")
+        self._counter = ctypes.CDLL(preloaded) if "count_calls" in preloaded else None
+
+    def reset(self) -> None:
+        if self._counter is not None:
+            self._counter.reset_counts()
+
+    def largest(self) -> list[int] | None:
+        """Return the largest numbers of all ranks."""
+        if self._counter is None:
+            return None
+        result = (ctypes.c_long * 3)()
+        self._counter.call_counts(result)
+        return [comm.allreduce(number, MPI.MAX) for number in result]
+
+
+def coarse_space(m: int, solver: str) -> CoarseSpace:
+    """Return G of the beams with m subdomains a metre, of 2^3 elements: its size is what counts."""
+    system = dealt(ladder.two_beams(m, 2, softer=False), comm)
+    constraints = build_constraints(system)
+    classes = find_congruent(system.subdomains)
+    kernels = [kernel(subdomain) for subdomain in system.subdomains]
+    boundary = Boundary.build(constraints.matrix, classes)
+    return CoarseSpace.build(system, constraints, boundary, kernels, "cholmod", solver)
+
+
+def measure(m: int, solver: str) -> dict[str, Any]:
+    """Factor the matrix and solve with it; return times of the busiest processor, and counts."""
+    space, counts = coarse_space(m, solver), Counts()
+    counts.reset()
+    begin = time.process_time()
+    factor = Projector.build(space).factor
+    factoring = time.process_time() - begin
+    of_factor = counts.largest()
+    b = np.random.default_rng(0).standard_normal(space.size)
+    comm.Barrier()
+    counts.reset()
+    begin = time.process_time()
+    for _ in range(SOLVES):
+        factor.solve(b)
+    solving = (time.process_time() - begin) / SOLVES
+    of_solves = counts.largest()
+    return {
+        "ranks": comm.size,
+        "solver": solver,
+        "subdomains": 4 * m**3,
+        "size": space.size,
+        "entries": comm.allreduce(factor.entries, MPI.MAX),
+        "factorisation": comm.allreduce(factoring, MPI.MAX),
+        "solve": comm.allreduce(solving, MPI.MAX),
+        "calls of the factorisation": of_factor,
+        "calls of a solve": None if of_solves is None else [n / SOLVES for n in of_solves],
+        "auto": "distributed" if distribution_pays(comm.size, space.size) else "redundant",
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--subdomains-per-metre", type=int, nargs="+", default=[2, 3, 5, 7])
+    parser.add_argument("--json", metavar="FILE")
+    arguments = parser.parse_args()
+    table = []
+    for solver in ("redundant", "distributed"):
+        for m in arguments.subdomains_per_metre:
+            row = measure(m, solver)
+            table.append(row)
+            if comm.rank == 0:
+                print(
+                    f"{row['ranks']:3} {solver:11} {row['subdomains']:5} {row['size']:6} entries "
+                    f"{row['entries']:9,}  factorisation {row['factorisation']:.3f} s, solve "
+                    f"{1e3 * row['solve']:.2f} ms  messages, bytes, collective calls: "
+                    f"{row['calls of the factorisation']}, {row['calls of a solve']}; "
+                    f"auto: {row['auto']}",
+                    flush=True,
+                )
+    if arguments.json and comm.rank == 0:
+        Path(arguments.json).write_text(json.dumps(table, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,279 @@
+"""Messages, reductions and bytes of the iterations, counted on the communicator.
+
+    mpirun -n 4 python benchmarks/communication.py [--subdomains-per-metre 3] [--json out.json]
+
+The two beams of `ladder.py`, their congruent cubes dealt to the ranks. The solver gets a
+communicator that writes down every call; nothing is derived. MUMPS has communicators of its own:
+what it sends in a distributed coarse solve is not counted here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import pickle
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, astuple, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import ladder
+import numpy as np
+
+from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
+from fenics_tfeti.feti.dual import DualOperator
+from fenics_tfeti.feti.exchange import SharedIndices
+
+METHODS = {
+    "active_set": {},
+    "smalbe": {"method": "smalbe", "preconditioner": "none"},
+    "smalbe, lumped": {"method": "smalbe"},
+}
+
+# numbers in a reduction of inner products; coarse vectors have more
+_FEW = 8
+
+
+@dataclass(frozen=True)
+class Call:
+    """A call of a communicator, or a mark among the calls.
+
+    Attributes
+    ----------
+    kind : str
+        What it is.
+    messages : int
+        Messages that this rank sends, counted in exchanges only.
+    bytes : int
+        What this rank receives.
+    """
+
+    kind: str
+    messages: int = 0
+    bytes: int = 0
+
+
+class CountingComm(MPI.Intracomm):
+    """A communicator that writes down what it is used for.
+
+    Attributes
+    ----------
+    calls : list of Call
+        An entry for each collective call and one for each exchange (receives, and what is sent
+        before the next receive), and the marks.
+    """
+
+    calls: list[Call]
+
+    def __new__(cls, comm: MPI.Intracomm) -> CountingComm:
+        self = super().__new__(cls, comm)
+        self.calls = []
+        self._receiving = False
+        return self
+
+    def Irecv(self, buf: Any, *args: Any, **kwargs: Any) -> MPI.Request:
+        if not self._receiving:
+            of_multipliers = bool(self.calls) and self.calls[-1].kind == "sum"
+            self.calls.append(Call("exchange" if of_multipliers else "coarse exchange"))
+            self._receiving = True
+        last = self.calls[-1]
+        self.calls[-1] = replace(last, bytes=last.bytes + size_of(buf))
+        return super().Irecv(buf, *args, **kwargs)
+
+    def Isend(self, buf: Any, *args: Any, **kwargs: Any) -> MPI.Request:
+        self._receiving = False
+        last = self.calls[-1]
+        self.calls[-1] = replace(last, messages=last.messages + 1)
+        return super().Isend(buf, *args, **kwargs)
+
+
+def size_of(message: Any) -> int:
+    """Return the bytes of a buffer as mpi4py takes it."""
+    buffer = message[0] if isinstance(message, list | tuple) else message
+    return int(np.asarray(buffer).nbytes)
+
+
+def _buffered(name: str) -> Callable[..., None]:
+    def call(self: CountingComm, send: Any, receive: Any, *args: Any) -> None:
+        getattr(MPI.Intracomm, name)(self, send, receive, *args)
+        received = size_of(receive)
+        few = name == "Allreduce" and received <= 8 * _FEW
+        self.calls.append(Call("reduction" if few else "coarse", bytes=received))
+
+    return call
+
+
+def _pickled(name: str) -> Callable[..., Any]:
+    def call(self: CountingComm, *args: Any, **kwargs: Any) -> Any:
+        result = getattr(MPI.Intracomm, name)(self, *args, **kwargs)
+        kind = "all to all" if name == "alltoall" else "pickled"
+        self.calls.append(Call(kind, bytes=len(pickle.dumps(result))))
+        return result
+
+    return call
+
+
+for _name in ("Allreduce", "Allgather", "Allgatherv"):
+    setattr(CountingComm, _name, _buffered(_name))
+for _name in ("allreduce", "allgather", "alltoall", "bcast", "gather"):
+    setattr(CountingComm, _name, _pickled(_name))
+
+
+@contextmanager
+def marks(comm: CountingComm) -> Iterator[None]:
+    """Mark products with F and sums of multipliers among the calls."""
+
+    def marked(kind: str, original: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any) -> Any:
+            comm.calls.append(Call(kind))
+            return original(*args)
+
+        return call
+
+    product, total = DualOperator.part, SharedIndices.sum
+    DualOperator.part, SharedIndices.sum = marked("F", product), marked("sum", total)
+    try:
+        yield
+    finally:
+        DualOperator.part, SharedIndices.sum = product, total
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What some calls are, in sum.
+
+    Attributes
+    ----------
+    reductions : int
+        Reductions of a few numbers.
+    coarse : int
+        Reductions and gatherings of coarse vectors.
+    exchanges, coarse_exchanges : int
+        Exchanges with neighbours of multipliers, and of coarse unknowns.
+    pickled, all_to_all : int
+        Collective calls that send objects; those from each rank to each other one.
+    messages : int
+        Messages sent in exchanges.
+    exchange_bytes, coarse_bytes, pickled_bytes : int
+        Bytes received in exchanges, coarse vectors and objects.
+    """
+
+    reductions: int
+    coarse: int
+    exchanges: int
+    coarse_exchanges: int
+    pickled: int
+    all_to_all: int
+    messages: int
+    exchange_bytes: int
+    coarse_bytes: int
+    pickled_bytes: int
+
+
+def tally(calls: list[Call]) -> Tally:
+    """Sum up calls of one rank."""
+
+    def number(kind: str) -> int:
+        return sum(c.kind == kind for c in calls)
+
+    def received(*kinds: str) -> int:
+        return sum(c.bytes for c in calls if c.kind in kinds)
+
+    return Tally(
+        number("reduction"),
+        number("coarse"),
+        number("exchange"),
+        number("coarse exchange"),
+        number("pickled"),
+        number("all to all"),
+        sum(c.messages for c in calls),
+        received("exchange", "coarse exchange"),
+        received("coarse"),
+        received("pickled", "all to all"),
+    )
+
+
+def of_busiest(comm: MPI.Intracomm, own: Tally) -> Tally:
+    """Return the largest of the ranks' numbers, one by one."""
+    return Tally(*(comm.allreduce(value, MPI.MAX) for value in astuple(own)))
+
+
+def iterations(calls: list[Call]) -> tuple[Tally, Tally]:
+    """Return what happens from one product with F to the next: most often, and on average."""
+    at = [i for i, call in enumerate(calls) if call.kind == "F"]
+    between = [tally(calls[i:j]) for i, j in itertools.pairwise(at)]
+    usual = Counter(between).most_common(1)[0][0]
+    mean = np.array([astuple(t) for t in between]).mean(axis=0)
+    return usual, Tally(*mean.tolist())
+
+
+def dealt(system: TornSystem, comm: MPI.Intracomm) -> TornSystem:
+    """Return this rank's share of a system that every rank has as a whole."""
+    ends = len(system.subdomains) * np.arange(comm.size + 1) // comm.size
+    share = system.subdomains[ends[comm.rank] : ends[comm.rank + 1]]
+    contacts = system.contacts if comm.rank == 0 else ContactRows.none(system.gdim)
+    return replace(system, subdomains=share, contacts=contacts, comm=comm)
+
+
+def measure(system: TornSystem, options: Options) -> dict[str, Any]:
+    """Solve a system; return the calls of set-up, iterations and all, of the busiest rank."""
+    comm = CountingComm(system.comm)
+    with marks(comm):
+        solver = TornSolver(replace(system, comm=comm), options)
+        set_up = list(comm.calls)
+        comm.calls.clear()
+        report = solver.solve().report
+        usual, mean = iterations(comm.calls)
+    plain = system.comm
+    return {
+        "ranks": plain.size,
+        "subdomains": report.subdomains,
+        "coarse": report.unknowns["coarse"],
+        "dual": report.unknowns["dual"],
+        "products": report.products["total"],
+        "iteration": asdict(of_busiest(plain, usual)),
+        "mean": asdict(of_busiest(plain, mean)),
+        "set-up": asdict(of_busiest(plain, tally(set_up))),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--subdomains-per-metre", type=int, default=2, metavar="m")
+    parser.add_argument("--elements-per-subdomain", type=int, default=6, metavar="H/h")
+    parser.add_argument("--coarse-solver", nargs="+", default=["redundant", "distributed"])
+    parser.add_argument("--json", metavar="FILE")
+    arguments = parser.parse_args()
+    comm = MPI.COMM_WORLD
+    m, n = arguments.subdomains_per_metre, arguments.elements_per_subdomain
+    system = dealt(ladder.two_beams(m, n, softer=False), comm)
+    table = []
+    if comm.rank == 0:
+        print("per product: inner products, coarse vectors, exchanges, coarse exchanges, messages;")
+        print("in brackets the mean over all products of the solve")
+    for (method, given), solver in itertools.product(METHODS.items(), arguments.coarse_solver):
+        row = measure(system, Options(coarse_solver=solver, **given))
+        table.append({"method": method, "coarse solver": solver, **row})
+        if comm.rank == 0:
+            names = ("reductions", "coarse", "exchanges", "coarse_exchanges", "messages")
+            counts = " ".join(f"{row['iteration'][k]:3} ({row['mean'][k]:4.1f})" for k in names)
+            one = row["iteration"]
+            print(
+                f"{comm.size:3} {row['subdomains']:5} {method:14} {solver:11} {counts}  "
+                f"exchanged {one['exchange_bytes']:,} B, coarse {one['coarse_bytes']:,} B, "
+                f"pickled {one['pickled'] + one['all_to_all']} ({row['mean']['pickled']:.1f})",
+                flush=True,
+            )
+    if comm.rank == 0:
+        print(f"set-up: {table[0]['set-up']}")
+        if arguments.json:
+            Path(arguments.json).write_text(json.dumps(table, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

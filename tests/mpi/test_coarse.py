@@ -1,0 +1,125 @@
+"""The coarse problem on several ranks: whole on each of them or distributed, with equal results."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scenes import Scene, stack_on_ground, two_beams, two_materials
+from torn import column
+
+from fenics_tfeti.errors import FactorizationError
+from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
+from fenics_tfeti.feti.cholesky import DistributedCholesky
+from fenics_tfeti.feti.coarse import Projector
+
+comm = MPI.COMM_WORLD
+KINDS = ("redundant", "distributed")
+SCENES = {
+    "beams": lambda: two_beams(comm, "tetrahedron", 3),
+    "materials": lambda: two_materials(comm, "hexahedron", 3),
+    "stack": lambda: stack_on_ground(comm, "quadrilateral", 8),
+}
+
+
+def dealt(system: TornSystem) -> TornSystem:
+    """Return this rank's share of a system; the last rank may have none."""
+    share = system.subdomains[comm.rank :: comm.size]
+    contacts = system.contacts if comm.rank == 0 else ContactRows.none(system.gdim)
+    return replace(system, subdomains=share, contacts=contacts, comm=comm)
+
+
+@lru_cache(maxsize=None)
+def solved(scene: str, kind: str) -> tuple[Scene, dict]:
+    options = {"rtol": 1e-8, "subdomain_size": 150, "coarse_solver": kind}
+    problem = SCENES[scene]().problem(options=options)
+    return problem.solve().x.array, problem.report
+
+
+@lru_cache(maxsize=None)
+def column_solver(kind: str) -> TornSolver:
+    return TornSolver(dealt(column(height=2)), Options(coarse_solver=kind))
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_same_displacement(scene):
+    one, other = (solved(scene, kind)[0] for kind in KINDS)
+    size = comm.allreduce(np.abs(one).max(initial=0.0), MPI.MAX)
+    np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-12 * size)
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_same_products(scene):
+    one, other = (solved(scene, kind)[1].products for kind in KINDS)
+    assert one == other
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_smalbe_converges(kind):
+    options = Options(method="smalbe", coarse_solver=kind)
+    assert TornSolver(dealt(column()), options).solve().report.converged
+
+
+def parts(solver: TornSolver) -> tuple[np.ndarray, np.ndarray]:
+    """Return random parts of a vector, and their sum."""
+    multipliers = solver.constraints.multipliers
+    part = np.random.default_rng(comm.rank).standard_normal(multipliers.numbers.size)
+    return part, multipliers.sum(part)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_complement_of_a_sum(kind):
+    solver = column_solver(kind)
+    part, y = parts(solver)
+    found = solver.projector.complement_of_sum(part, y)[0]
+    np.testing.assert_allclose(found, solver.projector.complement(y), atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_inner_product_comes_along(kind):
+    solver = column_solver(kind)
+    part, y = parts(solver)
+    square = solver.constraints.multipliers.space.dots((y, y))[0]
+    assert solver.projector.relax(part, y)[1] == pytest.approx(square, rel=1e-13)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_relaxed_sum_outside_the_chosen_columns(kind):
+    """y - G'a with the least motion a, here from dense algebra."""
+    solver = column_solver(kind)
+    constraints, space = solver.constraints, solver.space
+    face = Projector.build(space, np.zeros(constraints.inequality.size, dtype=bool))
+    part, y = parts(solver)
+    G = np.stack([space.prolong(a) for a in np.eye(space.size)], axis=1)
+    chosen = constraints.equality
+    owned = np.arange(y.size) < constraints.multipliers.owned
+    rows = G[chosen & owned]
+    gram = comm.allreduce(rows.T @ rows)
+    a = np.linalg.pinv(gram, rcond=1e-10) @ comm.allreduce(rows.T @ y[chosen & owned])
+    np.testing.assert_allclose(face.relax(part, y)[0], y - G @ a, atol=1e-11)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_coarse_part_without_exchange(kind):
+    solver = column_solver(kind)
+    y = parts(solver)[1]
+    part, Qy = solver.projector.coarse_by_parts(y)
+    np.testing.assert_allclose(Qy, solver.projector.coarse(y), atol=1e-13)
+    np.testing.assert_allclose(solver.constraints.multipliers.sum(part), Qy, atol=1e-13)
+
+
+def test_only_own_rows_are_kept_of_a_distributed_matrix():
+    space = column_solver("distributed").space
+    assert space.equality.shape == (space.layout.counts[comm.rank], space.size)
+
+
+def test_indefinite_matrix_is_an_error_on_all_ranks():
+    n = 2 * comm.size
+    rows = sp.diags(np.where(np.arange(n) == 1, -1.0, 1.0), format="csr")
+    with pytest.raises(FactorizationError, match="not positive definite"):
+        DistributedCholesky(comm, rows[2 * comm.rank : 2 * comm.rank + 2])
