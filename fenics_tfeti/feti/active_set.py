@@ -122,6 +122,8 @@ class FaceSolution:
         Norm of what the signs of forces and gaps violate, in units of the residual.
     step_length : float
         A typical step length of the conjugate gradients.
+    drift : float
+        Bound of what products in single precision have left in the gradient.
     """
 
     multipliers: Vector
@@ -129,6 +131,7 @@ class FaceSolution:
     residual: float
     violation: float
     step_length: float
+    drift: float
 
 
 def primal_dual_active_set(
@@ -292,27 +295,29 @@ def solve_on_face(
         products.preconditioner += 1
         return face.complement_of_sum(problem.precondition(r), r)
 
-    def gradient_by(F: Callable[[Vector], Vector], l: Vector) -> Vector:
-        return face.relax(F(l) - vectors.owned_part(problem.d), l)[0]
-
     lengths: list[float] = []
+    # where a gradient is known, and how well
+    origin, known, drift = np.zeros_like(problem.d), -problem.d, 0.0
     if isinstance(start, FaceSolution):
         # a first step at once, with the residual before the change: no product of its own
         lengths.append(start.step_length)
         step = precondition(-face.complement(face.keep(start.gradient)))[0]
         l = _nearest_on(face, problem, start.multipliers) + start.step_length * step
+        if face.free.shape[1] == 0:
+            origin, known, drift = start.multipliers, start.gradient, start.drift
     else:
         l = _nearest_on(face, problem, start)
     products.cg += 1
-    gradient = gradient_by(rough, l)
+    gradient = face.relax(rough(l - origin) + vectors.owned_part(known), l)[0]
     p, rz = np.zeros_like(gradient), 1.0
-    residual, violation, *sizes = _norms(face, active, problem, l, gradient, gradient, problem.d)
-    drift = unit * sum(sizes)
+    residual, violation, size = _norms(face, active, problem, l, gradient, gradient - known)
+    drift += unit * size
     wanted = max(tolerance, _LOOK * residual)
     while True:
         if max(residual, tolerance) < _TRUSTED * drift and products.total < max_products:
             products.replacement += 1
-            gradient, drift = gradient_by(problem.F, l), 0.0
+            gradient = face.relax(problem.F(l) - vectors.owned_part(problem.d), l)[0]
+            drift = 0.0
             residual, violation = _norms(face, active, problem, l, gradient)
         if residual <= wanted or products.total >= max_products:
             enough = max(accuracy * violation, tolerance)
@@ -332,7 +337,7 @@ def solve_on_face(
         residual, violation, size = _norms(face, active, problem, l, gradient, change)
         drift += unit * lengths[-1] * size
     typical = float(np.median(lengths)) if lengths else 0.0
-    return FaceSolution(l, gradient, residual, violation, typical)
+    return FaceSolution(l, gradient, residual, violation, typical, drift)
 
 
 def _nearest_on(face: Projector, problem: DualProblem, multipliers: Vector) -> Vector:
