@@ -20,6 +20,7 @@ from fenics_tfeti.feti.coarse import CoarseSpace, Projector
 from fenics_tfeti.qp import Products
 
 __all__ = [
+    "ActiveSetEnd",
     "ActiveSetStep",
     "DualProblem",
     "FaceSolution",
@@ -104,6 +105,8 @@ class FaceSolution:
 
     Attributes
     ----------
+    active : (i,) bool array
+        The inequality rows on the face.
     multipliers : (m,) array
         l, with Gl = e and zeros off the face.
     Fl : (m,) array
@@ -118,8 +121,11 @@ class FaceSolution:
         Norm of what the signs of forces and gaps violate, in units of the residual.
     step_length : float
         A typical step length of the conjugate gradients.
+    direction, rz : (m,) array, float
+        Their last direction, and r'z of the residual that it was made from: to go on with.
     """
 
+    active: Mask
     multipliers: Vector
     Fl: Vector
     gradient: Vector
@@ -127,11 +133,36 @@ class FaceSolution:
     residual: float
     violation: float
     step_length: float
+    direction: Vector
+    rz: float
+
+
+@dataclass(frozen=True)
+class ActiveSetEnd:
+    """Where the active set method ended.
+
+    Attributes
+    ----------
+    multipliers : (m,) array
+        Nonnegative on the inequality rows, and G l = e up to what cutting negative forces does.
+    coarse_gradient : (m,) array
+        Q(Fl - d) + G'a with the rigid motions a: the equalities' part of the gradient.
+    solved : bool
+        Whether residual and signs are as they should be; else the set was there before, or a limit
+        was met.
+    face : FaceSolution
+        The last face, from where to go on to a smaller tolerance.
+    """
+
+    multipliers: Vector
+    coarse_gradient: Vector
+    solved: bool
+    face: FaceSolution
 
 
 def primal_dual_active_set(
     problem: DualProblem,
-    multipliers: Vector,
+    start: Vector | FaceSolution,
     active: Mask,
     *,
     tolerance: float,
@@ -139,17 +170,17 @@ def primal_dual_active_set(
     max_products: int,
     products: Products,
     monitor: Callable[[ActiveSetStep], None],
-) -> tuple[Vector, Vector, bool]:
+) -> ActiveSetEnd:
     """Run the active set method until its set does not change, or it cycles.
 
     Parameters
     ----------
     problem : DualProblem
         The problem.
-    multipliers : (m,) array
-        Where to start from.
+    start : (m,) array or FaceSolution
+        Multipliers to start from, or the end of an earlier run to a larger tolerance.
     active : (i,) bool array
-        The first guess of the inequality rows that are active.
+        The first guess of the inequality rows that are active; of an earlier run, its last.
     tolerance, norm_b : float
         Norm of the projected residual to end with, and the scale of the first ones.
     max_products : int
@@ -161,24 +192,19 @@ def primal_dual_active_set(
 
     Returns
     -------
-    multipliers : (m,) array
-        Nonnegative on the inequality rows, and G l = e up to what cutting negative forces does.
-    coarse_gradient : (m,) array
-        Q(Fl - d) + G'a with the rigid motions a: the equalities' part of the gradient.
-    solved : bool
-        Whether residual and signs are as they should be; else the set was there before, or a limit
-        was met.
+    ActiveSetEnd
+        The solution, or where the method has come to.
     """
     space = problem.space
     rows = space.constraints.inequality
     seen: list[Mask] = []
     accuracy, best, failures = 1.0, np.inf, 0
-    start: Vector | FaceSolution = multipliers
     room = space.constraints.rhs[rows]
+    resume = isinstance(start, FaceSolution)
     while True:
         face, active = _face(problem, active, room)
         start = iterate = solve_on_face(
-            face, active, problem, start, (accuracy, tolerance), max_products, products
+            face, active, problem, start, (accuracy, tolerance), max_products, products, resume
         )
         multipliers, room = iterate.multipliers, iterate.gradient[rows]
         following = multipliers[rows] > iterate.gradient[rows] / problem.norm
@@ -194,11 +220,12 @@ def primal_dual_active_set(
             accuracy, failures = _LOOK * accuracy, failures + 1
         hopeless = cycles or failures > _PATIENCE or products.total >= max_products
         if solved or hopeless:
-            multipliers[rows] = np.maximum(multipliers[rows], 0.0)
-            return multipliers, iterate.coarse_gradient, solved
+            pressing = multipliers.copy()
+            pressing[rows] = np.maximum(pressing[rows], 0.0)
+            return ActiveSetEnd(pressing, iterate.coarse_gradient, solved, iterate)
         if exact:
             seen.append(active)
-        active = following
+        active, resume = following, changed == 0
 
 
 def _counts(space: CoarseSpace, *masks: Mask) -> list[int]:
@@ -250,6 +277,7 @@ def solve_on_face(
     tolerances: tuple[float, float],
     max_products: int,
     products: Products,
+    resume: bool = False,
 ) -> FaceSolution:
     """Solve the linear problem on a face by projected, preconditioned conjugate gradients.
 
@@ -274,6 +302,8 @@ def solve_on_face(
         Limit on `products`.
     products : Products
         Counter to add to.
+    resume : bool
+        Go on with the conjugate gradients that ended in `start`, on the same face.
     """
     inner = problem.space.constraints.multipliers.space
     accuracy, tolerance = tolerances
@@ -292,22 +322,25 @@ def solve_on_face(
         return problem.F(x)
 
     lengths: list[float] = []
-    if isinstance(start, FaceSolution):
+    p, rz = np.zeros_like(problem.d), 1.0
+    if isinstance(start, FaceSolution) and resume:
+        lengths.append(start.step_length)
+        l, Fl, p, rz = start.multipliers, start.Fl, start.direction, start.rz
+    elif isinstance(start, FaceSolution):
         # a first step at once, with the residual before the change: no product of its own
         lengths.append(start.step_length)
         step = precondition(project(problem.d - start.Fl))
         l = _nearest_on(face, problem, start.multipliers) + start.step_length * step
+        Fl = product(l)
     else:
         l = _nearest_on(face, problem, start)
-    Fl = product(l)
+        Fl = product(l)
     r = project(problem.d - Fl)
-    p = np.zeros_like(r)
-    rz = 1.0
     residual = inner.norm(r)
     wanted = max(tolerance, _LOOK * residual)
     while True:
         if residual <= wanted or products.total >= max_products:
-            solution = _examine(face, active, problem, l, Fl, residual, lengths)
+            solution = _examine(face, active, problem, l, Fl, residual, lengths, p, rz)
             enough = max(accuracy * solution.violation, tolerance)
             if residual <= enough or products.total >= max_products:
                 return solution
@@ -318,7 +351,7 @@ def solve_on_face(
         Fp = product(p)
         curvature = inner.dots((p, Fp))[0]
         if curvature <= 0.0:
-            return _examine(face, active, problem, l, Fl, residual, lengths)
+            return _examine(face, active, problem, l, Fl, residual, lengths, p, rz)
         lengths.append(rz / curvature)
         l, Fl = l + lengths[-1] * p, Fl + lengths[-1] * Fp
         r = r - lengths[-1] * project(Fp)
@@ -341,6 +374,8 @@ def _examine(
     Fl: Vector,
     residual: float,
     lengths: list[float],
+    direction: Vector,
+    rz: float,
 ) -> FaceSolution:
     """Return the gradient with the rigid motions of the face, and how far signs are violated."""
     space = problem.space
@@ -352,6 +387,7 @@ def _examine(
     wrong = np.zeros_like(jump)
     wrong[rows] = np.where(active, problem.norm * multipliers[rows], gradient[rows])
     return FaceSolution(
+        active,
         multipliers,
         Fl,
         gradient,
@@ -359,6 +395,8 @@ def _examine(
         residual,
         space.constraints.multipliers.space.norm(np.minimum(wrong, 0.0)),
         float(np.median(lengths)) if lengths else 0.0,
+        direction,
+        rz,
     )
 
 
