@@ -31,14 +31,11 @@ __all__ = [
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# reduction of the residual after which the signs are looked at: any (at 0.5 it takes 5 % more
-# products from nothing, as many from a coarse mesh)
-_LOOK = 1.0
+# reduction of the residual after which the signs are looked at
+_LOOK = 0.5
 # the violation of signs has to fall by this factor, or else so many faces may follow without
 _PROGRESS = 0.7
 _PATIENCE = 8
-# what the accuracy on a face is sharpened by where it does not
-_SHARPER = 0.5
 # relative to ||e||: work on motions that a face leaves free that counts as none
 _NO_WORK = 1e-9
 # relative to the motion: a row that does not close
@@ -220,7 +217,7 @@ def primal_dual_active_set(
             best, failures = iterate.violation, 0
         else:
             # perhaps the faces were judged by too rough solutions
-            accuracy, failures = _SHARPER * accuracy, failures + 1
+            accuracy, failures = _LOOK * accuracy, failures + 1
         hopeless = cycles or failures > _PATIENCE or products.total >= max_products
         if solved or hopeless:
             pressing = multipliers.copy()
@@ -287,7 +284,7 @@ def solve_on_face(
     Minimise 1/2 l'Fl - d'l subject to Gl = e and l = o off the face. The face is left as soon as
     the residual is smaller than the violation of signs times the first tolerance, or than the
     second one: more accuracy would be spent on the wrong rows. The signs are looked at whenever the
-    residual has fallen.
+    residual has halved.
 
     Parameters
     ----------
