@@ -149,6 +149,16 @@ class ContactProblem:
         solve again: what did not change is reused, and the iterations start from the last contact
         forces. Changed data of `a` are noticed too, and cost a new assembly and factorisation.
 
+        Parameters
+        ----------
+        coarse : ContactProblem, optional
+            The same problem on a coarser mesh (any mesh will do), solved: its contact, pressures
+            and gaps transferred to this mesh, is where the iterations start. With elements twice
+            as large it leaves hardly more of them than a problem whose contact is known. That pays
+            where the coarse problem is solved anyway, or is much smaller. The contacts have to be
+            the same, in the same order and under the same names. The surfaces of the coarse mesh
+            are gathered on all ranks.
+
         Returns
         -------
         Function
