@@ -3,9 +3,15 @@
     python benchmarks/products.py [--problems beams stack] [--rtol 1e-4 1e-8] [--json out.json]
 
 Each contact problem is solved by SMALBE-M (with the standard and the projected expansion step) and
-by the active set method, with each preconditioner. The linear problem beside it has the contact
-rows that press in the solution as equalities and the others removed; it is solved from nothing, by
-the same preconditioned conjugate gradients to the same tolerance.
+by the active set method, from nothing and from the solution on a mesh with elements twice as large,
+with each preconditioner. The linear problem beside it has the contact rows that press in the
+solution as equalities and the others removed; it is solved from nothing, by the same preconditioned
+conjugate gradients to the same tolerance.
+
+Processor seconds are those of solve() from its set-up on, without meshes and assembly; with the
+coarse problem those of both.
+
+Needs Gmsh with its Python module, for the meshes with larger elements.
 """
 
 from __future__ import annotations
@@ -13,6 +19,11 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import runpy
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from mpi4py import MPI
@@ -25,7 +36,7 @@ from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle
 from fenics_tfeti.fem.fields import displacement_space
-from fenics_tfeti.fem.mesh_io import read_msh
+from fenics_tfeti.fem.mesh_io import TaggedMesh, read_msh
 from fenics_tfeti.feti import Options, TornSolver, TornSystem
 from fenics_tfeti.feti.active_set import solve_on_face
 from fenics_tfeti.feti.coarse import Projector
@@ -37,7 +48,10 @@ METHODS = {
     "smalbe, projected_cg": {"method": "smalbe", "expansion": "projected_cg"},
     "active_set": {"method": "active_set"},
 }
+WARM = "active_set, coarse"
 PRECONDITIONERS = ("none", "lumped", "dirichlet")
+# of the solution on the coarse mesh, whose contact is only as exact as its elements are small
+COARSE_RTOL = 1e-4
 
 
 def elasticity(V, young: float, poisson: float):
@@ -53,17 +67,29 @@ def elasticity(V, young: float, poisson: float):
     return ufl.inner(stress, strain(v)) * ufl.dx
 
 
-def two_beams() -> ContactProblem:
-    """Return the two beams, 32 cubes of 8^3 elements."""
+def mesh_file(script: str, function: str, name: str, **arguments) -> TaggedMesh:
+    """Return a mesh that a script in meshes/ makes."""
+    make = runpy.run_path(str(meshes / script))[function]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(MPI.COMM_WORLD.bcast(folder)) / name
+        if MPI.COMM_WORLD.rank == 0:
+            make(path, **arguments)
+        MPI.COMM_WORLD.barrier()
+        return read_msh(path)
+
+
+def two_beams(coarse: bool) -> ContactProblem:
+    """Return the two beams, 32 cubes of 8^3 elements, or of 4^3."""
     arguments = argparse.Namespace(
-        subdomains_per_metre=2, elements_per_subdomain=8, rtol=1e-6, plain=False
+        subdomains_per_metre=2, elements_per_subdomain=4 if coarse else 8, rtol=1e-6, plain=False
     )
     return beams.build(arguments)
 
 
-def hertz(cells: str) -> ContactProblem:
+def hertz(cell: str, coarse: bool) -> ContactProblem:
     """Return the ball on a plane of demos/hertz_ball.py."""
-    ball = read_msh(meshes / f"hertz_ball_{cells}.msh")
+    size = 1e-3 if coarse else 5e-4
+    ball = mesh_file("half_balls.py", "half_balls", "ball.msh", cell=cell, element_size=size)
     tags, facet_tags = ball.names, ball.facet_tags
     V = displacement_space(ball.mesh)
     v = ufl.TestFunction(V)
@@ -79,9 +105,12 @@ def hertz(cells: str) -> ContactProblem:
     return ContactProblem(elasticity(V, 2e9, 0.3), load, bcs=bcs, contacts=[ground])
 
 
-def stack() -> ContactProblem:
+def stack(coarse: bool) -> ContactProblem:
     """Return the 27 loose blocks of demos/stack_of_blocks.py."""
-    blocks = read_msh(meshes / "stack_of_blocks.msh")
+    cells = 2 if coarse else 4
+    blocks = mesh_file(
+        "stack_of_blocks.py", "stack_of_blocks", "stack.msh", elements_per_block=cells
+    )
     mesh, facet_tags, tags = blocks.mesh, blocks.facet_tags, blocks.names
     V = displacement_space(mesh)
     v, x = ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
@@ -103,10 +132,10 @@ def stack() -> ContactProblem:
     return ContactProblem(elasticity(V, 30e9, 0.2), load, contacts=contacts)
 
 
-PROBLEMS = {
+PROBLEMS: dict[str, Callable[[bool], ContactProblem]] = {
     "beams": two_beams,
-    "hertz": lambda: hertz("hexahedra"),
-    "hertz_tetrahedra": lambda: hertz("tetrahedra"),
+    "hertz": lambda coarse: hertz("hexahedron", coarse),
+    "hertz_tetrahedra": lambda coarse: hertz("tetrahedron", coarse),
     "stack": stack,
 }
 
@@ -125,33 +154,69 @@ def linear_products(solver: TornSolver, multipliers: np.ndarray, rtol: float) ->
     return products
 
 
-def measure(system: TornSystem, preconditioner: str, rtol: float) -> list[dict]:
+def timed_solve(problem: ContactProblem, coarse: ContactProblem | None = None) -> float:
+    """Solve, and return the processor seconds of all ranks."""
+    start = time.process_time()
+    problem.solve(coarse=coarse)
+    return MPI.COMM_WORLD.allreduce(time.process_time() - start)
+
+
+def with_options(name: str, coarse: bool, **options) -> ContactProblem:
+    """Return a new problem with some options."""
+    problem = PROBLEMS[name](coarse)
+    problem.options = replace(problem.options, **options)
+    return problem
+
+
+def row(report, linear: Products, **others) -> dict:
+    """Return what is printed of a solve."""
+    spent = report.products
+    products = spent["total"] + spent["preconditioner"]
+    return {
+        **others,
+        "F": spent["total"],
+        "M": spent["preconditioner"],
+        "linear F": linear.total,
+        "linear M": linear.preconditioner,
+        "ratio": products / (linear.total + linear.preconditioner),
+        "faces": len(report.faces),
+        "outer": report.outer_iterations,
+        "certificate": report.certificate.worst,
+    }
+
+
+def measure(name: str, system: TornSystem, preconditioner: str, rtol: float) -> list[dict]:
     """Return a row for each method."""
-    rows, linear = [], None
+    given = {"rtol": rtol, "preconditioner": preconditioner}
+    rows, linear = [], Products()
     for method in reversed(METHODS):
-        options = Options(rtol=rtol, preconditioner=preconditioner, **METHODS[method])
-        solver = TornSolver(system, options)
+        solver = TornSolver(system, Options(**given, **METHODS[method]))
         solution = solver.solve()
-        if linear is None:
+        if method == "active_set":
             linear = linear_products(solver, solution.multipliers, rtol)
-        spent, report = solution.report.products, solution.report
-        rows.append(
-            {
-                "rtol": rtol,
-                "preconditioner": preconditioner,
-                "method": method,
-                "F": spent["total"],
-                "M": spent["preconditioner"],
-                "linear F": linear.total,
-                "linear M": linear.preconditioner,
-                "ratio": (spent["total"] + spent["preconditioner"])
-                / (linear.total + linear.preconditioner),
-                "faces": len(report.faces),
-                "outer": report.outer_iterations,
-                "certificate": report.certificate.worst,
-            }
-        )
+        rows.append(row(solution.report, linear, **given, method=method))
+    alone = timed_solve(with_options(name, coarse=False, **given))
+    coarse = with_options(name, coarse=True, rtol=COARSE_RTOL, preconditioner=preconditioner)
+    fine = with_options(name, coarse=False, **given)
+    seconds = timed_solve(coarse) + timed_solve(fine, coarse)
+    spent = coarse.report.products
+    others = {"coarse F": spent["total"], "coarse M": spent["preconditioner"]}
+    timed = {"seconds": seconds, "seconds of active_set": alone}
+    rows.append(row(fine.report, linear, **given, method=WARM, **others, **timed))
     return rows
+
+
+def printed(name: str, entry: dict) -> str:
+    """Return a row as a line."""
+    line = (
+        f"{name:<17} {entry['rtol']:.0e}  {entry['preconditioner']:<9}  {entry['method']:<20} "
+        f"{entry['F']:>4} {entry['M']:>4} {entry['linear F']:>3} {entry['linear M']:>3} "
+        f"{entry['ratio']:6.2f}  faces {entry['faces']} outer {entry['outer']}"
+    )
+    if entry["method"] != WARM:
+        return line
+    times = entry["seconds"] / entry["seconds of active_set"]
+    return f"{line} coarse {entry['coarse F']} {entry['coarse M']} seconds {times:.2f}"
 
 
 def main() -> None:
@@ -164,17 +229,12 @@ def main() -> None:
     if MPI.COMM_WORLD.rank == 0:
         print("problem            rtol  prec.      method                  F    M  linear  ratio")
     for name in arguments.problems:
-        problem = PROBLEMS[name]()  # owns the communicator of its torn system
+        problem = PROBLEMS[name](False)  # owns the communicator of its torn system
         for rtol, preconditioner in itertools.product(arguments.rtol, PRECONDITIONERS):
-            for row in measure(problem.system, preconditioner, rtol):
-                table.append({"problem": name, **row})
+            for entry in measure(name, problem.system, preconditioner, rtol):
+                table.append({"problem": name, **entry})
                 if MPI.COMM_WORLD.rank == 0:
-                    print(
-                        f"{name:<17} {rtol:.0e}  {preconditioner:<9}  {row['method']:<20} "
-                        f"{row['F']:>4} {row['M']:>4} {row['linear F']:>3} {row['linear M']:>3} "
-                        f"{row['ratio']:6.2f}  faces {row['faces']} outer {row['outer']}",
-                        flush=True,
-                    )
+                    print(printed(name, entry), flush=True)
     if arguments.json and MPI.COMM_WORLD.rank == 0:
         Path(arguments.json).write_text(json.dumps(table, indent=1) + "\n")
 

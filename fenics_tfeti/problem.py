@@ -18,13 +18,15 @@ from numpy.typing import NDArray
 import ufl
 from dolfinx.fem import Function
 
-from fenics_tfeti.errors import NotConverged
+from fenics_tfeti.errors import InputError, NotConverged
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.coarse_contact import check_same_contacts, expected_contact, gather_solved
 from fenics_tfeti.fem.contact import (
     Contact,
     ContactPair,
     ContactResult,
     MatchedContact,
+    contact_name,
     contact_rows,
     match_contacts,
 )
@@ -40,6 +42,7 @@ from fenics_tfeti.fem.parts import number_parts
 from fenics_tfeti.fem.subdomain import prepare_forms, same_values
 from fenics_tfeti.fem.surfaces import MeshBoundary
 from fenics_tfeti.feti import (
+    ContactGuess,
     GeometryPass,
     Prescribed,
     Report,
@@ -50,6 +53,7 @@ from fenics_tfeti.feti import (
     TornSystem,
     parse_options,
 )
+from fenics_tfeti.feti.exchange import together
 
 __all__ = ["ContactProblem"]
 
@@ -119,7 +123,9 @@ class ContactProblem:
         self._searched: list[Contact] = []
         self._matched: list[MatchedContact] = []
         self._moved: list[MatchedContact] = []
+        self._used: list[MatchedContact] = []
         self._solver: TornSolver | None = None
+        self._displacement: Function | None = None
         prescribed = prescribed_values(self.space, self.bcs)
         with self._timer.phase("partition"):
             bodies = find_bodies(self.space.mesh, cell_tags)
@@ -141,13 +147,23 @@ class ContactProblem:
         self.system = self._torn_system(self._assemble(), prescribed)
         self._solved_before = False
 
-    def solve(self) -> Function:
+    def solve(self, coarse: ContactProblem | None = None) -> Function:
         """Solve the problem, at the present values of loads, prescribed displacements and contacts.
 
         For load steps, change the values of constants and functions in `L` and in the Dirichlet
         conditions, or the entries of ``contacts`` (obstacles are evaluated anew in any case), and
         solve again: what did not change is reused, and the iterations start from the last contact
         forces. Changed data of `a` are noticed too, and cost a new assembly and factorisation.
+
+        Parameters
+        ----------
+        coarse : ContactProblem, optional
+            The same problem on a coarser mesh (any mesh will do), solved: its contact, pressures
+            and gaps transferred to this mesh, is where the iterations start. With elements twice
+            as large it leaves hardly more of them than a problem whose contact is known. That pays
+            where the coarse problem is solved anyway, or is much smaller. The contacts have to be
+            the same, in the same order and under the same names. The surfaces of the coarse mesh
+            are gathered on all ranks.
 
         Returns
         -------
@@ -157,7 +173,8 @@ class ContactProblem:
         Raises
         ------
         InputError
-            Wrong or contradictory data that only their assembly shows.
+            Wrong or contradictory data that only their assembly shows; a `coarse` that is not
+            solved, has other contacts or another dimension, or comes with ``method="smalbe"``.
         UnresistedMotion
             A load pushes a body where nothing holds it.
         FactorizationError
@@ -170,11 +187,46 @@ class ContactProblem:
         if self._solved_before:
             self._timer = Timer()
         self._solved_before = True
+        if coarse is not None:
+            self._check_coarse(coarse)
         # also at first: values may have changed since the problem was set up
         self._refresh()
         if self.options.non_penetration == "linearised":
-            return self._solve_linearised(self._matched)
-        return self._solve_exactly()
+            return self._solve_linearised(self._matched, coarse)
+        return self._solve_exactly(coarse)
+
+    def _check_coarse(self, coarse: Any) -> None:
+        with together(self.space.mesh.comm):
+            if not isinstance(coarse, ContactProblem):
+                raise InputError(
+                    f"coarse is a {type(coarse).__name__}; a ContactProblem is expected, solved on "
+                    "another mesh"
+                )
+            if coarse.system.gdim != self.system.gdim:
+                raise InputError(
+                    f"the coarse problem has {coarse.system.gdim} dimensions, this one has "
+                    f"{self.system.gdim}"
+                )
+            names = [contact_name(c, i) for i, c in enumerate(self.contacts)]
+            check_same_contacts(coarse.system.contact_names, names)
+            if self.options.method != "active_set":
+                raise InputError(
+                    "a coarse problem is a start for method='active_set'; with "
+                    f"{self.options.method!r} leave it out"
+                )
+            if coarse._displacement is None:
+                raise InputError("the coarse problem is not solved; call its solve() first")
+
+    def _guess(
+        self, coarse: ContactProblem | None, matched: Sequence[MatchedContact]
+    ) -> ContactGuess | None:
+        if coarse is None or coarse._displacement is None:
+            return None
+        with self._timer.phase("coarse contact"):
+            solved = gather_solved(
+                coarse._searched, coarse._used, coarse.contact, coarse._displacement
+            )
+            return expected_contact(solved, matched)
 
     def _match_contacts(self) -> None:
         with self._timer.phase("contact search"):
@@ -213,10 +265,13 @@ class ContactProblem:
             torn = self._assemble(torn)
         self.system = self._torn_system(torn, prescribed)
 
-    def _solve_linearised(self, matched: Sequence[MatchedContact]) -> Function:
+    def _solve_linearised(
+        self, matched: Sequence[MatchedContact], coarse: ContactProblem | None = None
+    ) -> Function:
         rows = contact_rows(matched, self.system.gdim)
         system = replace(self.system, contacts=rows)
-        self._solver = TornSolver(system, self.options, self._timer, self._solver)
+        guess = self._guess(coarse, matched)
+        self._solver = TornSolver(system, self.options, self._timer, self._solver, guess)
         try:
             solution = self._solver.solve()
         except NotConverged as error:
@@ -225,13 +280,13 @@ class ContactProblem:
             raise
         return self._take(solution, matched)
 
-    def _solve_exactly(self) -> Function:
+    def _solve_exactly(self, coarse: ContactProblem | None) -> Function:
         """Repeat with normals, gaps and partners of the deformed surfaces, sec. 11.1, 11.11.2."""
         passes = list[GeometryPass]()
         # where the last solution ended is nearer to the present one than the undeformed state
         matched = self._moved or self._matched
         while True:
-            uh = self._solve_linearised(matched)
+            uh = self._solve_linearised(matched, None if passes else coarse)
             with self._timer.phase("deformed surfaces"):
                 deformed = [
                     deformed_contact(self.space, contact, match, uh, _gives_normals(contact))
@@ -275,9 +330,11 @@ class ContactProblem:
             _contact_result(replace(match, gap=first.gap), force, self.space.mesh.comm)
             for match, first, force in zip(matched, self._matched, forces, strict=False)
         ]
-        return average_of_copies(
+        self._used = list(matched)
+        self._displacement = average_of_copies(
             self.space, self.system.subdomains, solution.displacements, solution.weights
         )
+        return self._displacement
 
 
 def _gives_normals(contact: Contact) -> bool:

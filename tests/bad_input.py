@@ -618,3 +618,33 @@ def cells_without_a_tag(comm):
     some = scene.cell_tags.find(1).astype(np.int32)
     tags = mesh.meshtags(scene.mesh, 2, some, np.ones(some.size, dtype=np.int32))
     scene.problem(cell_tags=tags).solve()
+
+
+# -- the start from a coarse mesh ------------------------------------------------------------------
+
+
+@mistake("float", "ContactProblem", "solved")
+def coarse_is_no_problem(comm):
+    beams(comm).problem().solve(coarse=2.0)
+
+
+@mistake("not solved", r"solve\(\)")
+def coarse_is_not_solved(comm):
+    beams(comm).problem().solve(coarse=beams(comm).problem())
+
+
+@mistake("3 dimensions", "2")
+def coarse_of_another_dimension(comm):
+    beams(comm).problem().solve(coarse=scenes.two_beams(comm, "hexahedron", 2).problem())
+
+
+@mistake("obstacle", "pair", "same order")
+def coarse_with_other_contacts(comm):
+    coarse = scenes.pressed_block(comm, "quadrilateral").problem()
+    beams(comm).problem().solve(coarse=coarse)
+
+
+@mistake("active_set", "smalbe", "leave it out")
+def coarse_with_another_method(comm):
+    coarse = beams(comm).problem()
+    beams(comm).problem(options={"method": "smalbe"}).solve(coarse=coarse)

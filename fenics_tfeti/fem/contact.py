@@ -52,6 +52,7 @@ __all__ = [
     "Plane",
     "RigidObstacle",
     "Sphere",
+    "contact_name",
     "contact_rows",
     "match_contact",
     "match_contacts",
@@ -293,11 +294,16 @@ def match_contact(
         Tags on no facet or on interior ones, slave nodes without a partner, shared nodes, pairs
         that cross or are not one to one, wrong normals.
     """
-    kind = "pair" if isinstance(contact, ContactPair) else "obstacle"
-    name = contact.name or f"contact {number} ({kind})"
+    name = contact_name(contact, number)
     if isinstance(contact, RigidObstacle):
         return _match_obstacle(boundary, name, contact, before)
     return before or _match_pair(boundary, name, contact)
+
+
+def contact_name(contact: Contact, number: int) -> str:
+    """Return a contact's name, by default from its number and kind."""
+    kind = "pair" if isinstance(contact, ContactPair) else "obstacle"
+    return contact.name or f"contact {number} ({kind})"
 
 
 def contact_rows(matched: Sequence[MatchedContact], gdim: int) -> ContactRows:

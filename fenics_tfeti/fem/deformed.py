@@ -33,7 +33,13 @@ from fenics_tfeti.fem.obstacles import gap_and_normal
 from fenics_tfeti.feti import GeometryPass
 from fenics_tfeti.feti.exchange import concatenate_ranks, together
 
-__all__ = ["DeformedContact", "deformed_contact", "geometry_pass"]
+__all__ = [
+    "DeformedContact",
+    "MovedSurface",
+    "deformed_contact",
+    "gather_surface",
+    "geometry_pass",
+]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -165,8 +171,8 @@ def geometry_pass(
 
 
 @dataclass(frozen=True)
-class _Moved:
-    """A surface of all ranks after the displacement.
+class MovedSurface:
+    """A surface of all ranks after the displacement, on every rank.
 
     Attributes
     ----------
@@ -187,16 +193,47 @@ class _Moved:
     facets: Numbers
 
     def surface(self) -> FacetedSurface:
+        """Return segments or triangles, four around the middle of each quadrilateral."""
+        return FacetedSurface(self._with_middles(self.points), self._triangles())
+
+    def interpolate(self, values: Vector, x: Vector) -> Vector:
+        """Return values at the points of the undeformed surface that are closest to others.
+
+        Parameters
+        ----------
+        values : (n, v) array
+            At the nodes; linear on segments and triangles.
+        x : (k, gdim) array
+            Points [m].
+
+        Returns
+        -------
+        (k, v) array
+            At the points.
+        """
+        triangles = self._triangles()
+        undeformed = FacetedSurface(self._with_middles(self.points - self.displacement), triangles)
+        facet, weights = undeformed.closest(x)
+        corners = self._with_middles(values)[triangles[facet]]
+        interpolated: Vector = np.einsum("kc,kcv->kv", weights, corners)
+        return interpolated
+
+    def _triangles(self) -> Numbers:
         if self.facets.shape[1] != 4:
-            return FacetedSurface(self.points, self.facets)
+            return self.facets
         middle = len(self.points) + np.arange(len(self.facets))
         circle = self.facets[:, [0, 1, 3, 2]]
         triangles = [
             np.column_stack([start, end, middle])
             for start, end in zip(circle.T, np.roll(circle, -1, axis=1).T, strict=True)
         ]
-        points = np.concatenate([self.points, self.points[self.facets].mean(axis=1)])
-        return FacetedSurface(points, np.concatenate(triangles))
+        return np.concatenate(triangles)
+
+    def _with_middles(self, values: Vector) -> Vector:
+        """Return values at nodes, followed by those in the middle of quadrilaterals."""
+        if self.facets.shape[1] != 4:
+            return values
+        return np.concatenate([values, values[self.facets].mean(axis=1)])
 
     def normals(self, name: str) -> Vector:
         """Return the unit normals at all nodes, by the integral with the shape functions."""
@@ -236,8 +273,8 @@ def _at_master(
     displacement: Function,
     keep_normal: bool,
 ) -> DeformedContact:
-    slave = _gather(space, contact.facet_tags, contact.slave, displacement)
-    master = _gather(space, contact.facet_tags, contact.master, displacement)
+    slave = gather_surface(space, contact.facet_tags, contact.slave, displacement)
+    master = gather_surface(space, contact.facet_tags, contact.master, displacement)
     here = np.searchsorted(slave.nodes, matched.slave)
     partner = np.searchsorted(master.nodes, matched.master)
     normal = matched.normal if keep_normal else slave.normals(matched.name)[here]
@@ -255,7 +292,7 @@ def _at_master(
     )
 
 
-def _opposite(master: _Moved, partner: Numbers, foot: Vector) -> Numbers:
+def _opposite(master: MovedSurface, partner: Numbers, foot: Vector) -> Numbers:
     """Return the master's nodes next to the points that the slave's nodes face.
 
     A partner stays where another node is not clearly nearer: the passes shall not alternate.
@@ -272,7 +309,7 @@ def _at_obstacle(
     displacement: Function,
 ) -> DeformedContact:
     gdim = space.dofmap.index_map_bs
-    slave = _gather(space, contact.facet_tags, contact.slave, displacement)
+    slave = gather_surface(space, contact.facet_tags, contact.slave, displacement)
     here = np.searchsorted(slave.nodes, matched.slave)
     points = np.pad(slave.points[here], ((0, 0), (0, 3 - gdim)))
     body_normal = slave.normals(matched.name)[here]
@@ -285,8 +322,22 @@ def _at_obstacle(
     )
 
 
-def _gather(space: FunctionSpace, facet_tags: Any, tag: int, displacement: Function) -> _Moved:
-    """Gather a tagged surface from all ranks, moved."""
+def gather_surface(
+    space: FunctionSpace, facet_tags: Any, tag: int, displacement: Function
+) -> MovedSurface:
+    """Gather a tagged surface from all ranks, moved. Collective.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    facet_tags : MeshTags
+        Tags of facets.
+    tag : int
+        The surface's tag.
+    displacement : Function
+        On the space [m]; its ghosts are updated.
+    """
     comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
     facets = _oriented_facets(space, facet_tags, tag)
     local = np.unique(facets)
@@ -298,7 +349,9 @@ def _gather(space: FunctionSpace, facet_tags: Any, tag: int, displacement: Funct
         concatenate_ranks(comm, column) for column in (numbers, points, moves, rows)
     )
     nodes, first = np.unique(numbers, return_index=True)
-    return _Moved(nodes, points[first] + moves[first], moves[first], np.searchsorted(nodes, rows))
+    return MovedSurface(
+        nodes, points[first] + moves[first], moves[first], np.searchsorted(nodes, rows)
+    )
 
 
 def _oriented_facets(space: FunctionSpace, facet_tags: Any, tag: int) -> NDArray[np.int32]:

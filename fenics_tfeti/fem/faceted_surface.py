@@ -163,6 +163,23 @@ class FacetedSurface:
         normal[away] = offset[away] / signed[away, None]
         return Distance(signed, normal, beside)
 
+    def closest(self, x: Vector) -> tuple[Numbers, Vector]:
+        """Find the points of the surface that are closest to other points.
+
+        Parameters
+        ----------
+        x : (k, gdim) array
+            The points [m].
+
+        Returns
+        -------
+        facet, weights : (k,) integer array, (k, gdim) array
+            The facet that each closest point is on, and its barycentric coordinates there.
+        """
+        blocks = [self._closest(part)[:2] for part in _blocks(x)]
+        point, facet = (np.concatenate(column) for column in zip(*blocks, strict=True))
+        return facet, _barycentric(self._corners[facet], point)
+
     def gap_along(self, x: Vector, direction: Vector) -> tuple[Vector, Vector]:
         """Find how far points can go along a direction until they meet the surface.
 

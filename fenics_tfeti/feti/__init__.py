@@ -8,10 +8,17 @@ from fenics_tfeti.feti.options import Options, parse_options
 from fenics_tfeti.feti.recovery import Certificate
 from fenics_tfeti.feti.report import GeometryPass, Report, Timer
 from fenics_tfeti.feti.solver import TornSolution, TornSolver
-from fenics_tfeti.feti.torn_system import ContactRows, Prescribed, Subdomain, TornSystem
+from fenics_tfeti.feti.torn_system import (
+    ContactGuess,
+    ContactRows,
+    Prescribed,
+    Subdomain,
+    TornSystem,
+)
 
 __all__ = [
     "Certificate",
+    "ContactGuess",
     "ContactRows",
     "GeometryPass",
     "Options",

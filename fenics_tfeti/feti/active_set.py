@@ -20,6 +20,7 @@ from fenics_tfeti.feti.coarse import CoarseSpace, Projector
 from fenics_tfeti.qp import Products
 
 __all__ = [
+    "ActiveSetEnd",
     "ActiveSetStep",
     "DualProblem",
     "FaceSolution",
@@ -112,6 +113,8 @@ class FaceSolution:
 
     Attributes
     ----------
+    active : (i,) bool array
+        The inequality rows on the face.
     multipliers : (m,) array
         l, with Gl = e and zeros off the face.
     gradient : (m,) array
@@ -124,19 +127,47 @@ class FaceSolution:
         A typical step length of the conjugate gradients.
     drift : float
         Bound of what products in single precision have left in the gradient.
+    direction, rz : (m,) array, float
+        Their last direction, and r'z of the residual that it was made from: to go on with.
     """
 
+    active: Mask
     multipliers: Vector
     gradient: Vector
     residual: float
     violation: float
     step_length: float
     drift: float
+    direction: Vector
+    rz: float
+
+
+@dataclass(frozen=True)
+class ActiveSetEnd:
+    """Where the active set method ended.
+
+    Attributes
+    ----------
+    multipliers : (m,) array
+        Nonnegative on the inequality rows, and G l = e up to what cutting negative forces does.
+    coarse_gradient : (m,) array
+        Q(Fl - d) + G'a with the rigid motions a: the equalities' part of the gradient.
+    solved : bool
+        Whether residual and signs are as they should be; else the set was there before, or a limit
+        was met.
+    face : FaceSolution
+        The last face, from where to go on to a smaller tolerance.
+    """
+
+    multipliers: Vector
+    coarse_gradient: Vector
+    solved: bool
+    face: FaceSolution
 
 
 def primal_dual_active_set(
     problem: DualProblem,
-    multipliers: Vector,
+    start: Vector | FaceSolution,
     active: Mask,
     *,
     tolerance: float,
@@ -144,17 +175,17 @@ def primal_dual_active_set(
     max_products: int,
     products: Products,
     monitor: Callable[[ActiveSetStep], None],
-) -> tuple[Vector, Vector, bool]:
+) -> ActiveSetEnd:
     """Run the active set method until its set does not change, or it cycles.
 
     Parameters
     ----------
     problem : DualProblem
         The problem.
-    multipliers : (m,) array
-        Where to start from.
+    start : (m,) array or FaceSolution
+        Multipliers to start from, or the end of an earlier run to a larger tolerance.
     active : (i,) bool array
-        The first guess of the inequality rows that are active.
+        The first guess of the inequality rows that are active; of an earlier run, its last.
     tolerance, norm_b : float
         Norm of the projected residual to end with, and the scale of the first ones.
     max_products : int
@@ -166,24 +197,19 @@ def primal_dual_active_set(
 
     Returns
     -------
-    multipliers : (m,) array
-        Nonnegative on the inequality rows, and G l = e up to what cutting negative forces does.
-    coarse_gradient : (m,) array
-        Q(Fl - d) + G'a with the rigid motions a: the equalities' part of the gradient.
-    solved : bool
-        Whether residual and signs are as they should be; else the set was there before, or a limit
-        was met.
+    ActiveSetEnd
+        The solution, or where the method has come to.
     """
     space = problem.space
     rows = space.constraints.inequality
     seen: list[Mask] = []
     accuracy, best, failures = 1.0, np.inf, 0
-    start: Vector | FaceSolution = multipliers
     room = space.constraints.rhs[rows]
+    resume = isinstance(start, FaceSolution)
     while True:
         face, active = _face(problem, active, room)
         start = iterate = solve_on_face(
-            face, active, problem, start, (accuracy, tolerance), max_products, products
+            face, active, problem, start, (accuracy, tolerance), max_products, products, resume
         )
         multipliers, room = iterate.multipliers, iterate.gradient[rows]
         following = multipliers[rows] > iterate.gradient[rows] / problem.norm
@@ -199,11 +225,13 @@ def primal_dual_active_set(
             accuracy, failures = _LOOK * accuracy, failures + 1
         hopeless = cycles or failures > _PATIENCE or products.total >= max_products
         if solved or hopeless:
-            multipliers[rows] = np.maximum(multipliers[rows], 0.0)
-            return multipliers, problem.projector.coarse(iterate.gradient), solved
+            pressing = multipliers.copy()
+            pressing[rows] = np.maximum(pressing[rows], 0.0)
+            coarse_gradient = problem.projector.coarse(iterate.gradient)
+            return ActiveSetEnd(pressing, coarse_gradient, solved, iterate)
         if exact:
             seen.append(active)
-        active = following
+        active, resume = following, changed == 0
 
 
 def _counts(space: CoarseSpace, *masks: Mask) -> list[int]:
@@ -255,6 +283,7 @@ def solve_on_face(
     tolerances: tuple[float, float],
     max_products: int,
     products: Products,
+    resume: bool = False,
 ) -> FaceSolution:
     """Solve the linear problem on a face by projected, preconditioned conjugate gradients.
 
@@ -283,6 +312,8 @@ def solve_on_face(
         Limit on `products`.
     products : Products
         Counter to add to.
+    resume : bool
+        Go on with the conjugate gradients that ended in `start`, on the same face.
     """
     vectors = problem.space.constraints.multipliers
     accuracy, tolerance = tolerances
@@ -295,23 +326,30 @@ def solve_on_face(
         products.preconditioner += 1
         return face.complement_of_sum(problem.precondition(r), r)
 
-    lengths: list[float] = []
-    # where a gradient is known, and how well
-    origin, known, drift = np.zeros_like(problem.d), -problem.d, 0.0
-    if isinstance(start, FaceSolution):
+    def onto_face() -> tuple[Vector, Vector, Vector, float, list[float]]:
+        """Return the first l, where a gradient is known, it, its drift, and step lengths."""
+        origin, known, drift = np.zeros_like(problem.d), -problem.d, 0.0
+        if not isinstance(start, FaceSolution):
+            return _nearest_on(face, problem, start), origin, known, drift, []
         # a first step at once, with the residual before the change: no product of its own
-        lengths.append(start.step_length)
         step = precondition(-face.complement(face.keep(start.gradient)))[0]
         l = _nearest_on(face, problem, start.multipliers) + start.step_length * step
+        # gradients of faces without free motions differ by G'a, which is taken out
         if face.free.shape[1] == 0:
             origin, known, drift = start.multipliers, start.gradient, start.drift
+        return l, origin, known, drift, [start.step_length]
+
+    if isinstance(start, FaceSolution) and resume:
+        l, gradient, p, rz = start.multipliers, start.gradient, start.direction, start.rz
+        drift, lengths = start.drift, [start.step_length]
+        residual, violation = _norms(face, active, problem, l, gradient)
     else:
-        l = _nearest_on(face, problem, start)
-    products.cg += 1
-    gradient = face.relax(rough(l - origin) + vectors.owned_part(known), l)[0]
-    p, rz = np.zeros_like(gradient), 1.0
-    residual, violation, size = _norms(face, active, problem, l, gradient, gradient - known)
-    drift += unit * size
+        l, origin, known, drift, lengths = onto_face()
+        products.cg += 1
+        gradient = face.relax(rough(l - origin) + vectors.owned_part(known), l)[0]
+        p, rz = np.zeros_like(gradient), 1.0
+        residual, violation, size = _norms(face, active, problem, l, gradient, gradient - known)
+        drift += unit * size
     wanted = max(tolerance, _LOOK * residual)
     while True:
         if max(residual, tolerance) < _TRUSTED * drift and products.total < max_products:
@@ -337,7 +375,7 @@ def solve_on_face(
         residual, violation, size = _norms(face, active, problem, l, gradient, change)
         drift += unit * lengths[-1] * size
     typical = float(np.median(lengths)) if lengths else 0.0
-    return FaceSolution(l, gradient, residual, violation, typical, drift)
+    return FaceSolution(active, l, gradient, residual, violation, typical, drift, p, rz)
 
 
 def _nearest_on(face: Projector, problem: DualProblem, multipliers: Vector) -> Vector:

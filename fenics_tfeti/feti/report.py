@@ -85,7 +85,7 @@ class Report:
         of the ``coarse`` problem, of contact rows dropped as ``redundant``, and of others that
         depend linearly on the rest (``dependent``).
     reused : list of str
-        What was taken over from the last solve.
+        What was taken over from the last solve; ``contact guess`` if one was given.
     subdomains : int
         Their number over all ranks.
     classes : int

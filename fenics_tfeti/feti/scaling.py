@@ -19,7 +19,7 @@ from fenics_tfeti.errors import FactorizationError
 from fenics_tfeti.feti.exchange import together
 from fenics_tfeti.feti.torn_system import TornSystem
 
-__all__ = ["Scaling", "node_weights"]
+__all__ = ["Scaling", "node_weights", "stiffness_of_weight"]
 
 Scaling = Literal["multiplicity", "stiffness"]
 Vector = NDArray[np.float64]
@@ -48,13 +48,31 @@ def node_weights(system: TornSystem, scaling: Scaling) -> Vector:
     """
     if scaling == "multiplicity":
         return np.ones(sum(subdomain.nodes.size for subdomain in system.subdomains))
-    diagonals = [s.stiffness.diagonal().reshape(-1, system.gdim) for s in system.subdomains]
-    stiffness = np.concatenate([np.zeros((0, system.gdim)), *diagonals]).mean(axis=1)
+    stiffness = _diagonals(system)
     with together(system.comm):
         _check_positive(system, stiffness)
-    largest = system.comm.allreduce(float(stiffness.max(initial=0.0)), MPI.MAX)
-    weights: Vector = stiffness / largest
+    weights: Vector = stiffness / _largest(system, stiffness)
     return weights
+
+
+def stiffness_of_weight(system: TornSystem, scaling: Scaling) -> float:
+    """Return the stiffness that a weight of 1 stands for [N/m]; the mean one for multiplicity."""
+    stiffness = _diagonals(system)
+    if scaling == "stiffness":
+        return _largest(system, stiffness)
+    total, count = system.comm.allreduce(np.array([stiffness.sum(), stiffness.size]))
+    return float(total / count)
+
+
+def _diagonals(system: TornSystem) -> Vector:
+    """Return the mean diagonal of K_i at each copy of a node."""
+    diagonals = [s.stiffness.diagonal().reshape(-1, system.gdim) for s in system.subdomains]
+    mean: Vector = np.concatenate([np.zeros((0, system.gdim)), *diagonals]).mean(axis=1)
+    return mean
+
+
+def _largest(system: TornSystem, stiffness: Vector) -> float:
+    return float(system.comm.allreduce(float(stiffness.max(initial=0.0)), MPI.MAX))
 
 
 def _check_positive(system: TornSystem, stiffness: Vector) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.exchange import together
 
-__all__ = ["ContactRows", "Prescribed", "Subdomain", "TornSystem"]
+__all__ = ["ContactGuess", "ContactRows", "Prescribed", "Subdomain", "TornSystem"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -104,6 +104,46 @@ class ContactRows:
         """Return no rows."""
         empty = np.zeros(0, dtype=np.int64)
         return ContactRows(empty, empty, np.zeros((0, gdim)), np.zeros(0), empty)
+
+
+@dataclass(frozen=True)
+class ContactGuess:
+    """What is expected of each contact row that this rank gives, such as on a coarser mesh.
+
+    A row counts as pressing if the force is more than what would close the gap against the
+    stiffness of its nodes alone. Near the edge of a contact, where a guess has a bit of both, that
+    says on which side of it a row is.
+
+    Attributes
+    ----------
+    normal_force : (k,) array
+        Nodal normal forces [N].
+    gap : (k,) array
+        Gaps that remain [m]; infinite where nothing is known.
+    """
+
+    normal_force: Vector
+    gap: Vector
+
+    def check(self, rows: int) -> None:
+        """Check shapes and numbers; `rows` is how many contact rows this rank gives.
+
+        Raises
+        ------
+        InputError
+            On this rank, with what is wrong.
+        """
+        for what, values in (("normal forces", self.normal_force), ("gaps", self.gap)):
+            if np.shape(values) != (rows,):
+                raise InputError(
+                    f"{what} of the contact guess have shape {np.shape(values)}, expected "
+                    f"({rows},): one for each contact row of this rank"
+                )
+        _check_finite("normal forces of the contact guess", self.normal_force)
+        if np.isnan(self.gap).any():
+            raise InputError(
+                f"gaps of the contact guess: {np.count_nonzero(np.isnan(self.gap))} are NaN"
+            )
 
 
 @dataclass(frozen=True)

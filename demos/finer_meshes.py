@@ -1,0 +1,138 @@
+"""A rigid roller pressed into a block, on finer and finer meshes: each starts from the one before.
+
+# Finer meshes
+
+How fine a mesh has to be, one finds out by solving on several. The contact of a coarse mesh also
+tells the solver nearly all that it has to find out on a finer one: which nodes press, and how much.
+
+A rigid roller of radius R is pressed into an elastic block, in plane strain; by symmetry half of it
+is meshed. The strip of contact has about the half-width that Hertz's formula gives for a half
+space,
+
+    a^2 = 4 F R / (pi E*),
+
+where F is the force per unit length and E* = E / (1 - nu^2).
+
+This demo illustrates how to
+
+- make structured meshes of one body;
+- start a solution from that on a coarser mesh, by `solve(coarse=...)`;
+- see what that saves. Each mesh is solved without it as well, to compare.
+
+Run it by `python demos/finer_meshes.py`, or on several processes by
+`mpirun -n 2 python demos/finer_meshes.py`; it draws a picture into `results/`. All units are SI.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactProblem, RigidObstacle, Sphere
+from fenics_tfeti.fem.fields import displacement_space
+from fenics_tfeti.fem.pictures import draw_profile
+from fenics_tfeti.fem.structured import Box, boxes, tag_facets
+
+results = Path(__file__).parent.parent / "results"
+comm = MPI.COMM_WORLD
+
+# ## Data
+#
+# A block of 40 mm x 20 mm of hard plastic; the roller is pressed 0.5 mm into it.
+
+R, E, nu = 0.05, 2e9, 0.3
+E_star = E / (1 - nu**2)
+size, depth = 0.02, 5e-4
+TOP, BOTTOM, SYMMETRY = 1, 2, 3
+
+
+# ## One problem
+#
+# Nothing moves across the plane of symmetry; the bottom is pushed up, against a roller that stays
+# where it is. `Sphere` is a disc in two dimensions.
+
+
+def new_problem(n):
+    """Return the problem on a mesh of n x n squares."""
+    mesh = boxes(comm, [Box((0.0, -size), (size, 0.0), (n, n))], "quadrilateral").mesh
+    facet_tags = tag_facets(
+        mesh,
+        [
+            (TOP, lambda x: np.isclose(x[1], 0.0)),
+            (BOTTOM, lambda x: np.isclose(x[1], -size)),
+            (SYMMETRY, lambda x: np.isclose(x[0], 0.0)),
+        ],
+    )
+    V = displacement_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    mu = fem.Constant(mesh, E / (2 * (1 + nu)))
+    lmbda = fem.Constant(mesh, E * nu / ((1 + nu) * (1 - 2 * nu)))
+
+    def epsilon(w):
+        return ufl.sym(ufl.grad(w))
+
+    stress = lmbda * ufl.tr(epsilon(u)) * ufl.Identity(2) + 2 * mu * epsilon(u)
+    a = ufl.inner(stress, epsilon(v)) * ufl.dx
+    L = fem.Constant(mesh, 0.0) * v[1] * ufl.dx
+    bcs = []
+    for component, tag, value in ((0, SYMMETRY, 0.0), (1, BOTTOM, depth)):
+        Vi = V.sub(component)
+        dofs = fem.locate_dofs_topological(Vi, 1, facet_tags.find(tag))
+        bcs.append(fem.dirichletbc(value, dofs, Vi))
+    roller = RigidObstacle(facet_tags, slave=TOP, obstacle=Sphere(centre=(0, R), radius=R))
+    return ContactProblem(a, L, bcs=bcs, contacts=[roller])
+
+
+def effort(report):
+    """Write products with F, applications of the preconditioner, and sets that were tried."""
+    products = report.products
+    return f"{products['total']:3d} + {products['preconditioner']:3d}, sets: {len(report.faces)}"
+
+
+# ## Finer and finer
+#
+# The coarse problem is what `solve` takes: it knows contact, pressures and displacements.
+
+curves, coarse = {}, None
+for n in (16, 32, 64, 128):
+    problem = new_problem(n)
+    problem.solve(coarse=coarse)
+    alone = new_problem(n)
+    alone.solve()
+
+    force = 2 * problem.report.contact_force[0]
+    a = np.sqrt(4 * force * R / (np.pi * E_star))
+    contact = problem.contact[0].gather()
+    x = contact.coordinates[:, 0]
+    if comm.rank == 0:
+        print(
+            f"{problem.report.unknowns['primal']:6d} unknowns: F = {1e-3 * force:.1f} kN/m, "
+            f"half-width {1e3 * x[contact.active].max():.2f} mm, Hertz {1e3 * a:.2f} mm"
+        )
+        print(f"       from nothing         {effort(alone.report)}")
+        if coarse:
+            print(f"       from the coarse mesh {effort(problem.report)}")
+    curves[f"{n} x {n}"] = (1e3 * x, 1e-6 * contact.pressure, "sDo^"[len(curves)])
+    coarse = problem
+
+# ## Picture
+#
+# By Hertz the pressure is p0 sqrt(1 - x^2 / a^2), with p0 = 2 F / (pi a).
+
+axis = np.linspace(0, 1.5 * a, 300)
+hertz = 2 * force / (np.pi * a) * np.sqrt(np.maximum(0, 1 - (axis / a) ** 2))
+near = {label: (x[x < 1.5e3 * a], p[x < 1.5e3 * a], s) for label, (x, p, s) in curves.items()}
+draw_profile(
+    results / "finer_meshes.png",
+    {**near, "Hertz, half space": (1e3 * axis, 1e-6 * hertz, "-")},
+    xlabel="distance from the plane of symmetry [mm]",
+    ylabel="normal pressure [MPa]",
+    title="Rigid roller in a block: contact pressure on four meshes",
+    comm=comm,
+)
