@@ -16,18 +16,14 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import FactorizationError, InputError, NotConverged
-from fenics_tfeti.feti.active_set import (
-    ActiveSetStep,
-    DualProblem,
-    FaceSolution,
-    primal_dual_active_set,
-)
+from fenics_tfeti.feti.active_set import ActiveSetStep, primal_dual_active_set
 from fenics_tfeti.feti.cholesky import choose_package
 from fenics_tfeti.feti.coarse import CoarseSpace, Projector, describe_body_motion
 from fenics_tfeti.feti.congruence import Boundary, Congruent, find_congruent
 from fenics_tfeti.feti.constraints import Constraints, build_constraints
 from fenics_tfeti.feti.dual import DualOperator, norm_of_projected
 from fenics_tfeti.feti.exchange import together
+from fenics_tfeti.feti.face import DualProblem, FaceSolution
 from fenics_tfeti.feti.feasible_start import check_load, feasible_start
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.preconditioner import boundary_operator

@@ -18,8 +18,8 @@ from fenics_tfeti.feti import (
     TornSolver,
     TornSystem,
 )
-from fenics_tfeti.feti.active_set import solve_on_face
 from fenics_tfeti.feti.coarse import Projector
+from fenics_tfeti.feti.face import solve_on_face
 from fenics_tfeti.qp import Products
 
 # Curtis, Han, Robinson, Comput. Optim. Appl. 60 (2015), example 1: active sets that repeat

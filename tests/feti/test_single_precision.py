@@ -9,7 +9,7 @@ import pytest
 from torn import column
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.feti import Options, TornSolver, active_set, dual
+from fenics_tfeti.feti import Options, TornSolver, dual, face
 
 
 def options(precision: str, rtol: float, **others) -> Options:
@@ -38,7 +38,7 @@ def test_solution_is_that_of_double_precision():
 
 
 def test_without_replacement_there_is_no_such_accuracy(monkeypatch):
-    monkeypatch.setattr(active_set, "_TRUSTED", 0.0)
+    monkeypatch.setattr(face, "_TRUSTED", 0.0)
     report = solved("single", error_if_not_converged=False)[1].report
     assert report.products["replacement"] == 0
     assert report.certificate.worst > 1e-9
