@@ -56,7 +56,7 @@ def _ccx() -> object:
 # the first of each scene is what the others are compared with
 CODES = {
     "tfeti": Code(TWO, "peers_fenics", "solve_by_tfeti", (RTOL,)),
-    "tfeti-cubes": Code(TWO, "peers_fenics", "solve_by_tfeti", (RTOL, 2)),
+    "tfeti-scotch": Code(TWO, "peers_fenics", "solve_by_tfeti", (RTOL, "scotch")),
     "getfem": Code(TWO, "peers_getfem", "solve_by_getfem", (RTOL,), "python3-getfem", _getfem),
     "calculix-penalty": Code(
         TWO, "peers_calculix", "solve_by_calculix", ("penalty",), "calculix-ccx", _ccx
@@ -65,7 +65,7 @@ CODES = {
         TWO, "peers_calculix", "solve_by_calculix", ("mortar",), "calculix-ccx", _ccx
     ),
     "tfeti-rigid": Code(RIGID, "peers_fenics", "solve_by_tfeti", (RTOL,)),
-    "tfeti-rigid-cubes": Code(RIGID, "peers_fenics", "solve_by_tfeti", (RTOL, 2)),
+    "tfeti-rigid-scotch": Code(RIGID, "peers_fenics", "solve_by_tfeti", (RTOL, "scotch")),
     "snesvi-icc": Code(RIGID, "peers_fenics", "solve_by_snesvi", (RTOL, "icc")),
     "snesvi-gamg": Code(RIGID, "peers_fenics", "solve_by_snesvi", (RTOL, "gamg")),
     "snesvi-mumps": Code(RIGID, "peers_fenics", "solve_by_snesvi", (RTOL, "mumps")),

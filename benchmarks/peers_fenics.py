@@ -74,13 +74,6 @@ class Elasticity:
             wanted += [(CLAMPED, c) for c in (0, 1, 2)]
         return [fem.dirichletbc(0.0, self.dofs(tag, c), self.space.sub(c)) for tag, c in wanted]
 
-    def cubes(self, per_metre: int) -> Any:
-        """Number the cube that holds each cell, as benchmarks/beams.py does."""
-        corners = self.mesh.geometry.x[_compat.geometry_cells(self.mesh)]
-        x, y, z = np.floor(per_metre * corners.mean(axis=1)).astype(np.int64).T
-        size = 4 * per_metre
-        return ((self.bodies.values * size + x) * size + y) * size + z
-
     def answer(self, values: Any, force: float, **facts: Any) -> Answer:
         """Return an answer from the values (3 n) of the displacement."""
         nodes = _compat.cell_dofs(self.space)
@@ -90,8 +83,8 @@ class Elasticity:
         return Answer(points, np.asarray(values).reshape(-1, 3), body, force, facts)
 
 
-def solve_by_tfeti(scene: Scene, rtol: float, cubes_per_metre: int = 0) -> Answer:
-    """Solve a scene by fenics_tfeti with its defaults, or in cubes of 1 / `cubes_per_metre`."""
+def solve_by_tfeti(scene: Scene, rtol: float, partitioner: str = "auto") -> Answer:
+    """Solve a scene by fenics_tfeti with its defaults, or in subdomains by SCOTCH."""
     parts = Elasticity(scene)
     contact: ContactPair | RigidObstacle = RigidObstacle(parts.facet_tags, SLAVE, _ground)
     if parts.has_lower:
@@ -101,8 +94,7 @@ def solve_by_tfeti(scene: Scene, rtol: float, cubes_per_metre: int = 0) -> Answe
         parts.L,
         bcs=parts.bcs,
         contacts=[contact],
-        subdomains=parts.cubes(cubes_per_metre) if cubes_per_metre else None,
-        options={"rtol": rtol},
+        options={"rtol": rtol, "partitioner": partitioner},
     )
     uh = problem.solve()
     certificate = problem.report.to_dict()["certificate"]
