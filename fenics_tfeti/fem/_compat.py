@@ -463,7 +463,8 @@ def _facet_rows(domain: mesh.Mesh) -> Numbers:
     domain.topology.create_connectivity(dim, dim - 1)
     facet_of = domain.topology.connectivity(dim, dim - 1)
     cells = domain.topology.index_map(dim)
-    table = facet_of.array.reshape(cells.size_local + cells.num_ghosts, -1)
+    number = cells.size_local + cells.num_ghosts
+    table = facet_of.array.reshape(number, facet_of.array.size // max(number, 1))
     rows = np.zeros((int(table.max(initial=-1)) + 1, 2), dtype=np.int32)
     rows[table, 0] = np.arange(len(table))[:, None]
     rows[table, 1] = np.arange(table.shape[1])
