@@ -214,7 +214,9 @@ def _raise_for_cells(
 def _check_overlaps(domain: Mesh, bodies: Bodies, cells: _Cells) -> None:
     """Check that the cells of a facet are on its two sides; a cell pushed inside out is not."""
     facets = cell_facets(domain)[0][: cells.body.size]
-    side, number = _sides(facets, cells), int(facets.max(initial=-1)) + 1
+    simplices = cells.shape in ("triangle", "tetrahedron")
+    side = _sides_of_simplices(cells) if simplices else _sides_by_place(facets, cells)
+    number = int(facets.max(initial=-1)) + 1
     above, below = (np.bincount(facets[side == s], minlength=number) for s in (1.0, -1.0))
     folded = np.count_nonzero(((above > 1) | (below > 1))[facets], axis=1)
     # the neighbours of a cell turned inside out have one such facet each, the cell itself several
@@ -229,7 +231,22 @@ def _check_overlaps(domain: Mesh, bodies: Bodies, cells: _Cells) -> None:
     )
 
 
-def _sides(facets: NDArray[np.int32], cells: _Cells) -> Vector:
+def _sides_of_simplices(cells: _Cells) -> Vector:
+    """Return for each facet of each simplex on which side of it the simplex is: -1, 0, 1.
+
+    A positive simplex orients its facets, the k-th by (-1)^k and the order of its vertices; cells
+    on the two sides of a facet give it opposite orientations.
+    """
+    volume = np.sign(_determinants(cells)[1])
+    side = np.empty(cells.nodes.shape)
+    for k, facet in enumerate(_FACETS[cells.shape]):
+        pairs = combinations(facet, 2)
+        odd = np.bitwise_xor.reduce([cells.nodes[:, a] > cells.nodes[:, b] for a, b in pairs])
+        side[:, k] = np.where(odd, -volume, volume) * (-1) ** k
+    return side
+
+
+def _sides_by_place(facets: NDArray[np.int32], cells: _Cells) -> Vector:
     """Return for each facet of each cell on which side of it the cell's midpoint is: -1, 0, 1."""
     local = np.array(_FACETS[cells.shape])
     count, per_cell = facets.shape
@@ -242,10 +259,8 @@ def _sides(facets: NDArray[np.int32], cells: _Cells) -> Vector:
         tangent = x[:, 1] - x[:, 0]
         normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
     else:
-        # of a quadrilateral, the diagonals
-        ends = (x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-        ends = ends if x.shape[1] == 3 else (x[:, 3] - x[:, 0], x[:, 2] - x[:, 1])
-        normal = np.cross(*ends)
+        # the diagonals
+        normal = np.cross(x[:, 3] - x[:, 0], x[:, 2] - x[:, 1])
     height = np.empty((count, per_cell))
     centre = x.mean(axis=1)
     for k in range(per_cell):
