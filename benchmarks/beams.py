@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+import time
 
 from mpi4py import MPI
 
@@ -102,8 +103,8 @@ def build(arguments: argparse.Namespace) -> ContactProblem:
     )
 
 
-def print_table(report) -> None:
-    """Print the report as a table."""
+def print_table(report, wall: float) -> None:
+    """Print the report as a table, with the seconds that posing and solving took."""
     groups = {
         "unknowns": report.unknowns,
         "products": report.products,
@@ -113,10 +114,12 @@ def print_table(report) -> None:
         },
         "solve": {
             "subdomains": report.subdomains,
+            "classes": report.classes,
             "outer iterations": report.outer_iterations,
             "contact force [N]": f"{report.contact_force[0]:.6e}",
             "energy [J]": f"{report.energy:.6e}",
             "peak memory [MB]": report.peak_memory_bytes // 10**6,
+            "seconds with mesh": f"{wall:.1f}",
             "converged": report.converged,
             "ranks": report.ranks,
         },
@@ -132,10 +135,11 @@ def main() -> None:
     if arguments.verbose:
         logging.basicConfig(stream=sys.stdout, format="%(message)s", force=True)
         logging.getLogger("fenics_tfeti").setLevel(logging.INFO)
+    start = time.perf_counter()
     problem = build(arguments)
     problem.solve()
     if MPI.COMM_WORLD.rank == 0:
-        print_table(problem.report)
+        print_table(problem.report, time.perf_counter() - start)
     if arguments.json:
         problem.report.to_json(arguments.json)
 

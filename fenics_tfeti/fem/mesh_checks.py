@@ -171,9 +171,11 @@ def _determinants(cells: _Cells) -> tuple[Vector, Vector]:
         constant = _determinant([x[:, k] - x[:, 0] for k in range(1, dim + 1)])
         return constant[:, None], constant
     # in tensor order, corners that differ in bit d of their number are the ends of an edge along d
-    corners = np.arange(2**dim)
-    edges = [x[:, corners | 1 << d] - x[:, corners & ~(1 << d)] for d in range(dim)]
-    return _determinant(edges), _determinant([edge.mean(axis=1) for edge in edges])
+    grid = x.reshape(len(x), *(2,) * dim, dim)
+    edges = [np.diff(grid, axis=dim - d) for d in range(dim)]
+    number = 2 ** (dim - 1)
+    means = [np.einsum("ijk->ik", e.reshape(len(x), number, dim)) / number for e in edges]
+    return _determinant(edges).reshape(len(x), 2**dim), _determinant(means)
 
 
 def _determinant(columns: Sequence[Vector]) -> Vector:
