@@ -391,84 +391,18 @@ def assemble_load(form: Any) -> NDArray[np.float64]:
     return np.array(fem.assemble_vector(form).array)
 
 
-class FacetForm:
-    """A linear form on facets without coefficients, compiled once, to be assembled on any of them.
+def assemble_distributed(form: Any) -> NDArray[np.float64]:
+    """Assemble a bound linear form on a distributed mesh; return the owned entries, complete.
 
-    - 0.5.2 compiles with ``jit.ffcx_jit`` and binds by ``cpp.fem.Form_float64`` to ``MeshTags``;
-    - 0.9 and 0.11 have ``fem.compile_form`` and ``fem.create_form``, with lists of entities.
-
-    Dispatches on ``fem.create_form``.
-
-    Parameters
-    ----------
-    integrand : ufl expression
-        Linear in the space's test function.
-    space : FunctionSpace
-        On a distributed mesh.
+    - ``dolfinx.fem.petsc`` is an attribute of ``dolfinx.fem`` only after its own import in 0.11.
     """
+    from petsc4py import PETSc
 
-    def __init__(self, integrand: Any, space: fem.FunctionSpace) -> None:
-        self._space = space
-        form = integrand * ufl.Measure("ds", domain=space.mesh)(1)
-        self._new = hasattr(fem, "create_form")
-        comm = space.mesh.comm
-        if self._new:
-            self._compiled = fem.compile_form(comm, form)
-            self._rows = _facet_rows(space.mesh)
-        else:
-            self._compiled = dolfinx.jit.ffcx_jit(comm, form)
-
-    def assemble(self, facets: Numbers) -> NDArray[np.float64]:
-        """Integrate over facets on the boundary that this rank owns. Collective.
-
-        Returns
-        -------
-        array
-            The owned entries, complete.
-
-        Notes
-        -----
-        ``dolfinx.fem.petsc`` is an attribute of ``dolfinx.fem`` only after its own import in 0.11.
-        """
-        from petsc4py import PETSc
-
-        b = fem.petsc.assemble_vector(self._bind(facets))
-        b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        values: NDArray[np.float64] = b.array_r.copy()
-        b.destroy()
-        return values
-
-    def _bind(self, facets: Numbers) -> Any:
-        domain, kinds = self._space.mesh, fem.IntegralType
-        if self._new:
-            on = {kinds.exterior_facet: [(1, self._rows[facets].ravel())]}
-            return fem.create_form(self._compiled, [self._space], domain, on, {}, {})
-        ones = np.ones(facets.size, dtype=np.int32)
-        tags = mesh.meshtags(domain, domain.topology.dim - 1, facets, ones)
-        ufcx_form, module, _ = self._compiled
-        unused = dict.fromkeys((kinds.cell, kinds.interior_facet, kinds.vertex))
-        return cpp.fem.Form_float64(
-            module.ffi.cast("uintptr_t", module.ffi.addressof(ufcx_form)),
-            [self._space._cpp_object],
-            [],
-            [],
-            {**unused, kinds.exterior_facet: tags},
-            cpp_object(domain),
-        )
-
-
-def _facet_rows(domain: mesh.Mesh) -> Numbers:
-    """Return for each facet of this rank one of its cells, and its number there."""
-    dim = domain.topology.dim
-    domain.topology.create_connectivity(dim, dim - 1)
-    facet_of = domain.topology.connectivity(dim, dim - 1)
-    cells = domain.topology.index_map(dim)
-    number = cells.size_local + cells.num_ghosts
-    table = facet_of.array.reshape(number, facet_of.array.size // max(number, 1))
-    rows = np.zeros((int(table.max(initial=-1)) + 1, 2), dtype=np.int32)
-    rows[table, 0] = np.arange(len(table))[:, None]
-    rows[table, 1] = np.arange(table.shape[1])
-    return rows
+    b = fem.petsc.assemble_vector(form)
+    b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    values: NDArray[np.float64] = b.array_r.copy()
+    b.destroy()
+    return values
 
 
 # -- meshes, files and pictures ----------------------------------------------------------------

@@ -241,15 +241,21 @@ def cell_facets(domain: Mesh) -> tuple[NDArray[np.int32], int]:
     return table.reshape(count, per_cell[_compat.cell_name(domain)]), cells.size_local
 
 
-def exterior_cell_facets(domain: Mesh) -> NDArray[np.bool_]:
-    """Tell which facets of each owned cell are on the boundary of the whole mesh."""
+def exterior_facets(domain: Mesh) -> NDArray[np.bool_]:
+    """Tell which facets of this rank are on the boundary of the whole mesh; ghosts are not."""
     dim = domain.topology.dim
     domain.topology.create_entities(dim - 1)
     domain.topology.create_connectivity(dim - 1, dim)
-    facet_of, owned = cell_facets(domain)
-    exterior = np.zeros(int(facet_of.max(initial=-1)) + 1, dtype=bool)
+    facets = domain.topology.index_map(dim - 1)
+    exterior = np.zeros(facets.size_local + facets.num_ghosts, dtype=bool)
     exterior[exterior_facet_indices(domain.topology)] = True
-    of_cell: NDArray[np.bool_] = exterior[facet_of[:owned]]
+    return exterior
+
+
+def exterior_cell_facets(domain: Mesh) -> NDArray[np.bool_]:
+    """Tell which facets of each owned cell are on the boundary of the whole mesh."""
+    facet_of, owned = cell_facets(domain)
+    of_cell: NDArray[np.bool_] = exterior_facets(domain)[facet_of[:owned]]
     return of_cell
 
 

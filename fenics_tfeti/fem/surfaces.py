@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 import ufl
 from dolfinx import fem
 from dolfinx.fem import FunctionSpace
-from dolfinx.mesh import exterior_facet_indices
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.partition import cell_facets, exterior_facets
 from fenics_tfeti.fem.user_data import refuse_where, unit_vectors
 from fenics_tfeti.feti.exchange import Directory, concatenate_ranks, together
 
@@ -62,7 +62,9 @@ class MeshBoundary:
         The local node at each row of ``geometry.x``.
     exterior : bool array
         Whether each facet of this rank is on the boundary of the mesh; ghosts are not.
-    normal_form : FacetForm
+    rows : (facets, 2) integer array
+        A cell of each facet of this rank, and the facet's number there.
+    normal_form : CompiledForm
         The normal times each node's shape function, to be integrated over facets.
     """
 
@@ -70,31 +72,33 @@ class MeshBoundary:
     coordinates: Vector
     node_of_row: Indices
     exterior: NDArray[np.bool_]
-    normal_form: _compat.FacetForm
+    rows: Indices
+    normal_form: _compat.CompiledForm
 
     @staticmethod
     def of(space: FunctionSpace) -> MeshBoundary:
         """Look at the boundary of a space's mesh. Collective."""
-        domain, dim = space.mesh, space.mesh.topology.dim
-        domain.topology.create_entities(dim - 1)
-        domain.topology.create_connectivity(dim - 1, dim)
-        facets = domain.topology.index_map(dim - 1)
-        exterior = np.zeros(facets.size_local + facets.num_ghosts, dtype=bool)
-        exterior[exterior_facet_indices(domain.topology)] = True
+        domain = space.mesh
+        exterior = exterior_facets(domain)
+        facet_of, _ = cell_facets(domain)
+        rows = np.zeros((exterior.size, 2), dtype=np.int32)
+        rows[facet_of, 0] = np.arange(len(facet_of))[:, None]
+        rows[facet_of, 1] = np.arange(facet_of.shape[1])
         node_of_row = np.full(domain.geometry.x.shape[0], -1, dtype=np.int32)
         # cell by cell they are the same
         node_of_row[_compat.geometry_cells(domain)] = _compat.cell_dofs(space)
         normal = ufl.inner(ufl.FacetNormal(domain), ufl.TestFunction(space))
-        form = _compat.FacetForm(normal, space)
+        form = _compat.CompiledForm(normal * ufl.Measure("ds", domain=domain)(1), domain.comm)
         coordinates = space.tabulate_dof_coordinates()
-        return MeshBoundary(space, coordinates, node_of_row, exterior, form)
+        return MeshBoundary(space, coordinates, node_of_row, exterior, rows, form)
 
     def weighted_normals(self, facets: Indices) -> Vector:
         """Integrate the normal times each node's shape function over facets: (nodes, gdim).
 
         Its length is the area that turns a uniform pressure into the node's force.
         """
-        values = self.normal_form.assemble(facets)
+        bound = self.normal_form.bind([self.space], {}, {1: self.rows[facets]})
+        values = _compat.assemble_distributed(bound)
         return values.reshape(-1, self.space.dofmap.index_map_bs)
 
 
