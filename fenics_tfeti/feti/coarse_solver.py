@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 from mpi4py import MPI
 
@@ -22,6 +22,7 @@ from fenics_tfeti.feti.cholesky import (
     SparseCholesky,
     available_packages,
 )
+from fenics_tfeti.feti.exchange import concatenate_buffers
 
 __all__ = ["CoarseFactor", "CoarseLayout", "CoarseSolverKind", "distribution_pays"]
 
@@ -194,7 +195,7 @@ class CoarseLayout:
         if self.distributed or self.comm.size == 1:
             return own_rows
         coo = own_rows.tocoo()
-        row, column, data = _concatenate(
+        row, column, data = concatenate_buffers(
             self.comm, coo.row.astype(np.int64) + self.first, coo.col.astype(np.int64), coo.data
         )
         return sp.csr_matrix((data, (row, column)), shape=(self.size, self.size))
@@ -265,16 +266,6 @@ class _Distributed:
         if numbers.size:
             self.layout.comm.Allreduce(MPI.IN_PLACE, sums)
         return self.shared.solve(self.layout.sum_own(own, theirs)), sums
-
-
-def _concatenate(comm: MPI.Intracomm, *parts: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return the ranks' arrays of one length one behind the other, by buffers."""
-    counts = np.empty(comm.size, dtype=np.int64)
-    comm.Allgather(np.array([parts[0].size]), counts)
-    whole = [np.empty(int(counts.sum()), dtype=part.dtype) for part in parts]
-    for part, result in zip(parts, whole, strict=True):
-        comm.Allgatherv(np.ascontiguousarray(part), [result, counts.tolist()])
-    return whole
 
 
 def distribution_pays(ranks: int, size: int) -> bool:

@@ -22,6 +22,7 @@ from fenics_tfeti.qp import Space
 __all__ = [
     "Directory",
     "SharedIndices",
+    "concatenate_buffers",
     "concatenate_ranks",
     "first_of_rank",
     "together",
@@ -75,6 +76,16 @@ def _portable(error: Exception | None) -> Exception | None:
 def concatenate_ranks(comm: MPI.Intracomm, part: Array) -> Array:
     """Return the ranks' arrays one behind the other, on every rank."""
     return np.concatenate(comm.allgather(part))
+
+
+def concatenate_buffers(comm: MPI.Intracomm, *parts: Array) -> list[Array]:
+    """As `concatenate_ranks`, for vectors of one length and numbers of one kind; no pickling."""
+    counts = np.empty(comm.size, dtype=np.int64)
+    comm.Allgather(np.array([parts[0].size]), counts)
+    whole = [np.empty(int(counts.sum()), dtype=part.dtype) for part in parts]
+    for part, result in zip(parts, whole, strict=True):
+        comm.Allgatherv(np.ascontiguousarray(part), [result, counts.tolist()])
+    return whole
 
 
 def first_of_rank(comm: MPI.Intracomm, count: int) -> tuple[int, int]:
