@@ -22,11 +22,13 @@ import ladder
 import numpy as np
 from communication import dealt
 
-from fenics_tfeti.feti.coarse import CoarseSpace, Projector
-from fenics_tfeti.feti.coarse_solver import distribution_pays
-from fenics_tfeti.feti.congruence import Boundary, find_congruent
-from fenics_tfeti.feti.constraints import build_constraints
-from fenics_tfeti.feti.rigid_body_modes import kernel
+from fenics_tfeti.feti.coarse.factor import distribution_pays
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.interface import Interface
+from fenics_tfeti.feti.constraints.rows import build_constraints
+from fenics_tfeti.feti.local.congruence import find_congruence_classes
+from fenics_tfeti.feti.local.rigid_body_modes import kernel
 
 comm = MPI.COMM_WORLD
 SOLVES = 10
@@ -56,10 +58,10 @@ def coarse_space(m: int, solver: str) -> CoarseSpace:
     """Return G of the beams with m subdomains a metre, of 2^3 elements: its size is what counts."""
     system = dealt(ladder.two_beams(m, 2, softer=False), comm)
     constraints = build_constraints(system)
-    classes = find_congruent(system.subdomains)
+    classes = find_congruence_classes(system.subdomains)
     kernels = [kernel(subdomain) for subdomain in system.subdomains]
-    boundary = Boundary.build(constraints.matrix, classes)
-    return CoarseSpace.build(system, constraints, boundary, kernels, "cholmod", solver)
+    interface = Interface.build(constraints.matrix, classes)
+    return CoarseSpace.build(system, constraints, interface, kernels, "cholmod", solver)
 
 
 def measure(m: int, solver: str) -> dict[str, Any]:

@@ -26,8 +26,8 @@ import ladder
 import numpy as np
 
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
-from fenics_tfeti.feti.dual import DualOperator
-from fenics_tfeti.feti.exchange import SharedIndices
+from fenics_tfeti.feti.constraints.dual_layout import DualLayout
+from fenics_tfeti.feti.dual.operator import DualOperator
 
 METHODS = {
     "active_set": {},
@@ -135,12 +135,12 @@ def marks(comm: CountingComm) -> Iterator[None]:
 
         return call
 
-    product, total = DualOperator.part, SharedIndices.sum
-    DualOperator.part, SharedIndices.sum = marked("F", product), marked("sum", total)
+    product, total = DualOperator.part, DualLayout.sum
+    DualOperator.part, DualLayout.sum = marked("F", product), marked("sum", total)
     try:
         yield
     finally:
-        DualOperator.part, SharedIndices.sum = product, total
+        DualOperator.part, DualLayout.sum = product, total
 
 
 @dataclass(frozen=True)

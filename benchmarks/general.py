@@ -38,8 +38,8 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 
 from fenics_tfeti import ContactPair, ContactProblem
-from fenics_tfeti.fem.fields import displacement_space
-from fenics_tfeti.fem.mesh_io import TaggedMesh, read_msh
+from fenics_tfeti.fem.io.fields import displacement_space
+from fenics_tfeti.fem.io.gmsh import TaggedMesh, read_msh
 from fenics_tfeti.feti.report import Timer, peak_memory
 
 MESHES = Path(__file__).parents[1] / "meshes"

@@ -1,7 +1,6 @@
 """The ladder of sec. 11.11.1 up to its largest problem: two beams of congruent cubes.
 
     python benchmarks/ladder.py [--subdomains-per-metre 3 5 7 9] [--elements-per-subdomain 10]
-                                [--precision single]
 
 The whole is never meshed. One cube is assembled by dolfinx, with the loads of a cube at the top and
 at the left face; the others are told apart by their place in the lattice. That they are congruent
@@ -28,10 +27,10 @@ from numpy.typing import NDArray
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti.fem.fields import displacement_space
-from fenics_tfeti.fem.parts import number_parts
-from fenics_tfeti.fem.structured import Box, boxes, tag_facets
-from fenics_tfeti.fem.subdomain import prepare_forms
+from fenics_tfeti.fem.decomposition.assembly import prepare_forms
+from fenics_tfeti.fem.decomposition.parts import number_parts
+from fenics_tfeti.fem.io.fields import displacement_space
+from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
 from fenics_tfeti.feti import ContactRows, Options, Prescribed, Subdomain, TornSolver, TornSystem
 
 YOUNG, POISSON = 2.1e11, 0.3
@@ -169,7 +168,6 @@ def main() -> None:
     parser.add_argument("--subdomains-per-metre", type=int, nargs="+", default=[3, 5, 7, 9])
     parser.add_argument("--elements-per-subdomain", type=int, default=10, metavar="H/h")
     parser.add_argument("--rtol", type=float, default=1e-4)
-    parser.add_argument("--precision", choices=("double", "single"), default="double")
     parser.add_argument("--softer", action="store_true", help="one subdomain of half the stiffness")
     parser.add_argument("--json", metavar="FILE")
     parser.add_argument("--single", action="store_true", help=argparse.SUPPRESS)
@@ -177,7 +175,7 @@ def main() -> None:
     n = arguments.elements_per_subdomain
     if arguments.single:
         (m,) = arguments.subdomains_per_metre
-        options = Options(rtol=arguments.rtol, operator_precision=arguments.precision)
+        options = Options(rtol=arguments.rtol)
         print(json.dumps(solve(m, n, options, arguments.softer)))
         return
     table = []
@@ -187,7 +185,6 @@ def main() -> None:
     for m in arguments.subdomains_per_metre:
         command = [sys.executable, __file__, "--single", "--subdomains-per-metre", str(m)]
         command += ["--elements-per-subdomain", str(n), "--rtol", str(arguments.rtol)]
-        command += ["--precision", arguments.precision]
         command += ["--softer"] if arguments.softer else []
         answer = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
         row = json.loads(answer.splitlines()[-1])

@@ -29,9 +29,9 @@ from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.fields import displacement_space
-from fenics_tfeti.fem.mesh_io import TaggedMesh, read_msh
-from fenics_tfeti.fem.partition import find_bodies, split_into_subdomains
+from fenics_tfeti.fem.decomposition.partition import find_bodies, split_into_subdomains
+from fenics_tfeti.fem.io.fields import displacement_space
+from fenics_tfeti.fem.io.gmsh import TaggedMesh, read_msh
 from fenics_tfeti.feti import TornSolver, TornSystem, parse_options
 
 SOFT = 2.1e11

@@ -18,8 +18,8 @@ from dolfinx.mesh import meshtags
 
 from fenics_tfeti import ContactPair, ContactProblem, RigidObstacle
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.fields import displacement_space
-from fenics_tfeti.fem.structured import tag_facets
+from fenics_tfeti.fem.io.fields import displacement_space
+from fenics_tfeti.fem.io.structured import tag_facets
 
 CLAMPED, GUIDED, SLAVE, MASTER, LOADED = 3, 4, 5, 6, 7
 

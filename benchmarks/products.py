@@ -35,11 +35,11 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle
-from fenics_tfeti.fem.fields import displacement_space
-from fenics_tfeti.fem.mesh_io import TaggedMesh, read_msh
+from fenics_tfeti.fem.io.fields import displacement_space
+from fenics_tfeti.fem.io.gmsh import TaggedMesh, read_msh
 from fenics_tfeti.feti import Options, TornSolver, TornSystem
-from fenics_tfeti.feti.coarse import Projector
-from fenics_tfeti.feti.face import solve_on_face
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.dual.pcpg import solve_on_face
 from fenics_tfeti.qp import Products
 
 meshes = Path(__file__).parent.parent / "meshes"

@@ -26,8 +26,8 @@ from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.fields import displacement_space
-from fenics_tfeti.fem.structured import Box, boxes, tag_facets
+from fenics_tfeti.fem.io.fields import displacement_space
+from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
 from fenics_tfeti.feti import Options, TornSolver, TornSystem
 
 YOUNG, POISSON = 2.1e11, 0.3

@@ -19,13 +19,13 @@ from fenics_tfeti.errors import (
 )
 
 _LAZY = {
-    "ContactPair": "fenics_tfeti.fem.contact",
+    "ContactPair": "fenics_tfeti.fem.contact.contact",
     "ContactProblem": "fenics_tfeti.problem",
-    "ContactResult": "fenics_tfeti.fem.contact",
-    "Cylinder": "fenics_tfeti.fem.obstacles",
-    "Plane": "fenics_tfeti.fem.obstacles",
-    "RigidObstacle": "fenics_tfeti.fem.contact",
-    "Sphere": "fenics_tfeti.fem.obstacles",
+    "ContactResult": "fenics_tfeti.fem.contact.contact",
+    "Cylinder": "fenics_tfeti.fem.contact.obstacles",
+    "Plane": "fenics_tfeti.fem.contact.obstacles",
+    "RigidObstacle": "fenics_tfeti.fem.contact.contact",
+    "Sphere": "fenics_tfeti.fem.contact.obstacles",
 }
 
 __all__ = [

@@ -20,8 +20,7 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError, NotConverged
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.coarse_contact import check_same_contacts, expected_contact, gather_solved
-from fenics_tfeti.fem.contact import (
+from fenics_tfeti.fem.contact.contact import (
     Contact,
     ContactPair,
     ContactResult,
@@ -30,17 +29,22 @@ from fenics_tfeti.fem.contact import (
     contact_rows,
     match_contacts,
 )
-from fenics_tfeti.fem.deformed import deformed_contact, geometry_pass
+from fenics_tfeti.fem.contact.deformed import deformed_contact, geometry_pass
+from fenics_tfeti.fem.contact.surfaces import MeshBoundary
+from fenics_tfeti.fem.contact.transfer import check_same_contacts, expected_contact, gather_solved
+from fenics_tfeti.fem.decomposition.assembly import prepare_forms, same_values
+from fenics_tfeti.fem.decomposition.partition import (
+    find_bodies,
+    given_subdomains,
+    split_into_subdomains,
+)
+from fenics_tfeti.fem.decomposition.parts import number_parts
 from fenics_tfeti.fem.displacement import (
     average_of_copies,
     prescribed_values,
     space_of_forms,
 )
 from fenics_tfeti.fem.mesh_checks import check_mesh
-from fenics_tfeti.fem.partition import find_bodies, given_subdomains, split_into_subdomains
-from fenics_tfeti.fem.parts import number_parts
-from fenics_tfeti.fem.subdomain import prepare_forms, same_values
-from fenics_tfeti.fem.surfaces import MeshBoundary
 from fenics_tfeti.feti import (
     ContactGuess,
     GeometryPass,
@@ -53,7 +57,7 @@ from fenics_tfeti.feti import (
     TornSystem,
     parse_options,
 )
-from fenics_tfeti.feti.exchange import together
+from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["ContactProblem"]
 
@@ -196,7 +200,7 @@ class ContactProblem:
         return self._solve_exactly(coarse)
 
     def _check_coarse(self, coarse: Any) -> None:
-        with together(self.space.mesh.comm):
+        with raise_collectively(self.space.mesh.comm):
             if not isinstance(coarse, ContactProblem):
                 raise InputError(
                     f"coarse is a {type(coarse).__name__}; a ContactProblem is expected, solved on "

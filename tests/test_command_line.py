@@ -23,7 +23,7 @@ def run(code: str, *arguments: str) -> str:
         [sys.executable, "-c", code, *arguments],
         capture_output=True,
         text=True,
-        cwd=Path(__file__).parent,
+        cwd=Path(__file__).parent / "support",
         timeout=100,
     )
     assert done.returncode == 0, done.stderr

@@ -24,7 +24,7 @@ def no_factorisation(monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("too late: factored before the input was checked")
 
-    monkeypatch.setattr(solver, "Pseudoinverse", refuse)
+    monkeypatch.setattr(solver, "GeneralizedInverse", refuse)
 
 
 @by_name

@@ -15,8 +15,8 @@ from dolfinx.fem import Function, FunctionSpace
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.feti import Prescribed, Subdomain
-from fenics_tfeti.feti.exchange import together
-from fenics_tfeti.feti.torn_system import SAME_VALUE
+from fenics_tfeti.feti.system import SAME_VALUE
+from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["average_of_copies", "space_of_forms", "prescribed_values"]
 
@@ -93,7 +93,7 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
     size = block * (index_map.size_local + index_map.num_ghosts)
     given = np.zeros(size, dtype=bool)
     values = np.zeros(size)
-    with together(space.mesh.comm):
+    with raise_collectively(space.mesh.comm):
         for number, bc in enumerate(bcs):
             if not _compat.bc_is_on(bc, space):
                 raise InputError(

@@ -21,9 +21,9 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact import Contact, ContactPair
-from fenics_tfeti.fem.partition import Bodies, cell_facets, exterior_cell_facets
-from fenics_tfeti.feti.exchange import Directory, concatenate_ranks, together
+from fenics_tfeti.fem.contact.contact import Contact, ContactPair
+from fenics_tfeti.fem.decomposition.partition import Bodies, cell_facets, exterior_cell_facets
+from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
 
 __all__ = ["check_mesh"]
 
@@ -75,7 +75,7 @@ def check_mesh(domain: Mesh, bodies: Bodies, contacts: Sequence[Contact]) -> Non
         other, a cell tag on several pieces, bodies joined through edges or points only, nodes that
         dolfinx has split, and nodes at the same place in one body.
     """
-    with together(domain.comm):
+    with raise_collectively(domain.comm):
         _check_finite(domain)
     cells = _Cells.of(domain, bodies)
     _check_shapes(domain, bodies, cells)

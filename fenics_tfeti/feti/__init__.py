@@ -8,7 +8,7 @@ from fenics_tfeti.feti.options import Options, parse_options
 from fenics_tfeti.feti.recovery import Certificate
 from fenics_tfeti.feti.report import GeometryPass, Report, Timer
 from fenics_tfeti.feti.solver import TornSolution, TornSolver
-from fenics_tfeti.feti.torn_system import (
+from fenics_tfeti.feti.system import (
     ContactGuess,
     ContactRows,
     Prescribed,

@@ -8,11 +8,10 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.feti.cholesky import Package
-from fenics_tfeti.feti.coarse_solver import CoarseSolverKind
-from fenics_tfeti.feti.dual import DualOperatorKind, OperatorPrecision
-from fenics_tfeti.feti.pseudoinverse import GeneralisedInverse
-from fenics_tfeti.feti.scaling import Scaling
+from fenics_tfeti.feti.coarse.factor import CoarseSolverKind
+from fenics_tfeti.feti.constraints.scaling import Scaling
+from fenics_tfeti.feti.dual.operator import DualOperatorKind
+from fenics_tfeti.feti.local.cholesky import Package
 from fenics_tfeti.qp.mprgp import Expansion
 
 __all__ = ["Options", "Partitioner", "parse_options"]
@@ -34,18 +33,13 @@ class Options:
     partitioner : {"auto", "scotch"}
         Subdomains by SCOTCH, or, where the nodes of a body (of the part of it that a rank has) are
         a grid along the axes, by blocks of it: equal ones share their factors.
-    generalised_inverse : {"fixing_nodes", "null_pivots"}
-        K^+ by (11.32)-(11.34), or by the null pivots of MUMPS.
     fixing_nodes : int
         M of algorithm 11.1.
     factor : {"auto", "cholmod", "mumps"}
         Package of the sparse Cholesky factors; auto takes the first that PETSc has.
     dual_operator : {"auto", "implicit", "explicit"}
-        F by sparse solves, or by a dense matrix between the boundary unknowns of each class of
+        F by sparse solves, or by a dense matrix between the interface unknowns of each class of
         congruent subdomains; auto counts the bytes that either moves.
-    operator_precision : {"double", "single"}
-        Of these matrices. In single, products of the active set method and for the norm take half
-        the time; residuals are replaced by ones with F in double, so results are as accurate.
     coarse_solver : {"auto", "redundant", "distributed"}
         Coarse matrices whole on every rank, or by rows on all of them, with MUMPS; auto counts.
     method : {"active_set", "smalbe"}
@@ -83,11 +77,9 @@ class Options:
     rtol: float = 1e-6
     subdomain_size: int = 3000
     partitioner: Partitioner = "auto"
-    generalised_inverse: GeneralisedInverse = "fixing_nodes"
     fixing_nodes: int = 8
     factor: Package = "auto"
     dual_operator: DualOperatorKind = "auto"
-    operator_precision: OperatorPrecision = "double"
     coarse_solver: CoarseSolverKind = "auto"
     method: Literal["active_set", "smalbe"] = "active_set"
     preconditioner: Literal["none", "lumped", "dirichlet"] = "lumped"
@@ -109,9 +101,8 @@ class Options:
     error_if_not_converged: bool = True
 
     def __post_init__(self) -> None:
-        """Check the ranges of numbers, and that single precision has where to act."""
+        """Check the ranges of numbers."""
         _check_ranges(self)
-        _check_precision(self)
 
 
 # name: (exclusive lower limit, exclusive upper limit)
@@ -139,20 +130,6 @@ def _check_ranges(options: Options) -> None:
         value = getattr(options, name)
         if not low < value < high:
             raise InputError(f"option {name!r} is {value}, it has to be between {low} and {high}")
-
-
-def _check_precision(options: Options) -> None:
-    if options.operator_precision == "double":
-        return
-    for name, value, reason in (
-        ("dual_operator", "implicit", "sparse factors are double"),
-        ("method", "smalbe", "SMALBE-M takes its products in double"),
-    ):
-        if getattr(options, name) == value:
-            raise InputError(
-                f"operator_precision='single' does nothing with {name}={value!r}: {reason}. "
-                "Leave one of the two options out"
-            )
 
 
 def parse_options(given: Mapping[str, Any]) -> Options:

@@ -13,10 +13,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from fenics_tfeti.feti.coarse import CoarseSpace, Projector
-from fenics_tfeti.feti.congruence import apply_by_class, times_rows
-from fenics_tfeti.feti.dual import DualOperator
-from fenics_tfeti.feti.exchange import concatenate_ranks
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.dual.operator import DualOperator
+from fenics_tfeti.feti.local.congruence import apply_by_class, times_rows
+from fenics_tfeti.parallel import concatenate_ranks
 
 __all__ = ["Certificate", "PrimalProblem", "least_distance", "recover_displacement"]
 
@@ -97,7 +98,7 @@ def recover_displacement(
     constraints = F.constraints
     forces = load - F.constraint_forces(multipliers)
     # what the stopping test left in the kernel of K; K^+ would turn it into a displacement
-    u = F.generalised_inverse(forces - space.motion(space.work(forces)))
+    u = F.generalized_inverse(forces - space.motion(space.work(forces)))
 
     active = Projector.build(space, multipliers[constraints.inequality] > 0.0)
     alpha = active.coefficients(constraints.rhs - F.jumps(u))
@@ -200,7 +201,7 @@ class PrimalProblem:
 
     def _apply(self, matrices: Sequence[sp.csr_matrix], u: Vector) -> Vector:
         operators = [partial(times_rows, K) for K in matrices]
-        return apply_by_class(self.F.boundary.classes, operators, u)
+        return apply_by_class(self.F.interface.classes, operators, u)
 
     def energy(self, u: Vector) -> float:
         """Return 1/2 u'Ku - f'u [J]."""

@@ -16,7 +16,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenics_tfeti.feti.active_set import ActiveSetStep
+from fenics_tfeti.feti.dual.active_set import ActiveSetStep
 from fenics_tfeti.feti.pairing_table import pairing_table
 from fenics_tfeti.feti.recovery import Certificate
 from fenics_tfeti.qp import OuterIteration
@@ -91,14 +91,13 @@ class Report:
     classes : int
         Classes of congruent subdomains, which share factors, summed over the ranks.
     dual_operator : dict
-        How many of them have solves (``implicit``), a dense matrix in double (``explicit``) or one
-        in ``single`` precision for their part of F.
+        How many of them have solves (``implicit``) or a dense matrix (``explicit``) for their part
+        of F.
     outer_iterations : int
         Outer iterations of SMALBE-M.
     products : dict
         Applications of F by kind of step, their ``total``, those for the ``norm`` (not in the
-        total), and those of the ``preconditioner``; ``replacement`` are those in double that
-        replace the residual of products in single precision.
+        total), and those of the ``preconditioner``.
     seconds : dict
         Wall time by phase, the slowest rank's, and the ``total`` [s].
     peak_memory_bytes : int

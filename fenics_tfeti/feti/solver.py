@@ -15,24 +15,27 @@ import scipy
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fenics_tfeti.errors import FactorizationError, InputError, NotConverged
-from fenics_tfeti.feti.active_set import ActiveSetStep, primal_dual_active_set
-from fenics_tfeti.feti.cholesky import choose_package
-from fenics_tfeti.feti.coarse import CoarseSpace, Projector, describe_body_motion
-from fenics_tfeti.feti.congruence import Boundary, Congruent, find_congruent
-from fenics_tfeti.feti.constraints import Constraints, build_constraints
-from fenics_tfeti.feti.dual import DualOperator, norm_of_projected
-from fenics_tfeti.feti.exchange import together
-from fenics_tfeti.feti.face import DualProblem, FaceSolution
-from fenics_tfeti.feti.feasible_start import check_load, feasible_start
+from fenics_tfeti.errors import InputError, NotConverged
+from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
+from fenics_tfeti.feti.coarse.feasible_start import check_load, feasible_start
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.interface import Interface
+from fenics_tfeti.feti.constraints.rows import Constraints, build_constraints
+from fenics_tfeti.feti.constraints.scaling import node_weights, stiffness_of_weight
+from fenics_tfeti.feti.dual.active_set import ActiveSetStep, primal_dual_active_set
+from fenics_tfeti.feti.dual.operator import DualOperator, norm_of_projected
+from fenics_tfeti.feti.dual.pcpg import DualProblem, FaceSolution
+from fenics_tfeti.feti.dual.preconditioner import interface_operator
+from fenics_tfeti.feti.local.cholesky import choose_package
+from fenics_tfeti.feti.local.congruence import CongruenceClass, find_congruence_classes
+from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
+from fenics_tfeti.feti.local.rigid_body_modes import kernel
 from fenics_tfeti.feti.options import Options
-from fenics_tfeti.feti.preconditioner import boundary_operator
-from fenics_tfeti.feti.pseudoinverse import Pseudoinverse
 from fenics_tfeti.feti.recovery import Certificate, PrimalProblem, recover_displacement
 from fenics_tfeti.feti.report import Report, Timer, peak_memory
-from fenics_tfeti.feti.rigid_body_modes import kernel
-from fenics_tfeti.feti.scaling import node_weights, stiffness_of_weight
-from fenics_tfeti.feti.torn_system import ContactGuess, TornSystem
+from fenics_tfeti.feti.system import ContactGuess, TornSystem
+from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.qp import (
     Bounds,
     MPRGPOptions,
@@ -137,14 +140,14 @@ class TornSolver:
     """
 
     weights: Vector
-    classes: list[Congruent]
+    classes: list[CongruenceClass]
     kernels: list[Vector]
     space: CoarseSpace
     projector: Projector
     F: DualOperator
     state: SMALBEState | None
     _expected: tuple[Vector, Mask] | None
-    _boundary: Callable[[Vector], Vector] | None
+    _interface: Callable[[Vector], Vector] | None
 
     def __init__(
         self,
@@ -158,7 +161,7 @@ class TornSolver:
         self.options = options or Options()
         self.timer = timer or Timer()
         self.comm = system.comm
-        with together(self.comm):
+        with raise_collectively(self.comm):
             self.package = _choose_package(self.options)
             _check_guess(guess, system, self.options)
         same_K = previous if previous is not None and previous._has_stiffness_of(system) else None
@@ -171,7 +174,7 @@ class TornSolver:
                 here = self.constraints
                 self.constraints = replace(same_B.constraints, rhs=here.rhs, contact=here.contact)
         with self.timer.phase("coarse problem"):
-            self.classes = same_K.classes if same_K else find_congruent(system.subdomains)
+            self.classes = same_K.classes if same_K else find_congruence_classes(system.subdomains)
             self.kernels = same_K.kernels if same_K else self._kernels()
             self.load = np.concatenate([np.zeros(0), *(s.load for s in system.subdomains)])
             self.space = same_B.space if same_B else self._coarse_space()
@@ -185,15 +188,14 @@ class TornSolver:
                 if same_B
                 else DualOperator.build(
                     self.constraints,
-                    self.space.boundary,
+                    self.space.interface,
                     inverses,
                     self.options.dual_operator,
-                    self.options.operator_precision,
                 )
             )
         self._norms: dict[int, float] = same_B._norms if same_B else {}
         with self.timer.phase("factorisation"):
-            self._boundary = same_B._boundary if same_B else self._boundary_operator()
+            self._interface = same_B._interface if same_B else self._interface_operator()
         self.state = self._first_state(previous)
         self._expected = self._expected_contact(guess)
         self.products = Products()
@@ -223,11 +225,11 @@ class TornSolver:
         return kernels
 
     def _coarse_space(self) -> CoarseSpace:
-        boundary = Boundary.build(self.constraints.matrix, self.classes)
+        interface = Interface.build(self.constraints.matrix, self.classes)
         return CoarseSpace.build(
             self.system,
             self.constraints,
-            boundary,
+            interface,
             self.kernels,
             self.package,
             self.options.coarse_solver,
@@ -239,15 +241,14 @@ class TornSolver:
         check_load(self.system, self.kernels, self.projector, e, norm)
         return feasible_start(self.system, self.kernels, self.space, e, norm)
 
-    def _inverses(self) -> list[Pseudoinverse]:
+    def _inverses(self) -> list[GeneralizedInverse]:
         options = self.options
-        with together(self.comm):
+        with raise_collectively(self.comm):
             return [
-                Pseudoinverse(
+                GeneralizedInverse(
                     self.system.subdomains[congruent.first],
                     self.kernels[congruent.first],
                     self.package,
-                    options.generalised_inverse,
                     options.fixing_nodes,
                 )
                 for congruent in self.classes
@@ -413,13 +414,13 @@ class TornSolver:
 
     def _precondition(self, norm: float) -> Callable[[Vector], Vector] | None:
         """Return M^{-1} = norm P B S B' P + Q / rho, to go with A = PFP / norm + rho Q."""
-        boundary = self._boundary
-        if boundary is None:
+        interface = self._interface
+        if interface is None:
             return None
 
         def apply(x: Vector) -> Vector:
             part, Qx = self.projector.coarse_by_parts(x)
-            y = self.projector.part_of_complement(boundary(x - Qx))
+            y = self.projector.part_of_complement(interface(x - Qx))
             return self.constraints.multipliers.sum(norm * y + part / self.options.rho)
 
         return apply
@@ -443,12 +444,12 @@ class TornSolver:
             inner=inner,
         )
 
-    def _boundary_operator(self) -> Callable[[Vector], Vector] | None:
+    def _interface_operator(self) -> Callable[[Vector], Vector] | None:
         kind = self.options.preconditioner
         if kind == "none":
             return None
-        with together(self.comm):
-            return boundary_operator(kind, self.F, self._stiffness(), self.package)
+        with raise_collectively(self.comm):
+            return interface_operator(kind, self.F, self._stiffness(), self.package)
 
     def dual_problem(self) -> DualProblem:
         """Return (11.35), to solve it in another way."""
@@ -458,8 +459,7 @@ class TornSolver:
             self.space.work(self.load),
             self.projector,
             self.norm(_SCALE_STEPS),
-            self._boundary,
-            self.F.rough_part if self.F.single else None,
+            self._interface,
         )
 
     def _guess_active_set(
@@ -606,7 +606,6 @@ class TornSolver:
                 "cg": self.products.cg,
                 "expansion": self.products.expansion,
                 "proportioning": self.products.proportioning,
-                "replacement": self.products.replacement,
                 "norm": self.norm_products,
                 "preconditioner": self.products.preconditioner,
             },
@@ -631,8 +630,7 @@ class TornSolver:
         explicit = self.comm.allreduce(self.F.explicit)
         return {
             "implicit": self.comm.allreduce(len(self.classes)) - explicit,
-            "explicit": 0 if self.F.single else explicit,
-            "single": explicit if self.F.single else 0,
+            "explicit": explicit,
         }
 
     def _primal_unknowns(self) -> int:
@@ -664,12 +662,6 @@ def _check_guess(guess: ContactGuess | None, system: TornSystem, options: Option
 def _choose_package(options: Options) -> str:
     if options.coarse_solver == "distributed":
         choose_package("mumps")
-    if options.generalised_inverse == "null_pivots":
-        if options.factor == "cholmod":
-            raise FactorizationError(
-                "generalised_inverse='null_pivots' needs MUMPS: leave the option 'factor' out"
-            )
-        return choose_package("mumps")
     return choose_package(options.factor)
 
 

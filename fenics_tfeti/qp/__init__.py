@@ -4,7 +4,7 @@ The storey knows nothing of finite elements or domain decomposition. It implemen
 (algorithm 8.2), SMALBE-M (algorithm 9.2) and a Lanczos bound of the spectrum.
 """
 
-from fenics_tfeti.qp.bounds import Bounds
+from fenics_tfeti.qp.feasible_set import Bounds
 from fenics_tfeti.qp.mprgp import MPRGPOptions, MPRGPResult, Products, mprgp
 from fenics_tfeti.qp.smalbe import OuterIteration, SMALBEOptions, SMALBEResult, SMALBEState, smalbe
 from fenics_tfeti.qp.space import Space

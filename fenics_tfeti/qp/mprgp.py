@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fenics_tfeti.qp.bounds import Bounds, Split
+from fenics_tfeti.qp.feasible_set import Bounds, Split
 from fenics_tfeti.qp.space import Space
 
 __all__ = ["Hessian", "MPRGPOptions", "MPRGPResult", "Products", "mprgp"]
@@ -23,20 +23,18 @@ Expansion = Literal["standard", "projected_cg"]
 class Products:
     """How often the Hessian (and the preconditioner) was applied, by kind of step.
 
-    The products of a fall-back count as expansion, those that recompute a gradient as cg;
-    replacement counts those in double that replace a residual of products in single precision.
+    The products of a fall-back count as expansion, those that recompute a gradient as cg.
     """
 
     cg: int = 0
     expansion: int = 0
     proportioning: int = 0
-    replacement: int = 0
     preconditioner: int = 0
 
     @property
     def total(self) -> int:
         """All products with the Hessian; applications of the preconditioner are no products."""
-        return self.cg + self.expansion + self.proportioning + self.replacement
+        return self.cg + self.expansion + self.proportioning
 
 
 @dataclass(frozen=True)

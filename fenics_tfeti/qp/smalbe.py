@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fenics_tfeti.qp.bounds import Bounds, Split
+from fenics_tfeti.qp.feasible_set import Bounds, Split
 from fenics_tfeti.qp.mprgp import Hessian, MPRGPOptions, Products, mprgp
 from fenics_tfeti.qp.space import Space
 

@@ -15,8 +15,8 @@ from torn import column
 
 from fenics_tfeti.errors import FactorizationError
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
-from fenics_tfeti.feti.cholesky import DistributedCholesky
-from fenics_tfeti.feti.coarse import Projector
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.local.cholesky import DistributedCholesky
 
 comm = MPI.COMM_WORLD
 KINDS = ("redundant", "distributed")

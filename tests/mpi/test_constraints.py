@@ -9,8 +9,8 @@ import pytest
 from torn import cube
 
 from fenics_tfeti.feti import ContactRows, Prescribed, TornSystem
-from fenics_tfeti.feti.constraints import Constraints, build_constraints
-from fenics_tfeti.feti.scaling import node_weights
+from fenics_tfeti.feti.constraints.rows import Constraints, build_constraints
+from fenics_tfeti.feti.constraints.scaling import node_weights
 
 comm = MPI.COMM_WORLD
 CUBES = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]

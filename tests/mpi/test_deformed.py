@@ -12,7 +12,7 @@ from scenes import Ball, dimension
 from dolfinx import fem
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.deformed import deformed_contact
+from fenics_tfeti.fem.contact.deformed import deformed_contact
 
 COMM = MPI.COMM_WORLD
 every_cell = pytest.mark.parametrize("cell", CELLS)

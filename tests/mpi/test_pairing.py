@@ -10,9 +10,9 @@ import scenes
 from scenes import GROUND, MASTER, SLAVE
 
 from fenics_tfeti import ContactPair, RigidObstacle, Sphere
-from fenics_tfeti.fem.contact import match_contact
-from fenics_tfeti.fem.surfaces import MeshBoundary
-from fenics_tfeti.feti.exchange import concatenate_ranks
+from fenics_tfeti.fem.contact.contact import match_contact
+from fenics_tfeti.fem.contact.surfaces import MeshBoundary
+from fenics_tfeti.parallel import concatenate_ranks
 
 comm = MPI.COMM_WORLD
 X = np.array([[x, y, 1.1] for x in (1.0, 1.25, 1.5, 1.75, 2.0) for y in (0, 0.25, 0.5, 0.75, 1)])

@@ -6,7 +6,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from qp.problems import Problem, random_problem
+from qp_problems import Problem, random_problem
 
 from fenics_tfeti.qp import (
     Bounds,

@@ -6,10 +6,9 @@ import hypothesis
 import hypothesis.strategies as st
 import numpy as np
 import pytest
+from qp_problems import Problem, random_problem, string
 
 from fenics_tfeti.qp import Bounds, MPRGPOptions, Products, mprgp
-
-from .problems import Problem, random_problem, string
 
 both_expansions = pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
 accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)

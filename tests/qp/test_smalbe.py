@@ -7,11 +7,10 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 import quadprog
+from qp_problems import Problem, membranes, random_problem
 
 from fenics_tfeti.qp import MPRGPOptions, Products, SMALBEOptions, smalbe
 from fenics_tfeti.qp.smalbe import SMALBEState
-
-from .problems import Problem, membranes, random_problem
 
 both_expansions = pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
 accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)

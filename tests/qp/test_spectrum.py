@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from qp_problems import membranes
 
 from fenics_tfeti.qp import lanczos_upper_bound
-
-from .problems import membranes
 
 
 @pytest.mark.parametrize("seed", range(20))

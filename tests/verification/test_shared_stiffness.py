@@ -13,7 +13,8 @@ from scenes import YOUNG, elasticity, scalar_space, two_beams
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti.fem import _compat, subdomain
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.decomposition import assembly
 
 PER_METRE = 2  # boxes
 N = 3  # elements along a box
@@ -64,7 +65,7 @@ def test_shared_or_not(cell, change, expected, monkeypatch):
     problem = problem_of(changed)
     displacement = problem.solve().x.array
     assert matrices(problem) == problem.report.classes == expected
-    monkeypatch.setattr(subdomain, "find_equal", lambda parts, *_: list(range(len(parts))))
+    monkeypatch.setattr(assembly, "find_equal", lambda parts, *_: list(range(len(parts))))
     other = problem_of(changed)
     reference = other.solve().x.array
     assert matrices(other) == other.report.subdomains

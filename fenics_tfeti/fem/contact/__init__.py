@@ -1,0 +1,1 @@
+"""From facet tags to contact rows."""

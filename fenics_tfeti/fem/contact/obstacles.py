@@ -1,0 +1,309 @@
+"""Rigid obstacles: x -> (gap, normal), and what a user's function returned, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.fem.contact.user_data import called, refuse_where
+from fenics_tfeti.parallel import raise_collectively
+
+__all__ = ["Cylinder", "Obstacle", "Plane", "Sphere", "gap_and_normal"]
+
+Vector = NDArray[np.float64]
+Obstacle = Callable[[Vector], tuple[ArrayLike, ArrayLike] | ArrayLike]
+
+# nearer to a centre or an axis than this part of the radius, there is no normal
+_NO_NORMAL = 1e-12
+# of a normal's length
+_UNIT = 1e-6
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A rigid half space (in 2D half plane).
+
+    Attributes
+    ----------
+    point : sequence of float
+        A point of its boundary [m].
+    normal : sequence of float
+        Normal of the boundary that points out of the obstacle, at the body; of any length.
+
+    Raises
+    ------
+    InputError
+        If the normal has no direction, or the point not as many coordinates.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> gap, normal = Plane(point=(0, 0, 0), normal=(0, 0, 2))(np.array([[0.0], [0.0], [0.5]]))
+    >>> gap.tolist(), normal.ravel().tolist()
+    ([0.5], [0.0, 0.0, 1.0])
+    """
+
+    point: Sequence[float]
+    normal: Sequence[float]
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        normal = _direction(self.normal, "the plane's normal")
+        if _coordinates(self.point, "the plane's point").size < normal.size:
+            raise InputError(
+                f"the plane's point {self.point} has fewer coordinates than its normal "
+                f"{self.normal}"
+            )
+
+    def __call__(self, x: Vector) -> tuple[Vector, Vector]:
+        """Return the distances and normals at points x of shape (3, n)."""
+        unit = _direction(self.normal, "the plane's normal")
+        gdim = unit.size
+        gap = unit @ (x[:gdim] - np.asarray(self.point, dtype=float)[:gdim, None])
+        return gap, np.tile(unit[:, None], (1, x.shape[1]))
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A rigid ball, in 2D a disc; or with `hollow` all that is around it.
+
+    Attributes
+    ----------
+    centre : sequence of float
+        [m].
+    radius : float
+        [m].
+    hollow : bool
+        Whether the body is inside, and the obstacle around it.
+
+    Raises
+    ------
+    InputError
+        If the radius is not positive, or a point is at the centre, where no normal is.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.array([[0.0], [0.0], [3.0]])
+    >>> gap, normal = Sphere(centre=(0, 0, 0), radius=2)(x)
+    >>> gap.tolist(), normal.ravel().tolist()
+    ([1.0], [0.0, 0.0, 1.0])
+    >>> gap, normal = Sphere(centre=(0, 0, 0), radius=4, hollow=True)(x)
+    >>> gap.tolist(), normal[2].tolist()
+    ([1.0], [-1.0])
+    """
+
+    centre: Sequence[float]
+    radius: float
+    hollow: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        _coordinates(self.centre, "the sphere's centre")
+        _check_radius(self.radius, "sphere")
+
+    def __call__(self, x: Vector) -> tuple[Vector, Vector]:
+        """Return the distances and normals at points x of shape (3, n)."""
+        centre = np.asarray(self.centre, dtype=float)
+        outwards = x[: centre.size] - centre[:, None]
+        return _round(x, outwards, self.radius, self.hollow, "at the centre of the sphere")
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A rigid cylinder without ends, or with `hollow` all that is around it.
+
+    In 2D, `Sphere` is the disc.
+
+    Attributes
+    ----------
+    point : (3,) sequence of float
+        A point of its axis [m].
+    axis : (3,) sequence of float
+        Direction of its axis; of any length and either sense.
+    radius : float
+        [m].
+    hollow : bool
+        Whether the body is inside, and the obstacle around it.
+
+    Raises
+    ------
+    InputError
+        If the axis has no direction, the radius is not positive, or a point is on the axis, where
+        no normal is.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.array([[3.0], [7.0], [4.0]])
+    >>> gap, normal = Cylinder(point=(0, 0, 0), axis=(0, 1, 0), radius=2)(x)
+    >>> gap.tolist(), normal.ravel().tolist()
+    ([3.0], [0.6, 0.0, 0.8])
+    >>> Cylinder(point=(0, 0, 0), axis=(0, 1, 0), radius=6, hollow=True)(x)[0].tolist()
+    [1.0]
+    """
+
+    point: Sequence[float]
+    axis: Sequence[float]
+    radius: float
+    hollow: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        sizes = (
+            _coordinates(self.point, "the cylinder's point").size,
+            _direction(self.axis, "the cylinder's axis").size,
+        )
+        if sizes != (3, 3):
+            raise InputError(
+                f"the cylinder's point {self.point} and axis {self.axis} need three coordinates "
+                "each; in 2D use Sphere, which is a disc there"
+            )
+        _check_radius(self.radius, "cylinder")
+
+    def __call__(self, x: Vector) -> tuple[Vector, Vector]:
+        """Return the distances and normals at points x of shape (3, n)."""
+        axis = _direction(self.axis, "the cylinder's axis")
+        from_point = x - np.asarray(self.point, dtype=float)[:, None]
+        outwards = from_point - axis[:, None] * (axis @ from_point)
+        return _round(x, outwards, self.radius, self.hollow, "on the axis of the cylinder")
+
+
+def gap_and_normal(
+    comm: MPI.Intracomm, obstacle: Obstacle, points: Vector, normal: Vector, name: str
+) -> tuple[Vector, Vector]:
+    """Return the gaps to an obstacle and its unit normals, checked. Collective.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks.
+    obstacle : callable
+        x (3, k) -> (gap, normal), or -> gap along the body's own normal.
+    points : (k, 3) array
+        Points of the body [m].
+    normal : (k, gdim) array
+        The body's outward normals.
+    name : str
+        Name of the contact, for messages.
+
+    Returns
+    -------
+    gap, outward : (k,) array, (k, gdim) array
+        Distances [m] and the obstacle's normals, which point at the body.
+
+    Raises
+    ------
+    InputError
+        Wrong shapes, NaN, normals that are not of unit length, what the function raises; an
+        obstacle that is turned inside out.
+    """
+    gdim = normal.shape[1]
+    with raise_collectively(comm):
+        gap, outward = _called_obstacle(obstacle, points, normal, name)
+    refuse_where(
+        comm,
+        ~(np.isfinite(gap) & np.isfinite(outward).all(axis=1)),
+        points[:, :gdim],
+        lambda number, place: (
+            f"{name}: the obstacle's gap or normal is NaN or infinite at {number} points, the "
+            f"first at {place}"
+        ),
+    )
+    length = np.linalg.norm(outward, axis=1)
+    refuse_where(
+        comm,
+        np.abs(length - 1.0) > _UNIT,
+        points[:, :gdim],
+        lambda number, place: (
+            f"{name}: the obstacle's normal is no unit vector in {gdim} dimensions at {number} "
+            f"points, the first at {place}. Divide it by its length"
+        ),
+    )
+    facing = comm.allreduce(int(np.sum(np.sum(outward * normal, axis=1) < 0.0)))
+    if not facing:
+        raise InputError(
+            f"{name}: at none of the {comm.allreduce(len(points))} nodes does the obstacle's "
+            "normal point at the body. It has to point out of the obstacle: turn it round (for a "
+            "Sphere or Cylinder around the body, hollow=True)"
+        )
+    return gap, outward / length[:, None]
+
+
+def _called_obstacle(
+    obstacle: Obstacle, points: Vector, normal: Vector, name: str
+) -> tuple[Vector, Vector]:
+    """Return gap (k,) and normal (k, gdim) as the user's function gives them."""
+    k, gdim = normal.shape
+    if k == 0:  # a user's function need not be prepared for that
+        return np.zeros(0), np.zeros((0, gdim))
+    gap, outward = _gap_then_normal(called(obstacle, points, f"{name}: the obstacle"), name)
+    if outward is None:
+        outward = -normal.T
+    if gap.shape != (k,) or outward.shape not in ((gdim, k), (3, k)):
+        raise InputError(
+            f"{name}: for points of shape (3, {k}) the obstacle returned a gap of shape "
+            f"{gap.shape} and a normal of shape {outward.shape}; expected ({k},) and ({gdim}, {k})"
+        )
+    return gap, outward[:gdim].T
+
+
+def _gap_then_normal(values: Any, name: str) -> tuple[Vector, Vector | None]:
+    try:
+        if isinstance(values, (tuple, list)) and len(values) == 2 and np.ndim(values[1]) > 0:
+            return np.asarray(values[0], dtype=float), np.asarray(values[1], dtype=float)
+        return np.asarray(values, dtype=float), None
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{name}: the obstacle has to return (gap, normal), or the gap alone"
+        ) from None
+
+
+def _round(
+    x: Vector, outwards: Vector, radius: float, hollow: bool, where: str
+) -> tuple[Vector, Vector]:
+    """Return gaps and normals from the vectors that lead to points from a centre or an axis."""
+    distance = np.linalg.norm(outwards, axis=0)
+    at = np.flatnonzero(distance <= _NO_NORMAL * radius)
+    if at.size:
+        point = format_point(x[: len(outwards), at[0]], radius)
+        raise InputError(
+            f"the point {point} is {where}, where it has no normal: take it out "
+            "of the slave's surface, or move the obstacle"
+        )
+    sign = -1.0 if hollow else 1.0
+    return sign * (distance - radius), sign * outwards / distance
+
+
+def _coordinates(given: Sequence[float], what: str) -> Vector:
+    try:
+        numbers = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{what} is {given!r}: two or three numbers are expected") from None
+    if numbers.shape not in ((2,), (3,)) or not np.isfinite(numbers).all():
+        raise InputError(f"{what} is {given!r}: two or three finite numbers are expected")
+    return numbers
+
+
+def _direction(given: Sequence[float], what: str) -> Vector:
+    vector = _coordinates(given, what)
+    length = float(np.linalg.norm(vector))
+    if length == 0.0:
+        raise InputError(f"{what} is {given!r}: it has no direction")
+    return vector / length
+
+
+def _check_radius(radius: float, what: str) -> None:
+    try:
+        positive = 0.0 < float(radius) < np.inf
+    except (TypeError, ValueError):
+        positive = False
+    if not positive:
+        raise InputError(f"the {what}'s radius is {radius!r}: a positive number is expected")

@@ -1,0 +1,365 @@
+"""Tagged surfaces: the nodes that this rank owns, with normals, areas and sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+import ufl
+from dolfinx import fem
+from dolfinx.fem import FunctionSpace
+
+from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.user_data import refuse_where, unit_vectors
+from fenics_tfeti.fem.decomposition.partition import cell_facets, exterior_facets
+from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
+
+__all__ = [
+    "FACET_EDGES",
+    "GivenNormal",
+    "MasterNodes",
+    "MeshBoundary",
+    "Surface",
+    "area_of_facets",
+    "gather_master",
+    "tagged_surface",
+    "values_on_facets",
+]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Indices = NDArray[np.int32]
+GivenNormal = ArrayLike | Callable[[Vector], ArrayLike] | None
+
+# vertices of the edges of a facet, by its number of vertices, in dolfinx's order
+FACET_EDGES = {
+    2: ((0, 1),),
+    3: ((0, 1), (0, 2), (1, 2)),
+    4: ((0, 1), (0, 2), (1, 3), (2, 3)),
+}
+# a nodal normal whose facets' normals cancel to less than this part of their area
+_VANISHING_NORMAL = 1e-3
+
+
+@dataclass(frozen=True)
+class MeshBoundary:
+    """What all surfaces of a mesh have in common, found once.
+
+    Attributes
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    coordinates : (nodes, 3) array
+        Of this rank's nodes, ghosts last [m].
+    node_of_row : integer array
+        The local node at each row of ``geometry.x``.
+    exterior : bool array
+        Whether each facet of this rank is on the boundary of the mesh; ghosts are not.
+    rows : (facets, 2) integer array
+        A cell of each facet of this rank, and the facet's number there.
+    normal_form : CompiledForm
+        The normal times each node's shape function, to be integrated over facets.
+    """
+
+    space: FunctionSpace
+    coordinates: Vector
+    node_of_row: Indices
+    exterior: NDArray[np.bool_]
+    rows: Indices
+    normal_form: _compat.CompiledForm
+
+    @staticmethod
+    def of(space: FunctionSpace) -> MeshBoundary:
+        """Look at the boundary of a space's mesh. Collective."""
+        domain = space.mesh
+        exterior = exterior_facets(domain)
+        facet_of, _ = cell_facets(domain)
+        rows = np.zeros((exterior.size, 2), dtype=np.int32)
+        rows[facet_of, 0] = np.arange(len(facet_of))[:, None]
+        rows[facet_of, 1] = np.arange(facet_of.shape[1])
+        node_of_row = np.full(domain.geometry.x.shape[0], -1, dtype=np.int32)
+        # cell by cell they are the same
+        node_of_row[_compat.geometry_cells(domain)] = _compat.cell_dofs(space)
+        normal = ufl.inner(ufl.FacetNormal(domain), ufl.TestFunction(space))
+        form = _compat.CompiledForm(normal * ufl.Measure("ds", domain=domain)(1), domain.comm)
+        coordinates = space.tabulate_dof_coordinates()
+        return MeshBoundary(space, coordinates, node_of_row, exterior, rows, form)
+
+    def weighted_normals(self, facets: Indices) -> Vector:
+        """Integrate the normal times each node's shape function over facets: (nodes, gdim).
+
+        Its length is the area that turns a uniform pressure into the node's force.
+        """
+        bound = self.normal_form.bind([self.space], {}, {1: self.rows[facets]})
+        values = _compat.assemble_distributed(bound)
+        return values.reshape(-1, self.space.dofmap.index_map_bs)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A tagged surface; of its nodes, those that this rank owns.
+
+    Attributes
+    ----------
+    nodes : (k,) integer array
+        Global nodes of the displacement's space.
+    local : (k,) integer array
+        Their local numbers.
+    coordinates : (k, 3) array
+        [m].
+    normal : (k, gdim) array
+        Outward unit normals.
+    area : (k,) array
+        Area (length in 2D) that turns a uniform pressure into the node's normal force [m^2 or m].
+    size : (k,) array
+        Mean edge length of the smallest of the facets at the node [m].
+    facets : (f,) integer array
+        The facets that this rank owns.
+    vertices : (f, v) integer array
+        Local numbers of their nodes, some of which other ranks own.
+    extent : float
+        Largest coordinate of the surface by magnitude, over all ranks [m].
+    """
+
+    nodes: Numbers
+    local: Indices
+    coordinates: Vector
+    normal: Vector
+    area: Vector
+    size: Vector
+    facets: Indices
+    vertices: Indices
+    extent: float
+
+    @property
+    def points(self) -> Vector:
+        """Coordinates of shape (k, gdim) [m]."""
+        return self.coordinates[:, : self.normal.shape[1]]
+
+    def place(self, node: int) -> str:
+        """Write where the node with a local position is."""
+        return format_point(self.points[node], self.extent)
+
+
+@dataclass(frozen=True)
+class MasterNodes:
+    """All nodes of a master's surface, on every rank and in one order for any number of ranks.
+
+    Attributes
+    ----------
+    nodes : (m,) integer array
+        Global nodes.
+    points, normal : (m, gdim) arrays
+        Coordinates [m] and outward unit normals.
+    size : (m,) array
+        Mean edge length of the smallest of the facets at the node [m].
+    """
+
+    nodes: Numbers
+    points: Vector
+    normal: Vector
+    size: Vector
+
+    def without(self, nodes: Numbers) -> MasterNodes:
+        """Leave out some nodes."""
+        kept = ~np.isin(self.nodes, nodes)
+        return MasterNodes(self.nodes[kept], self.points[kept], self.normal[kept], self.size[kept])
+
+
+def tagged_surface(
+    boundary: MeshBoundary, facet_tags: Any, tag: int, what: str, given: GivenNormal = None
+) -> Surface:
+    """Find the nodes of a tagged surface.
+
+    Parameters
+    ----------
+    boundary : MeshBoundary
+        Of the displacement's mesh.
+    facet_tags : MeshTags
+        Tags of facets.
+    tag : int
+        The surface's tag.
+    what : str
+        The surface's name in messages.
+    given : (gdim,) array-like or callable, optional
+        The normal; by default the area-weighted average of the facets' normals.
+
+    Returns
+    -------
+    Surface
+        This rank's part.
+
+    Raises
+    ------
+    InputError
+        Tags of another mesh, on no facet or on interior ones; normals that vanish or point inwards.
+    """
+    space = boundary.space
+    domain, dim = space.mesh, space.mesh.topology.dim
+    with raise_collectively(domain.comm):
+        _check_tags(domain, facet_tags, what)
+    owned = domain.topology.index_map(dim - 1).size_local
+    facets = facet_tags.find(tag)
+    facets = np.sort(facets[facets < owned])
+    _check_facets(boundary, facet_tags, tag, facets, what)
+
+    nodes = np.asarray(fem.locate_dofs_topological(space, dim - 1, facets), dtype=np.int32)
+    nodes = np.sort(nodes[nodes < space.dofmap.index_map.size_local])
+    coordinates = boundary.coordinates[nodes]
+    extent = domain.comm.allreduce(float(np.abs(coordinates).max(initial=0.0)), MPI.MAX)
+    weighted = boundary.weighted_normals(facets)[nodes]
+    to_global = space.dofmap.index_map.local_to_global
+    rows = _facet_rows(domain, facets)
+    vertices = boundary.node_of_row[rows]
+    global_nodes = np.asarray(to_global(nodes), dtype=np.int64)
+    of_vertices = np.asarray(to_global(vertices.ravel()), dtype=np.int64).reshape(vertices.shape)
+    size = _smallest_facets(domain, rows, of_vertices, global_nodes)
+    normal, area = _normals(domain.comm, weighted, size, coordinates, given, what)
+    return Surface(global_nodes, nodes, coordinates, normal, area, size, facets, vertices, extent)
+
+
+def gather_master(comm: MPI.Intracomm, master: Surface) -> MasterNodes:
+    """Gather a surface's nodes on every rank, by their coordinates."""
+    columns = (master.nodes, master.points, master.normal, master.size)
+    nodes, points, normal, size = (concatenate_ranks(comm, column) for column in columns)
+    # equally near nodes are then taken in one order, however the mesh is distributed
+    order = np.lexsort(points.T[::-1])
+    return MasterNodes(nodes[order], points[order], normal[order], size[order])
+
+
+def values_on_facets(space: FunctionSpace, surface: Surface, values: Vector) -> Vector:
+    """Return vectors at the nodes of this rank's facets, from the ranks that own the nodes.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    surface : Surface
+        The surface.
+    values : (k, gdim) array
+        For the nodes that this rank owns.
+
+    Returns
+    -------
+    (f, v, gdim) array
+        For the nodes of each facet.
+    """
+    gdim = values.shape[1]
+    carrier = fem.Function(space)
+    carrier.x.array.reshape(-1, gdim)[surface.local] = values
+    carrier.x.scatter_forward()
+    at: Vector = carrier.x.array.reshape(-1, gdim)[surface.vertices]
+    return at
+
+
+def area_of_facets(boundary: MeshBoundary, surface: Surface, chosen: NDArray[np.bool_]) -> Vector:
+    """Return the part of each node's area that some of the facets make up.
+
+    Parameters
+    ----------
+    boundary : MeshBoundary
+        Of the displacement's mesh.
+    surface : Surface
+        The surface.
+    chosen : (f,) bool array
+        Which of this rank's facets count.
+
+    Returns
+    -------
+    (k,) array
+        [m^2 or m].
+    """
+    weighted = boundary.weighted_normals(surface.facets[chosen])[surface.local]
+    area: Vector = np.sum(weighted * surface.normal, axis=1)
+    return area
+
+
+def _check_tags(domain: Any, facet_tags: Any, what: str) -> None:
+    if not _compat.tags_are_on(facet_tags, domain):
+        raise InputError(f"{what}: facet_tags belong to another mesh than the displacement")
+    dim = domain.topology.dim
+    if facet_tags.dim != dim - 1:
+        raise InputError(
+            f"{what}: facet_tags are on entities of dimension {facet_tags.dim}, facets have "
+            f"dimension {dim - 1}"
+        )
+
+
+def _check_facets(
+    boundary: MeshBoundary, facet_tags: Any, tag: int, facets: Indices, what: str
+) -> None:
+    comm = boundary.space.mesh.comm
+    inside = int(np.count_nonzero(~boundary.exterior[facets]))
+    number, interior = comm.allreduce(facets.size), comm.allreduce(inside)
+    if number == 0:
+        there = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
+        raise InputError(f"{what}: tag {tag} is on no facet; the tags there are {there}")
+    if interior:
+        raise InputError(
+            f"{what}: {interior} of the {number} facets with tag {tag} are inside a body: only "
+            "facets on the boundary can touch. Do the bodies share nodes where they should not?"
+        )
+
+
+def _normals(
+    comm: MPI.Intracomm,
+    weighted: Vector,
+    size: Vector,
+    coordinates: Vector,
+    given: GivenNormal,
+    what: str,
+) -> tuple[Vector, Vector]:
+    """Return unit normals and areas; the areas are those that the normals see."""
+    gdim = weighted.shape[1]
+    length = np.linalg.norm(weighted, axis=1)
+    least = _VANISHING_NORMAL * size ** (gdim - 1)
+    if given is None:
+        refuse_where(
+            comm,
+            length <= least,
+            coordinates[:, :gdim],
+            lambda number, place: (
+                f"{what}: the normals of the facets around {number} nodes cancel, the first at "
+                f"{place}: tag one side of an edge only, or give a normal"
+            ),
+        )
+        return weighted / length[:, None], length
+    normal = unit_vectors(comm, given, coordinates, gdim, f"the normal of the {what}")
+    area = np.sum(weighted * normal, axis=1)
+    refuse_where(
+        comm,
+        area <= least,
+        coordinates[:, :gdim],
+        lambda number, place: (
+            f"the normal of the {what} points into the body or along its surface at {number} "
+            f"nodes, the first at {place}: it has to point out of the slave, as the facets' do"
+        ),
+    )
+    return normal, area
+
+
+def _facet_rows(domain: Any, facets: Indices) -> Indices:
+    """Return the rows of ``geometry.x`` at the vertices of facets: (f, v)."""
+    vertices = {"tetrahedron": 3, "hexahedron": 4}.get(_compat.cell_name(domain), 2)
+    rows = _compat.entity_nodes(domain, domain.topology.dim - 1, facets)
+    return rows.reshape(facets.size, vertices)
+
+
+def _smallest_facets(domain: Any, rows: Indices, vertices: Numbers, nodes: Numbers) -> Vector:
+    """Return the mean edge length of the smallest facet at each node, over all ranks' facets."""
+    x = domain.geometry.x[rows]
+    edges = np.array(FACET_EDGES[rows.shape[1]])
+    mean = np.linalg.norm(x[:, edges[:, 1]] - x[:, edges[:, 0]], axis=2).mean(axis=1)
+    directory = Directory(domain.comm, np.unique(vertices))
+    keys, sizes = directory.collect(vertices.ravel(), np.repeat(mean, rows.shape[1]))
+    smallest = np.full(directory.keys.size, np.inf)
+    np.minimum.at(smallest, directory.position(keys), sizes)
+    size: Vector = directory.lookup(nodes, smallest)[1]
+    return size

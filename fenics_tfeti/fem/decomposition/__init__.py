@@ -1,0 +1,1 @@
+"""From a mesh and forms to torn subdomains."""

@@ -1,0 +1,1 @@
+"""Mesh files, structured meshes, fields in files, pictures."""

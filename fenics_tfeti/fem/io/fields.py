@@ -1,0 +1,202 @@
+"""Fields derived from a solution, and files of fields for ParaView."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import ufl
+from dolfinx.fem import Constant, Function, FunctionSpace
+from dolfinx.io import VTKFile
+from dolfinx.mesh import Mesh
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.contact import ContactResult
+from fenics_tfeti.parallel import raise_collectively
+
+__all__ = ["contact_fields", "displacement_space", "von_mises", "write_fields"]
+
+
+def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Function:
+    """Evaluate the von Mises stress at the centre of each cell. Collective.
+
+    Parameters
+    ----------
+    mesh : dolfinx.mesh.Mesh
+        The mesh.
+    stress : UFL expression, 3 x 3 or 2 x 2
+        Stress tensor [Pa], in terms of the displacement. In two dimensions, give the whole tensor
+        of the plane strain state, or its part in the plane together with `poisson_ratio`.
+    poisson_ratio : float, optional
+        For a 2 x 2 tensor: gives the normal stress out of the plane in plane strain,
+        poisson_ratio (s_xx + s_yy) for an isotropic elastic body. Pass 0 for plane stress.
+
+    Returns
+    -------
+    dolfinx.fem.Function
+        Constant on each cell [Pa], named "von Mises stress".
+
+    Raises
+    ------
+    InputError
+        If `stress` is not such a tensor, or a 2 x 2 tensor comes without `poisson_ratio`.
+
+    Notes
+    -----
+    Where the stress is not constant on a cell, the peaks at the corners of the cell are cut off.
+    """
+    with raise_collectively(mesh.comm):
+        stress = ufl.as_ufl(stress)
+        _check_stress(stress, poisson_ratio)
+    if stress.ufl_shape == (2, 2):
+        # A Constant, since a number would be compiled into the code, anew for each value.
+        ratio = Constant(mesh, float(poisson_ratio or 0.0))
+        normal = ratio * ufl.tr(stress)
+        stress = ufl.as_tensor(
+            [
+                [stress[0, 0], stress[0, 1], 0],
+                [stress[1, 0], stress[1, 1], 0],
+                [0, 0, normal],
+            ]
+        )
+    deviator = stress - ufl.tr(stress) / 3 * ufl.Identity(3)
+    constants = _compat.lagrange_space(mesh, 0, discontinuous=True)
+    result = Function(constants, name="von Mises stress")
+    _compat.interpolate_expression(ufl.sqrt(3 / 2 * ufl.inner(deviator, deviator)), result)
+    return result
+
+
+def write_fields(path: str | os.PathLike[str], functions: Sequence[Function]) -> None:
+    """Write fields into files that ParaView opens: `path` and one or more files beside it.
+
+    Under MPI each rank writes its part. Collective.
+
+    Parameters
+    ----------
+    path : path-like
+        Name of the file, with the suffix .pvd. Its folder is made if need be.
+    functions : sequence of dolfinx.fem.Function
+        Fields on one mesh, of degree 1 (continuous) or 0 (constant on each cell), scalars and
+        vectors together. They go by their ``name``; all names must differ.
+
+    Raises
+    ------
+    InputError
+        If a field or a name is wrong; then nothing is written.
+    OSError
+        If the folder cannot be made.
+    """
+    path = Path(path)
+    if not functions:
+        raise InputError("there are no fields to write; pass at least one function")
+    comm = functions[0].function_space.mesh.comm
+    with raise_collectively(comm):
+        _check_fields(path, functions)
+        if comm.rank == 0:
+            path.parent.mkdir(parents=True, exist_ok=True)
+    with VTKFile(comm, str(path), "w") as file:
+        file.write_function(list(functions), 0.0)
+    comm.barrier()
+    with raise_collectively(comm):
+        if comm.rank == 0:
+            _compat.list_pieces_once(path.with_name(f"{path.stem}000000.pvtu"))
+
+
+def field_degree(function: Function) -> int:
+    """Return the degree of a field that can be drawn and written: 1, or 0 if constant on cells.
+
+    Raises
+    ------
+    InputError
+        If it is neither continuous of degree 1 nor constant on each cell.
+    """
+    family, degree, _ = _compat.element_facts(function.function_space)
+    if (family, degree) == ("Lagrange", 1) or (family, degree) == ("Discontinuous Lagrange", 0):
+        return degree
+    raise InputError(
+        f"'{function.name}' ({family}, degree {degree}) is neither continuous of degree 1 nor "
+        "constant on each cell; interpolate it into such a space first"
+    )
+
+
+def _check_stress(stress: Any, poisson_ratio: float | None) -> None:
+    """Check the shape of a stress tensor."""
+    if stress.ufl_shape not in {(2, 2), (3, 3)}:
+        raise InputError(
+            f"a stress of shape {stress.ufl_shape} is no tensor; pass one of shape (3, 3) or (2, 2)"
+        )
+    if stress.ufl_shape == (2, 2) and poisson_ratio is None:
+        raise InputError(
+            "the stress out of the plane is missing: pass poisson_ratio for plane strain, 0 for "
+            "plane stress, or a stress tensor of shape (3, 3)"
+        )
+
+
+def _check_fields(path: Path, functions: Sequence[Function]) -> None:
+    """Check the names and spaces of fields, since the writer would fail halfway."""
+    if path.suffix != ".pvd":
+        raise InputError(f"'{path}' does not end in .pvd, the suffix of ParaView's collections")
+    count = Counter(function.name for function in functions)
+    for name, times in count.items():
+        if not name.strip():
+            raise InputError("a field has no name; set its name, as in uh.name = 'displacement'")
+        if times > 1:
+            raise InputError(f"{times} fields have the name '{name}'; give each its own")
+    mesh = functions[0].function_space.mesh
+    for function in functions:
+        if function.function_space.mesh is not mesh:
+            raise InputError(f"'{function.name}' is on another mesh than '{functions[0].name}'")
+        field_degree(function)
+
+
+def displacement_space(mesh: Mesh) -> FunctionSpace:
+    """Return the space of continuous vector fields of degree 1, by whatever call dolfinx has.
+
+    Parameters
+    ----------
+    mesh : dolfinx.mesh.Mesh
+        The mesh.
+    """
+    return _compat.lagrange_space(mesh, 1, mesh.geometry.dim)
+
+
+def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> list[Function]:
+    """Turn the results at slave nodes into fields, zero elsewhere. Collective.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    contacts : sequence of ContactResult
+        Results of `ContactProblem`. Where a node is in several contacts, their values are added.
+
+    Returns
+    -------
+    list of Function
+        "contact pressure" [Pa], "contact force" [N] (normal, times the outward normal) and
+        "initial gap" [m].
+    """
+    scalar = _compat.lagrange_space(space.mesh, 1)
+    pressure, gap = Function(scalar, name="contact pressure"), Function(scalar, name="initial gap")
+    force = Function(space, name="contact force")
+    block = space.dofmap.index_map_bs
+    # both spaces have one degree of freedom or block for each vertex, cell by cell in one order
+    to_scalar = np.empty(len(force.x.array) // block, dtype=np.int32)
+    to_scalar[_compat.cell_dofs(space)] = _compat.cell_dofs(scalar)
+    first = space.dofmap.index_map.local_range[0]
+    for contact in contacts:
+        nodes = contact.nodes - first
+        at = to_scalar[nodes]
+        pressure.x.array[at] += contact.pressure
+        gap.x.array[at] += contact.gap
+        components = block * nodes[:, None] + np.arange(block)
+        force.x.array[components] -= contact.normal_force[:, None] * contact.normal
+    for field in (pressure, gap, force):
+        field.x.scatter_forward()
+    return [pressure, force, gap]

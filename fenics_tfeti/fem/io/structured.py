@@ -1,0 +1,283 @@
+"""Structured meshes of boxes, each a body of its own, and tags for their facets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx.mesh import Mesh, exterior_facet_indices, meshtags
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.io.gmsh import TaggedMesh
+from fenics_tfeti.parallel import raise_collectively
+
+__all__ = ["Box", "boxes", "tag_facets"]
+
+Marker = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
+
+# The cells into which a rectangle or a block of the grid is cut: their vertices, numbered
+# x + 2 y + 4 z as dolfinx does. All simplices share the diagonal from the lowest to the highest
+# vertex, so the cut is the same on opposite sides, and boxes with matching grids match.
+_CUTS = {
+    "quadrilateral": ((0, 1, 2, 3),),
+    "triangle": ((0, 1, 3), (0, 2, 3)),
+    "hexahedron": ((0, 1, 2, 3, 4, 5, 6, 7),),
+    "tetrahedron": (
+        (0, 1, 3, 7), (0, 1, 5, 7), (0, 4, 5, 7), (0, 2, 3, 7), (0, 4, 6, 7), (0, 2, 6, 7),
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box or rectangle with edges along the axes, and its grid.
+
+    Attributes
+    ----------
+    lower, upper : sequence of float
+        Opposite corners [m], `lower` smaller in each coordinate; two coordinates for a rectangle.
+    divisions : sequence of int
+        Number of grid intervals along each axis.
+    name : str, optional
+        Name of the body.
+    """
+
+    lower: Sequence[float]
+    upper: Sequence[float]
+    divisions: Sequence[int]
+    name: str = ""
+
+
+def boxes(comm: MPI.Comm, parts: Sequence[Box], cell: str = "hexahedron") -> TaggedMesh:
+    """Create a mesh of boxes, none of which shares a node with another one.
+
+    Boxes that touch are separate bodies, with two nodes at each place where their grids match.
+    Each rank makes an equal share of the cells, then dolfinx distributes them. Collective.
+
+    Parameters
+    ----------
+    comm : MPI.Comm
+        Communicator of the mesh.
+    parts : sequence of Box
+        The boxes, all of three coordinates for "hexahedron" and "tetrahedron" (six for each block
+        of the grid), of two for "quadrilateral" and "triangle" (two for each).
+    cell : str
+        Shape of the cells.
+
+    Returns
+    -------
+    TaggedMesh
+        The tag of a cell is the number of its box, counted from 1. No facet is tagged yet, see
+        `tag_facets`.
+
+    Raises
+    ------
+    InputError
+        If a box is empty or does not fit the shape of the cells, or two boxes have the same name.
+
+    Examples
+    --------
+    >>> lower = Box((0, 0, 0), (2, 1, 1), divisions=(4, 2, 2))
+    >>> upper = Box((1, 0, 1), (3, 1, 2), divisions=(4, 2, 2))
+    >>> beams = boxes(MPI.COMM_SELF, [lower, upper])
+    >>> beams.mesh.geometry.x.shape[0], len(beams.cell_tags.find(2))
+    (90, 16)
+    """
+    with raise_collectively(comm):
+        _check(parts, cell)
+    cell_counts = [len(_CUTS[cell]) * int(np.prod(part.divisions)) for part in parts]
+    node_counts = [int(np.prod(np.add(part.divisions, 1))) for part in parts]
+    first_nodes = np.cumsum([0, *node_counts])[:-1]
+    cells = [
+        first_node + _cells(part, cell, share)
+        for part, first_node, share in zip(
+            parts, first_nodes, _shares(cell_counts, comm), strict=True
+        )
+    ]
+    points = [
+        _points(part, share) for part, share in zip(parts, _shares(node_counts, comm), strict=True)
+    ]
+    mesh = _compat.distributed_mesh(comm, np.concatenate(cells), np.concatenate(points), cell)
+    # The cells were numbered box by box, so their number tells their box.
+    number = mesh.topology.original_cell_index
+    box = 1 + np.searchsorted(np.cumsum(cell_counts), number, side="right")
+    cell_tags = _tags(mesh, mesh.topology.dim, np.arange(len(number)), box)
+    facet_tags = _tags(mesh, mesh.topology.dim - 1, np.arange(0), np.arange(0))
+    names = {part.name: k for k, part in enumerate(parts, start=1) if part.name}
+    return TaggedMesh(mesh, cell_tags, facet_tags, names)
+
+
+def tag_facets(
+    mesh: Mesh,
+    markers: Mapping[int, Marker] | Iterable[tuple[int, Marker] | tuple[int, Marker, int]],
+    cell_tags: Any = None,
+) -> Any:
+    """Tag the facets of the surface that lie where a marker says. Collective.
+
+    Parameters
+    ----------
+    mesh : dolfinx.mesh.Mesh
+        The mesh.
+    markers : dict of int to callable, or sequence of (tag, callable) or (tag, callable, body)
+        What to tag: the callable gets points (3, n) [m] and returns (n,) bool, and a facet lies
+        there if all its vertices do. With a `body`, only the facets of cells with this tag are
+        tagged: where two bodies touch, the facets of both are at the same place.
+    cell_tags : dolfinx.mesh.MeshTags, optional
+        The bodies; needed if one is named in `markers`.
+
+    Returns
+    -------
+    dolfinx.mesh.MeshTags
+        Tags of facets that this rank owns.
+
+    Raises
+    ------
+    InputError
+        If a tag meets no facet, a facet meets two tags, or a marker fails. Raised on all ranks.
+
+    Examples
+    --------
+    >>> beams = boxes(
+    ...     MPI.COMM_SELF,
+    ...     [Box((0, 0, 0), (2, 1, 1), (2, 1, 1)), Box((1, 0, 1), (3, 1, 2), (2, 1, 1))],
+    ... )
+    >>> def contact(x):
+    ...     return np.isclose(x[2], 1.0)
+    >>> tags = tag_facets(beams.mesh, [(5, contact, 2), (6, contact, 1)], beams.cell_tags)
+    >>> len(tags.find(5)), len(tags.find(6))
+    (2, 2)
+    """
+    rows = list(markers.items()) if isinstance(markers, Mapping) else list(markers)
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim - 1, dim)
+    facets = exterior_facet_indices(mesh.topology)
+    nodes = _compat.entity_nodes(mesh, dim - 1, facets)
+    chosen = np.zeros((len(rows), len(facets)), dtype=bool)
+    with raise_collectively(mesh.comm):
+        if cell_tags is None and any(len(row) > 2 for row in rows):
+            raise InputError("a facet tag is for one body only; pass the cell_tags as well")
+        for k, (tag, marker, *body) in enumerate(rows):
+            chosen[k] = _is_inside(nodes, mesh.geometry.x, marker, tag)
+            if body:
+                chosen[k] &= _is_in_body(mesh, facets, cell_tags, body[0])
+        tags = np.array([row[0] for row in rows], dtype=np.int32)
+        values = _one_tag_each(tags, chosen)
+    counts = mesh.comm.allreduce(np.count_nonzero(chosen, axis=1))
+    if not np.all(counts):
+        raise InputError(
+            f"no facet of the surface meets the facet tags {tags[counts == 0].tolist()}; check "
+            "their markers (with a tolerance, as numpy.isclose has) and bodies"
+        )
+    return _tags(mesh, dim - 1, facets[np.any(chosen, axis=0)], values)
+
+
+def _check(parts: Sequence[Box], cell: str) -> None:
+    """Check the boxes."""
+    if cell not in _CUTS:
+        raise InputError(f"unknown cell '{cell}'; choose one of {', '.join(_CUTS)}")
+    if not parts:
+        raise InputError("a mesh needs at least one box")
+    gdim = 3 if cell in ("hexahedron", "tetrahedron") else 2
+    for part in parts:
+        lengths = {len(part.lower), len(part.upper), len(part.divisions)}
+        if lengths != {gdim}:
+            raise InputError(
+                f"{part} has corners or divisions of {sorted(lengths)} components; a mesh with "
+                f"the cell '{cell}' needs {gdim}"
+            )
+        if not np.all(np.asarray(part.lower) < np.asarray(part.upper)):
+            raise InputError(f"{part} is empty: make each component of lower less than of upper")
+        if any(int(n) != n or n < 1 for n in part.divisions):
+            raise InputError(f"{part}: each of the divisions must be a whole number, at least 1")
+    names = [part.name for part in parts if part.name]
+    if len(set(names)) < len(names):
+        raise InputError(f"two boxes have the same name, out of {names}; rename one")
+
+
+def _shares(counts: list[int], comm: MPI.Comm) -> list[NDArray[np.int64]]:
+    """Return which things of each box this rank makes, when all are numbered box by box.
+
+    The ranks' shares follow each other without a gap, as dolfinx counts them.
+    """
+    total = sum(counts)
+    start, stop = total * comm.rank // comm.size, total * (comm.rank + 1) // comm.size
+    return [
+        np.arange(max(start, first), min(stop, first + count)) - first
+        for first, count in zip(np.cumsum([0, *counts]), counts, strict=False)
+    ]
+
+
+def _points(part: Box, chosen: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the coordinates (n, gdim) of chosen nodes of a box."""
+    axes = [
+        np.linspace(start, stop, n + 1)
+        for start, stop, n in zip(part.lower, part.upper, part.divisions, strict=True)
+    ]
+    places = np.unravel_index(chosen, [len(axis) for axis in axes], order="F")
+    return np.column_stack([axis[i] for axis, i in zip(axes, places, strict=True)])
+
+
+def _cells(part: Box, cell: str, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the nodes (m, v) of chosen cells of a box, both numbered within the box."""
+    gdim = len(part.divisions)
+    strides = np.cumprod([1, *np.add(part.divisions, 1)])[:gdim]
+    corners = (np.arange(2**gdim)[:, np.newaxis] >> np.arange(gdim) & 1) @ strides
+    block, piece = np.divmod(chosen, len(_CUTS[cell]))
+    lowest = np.column_stack(np.unravel_index(block, part.divisions, order="F")) @ strides
+    nodes: NDArray[np.int64] = lowest[:, np.newaxis] + corners[np.asarray(_CUTS[cell])][piece]
+    return nodes
+
+
+def _tags(mesh: Mesh, dim: int, entities: NDArray[Any], values: NDArray[Any]) -> Any:
+    """Return tags of entities in any order."""
+    order = np.argsort(entities)
+    return meshtags(mesh, dim, entities[order].astype(np.int32), values[order].astype(np.int32))
+
+
+def _is_inside(
+    nodes: NDArray[np.int32], x: NDArray[np.float64], marker: Marker, tag: int
+) -> NDArray[np.bool_]:
+    """Tell for which rows of `nodes` (m, v) the marker is true at all vertices."""
+    vertices, place = np.unique(nodes, return_inverse=True)
+    try:
+        inside = np.asarray(marker(x[vertices].T), dtype=bool)
+    except Exception as error:
+        raise InputError(f"the marker of facet tag {tag} failed: {error}") from error
+    if inside.shape != vertices.shape:
+        raise InputError(
+            f"the marker of facet tag {tag} returned the shape {inside.shape} for points of shape "
+            f"(3, {len(vertices)}); return one truth value for each point"
+        )
+    return np.asarray(np.all(inside[place.reshape(nodes.shape)], axis=1))
+
+
+def _is_in_body(
+    mesh: Mesh, facets: NDArray[np.int32], cell_tags: Any, body: int
+) -> NDArray[np.bool_]:
+    """Tell which facets of the surface belong to a cell with the tag `body`."""
+    dim = mesh.topology.dim
+    cells_of_facets = mesh.topology.connectivity(dim - 1, dim)
+    cells = cells_of_facets.array[cells_of_facets.offsets[facets]]
+    return np.isin(cells, cell_tags.find(body))
+
+
+def _one_tag_each(tags: NDArray[np.int32], chosen: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Return the tag of each facet that meets a marker; `chosen` is (markers, facets)."""
+    chosen = chosen[:, np.any(chosen, axis=0)]
+    limits = np.iinfo(np.int32)
+    highest = np.where(chosen, tags[:, np.newaxis], limits.min).max(axis=0, initial=limits.min)
+    lowest = np.where(chosen, tags[:, np.newaxis], limits.max).min(axis=0, initial=limits.max)
+    twice = np.flatnonzero(lowest != highest)
+    if len(twice):
+        raise InputError(
+            f"{len(twice)} facets meet several tags, {lowest[twice[0]]} and {highest[twice[0]]} "
+            "for example, but a facet can have one only; make the markers disjoint"
+        )
+    return np.asarray(highest, dtype=np.int32)

@@ -1,0 +1,294 @@
+"""Where coarse matrices are: whole on every rank, or rows and factor spread over the ranks.
+
+Coarse vectors are short, and those outside the iterations are whole on every rank. Within the
+iterations, right-hand sides come as sums of the ranks' parts, and a rank needs no more of the
+solution than its own subdomains' part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from mpi4py import MPI
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.local.cholesky import (
+    DistributedCholesky,
+    SparseCholesky,
+    available_packages,
+)
+from fenics_tfeti.parallel import concatenate_buffers
+
+__all__ = ["CoarseFactor", "CoarseLayout", "CoarseSolverKind", "distribution_pays"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+CoarseSolverKind = Literal["auto", "redundant", "distributed"]
+
+# Counted on lattices of 108 to 2916 cubes, 1 to 16 ranks (benchmarks/coarse.py):
+# entries of the factor / size^1.5
+_ENTRIES = 3.6
+# solves of a face; time of a factorisation in solves; time of MUMPS on one rank / CHOLMOD
+_SOLVES, _FACTORISATION, _SLOWER = 10, 80, 2
+# collective calls of a solve by MUMPS, besides one for each rank; messages for each rank
+_COLLECTIVES, _MESSAGES = 86, 3
+# messages of a factorisation by MUMPS, in solves
+_MESSAGES_OF_FACTORISATION = 4
+# bytes read of memory while a message is under way: 5 us at 10 GB/s
+_LATENCY = 50_000
+# what has to be spared for it to pay; less is not worth another package
+_GAIN = 2.0
+
+
+class CoarseFactor(Protocol):
+    """A factored coarse matrix."""
+
+    @property
+    def entries(self) -> int:
+        """Number of the factor's entries, over all ranks that share it."""
+        ...
+
+    def solve(self, coarse: Vector) -> Vector:
+        """Solve for a right-hand side that every rank has; every rank gets the whole solution."""
+        ...
+
+    def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
+        """Solve, given this rank's part; return that of `own` and of `theirs` in the solution."""
+        ...
+
+    def solve_sum(self, own: Vector, theirs: Vector, numbers: Vector) -> tuple[Vector, Vector]:
+        """Solve for the sum of the ranks' parts; return this rank's part of the solution.
+
+        Parameters
+        ----------
+        own, theirs : (own,), (h,) array
+            What this rank adds to its own and to other ranks' unknowns, `CoarseLayout.theirs`.
+        numbers : (k,) array
+            To be summed over the ranks on the occasion; the sums are returned as well.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class CoarseLayout:
+    """Whose the coarse unknowns are, and the communication of coarse vectors and matrices.
+
+    Attributes
+    ----------
+    comm : MPI.Intracomm
+        The ranks.
+    counts : tuple of int
+        How many unknowns each rank has.
+    theirs : (h,) integer array
+        Other ranks' unknowns that this rank's multipliers act on, ascending.
+    to, of : mapping from int to integer array
+        By rank: where its unknowns stand in `theirs`; which of the own unknowns it has in its.
+    distributed : bool
+        Whether a rank keeps its own rows of coarse matrices only.
+    package : str
+        Package for the factors of whole matrices.
+    """
+
+    comm: MPI.Intracomm
+    counts: tuple[int, ...]
+    theirs: Numbers
+    to: Mapping[int, Numbers]
+    of: Mapping[int, Numbers]
+    distributed: bool
+    package: str
+
+    @staticmethod
+    def build(
+        comm: MPI.Intracomm, own: int, theirs: Numbers, distributed: bool, package: str
+    ) -> CoarseLayout:
+        """Find out which ranks share unknowns; collective.
+
+        Parameters
+        ----------
+        comm : MPI.Intracomm
+            The ranks.
+        own : int
+            Number of this rank's unknowns.
+        theirs : (h,) integer array
+            Other ranks' unknowns that this rank's multipliers act on, ascending.
+        distributed : bool
+            Whether a rank keeps its own rows of coarse matrices only.
+        package : str
+            Package for the factors of whole matrices.
+        """
+        counts = comm.allgather(own)
+        ends = np.cumsum(counts)
+        first = int(ends[comm.rank]) - own
+        rank = np.searchsorted(ends, theirs, side="right")
+        to = {int(r): np.flatnonzero(rank == r) for r in np.unique(rank)}
+        asked = comm.alltoall([theirs[to[r]] if r in to else theirs[:0] for r in range(comm.size)])
+        of = {r: numbers - first for r, numbers in enumerate(asked) if numbers.size}
+        return CoarseLayout(comm, tuple(counts), theirs, to, of, distributed, package)
+
+    @property
+    def first(self) -> int:
+        """Number of this rank's first unknown."""
+        return sum(self.counts[: self.comm.rank])
+
+    @property
+    def size(self) -> int:
+        """Number of all unknowns."""
+        return sum(self.counts)
+
+    @property
+    def mine(self) -> slice:
+        """Where the own unknowns stand in a whole vector."""
+        return slice(self.first, self.first + self.counts[self.comm.rank])
+
+    def gather(self, own: Vector) -> Vector:
+        """Return the whole vector of the ranks' own parts; one gathering."""
+        if self.comm.size == 1:
+            return own
+        whole = np.empty((self.size, *own.shape[1:]))
+        self.comm.Allgatherv(np.ascontiguousarray(own), [whole, list(self.counts)])
+        return whole
+
+    def sum_whole(self, own: Vector, theirs: Vector, numbers: Vector) -> tuple[Vector, Vector]:
+        """Return the whole sum of the ranks' parts, and that of their numbers; one reduction."""
+        if self.comm.size == 1:
+            return own, numbers
+        part = np.zeros(self.size + numbers.size)
+        part[self.mine] = own
+        part[self.theirs] = theirs
+        part[self.size :] = numbers
+        total = np.empty_like(part)
+        self.comm.Allreduce(part, total)
+        return total[: self.size], total[self.size :]
+
+    def sum_own(self, own: Vector, theirs: Vector) -> Vector:
+        """Return this rank's part of the sum of the ranks' parts; one neighbour exchange."""
+        received = self._exchange({rank: theirs[at] for rank, at in self.to.items()}, self.of)
+        total = own.copy()
+        for rank, part in received.items():
+            total[self.of[rank]] += part
+        return total
+
+    def fetch(self, own: Vector) -> Vector:
+        """Return `theirs` of a vector of which each rank has its own part; one exchange."""
+        received = self._exchange({rank: own[at] for rank, at in self.of.items()}, self.to)
+        theirs = np.empty(self.theirs.size)
+        for rank, part in received.items():
+            theirs[self.to[rank]] = part
+        return theirs
+
+    def _exchange(
+        self, sent: Mapping[int, Vector], places: Mapping[int, Numbers]
+    ) -> dict[int, Vector]:
+        received = {rank: np.empty(at.size) for rank, at in places.items()}
+        requests = [self.comm.Irecv(buffer, source=rank) for rank, buffer in received.items()]
+        requests += [self.comm.Isend(part, dest=rank) for rank, part in sent.items()]
+        MPI.Request.Waitall(requests)
+        return received
+
+    def rows(self, own_rows: sp.csr_matrix) -> sp.csr_matrix:
+        """Return the rows of a coarse matrix that this rank keeps, from each rank's own rows."""
+        if self.distributed or self.comm.size == 1:
+            return own_rows
+        coo = own_rows.tocoo()
+        row, column, data = concatenate_buffers(
+            self.comm, coo.row.astype(np.int64) + self.first, coo.col.astype(np.int64), coo.data
+        )
+        return sp.csr_matrix((data, (row, column)), shape=(self.size, self.size))
+
+    def largest_diagonal(self, rows: sp.csr_matrix) -> float:
+        """Return the largest diagonal entry of a matrix, given the rows that this rank keeps."""
+        largest = np.array([rows.diagonal(self.first if self.distributed else 0).max(initial=0.0)])
+        self.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+        return float(largest[0])
+
+    def add_to_diagonal(self, rows: sp.csr_matrix, places: Numbers, value: float) -> sp.csr_matrix:
+        """Return the rows that this rank keeps with a number added at some places."""
+        begin = self.first if self.distributed else 0
+        kept = places[(places >= begin) & (places < begin + rows.shape[0])]
+        values = np.full(kept.size, value)
+        return (rows + sp.csr_matrix((values, (kept - begin, kept)), shape=rows.shape)).tocsr()
+
+    def factor(self, rows: sp.csr_matrix) -> CoarseFactor:
+        """Factor a symmetric positive definite matrix, given the rows that this rank keeps."""
+        if self.distributed:
+            return _Distributed(self, DistributedCholesky(self.comm, rows))
+        return _Redundant(self, SparseCholesky(rows.tocsr(), self.package))
+
+
+@dataclass(frozen=True)
+class _Redundant:
+    """Every rank has the whole factor: one reduction of a coarse vector for each solve."""
+
+    layout: CoarseLayout
+    whole: SparseCholesky
+
+    @property
+    def entries(self) -> int:
+        return self.whole.entries
+
+    def solve(self, coarse: Vector) -> Vector:
+        return self.whole.solve(coarse)
+
+    def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
+        solution = self.whole.solve(self.layout.gather(own))
+        return solution[self.layout.mine], solution[self.layout.theirs]
+
+    def solve_sum(self, own: Vector, theirs: Vector, numbers: Vector) -> tuple[Vector, Vector]:
+        coarse, sums = self.layout.sum_whole(own, theirs, numbers)
+        return self.whole.solve(coarse)[self.layout.mine], sums
+
+
+@dataclass(frozen=True)
+class _Distributed:
+    """The ranks share the factor: one exchange of coarse unknowns, and the messages of MUMPS."""
+
+    layout: CoarseLayout
+    shared: DistributedCholesky
+
+    @property
+    def entries(self) -> int:
+        return self.shared.entries
+
+    def solve(self, coarse: Vector) -> Vector:
+        return self.layout.gather(self.shared.solve(coarse[self.layout.mine]))
+
+    def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
+        solution = self.shared.solve(own)
+        return solution, self.layout.fetch(solution)
+
+    def solve_sum(self, own: Vector, theirs: Vector, numbers: Vector) -> tuple[Vector, Vector]:
+        sums = numbers.copy()
+        if numbers.size:
+            self.layout.comm.Allreduce(MPI.IN_PLACE, sums)
+        return self.shared.solve(self.layout.sum_own(own, theirs)), sums
+
+
+def distribution_pays(ranks: int, size: int) -> bool:
+    """Tell whether MUMPS over all ranks moves less than a whole factor on each of them.
+
+    For one face of the active set method, in bytes: what factor and solves read of memory, without
+    the share that MUMPS reads too, against what could be read while its messages are under way.
+
+    Parameters
+    ----------
+    ranks : int
+        Number of ranks.
+    size : int
+        Coarse unknowns.
+
+    Examples
+    --------
+    >>> [distribution_pays(ranks, 6 * 1000) for ranks in (2, 8, 64, 1000)]
+    [False, True, True, False]
+    """
+    # each solve reads the entries twice
+    solve = 16.0 * _ENTRIES * size**1.5
+    spared = (_SOLVES + _FACTORISATION) * solve * max(0.0, 1.0 - _SLOWER / ranks)
+    rounds = (_COLLECTIVES + ranks) * np.log2(ranks) + _MESSAGES * ranks
+    messages = (_SOLVES + _MESSAGES_OF_FACTORISATION) * rounds * _LATENCY
+    return bool("mumps" in available_packages() and spared > _GAIN * messages)

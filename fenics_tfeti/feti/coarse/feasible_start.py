@@ -1,0 +1,186 @@
+"""A start with G lambda = e and lambda_I >= o: lemma 11.1 and its semicoercive counterpart.
+
+Gluing and supports resist all but a few rigid motions of bodies; forces of contact must balance the
+load on those. Least-norm contact forces that do are the solution of a small problem; the equality
+multipliers then follow from (11.38). In the coercive case there are no such motions, the contact
+forces are zero, and the start is that of lemma 11.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from fenics_tfeti.errors import UnresistedMotion
+from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.system import TornSystem
+
+__all__ = ["check_load", "feasible_start", "least_norm_nonnegative"]
+
+Vector = NDArray[np.float64]
+
+# relative to the load: work on a unit motion that counts as none
+_NO_WORK = 1e-9
+_NEWTON_STEPS = 100
+
+
+def check_load(
+    system: TornSystem, kernels: Sequence[Vector], projector: Projector, e: Vector, norm: float
+) -> None:
+    """Check that the load does no work on the motions that no constraint resists.
+
+    Parameters
+    ----------
+    system : TornSystem
+        The subdomains.
+    kernels : sequence of arrays
+        R_i of this rank's subdomains.
+    projector : Projector
+        Of all constraints.
+    e : (coarse,) array
+        R'f.
+    norm : float
+        ||f||, the scale of e.
+
+    Raises
+    ------
+    UnresistedMotion
+        Naming body and motion.
+    """
+    work = projector.free.T @ e
+    if np.linalg.norm(work) > _NO_WORK * norm:
+        _raise_unresisted(system, kernels, projector.space.own_part(projector.free @ work))
+
+
+def feasible_start(
+    system: TornSystem, kernels: Sequence[Vector], space: CoarseSpace, e: Vector, norm: float
+) -> Vector:
+    """Return lambda~ with G lambda~ = e and lambda~_I >= o.
+
+    Parameters
+    ----------
+    system : TornSystem
+        The subdomains.
+    kernels : sequence of arrays
+        R_i of this rank's subdomains.
+    space : CoarseSpace
+        G.
+    e : (coarse,) array
+        R'f.
+    norm : float
+        ||f||, the scale of e.
+
+    Returns
+    -------
+    (m,) array
+        The multipliers that this rank holds.
+
+    Raises
+    ------
+    UnresistedMotion
+        If no contact forces balance the load (11.16), naming body and motion.
+    """
+    constraints = space.constraints
+    supports = Projector.build(space, np.zeros(constraints.inequality.size, dtype=bool))
+    start = np.zeros(constraints.rhs.size)
+    if supports.free.shape[1]:
+        start[constraints.inequality] = _contact_forces(system, kernels, space, supports, e, norm)
+    # (11.38) for what the contact forces leave
+    left = e - space.restrict(start)
+    return start + supports.expand(supports.solve(left))
+
+
+def _contact_forces(
+    system: TornSystem,
+    kernels: Sequence[Vector],
+    space: CoarseSpace,
+    supports: Projector,
+    e: Vector,
+    norm: float,
+) -> Vector:
+    """Return least-norm nonnegative multipliers that balance the load on the free motions."""
+    constraints = space.constraints
+    # the ranks' columns side by side: as many as contact rows, not as unknowns
+    held = (space.contact.T @ supports.free).T
+    owned = constraints.owned_inequalities
+    columns = space.comm.allgather(held[:, :owned])
+    first = sum(part.shape[1] for part in columns[: space.comm.rank])
+    C, d = np.concatenate(columns, axis=1), supports.free.T @ e
+
+    if np.linalg.norm(d) <= _NO_WORK * norm:
+        return np.zeros(constraints.inequality.size)
+    forces, residual = least_norm_nonnegative(C, d)
+    if np.linalg.norm(residual) > _NO_WORK * norm:
+        _raise_unresisted(system, kernels, space.own_part(supports.free @ residual))
+    multipliers = np.zeros(constraints.rhs.size)
+    multipliers[constraints.inequality[:owned]] = forces[first : first + owned]
+    shared: Vector = constraints.multipliers.sum(multipliers)[constraints.inequality]
+    return shared
+
+
+def least_norm_nonnegative(C: Vector, d: Vector) -> tuple[Vector, Vector]:
+    """Minimise 1/2 ||x||^2 subject to Cx = d and x >= o, by a semismooth Newton method on the dual.
+
+    Parameters
+    ----------
+    C : (r, n) array
+        Few rows.
+    d : (r,) array
+        Right-hand side.
+
+    Returns
+    -------
+    x : (n,) array
+        The solution; if there is none, a minimiser of ||Cx - d||.
+    residual : (r,) array
+        d - Cx. Where it is not zero it certifies that there is no solution: C'residual <= o and
+        d'residual > 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x, residual = least_norm_nonnegative(np.array([[1.0, 1.0, -1.0]]), np.array([2.0]))
+    >>> x.round(12).tolist(), residual.round(12).tolist()
+    ([1.0, 1.0, 0.0], [0.0])
+    """
+    y = np.zeros(d.size)
+    tolerance = 1e-11 * np.linalg.norm(d)
+
+    def value(y: Vector) -> float:
+        return 0.5 * float(np.sum(np.maximum(C.T @ y, 0.0) ** 2)) - float(d @ y)
+
+    for step in range(_NEWTON_STEPS):
+        x = np.maximum(C.T @ y, 0.0)
+        gradient = C @ x - d
+        if np.linalg.norm(gradient) <= tolerance:
+            return x, -gradient
+        support = C[:, x > 0.0] if step else C
+        H = support @ support.T
+        # where the support leaves the Hessian singular; fades as the gradient does
+        damping = min(1e-3, np.linalg.norm(gradient) / np.linalg.norm(d))
+        H += damping * np.trace(C @ C.T) / d.size * np.eye(d.size)
+        p = np.linalg.solve(H, -gradient)
+        slope, length = float(gradient @ p), 1.0
+        # near the solution the decrease drowns in rounding
+        limit = value(y) + 1e-12 * abs(value(y))
+        while value(y + length * p) > limit + 1e-4 * length * slope and length > 1e-12:
+            length *= 0.5
+        y = y + length * p
+    # no solution, or one that rounding hides: the basic solution decides, with a certificate
+    x = nnls(C, d, maxiter=10 * C.shape[1])[0]
+    return x, d - C @ x
+
+
+def _raise_unresisted(system: TornSystem, kernels: Sequence[Vector], own_motion: Vector) -> None:
+    motions = describe_body_motion(system, kernels, own_motion)
+    raise UnresistedMotion(
+        "the load does work on a rigid motion that no support and no contact resists (11.16): "
+        + "; ".join(motions)
+        + ". Prescribe displacements that hold the body, add the contact it should rest on, or "
+        "balance the load"
+    )

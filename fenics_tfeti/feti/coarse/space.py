@@ -1,0 +1,254 @@
+"""The natural coarse space: G = R'B', the projectors P and Q, and what G leaves free (sec. 11.8).
+
+G with orthonormal rows is needed only through Q = G~'(G~G~')^{-1}G~ of G~ = R'B', so the coarse
+matrix G~G~' is factored and T never formed. Where some rigid motions meet no constraint at all, the
+coarse matrix is singular and a generalized inverse takes its place; Q is the same for all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.coarse.body_motions import BodyMotions, body_motions
+from fenics_tfeti.feti.coarse.factor import (
+    CoarseLayout,
+    CoarseSolverKind,
+    distribution_pays,
+)
+from fenics_tfeti.feti.constraints.interface import Interface
+from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.local.congruence import CongruenceClass
+from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.parallel import first_of_rank
+
+__all__ = ["CoarseSpace"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# ||B R xi||^2 / ||R xi||^2 of a rigid motion of a body below which no constraint resists it
+_UNRESISTED = 1e-12
+
+
+@dataclass(frozen=True)
+class CoarseSpace:
+    """G = R'B' on this rank, and the bodies' rigid motions.
+
+    G is applied as R' after B'; only its columns for contact rows, those shared with other ranks'
+    subdomains, and GG' of the equality rows are kept as matrices.
+
+    Attributes
+    ----------
+    interface : Interface
+        B and the classes of congruent subdomains.
+    kernels : sequence of (n_i, k_i) arrays
+        R_i of this rank's subdomains; congruent ones share it.
+    ends : (subdomains + 1,) integer array
+        Where the subdomains' coarse unknowns begin among this rank's, and where they end.
+    layout : CoarseLayout
+        Whose the coarse unknowns are, and where coarse matrices are.
+    theirs : (h, m) scipy.sparse.csr_matrix
+        The rows of G of other ranks' subdomains in the columns that this rank holds.
+    contact : (coarse, i) scipy.sparse.csr_matrix
+        All rows of G in the inequality columns that this rank holds.
+    equality : (coarse or own, coarse) scipy.sparse.csr_matrix
+        GG' of the equality rows alone, the rows that this rank keeps.
+    bodies : BodyMotions
+        Rigid motions of bodies.
+    constraints : Constraints
+        The columns.
+    """
+
+    interface: Interface
+    kernels: Sequence[Vector]
+    ends: Numbers
+    layout: CoarseLayout
+    theirs: sp.csr_matrix
+    contact: sp.csr_matrix
+    equality: sp.csr_matrix
+    bodies: BodyMotions
+    constraints: Constraints
+
+    @staticmethod
+    def build(
+        system: TornSystem,
+        constraints: Constraints,
+        interface: Interface,
+        kernels: Sequence[Vector],
+        package: str,
+        solver: CoarseSolverKind = "auto",
+    ) -> CoarseSpace:
+        """Form G, exchange its shared columns with the neighbours, keep what is needed of it.
+
+        Parameters
+        ----------
+        system : TornSystem
+            The subdomains.
+        constraints : Constraints
+            B.
+        interface : Interface
+            Its packed columns.
+        kernels : sequence of (n_i, k_i) arrays
+            R_i of this rank's subdomains.
+        package : str
+            Package for the factors of coarse matrices that are whole on every rank.
+        solver : {"auto", "redundant", "distributed"}
+            Where coarse matrices are.
+        """
+        ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
+        first, size = first_of_rank(system.comm, int(ends[-1]))
+        # G' with this rank's rows of G as columns, then with those of all
+        own = (interface.matrix @ _packed_kernels(interface, kernels, ends)).tocsr()
+        everyone = _with_neighbours(constraints, own, first, size)
+        equality = constraints.equality
+        rows = (own.T.tocsr()[:, equality] @ everyone[equality]).tocsr()
+        theirs = np.setdiff1d(everyone.indices, first + np.arange(ends[-1]))
+        layout = CoarseLayout.build(
+            system.comm,
+            int(ends[-1]),
+            theirs.astype(np.int64),
+            solver == "distributed"
+            or (solver == "auto" and distribution_pays(system.comm.size, size)),
+            package,
+        )
+        return CoarseSpace(
+            interface,
+            kernels,
+            ends,
+            layout,
+            everyone.T.tocsr()[theirs],
+            everyone[constraints.inequality].T.tocsr(),
+            layout.rows(rows),
+            body_motions(system, kernels, constraints, everyone),
+            constraints,
+        )
+
+    @property
+    def size(self) -> int:
+        """Number of coarse unknowns of all ranks."""
+        return self.layout.size
+
+    @property
+    def comm(self) -> MPI.Intracomm:
+        """The ranks."""
+        return self.constraints.multipliers.comm
+
+    def restrict(self, x: Vector) -> Vector:
+        """Return Gx for the coarse unknowns of all ranks; one gathering."""
+        return self.layout.gather(self.restrict_own(x))
+
+    def restrict_own(self, x: Vector) -> Vector:
+        """Return Gx for this rank's coarse unknowns."""
+        packed = self.interface.blocks(self.interface.transposed @ x)
+        part = np.empty(int(self.ends[-1]))
+        for congruent, local, rows in zip(
+            self.interface.classes, self.interface.unknowns, packed, strict=True
+        ):
+            part[self._places(congruent)] = rows @ self.kernels[congruent.first][local]
+        return part
+
+    def prolong(self, coarse: Vector) -> Vector:
+        """Return G'a for a coarse vector of all ranks; one neighbour exchange."""
+        return self.constraints.multipliers.sum(self.prolong_own(self.own_part(coarse)))
+
+    def prolong_own(self, own: Vector) -> Vector:
+        """Return what this rank's coarse unknowns add to G'a."""
+        blocks = [
+            own[self._places(congruent)] @ self.kernels[congruent.first][local].T
+            for congruent, local in zip(
+                self.interface.classes, self.interface.unknowns, strict=True
+            )
+        ]
+        part: Vector = self.interface.matrix @ self.interface.pack(blocks)
+        return part
+
+    def work(self, forces: Vector) -> Vector:
+        """Return R'f for the coarse unknowns of all ranks; one gathering."""
+        part = np.empty(int(self.ends[-1]))
+        for congruent in self.interface.classes:
+            part[self._places(congruent)] = congruent.rows(forces) @ self.kernels[congruent.first]
+        return self.layout.gather(part)
+
+    def motion(self, coarse: Vector) -> Vector:
+        """Return R a on this rank's torn unknowns for a coarse vector of all ranks."""
+        own = self.own_part(coarse)
+        displacement = np.empty(self.constraints.matrix.shape[1])
+        for congruent in self.interface.classes:
+            rows = own[self._places(congruent)] @ self.kernels[congruent.first].T
+            congruent.put(displacement, rows)
+        return displacement
+
+    def own_part(self, coarse: Vector) -> Vector:
+        """Return this rank's part of a coarse vector."""
+        return coarse[self.layout.mine]
+
+    def _places(self, congruent: CongruenceClass) -> Numbers:
+        modes = self.kernels[congruent.first].shape[1]
+        places: Numbers = self.ends[congruent.members][:, None] + np.arange(modes)
+        return places
+
+    def unresisted(self, active: Mask) -> Vector:
+        """Return the rigid motions of bodies that the equality and some contact rows do not resist.
+
+        Parameters
+        ----------
+        active : (i,) bool array
+            The contact rows.
+
+        Returns
+        -------
+        (coarse, k) array
+            Orthonormal basis of the kernel of these rows' G'.
+        """
+        chosen = np.flatnonzero(active[: self.constraints.owned_inequalities])
+        resisted = self.bodies.contact[:, chosen]
+        sum_over_ranks = self.constraints.multipliers.space.sum_over_ranks
+        gram = sum_over_ranks((resisted @ resisted.T).toarray()) + self.bodies.held
+        resistance, motions = np.linalg.eigh(gram)
+        free: Vector = self.bodies.basis @ motions[:, resistance <= _UNRESISTED]
+        return np.linalg.qr(free)[0]
+
+
+def _packed_kernels(
+    interface: Interface, kernels: Sequence[Vector], ends: Numbers
+) -> sp.csr_matrix:
+    """Return R on the packed interface unknowns, a column for each own coarse unknown."""
+    data, columns, counts = [np.zeros(0)], [np.zeros(0, dtype=np.int32)], [np.zeros(0, dtype=int)]
+    for congruent, local in zip(interface.classes, interface.unknowns, strict=True):
+        R = kernels[congruent.first][local]
+        k = congruent.members.size
+        places = ends[congruent.members][:, None, None] + np.arange(R.shape[1])
+        data.append(np.tile(R.ravel(), k))
+        columns.append(np.broadcast_to(places, (k, *R.shape)).ravel().astype(np.int32))
+        counts.append(np.full(k * local.size, R.shape[1]))
+    indptr = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
+    return sp.csr_matrix(
+        (np.concatenate(data), np.concatenate(columns), indptr),
+        shape=(interface.columns.size, int(ends[-1])),
+    )
+
+
+def _with_neighbours(
+    constraints: Constraints, own: sp.csr_matrix, first: int, size: int
+) -> sp.csr_matrix:
+    """Return G' with the columns of all ranks, in the rows (of G') that this rank holds."""
+    if constraints.multipliers.comm.size == 1:
+        return own
+    coo = own.tocoo()
+    columns, rows = coo.col.astype(np.int64) + first, coo.row.astype(np.int64)
+    theirs = constraints.multipliers.shared_entries(columns, rows, coo.data)
+    return sp.csr_matrix(
+        (
+            np.concatenate([coo.data, theirs[2]]),
+            (np.concatenate([rows, theirs[1]]), np.concatenate([columns, theirs[0]])),
+        ),
+        shape=(own.shape[0], size),
+    )

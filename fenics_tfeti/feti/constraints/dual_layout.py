@@ -1,0 +1,165 @@
+"""The layout of the dual vectors over the ranks: exchange with neighbours, inner products.
+
+The sum over the holders of a component is the one exchange with neighbours of a product with F;
+the space reduces inner products. Both work on buffers, without pickling.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.parallel import Directory
+from fenics_tfeti.qp import Space
+
+__all__ = ["DualLayout"]
+
+Keys = NDArray[np.int64]
+Vector = NDArray[np.float64]
+Array = NDArray[Any]
+
+
+class DualLayout:
+    """A distributed vector: each rank holds the components it needs, some shared with others.
+
+    The components that a rank owns (of which it is the lowest holder) come first, then the others,
+    both by ascending global number. Holders of a component keep bitwise equal values.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks.
+    numbers : (m,) integer array
+        The distinct global numbers that this rank holds.
+
+    Attributes
+    ----------
+    numbers : (m,) integer array
+        The global numbers in local order.
+    owned : int
+        Number of owned components.
+    size : int
+        Number of components over all ranks.
+    space : Space
+        The inner product.
+    """
+
+    def __init__(self, comm: MPI.Intracomm, numbers: Keys) -> None:
+        self.comm = comm
+        numbers = np.sort(numbers)
+        keys, ranks = Directory(comm, numbers).forward(
+            numbers, np.full(numbers.size, comm.rank, dtype=np.int64)
+        )
+        owner = np.full(numbers.size, comm.size, dtype=np.int64)
+        np.minimum.at(owner, np.searchsorted(numbers, keys), ranks)
+        order = np.argsort(owner != comm.rank, kind="stable")
+        self.numbers: Keys = numbers[order]
+        self.owned = int(np.count_nonzero(owner == comm.rank))
+        self.size: int = comm.allreduce(self.owned)
+        self._sorted, self._order = numbers, order
+        self._neighbours = {
+            int(rank): self.local(np.sort(keys[ranks == rank]))
+            for rank in np.unique(ranks[ranks != comm.rank])
+        }
+        self._shared = np.unique(
+            np.concatenate([np.zeros(0, dtype=np.int64), *self._neighbours.values()])
+        )
+        self.space = Space(self.owned, self._sum_over_ranks, self._sum_and_min_over_ranks)
+
+    def local(self, numbers: Keys) -> Keys:
+        """Return the local positions of global numbers that this rank holds."""
+        inverse = np.empty(self._order.size, dtype=np.int64)
+        inverse[self._order] = np.arange(self._order.size)
+        positions: Keys = inverse[np.searchsorted(self._sorted, numbers)]
+        return positions
+
+    def sum(self, part: Vector) -> Vector:
+        """Add up the holders' parts of each component; one exchange with the neighbours.
+
+        Parameters
+        ----------
+        part : (m,) or (m, k) array
+            This rank's part of one vector, or of several.
+        """
+        if self.comm.size == 1:
+            return part
+        shape = part.shape[1:]
+        received = {rank: np.empty((at.size, *shape)) for rank, at in self._neighbours.items()}
+        requests = [self.comm.Irecv(buffer, source=rank) for rank, buffer in received.items()]
+        requests += [
+            self.comm.Isend(np.ascontiguousarray(part[at]), dest=rank)
+            for rank, at in self._neighbours.items()
+        ]
+        MPI.Request.Waitall(requests)
+        total = part.copy()
+        total[self._shared] = 0.0
+        # in the order of ranks on every holder: equal bits, hence equal decisions at the bounds
+        for rank in sorted([*received, self.comm.rank]):
+            if rank == self.comm.rank:
+                total[self._shared] += part[self._shared]
+            else:
+                total[self._neighbours[rank]] += received[rank]
+        return total
+
+    def owned_part(self, x: Vector) -> Vector:
+        """Return the owned components of x, zeros for the others: parts of which x is the sum."""
+        part = np.zeros_like(x)
+        part[: self.owned] = x[: self.owned]
+        return part
+
+    def shared_entries(self, rows: Keys, columns: Keys, values: Vector) -> tuple[Array, ...]:
+        """Send entries of a matrix in shared columns to the columns' other holders.
+
+        Parameters
+        ----------
+        rows : (e,) integer array
+            Global row numbers.
+        columns : (e,) integer array
+            Local positions of the columns.
+        values : (e,) array
+            The entries.
+
+        Returns
+        -------
+        rows, columns, values : arrays
+            What the neighbours sent, columns as local positions on this rank.
+        """
+        messages: list[tuple[Array, ...]] = [
+            (rows[:0], columns[:0], values[:0]) for _ in range(self.comm.size)
+        ]
+        for rank, at in self._neighbours.items():
+            chosen = np.isin(columns, at)
+            messages[rank] = (rows[chosen], self.numbers[columns[chosen]], values[chosen])
+        arrived = [np.concatenate(c) for c in zip(*self.comm.alltoall(messages), strict=True)]
+        return arrived[0], self.local(arrived[1]), arrived[2]
+
+    def _sum_over_ranks(self, partial: Vector) -> Vector:
+        if self.comm.size == 1:
+            return partial
+        total = np.empty_like(partial)
+        self.comm.Allreduce(partial, total)
+        return total
+
+    def _sum_and_min_over_ranks(self, partial: Vector) -> Vector:
+        if self.comm.size == 1:
+            return partial
+        total = np.empty_like(partial)
+        # one item of a type of its own, or else MPI may reduce the numbers in pieces
+        kind = MPI.DOUBLE.Create_contiguous(partial.size).Commit()
+        self.comm.Allreduce([partial, 1, kind], [total, 1, kind], _SUM_AND_MIN)
+        kind.Free()
+        return total
+
+
+def _sum_and_min(some: Any, others: Any, kind: MPI.Datatype) -> None:
+    """Add up all numbers of two buffers but the last ones, of which the smaller stays."""
+    x, y = np.frombuffer(some), np.frombuffer(others)
+    y[:-1] += x[:-1]
+    y[-1] = min(x[-1], y[-1])
+
+
+_SUM_AND_MIN = MPI.Op.Create(_sum_and_min, commute=True)

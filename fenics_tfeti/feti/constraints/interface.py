@@ -1,0 +1,87 @@
+"""The interface: the torn unknowns that B acts on, packed by classes of congruent subdomains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.local.congruence import CongruenceClass
+
+__all__ = ["Interface"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Interface:
+    """The torn unknowns that B acts on, packed: class by class, subdomain by subdomain.
+
+    Attributes
+    ----------
+    classes : sequence of CongruenceClass
+        The classes.
+    unknowns : list of integer arrays
+        For each class the unknowns of a subdomain on which B has an entry, for any member.
+    columns : (b,) integer array
+        The torn unknown of each packed one.
+    matrix : (m, b) scipy.sparse.csr_matrix
+        The columns of B.
+    transposed : (b, m) scipy.sparse.csr_matrix
+        The same by rows of B': a product that gathers moves less memory than one that scatters.
+    """
+
+    classes: Sequence[CongruenceClass]
+    unknowns: list[Numbers]
+    columns: Numbers
+    matrix: sp.csr_matrix
+    transposed: sp.csr_matrix
+
+    @staticmethod
+    def build(matrix: sp.csr_matrix, classes: Sequence[CongruenceClass]) -> Interface:
+        """Pack the columns of B, a (m, n) matrix of all torn unknowns."""
+        touched = np.zeros(matrix.shape[1], dtype=bool)
+        touched[matrix.indices] = True
+        unknowns = [np.flatnonzero(c.rows(touched).any(axis=0)) for c in classes]
+        columns = np.concatenate(
+            [
+                np.zeros(0, dtype=np.int64),
+                *(
+                    (c.starts[:, None] + local).ravel()
+                    for c, local in zip(classes, unknowns, strict=True)
+                ),
+            ]
+        )
+        place = np.zeros(matrix.shape[1], dtype=matrix.indices.dtype)
+        place[columns] = np.arange(columns.size, dtype=place.dtype)
+        packed = sp.csr_matrix(
+            (matrix.data, place[matrix.indices], matrix.indptr),
+            shape=(matrix.shape[0], columns.size),
+        )
+        return Interface(classes, unknowns, columns, packed, packed.T.tocsr())
+
+    def blocks(self, packed: Vector) -> list[Vector]:
+        """Return a packed vector as matrices (k, interface unknowns), one for each class."""
+        sizes = [c.members.size * u.size for c, u in zip(self.classes, self.unknowns, strict=True)]
+        parts = np.split(packed, np.cumsum(sizes)[:-1]) if sizes else []
+        return [
+            part.reshape(c.members.size, u.size)
+            for part, c, u in zip(parts, self.classes, self.unknowns, strict=True)
+        ]
+
+    def apply(self, operators: Sequence[Callable[[Vector], Vector]], packed: Vector) -> Vector:
+        """Apply an operator (k, b) -> (k, b) to each class' block of a packed vector."""
+        return self.pack(
+            [op(block) for op, block in zip(operators, self.blocks(packed), strict=True)]
+        )
+
+    def pack(self, blocks: Sequence[Vector]) -> Vector:
+        """Return the matrices (k, interface unknowns) of the classes as a packed vector."""
+        if len(blocks) == 1:
+            return blocks[0].ravel()
+        none = np.zeros(0)
+        return np.concatenate([none, *(block.ravel() for block in blocks)])

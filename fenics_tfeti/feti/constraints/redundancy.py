@@ -1,0 +1,193 @@
+"""Contact conditions that repeat, exclude or depend on others (corners, edges, several contacts).
+
+Each condition of one node in several contacts is a row of its own. They need not be orthogonal, but
+a row that says what a stricter one says already would leave the dual problem without a unique
+solution for no gain, so it is dropped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
+
+__all__ = ["ContactConditions", "Redundancy", "find_redundant"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# rows of unit length whose product is this close to 1 are one row, to -1 opposite ones
+_PARALLEL = 1e-12
+# eigenvalue of the rows' Gram matrix that counts as zero
+_DEPENDENT = 1e-12
+# relative to the gaps: opposite conditions that leave no room by more than this exclude each other
+_NO_ROOM = 1e-9
+
+
+@dataclass(frozen=True)
+class ContactConditions:
+    """The contact rows that this rank gives.
+
+    Attributes
+    ----------
+    sides : sequence of (nodes (k,), coefficients (k, gdim), weight (k,))
+        Of slave and master: global nodes (-1 for none), what multiplies their displacements, and
+        the sum of the weights of their copies.
+    scale : (k,) array
+        Factor that makes the rows B D^{-1} B' = 1.
+    gap : (k,) array
+        Right-hand sides before scaling [m].
+    kept : (k,) bool array
+        Rows to look at.
+    """
+
+    sides: Sequence[tuple[Numbers, Vector, Vector]]
+    scale: Vector
+    gap: Vector
+    kept: Mask
+
+
+@dataclass(frozen=True)
+class Redundancy:
+    """What was found.
+
+    Attributes
+    ----------
+    dropped : (k,) bool array
+        Rows of this rank that a parallel row with the same or a smaller gap implies.
+    dropped_total : int
+        Their number over all ranks.
+    dependent : int
+        How many of the other rows depend linearly on the rest, over all ranks.
+    """
+
+    dropped: Mask
+    dropped_total: int
+    dependent: int
+
+
+def find_redundant(
+    conditions: ContactConditions, directory: Directory, comm: MPI.Intracomm
+) -> Redundancy:
+    """Find contact rows that other contact rows imply.
+
+    Rows that share a node are gathered on all ranks: their number grows with the edges between
+    contact surfaces, not with the surfaces.
+
+    Parameters
+    ----------
+    conditions : ContactConditions
+        This rank's rows.
+    directory : Directory
+        Of the nodes.
+    comm : MPI.Intracomm
+        The ranks.
+
+    Returns
+    -------
+    Redundancy
+        Rows to drop, and how many depend on others.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if two opposite conditions exclude each other.
+    """
+    number = first_of_rank(comm, conditions.gap.size)[0] + np.arange(conditions.gap.size)
+    entries = [_entries(conditions, side, number) for side in conditions.sides]
+    node, row, values = (np.concatenate(column) for column in zip(*entries, strict=True))
+
+    several = _in_several_rows(directory, node, row)
+    chosen = np.isin(number, row[several])
+    numbers = concatenate_ranks(comm, number[chosen])
+    rhs = concatenate_ranks(comm, (conditions.scale * conditions.gap)[chosen])
+    taken = np.isin(row, number[chosen])
+    columns = [concatenate_ranks(comm, column[taken]) for column in (node, row, values)]
+    dropped, dependent = _examine(numbers, rhs, *columns)
+    return Redundancy(np.isin(number, dropped), dropped.size, dependent)
+
+
+def _entries(
+    conditions: ContactConditions, side: tuple[Numbers, Vector, Vector], number: Numbers
+) -> tuple[Numbers, Numbers, Vector]:
+    """Return (node, row, unit-row coefficients) of one side."""
+    nodes, coefficients, weight = side
+    unit = coefficients * (conditions.scale / np.sqrt(weight))[:, None]
+    there = conditions.kept & np.any(coefficients != 0.0, axis=1)
+    return nodes[there], number[there], unit[there]
+
+
+def _in_several_rows(directory: Directory, node: Numbers, row: Numbers) -> Mask:
+    """Return which entries are at nodes that several rows, of any rank, act on."""
+    count = np.zeros(directory.keys.size, dtype=np.int64)
+    keys = directory.collect(node, row)[0]
+    np.add.at(count, directory.position(keys), 1)
+    several: Mask = directory.lookup(node, count)[1] > 1
+    return several
+
+
+def _examine(
+    numbers: Numbers, rhs: Vector, node: Numbers, row: Numbers, values: Vector
+) -> tuple[Numbers, int]:
+    """Return the numbers of the rows to drop, and how many of the others are dependent."""
+    if numbers.size == 0:
+        return numbers, 0
+    gdim = values.shape[1]
+    order = np.argsort(numbers)
+    numbers, rhs = numbers[order], rhs[order]
+    column = np.unique(node, return_inverse=True)[1].ravel()
+    rows = np.repeat(np.searchsorted(numbers, row), gdim)
+    columns = (gdim * column[:, None] + np.arange(gdim)).ravel()
+    C = sp.csr_matrix(
+        (values.ravel(), (rows, columns)), shape=(numbers.size, int(columns.max()) + 1)
+    )
+    gram = (C @ C.T).tocoo()
+    _check_room(numbers, rhs, gram, node, row)
+
+    same = gram.data > 1.0 - _PARALLEL
+    alike = sp.coo_matrix((gram.data[same], (gram.row[same], gram.col[same])), shape=gram.shape)
+    group = connected_components(alike, directed=False)[1]
+    # the smallest right-hand side of each group stays, the first of equal ones
+    order = np.lexsort((np.arange(rhs.size), rhs, group))
+    stays = order[np.unique(group[order], return_index=True)[1]]
+    return np.delete(numbers, stays), _dependent(gram.tocsr()[stays][:, stays])
+
+
+def _check_room(
+    numbers: Numbers, rhs: Vector, gram: sp.coo_matrix, node: Numbers, row: Numbers
+) -> None:
+    """Check that opposite conditions leave room; the data are the same on all ranks."""
+    opposite = gram.data < -(1.0 - _PARALLEL)
+    i, j = gram.row[opposite], gram.col[opposite]
+    excluded = np.flatnonzero(rhs[i] + rhs[j] < -_NO_ROOM * np.abs(rhs).max(initial=0.0))
+    if excluded.size:
+        first = node[row == numbers[i[excluded[0]]]].tolist()
+        raise InputError(
+            f"{excluded.size // 2} pairs of contact conditions exclude each other: they press on "
+            f"the same nodes from opposite sides and leave no room, the first at the nodes {first} "
+            f"(global numbers). Make more room between the contacts, or remove one of them"
+        )
+
+
+def _dependent(gram: sp.csr_matrix) -> int:
+    """Return the rank deficiency of a block diagonal Gram matrix."""
+    blocks, block = connected_components(gram, directed=False)
+    sizes = np.bincount(block, minlength=blocks)
+    order = np.argsort(block, kind="stable")
+    ends = np.cumsum(sizes)
+    deficiency = 0
+    for b in np.flatnonzero(sizes > 1):
+        members = order[ends[b] - sizes[b] : ends[b]]
+        dense = gram[members][:, members].toarray()
+        deficiency += int(np.count_nonzero(np.linalg.eigvalsh(dense) <= _DEPENDENT))
+    return deficiency

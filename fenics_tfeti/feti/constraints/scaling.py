@@ -1,0 +1,86 @@
+"""Weights of the copies of a node: the D in B D^{-1} B' = I (sec. 11.12, scaling).
+
+With D of stiffnesses the dual problem keeps its bounds, as each row is multiplied by a positive
+number and only gluing rows are combined; F becomes B K^+ B' with K measured against D, so a
+material that is a thousand times softer than its neighbour no longer dominates F. The
+preconditioner of (11.36) with its scaling B_D = (B D^{-1} B')^{-1} B D^{-1} is B_D = B D^{-1}.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.errors import FactorizationError
+from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.parallel import raise_collectively
+
+__all__ = ["Scaling", "node_weights", "stiffness_of_weight"]
+
+Scaling = Literal["multiplicity", "stiffness"]
+Vector = NDArray[np.float64]
+
+
+def node_weights(system: TornSystem, scaling: Scaling) -> Vector:
+    """Return a weight for each copy of a node.
+
+    Parameters
+    ----------
+    system : TornSystem
+        The subdomains.
+    scaling : {"multiplicity", "stiffness"}
+        Weights of 1, or the mean of the diagonal of K_i over the components of the node, relative
+        to the largest over all ranks.
+
+    Returns
+    -------
+    (torn nodes of this rank,) array
+        Positive, at most 1.
+
+    Raises
+    ------
+    FactorizationError
+        If a diagonal is not positive.
+    """
+    if scaling == "multiplicity":
+        return np.ones(sum(subdomain.nodes.size for subdomain in system.subdomains))
+    stiffness = _diagonals(system)
+    with raise_collectively(system.comm):
+        _check_positive(system, stiffness)
+    weights: Vector = stiffness / _largest(system, stiffness)
+    return weights
+
+
+def stiffness_of_weight(system: TornSystem, scaling: Scaling) -> float:
+    """Return the stiffness that a weight of 1 stands for [N/m]; the mean one for multiplicity."""
+    stiffness = _diagonals(system)
+    if scaling == "stiffness":
+        return _largest(system, stiffness)
+    total, count = system.comm.allreduce(np.array([stiffness.sum(), stiffness.size]))
+    return float(total / count)
+
+
+def _diagonals(system: TornSystem) -> Vector:
+    """Return the mean diagonal of K_i at each copy of a node."""
+    diagonals = [s.stiffness.diagonal().reshape(-1, system.gdim) for s in system.subdomains]
+    mean: Vector = np.concatenate([np.zeros((0, system.gdim)), *diagonals]).mean(axis=1)
+    return mean
+
+
+def _largest(system: TornSystem, stiffness: Vector) -> float:
+    return float(system.comm.allreduce(float(stiffness.max(initial=0.0)), MPI.MAX))
+
+
+def _check_positive(system: TornSystem, stiffness: Vector) -> None:
+    bad = np.flatnonzero(~(stiffness > 0.0))
+    if bad.size:
+        ends = np.cumsum([subdomain.nodes.size for subdomain in system.subdomains])
+        subdomain = system.subdomains[int(np.searchsorted(ends, bad[0], side="right"))]
+        raise FactorizationError(
+            f"the diagonal of the stiffness is not positive at {bad.size} nodes, first in "
+            f"{system.body_name(subdomain.body)}: is the form elasticity with positive moduli?"
+        )

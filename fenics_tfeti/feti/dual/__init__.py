@@ -1,0 +1,1 @@
+"""The dual problem: its operator F, preconditioners, PCPG on a face, the active set method."""

@@ -1,0 +1,213 @@
+"""The dual operator F = BK^+B', its load d, and the norm of PFP (11.31), (11.36)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.interface import Interface
+from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.local.congruence import apply_by_class
+from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
+from fenics_tfeti.qp import lanczos_upper_bound
+
+__all__ = [
+    "DualOperator",
+    "DualOperatorKind",
+    "norm_of_projected",
+    "seeded_vector",
+]
+
+Vector = NDArray[np.float64]
+DualOperatorKind = Literal["auto", "implicit", "explicit"]
+
+# right-hand sides at once for the explicit matrix
+_COLUMNS = 512
+# by how much several right-hand sides make a triangular solve and a dense product cheaper, measured
+_SHARING_OF_SOLVES = 3
+_SHARING_OF_PRODUCTS = 8
+# products of a typical solve
+_PRODUCTS = 50
+
+
+@dataclass(frozen=True)
+class DualOperator:
+    """F and what else K^+ is needed for, on this rank's subdomains.
+
+    Attributes
+    ----------
+    constraints : Constraints
+        B, c.
+    interface : Interface
+        B on the unknowns that it acts on, and the classes of congruent subdomains.
+    inverses : sequence of GeneralizedInverse
+        K_i^+ of each class.
+    on_interface : sequence of callable
+        The part of K_i^+ between interface unknowns of each class, (k, b) -> (k, b).
+    explicit : int
+        Classes with a dense matrix.
+    """
+
+    constraints: Constraints
+    interface: Interface
+    inverses: Sequence[GeneralizedInverse]
+    on_interface: Sequence[Callable[[Vector], Vector]]
+    explicit: int
+
+    @staticmethod
+    def build(
+        constraints: Constraints,
+        interface: Interface,
+        inverses: Sequence[GeneralizedInverse],
+        kind: DualOperatorKind = "auto",
+    ) -> DualOperator:
+        """Make the operator, with explicit matrices or solves as asked for.
+
+        Parameters
+        ----------
+        constraints : Constraints
+            B, c.
+        interface : Interface
+            Its packed columns.
+        inverses : sequence of GeneralizedInverse
+            K_i^+ of each class.
+        kind : {"auto", "implicit", "explicit"}
+            Sparse solves, or a dense matrix for each class; auto counts bytes.
+        """
+        on_interface, explicit = [], 0
+        for inverse, local, congruent in zip(
+            inverses, interface.unknowns, interface.classes, strict=True
+        ):
+            pays = kind == "auto" and _explicit_pays(inverse, local.size, congruent.members.size)
+            dense = kind == "explicit" or pays
+            explicit += dense
+            on_interface.append(
+                _explicit(inverse, local) if dense else _implicit(inverse, local, congruent.size)
+            )
+        return DualOperator(constraints, interface, inverses, on_interface, explicit)
+
+    def __call__(self, multipliers: Vector) -> Vector:
+        """Return F lambda; one neighbour exchange."""
+        return self.constraints.multipliers.sum(self.part(multipliers))
+
+    def part(self, multipliers: Vector) -> Vector:
+        """Return what this rank's subdomains add to F lambda: a solve or product for each class."""
+        interface = self.interface
+        jumps: Vector = interface.matrix @ interface.apply(
+            self.on_interface, interface.transposed @ multipliers
+        )
+        return jumps
+
+    def constraint_forces(self, multipliers: Vector) -> Vector:
+        """Return B'lambda on this rank's torn unknowns."""
+        forces = np.zeros(self.constraints.matrix.shape[1])
+        forces[self.interface.columns] = self.interface.transposed @ multipliers
+        return forces
+
+    def jumps(self, displacement: Vector) -> Vector:
+        """Return Bu of a torn displacement; one neighbour exchange."""
+        part = self.interface.matrix @ displacement[self.interface.columns]
+        return self.constraints.multipliers.sum(part)
+
+    def generalized_inverse(self, forces: Vector) -> Vector:
+        """Return K^+ forces for torn forces."""
+        operators = [partial(_solve_rows, inverse) for inverse in self.inverses]
+        return apply_by_class(self.interface.classes, operators, forces)
+
+    def load(self, forces: Vector) -> Vector:
+        """Return d = BK^+f - c."""
+        return self.jumps(self.generalized_inverse(forces)) - self.constraints.rhs
+
+
+def _solve_rows(inverse: GeneralizedInverse, rows: Vector) -> Vector:
+    """Apply K^+ to the rows of a matrix, without those that vanish."""
+    result = np.zeros_like(rows)
+    loaded = np.flatnonzero(rows.any(axis=1))
+    if loaded.size == 1:
+        result[loaded[0]] = inverse.solve(rows[loaded[0]])
+    elif loaded.size:
+        result[loaded] = inverse.solve(rows[loaded].T).T
+    return result
+
+
+def _implicit(
+    inverse: GeneralizedInverse, local: NDArray[np.int64], size: int
+) -> Callable[[Vector], Vector]:
+    def solve(rows: Vector) -> Vector:
+        forces = np.zeros((len(rows), size))
+        forces[:, local] = rows
+        return _solve_rows(inverse, forces)[:, local]
+
+    return solve
+
+
+def _explicit(inverse: GeneralizedInverse, local: NDArray[np.int64]) -> Callable[[Vector], Vector]:
+    """Return the part of K^+ between interface unknowns as a dense matrix, to be applied."""
+    matrix = np.empty((local.size, local.size))
+    for start in range(0, local.size, _COLUMNS):
+        some = local[start : start + _COLUMNS]
+        unit = np.zeros((inverse.size, some.size), order="F")
+        unit[some, np.arange(some.size)] = 1.0
+        matrix[:, start : start + some.size] = inverse.solve(unit)[local]
+    # symmetric but for rounding
+    return lambda rows: rows @ matrix
+
+
+def _explicit_pays(inverse: GeneralizedInverse, interface: int, members: int) -> bool:
+    """Count the bytes that all products of a solve move, with solves and with a dense matrix.
+
+    A solve reads the factor (value and index) twice, but several right-hand sides share that; so
+    they do with a dense matrix which also has to be computed first.
+    """
+    solve = 24.0 * inverse.entries / min(members, _SHARING_OF_SOLVES)
+    product = 8.0 * interface**2 / min(members, _SHARING_OF_PRODUCTS)
+    set_up = interface * 24.0 * inverse.entries / _SHARING_OF_SOLVES
+    return set_up + _PRODUCTS * members * product < _PRODUCTS * members * solve
+
+
+def seeded_vector(numbers: NDArray[np.int64], seed: int) -> Vector:
+    """Return pseudo-random components in (-1, 1) that depend on global numbers and seed only.
+
+    All holders of a component get the same value, on any number of ranks, without communication.
+    The mixing function is that of splitmix64.
+    """
+    z = numbers.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(seed)
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+        z = (z ^ (z >> np.uint64(shift))) * np.uint64(factor)
+    z ^= z >> np.uint64(31)
+    values: Vector = z / 2.0**63 - 1.0
+    return values
+
+
+def norm_of_projected(F: DualOperator, projector: Projector, steps: int, seed: int) -> float:
+    """Bound ||PFP|| from above by the Lanczos method.
+
+    Parameters
+    ----------
+    F : DualOperator
+        The operator.
+    projector : Projector
+        P.
+    steps : int
+        Products with F to spend.
+    seed : int
+        Seed of the start vector.
+
+    Returns
+    -------
+    float
+        An upper bound, close to the norm [m/N].
+    """
+    multipliers = F.constraints.multipliers
+    return lanczos_upper_bound(
+        lambda x: projector.complement_of_sum(F.part(x), x)[0],
+        projector.complement(seeded_vector(multipliers.numbers, seed)),
+        steps,
+        multipliers.space,
+    )

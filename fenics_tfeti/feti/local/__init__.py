@@ -1,0 +1,1 @@
+"""Operators of one subdomain: rigid body modes, fixing nodes, generalized inverse, factors."""

@@ -1,0 +1,104 @@
+"""The generalized inverse K_i^+ of a floating subdomain (sec. 11.7)."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fenics_tfeti.errors import FactorizationError, format_point
+from fenics_tfeti.feti.local.cholesky import SparseCholesky
+from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes
+from fenics_tfeti.feti.system import Subdomain
+
+__all__ = ["GeneralizedInverse", "regularized_stiffness"]
+
+Vector = NDArray[np.float64]
+
+
+def regularized_stiffness(
+    stiffness: sp.csr_matrix, R: Vector, fixed: NDArray[np.int64]
+) -> sp.csr_matrix:
+    """Return K + rho Q with Q = R_F (R_F'R_F)^{-1} R_F' on the fixed unknowns, rho = max diag K.
+
+    Its inverse is the K^+ of (11.34) with S^+ = (S + rho Q)^{-1}: block elimination of the
+    remaining unknowns gives the Schur complement S + rho Q, and the rest of (11.34) is the rest of
+    the elimination.
+
+    Parameters
+    ----------
+    stiffness : (n, n) scipy.sparse.csr_matrix
+        K.
+    R : (n, k) array
+        Basis of its kernel.
+    fixed : (s,) integer array
+        F, the unknowns of the fixing nodes.
+
+    Returns
+    -------
+    (n, n) scipy.sparse.csr_matrix
+        Symmetric positive definite.
+    """
+    if R.shape[1] == 0:
+        return stiffness
+    basis = np.linalg.qr(R[fixed])[0]
+    rho = stiffness.diagonal().max()
+    s = fixed.size
+    Q = sp.csr_matrix(
+        (rho * (basis @ basis.T).ravel(), (np.repeat(fixed, s), np.tile(fixed, s))),
+        shape=stiffness.shape,
+    )
+    return (stiffness + Q).tocsr()
+
+
+class GeneralizedInverse:
+    """K_i^+ with K K^+ K = K (11.28).
+
+    Parameters
+    ----------
+    subdomain : Subdomain
+        Stiffness and coordinates.
+    R : (n, k) array
+        Orthonormal basis of the kernel of K_i.
+    package : str
+        "cholmod" or "mumps".
+    number : int
+        M, the number of fixing nodes.
+
+    Raises
+    ------
+    FactorizationError
+        If K_i is not positive semidefinite or its kernel is not the one of its rigid body modes.
+    """
+
+    def __init__(
+        self,
+        subdomain: Subdomain,
+        R: Vector,
+        package: str,
+        number: int = 8,
+    ) -> None:
+        K, gdim = subdomain.stiffness, subdomain.coordinates.shape[1]
+        self.size = subdomain.size
+        try:
+            nodes = fixing_nodes(K, subdomain.coordinates, number)
+            fixed = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
+            self._factor = SparseCholesky(regularized_stiffness(K, R, fixed), package)
+        except FactorizationError as error:
+            place = format_point(
+                subdomain.coordinates.mean(axis=0), float(np.abs(subdomain.coordinates).max())
+            )
+            raise FactorizationError(
+                f"subdomain of body {subdomain.body} at {place}: "
+                f"{error}. Is the form elasticity with positive moduli, and each subdomain "
+                "connected through facets?"
+            ) from error
+
+    def solve(self, b: Vector) -> Vector:
+        """Apply K_i^+ to a vector (n,) or to the columns of a matrix (n, k)."""
+        return self._factor.solve(b)
+
+    @property
+    def entries(self) -> int:
+        """Entries of the factor."""
+        return self._factor.entries

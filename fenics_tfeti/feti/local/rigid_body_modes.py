@@ -1,0 +1,147 @@
+"""Rigid body modes R, the kernels of the subdomains' stiffness matrices (11.27)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.errors import format_point
+from fenics_tfeti.feti.system import Subdomain
+
+__all__ = ["describe_motion", "kernel", "rigid_body_modes"]
+
+Vector = NDArray[np.float64]
+
+# energy of a rigid mode, relative to the largest stiffness, below which K is singular for it
+ZERO_ENERGY = 1e-9
+
+
+def raw_modes(coordinates: Vector, origin: Vector) -> Vector:
+    """Return unit translations and rotations about an origin.
+
+    Parameters
+    ----------
+    coordinates : (nodes, gdim) array
+        [m].
+    origin : (gdim,) array
+        Centre of the rotations [m].
+
+    Returns
+    -------
+    (gdim * nodes, 3 or 6) array
+        Translations along the axes, then the rotation (2D), or those about x, y and z (3D).
+    """
+    nodes, gdim = coordinates.shape
+    x = coordinates - origin
+    rotations = 1 if gdim == 2 else 3
+    modes = np.zeros((nodes, gdim, gdim + rotations))
+    modes[:, np.arange(gdim), np.arange(gdim)] = 1.0
+    planes = [(0, 1)] if gdim == 2 else [(1, 2), (2, 0), (0, 1)]
+    for column, (i, j) in enumerate(planes, start=gdim):
+        modes[:, i, column] = -x[:, j]
+        modes[:, j, column] = x[:, i]
+    return modes.reshape(nodes * gdim, gdim + rotations)
+
+
+def rigid_body_modes(coordinates: Vector) -> Vector:
+    """Return an orthonormal basis of the rigid body modes of a set of nodes.
+
+    Parameters
+    ----------
+    coordinates : (nodes, gdim) array
+        [m].
+
+    Returns
+    -------
+    (gdim * nodes, 3 or 6) array
+        R with R'R = I.
+    """
+    centre = coordinates.mean(axis=0)
+    size = np.abs(coordinates - centre).max()
+    # in units of the subdomain's size, so translations and rotations are alike in magnitude
+    return np.linalg.qr(raw_modes((coordinates - centre) / size, np.zeros_like(centre)))[0]
+
+
+def kernel(subdomain: Subdomain) -> Vector:
+    """Return an orthonormal basis of the kernel of K_i: its rigid body modes without energy.
+
+    An elastic support (a term u.v ds in the form) takes some or all of them out of the kernel.
+
+    Parameters
+    ----------
+    subdomain : Subdomain
+        Stiffness and coordinates.
+
+    Returns
+    -------
+    (n, k) array
+        R_i with R_i'R_i = I, k <= 6 (3 in 2D).
+    """
+    R = rigid_body_modes(subdomain.coordinates)
+    KR = subdomain.stiffness @ R
+    threshold = ZERO_ENERGY * abs(subdomain.stiffness).max()
+    if np.abs(KR).max() <= threshold:
+        return R
+    energies, vectors = np.linalg.eigh(R.T @ KR)
+    free: Vector = R @ vectors[:, energies <= threshold]
+    return free
+
+
+def describe_motion(coordinates: Vector, displacement: Vector, either_way: bool = False) -> str:
+    """Say in words which rigid motion a displacement field is.
+
+    Parameters
+    ----------
+    coordinates : (nodes, gdim) array
+        [m].
+    displacement : (gdim * nodes,) array
+        A rigid motion of the nodes.
+    either_way : bool
+        Whether the opposite motion is meant as well: then the one whose first component is positive
+        is named.
+
+    Returns
+    -------
+    str
+        For instance "translation along (0, 0, 1)".
+    """
+    gdim = coordinates.shape[1]
+    centre = coordinates.mean(axis=0)
+    modes = raw_modes(coordinates, centre)
+    parts = np.linalg.lstsq(modes, displacement, rcond=None)[0]
+    if either_way:
+        parts = parts * np.sign(parts[np.abs(parts) > 1e-6 * np.abs(parts).max()][0])
+    translation, rotation = parts[:gdim], parts[gdim:]
+    size = np.abs(coordinates - centre).max()
+    whole = np.linalg.norm(np.append(translation, size * rotation))
+    words = []
+    turns = size * np.linalg.norm(rotation) > 1e-6 * whole
+    if turns:
+        pole, along = _pole(centre, translation, rotation)
+        # a rotation about a point farther than the body is wide looks like a translation
+        if (
+            np.linalg.norm(pole - centre)
+            <= 2.0 * np.linalg.norm(coordinates - centre, axis=1).max()
+        ):
+            centre, translation = pole, along
+    if np.linalg.norm(translation) > 1e-6 * whole:
+        words.append(f"translation along {_direction(translation)}")
+    if turns:
+        axis = "" if gdim == 2 else f" about the axis {_direction(rotation)}"
+        words.append(f"rotation{axis} through {format_point(centre, size)}")
+    return " with ".join(words)
+
+
+def _pole(centre: Vector, translation: Vector, rotation: Vector) -> tuple[Vector, Vector]:
+    """Return the point next to the centre that moves along the axis at most, and how it moves."""
+    if rotation.size == 1:
+        return centre + np.array([-translation[1], translation[0]]) / rotation, np.zeros(2)
+    square = rotation @ rotation
+    along = rotation * (rotation @ translation) / square
+    return centre + np.cross(rotation, translation) / square, along
+
+
+def _direction(vector: Vector) -> str:
+    unit = vector / np.linalg.norm(vector)
+    # 0.0 is added because of -0.0
+    return "(" + ", ".join(f"{v + 0.0:.3g}" for v in np.where(np.abs(unit) < 1e-6, 0.0, unit)) + ")"

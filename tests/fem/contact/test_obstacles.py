@@ -1,0 +1,129 @@
+"""Rigid obstacles: distances and normals against what they are by hand."""
+
+from __future__ import annotations
+
+import doctest
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scenes import GROUND, pressed_block
+
+from fenics_tfeti import Cylinder, Plane, RigidObstacle, Sphere
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact import obstacles
+from fenics_tfeti.fem.contact.contact import match_contact
+from fenics_tfeti.fem.contact.surfaces import MeshBoundary
+
+X = np.array([[3.0, 0.0], [4.0, -10.0], [0.0, 0.0]])
+
+
+def matched(obstacle, cell="quadrilateral", gap=0.0):
+    scene = pressed_block(MPI.COMM_SELF, cell, 2, gap=gap)
+    return match_contact(
+        MeshBoundary.of(scene.V), RigidObstacle(scene.facet_tags, GROUND, obstacle), 0
+    )
+
+
+def test_examples_of_the_docstrings():
+    failed, tried = doctest.testmod(obstacles)
+    assert (failed, tried > 5) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "gap", "normal"),
+    [
+        (Sphere((0, 0, 0), 2.0), [3.0, 8.0], [[0.6, 0.8, 0], [0, -1, 0]]),
+        (Sphere((0, 0), 2.0), [3.0, 8.0], [[0.6, 0.8], [0, -1]]),
+        (Sphere((0, 0, 0), 12.0, hollow=True), [7.0, 2.0], [[-0.6, -0.8, 0], [0, 1, 0]]),
+        (Cylinder((0, 0, 9), (0, 0, -3), 2.0), [3.0, 8.0], [[0.6, 0.8, 0], [0, -1, 0]]),
+        (
+            Cylinder((0, 0, 0), (0, 0, 1), 12.0, hollow=True),
+            [7.0, 2.0],
+            [[-0.6, -0.8, 0], [0, 1, 0]],
+        ),
+        (Plane((0, 1, 0), (0, 5, 0)), [3.0, -11.0], [[0, 1, 0], [0, 1, 0]]),
+    ],
+)
+def test_gap_and_normal(obstacle, gap, normal):
+    found = obstacle(X)
+    np.testing.assert_allclose(found[0], gap, rtol=1e-15)
+    np.testing.assert_allclose(found[1].T, normal, atol=1e-15)
+
+
+def test_cylinder_has_no_normal_on_its_axis():
+    with pytest.raises(InputError, match=r"\(3, 4, 0\) is on the axis"):
+        Cylinder((7, 4, 0), (2, 0, 0), 1.0)(X)
+
+
+@pytest.mark.parametrize("hollow", [False, True])
+def test_sphere_has_no_normal_at_its_centre(hollow):
+    with pytest.raises(InputError, match=r"\(3, 4, 0\) is at the centre"):
+        Sphere((3, 4, 0), 1.0, hollow)(X)
+
+
+@pytest.mark.parametrize("radius", [0.0, -1.0, np.nan, np.inf, "wide", None])
+@pytest.mark.parametrize("kind", ["sphere", "cylinder"])
+def test_radius_is_positive(kind, radius):
+    with pytest.raises(InputError, match=f"{kind}'s radius is .* positive number"):
+        Sphere((0, 0), radius) if kind == "sphere" else Cylinder((0, 0, 0), (0, 0, 1), radius)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Sphere((0, np.nan), 1.0), "sphere's centre"),
+        (lambda: Sphere(5.0, 1.0), "sphere's centre"),
+        (lambda: Sphere("origin", 1.0), "sphere's centre"),
+        (lambda: Cylinder((0, 0, 0), (0, 0, 0), 1.0), "cylinder's axis .* no direction"),
+        (lambda: Cylinder((0, 0, 0), (0, np.inf, 0), 1.0), "cylinder's axis"),
+        (lambda: Cylinder((0, 0), (0, 1), 1.0), "three coordinates .* Sphere"),
+        (lambda: Plane((0, 0, 0), (0, 0, 0)), "plane's normal .* no direction"),
+        (lambda: Plane((0, 0), (0, 0, 1)), "plane's point .* fewer coordinates"),
+        (lambda: Plane((0, np.nan), (0, 1)), "plane's point"),
+    ],
+)
+def test_data_that_make_no_obstacle(make, words):
+    with pytest.raises(InputError, match=words):
+        make()
+
+
+def test_gap_alone_is_along_the_own_normal():
+    contact = matched(lambda x: 0.25 + x[1])
+    np.testing.assert_allclose(contact.gap, 0.25, rtol=1e-15)
+    np.testing.assert_allclose(contact.normal, np.tile([0.0, -1.0], (3, 1)), atol=1e-15)
+
+
+def test_gap_alone_of_two_nodes_is_not_taken_for_gap_and_normal():
+    scene = pressed_block(MPI.COMM_SELF, "quadrilateral", 1)
+    contact = RigidObstacle(scene.facet_tags, GROUND, lambda x: [0.25 + 0 * y for y in x[1]])
+    np.testing.assert_allclose(match_contact(MeshBoundary.of(scene.V), contact, 0).gap, 0.25)
+
+
+@pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])
+def test_sphere_below_the_body(cell):
+    """The lowest point of the body is 0.5 above the top of the ball, in 2D of the disc."""
+    gdim = 3 if cell == "tetrahedron" else 2
+    centre = np.array([0.5, 0.5, -1.5] if gdim == 3 else [0.5, -1.5])
+    contact = matched(Sphere(centre, 1.0), cell)
+    offset = contact.coordinates[:, :gdim] - centre
+    distance = np.linalg.norm(offset, axis=1)
+    np.testing.assert_allclose(contact.gap, distance - 1.0, rtol=1e-14)
+    np.testing.assert_allclose(contact.normal, -offset / distance[:, None], atol=1e-15)
+    assert contact.pairing["smallest_gap"] == pytest.approx(0.5, rel=1e-14)
+    steepest = np.degrees(np.arccos(1.5 / distance.max()))
+    assert contact.pairing["largest_angle"] == pytest.approx(steepest, rel=1e-12)
+
+
+def test_pairing_of_an_obstacle():
+    assert matched(Plane((0, -0.5), (0, 1))).pairing == {
+        "contact": "contact 0 (obstacle)",
+        "pairs": 3,
+        "unmatched": 0,
+        "largest_distance": None,
+        "largest_relative_distance": None,
+        "largest_angle": 0.0,
+        "smallest_gap": 0.5,
+        "largest_gap": 0.5,
+    }

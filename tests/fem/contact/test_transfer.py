@@ -1,0 +1,149 @@
+"""Contact of a coarse mesh as the start on a fine one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import scenes
+from moved_blocks import CELLS, blocks, lifted
+
+from fenics_tfeti.fem.contact.contact import ContactResult, Plane, match_contact
+from fenics_tfeti.fem.contact.surfaces import MeshBoundary
+from fenics_tfeti.fem.contact.transfer import expected_contact, gather_solved
+
+every_cell = pytest.mark.parametrize("cell", CELLS)
+COMM = MPI.COMM_SELF
+
+
+def linear(x):
+    """A function that facets of any shape represent exactly."""
+    return 3.0 + 2.0 * x[:, 0] - x[:, 1]
+
+
+def result_of(matched, pressure):
+    return ContactResult(
+        matched.name,
+        matched.slave,
+        matched.coordinates,
+        matched.gap,
+        matched.normal,
+        pressure * matched.area,
+        pressure,
+        pressure > 0.0,
+    )
+
+
+def transferred(coarse, contact, fine_match, displacement, pressure=linear):
+    """Return what the fine mesh expects of the solution of a coarse one."""
+    matched = match_contact(MeshBoundary.of(coarse.space), contact, 0)
+    result = result_of(matched, pressure(matched.coordinates))
+    return expected_contact(gather_solved([contact], [matched], [result], displacement), fine_match)
+
+
+@every_cell
+def test_linear_pressure_is_transferred_exactly(cell):
+    coarse, fine = blocks(cell, n=2), blocks(cell, n=4)
+    matched = fine.matched(fine.pair)
+    guess = transferred(coarse, coarse.pair, [matched], coarse.displacement())
+    expected = linear(matched.coordinates) * matched.area
+    np.testing.assert_allclose(guess.normal_force, expected, rtol=1e-12)
+
+
+@every_cell
+def test_linear_approach_closes_the_gap_of_the_fine_mesh(cell):
+    """The slave goes down by 0.02 (1 + x), the master up by 0.01."""
+    coarse, fine = blocks(cell, n=2), blocks(cell, n=4)
+    matched = fine.matched(fine.pair)
+    moved = coarse.displacement(
+        lifted(lambda *x: 0.01 + 0.0 * x[0]), lifted(lambda *x: -0.02 * (1.0 + x[0]))
+    )
+    guess = transferred(coarse, coarse.pair, [matched], moved)
+    approach = 0.01 + 0.02 * (1.0 + matched.coordinates[:, 0])
+    np.testing.assert_allclose(guess.gap, matched.gap - approach, atol=1e-14)
+
+
+@every_cell
+def test_obstacle(cell):
+    coarse, fine = blocks(cell, n=2), blocks(cell, n=4)
+    up = np.eye(coarse.mesh.geometry.dim)[-1]
+    floor = Plane(-0.5 * up, up)
+    matched = fine.matched(fine.obstacle(floor))
+    moved = coarse.displacement(lifted(lambda *x: -0.1 * x[0]))
+    guess = transferred(coarse, coarse.obstacle(floor), [matched], moved)
+    np.testing.assert_allclose(guess.gap, 0.5 - 0.1 * matched.coordinates[:, 0], atol=1e-14)
+    np.testing.assert_allclose(guess.normal_force / matched.area, linear(matched.coordinates))
+
+
+@every_cell
+def test_nodes_without_partner_say_nothing(cell):
+    """A quarter of the coarse slave nodes have none: no pressure leaks in, gaps stay open."""
+    coarse, fine = blocks(cell, n=4), blocks(cell, n=8)
+    matched = coarse.matched(coarse.pair)
+    some = matched.coordinates[:, 0] < 1.8
+    part = replace(
+        matched,
+        slave=matched.slave[some],
+        master=matched.master[some],
+        normal=matched.normal[some],
+        coordinates=matched.coordinates[some],
+        gap=matched.gap[some],
+        area=matched.area[some],
+    )
+    result = result_of(part, np.ones(some.sum()))
+    solved = gather_solved([coarse.pair], [part], [result], coarse.displacement())
+    there = fine.matched(fine.pair)
+    guess = expected_contact(solved, [there])
+    near = there.coordinates[:, 0] < 2.0 - 1e-9
+    np.testing.assert_allclose(guess.normal_force[near], there.area[near])
+    assert not guess.normal_force[~near].any()
+    assert np.isinf(guess.gap[~near]).all()
+
+
+@every_cell
+def test_fewer_products_and_the_same_solution(cell):
+    coarse, fine, alone = (scenes.block_on_ball(COMM, cell, n).problem() for n in (4, 8, 8))
+    coarse.solve()
+    uh, expected = fine.solve(coarse=coarse), alone.solve()
+    assert fine.report.products["total"] < alone.report.products["total"]
+    assert fine.report.reused == ["contact guess"]
+    largest = np.abs(expected.x.array).max()
+    np.testing.assert_allclose(uh.x.array, expected.x.array, atol=1e-5 * largest)
+
+
+def test_own_solution_is_the_first_face():
+    """A finer mesh is a start as well, and so is the same one."""
+    problem, again = (scenes.block_on_ball(COMM, "quadrilateral", 16).problem() for _ in range(2))
+    problem.solve()
+    again.solve(coarse=problem)
+    assert again.report.faces[0].active == problem.report.unknowns["active"]
+    assert [face.changed for face in again.report.faces] == [0] * len(again.report.faces)
+
+
+def test_exact_non_penetration_starts_from_it_too():
+    options = {"non_penetration": "exact"}
+    coarse, fine, alone = (
+        scenes.block_on_ball(COMM, "quadrilateral", n).problem(options=options) for n in (8, 16, 16)
+    )
+    coarse.solve()
+    uh, expected = fine.solve(coarse=coarse), alone.solve()
+    assert fine.report.passes[0].products < alone.report.passes[0].products
+    np.testing.assert_allclose(uh.x.array, expected.x.array, atol=1e-7)
+
+
+def test_load_steps_on_both_meshes():
+    """The set is that of the coarse mesh at the present load, the multipliers the last ones."""
+    coarse, fine = (scenes.two_beams(COMM, "quadrilateral", n) for n in (4, 8))
+    problems = coarse.problem(), fine.problem()
+    for load in (1.0, 0.1):
+        for scene in (coarse, fine):
+            scene.kept[1].value = -load * scenes.TRACTION
+        problems[0].solve()
+        problems[1].solve(coarse=problems[0])
+    assert problems[1].report.reused[-2:] == ["multipliers", "contact guess"]
+    np.testing.assert_allclose(
+        problems[1].report.contact_force, [0.1 * force for force in fine.total_forces], rtol=1e-5
+    )

@@ -1,0 +1,271 @@
+"""K_i and f_i are those of dolfinx on the subdomain's cells, also where subdomains share one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scenes import YOUNG, dimension, elasticity, scalar_space, vector_space
+
+import ufl
+from dolfinx import fem, mesh
+from dolfinx.fem import petsc as fem_petsc
+
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.decomposition.assembly import prepare_forms
+from fenics_tfeti.fem.decomposition.partition import cell_facets
+from fenics_tfeti.fem.decomposition.parts import number_parts
+from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+
+NUMBER = 4  # boxes in a row, each 1 wide
+BOTTOM, LEFT = 5, 6
+INSIDE = 1.5  # in the second box
+CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
+
+
+@dataclass
+class Row:
+    """A row of boxes cut from one body, none of whose nodes is at a binary fraction."""
+
+    mesh: Any
+    V: Any
+    parts: list[Any]
+    middle: Any
+    facet_tags: Any
+    x: Any = None
+    young: Any = 1.0
+
+    @property
+    def dx(self) -> Any:
+        return ufl.Measure("dx", domain=self.mesh)
+
+    @property
+    def ds(self) -> Any:
+        return ufl.Measure("ds", domain=self.mesh, subdomain_data=self.facet_tags)
+
+    def cells_near(self, x: float) -> Any:
+        return np.flatnonzero(np.abs(self.middle - x) < 0.15).astype(np.int32)
+
+
+def row_of_boxes(cell: str = "quadrilateral", far: float = 0.1) -> Row:
+    gdim, n = dimension(cell), 3
+    lower = (far, *(0.1,) * (gdim - 1))
+    upper = (far + NUMBER, *(1.1,) * (gdim - 1))
+    domain = boxes(MPI.COMM_SELF, [Box(lower, upper, (NUMBER * n, *(n,) * (gdim - 1)))], cell).mesh
+    middle = domain.geometry.x[_compat.geometry_cells(domain)].mean(axis=1)[:, 0] - far
+    label = np.floor(middle).astype(int)
+    tags = tag_facets(
+        domain,
+        {
+            BOTTOM: lambda x: np.isclose(x[gdim - 1], 0.1),
+            LEFT: lambda x: np.isclose(x[0], far),
+        },
+    )
+    V = vector_space(domain)
+    cells = [np.flatnonzero(label == i).astype(np.int32) for i in range(NUMBER)]
+    return Row(domain, V, number_parts(V, cells, [0] * NUMBER), middle, tags)
+
+
+def assemble(row: Row, a: Any, L: Any = None) -> list[Any]:
+    v = ufl.TestFunction(row.V)
+    zero = fem.Constant(row.mesh, 0.0)
+    return prepare_forms(row.V, a, zero * v[0] * row.dx if L is None else L).subdomains(row.parts)
+
+
+def alone(row: Row, part: Any, form: Any) -> Any:
+    """Assemble a form by dolfinx on the whole mesh, integrated over the part's own cells."""
+    domain, dim = row.mesh, row.mesh.topology.dim
+    cells = np.sort(part.cells)
+    dx = ufl.Measure(
+        "dx", domain, subdomain_data=mesh.meshtags(domain, dim, cells, np.full(cells.size, 1, "i4"))
+    )
+    own = np.isin(row.facet_tags.indices, cell_facets(domain)[0][cells])
+    facets = row.facet_tags.indices[own], row.facet_tags.values[own]
+    ds = ufl.Measure("ds", domain, subdomain_data=mesh.meshtags(domain, dim - 1, *facets))
+    gdim = domain.geometry.dim
+    dofs = gdim * part.nodes[:, None] + np.arange(gdim)
+    compiled = fem.form(form(dx(1), ds))
+    if compiled.rank == 1:
+        return fem.assemble_vector(compiled).array[dofs.ravel()]
+    A = fem_petsc.assemble_matrix(compiled)
+    A.assemble()
+    dense = A.getValues(range(A.size[0]), range(A.size[1]))
+    return dense[np.ix_(dofs.ravel(), dofs.ravel())]
+
+
+def shared(subdomains: list[Any]) -> list[int]:
+    """Return for each subdomain the first one that has its matrix."""
+    matrices = [id(s.stiffness) for s in subdomains]
+    return [matrices.index(matrix) for matrix in matrices]
+
+
+# -- forms: what the mesh, its coefficients and its tags make of them ----------------------------
+
+
+def uniform(row: Row) -> Any:
+    u, v = ufl.TrialFunction(row.V), ufl.TestFunction(row.V)
+    young = fem.Constant(row.mesh, YOUNG)
+    return lambda dx, ds: elasticity(u, v, young, dx)
+
+
+def moved_node(distance: float) -> Any:
+    def change(row: Row) -> Any:
+        x = row.mesh.geometry.x
+        inside = np.argmin(np.linalg.norm(x[:, :2] - (0.1 + INSIDE + 1 / 6, 0.1 + 1 / 3), axis=1))
+        x[inside, 0] += distance
+        return uniform(row)
+
+    return change
+
+
+def other_coefficient(family: str, degree: int) -> Any:
+    def change(row: Row) -> Any:
+        young = fem.Function(scalar_space(row.mesh, family, degree))
+        young.x.array[:] = YOUNG
+        dofs = _compat.cell_dofs(young.function_space)
+        young.x.array[dofs[row.cells_near(INSIDE)[0], -1]] *= 1.0 + 1e-13
+        u, v = ufl.TrialFunction(row.V), ufl.TestFunction(row.V)
+        return lambda dx, ds: elasticity(u, v, young, dx)
+
+    return change
+
+
+def material_that_repeats(row: Row) -> Any:
+    young = fem.Function(scalar_space(row.mesh, "DG", 0))
+    young.x.array[:] = np.where(np.floor(row.middle) % 2 == 0, YOUNG, 2 * YOUNG)
+    u, v = ufl.TrialFunction(row.V), ufl.TestFunction(row.V)
+    return lambda dx, ds: elasticity(u, v, young, dx)
+
+
+def graded_by_place(row: Row) -> Any:
+    x = ufl.SpatialCoordinate(row.mesh)
+    u, v = ufl.TrialFunction(row.V), ufl.TestFunction(row.V)
+    return lambda dx, ds: elasticity(u, v, YOUNG * (1.0 + x[0]), dx)
+
+
+def spring(tag: int) -> Any:
+    def change(row: Row) -> Any:
+        u, v = ufl.TrialFunction(row.V), ufl.TestFunction(row.V)
+        bulk, stiffness = uniform(row), fem.Constant(row.mesh, YOUNG)
+        return lambda dx, ds: bulk(dx, ds) + stiffness * ufl.inner(u, v) * ds(tag)
+
+    return change
+
+
+def springs_along_the_normal(row: Row) -> Any:
+    u, v, n = ufl.TrialFunction(row.V), ufl.TestFunction(row.V), ufl.FacetNormal(row.mesh)
+    bulk = uniform(row)
+    return lambda dx, ds: bulk(dx, ds) + YOUNG * ufl.dot(u, n) * ufl.dot(v, n) * ds(LEFT)
+
+
+EQUAL, SECOND_DIFFERS, NONE = [0, 0, 0, 0], [0, 1, 0, 0], [0, 1, 2, 3]
+FORMS = {
+    "uniform": (uniform, EQUAL),
+    "a moved node": (moved_node(1e-2), SECOND_DIFFERS),
+    "a node moved by little": (moved_node(1e-12), SECOND_DIFFERS),
+    "a node moved by rounding": (moved_node(1e-15), EQUAL),
+    "DG0 in one cell": (other_coefficient("DG", 0), SECOND_DIFFERS),
+    "P2 at one node": (other_coefficient("Lagrange", 2), SECOND_DIFFERS),
+    "materials in turn": (material_that_repeats, [0, 1, 0, 1]),
+    "SpatialCoordinate": (graded_by_place, NONE),
+    "springs below all": (spring(BOTTOM), EQUAL),
+    "springs at the left": (spring(LEFT), [0, 1, 1, 1]),
+    "along the normal": (springs_along_the_normal, [0, 1, 1, 1]),
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_who_shares(name):
+    change, expected = FORMS[name]
+    row = row_of_boxes()
+    form = change(row)
+    assert shared(assemble(row, form(row.dx, row.ds))) == expected
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_each_is_what_dolfinx_assembles_there(name):
+    row = row_of_boxes()
+    form = FORMS[name][0](row)
+    for part, subdomain in zip(row.parts, assemble(row, form(row.dx, row.ds)), strict=True):
+        expected = alone(row, part, form)
+        np.testing.assert_allclose(
+            subdomain.stiffness.toarray(), expected, rtol=0, atol=1e-13 * np.abs(expected).max()
+        )
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_every_cell_is_shared(cell):
+    row = row_of_boxes(cell)
+    form = uniform(row)
+    subdomains = assemble(row, form(row.dx, row.ds))
+    assert shared(subdomains) == EQUAL
+    expected = alone(row, row.parts[2], form)
+    np.testing.assert_allclose(
+        subdomains[2].stiffness.toarray(), expected, rtol=0, atol=1e-13 * np.abs(expected).max()
+    )
+
+
+def test_far_from_the_origin():
+    row = row_of_boxes(far=1234.1)
+    assert shared(assemble(row, uniform(row)(row.dx, row.ds))) == EQUAL
+
+
+def test_equal_boxes_are_assembled_once(monkeypatch):
+    sizes = []
+
+    def counted(form: Any) -> Any:
+        indptr, indices, data = original(form)
+        sizes.append(np.count_nonzero(np.diff(indptr) > row.mesh.geometry.dim))
+        return indptr, indices, data
+
+    row = row_of_boxes()
+    original = _compat.assemble_stiffness
+    monkeypatch.setattr(_compat, "assemble_stiffness", counted)
+    subdomains = assemble(row, uniform(row)(row.dx, row.ds))
+    assert sizes == [subdomains[0].size]
+
+
+def test_loads_are_each_one_s_own():
+    row = row_of_boxes()
+    v, x = ufl.TestFunction(row.V), ufl.SpatialCoordinate(row.mesh)
+
+    def load(dx: Any, ds: Any) -> Any:
+        return x[0] * v[1] * dx + x[1] * v[0] * ds(LEFT)
+
+    subdomains = assemble(row, uniform(row)(row.dx, row.ds), load(row.dx, row.ds))
+    assert shared(subdomains) == EQUAL
+    for part, subdomain in zip(row.parts, subdomains, strict=True):
+        np.testing.assert_allclose(subdomain.load, alone(row, part, load), rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("kind", ["dx", "ds"])
+def test_everywhere_and_on_tags(kind):
+    row = row_of_boxes()
+    v, one = ufl.TestFunction(row.V), fem.Constant(row.mesh, 1.0)
+    near = row.cells_near(INSIDE)
+    cells = mesh.meshtags(row.mesh, 2, near, np.full(near.size, LEFT, "i4"))
+    measure = {"dx": ufl.Measure("dx", row.mesh, subdomain_data=cells), "ds": row.ds}[kind]
+    L = one * v[0] * measure + 10 * one * v[0] * measure(LEFT)
+    total = sum(s.load.sum() for s in assemble(row, uniform(row)(row.dx, row.ds), L))
+    whole, tagged = {"dx": (4.0, near.size / 9), "ds": (10.0, 1.0)}[kind]
+    assert total == pytest.approx(whole + 10 * tagged)
+
+
+def test_coordinates_and_nodes_are_each_one_s_own():
+    row = row_of_boxes()
+    places = row.V.tabulate_dof_coordinates()[:, :2]
+    for subdomain in assemble(row, uniform(row)(row.dx, row.ds)):
+        np.testing.assert_array_equal(subdomain.coordinates, places[subdomain.nodes])
+
+
+def test_unlike_subdomains_keep_the_order_of_the_mesh():
+    """Nothing is sorted where no other subdomain has as many cells and nodes."""
+    row = row_of_boxes()
+    cells = [np.arange(5, dtype=np.int32), np.arange(5, 36, dtype=np.int32)]
+    for part, own in zip(number_parts(row.V, cells, [0, 0]), cells, strict=True):
+        assert part.shape is None
+        np.testing.assert_array_equal(part.cells, own)

@@ -1,0 +1,173 @@
+"""The von Mises stress, and files for ParaView that keep every field under its name."""
+
+from __future__ import annotations
+
+import sys
+from subprocess import run
+from xml.etree import ElementTree
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.io.fields import von_mises, write_fields
+from fenics_tfeti.fem.io.structured import Box, boxes
+
+GDIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
+
+# Reads a file in a process of its own: on Debian 12 VTK does not work in one that used dolfinx.
+READ = """
+import sys
+import pyvista
+grid = pyvista.read(sys.argv[1])[0]
+print(grid.n_points, grid.n_cells)
+for name, values in [*grid.point_data.items(), *grid.cell_data.items()]:
+    if not name.startswith("vtk"):
+        print(name, values.size, values.max(), sep=",")
+"""
+
+
+def space(mesh, family, degree, shape=()):
+    """Return a function space in either version of dolfinx."""
+    if hasattr(fem, "functionspace"):
+        return fem.functionspace(mesh, (family, degree, shape))
+    if shape:
+        return fem.VectorFunctionSpace(mesh, (family, degree))
+    return fem.FunctionSpace(mesh, (family, degree))
+
+
+def unit_mesh(cell):
+    """Return a mesh of two grid blocks of the unit square or cube."""
+    gdim = GDIM[cell]
+    return boxes(MPI.COMM_SELF, [Box([0] * gdim, [1] * gdim, [2, 1, 1][:gdim])], cell).mesh
+
+
+@pytest.fixture
+def fields():
+    """Return a vector and a scalar of degree 1 and a scalar of degree 0, 12 nodes and 2 cells."""
+    mesh = unit_mesh("hexahedron")
+    displacement = fem.Function(space(mesh, "Lagrange", 1, (3,)), name="displacement")
+    pressure = fem.Function(space(mesh, "Lagrange", 1), name="contact pressure")
+    body = fem.Function(space(mesh, "DG", 0), name="body")
+    displacement.x.array[:] = 4
+    pressure.x.array[:] = 5
+    body.x.array[:] = 6
+    return [displacement, pressure, body]
+
+
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+@pytest.mark.parametrize(
+    ("stress", "expected"),
+    [
+        (np.diag([3, 0, 0]), 3),  # tension
+        (np.diag([-7, -7, -7]), 0),  # pressure
+        ([[0, 2, 0], [2, 0, 0], [0, 0, 0]], 2 * np.sqrt(3)),  # shear
+    ],
+)
+def test_stress_states_have_their_von_mises_stress(cell, stress, expected):
+    mesh = unit_mesh(cell)
+    result = von_mises(mesh, fem.Constant(mesh, np.asarray(stress, dtype=float)))
+    assert result.x.array == pytest.approx(expected, abs=1e-14)
+
+
+def test_von_mises_stress_is_one_number_for_each_cell():
+    mesh = unit_mesh("hexahedron")
+    x = ufl.SpatialCoordinate(mesh)
+    result = von_mises(mesh, x[0] * ufl.diag(ufl.as_vector([1.0, 0.0, 0.0])))
+    assert result.name == "von Mises stress"
+    assert sorted(result.x.array) == pytest.approx([1 / 4, 3 / 4])  # at the centres
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize(
+    ("poisson_ratio", "expected"), [(0.0, 3), (0.5, 3 * np.sqrt(3) / 2), (0.3, 3 * np.sqrt(0.79))]
+)
+def test_plane_stress_and_strain(cell, poisson_ratio, expected):
+    mesh = unit_mesh(cell)
+    tension = fem.Constant(mesh, np.diag([3.0, 0.0]))
+    result = von_mises(mesh, tension, poisson_ratio)
+    assert result.x.array == pytest.approx(expected)
+
+
+def test_whole_tensor_on_a_plane_mesh():
+    mesh = unit_mesh("triangle")
+    tension = fem.Constant(mesh, np.diag([3.0, 0.0, 0.0]))
+    assert von_mises(mesh, tension).x.array == pytest.approx(3)
+
+
+def test_plane_tensor_without_poisson_ratio_is_refused():
+    with pytest.raises(InputError, match="pass poisson_ratio"):
+        von_mises(unit_mesh("triangle"), ufl.Identity(2))
+
+
+def test_vector_is_no_stress():
+    with pytest.raises(InputError, match=r"shape \(3,\) is no tensor"):
+        von_mises(unit_mesh("hexahedron"), ufl.as_vector([1.0, 2.0, 3.0]))
+
+
+def test_paraview_finds_each_field_once_under_its_name(fields, tmp_path):
+    pytest.importorskip("vtkmodules")
+    path = tmp_path / "new folder" / "result.pvd"
+    write_fields(path, fields)
+    answer = run([sys.executable, "-c", READ, str(path)], capture_output=True, text=True)
+    assert answer.stdout.splitlines() == [
+        "12 2", "displacement,36,4.0", "contact pressure,12,5.0", "body,2,6.0",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("cell", GDIM)
+def test_mesh_is_written_once_however_many_fields(cell, tmp_path):
+    mesh = unit_mesh(cell)
+    fields = [fem.Function(space(mesh, "Lagrange", 1), name=name) for name in "abc"]
+    fields.append(fem.Function(space(mesh, "Lagrange", 1, (mesh.geometry.dim,)), name="u"))
+    write_fields(tmp_path / "result.pvd", fields)
+    pieces = ElementTree.parse(tmp_path / "result000000.pvtu").findall(".//Piece")
+    assert len(pieces) == 1
+
+
+def refused(path, fields, message):
+    with pytest.raises(InputError, match=message):
+        write_fields(path, fields)
+    assert list(path.parent.iterdir()) == []
+
+
+def test_two_fields_of_one_name_are_refused(fields, tmp_path):
+    fields[2].name = fields[0].name
+    refused(tmp_path / "a.pvd", fields, "2 fields have the name 'displacement'")
+
+
+def test_field_without_a_name_is_refused(fields, tmp_path):
+    fields[1].name = ""
+    refused(tmp_path / "a.pvd", fields, "no name")
+
+
+def test_other_suffix_is_refused(fields, tmp_path):
+    refused(tmp_path / "a.vtk", fields, "does not end in .pvd")
+
+
+def test_field_of_degree_2_is_refused(fields, tmp_path):
+    mesh = fields[0].function_space.mesh
+    fields.append(fem.Function(space(mesh, "Lagrange", 2), name="quadratic"))
+    refused(tmp_path / "a.pvd", fields, "'quadratic' .* is neither")
+
+
+def test_field_on_another_mesh_is_refused(fields, tmp_path):
+    other = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
+    fields.append(fem.Function(space(other, "DG", 0), name="other"))
+    refused(tmp_path / "a.pvd", fields, "'other' is on another mesh")
+
+
+def test_nothing_to_write_is_refused(tmp_path):
+    refused(tmp_path / "a.pvd", [], "no fields")
+
+
+def test_folder_that_is_a_file_is_an_error(fields, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OSError, match="file"):
+        write_fields(tmp_path / "file" / "a.pvd", fields)

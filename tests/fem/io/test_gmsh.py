@@ -1,0 +1,300 @@
+"""Reading of .msh files: tags, names, separate bodies, and errors that say what to do."""
+
+from __future__ import annotations
+
+import importlib.util
+import signal
+import sys
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx
+import ufl
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.io.gmsh import read_msh
+
+gmsh = pytest.importorskip("gmsh")
+
+MESHES = Path(__file__).parents[3] / "meshes"
+
+SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+CUBE = SQUARE + [(x, y, 1) for x, y, _ in SQUARE]
+TETRAHEDRON = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+
+# Cell: its nodes, then the elements (Gmsh type, physical group, nodes): the cell and one facet.
+CELLS = {
+    "triangle": (SQUARE[:3], [(2, 4, (1, 2, 3)), (1, 9, (1, 2))]),
+    "quadrilateral": (SQUARE, [(3, 4, (1, 2, 3, 4)), (1, 9, (1, 2))]),
+    "tetrahedron": (TETRAHEDRON, [(4, 4, (1, 2, 3, 4)), (2, 9, (1, 2, 3))]),
+    "hexahedron": (CUBE, [(5, 4, tuple(range(1, 9))), (3, 9, (1, 2, 3, 4))]),
+}
+VOLUME = {"triangle": 1 / 2, "quadrilateral": 1, "tetrahedron": 1 / 6, "hexahedron": 1}
+FACET_AREA = {"triangle": 1, "quadrilateral": 1, "tetrahedron": 1 / 2, "hexahedron": 1}
+
+
+def write_msh(path, points, elements, names=(), numbers=None):
+    """Write a .msh file of version 2.2."""
+    numbers = numbers or range(1, len(points) + 1)
+    lines = ["$MeshFormat", "2.2 0 8", "$EndMeshFormat"]
+    lines += ["$PhysicalNames", str(len(names)), *names, "$EndPhysicalNames"]
+    lines += ["$Nodes", str(len(points))]
+    lines += [f"{k} {x} {y} {z}" for k, (x, y, z) in zip(numbers, points, strict=True)]
+    lines += ["$EndNodes", "$Elements", str(len(elements))]
+    for k, (kind, group, nodes) in enumerate(elements, start=1):
+        entity = group or 77  # the geometric entity, with or without a physical group
+        lines += [f"{k} {kind} 2 {group} {entity} " + " ".join(map(str, nodes))]
+    path.write_text("\n".join([*lines, "$EndElements", ""]))
+    return path
+
+
+def write_cell(path, cell):
+    points, elements = CELLS[cell]
+    dim = 3 if "hedron" in cell else 2
+    return write_msh(path, points, elements, [f'{dim} 4 "body"', f'{dim - 1} 9 "support"'])
+
+
+def integral(mesh, measure):
+    """Return the integral of one."""
+    one = dolfinx.fem.Constant(mesh, 1.0)
+    return mesh.comm.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(one * measure)))
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_groups_become_tags_of_cells_and_facets(cell, tmp_path):
+    gdim = 3 if "hedron" in cell else 2
+    tagged = read_msh(write_cell(tmp_path / "cell.msh", cell), MPI.COMM_SELF, gdim=gdim)
+    dx = ufl.Measure("dx", domain=tagged.mesh, subdomain_data=tagged.cell_tags)
+    ds = ufl.Measure("ds", domain=tagged.mesh, subdomain_data=tagged.facet_tags)
+    assert tagged.mesh.geometry.dim == gdim
+    assert integral(tagged.mesh, dx(4)) == pytest.approx(VOLUME[cell])
+    assert integral(tagged.mesh, ds(9)) == pytest.approx(FACET_AREA[cell])
+
+
+def test_names_map_to_tags(tmp_path):
+    tagged = read_msh(write_cell(tmp_path / "cell.msh", "tetrahedron"), MPI.COMM_SELF)
+    assert tagged.names == {"body": 4, "support": 9}
+
+
+def test_name_of_two_tags_is_left_out_with_a_warning(tmp_path, caplog):
+    points, elements = CELLS["triangle"]
+    path = write_msh(tmp_path / "a.msh", points, elements, ['2 4 "same"', '1 9 "same"'])
+    assert read_msh(path, MPI.COMM_SELF, gdim=2).names == {}
+    assert "same" in caplog.text
+
+
+def test_mesh_without_tagged_facets_has_empty_facet_tags(tmp_path):
+    points, elements = CELLS["triangle"]
+    path = write_msh(tmp_path / "a.msh", points, elements[:1])
+    assert len(read_msh(path, MPI.COMM_SELF, gdim=2).facet_tags.indices) == 0
+
+
+def test_nodes_at_the_same_place_stay_separate(tmp_path):
+    below = [(x, y - 1, z) for x, y, z in SQUARE]
+    elements = [(3, 1, (1, 2, 3, 4)), (3, 2, (5, 6, 7, 8))]
+    path = write_msh(tmp_path / "a.msh", SQUARE + below, elements)
+    mesh = read_msh(path, MPI.COMM_SELF, gdim=2).mesh
+    assert mesh.topology.index_map(0).size_global == 8
+
+
+def test_gaps_in_the_node_numbers_do_no_harm(tmp_path):
+    path = write_msh(tmp_path / "a.msh", SQUARE[:3], [(2, 1, (3, 20, 9))], numbers=[3, 20, 9])
+    mesh = read_msh(path, MPI.COMM_SELF, gdim=2).mesh
+    assert integral(mesh, ufl.dx(domain=mesh)) == pytest.approx(0.5)
+
+
+def test_nodes_of_no_cell_are_left_out_with_a_warning(tmp_path, caplog):
+    points = [*SQUARE[:3], (7, 8, 0), (9, 9, 0)]
+    elements = [(2, 1, (1, 2, 3)), (15, 0, (4,)), (15, 2, (5,))]
+    path = write_msh(tmp_path / "a.msh", points, elements)
+    mesh = read_msh(path, MPI.COMM_SELF, gdim=2).mesh
+    assert mesh.geometry.x.shape[0] == mesh.topology.index_map(0).size_global == 3
+    assert "a.msh: left out 2 nodes of no cell, one at (7, 8, 0)" in caplog.text
+
+
+def test_mesh_whose_nodes_are_all_in_cells_gives_no_warning(tmp_path, caplog):
+    read_msh(write_cell(tmp_path / "cell.msh", "hexahedron"), MPI.COMM_SELF)
+    assert not caplog.text
+
+
+def test_cell_that_is_there_twice_is_refused(tmp_path):
+    elements = [(2, 1, (1, 2, 3)), (2, 1, (1, 3, 4)), (2, 1, (3, 1, 2))]
+    path = write_msh(tmp_path / "a.msh", SQUARE, elements)
+    with pytest.raises(InputError, match=r"several times: 1 of 3, .* \(0\.666667, 0\.333333, 0\)"):
+        read_msh(path, MPI.COMM_SELF, gdim=2)
+
+
+def test_cell_that_names_a_node_twice_is_refused(tmp_path):
+    elements = [(3, 1, (1, 2, 3, 3))]
+    path = write_msh(tmp_path / "a.msh", SQUARE, elements)
+    with pytest.raises(InputError, match="a node twice: 1 of 1, the first around"):
+        read_msh(path, MPI.COMM_SELF, gdim=2)
+
+
+def test_physical_points_do_no_harm(tmp_path):
+    points, elements = CELLS["tetrahedron"]
+    elements = [*elements, (15, 5, (1,)), (1, 6, (1, 2))]
+    names = ['3 4 "body"', '2 9 "support"', '0 5 "corner"']
+    tagged = read_msh(write_msh(tmp_path / "a.msh", points, elements, names), MPI.COMM_SELF)
+    assert set(tagged.facet_tags.values) == {9}
+    assert tagged.names == {"body": 4, "support": 9}
+
+
+def test_missing_file_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"no mesh file .*nowhere\.msh"):
+        read_msh(tmp_path / "nowhere.msh", MPI.COMM_SELF)
+
+
+def test_missing_gmsh_says_how_to_install_it(tmp_path, monkeypatch):
+    path = write_cell(tmp_path / "cell.msh", "tetrahedron")
+    monkeypatch.setitem(sys.modules, "gmsh", None)
+    with pytest.raises(ImportError, match=r"apt install python3-gmsh.*pip install gmsh"):
+        read_msh(path, MPI.COMM_SELF)
+
+
+@pytest.mark.parametrize(
+    "content", ["", "hello", "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 8 1 8\n"]
+)
+def test_damaged_file_is_refused(content, tmp_path):
+    path = tmp_path / "damaged.msh"
+    path.write_text(content)
+    with pytest.raises(InputError, match=r"damaged\.msh"):
+        read_msh(path, MPI.COMM_SELF)
+
+
+@pytest.mark.parametrize("cut", [0.3, 0.6, 0.9])
+def test_truncated_file_is_refused(cut, tmp_path):
+    content = (MESHES / "two_beams.msh").read_text()
+    path = tmp_path / "cut.msh"
+    path.write_text(content[: int(cut * len(content))])
+    with pytest.raises(InputError, match=r"cut\.msh"):
+        read_msh(path, MPI.COMM_SELF)
+
+
+def test_cells_without_groups_are_refused(tmp_path):
+    points, elements = CELLS["tetrahedron"]
+    elements = [(kind, 0, nodes) for kind, _, nodes in elements]
+    path = write_msh(tmp_path / "a.msh", points, elements)
+    with pytest.raises(InputError, match="no physical volume group"):
+        read_msh(path, MPI.COMM_SELF)
+
+
+def test_facet_in_two_groups_is_refused(tmp_path):
+    points, elements = CELLS["tetrahedron"]
+    path = write_msh(tmp_path / "a.msh", points, [*elements, (2, 10, (1, 2, 3))])
+    with pytest.raises(InputError, match="several physical surface groups"):
+        read_msh(path, MPI.COMM_SELF)
+
+
+@pytest.mark.parametrize("ends", [(1, 3), (1, 5), (5, 6)])
+def test_tagged_facet_that_is_no_side_of_a_cell_is_refused(tmp_path, ends):
+    points, elements = CELLS["quadrilateral"]
+    points = [*points, (7, 7, 0), (8, 8, 0)]
+    path = write_msh(tmp_path / "a.msh", points, [*elements, (1, 8, ends)])
+    with pytest.raises(InputError, match="1 of the 2 elements .* are not sides of cells"):
+        read_msh(path, MPI.COMM_SELF, gdim=2)
+
+
+def test_mixed_cells_are_refused(tmp_path):
+    points = [*SQUARE, (2, 0, 0)]
+    elements = [(3, 1, (1, 2, 3, 4)), (2, 2, (2, 5, 3))]
+    with pytest.raises(InputError, match="Quadrilateral, Triangle"):
+        read_msh(write_msh(tmp_path / "a.msh", points, elements), MPI.COMM_SELF, gdim=2)
+
+
+def test_wrong_dimension_is_refused(tmp_path):
+    path = write_cell(tmp_path / "cell.msh", "triangle")
+    with pytest.raises(InputError, match="pass gdim=2"):
+        read_msh(path, MPI.COMM_SELF, gdim=3)
+
+
+def test_open_session_of_gmsh_is_kept(tmp_path):
+    path = write_cell(tmp_path / "cell.msh", "tetrahedron")
+    gmsh.initialize()
+    try:
+        gmsh.model.add("mine")
+        gmsh.model.geo.addPoint(0, 0, 0)
+        gmsh.model.geo.synchronize()
+        models = gmsh.model.list()
+        read_msh(path, MPI.COMM_SELF)
+        assert gmsh.model.list() == models
+        assert gmsh.model.getCurrent() == "mine"
+        assert len(gmsh.model.getEntities()) == 1
+        assert gmsh.option.getNumber("General.Terminal") == 1
+    finally:
+        gmsh.finalize()
+
+
+def test_nothing_is_printed(tmp_path, capfd):
+    path = write_cell(tmp_path / "cell.msh", "tetrahedron")
+    for _ in range(2):
+        read_msh(path, MPI.COMM_SELF)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_handler_of_interrupts_is_kept(tmp_path):
+    path = write_cell(tmp_path / "cell.msh", "tetrahedron")
+
+    def handler(signum, frame):
+        pass
+
+    before = signal.signal(signal.SIGINT, handler)
+    try:
+        read_msh(path, MPI.COMM_SELF)
+        assert signal.getsignal(signal.SIGINT) is handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def two_beams_script():
+    spec = importlib.util.spec_from_file_location("two_beams", MESHES / "two_beams.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module", params=["file", "hexahedron", "tetrahedron"])
+def two_beams(request, tmp_path_factory):
+    """Return the mesh in the repository, or a coarse one that the script makes."""
+    path = MESHES / "two_beams.msh"
+    if request.param != "file":
+        path = tmp_path_factory.mktemp("meshes") / "two_beams.msh"
+        two_beams_script().two_beams(path, request.param, elements_per_metre=3)
+    return read_msh(path, MPI.COMM_SELF)
+
+
+def test_two_beams_have_the_volumes_and_areas_of_the_drawing(two_beams):
+    dx = ufl.Measure("dx", domain=two_beams.mesh, subdomain_data=two_beams.cell_tags)
+    ds = ufl.Measure("ds", domain=two_beams.mesh, subdomain_data=two_beams.facet_tags)
+    volumes = [integral(two_beams.mesh, dx(two_beams.names[n])) for n in ("lower", "upper")]
+    surfaces = ("clamped", "guided", "contact_upper", "contact_lower", "loaded")
+    areas = [integral(two_beams.mesh, ds(two_beams.names[name])) for name in surfaces]
+    assert volumes == pytest.approx([2, 2])
+    assert areas == pytest.approx([1, 1, 1, 1, 3])
+
+
+def test_two_beams_have_matching_but_separate_nodes_at_the_contact(two_beams):
+    nodes = [
+        np.unique(
+            _compat.entity_nodes(
+                two_beams.mesh, 2, two_beams.facet_tags.find(two_beams.names[name])
+            )
+        )
+        for name in ("contact_upper", "contact_lower")
+    ]
+    assert len(np.intersect1d(*nodes)) == 0
+    upper, lower = (two_beams.mesh.geometry.x[n] for n in nodes)
+    distance = np.linalg.norm(upper[:, np.newaxis] - lower, axis=2)
+    assert len(upper) == len(lower)
+    assert distance.min(axis=1).max() < 1e-12
+
+
+def test_two_beams_of_the_repository_have_12_elements_per_metre():
+    mesh = read_msh(MESHES / "two_beams.msh", MPI.COMM_SELF).mesh
+    assert mesh.topology.index_map(3).size_global == 2 * 24 * 12 * 12
+    assert mesh.topology.index_map(0).size_global == 2 * 25 * 13 * 13

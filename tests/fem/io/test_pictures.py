@@ -1,0 +1,231 @@
+"""Pictures: what is drawn is the field, and errors leave no file behind."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+from dolfinx import fem
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.io import pictures
+from fenics_tfeti.fem.io.pictures import draw_deformed, draw_profile
+from fenics_tfeti.fem.io.structured import Box, boxes
+
+GDIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def size_of(path):
+    """Return width and height of a PNG file."""
+    head = path.read_bytes()[:24]
+    assert head.startswith(PNG)
+    return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+
+
+def fields(cell):
+    """Return a displacement, a field of degree 1 and one of degree 0 on two boxes that touch."""
+    gdim = GDIM[cell]
+    upwards = np.eye(gdim)[-1]
+    grid = [3, 2, 2][:gdim]
+    parts = [Box(k * upwards, [2] + [1] * (gdim - 2) + [1 + k], grid) for k in (0, 1)]
+    mesh = boxes(MPI.COMM_SELF, parts, cell).mesh
+    u = fem.Function(_compat.lagrange_space(mesh, 1, gdim), name="displacement")
+    u.interpolate(lambda x: 1e-3 * np.stack([x[0], x[1], x[0] + x[2]])[:gdim])
+    p = fem.Function(_compat.lagrange_space(mesh, 1), name="pressure")
+    p.interpolate(lambda x: x[0] + 2 * x[1])
+    s = fem.Function(_compat.lagrange_space(mesh, 0, discontinuous=True), name="stress")
+    s.interpolate(lambda x: 1e6 * x[0])
+    return u, p, s
+
+
+def refused(path, message, *arguments, **options):
+    with pytest.raises(InputError, match=message):
+        draw_deformed(path, *arguments, **options)
+    assert not path.exists()
+
+
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
+def test_picture_has_the_size_asked_for(cell, tmp_path):
+    u, _, stress = fields(cell)
+    path = tmp_path / "new folder" / "beams.png"
+    draw_deformed(path, u, stress, unit="MPa", title="Two boxes", size=(480, 300))
+    assert size_of(path) == (480, 300)
+
+
+def test_body_that_does_not_move_can_be_drawn(tmp_path):
+    u, _, _ = fields("quadrilateral")
+    u.x.array[:] = 0
+    draw_deformed(tmp_path / "a.png", u, size=(240, 150))
+    assert (tmp_path / "a.png").exists()
+
+
+EDGES = """
+import runpy, sys
+import numpy as np
+import pyvista
+edges_of = runpy.run_path(sys.argv[1])["edges_of"]
+square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
+points = np.concatenate([square, square + [0, 1, 0]])
+both = pyvista.PolyData(points, [4, 0, 1, 2, 3, 4, 4, 5, 6, 7])
+both.point_data["displacement"] = np.outer([0, 0, 0, 0, 5, 5, 5, 5], [1.0, 0, 0])
+edges = edges_of(both)
+ends = (edges.points + edges.point_data["displacement"])[edges.lines.reshape(-1, 3)[:, 1:]]
+print(len(ends), np.ptp(ends, axis=1).max(), both.points[:, 0].max())
+"""
+
+
+def test_edges_stay_with_their_body():
+    """Two squares touch; the upper one is moved by 5."""
+    command = [sys.executable, "-P", "-c", EDGES, str(pictures._RENDER)]
+    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    assert [float(number) for number in told] == [8.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize("cell", GDIM)
+def test_whole_mesh_is_drawn_with_bodies_apart(cell):
+    u, _, _ = fields(cell)
+    view = pictures._gather(u, None)
+    mesh = u.function_space.mesh
+    assert len(view.points) == mesh.topology.index_map(0).size_global
+    assert len(view.cells) == mesh.topology.index_map(mesh.topology.dim).size_global
+
+
+@pytest.mark.parametrize("cell", GDIM)
+def test_each_node_has_its_displacement(cell):
+    u, _, _ = fields(cell)
+    view = pictures._gather(u, None)
+    x, y, z = view.points.T
+    expected = 1e-3 * np.column_stack([x, y, x + z if GDIM[cell] == 3 else 0 * x])
+    assert view.displacement == pytest.approx(expected, abs=1e-15)
+    assert view.colours == pytest.approx(np.linalg.norm(expected, axis=1))
+
+
+@pytest.mark.parametrize("cell", GDIM)
+def test_each_node_or_cell_has_its_colour(cell):
+    u, pressure, stress = fields(cell)
+    by_node, by_cell = (pictures._gather(u, colour) for colour in (pressure, stress))
+    x, y, _ = by_node.points.T
+    assert by_node.colours == pytest.approx(x + 2 * y)
+    assert by_cell.colours == pytest.approx(1e6 * by_cell.points[by_cell.cells].mean(axis=1)[:, 0])
+
+
+@pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
+def test_vertices_are_in_the_order_of_vtk(cell):
+    view = pictures._gather(fields(cell)[0], None)
+    corners = view.points[view.cells]
+    # Around a face, each vertex is next to the one before; a bowtie would have diagonals.
+    steps = np.diff(corners[:, [0, 1, 2, 3, 0]], axis=1)
+    assert np.all(np.count_nonzero(np.abs(steps) > 1e-12, axis=2) == 1)
+
+
+@pytest.mark.parametrize(
+    ("largest", "scale"), [(0.2, 1.0), (0.1, 2.0), (0.19, 1.0), (1e-3, 200.0), (7.0, 0.02), (0, 1)]
+)
+def test_scale_is_round_and_makes_displacements_a_tenth(largest, scale):
+    u, _, _ = fields("quadrilateral")  # of the size 2
+    u.interpolate(lambda x: np.stack([0 * x[0], largest * x[0] / 2]))
+    assert pictures._round_scale(pictures._gather(u, None)) == pytest.approx(scale)
+
+
+def test_other_suffix_is_refused(tmp_path):
+    refused(tmp_path / "a.jpg", "does not end in .png", fields("triangle")[0])
+
+
+def test_unknown_unit_is_refused(tmp_path):
+    u, _, stress = fields("triangle")
+    refused(tmp_path / "a.png", "unknown unit 'psi'; choose one of m, mm", u, stress, unit="psi")
+
+
+def test_scalar_is_no_displacement(tmp_path):
+    refused(tmp_path / "a.png", "'pressure' is no displacement", fields("triangle")[1])
+
+
+def test_vector_gives_no_colours(tmp_path):
+    u, _, _ = fields("triangle")
+    refused(tmp_path / "a.png", r"of shape \(2,\) gives no colours", u, u)
+
+
+def test_colours_of_another_mesh_are_refused(tmp_path):
+    refused(tmp_path / "a.png", "another mesh", fields("triangle")[0], fields("triangle")[2])
+
+
+def test_no_numbers_are_refused(tmp_path):
+    u, _, stress = fields("triangle")
+    stress.x.array[1] = np.nan
+    refused(tmp_path / "a.png", "'stress' has values that are infinite or no numbers", u, stress)
+
+
+def without(monkeypatch, module):
+    """Pretend that a module is not installed."""
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda n: None if n == module else find(n))
+
+
+def test_missing_pyvista_says_how_to_install_it(tmp_path, monkeypatch):
+    without(monkeypatch, "pyvista")
+    with pytest.raises(ImportError, match="pip install pyvista"):
+        draw_deformed(tmp_path / "a.png", fields("triangle")[0])
+
+
+def test_missing_matplotlib_says_how_to_install_it(tmp_path, monkeypatch):
+    without(monkeypatch, "matplotlib")
+    with pytest.raises(ImportError, match="pip install matplotlib"):
+        draw_profile(tmp_path / "a.png", {}, "x", "y", comm=MPI.COMM_SELF)
+
+
+def other_renderer(monkeypatch, tmp_path, code):
+    script = tmp_path / "renderer.py"
+    script.write_text(code)
+    monkeypatch.setattr(pictures, "_RENDER", script)
+
+
+def test_failure_to_draw_is_told_and_keeps_the_old_picture(tmp_path, monkeypatch):
+    other_renderer(monkeypatch, tmp_path, "import sys; sys.exit('no graphics')")
+    path = tmp_path / "a.png"
+    path.write_text("old")
+    with pytest.raises(RuntimeError, match=r"exit code 1(.|\n)*no graphics"):
+        draw_deformed(path, fields("triangle")[0])
+    assert path.read_text() == "old"
+
+
+def test_renderer_is_no_rank_of_this_run(tmp_path, monkeypatch):
+    code = """
+        import os, pathlib, sys
+        assert not [name for name in os.environ if name.startswith(("OMPI_", "PMI_", "PMIX_"))]
+        pathlib.Path(sys.argv[2]).write_text("drawn")
+    """
+    other_renderer(monkeypatch, tmp_path, "if True:" + code)
+    for name in ("OMPI_COMM_WORLD_SIZE", "PMI_RANK", "PMIX_RANK"):
+        monkeypatch.setenv(name, "2")
+    draw_deformed(tmp_path / "a.png", fields("triangle")[0])
+    assert (tmp_path / "a.png").read_text() == "drawn"
+
+
+def test_profile_is_drawn(tmp_path):
+    x = np.linspace(0, 1, 20)
+    curves = {"computed": (x, x**2, "o"), "exact": (x, x**2)}
+    draw_profile(tmp_path / "new" / "a.png", curves, "x [m]", "p [MPa]", comm=MPI.COMM_SELF)
+    assert size_of(tmp_path / "new" / "a.png")[0] > 1000
+
+
+@pytest.mark.parametrize(
+    ("curve", "message"),
+    [(([1, 2], [1, 2, 3]), r"x of shape \(2,\) and y of shape \(3,\)"), (([1],), "has 1 parts")],
+)
+def test_wrong_curve_is_refused(curve, message, tmp_path):
+    with pytest.raises(InputError, match=message):
+        draw_profile(tmp_path / "a.png", {"a": curve}, "x", "y", comm=MPI.COMM_SELF)
+    assert not (tmp_path / "a.png").exists()
+
+
+def test_no_curve_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no curves"):
+        draw_profile(tmp_path / "a.png", {}, "x", "y", comm=MPI.COMM_SELF)

@@ -1,0 +1,169 @@
+"""Structured meshes of boxes and tags of their facets."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx
+import ufl
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+
+GDIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
+CELLS_PER_BLOCK = {"triangle": 2, "quadrilateral": 1, "tetrahedron": 6, "hexahedron": 1}
+
+
+def two_boxes(cell, comm=MPI.COMM_SELF):
+    """Return a box of length 2, and another on the right half of its top; the height is last."""
+    if GDIM[cell] == 3:
+        parts = [Box((0, 0, 0), (2, 1, 1), (4, 3, 2)), Box((1, 0, 1), (3, 1, 2), (4, 3, 2))]
+    else:
+        parts = [Box((0, 0), (2, 1), (4, 3)), Box((1, 1), (3, 2), (4, 3))]
+    return boxes(comm, parts, cell)
+
+
+def integral(mesh, measure):
+    """Return the integral of one."""
+    one = dolfinx.fem.Constant(mesh, 1.0)
+    return dolfinx.fem.assemble_scalar(dolfinx.fem.form(one * measure))
+
+
+@pytest.mark.parametrize("cell", GDIM)
+def test_boxes_have_their_volumes(cell):
+    pair = two_boxes(cell)
+    dx = ufl.Measure("dx", domain=pair.mesh, subdomain_data=pair.cell_tags)
+    assert [integral(pair.mesh, dx(k)) for k in (1, 2)] == pytest.approx([2, 2])
+
+
+@pytest.mark.parametrize("cell", GDIM)
+def test_boxes_that_touch_share_no_node(cell):
+    pair = two_boxes(cell)
+    nodes_of_one = 5 * 4 * (3 if GDIM[cell] == 3 else 1)
+    assert pair.mesh.topology.index_map(0).size_global == 2 * nodes_of_one
+
+
+@pytest.mark.parametrize("cell", GDIM)
+def test_boxes_have_the_cells_of_their_grids(cell):
+    pair = two_boxes(cell)
+    blocks = 4 * 3 * (2 if GDIM[cell] == 3 else 1)
+    assert len(pair.cell_tags.find(1)) == blocks * CELLS_PER_BLOCK[cell]
+
+
+@pytest.mark.parametrize("cell", GDIM)
+def test_cells_are_not_twisted(cell):
+    mesh = two_boxes(cell).mesh
+    volume = integral(mesh, ufl.dx(domain=mesh))
+    det_squared = dolfinx.fem.form(ufl.JacobianDeterminant(mesh) ** 2 * ufl.dx(domain=mesh))
+    mean_square = dolfinx.fem.assemble_scalar(det_squared) / volume
+    # All cells are affine and of one size; in a wrong vertex order the determinant would vary.
+    cells = mesh.topology.index_map(mesh.topology.dim).size_global
+    reference_volume = {"triangle": 1 / 2, "tetrahedron": 1 / 6}.get(cell, 1)
+    assert mean_square == pytest.approx((volume / cells / reference_volume) ** 2)
+
+
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_facets_of_both_sides_of_a_contact_match(cell):
+    pair = two_boxes(cell)
+
+    def contact(x):
+        return np.isclose(x[2], 1) & (x[0] > 1 - 1e-9) & (x[0] < 2 + 1e-9)
+
+    tags = tag_facets(pair.mesh, [(5, contact, 2), (6, contact, 1)], pair.cell_tags)
+    centres = []
+    for tag in (5, 6):
+        nodes = _compat.entity_nodes(pair.mesh, 2, tags.find(tag))
+        centre = np.round(pair.mesh.geometry.x[nodes].mean(axis=1), 9)
+        centres.append(centre[np.lexsort(centre.T)])
+    assert len(centres[0]) > 0
+    assert np.array_equal(*centres)
+
+
+def test_names_are_those_of_the_boxes():
+    parts = [Box((0, 0), (1, 1), (1, 1)), Box((0, 1), (1, 2), (1, 1), name="punch")]
+    assert boxes(MPI.COMM_SELF, parts, "triangle").names == {"punch": 2}
+
+
+@pytest.mark.parametrize(
+    ("part", "cell", "message"),
+    [
+        (Box((0, 0), (1, 1), (1, 1)), "hexahedron", "needs 3"),
+        (Box((0, 0, 0), (1, 1, 1), (1, 1)), "hexahedron", "needs 3"),
+        (Box((0, 0), (1, 0), (1, 1)), "triangle", "is empty"),
+        (Box((0, 0), (1, 1), (1, 0)), "triangle", "at least 1"),
+        (Box((0, 0), (1, 1), (1, 1)), "prism", "unknown cell"),
+    ],
+)
+def test_wrong_box_is_refused(part, cell, message):
+    with pytest.raises(InputError, match=message):
+        boxes(MPI.COMM_SELF, [part], cell)
+
+
+def test_no_box_is_refused():
+    with pytest.raises(InputError, match="at least one box"):
+        boxes(MPI.COMM_SELF, [])
+
+
+@pytest.mark.parametrize("cell", GDIM)
+def test_tagged_facets_have_the_area_of_the_marked_part(cell):
+    pair = two_boxes(cell)
+    height = GDIM[cell] - 1
+    tags = tag_facets(
+        pair.mesh,
+        [
+            (5, lambda x: np.isclose(x[height], 1), 2),
+            (6, lambda x: np.isclose(x[height], 1) & (x[0] > 1 - 1e-9), 1),
+            (9, lambda x: np.isclose(x[0], 0)),
+        ],
+        pair.cell_tags,
+    )
+    ds = ufl.Measure("ds", domain=pair.mesh, subdomain_data=tags)
+    assert [integral(pair.mesh, ds(tag)) for tag in (5, 6, 9)] == pytest.approx([2, 1, 1])
+
+
+def test_markers_can_be_a_dict():
+    mesh = two_boxes("triangle").mesh
+    tags = tag_facets(mesh, {3: lambda x: np.isclose(x[0], 0)})
+    assert len(tags.find(3)) == 3
+
+
+def test_tag_can_have_several_markers():
+    mesh = two_boxes("triangle").mesh
+    left, right = (lambda x: np.isclose(x[0], 0)), (lambda x: np.isclose(x[0], 3))
+    assert len(tag_facets(mesh, [(3, left), (3, right), (3, left)]).find(3)) == 6
+
+
+def test_facets_inside_a_body_are_not_tagged():
+    mesh = boxes(MPI.COMM_SELF, [Box((0, 0), (2, 1), (2, 1))], "quadrilateral").mesh
+    assert len(tag_facets(mesh, {1: lambda x: x[0] > -1}).indices) == 6
+
+
+def test_tag_of_no_facet_is_refused():
+    mesh = two_boxes("triangle").mesh
+    with pytest.raises(InputError, match=r"no facet .* tags \[8\]"):
+        tag_facets(mesh, {3: lambda x: np.isclose(x[0], 0), 8: lambda x: x[0] > 99})
+
+
+def test_facet_with_two_tags_is_refused():
+    mesh = two_boxes("triangle").mesh
+    with pytest.raises(InputError, match="several tags, 3 and 8"):
+        tag_facets(mesh, {3: lambda x: np.isclose(x[0], 0), 8: lambda x: x[0] < 1.1})
+
+
+def test_body_without_cell_tags_is_refused():
+    mesh = two_boxes("triangle").mesh
+    with pytest.raises(InputError, match="pass the cell_tags"):
+        tag_facets(mesh, [(3, lambda x: np.isclose(x[0], 0), 1)])
+
+
+@pytest.mark.parametrize(
+    "marker", [lambda x: x[7], lambda x: True, lambda x: x > 0], ids=["fails", "one", "shape"]
+)
+def test_marker_that_fails_is_named(marker):
+    mesh = two_boxes("triangle").mesh
+    with pytest.raises(InputError, match="marker of facet tag 3"):
+        tag_facets(mesh, {3: marker})

@@ -1,0 +1,116 @@
+"""Nodes in several contact conditions: what repeats is dropped, what contradicts is an error."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from torn import column, cube
+
+from fenics_tfeti import InputError
+from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti.constraints.rows import build_constraints
+
+SECOND = 10**9
+NODE, OTHER = 2 * 1000 * 1000 + 2 * 1000 + 2, SECOND + 10  # of the first and of the second cube
+X, Y, Z = np.eye(3)
+
+
+def conditions(*rows) -> ContactRows:
+    """Make rows (slave, master, normal, gap)."""
+    slave, master, normal, gap = zip(*rows, strict=True)
+    numbers = np.arange(len(rows))
+    unit = np.array(normal, float) / np.linalg.norm(normal, axis=1)[:, None]
+    return ContactRows(np.array(slave), np.array(master), unit, np.array(gap, float), numbers)
+
+
+def two_cubes(contacts, prescribed=None) -> TornSystem:
+    cubes = [cube(2), cube(2, (1, 0, 0)), cube(2, (0, 0, 5), body=1, first=SECOND)]
+    return TornSystem(cubes, prescribed or Prescribed(), contacts, 3)
+
+
+def fixed(node: int, *components: int) -> Prescribed:
+    k = len(components)
+    return Prescribed(np.full(k, node), np.array(components), np.zeros(k))
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "prescribed", "stays"),
+    [
+        ((NODE, -1, Z, 0.2), (NODE, -1, Z, 0.1), None, 1),
+        ((NODE, -1, Z, 0.1), (NODE, -1, Z, 0.1), None, 0),
+        ((NODE, OTHER, X, 0.1), (NODE, OTHER, X, 0.3), None, 0),
+        ((NODE, OTHER, X, 0.3), (OTHER, NODE, -X, 0.1), None, 1),
+        # what is prescribed takes the difference away
+        ((NODE, -1, X + Z, 0.1), (NODE, -1, X + 2 * Z, 0.1), fixed(NODE, 0), 1),
+        ((NODE, -1, Z, 0.2), (NODE, OTHER, Z, 0.1), fixed(OTHER, 0, 1, 2), 1),
+    ],
+    ids=["looser", "equal", "pair", "exchanged", "parallel to what is free", "held master"],
+)
+def test_the_strictest_of_parallel_rows_stays(first, second, prescribed, stays):
+    constraints = build_constraints(two_cubes(conditions(first, second), prescribed))
+    assert constraints.redundant == 1
+    assert (constraints.own_rows >= 0).tolist() == [stays == 0, stays == 1]
+
+
+@pytest.mark.parametrize(
+    ("normals", "dependent"),
+    [([X, Y, Z], 0), ([X, Y, X + Y], 1), ([X, -X], 1), ([X, Y, Z, X + Z, Y + Z], 2)],
+)
+def test_other_dependent_rows_stay_and_are_counted(normals, dependent):
+    rows = conditions(*((NODE, -1, normal, 0.1) for normal in normals))
+    constraints = build_constraints(two_cubes(rows))
+    assert (constraints.redundant, constraints.dependent) == (0, dependent)
+
+
+def test_rows_of_different_nodes_have_nothing_to_do_with_each_other():
+    rows = conditions((NODE, -1, Z, 0.1), (NODE - 1, -1, Z, 0.1), (OTHER, -1, Z, 0.1))
+    constraints = build_constraints(two_cubes(rows))
+    assert (constraints.redundant, constraints.dependent) == (0, 0)
+
+
+def test_chain_of_contacts_is_independent():
+    """A node of a body between two others is slave and master at once."""
+    rows = conditions((NODE, OTHER, Z, 0.1), (OTHER, NODE - 1, Z, 0.1), (NODE - 1, -1, Z, 0.1))
+    constraints = build_constraints(two_cubes(rows))
+    assert (constraints.redundant, constraints.dependent) == (0, 0)
+
+
+def test_conditions_that_exclude_each_other():
+    rows = conditions((NODE, -1, Z, 0.1), (NODE, -1, -Z, -0.2))
+    with pytest.raises(InputError, match=rf"exclude each other.*{NODE}"):
+        build_constraints(two_cubes(rows))
+
+
+def test_opposite_conditions_may_leave_no_room_at_all():
+    rows = conditions((NODE, -1, Z, 0.1), (NODE, -1, -Z, -0.1))
+    assert build_constraints(two_cubes(rows)).dependent == 1
+
+
+def in_a_corner(extra_rows=()) -> TornSystem:
+    """A cube pushed into the corner of three rigid walls, its edges and a node on several."""
+    block = cube(2, load=(-1.0, -2.0, -3.0))
+    rows = [
+        (node, -1, -axis, 0.0)
+        for component, axis in enumerate(np.eye(3))
+        for node in block.nodes[block.coordinates[:, component] == 0]
+    ]
+    rows += [(block.nodes[0], -1, normal, gap) for normal, gap in extra_rows]
+    contacts = conditions(*rows)
+    contact = np.repeat([0, 1, 2, 3], [9, 9, 9, len(extra_rows)])
+    contacts = dataclasses.replace(contacts, contact=contact)
+    return dataclasses.replace(
+        column(), subdomains=[block], contacts=contacts, prescribed=Prescribed()
+    )
+
+
+@pytest.mark.parametrize("method", ["active_set", "smalbe"])
+@pytest.mark.parametrize(
+    "extra", [[], [(-X, 0.0)], [(-X - Y, 0.0)], [(X, 0.0), (-Y - Z, 0.0)]], ids=str
+)
+def test_walls_of_a_corner_bear_the_load(method, extra):
+    system = in_a_corner(extra)
+    solution = TornSolver(system, Options(rtol=1e-8, method=method)).solve()
+    borne = solution.normal_force @ system.contacts.normal
+    np.testing.assert_allclose(borne, [-1.0, -2.0, -3.0], rtol=1e-7)

@@ -1,0 +1,175 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from torn import column, cube
+
+from fenics_tfeti import InputError
+from fenics_tfeti.feti import ContactRows, Prescribed, TornSystem
+from fenics_tfeti.feti.constraints.rows import build_constraints
+from fenics_tfeti.feti.constraints.scaling import node_weights
+
+
+def eight_cubes(**parts) -> TornSystem:
+    """Eight glued cubes: nodes with two, four and eight copies."""
+    cubes = [cube(2, (i, j, k)) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    parts = {"prescribed": Prescribed(), "contacts": ContactRows.none(3), **parts}
+    return TornSystem(cubes, gdim=3, **parts)
+
+
+def one_row(slave: int, normal, gap: float = 0.0) -> ContactRows:
+    ints = np.array([slave]), np.array([-1])
+    return ContactRows(*ints, np.array([normal], float), np.array([gap]), np.array([0]))
+
+
+CENTRE = 2 * 1000 * 1000 + 2 * 1000 + 2  # the node that all eight cubes share
+
+GLUED = {"glued": eight_cubes(), "glued column": column(contact=False)}
+WITH_OTHER_ROWS = {
+    "column": column(),
+    "fixed": eight_cubes(prescribed=Prescribed(np.array([CENTRE]), np.array([1]), np.array([0.5]))),
+    "contact": eight_cubes(contacts=one_row(CENTRE, (0.6, 0.0, 0.8))),
+    "fixed and contact": eight_cubes(
+        prescribed=Prescribed(np.array([CENTRE]), np.array([0]), np.array([0.5])),
+        contacts=one_row(CENTRE, (0.6, 0.0, 0.8)),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", [*GLUED, *WITH_OTHER_ROWS])
+def test_rows_are_orthonormal(name):
+    B = build_constraints({**GLUED, **WITH_OTHER_ROWS}[name]).matrix.toarray()
+    np.testing.assert_allclose(B @ B.T, np.eye(len(B)), atol=1e-14)
+
+
+def random_weights(system: TornSystem, seed: int) -> np.ndarray:
+    """Return weights of the copies between 1e-4 and 1."""
+    copies = sum(subdomain.nodes.size for subdomain in system.subdomains)
+    return 10.0 ** np.random.default_rng(seed).uniform(-4.0, 0.0, copies)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", [*GLUED, *WITH_OTHER_ROWS])
+def test_rows_are_orthonormal_in_the_inverse_weights(name, seed):
+    system = {**GLUED, **WITH_OTHER_ROWS}[name]
+    constraints = build_constraints(system, random_weights(system, seed))
+    B = constraints.matrix.toarray() / np.sqrt(constraints.weights)
+    np.testing.assert_allclose(B @ B.T, np.eye(len(B)), rtol=0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", [*GLUED, *WITH_OTHER_ROWS])
+def test_weights_keep_the_constraints(name):
+    """They combine gluing rows with gluing rows and scale the others by positive numbers."""
+    system = {**GLUED, **WITH_OTHER_ROWS}[name]
+    plain = build_constraints(system)
+    weighted = build_constraints(system, random_weights(system, 0))
+    factor = weighted.scale / plain.scale
+    assert np.all(factor > 0.0)
+    u = np.linalg.lstsq(plain.matrix.toarray(), plain.rhs, rcond=None)[0]
+    np.testing.assert_allclose(weighted.matrix @ u, weighted.rhs, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", [*GLUED, *WITH_OTHER_ROWS])
+def test_scaling_by_multiplicity_gives_orthonormal_rows(name):
+    system = {**GLUED, **WITH_OTHER_ROWS}[name]
+    B = build_constraints(system, node_weights(system, "multiplicity")).matrix.toarray()
+    np.testing.assert_allclose(B @ B.T, np.eye(len(B)), rtol=0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1e12])
+def test_weights_by_stiffness_have_no_unit(unit):
+    system = column()
+    scaled = dataclasses.replace(
+        system,
+        subdomains=[
+            dataclasses.replace(s, stiffness=unit * s.stiffness) for s in system.subdomains
+        ],
+    )
+    weights = node_weights(system, "stiffness")
+    assert weights.max() == 1.0
+    np.testing.assert_allclose(node_weights(scaled, "stiffness"), weights, rtol=1e-14)
+
+
+@pytest.mark.parametrize("name", GLUED)
+def test_glued_displacements_violate_no_gluing_row(name):
+    """One displacement for each node, zero where it is fixed, fulfils all rows with c = 0."""
+    system = GLUED[name]
+    constraints = build_constraints(system)
+    rng = np.random.default_rng(0)
+    value = {node: rng.standard_normal(3) for s in system.subdomains for node in s.nodes}
+    fixed = system.prescribed
+    for node, component in zip(fixed.nodes, fixed.components, strict=True):
+        value[node][component] = 0.0
+    u = np.concatenate([[value[n] for n in s.nodes] for s in system.subdomains]).ravel()
+    np.testing.assert_allclose(constraints.matrix @ u, 0.0, atol=1e-13)
+
+
+def test_number_of_gluing_rows():
+    """There are k - 1 rows for each component of a node with k copies, 3 x 144 in all."""
+    constraints = build_constraints(eight_cubes())
+    torn, nodes = 8 * 3**3, 5**3
+    assert constraints.matrix.shape[0] == 3 * (torn - nodes)
+
+
+def test_contact_row_is_that_of_the_chapter_on_glued_displacements():
+    system = column()
+    constraints = build_constraints(system)
+    u = np.concatenate(
+        [np.tile([0.0, 0.0, float(s.body)], s.nodes.size) for s in system.subdomains]
+    )
+    jump = (constraints.matrix @ u)[constraints.inequality] / constraints.scale
+    np.testing.assert_allclose(jump, -1.0, rtol=1e-14)  # (u_slave - u_master)'n, n downwards
+
+
+def test_prescribed_part_of_a_normal_goes_to_the_gap():
+    system = eight_cubes(
+        prescribed=Prescribed(np.array([CENTRE]), np.array([0]), np.array([0.5])),
+        contacts=one_row(CENTRE, (0.6, 0.0, 0.8), gap=1.0),
+    )
+    constraints = build_constraints(system)
+    gap = constraints.rhs[constraints.inequality] / constraints.scale
+    np.testing.assert_allclose(gap, 1.0 - 0.6 * 0.5)
+
+
+def test_row_that_prescribed_displacements_decide_is_dropped():
+    system = eight_cubes(
+        prescribed=Prescribed(np.array([CENTRE]), np.array([2]), np.array([0.1])),
+        contacts=one_row(CENTRE, (0, 0, 1), gap=0.2),
+    )
+    assert build_constraints(system).own_rows.tolist() == [-1]
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        (
+            {
+                "prescribed": Prescribed(np.array([CENTRE]), np.array([2]), np.array([0.3])),
+                "contacts": one_row(CENTRE, (0, 0, 1), gap=0.2),
+            },
+            "violate",
+        ),
+        ({"prescribed": Prescribed(np.array([7]), np.array([2]), np.array([0.3]))}, "node 7"),
+        ({"contacts": one_row(7, (0, 0, 1))}, "node 7"),
+        (
+            {
+                "prescribed": Prescribed(
+                    np.array([CENTRE, CENTRE]), np.array([2, 2]), np.array([0.3, 0.1])
+                )
+            },
+            "contradictory",
+        ),
+    ],
+)
+def test_wrong_input(parts, message):
+    with pytest.raises(InputError, match=message):
+        build_constraints(eight_cubes(**parts))
+
+
+def test_order_of_subdomains_does_not_change_what_is_constrained():
+    system = column()
+    turned = dataclasses.replace(system, subdomains=system.subdomains[::-1])
+    ranks = [np.linalg.matrix_rank(build_constraints(s).matrix.toarray()) for s in (system, turned)]
+    assert ranks[0] == ranks[1]

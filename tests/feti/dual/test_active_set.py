@@ -1,0 +1,190 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.optimize import nnls
+from torn import column
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.feti import (
+    ContactGuess,
+    ContactRows,
+    Options,
+    Prescribed,
+    Subdomain,
+    TornSolver,
+    TornSystem,
+)
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.dual.pcpg import solve_on_face
+from fenics_tfeti.qp import Products
+
+# Curtis, Han, Robinson, Comput. Optim. Appl. 60 (2015), example 1: active sets that repeat
+CYCLING = np.array([[4.0, 5.0, -5.0], [5.0, 9.0, -5.0], [-5.0, -5.0, 7.0]])
+LOAD = np.array([2.0, 1.0, -3.0])
+
+
+def springs(F: np.ndarray, d: np.ndarray) -> TornSystem:
+    """Return a system in the plane whose dual problem is min 1/2 l'Fl - d'l, l >= o.
+
+    Its nodes are on springs in x; in y they are coupled by F^{-1}.
+    """
+    k = len(F)
+    K = np.kron(np.eye(k), np.diag([1.0, 0.0])) + np.kron(np.linalg.inv(F), np.diag([0.0, 1.0]))
+    points = np.column_stack([np.arange(k), np.arange(k) ** 2])
+    numbers = np.arange(k)
+    force = np.column_stack([np.zeros(k), np.linalg.solve(F, d)]).ravel()
+    block = Subdomain(sp.csr_matrix(K), force, points.astype(float), numbers, 0)
+    up, none = np.tile([0.0, 1.0], (k, 1)), np.full(k, -1)
+    return TornSystem(
+        [block], Prescribed(), ContactRows(numbers, none, up, np.zeros(k), 0 * numbers), 2
+    )
+
+
+def faces(solver: TornSolver) -> list[int]:
+    return [step.changed for step in solver.solve().report.faces]
+
+
+def test_cycle_is_left_to_smalbe():
+    """The sets repeat: the unsafeguarded loop would not end. The solution comes all the same."""
+    options = Options(rtol=1e-10, dual_operator="explicit")
+    solution = TornSolver(springs(CYCLING, LOAD), options).solve()
+    factor = np.linalg.cholesky(CYCLING).T
+    exact = nnls(factor, np.linalg.solve(factor.T, LOAD))[0]
+    assert solution.report.faces[-1].changed > 0
+    assert solution.report.converged
+    np.testing.assert_allclose(solution.normal_force, exact, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_quadratic_programme(seed):
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((8, 8))
+    F, d = A @ A.T + 0.1 * np.eye(8), rng.standard_normal(8)
+    factor = np.linalg.cholesky(F).T
+    exact = nnls(factor, np.linalg.solve(factor.T, d))[0]
+    force = TornSolver(springs(F, d), Options(rtol=1e-10)).solve().normal_force
+    np.testing.assert_allclose(force, exact, atol=1e-7)
+
+
+@pytest.mark.parametrize("preconditioner", ["none", "lumped", "dirichlet"])
+def test_set_that_stays_ends_the_loop_and_the_certificate_confirms(preconditioner):
+    report = TornSolver(column(), Options(preconditioner=preconditioner)).solve().report
+    assert report.outer_iterations == 0
+    assert report.certificate.worst <= 1e-6
+
+
+def test_limit_of_products_holds_here_too():
+    options = Options(max_products=5, error_if_not_converged=False)
+    report = TornSolver(column(), options).solve().report
+    assert not report.converged
+    assert report.products["total"] <= 5 + 1
+
+
+# -- a guess of the contact ------------------------------------------------------------------------
+
+
+def bowl() -> TornSystem:
+    """Return the column of cubes; gaps open towards the rim, so that part of them closes."""
+    system = column(n=6)
+    points = {
+        node: x for s in system.subdomains for node, x in zip(s.nodes, s.coordinates, strict=True)
+    }
+    x = np.array([points[node] for node in system.contacts.slave])
+    gap = 20.0 * np.sum((x[:, :2] - 0.3) ** 2, axis=1)
+    return replace(system, contacts=replace(system.contacts, gap=gap))
+
+
+def exact_guess(system: TornSystem, options: Options) -> ContactGuess:
+    force = TornSolver(system, options).solve().normal_force
+    assert 0 < np.count_nonzero(force) < force.size
+    return ContactGuess(force, np.where(force > 0.0, 0.0, 1.0))
+
+
+def linear_products(solver: TornSolver, active: np.ndarray) -> Products:
+    """Count what the linear problem with these rows costs, from nothing."""
+    problem, space = solver.dual_problem(), solver.constraints.multipliers.space
+    b = solver.F.load(solver.load - solver.F.constraint_forces(solver.start))
+    tolerance = solver.options.rtol * space.norm(solver.projector.complement(b))
+    face, products = Projector.build(solver.space, active), Products()
+    start = np.zeros_like(problem.d)
+    solve_on_face(face, active, problem, start, (0.0, tolerance), 10_000, products)
+    return products
+
+
+@pytest.mark.parametrize("scaling", ["stiffness", "multiplicity"])
+@pytest.mark.parametrize("preconditioner", ["none", "lumped", "dirichlet"])
+def test_exact_guess_costs_a_linear_solve(preconditioner, scaling):
+    options = Options(rtol=1e-5, preconditioner=preconditioner, scaling=scaling)
+    system = bowl()
+    solver = TornSolver(system, options, guess=exact_guess(system, options))
+    solution = solver.solve()
+    linear = linear_products(solver, solution.multipliers[solver.constraints.inequality] > 0.0)
+    assert {face.changed for face in solution.report.faces} == {0}
+    # the certificate may want a bit more than the residual
+    assert solution.report.products["total"] <= linear.total + 2
+
+
+@pytest.mark.parametrize("expected", ["all", "none", "random"])
+def test_wrong_guess_is_only_a_start(expected):
+    system, options = bowl(), Options(rtol=1e-8)
+    right = TornSolver(system, options).solve().normal_force
+    random = np.random.default_rng(0).random(right.size) < 0.5
+    force = {"all": np.ones(right.size), "none": 0.0 * right, "random": 1.0 * random}[expected]
+    guess = ContactGuess(force, np.where(force > 0.0, 0.0, 1.0))
+    found = TornSolver(system, options, guess=guess).solve().normal_force
+    np.testing.assert_allclose(found, right, atol=1e-6 * right.max())
+
+
+@pytest.mark.parametrize("scaling", ["stiffness", "multiplicity"])
+@pytest.mark.parametrize("share, active", [(0.9, 0), (1.1, 1)])
+def test_row_with_force_and_gap_presses_if_the_force_would_close_it(share, active, scaling):
+    """Springs of 1 N/m along x and 2 N/m along y count as 1.5 N/m; of that 0.3 on a surface."""
+    system = springs(0.5 * np.eye(2), np.ones(2))
+    guess = ContactGuess(np.array([share * 0.3 * 1.5 * 0.2, 0.0]), np.array([0.2, 1.0]))
+    report = TornSolver(system, Options(scaling=scaling), guess=guess).solve().report
+    assert report.faces[0].active == active
+
+
+def test_guess_is_reported():
+    system, options = bowl(), Options()
+    solver = TornSolver(system, options, guess=exact_guess(system, options))
+    assert solver.solve().report.reused == ["contact guess"]
+
+
+@pytest.mark.parametrize(
+    "force, gap, words",
+    [
+        (np.zeros(2), np.zeros(49), r"forces.*\(2,\), expected \(49,\)"),
+        (np.zeros(49), np.zeros(2), r"gaps.*\(2,\), expected \(49,\)"),
+        (np.full(49, np.inf), np.zeros(49), "forces.*infinite"),
+        (np.zeros(49), np.full(49, np.nan), "gaps.*49 are NaN"),
+    ],
+)
+def test_wrong_guess_is_an_error(force, gap, words):
+    with pytest.raises(InputError, match=words):
+        TornSolver(bowl(), guess=ContactGuess(force, gap))
+
+
+def test_guess_is_for_the_active_set_method():
+    guess = ContactGuess(np.zeros(49), np.zeros(49))
+    with pytest.raises(InputError, match="active_set.*smalbe"):
+        TornSolver(bowl(), Options(method="smalbe"), guess=guess)
+
+
+def test_smaller_tolerance_goes_on_where_the_larger_one_ended():
+    """More of the same face costs no product for a new start."""
+    system, options = bowl(), Options(rtol=1e-8)
+    solver = TornSolver(system, options)
+    active = solver.solve().multipliers[solver.constraints.inequality] > 0.0
+    problem, start = solver.dual_problem(), np.zeros(solver.constraints.rhs.size)
+    face, once, twice = Projector.build(solver.space, active), Products(), Products()
+    scale = np.linalg.norm(solver.projector.complement(problem.d))
+    coarse = solve_on_face(face, active, problem, start, (0.0, 1e-4 * scale), 1000, twice)
+    fine = solve_on_face(face, active, problem, coarse, (0.0, 1e-9 * scale), 1000, twice, True)
+    direct = solve_on_face(face, active, problem, start, (0.0, 1e-9 * scale), 1000, once)
+    assert twice.total == once.total
+    assert fine.residual == pytest.approx(direct.residual, rel=1e-3)

@@ -1,0 +1,137 @@
+"""A block upon a longer one, and displacements that give them any shape and place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+from scenes import GROUND, MASTER, SLAVE, at, dimension, vector_space
+
+from dolfinx import fem
+
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.contact import (
+    ContactPair,
+    MatchedContact,
+    RigidObstacle,
+    match_contact,
+)
+from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
+from fenics_tfeti.fem.contact.surfaces import MeshBoundary
+from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+
+CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
+LOWER, UPPER = 1, 2
+Vector = NDArray[np.float64]
+Motion = Callable[[Vector], Vector]
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Slave is the lower face of the upper block, master the upper face of the lower one.
+
+    The lower block's is GROUND where it stands.
+    """
+
+    mesh: Any
+    space: Any
+    facet_tags: Any
+    body: NDArray[np.int64]  # of each node of this rank
+
+    @property
+    def pair(self) -> ContactPair:
+        return ContactPair(self.facet_tags, slave=SLAVE, master=MASTER)
+
+    def obstacle(self, surface: Any) -> RigidObstacle:
+        return RigidObstacle(self.facet_tags, slave=GROUND, obstacle=surface)
+
+    def matched(self, contact: Any) -> MatchedContact:
+        return match_contact(MeshBoundary.of(self.space), contact, 0)
+
+    def displacement(
+        self, lower: Motion | None = None, upper: Motion | None = None
+    ) -> fem.Function:
+        """Move the blocks: each motion maps places (gdim, n) to where they go."""
+        gdim = self.mesh.geometry.dim
+        uh = fem.Function(self.space)
+        u = uh.x.array.reshape(-1, gdim)
+        x = self.space.tabulate_dof_coordinates()[:, :gdim]
+        for body, motion in ((LOWER, lower), (UPPER, upper)):
+            if motion is not None:
+                own = self.body == body
+                u[own] = motion(x[own].T).T - x[own]
+        # ghosts have to be brought up to date by who needs them
+        u[self.space.dofmap.index_map.size_local :] = np.nan
+        return uh
+
+    def deformed(
+        self, lower: Motion | None = None, upper: Motion | None = None, **arguments: Any
+    ) -> tuple[MatchedContact, DeformedContact, Vector, Vector]:
+        """Return the pair before and after, and the slave's and partners' displacements; serial."""
+        matched, uh = self.matched(self.pair), self.displacement(lower, upper)
+        result = deformed_contact(self.space, self.pair, matched, uh, **arguments)
+        u = uh.x.array.reshape(-1, self.mesh.geometry.dim)
+        return matched, result, u[matched.slave], u[result.master]
+
+
+def blocks(
+    cell: str, n: int = 3, gap: float = 0.1, length: int = 3, comm: MPI.Comm = MPI.COMM_SELF
+) -> Blocks:
+    """Return a unit block, `gap` above the middle of one of a length of 3, n cells a metre."""
+    gdim, up = dimension(cell), dimension(cell) - 1
+    low, high = np.zeros(gdim), np.ones(gdim)
+    high[0] = length
+    shift = np.zeros(gdim)
+    shift[0], shift[up] = (length - 1) // 2, 1.0 + gap
+    top = high.copy()
+    top[0] = 1.0
+    tagged = boxes(
+        comm,
+        [
+            Box(low, high, (length * n, *(n,) * (gdim - 1)), "lower"),
+            Box(low + shift, top + shift, (n,) * gdim, "upper"),
+        ],
+        cell,
+    )
+    facet_tags = tag_facets(
+        tagged.mesh,
+        [(MASTER, at(up, 1.0), 1), (SLAVE, at(up, 1.0 + gap), 2), (GROUND, at(up, 0.0), 1)],
+        tagged.cell_tags,
+    )
+    space = vector_space(tagged.mesh)
+    index_map = space.dofmap.index_map
+    body = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int64)
+    body[_compat.cell_dofs(space)[tagged.cell_tags.indices]] = tagged.cell_tags.values[:, None]
+    return Blocks(tagged.mesh, space, facet_tags, body)
+
+
+def turned(angle: float, gdim: int, shift: float = 0.0) -> tuple[Vector, Motion]:
+    """Return a rotation (about a skew axis in 3D) and the motion by it and a shift."""
+    if gdim == 2:
+        c, s = np.cos(angle), np.sin(angle)
+        Q = np.array([[c, -s], [s, c]])
+    else:
+        a = np.array([1.0, -2.0, 2.0]) / 3.0
+        A = np.cross(np.eye(3), a)
+        Q = np.eye(3) + np.sin(angle) * A + (1.0 - np.cos(angle)) * A @ A
+    return Q, lambda x: Q @ x + shift
+
+
+def lifted(height: Callable[..., Vector]) -> Motion:
+    """Return the motion that adds a height, a function of the other coordinates, to the last."""
+
+    def motion(x: Vector) -> Vector:
+        y = x.copy()
+        y[-1] += height(*x[:-1])
+        return y
+
+    return motion
+
+
+def shifted(*by: float) -> Motion:
+    return lambda x: x + np.array(by)[:, None]
