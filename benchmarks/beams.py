@@ -30,7 +30,7 @@ from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
 CLAMPED, GUIDED, SLAVE, MASTER, LOADED = 3, 4, 5, 6, 7
 PLAIN = {
     "method": "smalbe",
-    "expansion": "standard",
+    "mprgp_expansion": "standard",
     "preconditioner": "none",
     "scaling": "multiplicity",
 }

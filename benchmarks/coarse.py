@@ -57,7 +57,7 @@ class Counts:
 def coarse_space(m: int, solver: str) -> CoarseSpace:
     """Return G of the beams with m subdomains a metre, of 2^3 elements: its size is what counts."""
     system = dealt(ladder.two_beams(m, 2, softer=False), comm)
-    constraints = build_constraints(system)
+    constraints, _ = build_constraints(system)
     classes = find_congruence_classes(system.subdomains)
     kernels = [kernel(subdomain) for subdomain in system.subdomains]
     interface = Interface.build(constraints.matrix, classes)

@@ -28,6 +28,7 @@ import numpy as np
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.dual.operator import DualOperator
+from fenics_tfeti.feti.outer import LANCZOS_STEPS
 
 METHODS = {
     "active_set": {},
@@ -226,7 +227,7 @@ def measure(system: TornSystem, options: Options) -> dict[str, Any]:
     with marks(comm):
         solver = TornSolver(replace(system, comm=comm), options)
         # the norm's products are no iterations
-        solver.norm(options.norm_steps)
+        solver.setup.norm(LANCZOS_STEPS)
         set_up = list(comm.calls)
         comm.calls.clear()
         report = solver.solve().report

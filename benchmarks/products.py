@@ -39,13 +39,13 @@ from fenics_tfeti.fem.io.fields import displacement_space
 from fenics_tfeti.fem.io.gmsh import TaggedMesh, read_msh
 from fenics_tfeti.feti import Options, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.dual.pcpg import solve_on_face
+from fenics_tfeti.feti.dual.pcpg import Face, pcpg
 from fenics_tfeti.qp import Products
 
 meshes = Path(__file__).parent.parent / "meshes"
 METHODS = {
-    "smalbe, standard": {"method": "smalbe", "expansion": "standard"},
-    "smalbe, projected_cg": {"method": "smalbe", "expansion": "projected_cg"},
+    "smalbe, standard": {"method": "smalbe", "mprgp_expansion": "standard"},
+    "smalbe, projected_cg": {"method": "smalbe", "mprgp_expansion": "projected_cg"},
     "active_set": {"method": "active_set"},
 }
 WARM = "active_set, coarse"
@@ -142,15 +142,25 @@ PROBLEMS: dict[str, Callable[[bool], ContactProblem]] = {
 
 def linear_products(solver: TornSolver, multipliers: np.ndarray, rtol: float) -> Products:
     """Count what the linear problem on the final active set costs from a zero start."""
-    problem, constraints = solver.dual_problem(), solver.constraints
-    space, products = constraints.multipliers.space, Products()
+    problem, constraints = solver.dual_problem(), solver.setup.constraints
+    space, products = constraints.layout.space, Products()
     # ||b|| of (11.47), as the contact problem's stopping test takes it
-    b = solver.F.load(solver.load - solver.F.constraint_forces(solver.start))
-    tolerance = rtol * space.norm(solver.projector.complement(b))
+    b = solver.setup.F.load(
+        solver.data.load - solver.setup.F.constraint_forces(solver.data.feasible), solver.data.c
+    )
+    tolerance = rtol * space.norm(solver.setup.projector.P(b))
     active = multipliers[constraints.inequality] > 0.0
-    face = Projector.build(solver.space, active)
+    projector = Projector.build(solver.setup.projector.coarse_space, active)
     limit, start = solver.options.max_products, np.zeros_like(multipliers)
-    solve_on_face(face, active, problem, start, (0.0, tolerance), limit, products)
+    pcpg(
+        problem,
+        Face(active, projector),
+        start,
+        tolerance=tolerance,
+        sign_factor=0.0,
+        max_products=limit,
+        products=products,
+    )
     return products
 
 
@@ -164,7 +174,7 @@ def timed_solve(problem: ContactProblem, coarse: ContactProblem | None = None) -
 def with_options(name: str, coarse: bool, **options) -> ContactProblem:
     """Return a new problem with some options."""
     problem = PROBLEMS[name](coarse)
-    problem.options = replace(problem.options, **options)
+    problem.options = replace(problem.options, solver=replace(problem.options.solver, **options))
     return problem
 
 

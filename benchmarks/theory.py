@@ -40,17 +40,17 @@ def extreme_eigenvalues(solver: TornSolver, rtol: float = 1e-4) -> tuple[float, 
     On Im G', which P removes, the operator is made to be in the way of neither end: zero while the
     largest eigenvalue is looked for, more than that one for the smallest.
     """
-    projector, m = solver.projector, solver.constraints.multipliers.size
+    projector, m = solver.setup.projector, solver.setup.constraints.layout.size
 
     def operator(shift: float) -> LinearOperator:
         def apply(x: np.ndarray) -> np.ndarray:
             x = x.ravel()
-            Qx = projector.coarse(x)
-            return projector.complement(solver.F(x - Qx)) + shift * Qx
+            Qx = projector.Q(x)
+            return projector.P(solver.setup.F(x - Qx)) + shift * Qx
 
         return LinearOperator((m, m), apply, dtype=float)
 
-    start = projector.complement(np.random.default_rng(0).standard_normal(m))
+    start = projector.P(np.random.default_rng(0).standard_normal(m))
 
     def end(which: str, shift: float) -> float:
         found = eigsh(
@@ -130,7 +130,7 @@ def measure(system: TornSystem, metres: int, ratio: int) -> dict[str, float]:
         "H/h": ratio,
         "1/h": metres * ratio,
         "subdomains": len(system.subdomains),
-        "dual": plain.constraints.multipliers.size,
+        "dual": plain.setup.constraints.layout.size,
         "smallest": smallest,
         "largest": largest,
         "condition": largest / smallest,

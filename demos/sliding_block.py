@@ -104,12 +104,16 @@ for name, component, value in (
 contact = ContactPair(
     facet_tags, slave=tags["block surface"], master=tags["base surface"], direction=(0, 1)
 )
-exact = {"non_penetration": "exact", "penetration_tolerance": 1e-5, "max_passes": 40}
+exact = {
+    "non_penetration": "exact",
+    "non_penetration_tolerance": 1e-5,
+    "non_penetration_max_it": 40,
+}
 problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], options=exact)
 
 # The linearised solution, for the comparison, is what one pass alone gives.
 
-linearised = {**exact, "max_passes": 1, "error_if_not_converged": False}
+linearised = {**exact, "non_penetration_max_it": 1, "error_if_not_converged": False}
 
 
 def tell(line):

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 from mpi4py import MPI
-
-from petsc4py import PETSc
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +25,7 @@ from fenics_tfeti.fem.contact.contact import (
     contact_rows,
     match_contacts,
 )
-from fenics_tfeti.fem.contact.deformed import deformed_contact, geometry_pass
+from fenics_tfeti.fem.contact.deformed import GeometryPass, deformed_contact, geometry_pass
 from fenics_tfeti.fem.contact.surfaces import MeshBoundary
 from fenics_tfeti.fem.contact.transfer import check_same_contacts, expected_contact, gather_solved
 from fenics_tfeti.fem.decomposition.assembly import prepare_forms, same_values
@@ -40,24 +36,23 @@ from fenics_tfeti.fem.decomposition.partition import (
 )
 from fenics_tfeti.fem.decomposition.parts import number_parts
 from fenics_tfeti.fem.displacement import (
-    average_of_copies,
+    displacement_function,
     prescribed_values,
     space_of_forms,
 )
 from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.feti import (
     ContactGuess,
-    GeometryPass,
     Prescribed,
-    Report,
     Subdomain,
     Timer,
     TornSolution,
     TornSolver,
     TornSystem,
-    parse_options,
 )
+from fenics_tfeti.options import contact_options
 from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.report import ContactReport
 
 __all__ = ["ContactProblem"]
 
@@ -85,13 +80,17 @@ class ContactProblem:
         default each rank splits its cells into blocks or by a graph partitioner, see the option
         ``partitioner``.
     options : mapping, optional
-        See `fenics_tfeti.feti.Options`; ``-tfeti_...`` on the command line comes first.
+        Names and values, see `fenics_tfeti.options.ContactOptions` and
+        `fenics_tfeti.feti.Options`.
+    options_prefix : str
+        ``-<prefix><name> value`` on the command line, or in PETSc's database, overrides `options`.
+        Problems of one script that are to differ need different prefixes.
 
     Attributes
     ----------
     contact : list of ContactResult
         For each contact the nodes with gaps, normals, forces and pressures, after `solve`.
-    report : Report
+    report : ContactReport
         Sizes, iterations, residuals and times, after `solve`.
 
     Raises
@@ -108,7 +107,7 @@ class ContactProblem:
     """
 
     contact: list[ContactResult]
-    report: Report
+    report: ContactReport
 
     def __init__(
         self,
@@ -119,8 +118,9 @@ class ContactProblem:
         cell_tags: Any | None = None,
         subdomains: Sequence[int] | None = None,
         options: Mapping[str, Any] | None = None,
+        options_prefix: str = "tfeti_",
     ) -> None:
-        self.options = parse_options({**(options or {}), **_command_line()})
+        self.options = contact_options(options, options_prefix)
         self._timer = Timer()
         self.space = space_of_forms(a, L)
         self.bcs, self.contacts = list(bcs), list(contacts)
@@ -213,10 +213,10 @@ class ContactProblem:
                 )
             names = [contact_name(c, i) for i, c in enumerate(self.contacts)]
             check_same_contacts(coarse.system.contact_names, names)
-            if self.options.method != "active_set":
+            if self.options.solver.method != "active_set":
                 raise InputError(
                     "a coarse problem is a start for method='active_set'; with "
-                    f"{self.options.method!r} leave it out"
+                    f"{self.options.solver.method!r} leave it out"
                 )
             if coarse._displacement is None:
                 raise InputError("the coarse problem is not solved; call its solve() first")
@@ -275,7 +275,7 @@ class ContactProblem:
         rows = contact_rows(matched, self.system.gdim)
         system = replace(self.system, contacts=rows)
         guess = self._guess(coarse, matched)
-        self._solver = TornSolver(system, self.options, self._timer, self._solver, guess)
+        self._solver = TornSolver(system, self.options.solver, self._timer, self._solver, guess)
         try:
             solution = self._solver.solve()
         except NotConverged as error:
@@ -303,21 +303,23 @@ class ContactProblem:
                 replace(match, master=new.master, normal=new.normal, gap=new.gap)
                 for match, new in zip(matched, deformed, strict=True)
             ]
-            if passes[-1].error <= self.options.penetration_tolerance:
+            if passes[-1].error <= self.options.non_penetration_tolerance:
                 return uh
-            if len(passes) == self.options.max_passes:
+            if len(passes) == self.options.non_penetration_max_it:
                 return self._not_exact(uh, passes[-1])
 
     def _not_exact(self, uh: Function, last: GeometryPass) -> Function:
         reason = (
-            f"limit of {self.options.max_passes} geometry passes (max_passes): the deformed "
-            f"surfaces penetrate or gape by {last.error:.1e} of the largest displacement"
+            f"limit of {self.options.non_penetration_max_it} geometry passes "
+            "(non_penetration_max_it): the deformed surfaces penetrate or gape by "
+            f"{last.error:.1e} of the largest displacement"
         )
         self.report = replace(self.report, converged=False, reason=reason)
-        if self.options.error_if_not_converged:
+        if self.options.solver.error_if_not_converged:
             raise NotConverged(
-                f"no exact non-penetration to {self.options.penetration_tolerance:g}: {reason}. "
-                "Raise the limit or penetration_tolerance, or set error_if_not_converged to false",
+                f"no exact non-penetration to {self.options.non_penetration_tolerance:g}: "
+                f"{reason}. Raise the limit or non_penetration_tolerance, or set "
+                "error_if_not_converged to false",
                 uh,
                 self.report,
             )
@@ -326,7 +328,14 @@ class ContactProblem:
     def _take(self, solution: TornSolution, matched: Sequence[MatchedContact]) -> Function:
         versions = {**solution.report.versions, "dolfinx": _compat.version()}
         pairing = [match.pairing for match in self._matched]
-        self.report = replace(solution.report, versions=versions, pairing=pairing)
+        self.report = ContactReport(
+            **{
+                **vars(solution.report),
+                "versions": versions,
+                "options": {**solution.report.options, **self.options.of_geometry()},
+            },
+            pairing=pairing,
+        )
         ends = np.cumsum([match.slave.size for match in self._matched])[:-1]
         forces = np.split(solution.normal_force, ends)
         self.contact = [
@@ -335,8 +344,8 @@ class ContactProblem:
             for match, first, force in zip(matched, self._matched, forces, strict=False)
         ]
         self._used = list(matched)
-        self._displacement = average_of_copies(
-            self.space, self.system.subdomains, solution.displacements, solution.weights
+        self._displacement = displacement_function(
+            self.space, self.system.subdomains, solution.displacements
         )
         return self._displacement
 
@@ -359,14 +368,3 @@ def _contact_result(
         active=force > 0.0,
         comm=comm,
     )
-
-
-def _command_line() -> dict[str, str]:
-    """Return the options given as ``-tfeti_name value`` to PETSc or to the script."""
-    database = PETSc.Options("tfeti_")
-    # a program that embeds Python may have no command line
-    for word, following in pairwise([*getattr(sys, "argv", [])[1:], ""]):
-        # PETSc knows the command line only if petsc4py was started with it
-        if word.startswith("-tfeti_") and not database.hasName(word.removeprefix("-tfeti_")):
-            database.setValue(word.removeprefix("-tfeti_"), following)
-    return {name: database.getString(name) for name in database.getAll()}

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from scenes import two_beams
 problem = two_beams(MPI.COMM_SELF, "quadrilateral", 2).problem(options={"rtol": 1e-5})
 problem.solve()
-print(problem.report.converged, problem.options.rtol, problem.options.rho)
+print(problem.report.converged, problem.options.solver.rtol, problem.options.solver.smalbe_rho)
 """
 
 
@@ -41,7 +41,7 @@ def test_arguments_that_are_not_ours_are_left_alone():
 
 
 def test_command_line_comes_before_the_script():
-    assert run(SOLVE, "-tfeti_rtol", "1e-4", "-tfeti_rho", "2") == "True 0.0001 2.0"
+    assert run(SOLVE, "-tfeti_rtol", "1e-4", "-tfeti_smalbe_rho", "2") == "True 0.0001 2.0"
 
 
 def test_modules_that_were_started_with_the_command_line_do_not_count_it_twice():

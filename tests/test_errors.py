@@ -12,7 +12,7 @@ from bad_input import MISTAKES
 from scenes import two_beams
 
 import fenics_tfeti
-from fenics_tfeti.feti import solver
+from fenics_tfeti.feti import setup
 
 by_name = pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.name)
 
@@ -24,7 +24,7 @@ def no_factorisation(monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("too late: factored before the input was checked")
 
-    monkeypatch.setattr(solver, "GeneralizedInverse", refuse)
+    monkeypatch.setattr(setup, "GeneralizedInverse", refuse)
 
 
 @by_name
@@ -69,7 +69,7 @@ def test_the_scene_without_a_mistake_is_solved():
     assert problem.report.converged
 
 
-@pytest.mark.parametrize("limit", ["max_outer", "max_products"])
+@pytest.mark.parametrize("limit", ["smalbe_max_it", "max_products"])
 def test_not_converged_raises_with_the_last_iterate(limit):
     problem = two_beams(MPI.COMM_SELF, "quadrilateral", 6).problem(
         options={limit: 1, "method": "smalbe", "rtol": 1e-10, "subdomain_size": 100}
@@ -81,7 +81,7 @@ def test_not_converged_raises_with_the_last_iterate(limit):
     assert not raised.value.report.converged
 
 
-@pytest.mark.parametrize("limit", ["max_outer", "max_products"])
+@pytest.mark.parametrize("limit", ["smalbe_max_it", "max_products"])
 def test_not_converged_returns_the_last_iterate_if_asked(limit):
     problem = two_beams(MPI.COMM_SELF, "quadrilateral", 6).problem(
         options={

@@ -15,10 +15,10 @@ from dolfinx.fem import Function, FunctionSpace
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.feti import Prescribed, Subdomain
-from fenics_tfeti.feti.system import SAME_VALUE
+from fenics_tfeti.feti.tolerances import SAME_VALUE
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["average_of_copies", "space_of_forms", "prescribed_values"]
+__all__ = ["displacement_function", "prescribed_values", "space_of_forms"]
 
 Vector = NDArray[np.float64]
 
@@ -137,13 +137,10 @@ def _check_values(
         )
 
 
-def average_of_copies(
-    space: FunctionSpace,
-    subdomains: Sequence[Subdomain],
-    displacements: Sequence[Vector],
-    weights: Vector,
+def displacement_function(
+    space: FunctionSpace, subdomains: Sequence[Subdomain], displacements: Sequence[Vector]
 ) -> Function:
-    """Put torn displacements together: at each node the weighted mean of this rank's copies.
+    """Return the function with the displacements of the subdomains.
 
     Parameters
     ----------
@@ -152,10 +149,7 @@ def average_of_copies(
     subdomains : sequence of Subdomain
         This rank's subdomains.
     displacements : sequence of (n_i,) arrays
-        Their displacements [m].
-    weights : (torn nodes of this rank,) array
-        Of the copies: what is left of a jump is a strain in both materials, so the stiffer copy
-        should move less.
+        Their displacements, equal at all copies of a node [m].
 
     Returns
     -------
@@ -163,17 +157,10 @@ def average_of_copies(
         On the user's mesh, ghosts up to date.
     """
     block = space.dofmap.index_map_bs
-    index_map = space.dofmap.index_map
-    total = np.zeros((index_map.size_local + index_map.num_ghosts, block))
-    weight = np.zeros(len(total))
-    ends = np.cumsum([subdomain.nodes.size for subdomain in subdomains])[:-1]
-    parts = np.split(weights, ends)
-    for subdomain, displacement, w in zip(subdomains, displacements, parts, strict=False):
-        local = _local_nodes(space, subdomain.nodes)
-        total[local] += w[:, None] * displacement.reshape(-1, block)
-        weight[local] += w
     uh = fem.Function(space, name="displacement")
-    uh.x.array[:] = (total / np.where(weight > 0.0, weight, 1.0)[:, None]).ravel()
+    values = uh.x.array.reshape(-1, block)
+    for subdomain, displacement in zip(subdomains, displacements, strict=True):
+        values[_local_nodes(space, subdomain.nodes)] = displacement.reshape(-1, block)
     uh.x.scatter_forward()
     return uh
 

@@ -4,9 +4,9 @@ A researcher with K_i, f_i and node numbers from any code fills a `TornSystem` a
 `TornSolver`; ``numpy``, ``scipy``, ``petsc4py`` and ``mpi4py`` are all it needs.
 """
 
+from fenics_tfeti.feti.certificate import Certificate
 from fenics_tfeti.feti.options import Options, parse_options
-from fenics_tfeti.feti.recovery import Certificate
-from fenics_tfeti.feti.report import GeometryPass, Report, Timer
+from fenics_tfeti.feti.report import Report
 from fenics_tfeti.feti.solver import TornSolution, TornSolver
 from fenics_tfeti.feti.system import (
     ContactGuess,
@@ -15,12 +15,12 @@ from fenics_tfeti.feti.system import (
     Subdomain,
     TornSystem,
 )
+from fenics_tfeti.feti.timer import Timer
 
 __all__ = [
     "Certificate",
     "ContactGuess",
     "ContactRows",
-    "GeometryPass",
     "Options",
     "Prescribed",
     "Report",

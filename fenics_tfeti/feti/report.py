@@ -1,4 +1,4 @@
-"""What was done: sizes, iterations, residuals, times."""
+"""The report of a solve: sizes, iterations, residuals, times."""
 
 from __future__ import annotations
 
@@ -7,43 +7,31 @@ import os
 import resource
 import sys
 import tempfile
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
 
+from petsc4py import PETSc
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.certificate import Certificate, PrimalProblem
+from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.dual.active_set import ActiveSetStep
-from fenics_tfeti.feti.pairing_table import pairing_table
-from fenics_tfeti.feti.recovery import Certificate
+from fenics_tfeti.feti.options import Options
+from fenics_tfeti.feti.outer import ContactData, History, Outcome
+from fenics_tfeti.feti.setup import DualSetup
+from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.qp import OuterIteration
 
-__all__ = ["GeometryPass", "Report", "Timer", "peak_memory"]
+__all__ = ["Report", "build_report", "peak_memory"]
 
-
-@dataclass
-class Timer:
-    """Wall time by phase.
-
-    Attributes
-    ----------
-    seconds : dict
-        Time of each phase on this rank [s].
-    """
-
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def phase(self, name: str) -> Iterator[None]:
-        """Add the time of a block to a phase."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+Vector = NDArray[np.float64]
 
 
 def peak_memory(comm: MPI.Intracomm) -> int:
@@ -53,30 +41,8 @@ def peak_memory(comm: MPI.Intracomm) -> int:
 
 
 @dataclass(frozen=True)
-class GeometryPass:
-    """How far the surfaces of one solution, deformed, are from touching without penetration.
-
-    Attributes
-    ----------
-    penetration : float
-        How deep a node is in the other body at most [m].
-    separation : float
-        How far a node that presses is from the other body's surface at most [m].
-    error : float
-        The larger of both relative to the largest displacement.
-    products : int
-        Applications of F that the solution cost.
-    """
-
-    penetration: float
-    separation: float
-    error: float
-    products: int
-
-
-@dataclass(frozen=True)
 class Report:
-    """What a solve was, and how good its result is; equal on all ranks.
+    """What a solve did, and how accurate its result is; equal on all ranks.
 
     Attributes
     ----------
@@ -85,7 +51,7 @@ class Report:
         of the ``coarse`` problem, of contact rows dropped as ``redundant``, and of others that
         depend linearly on the rest (``dependent``).
     reused : list of str
-        What was taken over from the last solve; ``contact guess`` if one was given.
+        What was reused from the last solve; ``contact guess`` if one was given.
     subdomains : int
         Their number over all ranks.
     classes : int
@@ -124,15 +90,6 @@ class Report:
         One entry for each outer iteration.
     faces : list of ActiveSetStep
         One entry for each face of the primal-dual active set method.
-    passes : list of GeometryPass
-        One entry for each solution on the way to exact non-penetration; products, seconds and
-        history of the report are those of the last one.
-    pairing : list of dict
-        For each contact its name, the numbers of ``pairs`` and ``unmatched`` slave nodes,
-        ``largest_distance`` [m] (what the tolerance limits; None for obstacles) and
-        ``largest_relative_distance`` (to the size of the facets), ``largest_angle`` between the
-        slave's normal and the opposite of its partner's [degrees], ``smallest_gap`` and
-        ``largest_gap`` [m].
     """
 
     unknowns: dict[str, int]
@@ -155,12 +112,6 @@ class Report:
     options: dict[str, Any]
     history: list[OuterIteration]
     faces: list[ActiveSetStep]
-    passes: list[GeometryPass] = field(default_factory=list)
-    pairing: list[dict[str, Any]] = field(default_factory=list)
-
-    def pairing_table(self) -> str:
-        """Return `pairing` as a table to read, a line for each contact."""
-        return pairing_table(self.pairing)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as nested dictionaries."""
@@ -184,3 +135,92 @@ class Report:
             file.write("\n")
         Path(file.name).chmod(0o644)
         Path(file.name).replace(target)
+
+
+def build_report(
+    system: TornSystem,
+    setup: DualSetup,
+    data: ContactData,
+    outcome: Outcome,
+    history: History,
+    options: Options,
+    timer: Timer,
+    reused: list[str],
+) -> Report:
+    """Gather the figures of a solve from all ranks. Collective."""
+    constraints, comm, candidate = setup.constraints, system.comm, outcome.candidate
+    owned = constraints.owned_inequalities
+    force = constraints.scale * candidate.multipliers[constraints.inequality]
+    slowest = {name: comm.allreduce(time, MPI.MAX) for name, time in timer.seconds.items()}
+    primal = PrimalProblem(setup.local.stiffness, data.load, data.c, setup.F)
+    explicit, classes = comm.allreduce(setup.F.explicit), comm.allreduce(len(setup.local.classes))
+    products = history.products
+    return Report(
+        unknowns={
+            "primal": system.gdim * constraints.nodes,
+            "torn": comm.allreduce(int(data.load.size)),
+            "dual": constraints.layout.size,
+            "inequalities": comm.allreduce(owned),
+            "active": comm.allreduce(int(np.count_nonzero(force[:owned] > 0.0))),
+            "coarse": setup.projector.coarse_space.size,
+            "redundant": constraints.redundant,
+            "dependent": constraints.dependent,
+        },
+        reused=reused,
+        subdomains=comm.allreduce(len(system.subdomains)),
+        classes=classes,
+        dual_operator={"implicit": classes - explicit, "explicit": explicit},
+        outer_iterations=len(history.outer),
+        products={
+            "total": products.total,
+            "cg": products.cg,
+            "expansion": products.expansion,
+            "proportioning": products.proportioning,
+            "norm": setup.norm.products - history.norm_products_before,
+            "preconditioner": products.preconditioner,
+        },
+        seconds={**slowest, "total": sum(slowest.values())},
+        peak_memory_bytes=peak_memory(comm),
+        energy=primal.energy(candidate.displacement),
+        contact_force=_contact_forces(system, setup, force),
+        free_motions=[
+            "; ".join(
+                describe_body_motion(
+                    system,
+                    setup.local.kernels,
+                    setup.projector.coarse_space.own_part(motion),
+                    either_way=True,
+                )
+            )
+            for motion in candidate.active.free.T
+        ],
+        certificate=candidate.certificate,
+        converged=outcome.converged,
+        reason=outcome.reason,
+        ranks=comm.size,
+        versions=_versions(),
+        options=asdict(options),
+        history=history.outer,
+        faces=history.faces,
+    )
+
+
+def _contact_forces(system: TornSystem, setup: DualSetup, force: Vector) -> list[float]:
+    """Return the sum of the normal forces of each contact [N]."""
+    constraints, comm = setup.constraints, system.comm
+    contacts = len(system.contact_names) or int(
+        comm.allreduce(int(constraints.contact.max(initial=-1)), MPI.MAX) + 1
+    )
+    owned = constraints.owned_inequalities
+    sums = np.bincount(constraints.contact[:owned], weights=force[:owned], minlength=contacts)
+    total: list[float] = comm.allreduce(sums).tolist()
+    return total
+
+
+def _versions() -> dict[str, str]:
+    return {
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
+        "mpi": MPI.Get_library_version().split("\n")[0].split(",")[0].strip("\x00 "),
+    }

@@ -1,4 +1,4 @@
-"""The contract between the storeys: what the TFETI solver is given (11.21)."""
+"""The torn problem (11.21): all that the TFETI solver is given."""
 
 from __future__ import annotations
 
@@ -12,17 +12,13 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.feti.tolerances import SYMMETRIC
 from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["ContactGuess", "ContactRows", "Prescribed", "Subdomain", "TornSystem"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
-
-# relative: two values prescribed for one displacement may differ by rounding
-SAME_VALUE = 1e-10
-# relative to the largest entry
-SYMMETRY_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -229,7 +225,7 @@ def _check_stiffness(number: int, subdomain: Subdomain) -> None:
     K, name = subdomain.stiffness, _name(number, subdomain)
     _check_finite(f"stiffness of {name}", K.data, "a material coefficient?")
     skew = abs(K - K.T).max() if K.nnz else 0.0
-    if skew > SYMMETRY_TOLERANCE * abs(K).max():
+    if skew > SYMMETRIC * abs(K).max():
         raise InputError(
             f"the bilinear form is not symmetric: in {name} |K - K'| is {skew:.3e} where |K| is "
             f"{abs(K).max():.3e}. Contact by minimisation needs a symmetric form a(u, v) = a(v, u)"

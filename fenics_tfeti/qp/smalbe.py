@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from fenics_tfeti.qp.space import Space
 __all__ = ["OuterIteration", "SMALBEOptions", "SMALBEResult", "SMALBEState", "smalbe"]
 
 Vector = NDArray[np.float64]
+Reason = Literal["converged", "max_it", "max_products"]
 
 # the inner gradient need not be smaller than this part of what the final test wants: near the end
 # the growth of the Lagrangian drowns in rounding, and M falls without need
@@ -37,7 +39,7 @@ class SMALBEOptions:
         Factor in (0, 1) by which M is reduced when the Lagrangian grows too little.
     eta : float
         Upper limit of the inner gradient, relative to ||b||, in (0, 1].
-    max_outer : int
+    max_it : int
         Limit on outer iterations.
     inner : MPRGPOptions
         Parameters of the inner solver; its ``max_products`` limits the sum over all calls.
@@ -48,7 +50,7 @@ class SMALBEOptions:
     M0: float = 1.0
     beta: float = 0.5
     eta: float = 0.1
-    max_outer: int = 200
+    max_it: int = 200
     inner: MPRGPOptions = field(default_factory=MPRGPOptions)
 
 
@@ -109,8 +111,8 @@ class SMALBEResult:
         Gradient of the augmented Lagrangian at x.
     converged : bool
         Whether (11.47) holds.
-    reason : str
-        Why the iterations ended.
+    reason : {"converged", "max_it", "max_products"}
+        The stopping test held, or the limit that ended the iterations.
     history : list of OuterIteration
         One entry for each outer iteration.
     """
@@ -118,7 +120,7 @@ class SMALBEResult:
     state: SMALBEState
     gradient: Vector
     converged: bool
-    reason: str
+    reason: Reason
     history: list[OuterIteration]
 
 
@@ -196,8 +198,7 @@ def smalbe(
     gradient = _first_gradient(hessian, b, x, q, space, products)
     history: list[OuterIteration] = []
     previous_lagrangian = -np.inf
-    reason = f"limit of {options.max_outer} outer iterations (max_outer)"
-    for k in range(options.max_outer):
+    for k in range(options.max_it):
 
         def balanced(split: Split, M: float = M) -> bool:  # (11.46)
             wanted = max(M * split.constraint_norm, _INNER_FLOOR * tolerance)
@@ -230,11 +231,7 @@ def smalbe(
         if monitor is not None:
             monitor(history[-1])
         if solved(split) or not inner.converged:
-            reason = (
-                "converged"
-                if solved(split)
-                else f"limit of {options.inner.max_products} products (max_products)"
-            )
+            reason: Reason = "converged" if solved(split) else "max_products"
             return SMALBEResult(
                 SMALBEState(x, q, M), inner.gradient, solved(split), reason, history
             )
@@ -247,7 +244,7 @@ def smalbe(
         if lagrangian < previous_lagrangian + 0.5 * options.rho * split.constraint2:
             M *= options.beta
         previous_lagrangian = lagrangian
-    return SMALBEResult(SMALBEState(x, q, M), gradient[0], False, reason, history)
+    return SMALBEResult(SMALBEState(x, q, M), gradient[0], False, "max_it", history)
 
 
 def _first_gradient(

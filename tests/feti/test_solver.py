@@ -33,7 +33,7 @@ def glued_solution(system):
 @pytest.mark.parametrize("preconditioner", ["none", "lumped", "dirichlet"])
 def test_linear_problem(expansion, preconditioner):
     system = column(contact=False)
-    options = Options(rtol=1e-9, expansion=expansion, preconditioner=preconditioner)
+    options = Options(rtol=1e-9, mprgp_expansion=expansion, preconditioner=preconditioner)
     u = np.concatenate(TornSolver(system, options).solve().displacements)
     exact = np.concatenate(glued_solution(system))
     np.testing.assert_allclose(u, exact, atol=1e-7 * np.abs(exact).max())
@@ -54,14 +54,14 @@ def test_certificate():
 def test_products_are_all_applications_of_F(monkeypatch):
     solver = TornSolver(column())
     count = 0
-    apply = type(solver.F).part
+    apply = type(solver.setup.F).part
 
     def counting(self, x):
         nonlocal count
         count += 1
         return apply(self, x)
 
-    monkeypatch.setattr(type(solver.F), "part", counting)
+    monkeypatch.setattr(type(solver.setup.F), "part", counting)
     products = solver.solve().report.products
     assert count == products["total"] + products["norm"]
 

@@ -67,7 +67,7 @@ def test_smalbe_converges(kind):
 
 def parts(solver: TornSolver) -> tuple[np.ndarray, np.ndarray]:
     """Return random parts of a vector, and their sum."""
-    multipliers = solver.constraints.multipliers
+    multipliers = solver.setup.constraints.layout
     part = np.random.default_rng(comm.rank).standard_normal(multipliers.numbers.size)
     return part, multipliers.sum(part)
 
@@ -76,45 +76,47 @@ def parts(solver: TornSolver) -> tuple[np.ndarray, np.ndarray]:
 def test_complement_of_a_sum(kind):
     solver = column_solver(kind)
     part, y = parts(solver)
-    found = solver.projector.complement_of_sum(part, y)[0]
-    np.testing.assert_allclose(found, solver.projector.complement(y), atol=1e-12)
+    found = solver.setup.projector.P_of_sum(part, y)[0]
+    np.testing.assert_allclose(found, solver.setup.projector.P(y), atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_inner_product_comes_along(kind):
     solver = column_solver(kind)
     part, y = parts(solver)
-    square = solver.constraints.multipliers.space.dots((y, y))[0]
-    assert solver.projector.relax(part, y)[1] == pytest.approx(square, rel=1e-13)
+    square = solver.setup.constraints.layout.space.dots((y, y))[0]
+    assert solver.setup.projector.remove_rigid_motion(part, y)[1] == pytest.approx(
+        square, rel=1e-13
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_relaxed_sum_outside_the_chosen_columns(kind):
     """y - G'a with the least motion a, here from dense algebra."""
     solver = column_solver(kind)
-    constraints, space = solver.constraints, solver.space
+    constraints, space = solver.setup.constraints, solver.setup.projector.coarse_space
     face = Projector.build(space, np.zeros(constraints.inequality.size, dtype=bool))
     part, y = parts(solver)
     G = np.stack([space.prolong(a) for a in np.eye(space.size)], axis=1)
     chosen = constraints.equality
-    owned = np.arange(y.size) < constraints.multipliers.owned
+    owned = np.arange(y.size) < constraints.layout.owned
     rows = G[chosen & owned]
     gram = comm.allreduce(rows.T @ rows)
     a = np.linalg.pinv(gram, rcond=1e-10) @ comm.allreduce(rows.T @ y[chosen & owned])
-    np.testing.assert_allclose(face.relax(part, y)[0], y - G @ a, atol=1e-11)
+    np.testing.assert_allclose(face.remove_rigid_motion(part, y)[0], y - G @ a, atol=1e-11)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_coarse_part_without_exchange(kind):
     solver = column_solver(kind)
     y = parts(solver)[1]
-    part, Qy = solver.projector.coarse_by_parts(y)
-    np.testing.assert_allclose(Qy, solver.projector.coarse(y), atol=1e-13)
-    np.testing.assert_allclose(solver.constraints.multipliers.sum(part), Qy, atol=1e-13)
+    part, Qy = solver.setup.projector.part_of_Q(y)
+    np.testing.assert_allclose(Qy, solver.setup.projector.Q(y), atol=1e-13)
+    np.testing.assert_allclose(solver.setup.constraints.layout.sum(part), Qy, atol=1e-13)
 
 
 def test_only_own_rows_are_kept_of_a_distributed_matrix():
-    space = column_solver("distributed").space
+    space = column_solver("distributed").setup.projector.coarse_space
     assert space.equality.shape == (space.layout.counts[comm.rank], space.size)
 
 

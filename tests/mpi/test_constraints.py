@@ -55,16 +55,16 @@ def whole(constraints: Constraints, ranks: MPI.Comm) -> np.ndarray:
     part = constraints.matrix.toarray() / np.sqrt(constraints.weights)
     cubes = CUBES[ranks.rank :: ranks.size]
     blocks = np.split(part, len(cubes), axis=1)
-    found = np.zeros((constraints.multipliers.size, len(CUBES), blocks[0].shape[1]))
+    found = np.zeros((constraints.layout.size, len(CUBES), blocks[0].shape[1]))
     for corner, block in zip(cubes, blocks, strict=True):
-        found[constraints.multipliers.numbers, CUBES.index(corner)] = block
-    return ranks.allreduce(found).reshape(constraints.multipliers.size, -1)
+        found[constraints.layout.numbers, CUBES.index(corner)] = block
+    return ranks.allreduce(found).reshape(constraints.layout.size, -1)
 
 
 @pytest.mark.parametrize("way", WAYS)
 def test_rows_are_orthonormal_in_the_inverse_weights(way):
     torn = system(comm)
-    B = whole(build_constraints(torn, weights(torn, way)), comm)
+    B = whole(build_constraints(torn, weights(torn, way))[0], comm)
     np.testing.assert_allclose(B @ B.T, np.eye(len(B)), rtol=0.0, atol=1e-14)
 
 
@@ -72,8 +72,8 @@ def test_rows_are_orthonormal_in_the_inverse_weights(way):
 def test_rows_span_what_they_span_in_one_process(way):
     """The projector B'(BB')^{-1}B does not depend on the order of the rows."""
     together, alone = system(comm), system(MPI.COMM_SELF)
-    found = whole(build_constraints(together, weights(together, way)), comm)
-    expected = whole(build_constraints(alone, weights(alone, way)), MPI.COMM_SELF)
+    found = whole(build_constraints(together, weights(together, way))[0], comm)
+    expected = whole(build_constraints(alone, weights(alone, way))[0], MPI.COMM_SELF)
     np.testing.assert_allclose(found.T @ found, expected.T @ expected, rtol=0.0, atol=1e-13)
 
 
@@ -82,9 +82,9 @@ def test_contact_row_is_that_of_one_process(way):
     together, alone = system(comm), system(MPI.COMM_SELF)
     rows = []
     for torn, ranks in ((together, comm), (alone, MPI.COMM_SELF)):
-        constraints = build_constraints(torn, weights(torn, way))
-        row = constraints.multipliers.size - 1  # inequalities come last
+        constraints, c = build_constraints(torn, weights(torn, way))
+        row = constraints.layout.size - 1  # inequalities come last
         at = constraints.inequality[: constraints.owned_inequalities]
-        rhs = ranks.allreduce(float(constraints.rhs[at].sum()))
+        rhs = ranks.allreduce(float(c[at].sum()))
         rows.append(np.append(whole(constraints, ranks)[row], rhs))
     np.testing.assert_allclose(rows[0], rows[1], rtol=0.0, atol=1e-13)

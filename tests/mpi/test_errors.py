@@ -33,7 +33,7 @@ def test_ranks_are_in_step_after_an_error():
 
 def test_not_converged():
     problem = two_beams(comm, "quadrilateral", 6).problem(
-        options={"max_outer": 1, "method": "smalbe", "rtol": 1e-10, "subdomain_size": 100}
+        options={"smalbe_max_it": 1, "method": "smalbe", "rtol": 1e-10, "subdomain_size": 100}
     )
-    with pytest.raises(fenics_tfeti.NotConverged, match="max_outer"):
+    with pytest.raises(fenics_tfeti.NotConverged, match="smalbe_max_it"):
         problem.solve()

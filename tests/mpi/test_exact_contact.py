@@ -12,8 +12,8 @@ COMM = MPI.COMM_WORLD
 OPTIONS = {
     "rtol": 1e-8,
     "non_penetration": "exact",
-    "penetration_tolerance": 1e-4,
-    "max_passes": 40,
+    "non_penetration_tolerance": 1e-4,
+    "non_penetration_max_it": 40,
     "subdomain_size": 200,
 }
 

@@ -138,7 +138,7 @@ def test_balance_falls_by_its_factor_or_stays():
 @pytest.mark.parametrize("penalty", [0.1, 1.0, 10.0])
 def test_parameters_change_the_way_but_not_the_solution(M0, penalty):
     problem = random_problem(3, 20, equalities=3)
-    result = solve(problem, rho=penalty * problem.norm, M0=M0, max_outer=1000)
+    result = solve(problem, rho=penalty * problem.norm, M0=M0, max_it=1000)
     np.testing.assert_allclose(result.state.x, problem.solution(), atol=1e-6)
 
 
@@ -163,9 +163,9 @@ def test_start_is_not_changed():
 
 
 def test_limit_on_outer_iterations():
-    result = solve(random_problem(5, equalities=3), max_outer=2)
+    result = solve(random_problem(5, equalities=3), max_it=2)
     assert not result.converged
-    assert "max_outer" in result.reason
+    assert "max_it" in result.reason
     assert len(result.history) == 2
 
 

@@ -160,10 +160,10 @@ def test_uniform_pressure_is_exact(name):
     [
         {"preconditioner": "lumped"},
         {"preconditioner": "dirichlet"},
-        {"expansion": "standard"},
+        {"mprgp_expansion": "standard"},
         {"factor": "mumps"},
-        {"rho": 3.0},
-        {"M0": 100.0, "eta": 1.0},
+        {"smalbe_rho": 3.0},
+        {"smalbe_M0": 100.0, "smalbe_eta": 1.0},
         {"partitioner": "auto"},
         {"subdomain_size": 30},
         {"subdomain_size": 100_000},

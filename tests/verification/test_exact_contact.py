@@ -16,7 +16,7 @@ from fenics_tfeti import ContactProblem, NotConverged, Plane, RigidObstacle, Sph
 from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
 
 YOUNG = 1e6
-OPTIONS = {"rtol": 1e-8, "non_penetration": "exact", "penetration_tolerance": 1e-7}
+OPTIONS = {"rtol": 1e-8, "non_penetration": "exact", "non_penetration_tolerance": 1e-7}
 BUMP = Sphere(centre=(0.75, -1.0, 0.0), radius=1.0)
 
 
@@ -87,7 +87,7 @@ def test_passes_converge_and_reuse_what_stays():
     problem = block_over_bump(OPTIONS)
     problem.solve()
     passes = problem.report.passes
-    assert passes[-1].error <= OPTIONS["penetration_tolerance"]
+    assert passes[-1].error <= OPTIONS["non_penetration_tolerance"]
     assert 2 <= len(passes) <= 8
     assert problem.report.reused == ["factors", "multipliers"]
     assert passes[-1].products < passes[0].products
@@ -104,21 +104,21 @@ def test_flat_contact_needs_no_pass():
 
 
 def test_limit_of_passes():
-    with pytest.raises(NotConverged, match="max_passes") as caught:
-        block_over_bump({**OPTIONS, "max_passes": 1}).solve()
+    with pytest.raises(NotConverged, match="non_penetration_max_it") as caught:
+        block_over_bump({**OPTIONS, "non_penetration_max_it": 1}).solve()
     assert not caught.value.report.converged
 
 
 @pytest.mark.parametrize("slide", [0.01, 0.3])
 def test_bodies_that_slide(slide):
-    options = {**OPTIONS, "penetration_tolerance": 1e-4, "max_passes": 40}
+    options = {**OPTIONS, "non_penetration_tolerance": 1e-4, "non_penetration_max_it": 40}
     problem = two_blocks(slide, options)
     problem.solve()
     assert problem.report.passes[-1].error <= 1e-4
 
 
 # distances are of second order in what the last pass changed along the surface
-SAME = np.sqrt(2.0 * OPTIONS["penetration_tolerance"] * 0.3)
+SAME = np.sqrt(2.0 * OPTIONS["non_penetration_tolerance"] * 0.3)
 
 
 def moved(problem, *moves):

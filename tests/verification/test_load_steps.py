@@ -174,7 +174,8 @@ def test_step_without_convergence_can_be_repeated():
     problem = new_problem(scene, max_products=3)
     with pytest.raises(NotConverged):
         problem.solve()
-    problem.options = replace(problem.options, max_products=1000)
+    of_solver = replace(problem.options.solver, max_products=1000)
+    problem.options = replace(problem.options, solver=of_solver)
     uh = problem.solve()
     other = new_problem(scene)
     assert_same(problem, uh, other, other.solve())

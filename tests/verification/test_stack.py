@@ -209,7 +209,7 @@ def without_walls(cell):
 
     Few rows press and many do not, so a larger penalty than usual spares outer iterations.
     """
-    problem = stack(cell, 2, 4, walls=False).problem(options={"rtol": 1e-8, "rho": 10.0})
+    problem = stack(cell, 2, 4, walls=False).problem(options={"rtol": 1e-8, "smalbe_rho": 10.0})
     problem.solve()
     return problem
 

@@ -28,10 +28,12 @@ def solver(n: int) -> TornSolver:
 def test_extreme_eigenvalues(theory):
     """On ker G, by a dense basis of it."""
     torn = solver(2)
-    m = torn.constraints.multipliers.size
-    F = np.column_stack([torn.F(e) for e in np.eye(m)])
-    unit = np.eye(torn.constraints.multipliers.size)
-    Z = scipy.linalg.null_space(np.stack([torn.space.restrict(x) for x in unit], axis=1))
+    m = torn.setup.constraints.layout.size
+    F = np.column_stack([torn.setup.F(e) for e in np.eye(m)])
+    unit = np.eye(torn.setup.constraints.layout.size)
+    Z = scipy.linalg.null_space(
+        np.stack([torn.setup.projector.coarse_space.restrict(x) for x in unit], axis=1)
+    )
     exact = scipy.linalg.eigvalsh(Z.T @ F @ Z)[[0, -1]]
     found = theory.extreme_eigenvalues(torn, rtol=1e-10)
     np.testing.assert_allclose(found, exact, rtol=1e-8)

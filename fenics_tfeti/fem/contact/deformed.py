@@ -30,7 +30,6 @@ from fenics_tfeti.fem.contact.contact import (
 )
 from fenics_tfeti.fem.contact.faceted_surface import FacetedSurface, facet_normals
 from fenics_tfeti.fem.contact.obstacles import gap_and_normal
-from fenics_tfeti.feti import GeometryPass
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 
 __all__ = [
@@ -51,6 +50,28 @@ _CLEARLY_NEARER = 1.5
 _CORNERS = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 4}
 # corners in an order that turns the facet round
 _TURNED = {2: [1, 0], 3: [0, 2, 1], 4: [0, 2, 1, 3]}
+
+
+@dataclass(frozen=True)
+class GeometryPass:
+    """Penetration and separation of the deformed surfaces after one solution.
+
+    Attributes
+    ----------
+    penetration : float
+        How deep a node is in the other body at most [m].
+    separation : float
+        How far a node that presses is from the other body's surface at most [m].
+    error : float
+        The larger of both relative to the largest displacement.
+    products : int
+        Applications of F that the solution cost.
+    """
+
+    penetration: float
+    separation: float
+    error: float
+    products: int
 
 
 @dataclass(frozen=True)

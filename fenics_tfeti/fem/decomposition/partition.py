@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from mpi4py import MPI
 
@@ -23,7 +23,6 @@ from dolfinx.mesh import Mesh, exterior_facet_indices
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.grid import Grid, block_of_cells, find_grid
-from fenics_tfeti.feti.options import Partitioner
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank, raise_collectively
 
 __all__ = ["Bodies", "find_bodies", "given_subdomains", "split_into_subdomains"]
@@ -31,6 +30,7 @@ __all__ = ["Bodies", "find_bodies", "given_subdomains", "split_into_subdomains"]
 logger = logging.getLogger(__name__)
 
 Numbers = NDArray[np.int64]
+Partitioner = Literal["auto", "scotch"]
 
 
 @dataclass(frozen=True)

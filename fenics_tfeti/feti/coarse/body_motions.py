@@ -15,6 +15,7 @@ from scipy.linalg import block_diag
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.local.rigid_body_modes import describe_motion, raw_modes
 from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.feti.tolerances import UNRESISTED
 
 __all__ = ["BodyMotions", "body_motions", "describe_body_motion"]
 
@@ -22,8 +23,6 @@ Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# ||B R xi||^2 / ||R xi||^2 of a rigid motion of a body below which no constraint resists it
-_UNRESISTED = 1e-12
 # what rounding leaves of rigid motions of a body in its gluing rows
 _TRACE = 1e-13
 
@@ -68,7 +67,7 @@ def body_motions(
         G' with the columns of all ranks, in the rows that this rank holds.
     """
     basis, energy = _motions_and_energy(system, kernels)
-    owned = constraints.multipliers.owned
+    owned = constraints.layout.owned
     # (rows of B, motions): what each motion does to rows of unit length
     moved = sp.diags(1.0 / constraints.row_lengths[:owned]) @ (everyone[:owned] @ basis)
     # gluing rows resist no motion of a whole body; rounding leaves traces of them
@@ -115,7 +114,7 @@ def _motions_and_energy(
     basis = sp.vstack(comm.allgather(sp.vstack(rows, format="csr")), format="csr")
     scaled = [t.T @ e @ t for t, e in zip(inverse, energy, strict=True)]
     # rounding leaves traces of 1e-16 in what should vanish
-    scaled = [np.where(np.abs(e) > _UNRESISTED, e, 0.0) for e in scaled]
+    scaled = [np.where(np.abs(e) > UNRESISTED, e, 0.0) for e in scaled]
     return basis, block_diag(*scaled) if bodies else np.zeros((0, 0))
 
 

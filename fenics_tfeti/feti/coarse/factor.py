@@ -1,8 +1,7 @@
-"""Where coarse matrices are: whole on every rank, or rows and factor spread over the ranks.
+"""Coarse matrices and their factors: redundant on every rank, or distributed over the ranks.
 
-Coarse vectors are short, and those outside the iterations are whole on every rank. Within the
-iterations, right-hand sides come as sums of the ranks' parts, and a rank needs no more of the
-solution than its own subdomains' part.
+Outside the iterations coarse vectors are whole on every rank. Within the iterations right-hand
+sides are sums of the ranks' parts, and a rank needs only its own subdomains' part of the solution.
 """
 
 from __future__ import annotations
@@ -58,16 +57,16 @@ class CoarseFactor(Protocol):
         ...
 
     def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
-        """Solve, given this rank's part; return that of `own` and of `theirs` in the solution."""
+        """Solve, given this rank's part; return that of `own` and of `others` in the solution."""
         ...
 
-    def solve_sum(self, own: Vector, theirs: Vector, numbers: Vector) -> tuple[Vector, Vector]:
+    def solve_sum(self, own: Vector, others: Vector, numbers: Vector) -> tuple[Vector, Vector]:
         """Solve for the sum of the ranks' parts; return this rank's part of the solution.
 
         Parameters
         ----------
-        own, theirs : (own,), (h,) array
-            What this rank adds to its own and to other ranks' unknowns, `CoarseLayout.theirs`.
+        own, others : (own,), (h,) array
+            What this rank adds to its own and to other ranks' unknowns, `CoarseLayout.others`.
         numbers : (k,) array
             To be summed over the ranks on the occasion; the sums are returned as well.
         """
@@ -76,18 +75,18 @@ class CoarseFactor(Protocol):
 
 @dataclass(frozen=True)
 class CoarseLayout:
-    """Whose the coarse unknowns are, and the communication of coarse vectors and matrices.
+    """Ownership of the coarse unknowns, and the communication of coarse vectors and matrices.
 
     Attributes
     ----------
     comm : MPI.Intracomm
         The ranks.
     counts : tuple of int
-        How many unknowns each rank has.
-    theirs : (h,) integer array
+        Number of unknowns of each rank.
+    others : (h,) integer array
         Other ranks' unknowns that this rank's multipliers act on, ascending.
-    to, of : mapping from int to integer array
-        By rank: where its unknowns stand in `theirs`; which of the own unknowns it has in its.
+    send_to, receive_from : mapping from int to integer array
+        By rank: positions of its unknowns in `others`; the own unknowns that are in its `others`.
     distributed : bool
         Whether a rank keeps its own rows of coarse matrices only.
     package : str
@@ -96,15 +95,15 @@ class CoarseLayout:
 
     comm: MPI.Intracomm
     counts: tuple[int, ...]
-    theirs: Numbers
-    to: Mapping[int, Numbers]
-    of: Mapping[int, Numbers]
+    others: Numbers
+    send_to: Mapping[int, Numbers]
+    receive_from: Mapping[int, Numbers]
     distributed: bool
     package: str
 
     @staticmethod
     def build(
-        comm: MPI.Intracomm, own: int, theirs: Numbers, distributed: bool, package: str
+        comm: MPI.Intracomm, own: int, others: Numbers, distributed: bool, package: str
     ) -> CoarseLayout:
         """Find out which ranks share unknowns; collective.
 
@@ -114,7 +113,7 @@ class CoarseLayout:
             The ranks.
         own : int
             Number of this rank's unknowns.
-        theirs : (h,) integer array
+        others : (h,) integer array
             Other ranks' unknowns that this rank's multipliers act on, ascending.
         distributed : bool
             Whether a rank keeps its own rows of coarse matrices only.
@@ -124,11 +123,11 @@ class CoarseLayout:
         counts = comm.allgather(own)
         ends = np.cumsum(counts)
         first = int(ends[comm.rank]) - own
-        rank = np.searchsorted(ends, theirs, side="right")
+        rank = np.searchsorted(ends, others, side="right")
         to = {int(r): np.flatnonzero(rank == r) for r in np.unique(rank)}
-        asked = comm.alltoall([theirs[to[r]] if r in to else theirs[:0] for r in range(comm.size)])
+        asked = comm.alltoall([others[to[r]] if r in to else others[:0] for r in range(comm.size)])
         of = {r: numbers - first for r, numbers in enumerate(asked) if numbers.size}
-        return CoarseLayout(comm, tuple(counts), theirs, to, of, distributed, package)
+        return CoarseLayout(comm, tuple(counts), others, to, of, distributed, package)
 
     @property
     def first(self) -> int:
@@ -141,8 +140,8 @@ class CoarseLayout:
         return sum(self.counts)
 
     @property
-    def mine(self) -> slice:
-        """Where the own unknowns stand in a whole vector."""
+    def own(self) -> slice:
+        """Position of the own unknowns in a whole vector."""
         return slice(self.first, self.first + self.counts[self.comm.rank])
 
     def gather(self, own: Vector) -> Vector:
@@ -153,33 +152,37 @@ class CoarseLayout:
         self.comm.Allgatherv(np.ascontiguousarray(own), [whole, list(self.counts)])
         return whole
 
-    def sum_whole(self, own: Vector, theirs: Vector, numbers: Vector) -> tuple[Vector, Vector]:
+    def sum_whole(self, own: Vector, others: Vector, numbers: Vector) -> tuple[Vector, Vector]:
         """Return the whole sum of the ranks' parts, and that of their numbers; one reduction."""
         if self.comm.size == 1:
             return own, numbers
         part = np.zeros(self.size + numbers.size)
-        part[self.mine] = own
-        part[self.theirs] = theirs
+        part[self.own] = own
+        part[self.others] = others
         part[self.size :] = numbers
         total = np.empty_like(part)
         self.comm.Allreduce(part, total)
         return total[: self.size], total[self.size :]
 
-    def sum_own(self, own: Vector, theirs: Vector) -> Vector:
+    def sum_own(self, own: Vector, others: Vector) -> Vector:
         """Return this rank's part of the sum of the ranks' parts; one neighbour exchange."""
-        received = self._exchange({rank: theirs[at] for rank, at in self.to.items()}, self.of)
+        received = self._exchange(
+            {rank: others[at] for rank, at in self.send_to.items()}, self.receive_from
+        )
         total = own.copy()
         for rank, part in received.items():
-            total[self.of[rank]] += part
+            total[self.receive_from[rank]] += part
         return total
 
     def fetch(self, own: Vector) -> Vector:
-        """Return `theirs` of a vector of which each rank has its own part; one exchange."""
-        received = self._exchange({rank: own[at] for rank, at in self.of.items()}, self.to)
-        theirs = np.empty(self.theirs.size)
+        """Return `others` of a vector of which each rank has its own part; one exchange."""
+        received = self._exchange(
+            {rank: own[at] for rank, at in self.receive_from.items()}, self.send_to
+        )
+        others = np.empty(self.others.size)
         for rank, part in received.items():
-            theirs[self.to[rank]] = part
-        return theirs
+            others[self.send_to[rank]] = part
+        return others
 
     def _exchange(
         self, sent: Mapping[int, Vector], places: Mapping[int, Numbers]
@@ -236,11 +239,11 @@ class _Redundant:
 
     def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
         solution = self.whole.solve(self.layout.gather(own))
-        return solution[self.layout.mine], solution[self.layout.theirs]
+        return solution[self.layout.own], solution[self.layout.others]
 
-    def solve_sum(self, own: Vector, theirs: Vector, numbers: Vector) -> tuple[Vector, Vector]:
-        coarse, sums = self.layout.sum_whole(own, theirs, numbers)
-        return self.whole.solve(coarse)[self.layout.mine], sums
+    def solve_sum(self, own: Vector, others: Vector, numbers: Vector) -> tuple[Vector, Vector]:
+        coarse, sums = self.layout.sum_whole(own, others, numbers)
+        return self.whole.solve(coarse)[self.layout.own], sums
 
 
 @dataclass(frozen=True)
@@ -255,17 +258,17 @@ class _Distributed:
         return self.shared.entries
 
     def solve(self, coarse: Vector) -> Vector:
-        return self.layout.gather(self.shared.solve(coarse[self.layout.mine]))
+        return self.layout.gather(self.shared.solve(coarse[self.layout.own]))
 
     def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
         solution = self.shared.solve(own)
         return solution, self.layout.fetch(solution)
 
-    def solve_sum(self, own: Vector, theirs: Vector, numbers: Vector) -> tuple[Vector, Vector]:
+    def solve_sum(self, own: Vector, others: Vector, numbers: Vector) -> tuple[Vector, Vector]:
         sums = numbers.copy()
         if numbers.size:
             self.layout.comm.Allreduce(MPI.IN_PLACE, sums)
-        return self.shared.solve(self.layout.sum_own(own, theirs)), sums
+        return self.shared.solve(self.layout.sum_own(own, others)), sums
 
 
 def distribution_pays(ranks: int, size: int) -> bool:

@@ -1,4 +1,4 @@
-"""A start with G lambda = e and lambda_I >= o: lemma 11.1 and its semicoercive counterpart.
+"""A start with G lambda = e (11.37) and lambda_I >= o: lemma 11.1, also in the semicoercive case.
 
 Gluing and supports resist all but a few rigid motions of bodies; forces of contact must balance the
 load on those. Least-norm contact forces that do are the solution of a small problem; the equality
@@ -19,14 +19,11 @@ from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.feti.tolerances import NO_WORK
 
 __all__ = ["check_load", "feasible_start", "least_norm_nonnegative"]
 
 Vector = NDArray[np.float64]
-
-# relative to the load: work on a unit motion that counts as none
-_NO_WORK = 1e-9
-_NEWTON_STEPS = 100
 
 
 def check_load(
@@ -53,12 +50,12 @@ def check_load(
         Naming body and motion.
     """
     work = projector.free.T @ e
-    if np.linalg.norm(work) > _NO_WORK * norm:
-        _raise_unresisted(system, kernels, projector.space.own_part(projector.free @ work))
+    if np.linalg.norm(work) > NO_WORK * norm:
+        _raise_unresisted(system, kernels, projector.coarse_space.own_part(projector.free @ work))
 
 
 def feasible_start(
-    system: TornSystem, kernels: Sequence[Vector], space: CoarseSpace, e: Vector, norm: float
+    system: TornSystem, kernels: Sequence[Vector], coarse_space: CoarseSpace, e: Vector, norm: float
 ) -> Vector:
     """Return lambda~ with G lambda~ = e and lambda~_I >= o.
 
@@ -68,7 +65,7 @@ def feasible_start(
         The subdomains.
     kernels : sequence of arrays
         R_i of this rank's subdomains.
-    space : CoarseSpace
+    coarse_space : CoarseSpace
         G.
     e : (coarse,) array
         R'f.
@@ -85,41 +82,43 @@ def feasible_start(
     UnresistedMotion
         If no contact forces balance the load (11.16), naming body and motion.
     """
-    constraints = space.constraints
-    supports = Projector.build(space, np.zeros(constraints.inequality.size, dtype=bool))
-    start = np.zeros(constraints.rhs.size)
+    constraints = coarse_space.constraints
+    supports = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
+    start = np.zeros(constraints.size)
     if supports.free.shape[1]:
-        start[constraints.inequality] = _contact_forces(system, kernels, space, supports, e, norm)
+        start[constraints.inequality] = _contact_forces(
+            system, kernels, coarse_space, supports, e, norm
+        )
     # (11.38) for what the contact forces leave
-    left = e - space.restrict(start)
+    left = e - coarse_space.restrict(start)
     return start + supports.expand(supports.solve(left))
 
 
 def _contact_forces(
     system: TornSystem,
     kernels: Sequence[Vector],
-    space: CoarseSpace,
+    coarse_space: CoarseSpace,
     supports: Projector,
     e: Vector,
     norm: float,
 ) -> Vector:
     """Return least-norm nonnegative multipliers that balance the load on the free motions."""
-    constraints = space.constraints
+    constraints = coarse_space.constraints
     # the ranks' columns side by side: as many as contact rows, not as unknowns
-    held = (space.contact.T @ supports.free).T
+    held = (coarse_space.contact.T @ supports.free).T
     owned = constraints.owned_inequalities
-    columns = space.comm.allgather(held[:, :owned])
-    first = sum(part.shape[1] for part in columns[: space.comm.rank])
+    columns = coarse_space.comm.allgather(held[:, :owned])
+    first = sum(part.shape[1] for part in columns[: coarse_space.comm.rank])
     C, d = np.concatenate(columns, axis=1), supports.free.T @ e
 
-    if np.linalg.norm(d) <= _NO_WORK * norm:
+    if np.linalg.norm(d) <= NO_WORK * norm:
         return np.zeros(constraints.inequality.size)
     forces, residual = least_norm_nonnegative(C, d)
-    if np.linalg.norm(residual) > _NO_WORK * norm:
-        _raise_unresisted(system, kernels, space.own_part(supports.free @ residual))
-    multipliers = np.zeros(constraints.rhs.size)
+    if np.linalg.norm(residual) > NO_WORK * norm:
+        _raise_unresisted(system, kernels, coarse_space.own_part(supports.free @ residual))
+    multipliers = np.zeros(constraints.size)
     multipliers[constraints.inequality[:owned]] = forces[first : first + owned]
-    shared: Vector = constraints.multipliers.sum(multipliers)[constraints.inequality]
+    shared: Vector = constraints.layout.sum(multipliers)[constraints.inequality]
     return shared
 
 
@@ -154,7 +153,7 @@ def least_norm_nonnegative(C: Vector, d: Vector) -> tuple[Vector, Vector]:
     def value(y: Vector) -> float:
         return 0.5 * float(np.sum(np.maximum(C.T @ y, 0.0) ** 2)) - float(d @ y)
 
-    for step in range(_NEWTON_STEPS):
+    for step in range(100):
         x = np.maximum(C.T @ y, 0.0)
         gradient = C @ x - d
         if np.linalg.norm(gradient) <= tolerance:

@@ -1,4 +1,8 @@
-"""The projectors P and Q to the natural coarse space and its complement (sec. 11.8)."""
+"""Projector preconditioning: Q onto the natural coarse space Im G' and P onto Ker G (sec. 11.8).
+
+The rows of G are those of the equality constraints and of some contact rows: of all of them for the
+dual problem, of the active ones for a face of it.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
 
-from fenics_tfeti.feti.coarse.factor import (
-    CoarseFactor,
-)
+from fenics_tfeti.feti.coarse.factor import CoarseFactor
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 
 __all__ = ["Projector"]
@@ -22,80 +24,95 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Projector:
-    """Q and P for the equality rows and some contact rows (all of them, none, the active ones).
+    """Q = G'(GG')^+ G and P = I - Q for the equality rows and some contact rows.
 
     Attributes
     ----------
-    space : CoarseSpace
+    coarse_space : CoarseSpace
         G.
-    columns : (m,) bool array
-        The columns of G used.
+    rows : (m,) bool array
+        The rows of B that are meant; all others of a multiplier count as zero.
     free : (coarse, k) array
-        Orthonormal basis of the kernel of the coarse matrix.
+        Orthonormal basis of the kernel of GG': rigid motions that these rows do not resist.
     factor : CoarseFactor or None
-        That of the coarse matrix; None where no subdomain can move.
+        That of GG'; None where no subdomain can move.
     """
 
-    space: CoarseSpace
-    columns: Mask
+    coarse_space: CoarseSpace
+    rows: Mask
     free: Vector
     factor: CoarseFactor | None
 
     @staticmethod
-    def build(space: CoarseSpace, active: Mask | None = None) -> Projector:
-        """Factor the coarse matrix GG' of the equality rows and the chosen contact rows.
+    def build(coarse_space: CoarseSpace, active: Mask | None = None) -> Projector:
+        """Factor GG' of the equality rows and the chosen contact rows. Collective.
 
         Parameters
         ----------
-        space : CoarseSpace
+        coarse_space : CoarseSpace
             G.
         active : (i,) bool array, optional
             The contact rows; all by default.
         """
-        constraints = space.constraints
+        constraints = coarse_space.constraints
         chosen = np.ones(constraints.inequality.size, dtype=bool) if active is None else active
-        columns = constraints.equality
-        columns[constraints.inequality] = chosen
-        free = space.unresisted(chosen)
-        contact = space.contact[:, np.flatnonzero(chosen)]
-        layout = space.layout
-        rows = space.equality + layout.rows((contact[layout.mine] @ contact.T).tocsr())
+        rows = constraints.equality
+        rows[constraints.inequality] = chosen
+        free = coarse_space.unresisted(chosen)
+        contact = coarse_space.contact[:, np.flatnonzero(chosen)]
+        layout = coarse_space.layout
+        gram = coarse_space.equality + layout.rows((contact[layout.own] @ contact.T).tocsr())
         if free.shape[1]:
-            # no row at all leaves a zero matrix
-            stiffness = layout.largest_diagonal(rows) or 1.0
-            rows = layout.add_to_diagonal(rows, _pins(free), stiffness)
-        return Projector(space, columns, free, layout.factor(rows) if layout.size else None)
+            # without any row the matrix is zero
+            stiffness = layout.largest_diagonal(gram) or 1.0
+            gram = layout.add_to_diagonal(gram, _pinned_unknowns(free), stiffness)
+        return Projector(coarse_space, rows, free, layout.factor(gram) if layout.size else None)
 
-    def coefficients(self, x: Vector) -> Vector:
-        """Return (GG')^+ G x for all subdomains, G with the chosen columns."""
-        return self.solve(self.space.restrict(np.where(self.columns, x, 0.0)))
+    # -- coarse vectors that every rank has whole -------------------------------------------------
 
     def solve(self, coarse: Vector) -> Vector:
         """Return (GG')^+ applied to a coarse vector in the range of G."""
         return coarse if self.factor is None else self.factor.solve(coarse)
 
-    def expand(self, coarse: Vector) -> Vector:
-        """Return G' applied to a coarse vector of all subdomains, in the chosen columns."""
-        return np.where(self.columns, self.space.prolong(coarse), 0.0)
+    def without_free_motions(self, coarse: Vector) -> Vector:
+        """Return a coarse vector without its part in the motions that the rows do not resist."""
+        part: Vector = coarse - self.free @ (self.free.T @ coarse)
+        return part
 
-    def coarse(self, x: Vector) -> Vector:
-        """Return Qx = G'(GG')^{-1}Gx."""
+    def coefficients(self, x: Vector) -> Vector:
+        """Return (GG')^+ G x."""
+        return self.solve(self.coarse_space.restrict(self.on_rows(x)))
+
+    def expand(self, coarse: Vector) -> Vector:
+        """Return G' applied to a coarse vector."""
+        return self.on_rows(self.coarse_space.prolong(coarse))
+
+    # -- multipliers ------------------------------------------------------------------------------
+
+    def on_rows(self, x: Vector) -> Vector:
+        """Return x with zeros outside the rows."""
+        return np.where(self.rows, x, 0.0)
+
+    def Q(self, x: Vector) -> Vector:
+        """Return Qx = G'(GG')^+ Gx."""
         return self.expand(self.coefficients(x))
 
-    def complement(self, x: Vector) -> Vector:
+    def P(self, x: Vector) -> Vector:
         """Return Px = x - Qx."""
-        return x - self.coarse(x)
+        return x - self.Q(x)
 
-    def complement_of_sum(self, part: Vector, x: Vector) -> tuple[Vector, float]:
-        """Return Py in the chosen columns and x'y, y the sum of the ranks' parts; one exchange."""
+    # -- sums of the ranks' parts, with one exchange of multipliers or none ------------------------
+
+    def P_of_sum(self, part: Vector, x: Vector) -> tuple[Vector, float]:
+        """Return Py on the rows and x'y, where y is the sum of the ranks' parts; one exchange."""
         motion, xy = self._own_motion(part, x)
-        return self._sum(self.keep(part - motion)), xy
+        return self._sum(self.on_rows(part - motion)), xy
 
-    def part_of_complement(self, part: Vector) -> Vector:
-        """Return this rank's part of Py in the chosen columns, y the sum of the ranks' parts."""
-        return self.keep(part - self._own_motion(part)[0])
+    def part_of_P(self, part: Vector) -> Vector:
+        """Return this rank's part of Py on the rows, where y is the sum of the ranks' parts."""
+        return self.on_rows(part - self._own_motion(part)[0])
 
-    def coarse_by_parts(self, x: Vector) -> tuple[Vector, Vector]:
+    def part_of_Q(self, x: Vector) -> tuple[Vector, Vector]:
         """Return this rank's part of Qx, and Qx itself without an exchange of multipliers.
 
         The latter is not bitwise the same on all ranks that hold a component: good for products
@@ -103,63 +120,53 @@ class Projector:
         """
         if self.factor is None:
             return np.zeros_like(x), np.zeros_like(x)
-        own, theirs = self.factor.solve_own(self.space.restrict_own(self.keep(x)))
-        part = self.keep(self.space.prolong_own(own))
-        return part, part + self.keep(self.space.theirs.T @ theirs)
+        own, others = self.factor.solve_own(self.coarse_space.restrict_own(self.on_rows(x)))
+        part = self.on_rows(self.coarse_space.prolong_own(own))
+        return part, part + self.on_rows(self.coarse_space.others.T @ others)
 
-    def relax(self, part: Vector, x: Vector) -> tuple[Vector, float]:
-        """Return y - G'a, y the sum of the ranks' parts, with the motions a = (GG')^+ Gy; and x'y.
+    def remove_rigid_motion(self, part: Vector, x: Vector) -> tuple[Vector, float]:
+        """Return y - G'a with the rigid motions a = (GG')^+ Gy, and x'y; one exchange.
 
-        That is Py in the chosen columns; in the others it says what the motions do there. Of the
-        motions that the chosen columns leave free, a has none. One neighbour exchange; x'y is
-        summed along with Gy.
+        On the rows this is Py; on the other rows it is what the motions do there. The motions that
+        the rows do not resist are left out of a.
 
         Parameters
         ----------
         part : (m,) array
             This rank's part of y.
         x : (m,) array
-            A vector whose inner product with y is wanted.
+            A vector whose inner product with y is wanted; it is summed along with Gy.
         """
         motion, xy = self._own_motion(part, x, resisted=True)
         return self._sum(part - motion), xy
-
-    def keep(self, x: Vector) -> Vector:
-        """Return x with zeros outside the chosen columns."""
-        return np.where(self.columns, x, 0.0)
-
-    def resisted(self, coarse: Vector) -> Vector:
-        """Return a coarse vector of all subdomains without its part in the free motions."""
-        part: Vector = coarse - self.free @ (self.free.T @ coarse)
-        return part
 
     def _own_motion(
         self, part: Vector, x: Vector | None = None, resisted: bool = False
     ) -> tuple[Vector, float]:
         """Return what this rank's subdomains add to G'(GG')^+ Gy, and x'y (zero without x)."""
-        sum_over_ranks = self.space.constraints.multipliers.space.sum_over_ranks
+        sum_over_ranks = self.coarse_space.constraints.layout.space.sum_over_ranks
         # all holders of a component have the same of x, so each may multiply its part of y
         numbers = np.zeros(0) if x is None else np.array([x @ part])
         if self.factor is None:
             return np.zeros_like(part), float(sum_over_ranks(numbers).sum())
-        chosen = self.keep(part)
+        chosen = self.on_rows(part)
         own, numbers = self.factor.solve_sum(
-            self.space.restrict_own(chosen), self.space.theirs @ chosen, numbers
+            self.coarse_space.restrict_own(chosen), self.coarse_space.others @ chosen, numbers
         )
         if resisted and self.free.shape[1]:
-            free = self.space.own_part(self.free)
+            free = self.coarse_space.own_part(self.free)
             own = own - free @ sum_over_ranks(free.T @ own)
-        return self.space.prolong_own(own), float(numbers.sum())
+        return self.coarse_space.prolong_own(own), float(numbers.sum())
 
     def _sum(self, part: Vector) -> Vector:
-        return self.space.constraints.multipliers.sum(part)
+        return self.coarse_space.constraints.layout.sum(part)
 
 
-def _pins(free: Vector) -> Numbers:
-    """Return one coarse unknown for each free motion, to pin by a number on the diagonal.
+def _pinned_unknowns(free: Vector) -> Numbers:
+    """Return one coarse unknown for each free motion, to be pinned by a number on the diagonal.
 
-    The coarse matrix is definite then, and for right-hand sides without a part in `free` the
-    pinned unknowns are zero: its inverse is a generalized inverse of the coarse matrix.
+    The matrix is definite then, and for right-hand sides without a part in `free` the pinned
+    unknowns are zero: its inverse is a generalized inverse of GG'.
     """
     pivots: Numbers = qr(free.T, mode="economic", pivoting=True)[2][: free.shape[1]]
     return pivots.astype(np.int64)

@@ -26,6 +26,7 @@ from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.local.congruence import CongruenceClass
 from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.feti.tolerances import UNRESISTED
 from fenics_tfeti.parallel import first_of_rank
 
 __all__ = ["CoarseSpace"]
@@ -33,9 +34,6 @@ __all__ = ["CoarseSpace"]
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-
-# ||B R xi||^2 / ||R xi||^2 of a rigid motion of a body below which no constraint resists it
-_UNRESISTED = 1e-12
 
 
 @dataclass(frozen=True)
@@ -52,10 +50,10 @@ class CoarseSpace:
     kernels : sequence of (n_i, k_i) arrays
         R_i of this rank's subdomains; congruent ones share it.
     ends : (subdomains + 1,) integer array
-        Where the subdomains' coarse unknowns begin among this rank's, and where they end.
+        First coarse unknown of each subdomain among this rank's, and the end of the last.
     layout : CoarseLayout
-        Whose the coarse unknowns are, and where coarse matrices are.
-    theirs : (h, m) scipy.sparse.csr_matrix
+        Ownership of the coarse unknowns, and where coarse matrices are kept.
+    others : (h, m) scipy.sparse.csr_matrix
         The rows of G of other ranks' subdomains in the columns that this rank holds.
     contact : (coarse, i) scipy.sparse.csr_matrix
         All rows of G in the inequality columns that this rank holds.
@@ -71,7 +69,7 @@ class CoarseSpace:
     kernels: Sequence[Vector]
     ends: Numbers
     layout: CoarseLayout
-    theirs: sp.csr_matrix
+    others: sp.csr_matrix
     contact: sp.csr_matrix
     equality: sp.csr_matrix
     bodies: BodyMotions
@@ -86,7 +84,7 @@ class CoarseSpace:
         package: str,
         solver: CoarseSolverKind = "auto",
     ) -> CoarseSpace:
-        """Form G, exchange its shared columns with the neighbours, keep what is needed of it.
+        """Form G and exchange its shared columns with the neighbours.
 
         Parameters
         ----------
@@ -101,7 +99,7 @@ class CoarseSpace:
         package : str
             Package for the factors of coarse matrices that are whole on every rank.
         solver : {"auto", "redundant", "distributed"}
-            Where coarse matrices are.
+            Where coarse matrices are kept.
         """
         ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
         first, size = first_of_rank(system.comm, int(ends[-1]))
@@ -110,11 +108,11 @@ class CoarseSpace:
         everyone = _with_neighbours(constraints, own, first, size)
         equality = constraints.equality
         rows = (own.T.tocsr()[:, equality] @ everyone[equality]).tocsr()
-        theirs = np.setdiff1d(everyone.indices, first + np.arange(ends[-1]))
+        others = np.setdiff1d(everyone.indices, first + np.arange(ends[-1]))
         layout = CoarseLayout.build(
             system.comm,
             int(ends[-1]),
-            theirs.astype(np.int64),
+            others.astype(np.int64),
             solver == "distributed"
             or (solver == "auto" and distribution_pays(system.comm.size, size)),
             package,
@@ -124,7 +122,7 @@ class CoarseSpace:
             kernels,
             ends,
             layout,
-            everyone.T.tocsr()[theirs],
+            everyone.T.tocsr()[others],
             everyone[constraints.inequality].T.tocsr(),
             layout.rows(rows),
             body_motions(system, kernels, constraints, everyone),
@@ -139,7 +137,7 @@ class CoarseSpace:
     @property
     def comm(self) -> MPI.Intracomm:
         """The ranks."""
-        return self.constraints.multipliers.comm
+        return self.constraints.layout.comm
 
     def restrict(self, x: Vector) -> Vector:
         """Return Gx for the coarse unknowns of all ranks; one gathering."""
@@ -157,7 +155,7 @@ class CoarseSpace:
 
     def prolong(self, coarse: Vector) -> Vector:
         """Return G'a for a coarse vector of all ranks; one neighbour exchange."""
-        return self.constraints.multipliers.sum(self.prolong_own(self.own_part(coarse)))
+        return self.constraints.layout.sum(self.prolong_own(self.own_part(coarse)))
 
     def prolong_own(self, own: Vector) -> Vector:
         """Return what this rank's coarse unknowns add to G'a."""
@@ -170,14 +168,14 @@ class CoarseSpace:
         part: Vector = self.interface.matrix @ self.interface.pack(blocks)
         return part
 
-    def work(self, forces: Vector) -> Vector:
-        """Return R'f for the coarse unknowns of all ranks; one gathering."""
+    def coarse_load(self, forces: Vector) -> Vector:
+        """Return R'f, the coarse load of forces on the torn unknowns; one gathering."""
         part = np.empty(int(self.ends[-1]))
         for congruent in self.interface.classes:
             part[self._places(congruent)] = congruent.rows(forces) @ self.kernels[congruent.first]
         return self.layout.gather(part)
 
-    def motion(self, coarse: Vector) -> Vector:
+    def rigid_motion(self, coarse: Vector) -> Vector:
         """Return R a on this rank's torn unknowns for a coarse vector of all ranks."""
         own = self.own_part(coarse)
         displacement = np.empty(self.constraints.matrix.shape[1])
@@ -188,7 +186,7 @@ class CoarseSpace:
 
     def own_part(self, coarse: Vector) -> Vector:
         """Return this rank's part of a coarse vector."""
-        return coarse[self.layout.mine]
+        return coarse[self.layout.own]
 
     def _places(self, congruent: CongruenceClass) -> Numbers:
         modes = self.kernels[congruent.first].shape[1]
@@ -210,10 +208,10 @@ class CoarseSpace:
         """
         chosen = np.flatnonzero(active[: self.constraints.owned_inequalities])
         resisted = self.bodies.contact[:, chosen]
-        sum_over_ranks = self.constraints.multipliers.space.sum_over_ranks
+        sum_over_ranks = self.constraints.layout.space.sum_over_ranks
         gram = sum_over_ranks((resisted @ resisted.T).toarray()) + self.bodies.held
         resistance, motions = np.linalg.eigh(gram)
-        free: Vector = self.bodies.basis @ motions[:, resistance <= _UNRESISTED]
+        free: Vector = self.bodies.basis @ motions[:, resistance <= UNRESISTED]
         return np.linalg.qr(free)[0]
 
 
@@ -240,15 +238,15 @@ def _with_neighbours(
     constraints: Constraints, own: sp.csr_matrix, first: int, size: int
 ) -> sp.csr_matrix:
     """Return G' with the columns of all ranks, in the rows (of G') that this rank holds."""
-    if constraints.multipliers.comm.size == 1:
+    if constraints.layout.comm.size == 1:
         return own
     coo = own.tocoo()
     columns, rows = coo.col.astype(np.int64) + first, coo.row.astype(np.int64)
-    theirs = constraints.multipliers.shared_entries(columns, rows, coo.data)
+    others = constraints.layout.shared_entries(columns, rows, coo.data)
     return sp.csr_matrix(
         (
-            np.concatenate([coo.data, theirs[2]]),
-            (np.concatenate([rows, theirs[1]]), np.concatenate([columns, theirs[0]])),
+            np.concatenate([coo.data, others[2]]),
+            (np.concatenate([rows, others[1]]), np.concatenate([columns, others[0]])),
         ),
         shape=(own.shape[0], size),
     )

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.feti.tolerances import PARALLEL
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
 
 __all__ = ["ContactConditions", "Redundancy", "find_redundant"]
@@ -26,10 +27,6 @@ Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# rows of unit length whose product is this close to 1 are one row, to -1 opposite ones
-_PARALLEL = 1e-12
-# eigenvalue of the rows' Gram matrix that counts as zero
-_DEPENDENT = 1e-12
 # relative to the gaps: opposite conditions that leave no room by more than this exclude each other
 _NO_ROOM = 1e-9
 
@@ -154,7 +151,7 @@ def _examine(
     gram = (C @ C.T).tocoo()
     _check_room(numbers, rhs, gram, node, row)
 
-    same = gram.data > 1.0 - _PARALLEL
+    same = gram.data > 1.0 - PARALLEL
     alike = sp.coo_matrix((gram.data[same], (gram.row[same], gram.col[same])), shape=gram.shape)
     group = connected_components(alike, directed=False)[1]
     # the smallest right-hand side of each group stays, the first of equal ones
@@ -167,7 +164,7 @@ def _check_room(
     numbers: Numbers, rhs: Vector, gram: sp.coo_matrix, node: Numbers, row: Numbers
 ) -> None:
     """Check that opposite conditions leave room; the data are the same on all ranks."""
-    opposite = gram.data < -(1.0 - _PARALLEL)
+    opposite = gram.data < -(1.0 - PARALLEL)
     i, j = gram.row[opposite], gram.col[opposite]
     excluded = np.flatnonzero(rhs[i] + rhs[j] < -_NO_ROOM * np.abs(rhs).max(initial=0.0))
     if excluded.size:
@@ -189,5 +186,5 @@ def _dependent(gram: sp.csr_matrix) -> int:
     for b in np.flatnonzero(sizes > 1):
         members = order[ends[b] - sizes[b] : ends[b]]
         dense = gram[members][:, members].toarray()
-        deficiency += int(np.count_nonzero(np.linalg.eigvalsh(dense) <= _DEPENDENT))
+        deficiency += int(np.count_nonzero(np.linalg.eigvalsh(dense) <= PARALLEL))
     return deficiency

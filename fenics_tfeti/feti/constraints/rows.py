@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.constraints.redundancy import ContactConditions, Redundancy, find_redundant
-from fenics_tfeti.feti.system import SAME_VALUE, ContactRows, TornSystem
+from fenics_tfeti.feti.system import ContactRows, TornSystem
+from fenics_tfeti.feti.tolerances import SAME_VALUE
 from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
 
 __all__ = ["Constraints", "build_constraints"]
@@ -37,16 +38,14 @@ NEGLIGIBLE_NORMAL = 1e-10
 
 @dataclass(frozen=True)
 class Constraints:
-    """Bu <= c on the inequality rows, Bu = c on the others, in this rank's torn displacements.
+    """B of Bu <= c (inequality rows) and Bu = c (equality rows), on this rank's torn unknowns.
 
     Attributes
     ----------
     matrix : (m, n) scipy.sparse.csr_matrix
         The columns of B for this rank's subdomains and all rows that have an entry there.
-    rhs : (m,) array
-        c.
-    multipliers : DualLayout
-        The rows' global numbers and who shares them.
+    layout : DualLayout
+        Global numbers of the rows, and the ranks that share them.
     inequality : (i,) integer array
         Local positions of the inequality rows, ascending.
     contact : (i,) integer array
@@ -66,8 +65,7 @@ class Constraints:
     """
 
     matrix: sp.csr_matrix
-    rhs: Vector
-    multipliers: DualLayout
+    layout: DualLayout
     inequality: Numbers
     contact: Numbers
     scale: Vector
@@ -78,9 +76,14 @@ class Constraints:
     dependent: int
 
     @property
+    def size(self) -> int:
+        """Number of rows that this rank holds."""
+        return int(self.matrix.shape[0])
+
+    @property
     def equality(self) -> NDArray[np.bool_]:
         """Mask of the equality rows."""
-        mask = np.ones(self.rhs.size, dtype=bool)
+        mask = np.ones(self.size, dtype=bool)
         mask[self.inequality] = False
         return mask
 
@@ -88,24 +91,28 @@ class Constraints:
     def row_lengths(self) -> Vector:
         """Euclidean norms of the rows of B over all ranks."""
         squares = self.matrix.multiply(self.matrix).sum(axis=1)
-        return np.sqrt(self.multipliers.sum(np.asarray(squares).ravel()))
+        return np.sqrt(self.layout.sum(np.asarray(squares).ravel()))
 
     def same_numbering(self, other: Constraints) -> bool:
         """Tell, on all ranks alike, whether multipliers mean the same rows in both."""
-        same = np.array_equal(
-            self.multipliers.numbers, other.multipliers.numbers
-        ) and np.array_equal(self.own_rows, other.own_rows)
-        return bool(self.multipliers.comm.allreduce(same, MPI.LAND))
+        same = np.array_equal(self.layout.numbers, other.layout.numbers) and np.array_equal(
+            self.own_rows, other.own_rows
+        )
+        return bool(self.layout.comm.allreduce(same, MPI.LAND))
 
     def same_rows(self, other: Constraints) -> bool:
-        """Tell, on all ranks alike, whether B is the same; c may differ."""
-        same = self.matrix.shape == other.matrix.shape and (self.matrix != other.matrix).nnz == 0
-        return self.same_numbering(other) and bool(self.multipliers.comm.allreduce(same, MPI.LAND))
+        """Tell, on all ranks alike, whether B and the contacts of its rows are the same."""
+        same = (
+            self.matrix.shape == other.matrix.shape
+            and (self.matrix != other.matrix).nnz == 0
+            and np.array_equal(self.contact, other.contact)
+        )
+        return self.same_numbering(other) and bool(self.layout.comm.allreduce(same, MPI.LAND))
 
     @property
     def owned_inequalities(self) -> int:
         """How many of the inequality rows, the first ones, this rank owns."""
-        return int(np.searchsorted(self.inequality, self.multipliers.owned))
+        return int(np.searchsorted(self.inequality, self.layout.owned))
 
 
 @dataclass(frozen=True)
@@ -149,7 +156,9 @@ class _InequalityRows:
     rhs: Vector
 
 
-def build_constraints(system: TornSystem, weights: Vector | None = None) -> Constraints:
+def build_constraints(
+    system: TornSystem, weights: Vector | None = None
+) -> tuple[Constraints, Vector]:
     """Build B and c from global node numbers.
 
     Parameters
@@ -162,7 +171,9 @@ def build_constraints(system: TornSystem, weights: Vector | None = None) -> Cons
     Returns
     -------
     Constraints
-        This rank's part of B and c.
+        This rank's part of B.
+    (m,) array
+        c.
 
     Raises
     ------
@@ -181,31 +192,30 @@ def build_constraints(system: TornSystem, weights: Vector | None = None) -> Cons
         system, directory, copies, table, int(equality_total)
     )
 
-    multipliers = DualLayout(system.comm, np.unique(np.concatenate([equality.rows, rows.number])))
+    layout = DualLayout(system.comm, np.unique(np.concatenate([equality.rows, rows.number])))
     n = sum(subdomain.size for subdomain in system.subdomains)
     matrix = sp.csr_matrix(
         (
             np.concatenate([equality.values, inequality.values]),
             (
-                multipliers.local(np.concatenate([equality.rows, inequality.rows])),
+                layout.local(np.concatenate([equality.rows, inequality.rows])),
                 np.concatenate([equality.columns, inequality.columns]),
             ),
         ),
-        shape=(multipliers.numbers.size, n),
+        shape=(layout.numbers.size, n),
     )
-    rhs = np.zeros(multipliers.numbers.size)
-    prescribed = multipliers.local(equality_rhs[0].astype(np.int64))
-    rhs[prescribed] = equality_rhs[1]
-    at = multipliers.local(rows.number)
-    rhs[at] = rows.rhs
+    values = np.zeros(layout.numbers.size)
+    prescribed = layout.local(equality_rhs[0].astype(np.int64))
+    values[prescribed] = equality_rhs[1]
+    at = layout.local(rows.number)
+    values[at] = rows.rhs
     own_rows = np.full(system.contacts.slave.size, -1, dtype=np.int64)
     own_rows[kept] = at[: np.count_nonzero(kept)]
     # a holder learns of its row once or several times, always the same
     at, first = np.unique(at, return_index=True)
-    return Constraints(
+    constraints = Constraints(
         matrix,
-        rhs,
-        multipliers,
+        layout,
         inequality=at,
         contact=rows.contact[first],
         scale=rows.scale[first],
@@ -215,6 +225,7 @@ def build_constraints(system: TornSystem, weights: Vector | None = None) -> Cons
         redundant=redundancy.dropped_total,
         dependent=redundancy.dependent,
     )
+    return constraints, values
 
 
 def _copies(system: TornSystem, weights: Vector | None) -> _Copies:

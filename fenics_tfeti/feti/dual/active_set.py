@@ -1,9 +1,8 @@
-"""Primal-dual active set (semismooth Newton) on the dual.
+"""Primal-dual active set method (semismooth Newton) for the dual problem (11.36).
 
-Each step takes the contact rows that press as equalities, the others as no rows at all, and solves
-that linear problem with the projector of just these rows (`face.py`). The signs of forces and gaps
-give the next set. Few steps lead to the solution where they do, but the loop may cycle: it then
-stops, and SMALBE-M, which cannot, goes on from where it came.
+Each step takes the active contact rows as equalities and drops the others, and solves that linear
+problem by PCPG with the projector of these rows. The signs of forces and gaps give the next active
+set. The method alone may cycle; it then stops, and SMALBE-M continues from its last iterate.
 
 After Hintermueller, Ito, Kunisch, SIAM J. Optim. 13 (2002) 865-888.
 """
@@ -11,37 +10,26 @@ After Hintermueller, Ito, Kunisch, SIAM J. Optim. 13 (2002) 865-888.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.coarse.space import CoarseSpace
-from fenics_tfeti.feti.dual.pcpg import DualProblem, FaceSolution, solve_on_face
+from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, pcpg
+from fenics_tfeti.feti.dual.problem import DualProblem
+from fenics_tfeti.feti.tolerances import NO_WORK
 from fenics_tfeti.qp import Products
 
-__all__ = ["ActiveSetEnd", "ActiveSetStep", "primal_dual_active_set"]
+__all__ = ["ActiveSetResult", "ActiveSetStep", "primal_dual_active_set"]
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# how much more accurate than before faces are solved when the signs do not get better
-_SHARPER = 0.5
-# the violation of signs has to fall by this factor, or else so many faces may follow without
-_PROGRESS = 0.7
-_PATIENCE = 8
-# relative to ||e||: work on motions that a face leaves free that counts as none
-_NO_WORK = 1e-9
-# relative to the motion: a row that does not close
-_NO_SPEED = 1e-9
-# relative: rows that close at once
-_AT_ONCE = 1e-9
-
 
 @dataclass(frozen=True)
 class ActiveSetStep:
-    """Where one face of the primal-dual active set method ended.
+    """One face of the primal-dual active set method.
 
     Attributes
     ----------
@@ -62,31 +50,32 @@ class ActiveSetStep:
 
 
 @dataclass(frozen=True)
-class ActiveSetEnd:
-    """Where the active set method ended.
+class ActiveSetResult:
+    """The last iterate of the active set method.
 
     Attributes
     ----------
     multipliers : (m,) array
-        Nonnegative on the inequality rows, and G l = e up to what cutting negative forces does.
+        Nonnegative on the inequality rows, and G l = e except for what cutting negative forces
+        changes.
     coarse_gradient : (m,) array
         Q(Fl - d) + G'a with the rigid motions a: the equalities' part of the gradient.
     solved : bool
-        Whether residual and signs are as they should be; else the set was there before, or a limit
-        was met.
-    face : FaceSolution
-        The last face, from where to go on to a smaller tolerance.
+        Whether residual and signs are within the tolerance; if not, the set has occurred before or
+        a limit was met.
+    iterate : PCPGIterate
+        The last iterate on the last face, to continue to a smaller tolerance.
     """
 
     multipliers: Vector
     coarse_gradient: Vector
     solved: bool
-    face: FaceSolution
+    iterate: PCPGIterate
 
 
 def primal_dual_active_set(
     problem: DualProblem,
-    start: Vector | FaceSolution,
+    start: Vector | PCPGIterate,
     active: Mask,
     *,
     tolerance: float,
@@ -94,21 +83,22 @@ def primal_dual_active_set(
     max_products: int,
     products: Products,
     monitor: Callable[[ActiveSetStep], None],
-) -> ActiveSetEnd:
+) -> ActiveSetResult:
     """Run the active set method until its set does not change, or it cycles.
 
     Parameters
     ----------
     problem : DualProblem
-        The problem.
-    start : (m,) array or FaceSolution
-        Multipliers to start from, or the end of an earlier run to a larger tolerance.
+        The dual problem (11.36).
+    start : (m,) array or PCPGIterate
+        First multipliers, or the last iterate of an earlier run to a larger tolerance.
     active : (i,) bool array
-        The first guess of the inequality rows that are active; of an earlier run, its last.
+        First active set; of an earlier run, its last one.
     tolerance, norm_b : float
-        Norm of the projected residual to end with, and the scale of the first ones.
+        Tolerance of the norm of the projected residual, and the norm that `ActiveSetStep` relates
+        residuals to.
     max_products : int
-        Limit.
+        Limit on `products`.
     products : Products
         Counter to add to.
     monitor : callable
@@ -116,79 +106,115 @@ def primal_dual_active_set(
 
     Returns
     -------
-    ActiveSetEnd
-        The solution, or where the method has come to.
+    ActiveSetResult
+        The solution, or the last iterate.
     """
-    space = problem.space
-    rows = space.constraints.inequality
-    seen: list[Mask] = []
-    accuracy, best, failures = 1.0, np.inf, 0
-    room = space.constraints.rhs[rows]
-    resume = isinstance(start, FaceSolution)
+    rows = problem.constraints.inequality
+    progress, previous_sets = _Progress(), list[Mask]()
+    gap, resume = problem.c[rows], isinstance(start, PCPGIterate)
     while True:
-        face, active = _face(problem, active, room)
-        start = iterate = solve_on_face(
-            face, active, problem, start, (accuracy, tolerance), max_products, products, resume
+        face = close_first_gaps(problem, active, gap)
+        start = iterate = pcpg(
+            problem,
+            face,
+            start,
+            tolerance=tolerance,
+            sign_factor=progress.sign_factor,
+            max_products=max_products,
+            products=products,
+            resume=resume,
         )
-        multipliers, room = iterate.multipliers, iterate.gradient[rows]
-        following = multipliers[rows] > iterate.gradient[rows] / problem.norm
-        changed, size = _counts(space, following != active, active)
+        gap = iterate.gradient[rows]
+        following = iterate.multipliers[rows] > gap / problem.norm
+        changed, size = _counts(problem, following != face.active, face.active)
         monitor(ActiveSetStep(products.total, iterate.residual / norm_b, size, changed))
         exact = iterate.residual <= tolerance
         solved = exact and iterate.violation <= tolerance
-        cycles = exact and any(not _counts(space, following != s, s)[0] for s in seen)
-        if iterate.violation < _PROGRESS * best:
-            best, failures = iterate.violation, 0
-        else:
-            # perhaps the faces were judged by too rough solutions
-            accuracy, failures = _SHARPER * accuracy, failures + 1
-        hopeless = cycles or failures > _PATIENCE or products.total >= max_products
-        if solved or hopeless:
-            pressing = multipliers.copy()
-            pressing[rows] = np.maximum(pressing[rows], 0.0)
-            coarse_gradient = problem.projector.coarse(iterate.gradient)
-            return ActiveSetEnd(pressing, coarse_gradient, solved, iterate)
+        cycles = exact and any(_counts(problem, following != s)[0] == 0 for s in previous_sets)
+        progress.update(iterate.violation)
+        if solved or cycles or progress.stagnates or products.total >= max_products:
+            return _result(problem, iterate, solved)
         if exact:
-            seen.append(active)
+            previous_sets.append(face.active)
         active, resume = following, changed == 0
 
 
-def _counts(space: CoarseSpace, *masks: Mask) -> list[int]:
-    """Count the entries of masks over the inequality rows of all ranks."""
-    owned = space.constraints.owned_inequalities
+@dataclass
+class _Progress:
+    """The decrease of the violation of signs from face to face.
+
+    Attributes
+    ----------
+    sign_factor : float
+        Accuracy of the faces relative to the violation; halved where the violation does not
+        decrease, since signs may have been judged by inaccurate solutions.
+    """
+
+    sign_factor: float = 1.0
+    best: float = np.inf
+    failures: int = field(default=0)
+
+    def update(self, violation: float) -> None:
+        """Compare with the smallest violation so far."""
+        if violation < 0.7 * self.best:
+            self.best, self.failures = violation, 0
+        else:
+            self.sign_factor, self.failures = 0.5 * self.sign_factor, self.failures + 1
+
+    @property
+    def stagnates(self) -> bool:
+        """Whether the violation has not decreased for more than eight faces."""
+        return self.failures > 8
+
+
+def _result(problem: DualProblem, iterate: PCPGIterate, solved: bool) -> ActiveSetResult:
+    rows = problem.constraints.inequality
+    multipliers = iterate.multipliers.copy()
+    multipliers[rows] = np.maximum(multipliers[rows], 0.0)
+    return ActiveSetResult(multipliers, problem.projector.Q(iterate.gradient), solved, iterate)
+
+
+def _counts(problem: DualProblem, *masks: Mask) -> list[int]:
+    """Count the entries of masks over the inequality rows of all ranks; one reduction."""
+    owned = problem.constraints.owned_inequalities
     part = np.array([float(np.count_nonzero(mask[:owned])) for mask in masks])
-    return [int(n) for n in space.constraints.multipliers.space.sums(*part)]
+    return [int(n) for n in problem.space.sums(*part)]
 
 
-def _face(problem: DualProblem, active: Mask, room: Vector) -> tuple[Projector, Mask]:
-    """Return the projector of the equality and active rows, and the set.
+def close_first_gaps(problem: DualProblem, active: Mask, gap: Vector) -> Face:
+    """Return the face of a set, with the rows added that bodies close when the load moves them.
 
-    Where the load would push bodies along motions that these rows leave free, the bodies move until
-    the first rows close; these join the set, and so on until the load is balanced.
+    Where the load does work on motions that the rows leave free, the bodies move until the first
+    gaps close; these rows join the set, and so on until the load is balanced.
 
     Parameters
     ----------
     problem : DualProblem
-        The problem.
+        The dual problem.
     active : (i,) bool array
-        Rows of the face.
-    room : (i,) array
-        How far each row is from closing; negative numbers count as none.
+        The set.
+    gap : (i,) array
+        Gap of each row, scaled as the row; negative gaps count as closed.
+
+    Returns
+    -------
+    Face
+        The set with the rows that closed, and its projector.
     """
-    space, constraints = problem.space, problem.space.constraints
-    vectors = constraints.multipliers.space
+    coarse_space = problem.coarse_space
     scale = float(np.linalg.norm(problem.e))
-    room = np.maximum(room, 0.0)
+    gap = np.maximum(gap, 0.0)
     while True:
-        face = Projector.build(space, active)
-        work = face.free.T @ problem.e
-        if np.linalg.norm(work) <= _NO_WORK * scale:
-            return face, active
-        speed = space.contact.T @ (face.free @ work)
-        closing = ~active & (speed > _NO_SPEED * np.linalg.norm(work))
-        way = np.divide(room, speed, out=np.full(room.size, np.inf), where=closing)
-        first = vectors.dots_and_min(value=float(way.min(initial=np.inf)))[0]
+        projector = Projector.build(coarse_space, active)
+        work = projector.free.T @ problem.e
+        if np.linalg.norm(work) <= NO_WORK * scale:
+            return Face(active, projector)
+        speed = coarse_space.contact.T @ (projector.free @ work)
+        closing = ~active & (speed > NO_WORK * np.linalg.norm(work))
+        way = np.divide(gap, speed, out=np.full(gap.size, np.inf), where=closing)
+        first = problem.space.dots_and_min(value=float(way.min(initial=np.inf)))[0]
         if not np.isfinite(first):
-            return face, active
-        active = active | (way <= first * (1.0 + _AT_ONCE))
-        room = np.where(active, 0.0, np.maximum(room - first * speed, 0.0))
+            return Face(active, projector)
+        # rows that close at once, up to rounding, join together
+        active = active | (way <= first * (1.0 + NO_WORK))
+        gap = np.where(active, 0.0, np.maximum(gap - first * speed, 0.0))

@@ -20,7 +20,7 @@ from fenics_tfeti.qp import lanczos_upper_bound
 __all__ = [
     "DualOperator",
     "DualOperatorKind",
-    "norm_of_projected",
+    "ProjectedNorm",
     "seeded_vector",
 ]
 
@@ -94,7 +94,7 @@ class DualOperator:
 
     def __call__(self, multipliers: Vector) -> Vector:
         """Return F lambda; one neighbour exchange."""
-        return self.constraints.multipliers.sum(self.part(multipliers))
+        return self.constraints.layout.sum(self.part(multipliers))
 
     def part(self, multipliers: Vector) -> Vector:
         """Return what this rank's subdomains add to F lambda: a solve or product for each class."""
@@ -113,16 +113,16 @@ class DualOperator:
     def jumps(self, displacement: Vector) -> Vector:
         """Return Bu of a torn displacement; one neighbour exchange."""
         part = self.interface.matrix @ displacement[self.interface.columns]
-        return self.constraints.multipliers.sum(part)
+        return self.constraints.layout.sum(part)
 
     def generalized_inverse(self, forces: Vector) -> Vector:
         """Return K^+ forces for torn forces."""
         operators = [partial(_solve_rows, inverse) for inverse in self.inverses]
         return apply_by_class(self.interface.classes, operators, forces)
 
-    def load(self, forces: Vector) -> Vector:
-        """Return d = BK^+f - c."""
-        return self.jumps(self.generalized_inverse(forces)) - self.constraints.rhs
+    def load(self, forces: Vector, c: Vector) -> Vector:
+        """Return d = BK^+f - c (11.31)."""
+        return self.jumps(self.generalized_inverse(forces)) - c
 
 
 def _solve_rows(inverse: GeneralizedInverse, rows: Vector) -> Vector:
@@ -171,13 +171,13 @@ def _explicit_pays(inverse: GeneralizedInverse, interface: int, members: int) ->
     return set_up + _PRODUCTS * members * product < _PRODUCTS * members * solve
 
 
-def seeded_vector(numbers: NDArray[np.int64], seed: int) -> Vector:
-    """Return pseudo-random components in (-1, 1) that depend on global numbers and seed only.
+def seeded_vector(numbers: NDArray[np.int64]) -> Vector:
+    """Return pseudo-random components in (-1, 1) that depend on global numbers only.
 
     All holders of a component get the same value, on any number of ranks, without communication.
     The mixing function is that of splitmix64.
     """
-    z = numbers.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(seed)
+    z = numbers.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
         z = (z ^ (z >> np.uint64(shift))) * np.uint64(factor)
     z ^= z >> np.uint64(31)
@@ -185,8 +185,8 @@ def seeded_vector(numbers: NDArray[np.int64], seed: int) -> Vector:
     return values
 
 
-def norm_of_projected(F: DualOperator, projector: Projector, steps: int, seed: int) -> float:
-    """Bound ||PFP|| from above by the Lanczos method.
+class ProjectedNorm:
+    """An upper bound of ||PFP||, estimated when it is asked for and kept.
 
     Parameters
     ----------
@@ -194,20 +194,28 @@ def norm_of_projected(F: DualOperator, projector: Projector, steps: int, seed: i
         The operator.
     projector : Projector
         P.
-    steps : int
-        Products with F to spend.
-    seed : int
-        Seed of the start vector.
 
-    Returns
-    -------
-    float
-        An upper bound, close to the norm [m/N].
+    Attributes
+    ----------
+    products : int
+        Products with F that the estimates took.
     """
-    multipliers = F.constraints.multipliers
-    return lanczos_upper_bound(
-        lambda x: projector.complement_of_sum(F.part(x), x)[0],
-        projector.complement(seeded_vector(multipliers.numbers, seed)),
-        steps,
-        multipliers.space,
-    )
+
+    def __init__(self, F: DualOperator, projector: Projector) -> None:
+        self._F, self._projector = F, projector
+        self._steps, self._value = 0, 0.0
+        self.products = 0
+
+    def __call__(self, steps: int) -> float:
+        """Return the bound by at least that many Lanczos steps [m/N]."""
+        if self._steps < steps:
+            layout = self._F.constraints.layout
+            self._value = lanczos_upper_bound(
+                lambda x: self._projector.P_of_sum(self._F.part(x), x)[0],
+                self._projector.P(seeded_vector(layout.numbers)),
+                steps,
+                layout.space,
+            )
+            self._steps = steps
+            self.products += steps
+        return self._value

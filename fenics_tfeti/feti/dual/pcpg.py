@@ -1,62 +1,50 @@
-"""The linear problem on a face of the dual, by projected, preconditioned conjugate gradients."""
+"""PCPG: preconditioned conjugate projected gradients on a face of the dual feasible set.
+
+On a face the active contact rows are equalities and the multipliers of the others vanish:
+
+    minimise 1/2 l'Fl - d'l  subject to  Gl = e,  l = o off the face,
+
+with G and the projector P of the rows on the face. The gradient is kept on *all* rows, as
+g = Fl - d + G'a with the rigid motions a of the face: where l = o it is the gap that is left, whose
+sign tells whether the face is the right one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.qp import Products
 
-__all__ = ["DualProblem", "FaceSolution", "solve_on_face"]
+__all__ = ["Face", "PCPGIterate", "pcpg"]
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# reduction of the residual after which the signs are looked at
-_LOOK = 0.5
-
 
 @dataclass(frozen=True)
-class DualProblem:
-    """Minimise 1/2 l'Fl - d'l subject to Gl = e and l_I >= o, (11.35).
+class Face:
+    """A face of the dual feasible set.
 
     Attributes
     ----------
-    F : callable
-        x -> this rank's part of Fx, F the dual operator.
-    d : (m,) array
-        Its load.
-    e : (coarse,) array
-        R'f of all subdomains.
+    active : (i,) bool array
+        The inequality rows on the face.
     projector : Projector
-        That of all rows.
-    norm : float
-        ||PFP||, roughly: the scale of gaps by forces.
-    precondition : callable or None
-        x -> this rank's part of B_D S B_D'x.
+        P and Q of the equality rows and the active rows.
     """
 
-    F: Callable[[Vector], Vector]
-    d: Vector
-    e: Vector
+    active: Mask
     projector: Projector
-    norm: float
-    precondition: Callable[[Vector], Vector] | None
-
-    @property
-    def space(self) -> CoarseSpace:
-        """G."""
-        return self.projector.space
 
 
 @dataclass(frozen=True)
-class FaceSolution:
-    """An iterate on a face; the last one is the solution.
+class PCPGIterate:
+    """An iterate on a face, with what the next step needs.
 
     Attributes
     ----------
@@ -65,15 +53,17 @@ class FaceSolution:
     multipliers : (m,) array
         l, with Gl = e and zeros off the face.
     gradient : (m,) array
-        Fl - d + G'a with the rigid motions a of the face; in the end not negative where l = o.
+        Fl - d + G'a.
     residual : float
-        Norm of the projected residual on the face.
+        ||P(d - Fl)|| on the face.
     violation : float
-        Norm of what the signs of forces and gaps violate, in units of the residual.
-    direction, rz : (m,) array, float
-        The last direction, and r'z of the residual that it was made from.
+        Norm of negative forces (times ||PFP||) on the face and negative gaps off it.
+    direction : (m,) array
+        The last search direction.
+    rz : float
+        r'z of the residual from which the direction was made.
     step_lengths : tuple of float
-        Of the conjugate gradients.
+        Step lengths of the conjugate gradients.
     """
 
     active: Mask
@@ -91,160 +81,151 @@ class FaceSolution:
         return float(np.median(self.step_lengths)) if self.step_lengths else 0.0
 
 
-def solve_on_face(
-    face: Projector,
-    active: Mask,
+def pcpg(
     problem: DualProblem,
-    start: Vector | FaceSolution,
-    tolerances: tuple[float, float],
+    face: Face,
+    start: Vector | PCPGIterate,
+    *,
+    tolerance: float,
+    sign_factor: float,
     max_products: int,
     products: Products,
     resume: bool = False,
-) -> FaceSolution:
-    """Minimise 1/2 l'Fl - d'l subject to Gl = e and l = o off the face.
+) -> PCPGIterate:
+    """Minimise on a face until its signs are known well enough.
 
-    The face is left as soon as the residual is smaller than the violation of signs times the first
-    tolerance, or than the second one: more accuracy would be spent on the wrong rows. The signs are
-    looked at whenever the residual has halved.
+    The iterations end when the residual is below `sign_factor` times the violation of the signs of
+    forces and gaps (more accuracy would be spent on the wrong face), or below `tolerance`. The
+    signs are tested each time the residual has halved.
 
     Parameters
     ----------
-    face : Projector
-        That of the rows on the face.
-    active : (i,) bool array
-        The inequality rows on it.
     problem : DualProblem
-        The problem.
-    start : (m,) array or FaceSolution
-        Multipliers to start from, or where another face ended.
-    tolerances : (float, float)
-        Relative to the violation, and absolute. With zero for the first, the signs do not matter.
+        The dual problem (11.36).
+    face : Face
+        The face.
+    start : (m,) array or PCPGIterate
+        Multipliers, or the last iterate on another face.
+    tolerance : float
+        Absolute tolerance of the residual.
+    sign_factor : float
+        Tolerance of the residual relative to the violation; 0 where the signs do not matter.
     max_products : int
         Limit on `products`.
     products : Products
         Counter to add to.
     resume : bool
-        Go on with the conjugate gradients that ended in `start`, on the same face.
+        Continue the conjugate gradients that ended in `start`, on the same face.
 
     Returns
     -------
-    FaceSolution
+    PCPGIterate
         The last iterate.
     """
-    accuracy, tolerance = tolerances
-    descent = _Descent(face, active, problem, products)
-    if not isinstance(start, FaceSolution):
-        iterate = descent.first(start)
-    else:
-        iterate = start if resume else descent.entered(start)
-    wanted = max(tolerance, _LOOK * iterate.residual)
+    iterate = start if resume and isinstance(start, PCPGIterate) else None
+    if iterate is None:
+        iterate = _first_iterate(problem, face, start, products)
+    test_below = max(tolerance, 0.5 * iterate.residual)
     while True:
         exhausted = products.total >= max_products
-        if iterate.residual <= wanted or exhausted:
-            if exhausted or iterate.residual <= max(accuracy * iterate.violation, tolerance):
+        if iterate.residual <= test_below or exhausted:
+            if exhausted or iterate.residual <= max(sign_factor * iterate.violation, tolerance):
                 return iterate
-            wanted = max(tolerance, _LOOK * iterate.residual)
-        following = descent.step(iterate)
+            test_below = max(tolerance, 0.5 * iterate.residual)
+        following = _step(problem, face, iterate, products)
         if following is None:
             return iterate
         iterate = following
 
 
-@dataclass(frozen=True)
-class _Descent:
-    """Conjugate gradients on one face.
+def _step(
+    problem: DualProblem, face: Face, iterate: PCPGIterate, products: Products
+) -> PCPGIterate | None:
+    """Take one step of PCPG; return None where the curvature is not more than rounding."""
+    l, g = iterate.multipliers, iterate.gradient
+    # 1. precondition and project: r = -g on the face, z = P M r
+    r = -face.projector.on_rows(g)
+    z, rz = _precondition(problem, face, r, products)
+    rz = iterate.residual**2 if rz is None else rz
+    # 2. direction: p = z + (r'z / r'z of the last step) p
+    p = z + rz / iterate.rz * iterate.direction
+    # 3. product: PFp on the face, off it what the gaps change by; p'Fp
+    change, curvature = face.projector.remove_rigid_motion(_product(problem, p, products), p)
+    if curvature <= 0.0:
+        return None
+    # 4. step: l += alpha p, g += alpha PFp with alpha = r'z / p'Fp
+    alpha = rz / curvature
+    l, g = l + alpha * p, g + alpha * change
+    lengths = (*iterate.step_lengths, alpha)
+    return PCPGIterate(face.active, l, g, *_norms(problem, face, l, g), p, rz, lengths)
 
-    Attributes
-    ----------
-    face : Projector
-        That of the rows on the face.
-    active : (i,) bool array
-        The inequality rows on it.
-    problem : DualProblem
-        The problem.
-    products : Products
-        Counter.
-    """
 
-    face: Projector
-    active: Mask
-    problem: DualProblem
-    products: Products
+def _first_iterate(
+    problem: DualProblem, face: Face, start: Vector | PCPGIterate, products: Products
+) -> PCPGIterate:
+    """Return the iterate nearest to the start with Gl = e and nothing off the face; one product."""
+    if not isinstance(start, PCPGIterate):
+        l = _nearest_on_face(problem, face, start)
+        return _iterate_at(problem, face, l, np.zeros_like(l), -problem.d, (), products)
+    # from another face, with a preconditioned step by the residual there: no product of its own
+    alpha, r = start.step_length, -face.projector.on_rows(start.gradient)
+    z = _precondition(problem, face, face.projector.P(r), products)[0]
+    l = _nearest_on_face(problem, face, start.multipliers) + alpha * z
+    if face.projector.free.shape[1]:
+        return _iterate_at(problem, face, l, np.zeros_like(l), -problem.d, (alpha,), products)
+    # gradients of faces without free motions differ by G'a, which the projection removes
+    return _iterate_at(problem, face, l, start.multipliers, start.gradient, (alpha,), products)
 
-    def first(self, multipliers: Vector) -> FaceSolution:
-        """Start from the nearest multipliers on the face."""
-        l, none = self._nearest(multipliers), np.zeros_like(multipliers)
-        return self._begin(l, none, -self.problem.d, ())
 
-    def entered(self, before: FaceSolution) -> FaceSolution:
-        """Start from another face, with a step by the residual there: no product of its own."""
-        face, length = self.face, before.step_length
-        step = self._precondition(-face.complement(face.keep(before.gradient)))[0]
-        l = self._nearest(before.multipliers) + length * step
-        if face.free.shape[1]:
-            return self._begin(l, np.zeros_like(l), -self.problem.d, (length,))
-        # gradients of faces without free motions differ by G'a, which is taken out
-        return self._begin(l, before.multipliers, before.gradient, (length,))
+def _iterate_at(
+    problem: DualProblem,
+    face: Face,
+    l: Vector,
+    known_at: Vector,
+    known: Vector,
+    step_lengths: tuple[float, ...],
+    products: Products,
+) -> PCPGIterate:
+    """Return the iterate at l, from the known gradient at other multipliers; one product."""
+    part = _product(problem, l - known_at, products)
+    part = part + problem.constraints.layout.owned_part(known)
+    g = face.projector.remove_rigid_motion(part, l)[0]
+    none = np.zeros_like(l)
+    return PCPGIterate(face.active, l, g, *_norms(problem, face, l, g), none, 1.0, step_lengths)
 
-    def step(self, iterate: FaceSolution) -> FaceSolution | None:
-        """Take a step; None where the curvature is no more than rounding."""
-        z, rMr = self._precondition(-self.face.keep(iterate.gradient))
-        rz = iterate.residual**2 if rMr is None else rMr
-        p = z + rz / iterate.rz * iterate.direction
-        # on the face PFp, elsewhere what the gradient changes by
-        change, curvature = self.face.relax(self._product(p), p)
-        if curvature <= 0.0:
-            return None
-        length = rz / curvature
-        l, gradient = iterate.multipliers + length * p, iterate.gradient + length * change
-        residual, violation = self._norms(l, gradient)
-        return FaceSolution(
-            self.active,
-            l,
-            gradient,
-            residual,
-            violation,
-            p,
-            rz,
-            (*iterate.step_lengths, length),
-        )
 
-    def _begin(
-        self, l: Vector, origin: Vector, known: Vector, lengths: tuple[float, ...]
-    ) -> FaceSolution:
-        """Return the iterate at l, given the gradient at another place."""
-        part = self.problem.space.constraints.multipliers.owned_part(known)
-        gradient = self.face.relax(self._product(l - origin) + part, l)[0]
-        residual, violation = self._norms(l, gradient)
-        none = np.zeros_like(l)
-        return FaceSolution(self.active, l, gradient, residual, violation, none, 1.0, lengths)
+def _nearest_on_face(problem: DualProblem, face: Face, multipliers: Vector) -> Vector:
+    """Return the nearest multipliers with Gl = e and zeros off the face."""
+    projector = face.projector
+    l = projector.on_rows(multipliers)
+    missing = problem.e - problem.coarse_space.restrict(l)
+    nearest: Vector = l + projector.expand(projector.solve(projector.without_free_motions(missing)))
+    return nearest
 
-    def _product(self, x: Vector) -> Vector:
-        self.products.cg += 1
-        return self.problem.F(x)
 
-    def _precondition(self, r: Vector) -> tuple[Vector, float | None]:
-        """Return z and r'z; the latter where it does not cost a reduction more."""
-        if self.problem.precondition is None:
-            return r, None
-        self.products.preconditioner += 1
-        return self.face.complement_of_sum(self.problem.precondition(r), r)
+def _product(problem: DualProblem, x: Vector, products: Products) -> Vector:
+    products.cg += 1
+    return problem.F(x)
 
-    def _nearest(self, multipliers: Vector) -> Vector:
-        """Return the nearest multipliers with Gl = e and nothing off the face."""
-        face, problem = self.face, self.problem
-        l = face.keep(multipliers)
-        missing = problem.e - problem.space.restrict(l)
-        nearest: Vector = l + face.expand(face.solve(face.resisted(missing)))
-        return nearest
 
-    def _norms(self, multipliers: Vector, gradient: Vector) -> list[float]:
-        """Return the norms of the residual and of what violates signs; one reduction."""
-        constraints = self.problem.space.constraints
-        rows = constraints.inequality
-        wrong = np.zeros_like(gradient)
-        force = self.problem.norm * multipliers[rows]
-        wrong[rows] = np.where(self.active, force, gradient[rows])
-        vectors = (self.face.keep(gradient), np.minimum(wrong, 0.0))
-        squares = constraints.multipliers.space.dots(*((v, v) for v in vectors))
-        return [float(np.sqrt(x)) for x in squares]
+def _precondition(
+    problem: DualProblem, face: Face, r: Vector, products: Products
+) -> tuple[Vector, float | None]:
+    """Return z = PMr and r'z; None for the latter where it would cost a reduction."""
+    if problem.precondition is None:
+        return r, None
+    products.preconditioner += 1
+    return face.projector.P_of_sum(problem.precondition(r), r)
+
+
+def _norms(
+    problem: DualProblem, face: Face, multipliers: Vector, gradient: Vector
+) -> tuple[float, float]:
+    """Return the norms of the residual and of what violates the signs; one reduction."""
+    rows = problem.constraints.inequality
+    wrong = np.zeros_like(gradient)
+    force = problem.norm * multipliers[rows]
+    wrong[rows] = np.minimum(np.where(face.active, force, gradient[rows]), 0.0)
+    residual = face.projector.on_rows(gradient)
+    squares = problem.space.dots((residual, residual), (wrong, wrong))
+    return float(np.sqrt(squares[0])), float(np.sqrt(squares[1]))

@@ -7,13 +7,11 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.system import Subdomain
+from fenics_tfeti.feti.tolerances import ZERO_ENERGY
 
 __all__ = ["describe_motion", "kernel", "rigid_body_modes"]
 
 Vector = NDArray[np.float64]
-
-# energy of a rigid mode, relative to the largest stiffness, below which K is singular for it
-ZERO_ENERGY = 1e-9
 
 
 def raw_modes(coordinates: Vector, origin: Vector) -> Vector:

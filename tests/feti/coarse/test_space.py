@@ -11,14 +11,14 @@ from fenics_tfeti.feti.coarse.feasible_start import least_norm_nonnegative
 from fenics_tfeti.feti.coarse.projector import Projector
 
 SOLVER = TornSolver(column())
-SPACE = SOLVER.space
-G = np.stack([SPACE.restrict(column) for column in np.eye(SOLVER.start.size)], axis=1)
-R = scipy.linalg.block_diag(*SOLVER.kernels)
-P = SOLVER.projector
+SPACE = SOLVER.setup.projector.coarse_space
+G = np.stack([SPACE.restrict(column) for column in np.eye(SOLVER.data.feasible.size)], axis=1)
+R = scipy.linalg.block_diag(*SOLVER.setup.local.kernels)
+P = SOLVER.setup.projector
 
 
 def test_coarse_matrix_is_kernel_times_constraints():
-    B = SOLVER.constraints.matrix.toarray()
+    B = SOLVER.setup.constraints.matrix.toarray()
     np.testing.assert_allclose(G, R.T @ B.T, atol=1e-14)
 
 
@@ -32,30 +32,30 @@ def test_projector_is_that_of_orthonormal_rows():
     rows = np.linalg.svd(G, full_matrices=False)[2]
     x = np.random.default_rng(0).standard_normal(G.shape[1])
     np.testing.assert_allclose(rows @ rows.T, np.eye(len(rows)), atol=1e-13)
-    np.testing.assert_allclose(P.coarse(x), rows.T @ (rows @ x), atol=1e-12)
+    np.testing.assert_allclose(P.Q(x), rows.T @ (rows @ x), atol=1e-12)
 
 
 def test_projection_is_in_the_kernel_of_G():
     x = np.random.default_rng(1).standard_normal(G.shape[1])
-    np.testing.assert_allclose(G @ P.complement(x), 0.0, atol=1e-13)
+    np.testing.assert_allclose(G @ P.P(x), 0.0, atol=1e-13)
 
 
 def test_equalities_alone_leave_the_upper_body_free_to_sink_and_tilt():
-    none = np.zeros(SOLVER.constraints.inequality.size, dtype=bool)
+    none = np.zeros(SOLVER.setup.constraints.inequality.size, dtype=bool)
     assert Projector.build(SPACE, none).free.shape[1] == 3
     assert P.free.shape[1] == 0
 
 
 def test_feasible_start():
-    start = SOLVER.start
-    e = R.T @ SOLVER.load
+    start = SOLVER.data.feasible
+    e = R.T @ SOLVER.data.load
     np.testing.assert_allclose(G @ start, e, atol=1e-12)
-    assert np.all(start[SOLVER.constraints.inequality] >= 0)
+    assert np.all(start[SOLVER.setup.constraints.inequality] >= 0)
 
 
 def test_feasible_start_of_lemma_11_1_has_no_contact_forces():
     coercive = TornSolver(column(load=(0, 0, 0)))
-    assert not coercive.start[coercive.constraints.inequality].any()
+    assert not coercive.data.feasible[coercive.setup.constraints.inequality].any()
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -19,7 +19,7 @@ from fenics_tfeti.feti import (
     TornSystem,
 )
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.dual.pcpg import solve_on_face
+from fenics_tfeti.feti.dual.pcpg import Face, pcpg
 from fenics_tfeti.qp import Products
 
 # Curtis, Han, Robinson, Comput. Optim. Appl. 60 (2015), example 1: active sets that repeat
@@ -104,14 +104,20 @@ def exact_guess(system: TornSystem, options: Options) -> ContactGuess:
     return ContactGuess(force, np.where(force > 0.0, 0.0, 1.0))
 
 
+WHATEVER_THE_SIGNS = {"sign_factor": 0.0, "max_products": 10_000}
+
+
 def linear_products(solver: TornSolver, active: np.ndarray) -> Products:
     """Count what the linear problem with these rows costs, from nothing."""
-    problem, space = solver.dual_problem(), solver.constraints.multipliers.space
-    b = solver.F.load(solver.load - solver.F.constraint_forces(solver.start))
-    tolerance = solver.options.rtol * space.norm(solver.projector.complement(b))
-    face, products = Projector.build(solver.space, active), Products()
+    problem, space = solver.dual_problem(), solver.setup.constraints.layout.space
+    b = solver.setup.F.load(
+        solver.data.load - solver.setup.F.constraint_forces(solver.data.feasible), solver.data.c
+    )
+    tolerance = solver.options.rtol * space.norm(solver.setup.projector.P(b))
+    face = Face(active, Projector.build(solver.setup.projector.coarse_space, active))
+    products = Products()
     start = np.zeros_like(problem.d)
-    solve_on_face(face, active, problem, start, (0.0, tolerance), 10_000, products)
+    pcpg(problem, face, start, tolerance=tolerance, **WHATEVER_THE_SIGNS, products=products)
     return products
 
 
@@ -122,7 +128,9 @@ def test_exact_guess_costs_a_linear_solve(preconditioner, scaling):
     system = bowl()
     solver = TornSolver(system, options, guess=exact_guess(system, options))
     solution = solver.solve()
-    linear = linear_products(solver, solution.multipliers[solver.constraints.inequality] > 0.0)
+    linear = linear_products(
+        solver, solution.multipliers[solver.setup.constraints.inequality] > 0.0
+    )
     assert {face.changed for face in solution.report.faces} == {0}
     # the certificate may want a bit more than the residual
     assert solution.report.products["total"] <= linear.total + 2
@@ -179,12 +187,16 @@ def test_smaller_tolerance_goes_on_where_the_larger_one_ended():
     """More of the same face costs no product for a new start."""
     system, options = bowl(), Options(rtol=1e-8)
     solver = TornSolver(system, options)
-    active = solver.solve().multipliers[solver.constraints.inequality] > 0.0
-    problem, start = solver.dual_problem(), np.zeros(solver.constraints.rhs.size)
-    face, once, twice = Projector.build(solver.space, active), Products(), Products()
-    scale = np.linalg.norm(solver.projector.complement(problem.d))
-    coarse = solve_on_face(face, active, problem, start, (0.0, 1e-4 * scale), 1000, twice)
-    fine = solve_on_face(face, active, problem, coarse, (0.0, 1e-9 * scale), 1000, twice, True)
-    direct = solve_on_face(face, active, problem, start, (0.0, 1e-9 * scale), 1000, once)
+    active = solver.solve().multipliers[solver.setup.constraints.inequality] > 0.0
+    problem, start = solver.dual_problem(), np.zeros(solver.setup.constraints.size)
+    face = Face(active, Projector.build(solver.setup.projector.coarse_space, active))
+    once, twice = Products(), Products()
+    scale = np.linalg.norm(solver.setup.projector.P(problem.d))
+    coarse, fine = (
+        {"tolerance": tolerance * scale, **WHATEVER_THE_SIGNS} for tolerance in (1e-4, 1e-9)
+    )
+    first = pcpg(problem, face, start, **coarse, products=twice)
+    second = pcpg(problem, face, first, **fine, products=twice, resume=True)
+    direct = pcpg(problem, face, start, **fine, products=once)
     assert twice.total == once.total
-    assert fine.residual == pytest.approx(direct.residual, rel=1e-3)
+    assert second.residual == pytest.approx(direct.residual, rel=1e-3)

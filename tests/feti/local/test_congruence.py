@@ -58,8 +58,8 @@ def test_explicit_and_implicit_operators_agree(preconditioner):
     for kind in ("implicit", "explicit"):
         options = Options(dual_operator=kind, preconditioner=preconditioner)
         solver = TornSolver(column(height=3), options)
-        x = np.random.default_rng(0).standard_normal(solver.start.size) if x is None else x
-        result = solver.F(x)
+        x = np.random.default_rng(0).standard_normal(solver.data.feasible.size) if x is None else x
+        result = solver.setup.F(x)
         if kind == "implicit":
             expected = result
     np.testing.assert_allclose(result, expected, rtol=0, atol=1e-13 * np.abs(expected).max())

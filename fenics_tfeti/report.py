@@ -1,11 +1,41 @@
-"""The pairing of contacts as text."""
+"""The report of a contact problem: that of the solver, the pairing and the geometry passes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["pairing_table"]
+from fenics_tfeti.fem.contact.deformed import GeometryPass
+from fenics_tfeti.feti import Report
+
+__all__ = ["ContactReport", "pairing_table"]
+
+
+@dataclass(frozen=True)
+class ContactReport(Report):
+    """The solver's report with what belongs to the geometry; equal on all ranks.
+
+    Attributes
+    ----------
+    passes : list of GeometryPass
+        One entry for each solution with exact non-penetration; products, seconds and history of the
+        report are those of the last one.
+    pairing : list of dict
+        For each contact its name, the numbers of ``pairs`` and ``unmatched`` slave nodes,
+        ``largest_distance`` [m] (what the tolerance limits; None for obstacles) and
+        ``largest_relative_distance`` (to the size of the facets), ``largest_angle`` between the
+        slave's normal and the opposite of its partner's [degrees], ``smallest_gap`` and
+        ``largest_gap`` [m].
+    """
+
+    passes: list[GeometryPass] = field(default_factory=list)
+    pairing: list[dict[str, Any]] = field(default_factory=list)
+
+    def pairing_table(self) -> str:
+        """Return `pairing` as a table to read, a line for each contact."""
+        return pairing_table(self.pairing)
+
 
 _COLUMNS = {
     "contact": "contact",

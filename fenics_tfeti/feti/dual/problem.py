@@ -1,0 +1,64 @@
+"""The dual problem (11.36), with F, G and e neither scaled nor orthonormalised as in (11.30)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.qp import Space
+
+__all__ = ["DualProblem"]
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DualProblem:
+    """Minimise 1/2 l'Fl - d'l subject to Gl = e and l_I >= o, (11.36).
+
+    Attributes
+    ----------
+    F : callable
+        x -> this rank's part of Fx, F the dual operator.
+    d : (m,) array
+        BK^+f - c.
+    e : (coarse,) array
+        R'f of all subdomains.
+    c : (m,) array
+        Right-hand sides of the constraints: prescribed displacements and gaps, scaled as the rows.
+    projector : Projector
+        P and Q of all rows.
+    norm : float
+        ||PFP||, roughly: the scale of gaps against forces.
+    precondition : callable or None
+        x -> this rank's part of B_D S B_D'x.
+    """
+
+    F: Callable[[Vector], Vector]
+    d: Vector
+    e: Vector
+    c: Vector
+    projector: Projector
+    norm: float
+    precondition: Callable[[Vector], Vector] | None
+
+    @property
+    def coarse_space(self) -> CoarseSpace:
+        """G."""
+        return self.projector.coarse_space
+
+    @property
+    def constraints(self) -> Constraints:
+        """B."""
+        return self.projector.coarse_space.constraints
+
+    @property
+    def space(self) -> Space:
+        """The inner product of multipliers."""
+        return self.constraints.layout.space

@@ -1,0 +1,179 @@
+"""Set-up of Total FETI: what depends on K alone, and what depends on K and B.
+
+Both are built once and reused as long as K, or K and B, stay the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.interface import Interface
+from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.constraints.scaling import node_weights
+from fenics_tfeti.feti.dual.operator import DualOperator, ProjectedNorm
+from fenics_tfeti.feti.dual.preconditioner import interface_operator
+from fenics_tfeti.feti.local.cholesky import choose_package
+from fenics_tfeti.feti.local.congruence import CongruenceClass, find_congruence_classes
+from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
+from fenics_tfeti.feti.local.rigid_body_modes import kernel
+from fenics_tfeti.feti.options import Options
+from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.parallel import raise_collectively
+
+__all__ = ["DualSetup", "LocalSetup", "choose_factor", "factor_subdomains"]
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LocalSetup:
+    """What depends on the stiffness matrices alone.
+
+    Attributes
+    ----------
+    weights : (torn nodes of this rank,) array
+        Weights of the copies of nodes, D in B D^{-1} B' = I.
+    classes : list of CongruenceClass
+        Classes of congruent subdomains.
+    kernels : list of (n_i, k_i) arrays
+        R_i of this rank's subdomains; congruent ones share it.
+    stiffness : list of (n_i, n_i) scipy.sparse.csr_matrix
+        K_i of each class [N/m].
+    """
+
+    weights: Vector
+    classes: list[CongruenceClass]
+    kernels: list[Vector]
+    stiffness: list[sp.csr_matrix]
+
+    @staticmethod
+    def build(system: TornSystem, options: Options) -> LocalSetup:
+        """Weigh the copies of nodes, find congruent subdomains and their rigid body modes."""
+        subdomains = system.subdomains
+        weights = node_weights(system, options.scaling)
+        classes = find_congruence_classes(subdomains)
+        kernels = [np.zeros((0, 0))] * len(subdomains)
+        for congruent in classes:
+            shared = kernel(subdomains[congruent.first])
+            for member in congruent.members:
+                kernels[member] = shared
+        stiffness = [subdomains[congruent.first].stiffness for congruent in classes]
+        return LocalSetup(weights, classes, kernels, stiffness)
+
+
+def has_same_stiffness(one: TornSystem, other: TornSystem) -> bool:
+    """Tell, on all ranks alike, whether two systems have the same stiffness matrices as objects."""
+    same = len(one.subdomains) == len(other.subdomains) and all(
+        s.stiffness is t.stiffness and s.nodes is t.nodes
+        for s, t in zip(one.subdomains, other.subdomains, strict=True)
+    )
+    return bool(one.comm.allreduce(same, MPI.LAND))
+
+
+def factor_subdomains(
+    system: TornSystem, local: LocalSetup, package: str
+) -> list[GeneralizedInverse]:
+    """Factor the regularised stiffness matrix of each class: K_i^+ (11.28). Collective.
+
+    Raises
+    ------
+    FactorizationError
+        On all ranks, if a stiffness matrix is not positive semidefinite.
+    """
+    with raise_collectively(system.comm):
+        return [
+            GeneralizedInverse(
+                system.subdomains[congruent.first], local.kernels[congruent.first], package
+            )
+            for congruent in local.classes
+        ]
+
+
+@dataclass(frozen=True)
+class DualSetup:
+    """What depends on the stiffness matrices and the rows of B.
+
+    Attributes
+    ----------
+    local : LocalSetup
+        What depends on the stiffness matrices alone.
+    constraints : Constraints
+        B.
+    projector : Projector
+        P and Q of all rows.
+    F : DualOperator
+        F = BK^+B'.
+    precondition : callable or None
+        x -> this rank's part of B_D S B_D'x.
+    norm : ProjectedNorm
+        ||PFP||.
+    """
+
+    local: LocalSetup
+    constraints: Constraints
+    projector: Projector
+    F: DualOperator
+    precondition: Callable[[Vector], Vector] | None
+    norm: ProjectedNorm
+
+    @staticmethod
+    def build(
+        system: TornSystem,
+        options: Options,
+        local: LocalSetup,
+        projector: Projector,
+        inverses: Sequence[GeneralizedInverse],
+        package: str,
+    ) -> DualSetup:
+        """Make F and the preconditioner. Collective."""
+        coarse_space = projector.coarse_space
+        F = DualOperator.build(
+            coarse_space.constraints, coarse_space.interface, inverses, options.dual_operator
+        )
+        precondition = None
+        if options.preconditioner != "none":
+            with raise_collectively(system.comm):
+                precondition = interface_operator(
+                    options.preconditioner, F, local.stiffness, package
+                )
+        return DualSetup(
+            local, coarse_space.constraints, projector, F, precondition, ProjectedNorm(F, projector)
+        )
+
+
+def build_projector(
+    system: TornSystem,
+    options: Options,
+    local: LocalSetup,
+    constraints: Constraints,
+    package: str,
+) -> Projector:
+    """Form G and the projectors of all rows. Collective."""
+    interface = Interface.build(constraints.matrix, local.classes)
+    return Projector.build(
+        CoarseSpace.build(
+            system, constraints, interface, local.kernels, package, options.coarse_solver
+        )
+    )
+
+
+def choose_factor(options: Options) -> str:
+    """Return the package of the sparse Cholesky factors.
+
+    Raises
+    ------
+    FactorizationError
+        If it is not available, or MUMPS is needed for a distributed coarse problem and missing.
+    """
+    if options.coarse_solver == "distributed":
+        choose_package("mumps")
+    return choose_package(options.factor)

@@ -1,0 +1,105 @@
+"""Options of a contact problem: those of the geometry, and those of the solver."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from itertools import pairwise
+from typing import Any, Literal
+
+from petsc4py import PETSc
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.decomposition.partition import Partitioner
+from fenics_tfeti.feti.options import Options, check_range, convert, refuse_unknown
+
+__all__ = ["ContactOptions", "contact_options"]
+
+
+@dataclass(frozen=True)
+class ContactOptions:
+    """Options of `ContactProblem`.
+
+    Attributes
+    ----------
+    solver : Options
+        Options of Total FETI, given by their names in the same mapping.
+    subdomain_size : int
+        Unknowns of a subdomain that the partition aims at.
+    partitioner : {"auto", "scotch"}
+        Subdomains by SCOTCH, or, where the nodes of a body (of the part of it that a rank has) are
+        a grid along the axes, by blocks of it: equal ones share their factors.
+    non_penetration : {"linearised", "exact"}
+        Contact conditions with the normals and gaps of the undeformed surfaces, or corrected until
+        the deformed surfaces touch.
+    non_penetration_tolerance : float
+        Penetration and separation of the deformed surfaces that count as none, relative to the
+        largest displacement.
+    non_penetration_max_it : int
+        Limit on the solutions with corrected normals and gaps.
+    """
+
+    solver: Options = field(default_factory=Options)
+    subdomain_size: int = 3000
+    partitioner: Partitioner = "auto"
+    non_penetration: Literal["linearised", "exact"] = "linearised"
+    non_penetration_tolerance: float = 1e-3
+    non_penetration_max_it: int = 20
+
+    def __post_init__(self) -> None:
+        """Check the ranges of numbers."""
+        for name in ("subdomain_size", "non_penetration_tolerance", "non_penetration_max_it"):
+            check_range(self, name, 0, float("inf"))
+
+    def of_geometry(self) -> dict[str, Any]:
+        """Return all options but those of the solver, by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "solver"}
+
+
+def contact_options(given: Mapping[str, Any] | None, prefix: str) -> ContactOptions:
+    """Make options from a mapping, and from PETSc's database and the command line under a prefix.
+
+    Parameters
+    ----------
+    given : mapping or None
+        Names and values; strings are converted.
+    prefix : str
+        ``-<prefix><name> value`` on the command line overrides what is given.
+
+    Returns
+    -------
+    ContactOptions
+        Defaults for all that is not given.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, with the nearest known one, or a value of the wrong kind.
+    """
+    if not isinstance(prefix, str) or not prefix or prefix.startswith("-"):
+        raise InputError(
+            f"options_prefix is {prefix!r}; expected a word such as 'tfeti_', without a dash"
+        )
+    if not isinstance(given, Mapping | None):
+        raise InputError(
+            f"options is a {type(given).__name__}; expected a dictionary of names and values"
+        )
+    merged = {**(given or {}), **_command_line(prefix)}
+    geometry = [f.name for f in fields(ContactOptions) if f.name != "solver"]
+    solver = [f.name for f in fields(Options)]
+    refuse_unknown(merged, [*solver, *geometry])
+    of_solver = convert(Options, {k: v for k, v in merged.items() if k in solver})
+    own = convert(ContactOptions, {k: v for k, v in merged.items() if k in geometry})
+    return ContactOptions(of_solver, *(getattr(own, name) for name in geometry))
+
+
+def _command_line(prefix: str) -> dict[str, str]:
+    """Return the options given as ``-<prefix>name value`` to PETSc or to the script."""
+    database = PETSc.Options(prefix)
+    # a program that embeds Python may have no command line
+    for word, following in pairwise([*getattr(sys, "argv", [])[1:], ""]):
+        # PETSc knows the command line only if petsc4py was started with it
+        if word.startswith(f"-{prefix}") and not database.hasName(word[1 + len(prefix) :]):
+            database.setValue(word[1 + len(prefix) :], following)
+    return {name: database.getString(name) for name in database.getAll()}
