@@ -1,4 +1,18 @@
-"""The certificate: how well displacements and multipliers solve the primal problem (11.21)."""
+"""The certificate: a guaranteed bound of the error, and how well the conditions of (11.21) hold.
+
+For a displacement u on which all constraints hold, multipliers with lambda_I >= o and
+G lambda = e, and their torn displacement u_t = K^+(f - B'lambda) + R alpha, the primal energy of u
+minus the dual value of lambda is
+
+    J(u) - D(lambda) = 1/2 ||u - u_t||_K^2 + lambda_I'(c - B_I u),
+
+the last term zero where the contacts that press are closed. As J(u) >= J(u*) >= D(lambda), the
+error of u in the energy norm is at most ||u - u_t||_K (Prager and Synge, on the discrete problem).
+
+Bodies that do not press on each other decouple: the same holds for each *group* of bodies that are
+connected by closed contacts. The share of a single body in ||u - u_t||_K is an estimate of its
+error.
+"""
 
 from __future__ import annotations
 
@@ -11,54 +25,159 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
+from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.local.congruence import apply_by_class, times_rows
+from fenics_tfeti.feti.recovery import Recovered
+from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.feti.tolerances import HARDLY_DEFORMED, UNDEFORMED
+from fenics_tfeti.parallel import Directory
 
-__all__ = ["Certificate", "PrimalProblem"]
+__all__ = ["BodyError", "Certificate", "GroupError", "PrimalProblem", "RowBodies"]
 
 Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
-# forces and energies below this part of the uncancelled sums |K||u| count as none
-_CANCELLED = 1e-6
+
+@dataclass(frozen=True)
+class BodyError:
+    """The error of one body.
+
+    Attributes
+    ----------
+    body : str
+        Its name.
+    energy_norm : float
+        ||u||_K of the body [sqrt(J)].
+    error : float
+        The body's share of ||u - u_t||_K, relative to its energy norm, or to a thousandth of its
+        group's where the body hardly deforms.
+    """
+
+    body: str
+    energy_norm: float
+    error: float
+
+
+@dataclass(frozen=True)
+class GroupError:
+    """The error of a group of bodies that press on each other.
+
+    Attributes
+    ----------
+    bodies : list of str
+        Their names.
+    energy_norm : float
+        ||u||_K of the group [sqrt(J)].
+    error : float
+        Bound of ||u - u*||_K / ||u||_K; zero where the strains of the group are rounding.
+    """
+
+    bodies: list[str]
+    energy_norm: float
+    error: float
 
 
 @dataclass(frozen=True)
 class Certificate:
     """How well displacements and multipliers solve (11.21), from K, f, B and c alone.
 
-    All numbers are relative; all are zero for an exact solution.
+    All numbers are relative to scales of the body or contact concerned; all are zero for an exact
+    solution. A rigid motion of any size changes none of them.
 
     Attributes
     ----------
+    error : float
+        Bound of ||u - u*||_K / ||u||_K, u* the exact solution.
+    groups : list of GroupError
+        The same for each group of bodies that press on each other.
+    bodies : list of BodyError
+        The share of each body.
     equilibrium : float
-        ||Ku - f + B'lambda|| / max(||f||, ||B'lambda||).
-    gluing : float
-        Largest component of B_E u - c_E relative to the largest displacement.
+        Largest ||Ku_t - f + B'lambda|| of a body, relative to its forces.
     penetration : float
-        Largest violation of (u_slave - u_master)'n <= gap, relative to the largest displacement.
+        Largest violation of (u_slave - u_master)'n <= gap, relative to the deformation of the
+        bodies that touch there.
     smallest_force : float
-        Smallest contact force relative to the largest; negative numbers pull.
+        Smallest contact force, relative to the largest of the same contact; negative numbers pull.
     complementarity : float
-        Largest product of force and distance, relative to the largest force times the largest
-        displacement.
-    duality_gap : float
-        Difference of primal energy and dual value, relative to the primal energy.
+        Largest product of force and distance, relative to the largest force of the contact and the
+        deformation of its bodies.
     """
 
+    error: float
+    groups: list[GroupError]
+    bodies: list[BodyError]
     equilibrium: float
-    gluing: float
     penetration: float
     smallest_force: float
     complementarity: float
-    duality_gap: float
 
     @property
     def worst(self) -> float:
-        """The largest violation."""
-        values = asdict(self)
-        values["smallest_force"] = max(0.0, -self.smallest_force)
-        return float(max(values.values()))
+        """The largest of all numbers."""
+        return max(
+            self.error,
+            max((group.error for group in self.groups), default=0.0),
+            max((body.error for body in self.bodies), default=0.0),
+            self.equilibrium,
+            self.penetration,
+            max(0.0, -self.smallest_force),
+            self.complementarity,
+        )
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the certificate as nested dictionaries."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class RowBodies:
+    """The bodies that the contact rows connect.
+
+    Attributes
+    ----------
+    bodies : int
+        Number of bodies over all ranks.
+    of_subdomain : (subdomains,) integer array
+        The body of each of this rank's subdomains.
+    first, last : (i,) integer arrays
+        Lowest and highest body of each inequality row; the same for an obstacle.
+    """
+
+    bodies: int
+    of_subdomain: Numbers
+    first: Numbers
+    last: Numbers
+
+    @staticmethod
+    def build(system: TornSystem, constraints: Constraints) -> RowBodies:
+        """Find the bodies of the contact rows. Collective."""
+        of_subdomain = np.array([s.body for s in system.subdomains], dtype=np.int64)
+        count = system.comm.allreduce(int(of_subdomain.max(initial=-1)), MPI.MAX) + 1
+        of_unknown = np.repeat(of_subdomain, [s.size for s in system.subdomains])
+        rows = constraints.matrix[constraints.inequality].tocoo()
+        numbers = constraints.layout.numbers[constraints.inequality]
+        directory = Directory(system.comm, numbers)
+        keys, bodies = directory.collect(numbers[rows.row], of_unknown[rows.col])
+        first = np.full(directory.keys.size, count, dtype=np.int64)
+        last = np.full(directory.keys.size, -1, dtype=np.int64)
+        np.minimum.at(first, directory.position(keys), bodies)
+        np.maximum.at(last, directory.position(keys), bodies)
+        return RowBodies(count, of_subdomain, *directory.lookup(numbers, first, last)[1:])
+
+    def groups(self, comm: MPI.Intracomm, closed: Mask) -> Numbers:
+        """Return the group of each body, given the contact rows that are closed. Collective."""
+        pairs = np.unique(np.stack([self.first[closed], self.last[closed]]), axis=1)
+        first, last = np.concatenate(comm.allgather(pairs), axis=1)
+        graph = sp.coo_matrix(
+            (np.ones(first.size), (first, last)), shape=(self.bodies, self.bodies)
+        )
+        group: Numbers = connected_components(graph, directed=False)[1].astype(np.int64)
+        return group
 
 
 @dataclass(frozen=True)
@@ -75,82 +194,181 @@ class PrimalProblem:
         Right-hand sides of the constraints.
     F : DualOperator
         For B.
+    row_bodies : RowBodies
+        Bodies of the subdomains and of the contact rows.
+    body_names : sequence of str
+        Names of the bodies.
     """
 
     stiffness: list[sp.csr_matrix]
     load: Vector
     c: Vector
     F: DualOperator
+    row_bodies: RowBodies
+    body_names: Sequence[str]
 
     def internal_forces(self, u: Vector) -> Vector:
         """Return Ku."""
-        return self._apply(self.stiffness, u)
-
-    def _apply(self, matrices: Sequence[sp.csr_matrix], u: Vector) -> Vector:
-        operators = [partial(times_rows, K) for K in matrices]
+        operators = [partial(times_rows, K) for K in self.stiffness]
         return apply_by_class(self.F.interface.classes, operators, u)
 
-    def energy(self, u: Vector) -> float:
-        """Return 1/2 u'Ku - f'u [J]."""
-        comm = self.F.constraints.layout.comm
-        return float(comm.allreduce(float(u @ (0.5 * self.internal_forces(u) - self.load))))
+    def certify(self, recovered: Recovered, multipliers: Vector) -> Certificate:
+        """Measure how well displacements and multipliers solve the primal problem. Collective.
 
-    def certify(self, u: Vector, multipliers: Vector) -> Certificate:
-        """Measure how well u and lambda solve the primal problem."""
-        constraints = self.F.constraints
-        comm, space = constraints.layout.comm, constraints.layout.space
-        Ku = self.internal_forces(u)
-        constraint_forces = self.F.constraint_forces(multipliers)
-        residual, f, reaction, Ku_u, f_u = comm.allreduce(
-            np.array(
-                [
-                    np.sum((Ku - self.load + constraint_forces) ** 2),
-                    np.sum(self.load**2),
-                    np.sum(constraint_forces**2),
-                    Ku @ u,
-                    self.load @ u,
-                ]
-            )
+        Parameters
+        ----------
+        recovered : Recovered
+            Displacements.
+        multipliers : (m,) array
+            lambda, with lambda_I >= o and G lambda = e.
+        """
+        measures = self._body_measures(recovered, multipliers)
+        group = self.row_bodies.groups(self._comm, recovered.closed)
+        groups, bodies = self._errors(measures, group)
+        error = np.sqrt(measures.error2.sum()) / (np.sqrt(measures.energy2.sum()) or 1.0)
+        moved = measures.energy2 > UNDEFORMED**2 * measures.rounding2
+        equilibrium = np.sqrt(measures.residual2 / np.where(moved, measures.force2, np.inf))
+        penetration, smallest, complementarity = self._contact_measures(
+            recovered, multipliers, np.where(moved, measures.deformation, 0.0)
         )
-        # what is left of cancelling stiffness times displacement is rounding, not a force or energy
-        rhs_gap = self.c[constraints.inequality] / constraints.scale
-        largest_gap = comm.allreduce(float(np.abs(rhs_gap).max(initial=0.0)), MPI.MAX)
-        size = np.maximum(np.abs(u), _CANCELLED * largest_gap)
-        spring = self._apply([abs(K) for K in self.stiffness], size)
-        spring2, strain = comm.allreduce(np.array([spring @ spring, size @ spring]))
-        jump = self.F.jumps(u) - self.c
-        contact = constraints.inequality
-        distance = jump[contact] / constraints.scale
-        normal_force = multipliers[contact] * constraints.scale
-        maxima = np.array(
+        return Certificate(
+            error=float(error) if moved.any() else max((g.error for g in groups), default=0.0),
+            groups=groups,
+            bodies=bodies,
+            equilibrium=float(equilibrium.max(initial=0.0)),
+            penetration=penetration,
+            smallest_force=smallest,
+            complementarity=complementarity,
+        )
+
+    @property
+    def _comm(self) -> MPI.Intracomm:
+        return self.F.constraints.layout.comm
+
+    def _errors(
+        self, measures: _BodyMeasures, group: Numbers
+    ) -> tuple[list[GroupError], list[BodyError]]:
+        number = int(group.max(initial=-1)) + 1
+        error2, energy2, rounding2 = (
+            np.bincount(group, weights=values, minlength=number)
+            for values in (measures.error2, measures.energy2, measures.rounding2)
+        )
+        groups = [
+            GroupError(
+                [self._name(b) for b in np.flatnonzero(group == g)],
+                float(np.sqrt(energy2[g])),
+                _relative(error2[g], energy2[g], rounding2[g]),
+            )
+            for g in range(number)
+        ]
+        scale2 = np.maximum(measures.energy2, HARDLY_DEFORMED**2 * energy2[group])
+        bodies = [
+            BodyError(
+                self._name(b),
+                float(np.sqrt(measures.energy2[b])),
+                _relative(measures.error2[b], scale2[b], rounding2[group[b]]),
+            )
+            for b in range(self.row_bodies.bodies)
+        ]
+        return groups, bodies
+
+    def _name(self, body: int) -> str:
+        return self.body_names[body] if body < len(self.body_names) else f"body {body}"
+
+    def _body_measures(self, recovered: Recovered, multipliers: Vector) -> _BodyMeasures:
+        """Return energies, forces and sizes of each body; two products with K."""
+        constraint_forces = self.F.constraint_forces(multipliers)
+        forces = self.load - constraint_forces
+        difference = recovered.displacement - recovered.torn
+        diagonal = np.empty_like(forces)
+        for congruent, K in zip(self.F.interface.classes, self.stiffness, strict=True):
+            congruent.put(diagonal, np.tile(K.diagonal(), (congruent.members.size, 1)))
+        applied = self.load**2 + constraint_forces**2
+        rounding = np.finfo(float).eps
+        by_unknown = np.stack(
             [
-                size.max(initial=0.0),
-                np.abs(jump[constraints.equality]).max(initial=0.0),
-                distance.max(initial=0.0),
-                normal_force.max(initial=0.0),
-                (-normal_force).max(initial=-np.inf),
-                np.abs(distance * normal_force).max(initial=0.0),
+                difference * self.internal_forces(difference),
+                recovered.strained * forces,
+                (self.internal_forces(recovered.strained) - forces) ** 2,
+                applied,
+                rounding**2 * (diagonal * recovered.torn**2 + applied / diagonal),
             ]
         )
-        comm.Allreduce(MPI.IN_PLACE, maxima, MPI.MAX)
-        largest_u, gluing, penetration, force, pull, product = maxima
-        # L(u, lambda) with the u that minimises it is the dual value; (11.25) makes it
-        # -1/2 u'Ku - c'lambda
-        primal = 0.5 * Ku_u - f_u
-        dual = -0.5 * Ku_u - space.dots((self.c, multipliers))[0]
-        return Certificate(
-            equilibrium=_ratio(
-                np.sqrt(residual), max(np.sqrt(max(f, reaction)), _CANCELLED * np.sqrt(spring2))
-            ),
-            gluing=_ratio(gluing, largest_u),
-            penetration=_ratio(penetration, largest_u),
-            smallest_force=_ratio(-pull, force) if np.isfinite(pull) else 0.0,
-            complementarity=_ratio(product, force * largest_u),
-            duality_gap=_ratio(
-                abs(primal - dual), max(abs(primal), 0.5 * Ku_u, _CANCELLED * strain)
-            ),
+        sums = np.zeros((len(by_unknown), self.row_bodies.bodies))
+        starts = self._starts()
+        if starts.size:
+            by_subdomain = np.add.reduceat(by_unknown, starts, axis=1)
+            np.add.at(sums, (slice(None), self.row_bodies.of_subdomain), by_subdomain)
+        self._comm.Allreduce(MPI.IN_PLACE, sums)
+        error2, energy2, residual2, force2, rounding2 = np.maximum(sums, 0.0)
+        return _BodyMeasures(
+            error2, energy2, residual2, force2, rounding2, self._deformation(recovered.strained)
         )
 
+    def _starts(self) -> Numbers:
+        classes = self.F.interface.classes
+        starts = np.zeros(self.row_bodies.of_subdomain.size, dtype=np.int64)
+        for congruent in classes:
+            starts[congruent.members] = congruent.starts
+        return starts
 
-def _ratio(value: float, scale: float) -> float:
-    return float(value / scale) if scale > 0.0 else float(value)
+    def _deformation(self, strained: Vector) -> Vector:
+        """Return the size of each body's displacement without rigid motions of subdomains [m]."""
+        size = np.zeros(self.row_bodies.bodies)
+        starts = self._starts()
+        if starts.size:
+            largest = np.maximum.reduceat(np.abs(strained), starts)
+            np.maximum.at(size, self.row_bodies.of_subdomain, largest)
+        self._comm.Allreduce(MPI.IN_PLACE, size, MPI.MAX)
+        return size
+
+    def _contact_measures(
+        self, recovered: Recovered, multipliers: Vector, deformation: Vector
+    ) -> tuple[float, float, float]:
+        """Return penetration, smallest force and complementarity, each relative."""
+        constraints, bodies = self.F.constraints, self.row_bodies
+        rows = constraints.inequality
+        jump = (self.F.jumps(recovered.displacement) - self.c)[rows] / constraints.scale
+        force = multipliers[rows] * constraints.scale
+        contacts = self._comm.allreduce(int(constraints.contact.max(initial=-1)), MPI.MAX) + 1
+        largest = np.zeros(contacts)
+        np.maximum.at(largest, constraints.contact, force)
+        self._comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+        scale = np.maximum(deformation[bodies.first], deformation[bodies.last])
+        scale = np.where(scale > 0.0, scale, np.inf)
+        relative = force / np.where(largest > 0.0, largest, 1.0)[constraints.contact]
+        numbers = np.array(
+            [
+                (jump / scale).max(initial=0.0),
+                (-relative).max(initial=-np.inf),
+                np.abs(relative * jump / scale).max(initial=0.0),
+            ]
+        )
+        self._comm.Allreduce(MPI.IN_PLACE, numbers, MPI.MAX)
+        smallest = -float(numbers[1]) if np.isfinite(numbers[1]) else 0.0
+        return float(numbers[0]), smallest, float(numbers[2])
+
+    def energy(self, recovered: Recovered) -> float:
+        """Return 1/2 u'Ku - f'u [J]."""
+        u = recovered.displacement
+        return float(self._comm.allreduce(float(u @ (0.5 * self.internal_forces(u) - self.load))))
+
+
+@dataclass(frozen=True)
+class _BodyMeasures:
+    """Sums over the unknowns of each body, over all ranks."""
+
+    error2: Vector  # ||u - u_t||_K^2 [J]
+    energy2: Vector  # ||u_t||_K^2 [J]
+    residual2: Vector  # ||Ku_t - f + B'lambda||^2 [N^2]
+    force2: Vector  # ||f||^2 + ||B'lambda||^2 [N^2]
+    rounding2: Vector  # what rounding may leave in an energy [J]
+    deformation: Vector  # largest displacement without rigid motions of subdomains [m]
+
+
+def _relative(error2: float, scale2: float, rounding2: float) -> float:
+    """Return an error relative to its scale; zero where both are rounding."""
+    negligible2 = UNDEFORMED**2 * rounding2
+    if scale2 <= negligible2:
+        return 0.0 if error2 <= negligible2 else float(np.sqrt(error2 / negligible2))
+    return float(np.sqrt(error2 / scale2))

@@ -10,6 +10,7 @@ eps      is reduced by what the certificate lacks
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from mpi4py import MPI
@@ -24,7 +25,7 @@ from fenics_tfeti.feti.dual.augmented import solve_by_smalbe
 from fenics_tfeti.feti.dual.pcpg import PCPGIterate
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
-from fenics_tfeti.feti.recovery import recover_displacement
+from fenics_tfeti.feti.recovery import Recovered, balance_multipliers, recover_displacement
 from fenics_tfeti.feti.setup import DualSetup
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.feti.tolerances import ROUNDING
@@ -41,8 +42,10 @@ Mask = NDArray[np.bool_]
 # of gaps against forces
 LANCZOS_STEPS = 15
 _ROUGH_LANCZOS_STEPS = 3
-# contact forces and residuals below this part of ||d|| are rounding
-_NEGLIGIBLE = 1e-13
+# a contact force below this part of the two numbers that it is the sum of is rounding
+_CANCELLED = 1e-13
+# gaps farther than this many times the largest jump of displacements are shortened for SMALBE-M
+_FAR = 1e4
 
 
 @dataclass(frozen=True)
@@ -92,20 +95,24 @@ class Candidate:
 
     Attributes
     ----------
-    displacement : (n,) array
-        u of this rank's subdomains [m].
+    recovered : Recovered
+        Displacements.
     multipliers : (m,) array
         lambda.
     certificate : Certificate
         How well they solve (11.21).
-    active : Projector
-        That of the equality rows and the active rows; its ``free`` motions are undetermined.
+    energy : float
+        1/2 u'Ku - f'u [J].
+    face : Projector
+        That of the equality rows and the contact rows with a force; its ``free`` motions are
+        undetermined.
     """
 
-    displacement: Vector
+    recovered: Recovered
     multipliers: Vector
     certificate: Certificate
-    active: Projector
+    energy: float
+    face: Projector
 
 
 @dataclass(frozen=True)
@@ -169,6 +176,7 @@ def iterate_until_certified(
     options: Options,
     timer: Timer,
     history: History,
+    body_names: Sequence[str] = (),
 ) -> Outcome:
     """Solve the dual problem to tolerances that decrease until the certificate holds.
 
@@ -186,50 +194,37 @@ def iterate_until_certified(
         To add the times of phases to.
     history : History
         To add to.
+    body_names : sequence of str
+        Names of the bodies for the certificate.
 
     Returns
     -------
     Outcome
         The last candidate, and whether it is certified.
     """
-    loop = _Loop.begin(setup, data, options, timer, history)
-    at_rest = _is_at_rest(setup, data)
-    stage = _Stage(loop.first_state(start, at_rest), solved=False)
-    use_active_set = options.method == "active_set" and loop.norm_b > 0.0 and not at_rest
-    rtol, limit = options.rtol, max(options.rtol, ROUNDING)
+    loop = _Loop.begin(setup, data, options, timer, history, body_names)
+    stage = _Stage(loop.first_state(start), solved=False)
+    use_active_set = options.method == "active_set"
+    limit, tolerance, worst = max(options.rtol, ROUNDING), options.rtol * loop.scale, np.inf
     while True:
         if use_active_set:
-            stage = loop.active_set(stage, rtol)
+            stage = loop.active_set(stage, tolerance)
             use_active_set = stage.solved
-        if not stage.solved or not use_active_set:
-            stage = loop.smalbe(stage.state, rtol)
+        if not use_active_set:
+            stage = loop.smalbe(stage.state, tolerance)
         candidate = loop.recover(stage.state)
-        worst = candidate.certificate.worst
+        previous, worst = worst, candidate.certificate.worst
         if worst <= limit:
             return Outcome(candidate, stage.state, True, "converged")
         if not stage.solved:
             return Outcome(candidate, stage.state, False, stage.reason)
-        if rtol <= 1e-4 * options.rtol:
+        if worst > 0.5 * previous and tolerance <= 1e-3 * options.rtol * loop.scale:
             reason = (
-                f"the certificate's worst residual is {worst:.1e} although the dual problem is "
-                "solved: the accuracy is at the limit of rounding"
+                f"the error of the displacement is {worst:.1e}, and more iterations do not reduce "
+                "it: the accuracy is at the limit of rounding"
             )
             return Outcome(candidate, stage.state, False, reason)
-        rtol *= max(0.5 * limit / worst, 0.1)
-
-
-def _is_at_rest(setup: DualSetup, data: ContactData) -> bool:
-    """Tell whether nothing moves: no load, no prescribed displacement, no penetration at first.
-
-    Displacements of rounding size, with nothing to compare them to, would never be certified.
-    """
-    constraints = setup.constraints
-    rest = (
-        not data.load.any()
-        and not data.c[constraints.equality].any()
-        and bool((data.c[constraints.inequality] >= 0.0).all())
-    )
-    return bool(constraints.layout.comm.allreduce(rest, MPI.LAND))
+        tolerance *= min(max(0.5 * limit / worst, 1e-3), 0.5)
 
 
 @dataclass(frozen=True)
@@ -240,12 +235,12 @@ class _Loop:
     ----------
     setup, data, options, timer, history
         As given.
+    primal : PrimalProblem
+        The primal problem (11.21).
     d : (m,) array
         d~ = BK^+(f - B'lambda~) - c of (11.40).
-    norm_b : float
-        ||Pd~||, the scale of residuals.
-    negligible : float
-        Multipliers below this are rounding.
+    scale : float
+        An energy norm as large as the solution's, or larger [sqrt(J)].
     """
 
     setup: DualSetup
@@ -253,30 +248,38 @@ class _Loop:
     options: Options
     timer: Timer
     history: History
+    primal: PrimalProblem
     d: Vector
-    norm_b: float
-    negligible: float
+    scale: float
 
     @staticmethod
     def begin(
-        setup: DualSetup, data: ContactData, options: Options, timer: Timer, history: History
+        setup: DualSetup,
+        data: ContactData,
+        options: Options,
+        timer: Timer,
+        history: History,
+        body_names: Sequence[str],
     ) -> _Loop:
-        """Compute d~ and its norms."""
-        F, space = setup.F, setup.constraints.layout.space
+        """Compute d~ and the scale: the energy norms of u_t at lambda~ and of its jumps."""
+        F, layout = setup.F, setup.constraints.layout
+        primal = PrimalProblem(
+            setup.local.stiffness, data.load, data.c, F, setup.row_bodies, body_names
+        )
         with timer.phase("iterations"):
-            d = F.load(data.load - F.constraint_forces(data.feasible), data.c)
-            negligible = _NEGLIGIBLE * space.norm(d)
-            norm_b = max(space.norm(setup.projector.P(d)), negligible / options.rtol)
-        return _Loop(setup, data, options, timer, history, d, norm_b, negligible)
+            forces = data.load - F.constraint_forces(data.feasible)
+            strained = F.generalized_inverse(forces)
+            d = F.jumps(strained) - data.c
+            strain = float(layout.comm.allreduce(max(0.0, float(strained @ forces))))
+        scale = np.sqrt(max(strain, _energy_of_jumps(setup, data, d, timer, history)))
+        return _Loop(setup, data, options, timer, history, primal, d, float(scale))
 
-    def first_state(self, start: DualState | None, at_rest: bool) -> DualState:
+    def first_state(self, start: DualState | None) -> DualState:
         """Return the given state, or multipliers that vanish: no contact, nothing glued."""
         none = np.zeros_like(self.d)
-        if at_rest:
-            return DualState(none, -self.setup.projector.Q(self.d))
         return start or DualState(none, none)
 
-    def active_set(self, stage: _Stage, rtol: float) -> _Stage:
+    def active_set(self, stage: _Stage, tolerance: float) -> _Stage:
         """Run the primal-dual active set method on (11.36)."""
         start, active = self._first_face(stage)
         problem = self._problem(_ROUGH_LANCZOS_STEPS)
@@ -285,8 +288,7 @@ class _Loop:
                 problem,
                 start,
                 active,
-                tolerance=rtol * self.norm_b,
-                norm_b=self.norm_b,
+                tolerance=tolerance,
                 max_products=self.options.max_products,
                 products=self.history.products,
                 monitor=self._log_face,
@@ -294,42 +296,66 @@ class _Loop:
         state = DualState(result.multipliers, result.coarse_gradient)
         return _Stage(state, result.solved, iterate=result.iterate)
 
-    def smalbe(self, state: DualState, rtol: float) -> _Stage:
+    def smalbe(self, state: DualState, tolerance: float) -> _Stage:
         """Run SMALBE-M on (11.40)."""
-        before = len(self.history.outer)
+        before, feasible = len(self.history.outer), self.data.feasible
+        d = self.d + self._shortening_of_gaps(state)
         problem = self._problem(LANCZOS_STEPS)
         with self.timer.phase("iterations"):
             result = solve_by_smalbe(
                 problem,
-                self.data.feasible,
-                self.d,
-                SMALBEState(state.multipliers - self.data.feasible, state.coarse_gradient),
-                rtol=rtol,
-                norm_b=self.norm_b,
+                feasible,
+                d,
+                SMALBEState(state.multipliers - feasible, state.coarse_gradient),
+                rtol=tolerance / (self.scale or 1.0),
+                norm_b=self.scale * np.sqrt(problem.norm),
                 options=self.options,
                 outer_so_far=before,
                 products=self.history.products,
                 monitor=lambda line: self._log_outer(line, before),
             )
         self.history.outer += result.history
-        state = DualState(self.data.feasible + result.state.x, result.state.q)
         limits = {
             "max_it": f"limit of {self.options.smalbe_max_it} outer iterations (smalbe_max_it)",
             "max_products": f"limit of {self.options.max_products} products (max_products)",
         }
-        return _Stage(state, result.converged, limits.get(result.reason, result.reason))
+        multipliers = feasible + result.state.x
+        cancelled = multipliers <= _CANCELLED * (np.abs(feasible) + np.abs(result.state.x))
+        cancelled[self.setup.constraints.equality] = False
+        return _Stage(
+            DualState(np.where(cancelled, 0.0, multipliers), result.state.q),
+            result.converged,
+            limits.get(result.reason, result.reason),
+        )
+
+    def _shortening_of_gaps(self, state: DualState) -> Vector:
+        """Return by how much to shorten gaps that are far from closing, scaled as the rows.
+
+        In (11.40) all contact rows share the projector, so a gap that is out of all proportion
+        would swamp the others by rounding. A row with a shortened gap that closes all the same has
+        its true gap in the next pass, since the certificate does not hold.
+        """
+        rows, shortening = self.setup.constraints.inequality, np.zeros_like(self.d)
+        jumps = self.setup.F.jumps(self.recover(state).recovered.torn)
+        largest = float(np.abs(jumps).max(initial=0.0))
+        largest = self.setup.constraints.layout.comm.allreduce(largest, MPI.MAX)
+        left = self.data.c[rows] - jumps[rows]
+        if largest > 0.0:
+            shortening[rows] = np.maximum(left - _FAR * largest, 0.0)
+        return shortening
 
     def recover(self, state: DualState) -> Candidate:
-        """Recover u by (11.29), and measure how well u and lambda solve (11.21)."""
+        """Recover displacements, and measure how well they and lambda solve (11.21)."""
         setup, data, rows = self.setup, self.data, self.setup.constraints.inequality
         multipliers = state.multipliers.copy()
-        # where lambda~ and x cancel: no force, and no row for the rigid motions to follow
-        multipliers[rows] = np.where(multipliers[rows] > self.negligible, multipliers[rows], 0.0)
+        multipliers[rows] = np.maximum(multipliers[rows], 0.0)
         with self.timer.phase("recovery"):
-            active = Projector.build(setup.projector.coarse_space, multipliers[rows] > 0.0)
-            u = recover_displacement(setup.F, active, data.load, data.c, multipliers)
-            primal = PrimalProblem(setup.local.stiffness, data.load, data.c, setup.F)
-            return Candidate(u, multipliers, primal.certify(u, multipliers), active)
+            coarse_space = setup.projector.coarse_space
+            multipliers, face = balance_multipliers(coarse_space, data.e, multipliers)
+            recovered = recover_displacement(setup.F, face, data.load, data.c, multipliers)
+            certificate = self.primal.certify(recovered, multipliers)
+            energy = self.primal.energy(recovered)
+        return Candidate(recovered, multipliers, certificate, energy, face)
 
     def _problem(self, lanczos_steps: int) -> DualProblem:
         with self.timer.phase("norm"):
@@ -369,6 +395,21 @@ class _Loop:
                 line.M,
                 line.active,
             )
+
+
+def _energy_of_jumps(
+    setup: DualSetup, data: ContactData, d: Vector, timer: Timer, history: History
+) -> float:
+    """Return r'Mr of the residual r = Pd~ at lambda~, on the face of lambda~ [J]."""
+    rows = setup.constraints.inequality
+    face = Projector.build(setup.projector.coarse_space, data.feasible[rows] > 0.0)
+    r = face.P(face.on_rows(d))
+    if setup.precondition is None:
+        with timer.phase("norm"):
+            norm = setup.norm(_ROUGH_LANCZOS_STEPS)
+        return setup.constraints.layout.space.dots((r, r))[0] / (norm or 1.0)
+    history.products.preconditioner += 1
+    return face.P_of_sum(setup.precondition(r), r)[1]
 
 
 def dual_problem(setup: DualSetup, data: ContactData, norm: float) -> DualProblem:

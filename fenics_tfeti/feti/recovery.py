@@ -1,6 +1,16 @@
-"""From multipliers to displacements: (11.29) with the alpha of the end of sec. 11.6."""
+"""From multipliers to displacements: the torn one of (11.29), and the one that is returned.
+
+The torn displacement u_t = K^+(f - B'lambda) + R alpha is in equilibrium with the multipliers, but
+copies of a node differ a little, and contacts gape or penetrate. The displacement u that is
+returned is the nearest one, in the norm of D, on which all constraints hold: glued, with the
+prescribed values, closed where contact forces press, and without penetration. The energy of the
+difference bounds the error of u (see `certificate`), provided that lambda_I >= o and that the
+multipliers balance the load on all rigid motions, G lambda = e.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 from mpi4py import MPI
 
@@ -9,62 +19,125 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.tolerances import PARALLEL
 from fenics_tfeti.parallel import concatenate_ranks
 
-__all__ = ["glue", "least_distance", "recover_displacement"]
+__all__ = ["Recovered", "balance_multipliers", "least_distance", "recover_displacement"]
 
 Vector = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """Displacements recovered from multipliers.
+
+    Attributes
+    ----------
+    strained : (n,) array
+        K^+(f - B'lambda): the torn displacement without its rigid motions [m].
+    torn : (n,) array
+        u_t [m].
+    displacement : (n,) array
+        u: all copies of a node are equal, and no contact is penetrated [m].
+    closed : (i,) bool array
+        The contact rows that were closed: those with a force, and those that u_t penetrates.
+    """
+
+    strained: Vector
+    torn: Vector
+    displacement: Vector
+    closed: Mask
+
+
+def balance_multipliers(
+    coarse_space: CoarseSpace, e: Vector, multipliers: Vector
+) -> tuple[Vector, Projector]:
+    """Return the multipliers with G lambda = e and lambda_I >= o, and the projector of their face.
+
+    What is missing of G lambda = e is added in the least squares sense on the equality rows and on
+    the contact rows with a force; contact rows whose force would become negative leave the face.
+
+    Parameters
+    ----------
+    coarse_space : CoarseSpace
+        G.
+    e : (coarse,) array
+        R'f.
+    multipliers : (m,) array
+        lambda, with lambda_I >= o.
+
+    Returns
+    -------
+    (m,) array
+        Balanced multipliers; the given ones where no face can take what is missing.
+    Projector
+        That of the equality rows and the contact rows with a force.
+    """
+    rows, space = coarse_space.constraints.inequality, coarse_space.constraints.layout.space
+    balanced = multipliers
+    while True:
+        face = Projector.build(coarse_space, balanced[rows] > 0.0)
+        missing = face.without_free_motions(e - coarse_space.restrict(balanced))
+        corrected = balanced + face.expand(face.solve(missing))
+        negative = corrected[rows] < 0.0
+        if not space.sums(float(np.count_nonzero(negative)))[0]:
+            return corrected, face
+        balanced = balanced.copy()
+        balanced[rows[negative]] = 0.0
 
 
 def recover_displacement(
-    F: DualOperator, active: Projector, load: Vector, c: Vector, multipliers: Vector
-) -> Vector:
-    """Return u = K^+(f - B'lambda) + R alpha (11.29).
+    F: DualOperator, face: Projector, load: Vector, c: Vector, multipliers: Vector
+) -> Recovered:
+    """Return u_t of (11.29), and the nearest displacement on which the constraints hold.
 
-    alpha makes the equality rows and the active inequality rows hold in the least squares sense;
-    where these leave motions free, it is the one of smallest norm that penetrates nothing.
+    alpha makes the equality rows and the rows with a force hold in the least squares sense (end of
+    sec. 11.6); where these leave motions free, it is the one of smallest norm that penetrates
+    nothing.
 
     Parameters
     ----------
     F : DualOperator
         K^+ and B.
-    active : Projector
-        That of the equality rows and the active inequality rows.
+    face : Projector
+        That of the equality rows and the contact rows with a force.
     load : (n,) array
         f of this rank's subdomains [N].
     c : (m,) array
         Right-hand sides of the constraints.
     multipliers : (m,) array
         lambda.
-
-    Returns
-    -------
-    (n,) array
-        u of this rank's subdomains [m].
     """
-    coarse_space = active.coarse_space
+    coarse_space, rows = face.coarse_space, F.constraints.inequality
     forces = load - F.constraint_forces(multipliers)
-    # what the stopping test left in the kernel of K; K^+ would turn it into a displacement
-    u = F.generalized_inverse(forces - coarse_space.rigid_motion(coarse_space.coarse_load(forces)))
-
-    alpha = active.coefficients(c - F.jumps(u))
+    # what rounding leaves in the kernel of K; K^+ would turn it into a displacement
+    strained = F.generalized_inverse(
+        forces - coarse_space.rigid_motion(coarse_space.coarse_load(forces))
+    )
+    alpha = face.coefficients(c - F.jumps(strained))
     # K^+ leaves some of the free motions in u
-    present = alpha + coarse_space.coarse_load(u)
-    alpha -= active.free @ (active.free.T @ present)
-    u += coarse_space.rigid_motion(alpha)
-    if active.free.shape[1]:
-        away = _smallest_without_penetration(active, c - F.jumps(u))
-        u += coarse_space.rigid_motion(active.free @ away)
-    return u
+    present = alpha + coarse_space.coarse_load(strained)
+    alpha -= face.free @ (face.free.T @ present)
+    torn = strained + coarse_space.rigid_motion(alpha)
+    if face.free.shape[1]:
+        away = _smallest_without_penetration(face, c - F.jumps(torn))
+        torn += coarse_space.rigid_motion(face.free @ away)
+    displacement, closed = close_constraints(F, c, torn, multipliers[rows] > 0.0)
+    return Recovered(strained, torn, displacement, closed)
 
 
-def glue(F: DualOperator, c: Vector, u: Vector) -> Vector:
-    """Return the nearest displacement (in the norm of D) on which all equality rows hold.
+def close_constraints(
+    F: DualOperator, c: Vector, torn: Vector, pressing: Mask
+) -> tuple[Vector, Mask]:
+    """Return the nearest displacement on which the constraints hold, and the rows closed for that.
 
-    That is u - D^{-1} B_E'(B_E u - c_E): the weighted mean of the copies of a node, and the
-    prescribed values where there are any.
+    u = u_t - D^{-1} B_R' W_R^{-1} (B_R u_t - c_R), with R the equality rows, the contact rows that
+    press and those that u_t penetrates. B_R D^{-1} B_R' = W_R is the identity but for contact rows
+    that share a node.
 
     Parameters
     ----------
@@ -72,12 +145,76 @@ def glue(F: DualOperator, c: Vector, u: Vector) -> Vector:
         For B.
     c : (m,) array
         Right-hand sides of the constraints.
-    u : (n,) array
-        A torn displacement of this rank's subdomains [m].
+    torn : (n,) array
+        u_t [m].
+    pressing : (i,) bool array
+        The contact rows with a force.
     """
-    jump = np.where(F.constraints.equality, F.jumps(u) - c, 0.0)
-    glued: Vector = u - F.constraint_forces(jump) / F.constraints.weights
-    return glued
+    constraints, rows = F.constraints, F.constraints.inequality
+    jump = F.jumps(torn) - c
+    closed = pressing | (jump[rows] > 0.0)
+    correction = np.where(constraints.equality, jump, 0.0)
+    correction[rows] = np.where(closed, jump[rows], 0.0)
+    closed = _close_coupled_rows(constraints, jump, correction, pressing, closed)
+    u: Vector = torn - F.constraint_forces(correction) / constraints.weights
+    return u, closed
+
+
+def _close_coupled_rows(
+    constraints: Constraints, jump: Vector, correction: Vector, pressing: Mask, closed: Mask
+) -> Mask:
+    """Replace the correction of contact rows that share a node by W_R^{-1} (B_R u_t - c_R).
+
+    Rows that closing others would penetrate are added to R. The coupled rows are few, and every
+    rank computes all of them.
+    """
+    coupling = constraints.coupling
+    if not coupling.numbers.size:
+        return closed
+    mine, place = coupling.rows, coupling.places
+    owned = constraints.inequality[mine] < constraints.layout.owned
+    gathered = np.zeros((3, coupling.numbers.size))
+    gathered[0, place[owned]] = jump[constraints.inequality[mine[owned]]]
+    gathered[1, place[owned]] = closed[mine[owned]]
+    gathered[2, place[owned]] = pressing[mine[owned]]
+    constraints.layout.comm.Allreduce(MPI.IN_PLACE, gathered)
+    y, R = close_with_gram(coupling.gram.toarray(), gathered[0], gathered[2] > 0, gathered[1] > 0)
+    correction[constraints.inequality[mine]] = y[place]
+    closed = closed.copy()
+    closed[mine] = R[place]
+    return closed
+
+
+def close_with_gram(W: Vector, jump: Vector, pressing: Mask, closed: Mask) -> tuple[Vector, Mask]:
+    """Return y = W_R^+ jump_R, zero outside R, and the R >= `closed` with W y >= jump outside it.
+
+    Parameters
+    ----------
+    W : (k, k) array
+        Gram matrix B D^{-1} B' of some contact rows.
+    jump : (k,) array
+        B u_t - c; positive where penetrated.
+    pressing, closed : (k,) bool arrays
+        Rows that have to be closed, and first R.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> y, R = close_with_gram(np.eye(2), np.array([1.0, -1.0]), *2 * [np.array([True, False])])
+    >>> y.tolist(), R.tolist()
+    ([1.0, 0.0], [True, False])
+    """
+    R = closed | pressing
+    negligible = 1e-14 * float(np.abs(jump).max(initial=0.0))
+    for _ in range(R.size + 1):
+        y = np.zeros(R.size)
+        at = np.flatnonzero(R)
+        y[at] = np.linalg.lstsq(W[np.ix_(at, at)], jump[at], rcond=PARALLEL)[0]
+        penetrated = ~R & (jump - W @ y > negligible)
+        if not penetrated.any():
+            break
+        R = R | penetrated
+    return y, R
 
 
 def _smallest_without_penetration(active: Projector, gap: Vector) -> Vector:

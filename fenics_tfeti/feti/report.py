@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from fenics_tfeti.feti.certificate import Certificate, PrimalProblem
+from fenics_tfeti.feti.certificate import Certificate
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.dual.active_set import ActiveSetStep
 from fenics_tfeti.feti.options import Options
@@ -77,7 +77,7 @@ class Report:
     certificate : Certificate
         Residuals of the primal problem.
     converged : bool
-        Whether the dual stopping test and the certificate hold.
+        Whether every number of the certificate is at most rtol.
     reason : str
         Why the iterations ended.
     ranks : int
@@ -152,7 +152,6 @@ def build_report(
     owned = constraints.owned_inequalities
     force = constraints.scale * candidate.multipliers[constraints.inequality]
     slowest = {name: comm.allreduce(time, MPI.MAX) for name, time in timer.seconds.items()}
-    primal = PrimalProblem(setup.local.stiffness, data.load, data.c, setup.F)
     explicit, classes = comm.allreduce(setup.F.explicit), comm.allreduce(len(setup.local.classes))
     products = history.products
     return Report(
@@ -181,7 +180,7 @@ def build_report(
         },
         seconds={**slowest, "total": sum(slowest.values())},
         peak_memory_bytes=peak_memory(comm),
-        energy=primal.energy(candidate.displacement),
+        energy=candidate.energy,
         contact_force=_contact_forces(system, setup, force),
         free_motions=[
             "; ".join(
@@ -192,7 +191,7 @@ def build_report(
                     either_way=True,
                 )
             )
-            for motion in candidate.active.free.T
+            for motion in candidate.face.free.T
         ],
         certificate=candidate.certificate,
         converged=outcome.converged,

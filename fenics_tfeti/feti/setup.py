@@ -14,6 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from fenics_tfeti.feti.certificate import RowBodies
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.interface import Interface
@@ -116,6 +117,8 @@ class DualSetup:
         x -> this rank's part of B_D S B_D'x.
     norm : ProjectedNorm
         ||PFP||.
+    row_bodies : RowBodies
+        The bodies that the contact rows connect.
     """
 
     local: LocalSetup
@@ -124,6 +127,7 @@ class DualSetup:
     F: DualOperator
     precondition: Callable[[Vector], Vector] | None
     norm: ProjectedNorm
+    row_bodies: RowBodies
 
     @staticmethod
     def build(
@@ -145,8 +149,15 @@ class DualSetup:
                 precondition = interface_operator(
                     options.preconditioner, F, local.stiffness, package
                 )
+        constraints = coarse_space.constraints
         return DualSetup(
-            local, coarse_space.constraints, projector, F, precondition, ProjectedNorm(F, projector)
+            local,
+            constraints,
+            projector,
+            F,
+            precondition,
+            ProjectedNorm(F, projector),
+            RowBodies.build(system, constraints),
         )
 
 

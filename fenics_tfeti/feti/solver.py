@@ -23,7 +23,6 @@ from fenics_tfeti.feti.outer import (
     dual_problem,
     iterate_until_certified,
 )
-from fenics_tfeti.feti.recovery import glue
 from fenics_tfeti.feti.report import Report, build_report
 from fenics_tfeti.feti.setup import (
     DualSetup,
@@ -53,7 +52,7 @@ class TornSolution:
     Attributes
     ----------
     displacements : list of (n_i,) arrays
-        u_i of this rank's subdomains, equal at all copies of a node [m].
+        u_i of this rank's subdomains, equal at all copies of a node; nothing is penetrated [m].
     torn_displacements : list of (n_i,) arrays
         u_i by (11.29), in equilibrium with the multipliers; copies of a node differ by what the
         stopping test leaves [m].
@@ -226,7 +225,13 @@ class TornSolver:
         """
         history = History(norm_products_before=self._norm_products)
         outcome = iterate_until_certified(
-            self.setup, self.data, self._start, self.options, self.timer, history
+            self.setup,
+            self.data,
+            self._start,
+            self.options,
+            self.timer,
+            history,
+            self.system.body_names,
         )
         self._start = outcome.state
         report = build_report(
@@ -252,15 +257,14 @@ class TornSolver:
     def _solution(self, outcome: Outcome, report: Report) -> TornSolution:
         constraints, multipliers = self.setup.constraints, outcome.candidate.multipliers
         ends = np.cumsum([s.size for s in self.system.subdomains])[:-1]
-        torn = outcome.candidate.displacement
-        glued = glue(self.setup.F, self.data.c, torn)
+        recovered = outcome.candidate.recovered
         force = np.zeros(multipliers.size)
         force[constraints.inequality] = constraints.scale * multipliers[constraints.inequality]
         own = constraints.own_rows
         normal_force = np.where(own < 0, 0.0, force[own]) if own.size else force[:0]
         return TornSolution(
-            np.split(glued, ends),
-            np.split(torn, ends),
+            np.split(recovered.displacement, ends),
+            np.split(recovered.torn, ends),
             normal_force,
             normal_force > 0.0,
             multipliers,

@@ -7,11 +7,13 @@ implemented.
 from __future__ import annotations
 
 __all__ = [
+    "HARDLY_DEFORMED",
     "NO_WORK",
     "PARALLEL",
     "ROUNDING",
     "SAME_VALUE",
     "SYMMETRIC",
+    "UNDEFORMED",
     "UNRESISTED",
     "ZERO_ENERGY",
 ]
@@ -31,3 +33,8 @@ NO_WORK = 1e-9
 PARALLEL = 1e-12
 # the certificate of an exact solution in double precision
 ROUNDING = 1e-9
+# energy norm of a body, relative to that of its group, below which the body hardly deforms: its
+# error need not be smaller than the tolerance times this part of the group's energy norm
+HARDLY_DEFORMED = 1e-3
+# energy norm, in units of what rounding leaves of forces and displacements, that counts as none
+UNDEFORMED = 1e3

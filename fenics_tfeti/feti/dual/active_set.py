@@ -36,7 +36,7 @@ class ActiveSetStep:
     products : int
         Products so far.
     residual : float
-        Norm of the projected residual on the face, relative to ||b||.
+        Norm of the projected residual on the face [m].
     active : int
         Active contact rows of the face.
     changed : int
@@ -61,8 +61,8 @@ class ActiveSetResult:
     coarse_gradient : (m,) array
         Q(Fl - d) + G'a with the rigid motions a: the equalities' part of the gradient.
     solved : bool
-        Whether residual and signs are within the tolerance; if not, the set has occurred before or
-        a limit was met.
+        Whether the energy of the residual and the signs are within the tolerance; if not, the set
+        has occurred before or a limit was met.
     iterate : PCPGIterate
         The last iterate on the last face, to continue to a smaller tolerance.
     """
@@ -79,7 +79,6 @@ def primal_dual_active_set(
     active: Mask,
     *,
     tolerance: float,
-    norm_b: float,
     max_products: int,
     products: Products,
     monitor: Callable[[ActiveSetStep], None],
@@ -94,9 +93,8 @@ def primal_dual_active_set(
         First multipliers, or the last iterate of an earlier run to a larger tolerance.
     active : (i,) bool array
         First active set; of an earlier run, its last one.
-    tolerance, norm_b : float
-        Tolerance of the norm of the projected residual, and the norm that `ActiveSetStep` relates
-        residuals to.
+    tolerance : float
+        Tolerance of the energy of the residual [sqrt(J)].
     max_products : int
         Limit on `products`.
     products : Products
@@ -112,6 +110,8 @@ def primal_dual_active_set(
     rows = problem.constraints.inequality
     progress, previous_sets = _Progress(), list[Mask]()
     gap, resume = problem.c[rows], isinstance(start, PCPGIterate)
+    # the violation of signs in units of energy: F ~ ||PFP|| at worst
+    negligible = tolerance * np.sqrt(problem.norm)
     while True:
         face = close_first_gaps(problem, active, gap)
         start = iterate = pcpg(
@@ -127,9 +127,9 @@ def primal_dual_active_set(
         gap = iterate.gradient[rows]
         following = iterate.multipliers[rows] > gap / problem.norm
         changed, size = _counts(problem, following != face.active, face.active)
-        monitor(ActiveSetStep(products.total, iterate.residual / norm_b, size, changed))
-        exact = iterate.residual <= tolerance
-        solved = exact and iterate.violation <= tolerance
+        monitor(ActiveSetStep(products.total, iterate.residual, size, changed))
+        exact = iterate.energy <= tolerance
+        solved = exact and iterate.violation <= negligible
         cycles = exact and any(_counts(problem, following != s)[0] == 0 for s in previous_sets)
         progress.update(iterate.violation)
         if solved or cycles or progress.stagnates or products.total >= max_products:

@@ -7,11 +7,15 @@ On a face the active contact rows are equalities and the multipliers of the othe
 with G and the projector P of the rows on the face. The gradient is kept on *all* rows, as
 g = Fl - d + G'a with the rigid motions a of the face: where l = o it is the gap that is left, whose
 sign tells whether the face is the right one.
+
+With the lumped preconditioner M = B D^{-1} K D^{-1} B' the number r'Mr is the squared energy of
+D^{-1} B'r, the displacement that closes the jumps r: sqrt(r'z) bounds the error of the displacement
+in the energy norm, see `fenics_tfeti.feti.certificate`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,13 +59,17 @@ class PCPGIterate:
     gradient : (m,) array
         Fl - d + G'a.
     residual : float
-        ||P(d - Fl)|| on the face.
+        ||P(d - Fl)|| on the face [m].
     violation : float
         Norm of negative forces (times ||PFP||) on the face and negative gaps off it.
     direction : (m,) array
         The last search direction.
-    rz : float
+    rz_of_direction : float
         r'z of the residual from which the direction was made.
+    preconditioned : (m,) array or None
+        z = PMr, once it is known.
+    rz : float
+        r'z, the squared energy of the residual [J]; infinite while z is not known.
     step_lengths : tuple of float
         Step lengths of the conjugate gradients.
     """
@@ -72,8 +80,15 @@ class PCPGIterate:
     residual: float
     violation: float
     direction: Vector
-    rz: float
+    rz_of_direction: float
     step_lengths: tuple[float, ...]
+    preconditioned: Vector | None = None
+    rz: float = np.inf
+
+    @property
+    def energy(self) -> float:
+        """sqrt(r'z) [sqrt(J)]."""
+        return float(np.sqrt(self.rz))
 
     @property
     def step_length(self) -> float:
@@ -95,8 +110,8 @@ def pcpg(
     """Minimise on a face until its signs are known well enough.
 
     The iterations end when the residual is below `sign_factor` times the violation of the signs of
-    forces and gaps (more accuracy would be spent on the wrong face), or below `tolerance`. The
-    signs are tested each time the residual has halved.
+    forces and gaps (more accuracy would be spent on the wrong face), or its energy below
+    `tolerance`. The signs are tested each time the residual has halved.
 
     Parameters
     ----------
@@ -107,7 +122,7 @@ def pcpg(
     start : (m,) array or PCPGIterate
         Multipliers, or the last iterate on another face.
     tolerance : float
-        Absolute tolerance of the residual.
+        Tolerance of the energy of the residual, sqrt(r'z) [sqrt(J)].
     sign_factor : float
         Tolerance of the residual relative to the violation; 0 where the signs do not matter.
     max_products : int
@@ -125,30 +140,30 @@ def pcpg(
     iterate = start if resume and isinstance(start, PCPGIterate) else None
     if iterate is None:
         iterate = _first_iterate(problem, face, start, products)
-    test_below = max(tolerance, 0.5 * iterate.residual)
-    while True:
-        exhausted = products.total >= max_products
-        if iterate.residual <= test_below or exhausted:
-            if exhausted or iterate.residual <= max(sign_factor * iterate.violation, tolerance):
+    test_below = 0.5 * iterate.residual
+    while products.total < max_products:
+        if iterate.residual <= test_below:
+            if iterate.residual <= sign_factor * iterate.violation:
                 return iterate
-            test_below = max(tolerance, 0.5 * iterate.residual)
+            test_below = 0.5 * iterate.residual
+        iterate = _with_preconditioned_residual(problem, face, iterate, products)
+        if iterate.energy <= tolerance:
+            return iterate
         following = _step(problem, face, iterate, products)
         if following is None:
             return iterate
         iterate = following
+    return iterate
 
 
 def _step(
     problem: DualProblem, face: Face, iterate: PCPGIterate, products: Products
 ) -> PCPGIterate | None:
     """Take one step of PCPG; return None where the curvature is not more than rounding."""
-    l, g = iterate.multipliers, iterate.gradient
-    # 1. precondition and project: r = -g on the face, z = P M r
-    r = -face.projector.on_rows(g)
-    z, rz = _precondition(problem, face, r, products)
-    rz = iterate.residual**2 if rz is None else rz
+    # 1. z = PMr of the residual r = -g on the face
+    l, g, z, rz = iterate.multipliers, iterate.gradient, iterate.preconditioned, iterate.rz
     # 2. direction: p = z + (r'z / r'z of the last step) p
-    p = z + rz / iterate.rz * iterate.direction
+    p = z + rz / iterate.rz_of_direction * iterate.direction
     # 3. product: PFp on the face, off it what the gaps change by; p'Fp
     change, curvature = face.projector.remove_rigid_motion(_product(problem, p, products), p)
     if curvature <= 0.0:
@@ -160,6 +175,19 @@ def _step(
     return PCPGIterate(face.active, l, g, *_norms(problem, face, l, g), p, rz, lengths)
 
 
+def _with_preconditioned_residual(
+    problem: DualProblem, face: Face, iterate: PCPGIterate, products: Products
+) -> PCPGIterate:
+    """Return the iterate with z = PMr and r'z of its residual r = -g on the face."""
+    if iterate.preconditioned is not None:
+        return iterate
+    z, rz = _precondition(problem, face, -face.projector.on_rows(iterate.gradient), products)
+    if rz is None:
+        # without preconditioner z = r in units of ||PFP||, so that r'z is an energy
+        z, rz = z / problem.norm, iterate.residual**2 / problem.norm
+    return replace(iterate, preconditioned=z, rz=rz)
+
+
 def _first_iterate(
     problem: DualProblem, face: Face, start: Vector | PCPGIterate, products: Products
 ) -> PCPGIterate:
@@ -169,7 +197,8 @@ def _first_iterate(
         return _iterate_at(problem, face, l, np.zeros_like(l), -problem.d, (), products)
     # from another face, with a preconditioned step by the residual there: no product of its own
     alpha, r = start.step_length, -face.projector.on_rows(start.gradient)
-    z = _precondition(problem, face, face.projector.P(r), products)[0]
+    z, rz = _precondition(problem, face, face.projector.P(r), products)
+    z = z / problem.norm if rz is None else z
     l = _nearest_on_face(problem, face, start.multipliers) + alpha * z
     if face.projector.free.shape[1]:
         return _iterate_at(problem, face, l, np.zeros_like(l), -problem.d, (alpha,), products)
