@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from mpi4py import MPI
 
 import numpy as np
@@ -15,6 +17,7 @@ from fenics_tfeti.feti.constraints.scaling import node_weights
 comm = MPI.COMM_WORLD
 CUBES = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
 CENTRE, OTHER = 2002002, 2002001  # nodes of eight cubes, and of four of them
+FAR = 4004004  # a node of one cube
 WAYS = ("random", "stiffness", "multiplicity")
 
 
@@ -37,6 +40,24 @@ def system(ranks: MPI.Comm) -> TornSystem:
             np.array([0]),
         )
     return TornSystem(mine[ranks.rank :: ranks.size], prescribed, contacts, 3, comm=ranks)
+
+
+def coupled_system(ranks: MPI.Comm) -> TornSystem:
+    """Return the eight cubes with nodes in several rows; the ranks give the rows in turn."""
+    unit = np.eye(3)
+    rows = [
+        (CENTRE, OTHER, unit[2]),
+        (OTHER, -1, 0.6 * unit[0] + 0.8 * unit[2]),
+        (CENTRE, -1, unit[1]),
+        (FAR, -1, unit[0]),
+        (CENTRE, FAR, 0.8 * unit[1] + 0.6 * unit[2]),
+        (0, -1, unit[0]),
+    ]
+    slave, master, normal = zip(*rows, strict=True)
+    mine = slice(ranks.rank, None, ranks.size)
+    slave, master, normal = np.array(slave)[mine], np.array(master)[mine], np.array(normal)[mine]
+    contacts = ContactRows(slave, master, normal, np.full(slave.size, 0.1), np.zeros_like(slave))
+    return dataclasses.replace(system(ranks), prescribed=Prescribed(), contacts=contacts)
 
 
 def weights(torn: TornSystem, way: str) -> np.ndarray:
@@ -88,3 +109,17 @@ def test_contact_row_is_that_of_one_process(way):
         rhs = ranks.allreduce(float(c[at].sum()))
         rows.append(np.append(whole(constraints, ranks)[row], rhs))
     np.testing.assert_allclose(rows[0], rows[1], rtol=0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_gram_matrix_is_the_identity_but_for_coupled_rows(way):
+    torn = coupled_system(comm)
+    constraints = build_constraints(torn, weights(torn, way))[0]
+    B, coupling = whole(constraints, comm), constraints.coupling
+    expected = np.eye(len(B))
+    expected[np.ix_(coupling.numbers, coupling.numbers)] = coupling.gram.toarray()
+    np.testing.assert_allclose(B @ B.T, expected, rtol=0.0, atol=1e-14)
+    assert coupling.numbers.size == 4
+    held = constraints.layout.numbers[coupling.rows]
+    np.testing.assert_array_equal(held, coupling.numbers[coupling.positions])
+    assert np.isin(constraints.layout.numbers, coupling.numbers).sum() == held.size

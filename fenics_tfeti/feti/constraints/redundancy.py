@@ -1,8 +1,9 @@
 """Contact conditions that repeat, exclude or depend on others (corners, edges, several contacts).
 
-Each condition of one node in several contacts is a row of its own. They need not be orthogonal, but
-a row that says what a stricter one says already would leave the dual problem without a unique
-solution for no gain, so it is dropped.
+Each condition of a node that is in several contacts is a row of its own. The rows that remain need
+not be orthogonal to each other: their Gram matrix W is the part of B D^{-1} B' = blockdiag(I, W)
+that differs from the identity. A row that a parallel row with the same or a smaller gap implies is
+dropped: with it the multipliers would not be unique.
 """
 
 from __future__ import annotations
@@ -66,11 +67,17 @@ class Redundancy:
         Their number over all ranks.
     dependent : int
         How many of the other rows depend linearly on the rest, over all ranks.
+    coupled : (k,) bool array
+        Rows of this rank, none of them dropped, that are not orthogonal to all others.
+    gram : (w, w) scipy.sparse.csr_matrix
+        B D^{-1} B' of the coupled rows of all ranks, rank by rank; the same on all ranks.
     """
 
     dropped: Mask
     dropped_total: int
     dependent: int
+    coupled: Mask
+    gram: sp.csr_matrix
 
 
 def find_redundant(
@@ -110,8 +117,10 @@ def find_redundant(
     rhs = concatenate_ranks(comm, (conditions.scale * conditions.gap)[chosen])
     taken = np.isin(row, number[chosen])
     columns = [concatenate_ranks(comm, column[taken]) for column in (node, row, values)]
-    dropped, dependent = _examine(numbers, rhs, *columns)
-    return Redundancy(np.isin(number, dropped), dropped.size, dependent)
+    dropped, coupled, gram = _examine(numbers, rhs, *columns)
+    return Redundancy(
+        np.isin(number, dropped), dropped.size, _dependent(gram), np.isin(number, coupled), gram
+    )
 
 
 def _entries(
@@ -135,13 +144,11 @@ def _in_several_rows(directory: Directory, node: Numbers, row: Numbers) -> Mask:
 
 def _examine(
     numbers: Numbers, rhs: Vector, node: Numbers, row: Numbers, values: Vector
-) -> tuple[Numbers, int]:
-    """Return the numbers of the rows to drop, and how many of the others are dependent."""
+) -> tuple[Numbers, Numbers, sp.csr_matrix]:
+    """Return the numbers of the rows to drop, those of the coupled rows, and their Gram matrix."""
     if numbers.size == 0:
-        return numbers, 0
+        return numbers, numbers, sp.csr_matrix((0, 0))
     gdim = values.shape[1]
-    order = np.argsort(numbers)
-    numbers, rhs = numbers[order], rhs[order]
     column = np.unique(node, return_inverse=True)[1].ravel()
     rows = np.repeat(np.searchsorted(numbers, row), gdim)
     columns = (gdim * column[:, None] + np.arange(gdim)).ravel()
@@ -156,8 +163,13 @@ def _examine(
     group = connected_components(alike, directed=False)[1]
     # the smallest right-hand side of each group stays, the first of equal ones
     order = np.lexsort((np.arange(rhs.size), rhs, group))
-    stays = order[np.unique(group[order], return_index=True)[1]]
-    return np.delete(numbers, stays), _dependent(gram.tocsr()[stays][:, stays])
+    stays = np.sort(order[np.unique(group[order], return_index=True)[1]])
+    dropped = np.delete(numbers, stays)
+
+    gram = gram.tocsr()[stays][:, stays]
+    gram.eliminate_zeros()
+    coupled = np.flatnonzero(np.diff(gram.indptr) > 1)
+    return dropped, numbers[stays[coupled]], gram[coupled][:, coupled]
 
 
 def _check_room(

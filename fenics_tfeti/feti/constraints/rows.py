@@ -25,15 +25,47 @@ from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.constraints.redundancy import ContactConditions, Redundancy, find_redundant
 from fenics_tfeti.feti.system import ContactRows, TornSystem
 from fenics_tfeti.feti.tolerances import SAME_VALUE
-from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
+from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank, raise_collectively
 
-__all__ = ["Constraints", "build_constraints"]
+__all__ = ["Constraints", "Coupling", "build_constraints"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 # a normal whose free part is shorter than this is a rounded normal of a prescribed direction
 NEGLIGIBLE_NORMAL = 1e-10
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """Contact rows that are not orthogonal to all others: W in B D^{-1} B' = blockdiag(I, W).
+
+    They share a node with other contact rows. All other rows, and rows of different blocks of W,
+    are orthonormal.
+
+    Attributes
+    ----------
+    numbers : (w,) integer array
+        Global numbers of the coupled rows, ascending; the same on all ranks.
+    gram : (w, w) scipy.sparse.csr_matrix
+        W in this order, with a diagonal of 1; the same on all ranks. Singular if rows depend
+        linearly on others (`Constraints.dependent`).
+    rows : (h,) integer array
+        Local positions of the coupled rows that this rank holds.
+    positions : (h,) integer array
+        Their positions in `numbers`.
+    """
+
+    numbers: Numbers
+    gram: sp.csr_matrix
+    rows: Numbers
+    positions: Numbers
+
+    @staticmethod
+    def build(layout: DualLayout, numbers: Numbers, gram: sp.csr_matrix) -> Coupling:
+        """Find the coupled rows that this rank holds."""
+        positions = np.flatnonzero(np.isin(numbers, layout.numbers))
+        return Coupling(numbers, gram, layout.local(numbers[positions]), positions)
 
 
 @dataclass(frozen=True)
@@ -62,6 +94,8 @@ class Constraints:
     redundant, dependent : int
         Contact rows dropped because others imply them, and rows that depend linearly on others all
         the same (their forces are not unique; displacements and resultants are).
+    coupling : Coupling
+        Contact rows that are not orthogonal to all others.
     """
 
     matrix: sp.csr_matrix
@@ -74,6 +108,7 @@ class Constraints:
     nodes: int
     redundant: int
     dependent: int
+    coupling: Coupling
 
     @property
     def size(self) -> int:
@@ -224,6 +259,11 @@ def build_constraints(
         nodes=first_of_rank(system.comm, directory.keys.size)[1],
         redundant=redundancy.dropped_total,
         dependent=redundancy.dependent,
+        coupling=Coupling.build(
+            layout,
+            concatenate_ranks(system.comm, rows.number[: kept.sum()][redundancy.coupled[kept]]),
+            redundancy.gram,
+        ),
     )
     return constraints, values
 

@@ -88,6 +88,43 @@ def test_opposite_conditions_may_leave_no_room_at_all():
     assert build_constraints(two_cubes(rows))[0].dependent == 1
 
 
+def coupled_systems() -> dict[str, TornSystem]:
+    """Return systems with nodes in several contacts; NODE has copies in two subdomains."""
+    chain = [(NODE, OTHER, Z, 0.1), (OTHER, NODE - 1, X + Z, 0.1), (NODE - 1, -1, Y + Z, 0.1)]
+    walls = [(NODE, -1, normal, 0.1) for normal in (X, Y, X + Y, X + Z)]
+    apart = [(NODE, -1, Z, 0.1), (NODE - 1, -1, Z, 0.1), (OTHER, -1, Z, 0.1)]
+    looser = [(NODE, -1, Z, 0.3), (OTHER, -1, Y, 0.1), (OTHER, NODE - 1, Y + Z, 0.2)]
+    return {
+        "chain": two_cubes(conditions(*chain)),
+        "walls": two_cubes(conditions(*walls, (NODE, -1, X, 0.2))),
+        "held": two_cubes(conditions(*walls, *chain), fixed(NODE, 0)),
+        "orthogonal": two_cubes(conditions(*apart, (NODE, -1, X, 0.1))),
+        "dropped": two_cubes(conditions(*apart, *looser)),
+        "corner": in_a_corner([(-X - Y, 0.0), (-Y - Z, 0.1)]),
+    }
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+@pytest.mark.parametrize(
+    ("name", "coupled"),
+    [("chain", 3), ("walls", 4), ("held", 4), ("orthogonal", 0), ("dropped", 4), ("corner", 5)],
+)
+def test_gram_matrix_is_the_identity_but_for_coupled_rows(name, coupled, weighted):
+    system = coupled_systems()[name]
+    copies = sum(subdomain.nodes.size for subdomain in system.subdomains)
+    weights = 10.0 ** np.random.default_rng(0).uniform(-4.0, 0.0, copies) if weighted else None
+    constraints, _ = build_constraints(system, weights)
+    B = constraints.matrix.toarray() / np.sqrt(constraints.weights)
+    coupling = constraints.coupling
+    expected = np.eye(len(B))
+    rows = coupling.rows[np.argsort(coupling.positions)]
+    expected[np.ix_(rows, rows)] = coupling.gram.toarray()
+    np.testing.assert_allclose(B @ B.T, expected, rtol=0.0, atol=1e-14)
+    assert rows.size == coupled
+    assert np.all(np.isin(rows, constraints.inequality))
+    np.testing.assert_array_equal(constraints.layout.numbers[rows], coupling.numbers)
+
+
 def in_a_corner(extra_rows=()) -> TornSystem:
     """A cube pushed into the corner of three rigid walls, its edges and a node on several."""
     block = cube(2, load=(-1.0, -2.0, -3.0))
