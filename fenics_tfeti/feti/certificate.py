@@ -298,7 +298,7 @@ class PrimalProblem:
         starts = self._starts()
         if starts.size:
             by_subdomain = np.add.reduceat(by_unknown, starts, axis=1)
-            np.add.at(sums, (slice(None), self.row_bodies.of_subdomain), by_subdomain)
+            np.add.at(sums.T, self.row_bodies.of_subdomain, by_subdomain.T)
         self._comm.Allreduce(MPI.IN_PLACE, sums)
         error2, energy2, residual2, force2, rounding2 = np.maximum(sums, 0.0)
         return _BodyMeasures(

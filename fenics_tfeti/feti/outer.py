@@ -129,12 +129,15 @@ class Outcome:
         Whether the certificate holds.
     reason : str
         Why the iterations ended.
+    tolerance : float
+        Tolerance of the dual problem in the last pass [sqrt(J)].
     """
 
     candidate: Candidate
     state: DualState
     converged: bool
     reason: str
+    tolerance: float
 
 
 @dataclass
@@ -207,6 +210,7 @@ def iterate_until_certified(
     use_active_set = options.method == "active_set"
     limit, tolerance, worst = max(options.rtol, ROUNDING), options.rtol * loop.scale, np.inf
     while True:
+        tolerance = max(tolerance, loop.rounding)
         if use_active_set:
             stage = loop.active_set(stage, tolerance)
             use_active_set = stage.solved
@@ -215,15 +219,16 @@ def iterate_until_certified(
         candidate = loop.recover(stage.state)
         previous, worst = worst, candidate.certificate.worst
         if worst <= limit:
-            return Outcome(candidate, stage.state, True, "converged")
+            return Outcome(candidate, stage.state, True, "converged", tolerance)
         if not stage.solved:
-            return Outcome(candidate, stage.state, False, stage.reason)
-        if worst > 0.5 * previous and tolerance <= 1e-3 * options.rtol * loop.scale:
+            return Outcome(candidate, stage.state, False, stage.reason, tolerance)
+        stagnates = worst > 0.5 * previous and tolerance <= 1e-3 * options.rtol * loop.scale
+        if stagnates or tolerance <= loop.rounding:
             reason = (
                 f"the error of the displacement is {worst:.1e}, and more iterations do not reduce "
                 "it: the accuracy is at the limit of rounding"
             )
-            return Outcome(candidate, stage.state, False, reason)
+            return Outcome(candidate, stage.state, False, reason, tolerance)
         tolerance *= min(max(0.5 * limit / worst, 1e-3), 0.5)
 
 
@@ -241,6 +246,8 @@ class _Loop:
         d~ = BK^+(f - B'lambda~) - c of (11.40).
     scale : float
         An energy norm as large as the solution's, or larger [sqrt(J)].
+    rounding : float
+        Energy norm of what rounding leaves in the jumps of displacements [sqrt(J)].
     """
 
     setup: DualSetup
@@ -251,6 +258,7 @@ class _Loop:
     primal: PrimalProblem
     d: Vector
     scale: float
+    rounding: float
 
     @staticmethod
     def begin(
@@ -271,8 +279,13 @@ class _Loop:
             strained = F.generalized_inverse(forces)
             d = F.jumps(strained) - data.c
             strain = float(layout.comm.allreduce(max(0.0, float(strained @ forces))))
-        scale = np.sqrt(max(strain, _energy_of_jumps(setup, data, d, timer, history)))
-        return _Loop(setup, data, options, timer, history, primal, d, float(scale))
+        scale = float(np.sqrt(max(strain, _energy_of_jumps(setup, data, d, timer, history))))
+        # jumps that have to be closed, with prescribed displacements and penetrated gaps
+        rows, closing = setup.constraints.inequality, data.c.copy()
+        closing[rows] = np.minimum(closing[rows], 0.0)
+        largest = np.sqrt(setup.local.unit) * layout.space.norm(closing)
+        rounding = float(np.finfo(float).eps * (scale + largest))
+        return _Loop(setup, data, options, timer, history, primal, d, scale, rounding)
 
     def first_state(self, start: DualState | None) -> DualState:
         """Return the given state, or multipliers that vanish: no contact, nothing glued."""

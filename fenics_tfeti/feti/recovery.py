@@ -15,8 +15,10 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.optimize import nnls
+from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
@@ -171,27 +173,30 @@ def _close_coupled_rows(
     coupling = constraints.coupling
     if not coupling.numbers.size:
         return closed
-    mine, place = coupling.rows, coupling.places
-    owned = constraints.inequality[mine] < constraints.layout.owned
+    rows, places = coupling.rows, coupling.positions
+    among_inequalities = np.searchsorted(constraints.inequality, rows)
+    owned = rows < constraints.layout.owned
     gathered = np.zeros((3, coupling.numbers.size))
-    gathered[0, place[owned]] = jump[constraints.inequality[mine[owned]]]
-    gathered[1, place[owned]] = closed[mine[owned]]
-    gathered[2, place[owned]] = pressing[mine[owned]]
+    gathered[0, places[owned]] = jump[rows[owned]]
+    gathered[1, places[owned]] = pressing[among_inequalities[owned]]
+    gathered[2, places[owned]] = closed[among_inequalities[owned]]
     constraints.layout.comm.Allreduce(MPI.IN_PLACE, gathered)
-    y, R = close_with_gram(coupling.gram.toarray(), gathered[0], gathered[2] > 0, gathered[1] > 0)
-    correction[constraints.inequality[mine]] = y[place]
+    y, R = close_with_gram(coupling.gram, gathered[0], gathered[1] > 0, gathered[2] > 0)
+    correction[rows] = y[places]
     closed = closed.copy()
-    closed[mine] = R[place]
+    closed[among_inequalities] = R[places]
     return closed
 
 
-def close_with_gram(W: Vector, jump: Vector, pressing: Mask, closed: Mask) -> tuple[Vector, Mask]:
+def close_with_gram(
+    W: sp.csr_matrix, jump: Vector, pressing: Mask, closed: Mask
+) -> tuple[Vector, Mask]:
     """Return y = W_R^+ jump_R, zero outside R, and the R >= `closed` with W y >= jump outside it.
 
     Parameters
     ----------
-    W : (k, k) array
-        Gram matrix B D^{-1} B' of some contact rows.
+    W : (k, k) scipy.sparse.csr_matrix
+        Gram matrix B D^{-1} B' of some contact rows: blocks of rows that share nodes.
     jump : (k,) array
         B u_t - c; positive where penetrated.
     pressing, closed : (k,) bool arrays
@@ -199,22 +204,31 @@ def close_with_gram(W: Vector, jump: Vector, pressing: Mask, closed: Mask) -> tu
 
     Examples
     --------
-    >>> import numpy as np
-    >>> y, R = close_with_gram(np.eye(2), np.array([1.0, -1.0]), *2 * [np.array([True, False])])
+    >>> import numpy as np, scipy.sparse as sp
+    >>> W, pressing = sp.identity(2, format="csr"), np.array([True, False])
+    >>> y, R = close_with_gram(W, np.array([1.0, -1.0]), pressing, pressing)
     >>> y.tolist(), R.tolist()
     ([1.0, 0.0], [True, False])
     """
-    R = closed | pressing
+    R, y = closed | pressing, np.zeros(jump.size)
+    blocks, block = connected_components(W, directed=False)
+    order = np.argsort(block, kind="stable")
+    for members in np.split(order, np.cumsum(np.bincount(block, minlength=blocks))[:-1]):
+        dense = W[members][:, members].toarray()
+        y[members], R[members] = _close_block(dense, jump[members], R[members])
+    return y, R
+
+
+def _close_block(W: Vector, jump: Vector, R: Mask) -> tuple[Vector, Mask]:
+    """Close the rows R of one block, and add rows that this penetrates until there is none."""
     negligible = 1e-14 * float(np.abs(jump).max(initial=0.0))
-    for _ in range(R.size + 1):
-        y = np.zeros(R.size)
-        at = np.flatnonzero(R)
+    while True:
+        y, at = np.zeros(R.size), np.flatnonzero(R)
         y[at] = np.linalg.lstsq(W[np.ix_(at, at)], jump[at], rcond=PARALLEL)[0]
         penetrated = ~R & (jump - W @ y > negligible)
         if not penetrated.any():
-            break
+            return y, R
         R = R | penetrated
-    return y, R
 
 
 def _smallest_without_penetration(active: Projector, gap: Vector) -> Vector:

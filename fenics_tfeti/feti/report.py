@@ -76,6 +76,8 @@ class Report:
         Rigid motions that the solution leaves undetermined; their smallest amount was taken.
     certificate : Certificate
         Residuals of the primal problem.
+    dual_tolerance : float
+        Tolerance of the dual problem that the certificate took: an energy norm [sqrt(J)].
     converged : bool
         Whether every number of the certificate is at most rtol.
     reason : str
@@ -105,6 +107,7 @@ class Report:
     contact_force: list[float]
     free_motions: list[str]
     certificate: Certificate
+    dual_tolerance: float
     converged: bool
     reason: str
     ranks: int
@@ -194,6 +197,7 @@ def build_report(
             for motion in candidate.face.free.T
         ],
         certificate=candidate.certificate,
+        dual_tolerance=outcome.tolerance,
         converged=outcome.converged,
         reason=outcome.reason,
         ranks=comm.size,

@@ -19,7 +19,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
-from fenics_tfeti.feti.constraints.scaling import node_weights
+from fenics_tfeti.feti.constraints.scaling import node_weights, stiffness_of_weight
 from fenics_tfeti.feti.dual.operator import DualOperator, ProjectedNorm
 from fenics_tfeti.feti.dual.preconditioner import interface_operator
 from fenics_tfeti.feti.local.cholesky import choose_package
@@ -49,12 +49,15 @@ class LocalSetup:
         R_i of this rank's subdomains; congruent ones share it.
     stiffness : list of (n_i, n_i) scipy.sparse.csr_matrix
         K_i of each class [N/m].
+    unit : float
+        The stiffness that a weight of 1 stands for [N/m].
     """
 
     weights: Vector
     classes: list[CongruenceClass]
     kernels: list[Vector]
     stiffness: list[sp.csr_matrix]
+    unit: float
 
     @staticmethod
     def build(system: TornSystem, options: Options) -> LocalSetup:
@@ -68,7 +71,8 @@ class LocalSetup:
             for member in congruent.members:
                 kernels[member] = shared
         stiffness = [subdomains[congruent.first].stiffness for congruent in classes]
-        return LocalSetup(weights, classes, kernels, stiffness)
+        unit = stiffness_of_weight(system, options.scaling)
+        return LocalSetup(weights, classes, kernels, stiffness, unit)
 
 
 def has_same_stiffness(one: TornSystem, other: TornSystem) -> bool:

@@ -11,7 +11,6 @@ from fenics_tfeti.errors import InputError, NotConverged
 from fenics_tfeti.feti.coarse.feasible_start import check_load, feasible_start
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.rows import build_constraints
-from fenics_tfeti.feti.constraints.scaling import stiffness_of_weight
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.outer import (
@@ -199,7 +198,7 @@ class TornSolver:
         gap[own[kept]] = np.minimum(guess.gap[kept], np.finfo(float).max)
         force, gap = (constraints.layout.sum(x)[rows] for x in (force, gap))
         # scale^2 is the stiffness, relative to that of a weight, of the row's nodes in series
-        unit = _SURFACE_STIFFNESS * stiffness_of_weight(self.system, self.options.scaling)
+        unit = _SURFACE_STIFFNESS * self.setup.local.unit
         active = force / (unit * constraints.scale**2) > gap
         multipliers = np.zeros(constraints.size) if state is None else state.multipliers.copy()
         multipliers[rows] = np.where(active, force / constraints.scale, 0.0)

@@ -162,6 +162,7 @@ def _step(
     """Take one step of PCPG; return None where the curvature is not more than rounding."""
     # 1. z = PMr of the residual r = -g on the face
     l, g, z, rz = iterate.multipliers, iterate.gradient, iterate.preconditioned, iterate.rz
+    assert z is not None
     # 2. direction: p = z + (r'z / r'z of the last step) p
     p = z + rz / iterate.rz_of_direction * iterate.direction
     # 3. product: PFp on the face, off it what the gaps change by; p'Fp
