@@ -70,7 +70,7 @@ CODES = {
     "snesvi-gamg": Code(RIGID, "peers_fenics", "solve_by_snesvi", (RTOL, "gamg")),
     "snesvi-mumps": Code(RIGID, "peers_fenics", "solve_by_snesvi", (RTOL, "mumps")),
 }
-OURS = {TWO: "tfeti", RIGID: "tfeti-rigid"}
+REFERENCE = {TWO: "tfeti", RIGID: "tfeti-rigid"}
 COLUMNS = (
     ("code", "{:<17}"),
     ("seconds", "{:>8.2f}"),
@@ -93,9 +93,9 @@ def main() -> None:
         return
     chosen = list(CODES) if "all" in arguments.codes else arguments.codes
     # the reference runs in any case
-    wanted = {OURS[CODES[name].scene] for name in chosen}.union(chosen)
+    wanted = {REFERENCE[CODES[name].scene] for name in chosen}.union(chosen)
     rows: list[dict[str, Any]] = []
-    for scene in (s for s in SCENES if OURS[s] in wanted):
+    for scene in (s for s in SCENES if REFERENCE[s] in wanted):
         names = [n for n in CODES if n in wanted and CODES[n].scene == scene]
         for divisions in arguments.divisions:
             rows += compare(scene, names, divisions)
@@ -120,7 +120,7 @@ def compare(scene: str, names: list[str], divisions: int) -> list[dict[str, Any]
     print(f"{scene}, h = 1/{divisions}, {unknowns} unknowns")
     print(HEADER)
     rows: list[dict[str, Any]] = []
-    ours: tuple[dict[str, Any], Answer] | None = None
+    reference: tuple[dict[str, Any], Answer] | None = None
     for name in names:
         row: dict[str, Any] = {"scene": scene, "divisions": divisions, "unknowns": unknowns}
         row["code"] = name
@@ -132,32 +132,32 @@ def compare(scene: str, names: list[str], divisions: int) -> list[dict[str, Any]
         try:
             figures, answer = run(name, divisions)
         except RuntimeError as error:
-            if ours is None:  # no reference
+            if reference is None:  # no reference
                 raise
             row["failed"] = str(error)
             print(f"{name:<17} failed: {error}")
             continue
         row.update(figures)
-        ours = ours or (row, answer)
-        row.update(differences(row, answer, *ours))
+        reference = reference or (row, answer)
+        row.update(differences(row, answer, *reference))
         print(*(form.format(row[key]) for key, form in COLUMNS), flush=True)
     print()
     return rows
 
 
 def differences(
-    row: dict[str, Any], answer: Answer, our_row: dict[str, Any], ours: Answer
+    row: dict[str, Any], answer: Answer, reference_row: dict[str, Any], reference: Answer
 ) -> dict[str, float]:
     """Compare with the answer of fenics_tfeti, at nodes of the same coordinates and body."""
-    order, our_order = (sort_key(a.coordinates, a.body) for a in (answer, ours))
-    same = np.allclose(answer.coordinates[order], ours.coordinates[our_order], atol=1e-6)
-    if not (same and np.array_equal(answer.body[order], ours.body[our_order])):
+    order, reference_order = (sort_key(a.coordinates, a.body) for a in (answer, reference))
+    same = np.allclose(answer.coordinates[order], reference.coordinates[reference_order], atol=1e-6)
+    if not (same and np.array_equal(answer.body[order], reference.body[reference_order])):
         raise AssertionError("the codes did not solve on the same nodes")
-    u, v = answer.displacement[order], ours.displacement[our_order]
+    u, v = answer.displacement[order], reference.displacement[reference_order]
     return {
         "difference": float(np.linalg.norm(u - v) / np.linalg.norm(v)),
-        "force_difference": abs(answer.force - ours.force) / abs(ours.force),
-        "ratio": row["processor_seconds"] / our_row["processor_seconds"],
+        "force_difference": abs(answer.force - reference.force) / abs(reference.force),
+        "ratio": row["processor_seconds"] / reference_row["processor_seconds"],
     }
 
 
