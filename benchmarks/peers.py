@@ -132,7 +132,7 @@ def compare(scene: str, names: list[str], divisions: int) -> list[dict[str, Any]
         try:
             figures, answer = run(name, divisions)
         except RuntimeError as error:
-            if reference is None:  # no reference
+            if reference is None:
                 raise
             row["failed"] = str(error)
             print(f"{name:<17} failed: {error}")
