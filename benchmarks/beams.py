@@ -3,8 +3,8 @@
     python benchmarks/beams.py --subdomains-per-metre 2 --elements-per-subdomain 8 --rtol 1e-4 \
         --json out.json
 
-The beams are cut into cubes of 1 / (subdomains per metre); the mesh is the same on any number of
-processes, but a cube that two processes share becomes two subdomains.
+The subdomains are cubes of 1 / (subdomains per metre). The mesh does not depend on the number of
+processes, but a cube whose cells are on two processes becomes two subdomains.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def cube_of_cells(mesh: Mesh, cell_tags, per_metre: int) -> np.ndarray:
 
 
 def build(arguments: argparse.Namespace) -> ContactProblem:
-    """Pose the problem; only `subdomains` is unlike the demo's."""
+    """Return the problem of demos/two_beams.py, with the cubes as subdomains."""
     n = arguments.subdomains_per_metre * arguments.elements_per_subdomain
     lower = Box((0, 0, 0), (2, 1, 1), (2 * n, n, n))
     upper = Box((1, 0, 1), (3, 1, 2), (2 * n, n, n))
@@ -104,7 +104,7 @@ def build(arguments: argparse.Namespace) -> ContactProblem:
 
 
 def print_table(report, wall: float) -> None:
-    """Print the report as a table, with the seconds that posing and solving took."""
+    """Print the report as a table, with the wall time of set-up and solution."""
     groups = {
         "unknowns": report.unknowns,
         "products": report.products,

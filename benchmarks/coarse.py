@@ -1,9 +1,9 @@
-"""The coarse matrix of the ladder's beams: entries of its factor, time and messages of a solve.
+"""Coarse matrices of the beams of ladder.py: entries of the factor, time and messages of a solve.
 
     mpirun -n 4 python benchmarks/coarse.py [--subdomains-per-metre 3 5 7] [--json out.json]
 
-Whole on every rank with CHOLMOD, and over all ranks with MUMPS. The calls of MUMPS are counted if
-`count_calls.so` (see `count_calls.c`) is preloaded: mpirun -x LD_PRELOAD=...
+Redundant on every rank with CHOLMOD, and distributed over all ranks with MUMPS. The calls of MUMPS
+are counted if `count_calls.so` (see `count_calls.c`) is preloaded: mpirun -x LD_PRELOAD=...
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SOLVES = 10
 
 
 class Counts:
-    """Messages, bytes and collective calls of MUMPS on this rank, where they are counted."""
+    """Messages, bytes and collective calls of MUMPS on this rank, if the counter is preloaded."""
 
     def __init__(self) -> None:
         preloaded = os.environ.get("LD_PRELOAD", "")
@@ -46,7 +46,7 @@ class Counts:
             self._counter.reset_counts()
 
     def largest(self) -> list[int] | None:
-        """Return the largest numbers of all ranks."""
+        """Return the maxima over the ranks."""
         if self._counter is None:
             return None
         result = (ctypes.c_long * 3)()
@@ -55,7 +55,7 @@ class Counts:
 
 
 def coarse_space(m: int, solver: str) -> CoarseSpace:
-    """Return G of the beams with m subdomains a metre, of 2^3 elements: its size is what counts."""
+    """Return G of the beams with m subdomains per metre; 2^3 elements suffice for its size."""
     system = dealt(ladder.two_beams(m, 2, softer=False), comm)
     constraints, _ = build_constraints(system)
     classes = find_congruence_classes(system.subdomains)
@@ -65,7 +65,7 @@ def coarse_space(m: int, solver: str) -> CoarseSpace:
 
 
 def measure(m: int, solver: str) -> dict[str, Any]:
-    """Factor the matrix and solve with it; return times of the busiest processor, and counts."""
+    """Factor the matrix and solve with it; return the largest processor times, and counts."""
     space, counts = coarse_space(m, solver), Counts()
     counts.reset()
     begin = time.process_time()

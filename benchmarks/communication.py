@@ -1,10 +1,10 @@
-"""Messages, reductions and bytes of the iterations, counted on the communicator.
+"""Messages, reductions and bytes per iteration, counted on the communicator.
 
     mpirun -n 4 python benchmarks/communication.py [--subdomains-per-metre 3] [--json out.json]
 
-The two beams of `ladder.py`, their congruent cubes dealt to the ranks. The solver gets a
-communicator that writes down every call; nothing is derived. MUMPS has communicators of its own:
-what it sends in a distributed coarse solve is not counted here.
+The two beams of `ladder.py`, with the cubes distributed over the ranks. The solver gets a
+communicator that records every call. MUMPS uses its own communicators, so its messages in a
+distributed coarse solve are not counted here.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ METHODS = {
     "smalbe, lumped": {"method": "smalbe"},
 }
 
-# numbers in a reduction of inner products; coarse vectors have more
+# largest reduction of inner products, in numbers; coarse vectors are longer
 _FEW = 8
 
 
@@ -47,11 +47,11 @@ class Call:
     Attributes
     ----------
     kind : str
-        What it is.
+        Kind of the call.
     messages : int
         Messages that this rank sends, counted in exchanges only.
     bytes : int
-        What this rank receives.
+        Bytes that this rank receives.
     """
 
     kind: str
@@ -60,7 +60,7 @@ class Call:
 
 
 class CountingComm(MPI.Intracomm):
-    """A communicator that writes down what it is used for.
+    """A communicator that records its calls.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ def marks(comm: CountingComm) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Tally:
-    """What some calls are, in sum.
+    """Counts of some calls.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ class Tally:
 
 
 def tally(calls: list[Call]) -> Tally:
-    """Sum up calls of one rank."""
+    """Count the calls of one rank."""
 
     def number(kind: str) -> int:
         return sum(c.kind == kind for c in calls)
@@ -199,13 +199,13 @@ def tally(calls: list[Call]) -> Tally:
     )
 
 
-def of_busiest(comm: MPI.Intracomm, own: Tally) -> Tally:
-    """Return the largest of the ranks' numbers, one by one."""
+def maxima(comm: MPI.Intracomm, own: Tally) -> Tally:
+    """Return the maximum of each number over the ranks."""
     return Tally(*(comm.allreduce(value, MPI.MAX) for value in astuple(own)))
 
 
 def iterations(calls: list[Call]) -> tuple[Tally, Tally]:
-    """Return what happens from one product with F to the next: most often, and on average."""
+    """Return the calls between products with F: the most frequent counts and the mean."""
     at = [i for i, call in enumerate(calls) if call.kind == "F"]
     between = [tally(calls[i:j]) for i, j in itertools.pairwise(at)]
     usual = Counter(between).most_common(1)[0][0]
@@ -214,7 +214,7 @@ def iterations(calls: list[Call]) -> tuple[Tally, Tally]:
 
 
 def dealt(system: TornSystem, comm: MPI.Intracomm) -> TornSystem:
-    """Return this rank's share of a system that every rank has as a whole."""
+    """Return this rank's part of a system that every rank has completely."""
     ends = len(system.subdomains) * np.arange(comm.size + 1) // comm.size
     share = system.subdomains[ends[comm.rank] : ends[comm.rank + 1]]
     contacts = system.contacts if comm.rank == 0 else ContactRows.none(system.gdim)
@@ -226,7 +226,7 @@ def measure(system: TornSystem, options: Options) -> dict[str, Any]:
     comm = CountingComm(system.comm)
     with marks(comm):
         solver = TornSolver(replace(system, comm=comm), options)
-        # the norm's products are no iterations
+        # the products for the norm belong to the set-up
         solver.setup.norm(LANCZOS_STEPS)
         set_up = list(comm.calls)
         comm.calls.clear()
@@ -239,9 +239,9 @@ def measure(system: TornSystem, options: Options) -> dict[str, Any]:
         "coarse": report.unknowns["coarse"],
         "dual": report.unknowns["dual"],
         "products": report.products["total"],
-        "iteration": asdict(of_busiest(plain, usual)),
-        "mean": asdict(of_busiest(plain, mean)),
-        "set-up": asdict(of_busiest(plain, tally(set_up))),
+        "iteration": asdict(maxima(plain, usual)),
+        "mean": asdict(maxima(plain, mean)),
+        "set-up": asdict(maxima(plain, tally(set_up))),
     }
 
 

@@ -1,18 +1,18 @@
-"""Contact of unstructured tetrahedra against one linear solve of the same mesh, glued.
+"""Contact of unstructured tetrahedra compared with a linear solve of the same mesh, glued.
 
     python benchmarks/general.py [--elements-per-metre 21 35] [--residual 1e-4 1e-6] [--ranks 1 2]
         [--option subdomain_size=6000 ...] [--json out.json]
 
 The two beams of demos/two_beams.py by ContactProblem with its default subdomains, and the same mesh
-with coincident nodes merged (all pairs closed, no contact to find) by dolfinx's assembly and
-PETSc's CG with GAMG. Each solve runs in processes of its own with one thread a rank; seconds are
-from the mesh and the forms to the displacement, after a solve of a small mesh has compiled them.
+with coincident nodes merged (a linear problem) by dolfinx's assembly and PETSc's CG with GAMG. Each
+solve runs in its own processes with one thread per rank. Seconds are from the mesh and the forms to
+the displacement, after a solve of a small mesh has compiled the forms.
 
-Both are to reach the same true relative residual, ||b - Ax|| / ||b|| of the assembled matrix with
-supported unknowns and the contact forces left out. CG stops at it. ContactProblem stops when all
-numbers of its certificate are below its rtol, jumps between subdomains among them, which the
-assembled matrix turns into much larger forces: its rtol is SHARPER times the residual wanted. The
-residual is measured after the solve, and printed.
+Both are required to reach the same true relative residual, ||b - Ax|| / ||b|| of the assembled
+matrix without supported unknowns and contact forces. CG stops at it. ContactProblem stops when all
+numbers of its certificate are below its rtol. These include the jumps between subdomains, which the
+assembled matrix turns into larger forces; rtol is therefore RTOL_FACTOR times the required
+residual. The residual is computed after the solve, and printed.
 """
 
 from __future__ import annotations
@@ -44,8 +44,9 @@ from fenics_tfeti.feti.report import Timer, peak_memory
 
 MESHES = Path(__file__).parents[1] / "meshes"
 CONTACT = ("contact_upper", "contact_lower")
-# at 0.1 million unknowns thresholds 0 to 0.05, 0 to 2 aggressive levels and 1 to 4 smoothing steps
-# were at best 6 % faster; without an aggressive level it takes four to five times as long
+# At 0.1 million unknowns no combination of thresholds from 0 to 0.05, 0 to 2 aggressive levels and
+# 1 to 4 smoothing steps is more than 6 % faster. Without an aggressive level the solve takes four
+# to five times as long.
 GAMG = {
     "pc_gamg_type": "agg",
     "pc_gamg_agg_nsmooths": 1,
@@ -55,9 +56,9 @@ GAMG = {
     "mg_levels_ksp_max_it": 2,
     "mg_levels_pc_type": "jacobi",
 }
-WARM_UP = 4  # elements a metre
-# the residual of the assembled matrix is 70 to 250 times the certificate's worst number
-SHARPER = 0.004
+WARM_UP = 4  # elements per metre
+# the residual of the assembled matrix is 70 to 250 times the largest number of the certificate
+RTOL_FACTOR = 0.004
 
 
 class Beams:
@@ -95,12 +96,12 @@ class Beams:
 
     @staticmethod
     def clear(b: PETSc.Vec, dofs: Any) -> None:
-        """Set components to zero; ghosts among them are their owners' business."""
+        """Set components to zero, those that this rank owns."""
         b.array_w[dofs[dofs < b.getLocalSize()]] = 0.0
 
 
 def relative_residual(A: PETSc.Mat, x: PETSc.Vec, b: PETSc.Vec, without: Any) -> float:
-    """Return ||b - Ax|| / ||b||, some components left out."""
+    """Return ||b - Ax|| / ||b|| without some components."""
     r = b.duplicate()
     A.mult(x, r)
     r.aypx(-1.0, b)
@@ -196,13 +197,13 @@ def solve_glued(path: Path, rtol: float) -> dict[str, Any]:
 
 
 def _now(comm: MPI.Comm) -> np.ndarray:
-    """Return wall time and the busiest rank's processor time, all ranks together."""
+    """Return the wall time and the largest processor time of a rank, after a barrier."""
     comm.barrier()
     return np.array([time.perf_counter(), comm.allreduce(time.process_time(), MPI.MAX)])
 
 
 def make_meshes(n: int, folder: Path) -> dict[str, Path]:
-    """Write the mesh of the two beams, and that with the interface glued."""
+    """Write the mesh of the two beams, and the one with merged contact nodes."""
     sys.path.insert(0, str(MESHES))
     from two_beams import two_beams
 
@@ -214,7 +215,7 @@ def make_meshes(n: int, folder: Path) -> dict[str, Path]:
 
 
 def glue(source: Path, target: Path) -> None:
-    """Merge coincident nodes, and forget the surfaces in contact."""
+    """Merge coincident nodes, and remove the tags of the contact surfaces."""
     import gmsh
 
     gmsh.initialize()
@@ -241,7 +242,7 @@ def glue(source: Path, target: Path) -> None:
 
 
 def run(kind: str, path: Path, wanted: float, ranks: int, options: list[str]) -> dict[str, Any]:
-    """Solve in processes of their own."""
+    """Solve in separate processes."""
     command = [sys.executable, __file__, "--single", kind, "--mesh", str(path)]
     command += ["--residual", str(wanted), *(f"--option={option}" for option in options)]
     if ranks > 1:
@@ -259,7 +260,7 @@ def single(arguments: argparse.Namespace) -> None:
     (wanted,) = arguments.residual
     if arguments.single == "contact":
         options = dict(option.split("=", 1) for option in arguments.option)
-        row = solve_contact(arguments.mesh, SHARPER * wanted, options)
+        row = solve_contact(arguments.mesh, RTOL_FACTOR * wanted, options)
     else:
         row = solve_glued(arguments.mesh, wanted)
     if MPI.COMM_WORLD.rank == 0:

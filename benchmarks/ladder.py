@@ -1,11 +1,11 @@
-"""The ladder of sec. 11.11.1 up to its largest problem: two beams of congruent cubes.
+"""The benchmark of sec. 11.11.1 up to its largest problem: two beams of congruent cubes.
 
     python benchmarks/ladder.py [--subdomains-per-metre 3 5 7 9] [--elements-per-subdomain 10]
 
-The whole is never meshed. One cube is assembled by dolfinx, with the loads of a cube at the top and
-at the left face; the others are told apart by their place in the lattice. That they are congruent
-is found by the solver from matrices and coordinates: `--softer` makes one of them softer. Each size
-runs in a process of its own, so that the peak of memory is its own.
+There is no mesh of the beams. dolfinx assembles one cube, with the loads of a cube at the top and
+at the left face; the other cubes differ by their position in the lattice. The solver detects from
+matrices and coordinates that they are congruent; `--softer` gives one of them half the stiffness.
+Each size runs in a separate process, so that its peak of memory is measured.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from fenics_tfeti.feti import ContactRows, Options, Prescribed, Subdomain, TornS
 YOUNG, POISSON = 2.1e11, 0.3
 TRACTION = -20e6  # [Pa] in z
 LOWER, UPPER = 0, 1
-FIRST = {LOWER: (0, 0), UPPER: (1, 1)}  # where the beams begin, x and z [m]
+FIRST = {LOWER: (0, 0), UPPER: (1, 1)}  # smallest x and z of the beams [m]
 
 
 def cubes(m: int, n: int) -> dict[str, Subdomain]:
-    """Assemble a cube of n^3 elements, 1/m wide, without load and with a load on a face."""
+    """Assemble a cube of n^3 elements of width 1/m, without load and with a load on a face."""
     mesh = boxes(MPI.COMM_SELF, [Box((0, 0, 0), (1 / m, 1 / m, 1 / m), (n, n, n))]).mesh
     tags = tag_facets(
         mesh, {1: lambda x: np.isclose(x[2], 1 / m), 2: lambda x: np.isclose(x[0], 0.0)}
@@ -67,14 +67,14 @@ def cubes(m: int, n: int) -> dict[str, Subdomain]:
 
 
 def lattice_numbers(points: NDArray[np.int64], body: int, per_metre: int) -> NDArray[np.int64]:
-    """Number the nodes of a beam by their place in its lattice, the upper beam's behind."""
+    """Number the nodes of a beam by their position in its lattice, those of the upper beam last."""
     edge = per_metre + 1
     number = (points[:, 0] * edge + points[:, 1]) * edge + points[:, 2]
     return number + body * (2 * per_metre + 1) * edge**2
 
 
 def two_beams(m: int, n: int, softer: bool) -> TornSystem:
-    """Return the torn system of m subdomains a metre with n^3 elements each."""
+    """Return the torn system of m subdomains per metre with n^3 elements each."""
     per_metre = m * n
     template = cubes(m, n)
     local = np.rint(template[""].coordinates * per_metre).astype(np.int64)
@@ -113,7 +113,7 @@ def face(x: range, y: range, z: range, body: int, per_metre: int) -> NDArray[np.
 
 
 def supports(per_metre: int) -> Prescribed:
-    """Clamp the lower beam at x = 0, guide the upper one at x = 3."""
+    """Clamp the lower beam at x = 0, fix x and y of the upper one at x = 3."""
     edge, end = range(per_metre + 1), 2 * per_metre
     clamped = face(range(1), edge, edge, LOWER, per_metre)
     guided = face(range(end, end + 1), edge, edge, UPPER, per_metre)
@@ -148,7 +148,6 @@ def solve(m: int, n: int, options: Options, softer: bool) -> dict[str, object]:
         "torn": torn,
         "dual": report.unknowns["dual"],
         "F": report.products["total"],
-        "replacement": report.products["replacement"],
         "preconditioner": report.products["preconditioner"],
         "norm": report.products["norm"],
         "faces": len(report.faces),

@@ -1,10 +1,10 @@
-"""What jumps of Young's modulus cost, by preconditioner and scaling: a table of products with F.
+"""Products with F for jumps of Young's modulus, by preconditioner and scaling.
 
     python benchmarks/materials.py --blocks-per-metre 2 --elements-per-metre 10 --json out.json
 
-The two beams of sec. 11.11.1 are made of cubic blocks that an unstructured mesh of tetrahedra
-follows. Moduli jump from body to body, from block to block, where subdomains are blocks as well
-("aligned"), or anywhere in subdomains that SCOTCH has cut without knowing of them ("cut").
+The two beams of sec. 11.11.1 consist of cubic blocks that are resolved by an unstructured mesh of
+tetrahedra. The modulus jumps between bodies or blocks. The subdomains are either the blocks
+("aligned"), or made by SCOTCH without regard to the materials ("cut").
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ def lower(x: Places) -> NDArray[np.bool_]:
 
 
 def layers(x: Places) -> NDArray[np.bool_]:
-    """Of half a metre, one upon the other."""
+    """Layers of half a metre in z."""
     return np.floor(2 * x[2]) % 2 == 0
 
 
 def slices(x: Places) -> NDArray[np.bool_]:
-    """Of half a metre, side by side."""
+    """Slices of half a metre in x."""
     return np.floor(2 * x[0]) % 2 == 0
 
 
@@ -75,12 +75,12 @@ def checkerboard(x: Places) -> NDArray[np.bool_]:
 
 
 def fibres(x: Places) -> NDArray[np.bool_]:
-    """One along the axis of each beam, 0.3 m thick."""
+    """A fibre along the axis of each beam, 0.3 m thick."""
     return np.hypot(x[1] - 0.5, x[2] % 1.0 - 0.5) < 0.15
 
 
 def inclusions(x: Places) -> NDArray[np.bool_]:
-    """Balls of 0.36 m, half a metre from each other."""
+    """Balls of 0.36 m diameter, half a metre apart."""
     return np.linalg.norm(x % 0.5 - 0.25, axis=0) < 0.18
 
 
@@ -94,7 +94,7 @@ def uniform(x: Places) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Case:
-    """Where the material is stiff, and whether subdomains know."""
+    """The stiff part of the material, and whether subdomains are aligned with it."""
 
     stiff: Callable[[Places], NDArray[np.bool_]]
     aligned: bool
@@ -112,7 +112,7 @@ CASES = [
 ]
 
 
-# what is shown unless all cases are asked for
+# the cases without --all
 SHORT = (uniform, upper, lower, layers, slices, fibres, inclusions)
 
 
@@ -166,7 +166,7 @@ def box_of(body: int) -> list[float]:
 
 
 def write_mesh(path: Path, blocks_per_metre: int, elements_per_metre: int) -> None:
-    """Mesh the blocks with tetrahedra, alike on both sides of the contact."""
+    """Mesh the blocks with tetrahedra that match at the contact."""
     gmsh.initialize()
     try:
         gmsh.option.setNumber("General.Terminal", 0)
@@ -243,7 +243,7 @@ class Beams:
             self.bcs.append(fem.dirichletbc(0.0, dofs, part))
 
     def cut(self, unknowns: int) -> NDArray[np.int64]:
-        """Label the subdomains that SCOTCH makes."""
+        """Return the labels of subdomains by SCOTCH."""
         bodies = find_bodies(self.V.mesh, None)
         labels = np.zeros(self.owned, dtype=np.int64)
         for number, cells in enumerate(split_into_subdomains(self.V, bodies, unknowns, "scotch")):
@@ -263,7 +263,7 @@ class Beams:
 
 
 def measure(system: TornSystem, **options: Any) -> dict[str, Any]:
-    """Solve one torn system from scratch with some options."""
+    """Set up and solve one torn system with some options."""
     every = {"error_if_not_converged": False, **options}
     report = TornSolver(system, parse_options(every)).solve().report
     return {
@@ -288,13 +288,13 @@ def print_row(name: str, entries: Sequence[str]) -> None:
 
 
 def entry(run: dict[str, Any]) -> str:
-    """Say products with F + applications of the preconditioner, and seconds of the solver."""
+    """Return products with F + applications of the preconditioner, and seconds of the solver."""
     count = f"{run['products']}+{run['preconditioned']}" if run["converged"] else "-"
     return f"{count} {run['seconds']['total']:7.2f}"
 
 
 def print_worst(runs: Sequence[dict[str, Any]], ways: Sequence[tuple[str, str]]) -> None:
-    """Print the largest number of products relative to the uniform material, for each way."""
+    """Print the largest number of products relative to the uniform material, per column."""
     for aligned in (True, False):
         row = []
         for way in ways:

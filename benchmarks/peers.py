@@ -1,11 +1,11 @@
-"""fenics_tfeti and other codes on the same mesh, side by side.
+"""Comparison of fenics_tfeti with other codes on the same mesh.
 
     python benchmarks/peers.py --divisions 8 16 --json out.json
     python benchmarks/peers.py --divisions 8 --codes getfem snesvi-icc
 
-Each code runs in a process of its own, on one thread. Seconds count from the arrays of the mesh to
-the displacement at the nodes; imports and just-in-time compilation are apart. Where others use the
-machine too, compare the seconds of the processor rather than those of the clock.
+Each code runs in its own process, on one thread. Seconds are from the arrays of the mesh to the
+displacement at the nodes, without imports and just-in-time compilation. On a shared machine,
+compare processor seconds and not wall time.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ RTOL = 1e-6
 
 @dataclass(frozen=True)
 class Code:
-    """A way to solve a scene: a function of `module`, and the Debian package that has it."""
+    """A code for a scene: a function of `module`, and the Debian package that it needs."""
 
     scene: str
     module: str
@@ -53,7 +53,7 @@ def _ccx() -> object:
     return shutil.which("ccx")
 
 
-# the first of each scene is what the others are compared with
+# the first code of each scene is the reference
 CODES = {
     "tfeti": Code(TWO, "peers_fenics", "solve_by_tfeti", (RTOL,)),
     "tfeti-scotch": Code(TWO, "peers_fenics", "solve_by_tfeti", (RTOL, "scotch")),
@@ -70,7 +70,7 @@ CODES = {
     "snesvi-gamg": Code(RIGID, "peers_fenics", "solve_by_snesvi", (RTOL, "gamg")),
     "snesvi-mumps": Code(RIGID, "peers_fenics", "solve_by_snesvi", (RTOL, "mumps")),
 }
-OURS = {TWO: "tfeti", RIGID: "tfeti-rigid"}
+REFERENCE = {TWO: "tfeti", RIGID: "tfeti-rigid"}
 COLUMNS = (
     ("code", "{:<17}"),
     ("seconds", "{:>8.2f}"),
@@ -92,10 +92,10 @@ def main() -> None:
         run_child(*arguments.child)
         return
     chosen = list(CODES) if "all" in arguments.codes else arguments.codes
-    # what the others are compared with runs in any case
-    wanted = {OURS[CODES[name].scene] for name in chosen}.union(chosen)
+    # the reference runs in any case
+    wanted = {REFERENCE[CODES[name].scene] for name in chosen}.union(chosen)
     rows: list[dict[str, Any]] = []
-    for scene in (s for s in SCENES if OURS[s] in wanted):
+    for scene in (s for s in SCENES if REFERENCE[s] in wanted):
         names = [n for n in CODES if n in wanted and CODES[n].scene == scene]
         for divisions in arguments.divisions:
             rows += compare(scene, names, divisions)
@@ -109,7 +109,7 @@ def parse_arguments() -> argparse.Namespace:
         "--divisions", type=int, nargs="+", default=[8], metavar="1/h", help="elements per metre"
     )
     parser.add_argument("--codes", nargs="+", default=["all"], choices=["all", *CODES])
-    parser.add_argument("--json", metavar="FILE", help="write all figures")
+    parser.add_argument("--json", metavar="FILE", help="write the table")
     parser.add_argument("--child", nargs=3, help=argparse.SUPPRESS)
     return parser.parse_args()
 
@@ -120,7 +120,7 @@ def compare(scene: str, names: list[str], divisions: int) -> list[dict[str, Any]
     print(f"{scene}, h = 1/{divisions}, {unknowns} unknowns")
     print(HEADER)
     rows: list[dict[str, Any]] = []
-    ours: tuple[dict[str, Any], Answer] | None = None
+    reference: tuple[dict[str, Any], Answer] | None = None
     for name in names:
         row: dict[str, Any] = {"scene": scene, "divisions": divisions, "unknowns": unknowns}
         row["code"] = name
@@ -132,37 +132,37 @@ def compare(scene: str, names: list[str], divisions: int) -> list[dict[str, Any]
         try:
             figures, answer = run(name, divisions)
         except RuntimeError as error:
-            if ours is None:  # then there is nothing to compare with
+            if reference is None:
                 raise
             row["failed"] = str(error)
             print(f"{name:<17} failed: {error}")
             continue
         row.update(figures)
-        ours = ours or (row, answer)
-        row.update(differences(row, answer, *ours))
+        reference = reference or (row, answer)
+        row.update(differences(row, answer, *reference))
         print(*(form.format(row[key]) for key, form in COLUMNS), flush=True)
     print()
     return rows
 
 
 def differences(
-    row: dict[str, Any], answer: Answer, our_row: dict[str, Any], ours: Answer
+    row: dict[str, Any], answer: Answer, reference_row: dict[str, Any], reference: Answer
 ) -> dict[str, float]:
     """Compare with the answer of fenics_tfeti, at nodes of the same coordinates and body."""
-    order, our_order = (sort_key(a.coordinates, a.body) for a in (answer, ours))
-    same = np.allclose(answer.coordinates[order], ours.coordinates[our_order], atol=1e-6)
-    if not (same and np.array_equal(answer.body[order], ours.body[our_order])):
+    order, reference_order = (sort_key(a.coordinates, a.body) for a in (answer, reference))
+    same = np.allclose(answer.coordinates[order], reference.coordinates[reference_order], atol=1e-6)
+    if not (same and np.array_equal(answer.body[order], reference.body[reference_order])):
         raise AssertionError("the codes did not solve on the same nodes")
-    u, v = answer.displacement[order], ours.displacement[our_order]
+    u, v = answer.displacement[order], reference.displacement[reference_order]
     return {
         "difference": float(np.linalg.norm(u - v) / np.linalg.norm(v)),
-        "force_difference": abs(answer.force - ours.force) / abs(ours.force),
-        "ratio": row["processor_seconds"] / our_row["processor_seconds"],
+        "force_difference": abs(answer.force - reference.force) / abs(reference.force),
+        "ratio": row["processor_seconds"] / reference_row["processor_seconds"],
     }
 
 
 def run(name: str, divisions: int) -> tuple[dict[str, Any], Answer]:
-    """Run a code in a process of its own; raise RuntimeError with its last words if it fails."""
+    """Run a code in its own process; raise RuntimeError with its last output if it fails."""
     one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "answer.npz"
@@ -182,11 +182,11 @@ def run(name: str, divisions: int) -> tuple[dict[str, Any], Answer]:
 
 
 def run_child(name: str, divisions: str, output: str) -> None:
-    """Solve, and write the answer with the figures of this process and its own children."""
+    """Solve, and write the answer with the figures of this process and its children."""
     code = CODES[name]
     solve = getattr(importlib.import_module(code.module), code.function)
     if code.module == "peers_fenics":
-        solve(SCENES[code.scene](2), *code.arguments)  # compile the forms, or load them
+        solve(SCENES[code.scene](2), *code.arguments)  # compiles the forms
     scene = SCENES[code.scene](int(divisions))
     clock, processor = time.perf_counter(), _processor_seconds()
     answer: Answer = solve(scene, *code.arguments)
@@ -207,7 +207,7 @@ def run_child(name: str, divisions: str, output: str) -> None:
 
 
 def _processor_seconds() -> float:
-    """Return what this process and the children it waited for have used."""
+    """Return processor seconds of this process and of its finished children."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(usage.ru_utime + usage.ru_stime for usage in used)
 

@@ -14,25 +14,25 @@ from peers_scene import POISSON, TRACTION, YOUNG, Answer, Scene
 
 # vertices x + 2 y + 4 z in the order of C3D8
 _ORDER = [0, 1, 3, 2, 4, 5, 7, 6]
-# Contact, surface behaviour, equation solver. The penalty of 100 E a metre needs the fewest steps
-# of those tried (10 at h = 1/8; 1e3 E: 12, 1e4 E: 17), and the iterative solver the least time of
-# those packaged. With mortars the iterative solvers did not end within a minute at h = 1/8.
+# Contact, surface behaviour, equation solver. The penalty of 100 E per metre needs the fewest steps
+# (10 at h = 1/8; 1e3 E: 12, 1e4 E: 17), and ITERATIVE CHOLESKY the least time of the solvers in
+# Debian's package. With mortars the iterative solvers do not finish within a minute at h = 1/8.
 WAYS = {
     "penalty": (
         "SURFACE TO SURFACE",
         f"*SURFACE BEHAVIOR,PRESSURE-OVERCLOSURE=LINEAR\n{100 * YOUNG:g}\n",
         "ITERATIVE CHOLESKY",
     ),
-    # without a surface behaviour: dual multipliers, truly hard contact
+    # without surface behaviour: dual multipliers, hard contact
     "mortar": ("MORTAR", "", "SPOOLES"),
 }
 
 
 def solve_by_calculix(scene: Scene, way: str) -> Answer:
-    """Write the input, run ccx, read the displacement and the clamp's reaction.
+    """Write the input, run ccx, read the displacement and the reaction of the clamp.
 
-    The contact carries all of the load on the upper beam to the clamp, so the contact force is the
-    reaction there.
+    The contact transmits the whole load of the upper beam to the clamp, so the contact force is the
+    reaction of the clamp.
     """
     with tempfile.TemporaryDirectory() as folder:
         with open(Path(folder) / "beams.inp", "w") as file:
@@ -86,7 +86,7 @@ def _write(file: TextIO, scene: Scene, contact: str, behaviour: str, solver: str
 
 
 def _nodal_load(scene: Scene) -> NDArray[np.float64]:
-    """Return the forces along z that the traction on the upper beam's top and end adds up to."""
+    """Return the nodal forces in z of the traction on the top and the end of the upper beam."""
     force = np.zeros(len(scene.points))
     vertices = scene.points[scene.cells]
     for axis, place in ((2, 2.0), (0, 1.0)):

@@ -1,4 +1,4 @@
-"""The scenes of `peers.py` in dolfinx: by fenics_tfeti, and by PETSc's SNESVI the rigid one."""
+"""The scenes of `peers.py` in dolfinx: fenics_tfeti, and PETSc's SNESVI for the rigid ground."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Elasticity:
         self.bcs = self._supports()
 
     def _is_over(self, x: Any) -> Any:
-        """Tell what of the slave's face z = 1 has something below it."""
+        """Select the part of the face z = 1 of the slave that is above the master or the ground."""
         return x[0] < 2 + 1e-9 if self.has_lower else x[0] < np.inf
 
     def _forms(self) -> tuple[Any, Any]:
@@ -108,7 +108,7 @@ def solve_by_tfeti(scene: Scene, rtol: float, partitioner: str = "auto") -> Answ
 
 
 def _ground(x: Any) -> tuple[Any, Any]:
-    """Say the gap along z, as the bound of SNESVI does."""
+    """Return the gap along z, as in the bound of SNESVI, and the normal."""
     return ground_gap(x), np.tile([[0.0], [0.0], [1.0]], x.shape[1])
 
 
@@ -155,7 +155,7 @@ def _newton(matrix: Any, load: Any, rtol: float, solver: str) -> Any:
         out.axpy(-1.0, load)
 
     def jacobian(snes: Any, _: Any, J: Any, P: Any) -> None:
-        # the reduced matrix changes its size with the active set, which GAMG refuses
+        # the size of the reduced matrix changes with the active set; GAMG has to be reset for that
         _linear_solver(snes.getKSP(), rtol, solver)
 
     snes.setFunction(residual, load.duplicate())

@@ -41,7 +41,7 @@ def solve_by_getfem(scene: Scene, rtol: float) -> Answer:
         model.add_source_term_brick(rules[0], "upper", "traction", region)
     model.add_Dirichlet_condition_with_simplification("lower", CLAMPED)
     _guide(model, spaces[0])
-    version = 1  # the unsymmetric one of Alart and Curnier: the symmetric one does not converge
+    version = 1  # unsymmetric, Alart and Curnier; the symmetric version does not converge
     model.add_nodal_contact_between_nonmatching_meshes_brick(
         rules[0], rules[1], "upper", "lower", "force", "r", SLAVE, MASTER, 1, 0, version
     )

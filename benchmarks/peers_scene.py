@@ -1,4 +1,4 @@
-"""The meshes that all codes of `peers.py` are given, as arrays, and what every code returns."""
+"""Meshes of `peers.py` as arrays, and the answer that every code returns."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 YOUNG, POISSON, TRACTION = 2.1e11, 0.3, 20e6  # [Pa], [-], [Pa]
 LAMBDA = YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
 MU = YOUNG / (2 * (1 + POISSON))
-# Height of the rigid ground of the one beam at the section x [m]: flat, then falling away.
+# the rigid ground is flat up to x = 2 m, then a parabola with this coefficient [1/m]
 GROUND_SLOPE = 2e-3
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Boxes of cubes: the body of a node or cell is its box.
+    """Boxes meshed by cubes; each box is a body.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Scene:
 
 @dataclass
 class Answer:
-    """What a code found.
+    """The solution of a code.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Answer:
     force : float
         Sum of the contact forces [N].
     facts : dict
-        What is worth telling: numbers of iterations, the residual that was reached.
+        Number of iterations and other figures to print.
     """
 
     coordinates: NDArray[np.float64]
@@ -70,7 +70,7 @@ def two_beams(divisions: int) -> Scene:
 
 
 def one_beam(divisions: int) -> Scene:
-    """Return the upper beam alone, for a rigid ground instead of the lower one."""
+    """Return the upper beam alone, to be used with a rigid ground."""
     return _scene(divisions, {2: (1.0, 1.0)})
 
 
@@ -83,7 +83,7 @@ def ground_gap(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def sort_key(coordinates: NDArray[np.float64], body: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return the order that puts the nodes of any code into the same one."""
+    """Return a permutation that sorts the nodes of any code in the same way."""
     x, y, z = np.round(coordinates, 6).T
     return np.asarray(np.lexsort((z, y, x, body)))
 

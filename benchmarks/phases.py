@@ -1,11 +1,11 @@
-"""Where the time goes: seconds of each phase of a solve, one table for all problems.
+"""Seconds of each phase of a solve, in one table for all problems.
 
     python benchmarks/phases.py [--problems beams stack] [--json out.json]
 
-Each of the problems of `products.py` is posed and solved twice in this process, with its default
-options; the second time is printed, when forms are compiled and libraries are loaded. Phases are
-those of the report, in seconds and in percent of their sum; what the user's script does before
-`ContactProblem` (mesh, forms) is not among them.
+Each problem of `products.py` is set up and solved twice in this process with its default options.
+The second time is printed, when forms are compiled and libraries are loaded. Phases are those of
+the report, in seconds and in per cent of their sum. They do not include what the script does before
+`ContactProblem` (mesh, forms).
 """
 
 from __future__ import annotations

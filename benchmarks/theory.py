@@ -1,12 +1,13 @@
-"""Theorem 11.1 measured: the spectrum of PFP on ker G against H/h and against 1/h.
+"""The spectrum of PFP on Ker G as a function of H/h and of 1/h, compared with theorem 11.1.
 
     python benchmarks/theory.py [--ratios 4 8 16] [--metres 1 2 3] [--json FILE] [--plot FILE]
 
-The theorem bounds the eigenvalues of PFP + rho Q between c and C H/h, with F in units of the
-inverse of E h (E in the plane): the smallest should stay where it is, the largest grow like H/h,
-and neither should see 1/h at fixed H/h. The orthonormal rows of B that it assumes (11.22) are those
-of scaling="multiplicity". Measured on the two beams of sec. 11.11.1 in cubes, and, to larger H/h,
-on two sheets in squares. Beside it the products of plain SMALBE-M and of the default method.
+By (11.42) the eigenvalues of PFP + rho Q lie between c and C H/h, with F in units of 1 / (E h), in
+two dimensions of 1 / E: the smallest one is bounded from below, the largest one grows at most like
+H/h, and neither depends on 1/h at fixed H/h. The orthonormal rows of B that the theorem assumes,
+(11.22), are those of scaling="multiplicity". The problems are the two beams of sec. 11.11.1 in
+cubes, and two sheets in squares, which allow larger H/h. The table also has the products of plain
+SMALBE-M and of the default method.
 """
 
 from __future__ import annotations
@@ -35,10 +36,10 @@ PLAIN = Options(rtol=1e-4, **beams.PLAIN)
 
 
 def extreme_eigenvalues(solver: TornSolver, rtol: float = 1e-4) -> tuple[float, float]:
-    """Return the smallest and the largest eigenvalue of PFP on ker G, by Lanczos. Serial.
+    """Return the smallest and the largest eigenvalue of PFP on Ker G, by Lanczos. Serial.
 
-    On Im G', which P removes, the operator is made to be in the way of neither end: zero while the
-    largest eigenvalue is looked for, more than that one for the smallest.
+    On Im G', which P removes, the operator is a multiple of the identity away from the end that is
+    computed: zero for the largest eigenvalue, twice the largest eigenvalue for the smallest one.
     """
     projector, m = solver.setup.projector, solver.setup.constraints.layout.size
 
@@ -63,7 +64,7 @@ def extreme_eigenvalues(solver: TornSolver, rtol: float = 1e-4) -> tuple[float, 
 
 
 def two_beams(metres: int, ratio: int) -> ContactProblem:
-    """Return the two beams, `metres` cubes of `ratio`^3 elements a metre."""
+    """Return the two beams, with `metres` cubes of `ratio`^3 elements per metre."""
     return beams.build(
         argparse.Namespace(
             subdomains_per_metre=metres, elements_per_subdomain=ratio, rtol=1e-4, plain=True
@@ -72,7 +73,7 @@ def two_beams(metres: int, ratio: int) -> ContactProblem:
 
 
 def two_sheets(metres: int, ratio: int) -> ContactProblem:
-    """Return the same in the plane: two sheets, one on the other, in plane strain."""
+    """Return two sheets in contact in plane strain, the two-dimensional two beams."""
     n = metres * ratio
     parts = [Box((0, 0), (2, 1), (2 * n, n)), Box((1, 1), (3, 2), (2 * n, n))]
     tagged = boxes(MPI.COMM_WORLD, parts, "quadrilateral")
@@ -140,9 +141,9 @@ def measure(system: TornSystem, metres: int, ratio: int) -> dict[str, float]:
 
 
 def slope(rows: list[dict[str, float]], x: str, y: str) -> float:
-    """Return the slope in the log-log plot by least squares, m = 1 left out where m varies.
+    """Return the slope in the log-log plot by least squares; without m = 1 where m varies.
 
-    A cube at a beam's end has neighbours on one side only: no node has eight copies there.
+    With m = 1 every cube has neighbours on two sides at most, and no node has eight copies.
     """
     if x == "1/h":
         rows = [row for row in rows if row["subdomains per metre"] > 1] or rows
@@ -190,7 +191,7 @@ def draw(tables: dict[str, list[dict[str, float]]], path: str) -> None:
         ax.set_xlabel(x if x == "H/h" else "1/h at fixed H/h [1/m]")
         ax.grid(True, which="both", alpha=0.3)
         ax.legend(fontsize=7)
-    axes[0].set_ylabel("eigenvalues of PFP on ker G, scaled")
+    axes[0].set_ylabel("eigenvalues of PFP on Ker G, scaled")
     figure.suptitle("Theorem 11.1 on the two beams (3D) and two sheets (2D)", fontsize=10)
     figure.tight_layout()
     figure.savefig(path, dpi=110)

@@ -1,0 +1,38 @@
+"""The documentation lists all options with their defaults, and all files of the layers."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from fenics_tfeti.feti import Options
+from fenics_tfeti.options import ContactOptions
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_all_options_with_their_defaults():
+    text = (ROOT / "docs" / "options.rst").read_text()
+    listed = dict(re.findall(r"^   \* - ``(\w+)``\n     - (.+)$", text, re.MULTILINE))
+    given = [f for kind in (Options, ContactOptions) for f in fields(kind) if f.name != "solver"]
+    assert set(listed) == {f.name for f in given}
+    for f in given:
+        if isinstance(f.default, bool):
+            assert listed[f.name] == str(f.default).lower()
+        elif isinstance(f.default, str):
+            assert listed[f.name] == f'``"{f.default}"``'
+        else:
+            assert float(listed[f.name].replace(" ", "")) == f.default
+
+
+@pytest.mark.parametrize("layer", ["qp", "feti"])
+def test_all_files_of_a_layer(layer):
+    text = (ROOT / "docs" / "contributing.rst").read_text()
+    section = text.split(f"\n``fenics_tfeti.{layer}``\n")[1].split("\n``fenics_tfeti.")[0]
+    folder = ROOT / "fenics_tfeti" / layer
+    files = {p.relative_to(folder).as_posix() for p in folder.rglob("*.py")}
+    listed = set(re.findall(r"^    ``([\w/]+\.py)``", section, re.MULTILINE))
+    assert listed == {file for file in files if not file.endswith("__init__.py")}
