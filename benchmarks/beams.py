@@ -110,7 +110,7 @@ def print_table(report, wall: float) -> None:
         "products": report.products,
         "seconds": {name: f"{time:.2f}" for name, time in report.seconds.items()},
         "certificate": {
-            name: f"{value:.1e}" for name, value in report.to_dict()["certificate"].items()
+            name: f"{value:.1e}" for name, value in report.certificate.numbers().items()
         },
         "solve": {
             "subdomains": report.subdomains,

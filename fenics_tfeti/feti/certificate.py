@@ -17,7 +17,7 @@ error.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 
 from mpi4py import MPI
@@ -116,22 +116,22 @@ class Certificate:
     smallest_force: float
     complementarity: float
 
+    def numbers(self) -> dict[str, float]:
+        """Return what the tolerance limits, by name; of groups and bodies the largest error."""
+        return {
+            "error": self.error,
+            "error of a group": max((group.error for group in self.groups), default=0.0),
+            "error of a body": max((body.error for body in self.bodies), default=0.0),
+            "equilibrium": self.equilibrium,
+            "penetration": self.penetration,
+            "negative force": max(0.0, -self.smallest_force),
+            "complementarity": self.complementarity,
+        }
+
     @property
     def worst(self) -> float:
         """The largest of all numbers."""
-        return max(
-            self.error,
-            max((group.error for group in self.groups), default=0.0),
-            max((body.error for body in self.bodies), default=0.0),
-            self.equilibrium,
-            self.penetration,
-            max(0.0, -self.smallest_force),
-            self.complementarity,
-        )
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the certificate as nested dictionaries."""
-        return asdict(self)
+        return max(self.numbers().values())
 
 
 @dataclass(frozen=True)
