@@ -44,6 +44,8 @@ LANCZOS_STEPS = 15
 _ROUGH_LANCZOS_STEPS = 3
 # a contact force below this part of the two numbers that it is the sum of is rounding
 _CANCELLED = 1e-13
+# rounding errors, in units of the last place, that add up in the jumps
+_ROUNDING_ERRORS = 64
 # gaps farther than this many times the largest jump of displacements are shortened for SMALBE-M
 _FAR = 1e4
 
@@ -208,7 +210,8 @@ def iterate_until_certified(
     loop = _Loop.begin(setup, data, options, timer, history, body_names)
     stage = _Stage(loop.first_state(start), solved=False)
     use_active_set = options.method == "active_set"
-    limit, tolerance, worst = max(options.rtol, ROUNDING), options.rtol * loop.scale, np.inf
+    limit, tolerance = max(options.rtol, ROUNDING), options.rtol * loop.scale
+    smallest, tolerance_of_smallest = np.inf, np.inf
     while True:
         tolerance = max(tolerance, loop.rounding)
         if use_active_set:
@@ -217,13 +220,14 @@ def iterate_until_certified(
         if not use_active_set:
             stage = loop.smalbe(stage.state, tolerance)
         candidate = loop.recover(stage.state)
-        previous, worst = worst, candidate.certificate.worst
+        worst = candidate.certificate.worst
         if worst <= limit:
             return Outcome(candidate, stage.state, True, "converged", tolerance)
         if not stage.solved:
             return Outcome(candidate, stage.state, False, stage.reason, tolerance)
-        stagnates = worst > 0.5 * previous and tolerance <= 1e-3 * options.rtol * loop.scale
-        if stagnates or tolerance <= loop.rounding:
+        if worst <= 0.5 * smallest:
+            smallest, tolerance_of_smallest = worst, tolerance
+        elif tolerance <= max(1e-2 * tolerance_of_smallest, loop.rounding):
             reason = (
                 f"the error of the displacement is {worst:.1e}, and more iterations do not reduce "
                 "it: the accuracy is at the limit of rounding"
@@ -284,13 +288,14 @@ class _Loop:
         rows, closing = setup.constraints.inequality, data.c.copy()
         closing[rows] = np.minimum(closing[rows], 0.0)
         largest = np.sqrt(setup.local.unit) * layout.space.norm(closing)
-        rounding = float(np.finfo(float).eps * (scale + largest))
+        rounding = float(_ROUNDING_ERRORS * np.finfo(float).eps * (scale + largest))
         return _Loop(setup, data, options, timer, history, primal, d, scale, rounding)
 
     def first_state(self, start: DualState | None) -> DualState:
         """Return the given state, or multipliers that vanish: no contact, nothing glued."""
-        none = np.zeros_like(self.d)
-        return start or DualState(none, none)
+        none = DualState(np.zeros_like(self.d), np.zeros_like(self.d))
+        # where nothing moves, other multipliers would leave displacements of rounding size
+        return none if start is None or self.scale == 0.0 else start
 
     def active_set(self, stage: _Stage, tolerance: float) -> _Stage:
         """Run the primal-dual active set method on (11.36)."""
@@ -413,16 +418,22 @@ class _Loop:
 def _energy_of_jumps(
     setup: DualSetup, data: ContactData, d: Vector, timer: Timer, history: History
 ) -> float:
-    """Return r'Mr of the residual r = Pd~ at lambda~, on the face of lambda~ [J]."""
-    rows = setup.constraints.inequality
-    face = Projector.build(setup.projector.coarse_space, data.feasible[rows] > 0.0)
-    r = face.P(face.on_rows(d))
+    """Return r'Mr of the jumps r = B u_t - c at lambda~ that have to be closed [J].
+
+    These are the jumps on the face of lambda~, and on other contact rows the penetrations.
+    """
+    layout, rows = setup.constraints.layout, setup.constraints.inequality
+    pressing = data.feasible[rows] > 0.0
+    face = Projector.build(setup.projector.coarse_space, pressing)
+    r = face.remove_rigid_motion(layout.owned_part(d), d)[0]
+    r[rows] = np.where(pressing, r[rows], np.maximum(r[rows], 0.0))
     if setup.precondition is None:
         with timer.phase("norm"):
             norm = setup.norm(_ROUGH_LANCZOS_STEPS)
-        return setup.constraints.layout.space.dots((r, r))[0] / (norm or 1.0)
+        return layout.space.dots((r, r))[0] / (norm or 1.0)
     history.products.preconditioner += 1
-    return face.P_of_sum(setup.precondition(r), r)[1]
+    part = np.array([r @ setup.precondition(r)])
+    return float(layout.space.sum_over_ranks(part)[0])
 
 
 def dual_problem(setup: DualSetup, data: ContactData, norm: float) -> DualProblem:
