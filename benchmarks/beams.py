@@ -24,8 +24,7 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.io.fields import displacement_space
-from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 
 CLAMPED, GUIDED, SLAVE, MASTER, LOADED = 3, 4, 5, 6, 7
 PLAIN = {

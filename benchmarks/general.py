@@ -38,9 +38,8 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 
 from fenics_tfeti import ContactPair, ContactProblem
-from fenics_tfeti.fem.io.fields import displacement_space
-from fenics_tfeti.fem.io.gmsh import TaggedMesh, read_msh
 from fenics_tfeti.feti.report import Timer, peak_memory
+from fenics_tfeti.io import TaggedMesh, displacement_space, read_msh
 
 MESHES = Path(__file__).parents[1] / "meshes"
 CONTACT = ("contact_upper", "contact_lower")

@@ -29,9 +29,8 @@ from dolfinx import fem
 
 from fenics_tfeti.fem.decomposition.assembly import prepare_forms
 from fenics_tfeti.fem.decomposition.parts import number_parts
-from fenics_tfeti.fem.io.fields import displacement_space
-from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
 from fenics_tfeti.feti import ContactRows, Options, Prescribed, Subdomain, TornSolver, TornSystem
+from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 
 YOUNG, POISSON = 2.1e11, 0.3
 TRACTION = -20e6  # [Pa] in z

@@ -29,10 +29,10 @@ from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.decomposition.partition import find_bodies, split_into_subdomains
-from fenics_tfeti.fem.io.fields import displacement_space
-from fenics_tfeti.fem.io.gmsh import TaggedMesh, read_msh
+from fenics_tfeti.fem.decomposition.bodies import find_bodies
+from fenics_tfeti.fem.decomposition.partition import split_into_subdomains
 from fenics_tfeti.feti import TornSolver, TornSystem, parse_options
+from fenics_tfeti.io import TaggedMesh, displacement_space, read_msh
 
 SOFT = 2.1e11
 LOWER, UPPER = 0, 1

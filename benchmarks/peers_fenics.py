@@ -18,8 +18,7 @@ from dolfinx.mesh import meshtags
 
 from fenics_tfeti import ContactPair, ContactProblem, RigidObstacle
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.io.fields import displacement_space
-from fenics_tfeti.fem.io.structured import tag_facets
+from fenics_tfeti.io import displacement_space, tag_facets
 
 CLAMPED, GUIDED, SLAVE, MASTER, LOADED = 3, 4, 5, 6, 7
 

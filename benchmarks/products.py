@@ -35,11 +35,10 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle
-from fenics_tfeti.fem.io.fields import displacement_space
-from fenics_tfeti.fem.io.gmsh import TaggedMesh, read_msh
 from fenics_tfeti.feti import Options, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.pcpg import Face, pcpg
+from fenics_tfeti.io import TaggedMesh, displacement_space, read_msh
 from fenics_tfeti.qp import Products
 
 meshes = Path(__file__).parent.parent / "meshes"

@@ -27,9 +27,8 @@ from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.io.fields import displacement_space
-from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
 from fenics_tfeti.feti import Options, TornSolver, TornSystem
+from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 
 YOUNG, POISSON = 2.1e11, 0.3
 PLAIN = Options(rtol=1e-4, **beams.PLAIN)

@@ -35,9 +35,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactProblem, RigidObstacle, Sphere
-from fenics_tfeti.fem.io.fields import displacement_space
-from fenics_tfeti.fem.io.pictures import draw_profile
-from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, displacement_space, draw_profile, tag_facets
 
 results = Path(__file__).parent.parent / "results"
 comm = MPI.COMM_WORLD

@@ -32,9 +32,15 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem
-from fenics_tfeti.fem.io.fields import contact_fields, displacement_space, von_mises, write_fields
-from fenics_tfeti.fem.io.gmsh import read_msh
-from fenics_tfeti.fem.io.pictures import draw_deformed, draw_profile
+from fenics_tfeti.io import (
+    contact_fields,
+    displacement_space,
+    draw_deformed,
+    draw_profile,
+    read_msh,
+    von_mises,
+    write_fields,
+)
 
 here = Path(__file__).parent
 results = here.parent / "results"

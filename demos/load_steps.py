@@ -33,9 +33,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactProblem, Plane, RigidObstacle
-from fenics_tfeti.fem.io.fields import displacement_space
-from fenics_tfeti.fem.io.gmsh import read_msh
-from fenics_tfeti.fem.io.pictures import draw_profile
+from fenics_tfeti.io import displacement_space, draw_profile, read_msh
 
 here = Path(__file__).parent
 results = here.parent / "results"

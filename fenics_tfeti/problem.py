@@ -19,21 +19,17 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import (
     Contact,
     ContactPair,
+    ContactPairing,
     ContactResult,
-    MatchedContact,
     contact_name,
-    contact_rows,
-    match_contacts,
 )
 from fenics_tfeti.fem.contact.deformed import GeometryPass, deformed_contact, geometry_pass
+from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
 from fenics_tfeti.fem.contact.surfaces import MeshBoundary
 from fenics_tfeti.fem.contact.transfer import check_same_contacts, expected_contact, gather_solved
 from fenics_tfeti.fem.decomposition.assembly import prepare_forms, same_values
-from fenics_tfeti.fem.decomposition.partition import (
-    find_bodies,
-    given_subdomains,
-    split_into_subdomains,
-)
+from fenics_tfeti.fem.decomposition.bodies import find_bodies
+from fenics_tfeti.fem.decomposition.partition import given_subdomains, split_into_subdomains
 from fenics_tfeti.fem.decomposition.parts import number_parts
 from fenics_tfeti.fem.displacement import (
     displacement_function,
@@ -125,9 +121,9 @@ class ContactProblem:
         self.space = space_of_forms(a, L)
         self.bcs, self.contacts = list(bcs), list(contacts)
         self._searched: list[Contact] = []
-        self._matched: list[MatchedContact] = []
-        self._moved: list[MatchedContact] = []
-        self._used: list[MatchedContact] = []
+        self._matched: list[ContactPairing] = []
+        self._moved: list[ContactPairing] = []
+        self._used: list[ContactPairing] = []
         self._solver: TornSolver | None = None
         self._displacement: Function | None = None
         prescribed = prescribed_values(self.space, self.bcs)
@@ -222,7 +218,7 @@ class ContactProblem:
                 raise InputError("the coarse problem is not solved; call its solve() first")
 
     def _guess(
-        self, coarse: ContactProblem | None, matched: Sequence[MatchedContact]
+        self, coarse: ContactProblem | None, matched: Sequence[ContactPairing]
     ) -> ContactGuess | None:
         if coarse is None or coarse._displacement is None:
             return None
@@ -270,7 +266,7 @@ class ContactProblem:
         self.system = self._torn_system(torn, prescribed)
 
     def _solve_linearised(
-        self, matched: Sequence[MatchedContact], coarse: ContactProblem | None = None
+        self, matched: Sequence[ContactPairing], coarse: ContactProblem | None = None
     ) -> Function:
         rows = contact_rows(matched, self.system.gdim)
         system = replace(self.system, contacts=rows)
@@ -325,9 +321,9 @@ class ContactProblem:
             )
         return uh
 
-    def _take(self, solution: TornSolution, matched: Sequence[MatchedContact]) -> Function:
+    def _take(self, solution: TornSolution, matched: Sequence[ContactPairing]) -> Function:
         versions = {**solution.report.versions, "dolfinx": _compat.version()}
-        pairing = [match.pairing for match in self._matched]
+        pairing = [match.summary for match in self._matched]
         self.report = ContactReport(
             **{
                 **vars(solution.report),
@@ -355,7 +351,7 @@ def _gives_normals(contact: Contact) -> bool:
 
 
 def _contact_result(
-    matched: MatchedContact, force: NDArray[np.float64], comm: MPI.Intracomm
+    matched: ContactPairing, force: NDArray[np.float64], comm: MPI.Intracomm
 ) -> ContactResult:
     return ContactResult(
         matched.name,

@@ -24,6 +24,8 @@ import dolfinx.fem.petsc
 import ufl
 from dolfinx import cpp, fem, mesh
 
+from fenics_tfeti.fem.reference_cells import reference_cell
+
 Numbers = NDArray[np.int32]
 
 
@@ -152,8 +154,7 @@ def geometry_degree(domain: mesh.Mesh) -> int:
       the same in all of them.
     """
     nodes = geometry_cells(domain).shape[1]
-    vertices = {"triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8}
-    return 1 if nodes == vertices[cell_name(domain)] else 2
+    return 1 if nodes == reference_cell(cell_name(domain)).vertices else 2
 
 
 def cell_name(domain: mesh.Mesh) -> str:

@@ -1,4 +1,4 @@
-"""The user's displacement space: what is wanted of it, prescribed values, the solution in it."""
+"""The space of displacements: its checks, prescribed values, and the solution in it."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.feti import Prescribed, Subdomain
-from fenics_tfeti.feti.tolerances import SAME_VALUE
+from fenics_tfeti.fem.reference_cells import MESH_CELLS
+from fenics_tfeti.fem.tolerances import SAME_VALUE
+from fenics_tfeti.feti.system import Prescribed, Subdomain
 from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["displacement_function", "prescribed_values", "space_of_forms"]
@@ -24,7 +25,7 @@ Vector = NDArray[np.float64]
 
 
 def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
-    """Return the space of the forms' arguments, after checking that it is one for displacements.
+    """Return the space of the forms' arguments, and check that it is a space of displacements.
 
     Parameters
     ----------
@@ -34,12 +35,13 @@ def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
     Returns
     -------
     FunctionSpace
-        Continuous, of degree 1, with one component for each dimension.
+        Lagrange elements of degree 1 with one component for each dimension.
 
     Raises
     ------
     InputError
-        If it is not.
+        Wrong numbers of arguments, several spaces, another element, cells that are not
+        straight-sided.
     """
     arguments = a.arguments() + L.arguments()
     if len(a.arguments()) != 2 or len(L.arguments()) != 1:
@@ -55,7 +57,7 @@ def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
     if shape != (gdim,):
         kind = "scalar" if shape == () else f"of shape {shape}"
         raise InputError(
-            f"the function space is {kind}; a displacement needs {gdim} components, for instance "
+            f"the function space is {kind}; a displacement needs {gdim} components, as in "
             f"functionspace(mesh, ('Lagrange', 1, ({gdim},)))"
         )
     if family != "Lagrange" or degree != 1:
@@ -63,13 +65,22 @@ def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
             f"the function space is {family} of degree {degree}; node-to-node contact needs "
             "Lagrange elements of degree 1"
         )
+    cell = _compat.cell_name(space.mesh)
+    if cell not in MESH_CELLS:
+        raise InputError(
+            f"the mesh has cells of the type {cell}; supported are {', '.join(MESH_CELLS)}"
+        )
     if space.mesh.topology.dim != gdim or _compat.geometry_degree(space.mesh) != 1:
-        raise InputError("the mesh has to consist of straight-sided cells that fill its space")
+        raise InputError(
+            f"the mesh has cells of dimension {space.mesh.topology.dim} and geometric degree "
+            f"{_compat.geometry_degree(space.mesh)}; straight-sided cells of the dimension "
+            f"{gdim} of its coordinates are expected"
+        )
     return space
 
 
 def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
-    """Evaluate Dirichlet conditions.
+    """Evaluate Dirichlet conditions. Collective.
 
     Parameters
     ----------
@@ -81,7 +92,7 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
     Returns
     -------
     Prescribed
-        Those on this rank's degrees of freedom.
+        The values of this rank's degrees of freedom.
 
     Raises
     ------
@@ -119,6 +130,7 @@ def _check_values(
     given: NDArray[np.bool_],
     values: Vector,
 ) -> None:
+    """Check the new values at some dofs against the values that are given already."""
     bad = ~np.isfinite(new)
     if bad.any():
         raise InputError(

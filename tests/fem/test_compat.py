@@ -10,8 +10,8 @@ from mpi4py import MPI
 import numpy as np
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.decomposition.partition import find_bodies
-from fenics_tfeti.fem.io.structured import Box, boxes
+from fenics_tfeti.fem.decomposition.bodies import find_bodies
+from fenics_tfeti.io import Box, boxes
 
 
 def test_a_graph_is_always_cut_into_the_same_parts():

@@ -11,9 +11,9 @@ from mesh_arrays import grid, merged, mesh_of, slit, tags_of, together
 from dolfinx.mesh import CellType, create_unit_cube, create_unit_square
 
 from fenics_tfeti import ContactPair, InputError
-from fenics_tfeti.fem.decomposition.partition import find_bodies
-from fenics_tfeti.fem.io.structured import tag_facets
+from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.mesh_checks import check_mesh
+from fenics_tfeti.io import tag_facets
 
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 by_cell = pytest.mark.parametrize("cell", CELLS)

@@ -41,8 +41,8 @@ def deformed(cell, comm, kind):
         "gap alone": scene.obstacle(lambda x: x[gdim - 1] + 0.1),
     }[kind]
     known = scene.obstacle(ball) if kind == "gap alone" else contact
-    matched, uh = scene.matched(known), scene.displacement(*motions(gdim))
-    return matched.coordinates, deformed_contact(scene.space, contact, matched, uh)
+    pairing, uh = scene.pairing(known), scene.displacement(*motions(gdim))
+    return pairing.coordinates, deformed_contact(scene.space, contact, pairing, uh)
 
 
 @every_cell
@@ -53,7 +53,7 @@ def test_result_is_that_of_one_rank(cell, kind):
     row = {tuple(place): k for k, place in enumerate(np.round(every_place, 9) + 0.0)}
     rows = [row[tuple(place)] for place in np.round(places, 9) + 0.0]
     assert COMM.allreduce(len(rows)) == len(every_place)
-    for name in ("normal", "gap", "penetration", "partner_penetration"):
+    for name in ("normal", "gap", "penetration"):
         np.testing.assert_allclose(
             getattr(found, name), getattr(expected, name)[rows], atol=1e-13, err_msg=name
         )
@@ -62,16 +62,16 @@ def test_result_is_that_of_one_rank(cell, kind):
 
 def test_ghosts_of_the_displacement_are_brought_up_to_date():
     scene = blocks("triangle", comm=COMM)
-    matched, uh = scene.matched(scene.pair), scene.displacement()
-    result = deformed_contact(scene.space, scene.pair, matched, uh)
+    pairing, uh = scene.pairing(scene.pair), scene.displacement()
+    result = deformed_contact(scene.space, scene.pair, pairing, uh)
     assert np.isfinite(uh.x.array).all()
     np.testing.assert_allclose(result.gap, 0.1, atol=1e-14)
 
 
 def test_error_of_one_rank_is_raised_on_all():
     scene = blocks("triangle", comm=COMM)
-    matched, uh = scene.matched(scene.pair), fem.Function(scene.space)
+    pairing, uh = scene.pairing(scene.pair), fem.Function(scene.space)
     if COMM.rank == COMM.size - 1:
         uh.x.array[0] = np.nan
     with pytest.raises(InputError, match="NaN"):
-        deformed_contact(scene.space, scene.pair, matched, uh)
+        deformed_contact(scene.space, scene.pair, pairing, uh)

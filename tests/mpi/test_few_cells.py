@@ -12,7 +12,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactProblem, Plane, RigidObstacle
-from fenics_tfeti.fem.io.structured import tag_facets
+from fenics_tfeti.io import tag_facets
 
 COMM = MPI.COMM_WORLD
 

@@ -13,8 +13,7 @@ import dolfinx
 import ufl
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.io.gmsh import read_msh
-from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, read_msh, tag_facets
 
 COMM = MPI.COMM_WORLD
 TWO_BEAMS = Path(__file__).parents[2] / "meshes" / "two_beams.msh"

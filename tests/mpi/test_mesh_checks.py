@@ -9,9 +9,9 @@ import pytest
 from mesh_arrays import grid, mesh_of, slit, tags_of
 
 from fenics_tfeti import InputError
-from fenics_tfeti.fem.decomposition.partition import find_bodies
-from fenics_tfeti.fem.io.structured import Box, boxes
+from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.mesh_checks import check_mesh
+from fenics_tfeti.io import Box, boxes
 
 COMM = MPI.COMM_WORLD
 

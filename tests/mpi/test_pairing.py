@@ -10,7 +10,7 @@ import scenes
 from scenes import GROUND, MASTER, SLAVE
 
 from fenics_tfeti import ContactPair, RigidObstacle, Sphere
-from fenics_tfeti.fem.contact.contact import match_contact
+from fenics_tfeti.fem.contact.matching import match_contact
 from fenics_tfeti.fem.contact.surfaces import MeshBoundary
 from fenics_tfeti.parallel import concatenate_ranks
 
@@ -33,7 +33,7 @@ ARGUMENTS = {
 def gathered(on, arguments):
     """Match; return the pairs by the slave's coordinates, and the entry of the pairing table."""
     scene = scenes.two_beams(on, "hexahedron", 4, gap=0.1)
-    matched = match_contact(
+    pairing = match_contact(
         MeshBoundary.of(scene.V), ContactPair(scene.facet_tags, SLAVE, MASTER, **arguments), 0
     )
     points = scene.V.tabulate_dof_coordinates()
@@ -43,11 +43,11 @@ def gathered(on, arguments):
     )
     place = np.empty((node.size, 3))
     place[node] = concatenate_ranks(on, points[:own])
-    columns = [matched.coordinates, matched.normal, matched.gap, matched.area]
+    columns = [pairing.coordinates, pairing.normal, pairing.gap, pairing.area]
     columns = [concatenate_ranks(on, column) for column in columns]
-    columns.append(place[concatenate_ranks(on, matched.master)])
+    columns.append(place[concatenate_ranks(on, pairing.master)])
     order = np.lexsort(np.round(columns[0], 9).T)
-    return [column[order] for column in columns], matched.pairing
+    return [column[order] for column in columns], pairing.summary
 
 
 def rounded(entry):
@@ -79,7 +79,7 @@ def test_pairing_of_an_obstacle():
         ball = Sphere((0.4, 0.5, -10.0), 10.0)
         return match_contact(
             MeshBoundary.of(scene.V), RigidObstacle(scene.facet_tags, GROUND, ball), 0
-        ).pairing
+        ).summary
 
     assert rounded(entry(comm)) == rounded(entry(MPI.COMM_SELF))
 
@@ -89,7 +89,7 @@ def test_pairs_that_differ_between_ranks_are_refused():
     pairs = (X, X - 0.1 * UP - 1e-9 * comm.rank)
     pair = ContactPair(scene.facet_tags, SLAVE, MASTER, pairs=pairs)
     if comm.size == 1:
-        assert match_contact(MeshBoundary.of(scene.V), pair, 0).pairing["pairs"] == 25
+        assert match_contact(MeshBoundary.of(scene.V), pair, 0).summary["pairs"] == 25
         return
     with pytest.raises(ValueError, match="pairs differ between ranks"):
         match_contact(MeshBoundary.of(scene.V), pair, 0)

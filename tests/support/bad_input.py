@@ -17,7 +17,7 @@ from dolfinx import fem, mesh
 
 from fenics_tfeti import ContactPair, ContactProblem, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError, UnresistedMotion
-from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, tag_facets
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,13 @@ from dolfinx import fem
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import (
     ContactPair,
-    MatchedContact,
+    ContactPairing,
     RigidObstacle,
-    match_contact,
 )
 from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
+from fenics_tfeti.fem.contact.matching import match_contact
 from fenics_tfeti.fem.contact.surfaces import MeshBoundary
-from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, tag_facets
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 LOWER, UPPER = 1, 2
@@ -50,7 +50,7 @@ class Blocks:
     def obstacle(self, surface: Any) -> RigidObstacle:
         return RigidObstacle(self.facet_tags, slave=GROUND, obstacle=surface)
 
-    def matched(self, contact: Any) -> MatchedContact:
+    def pairing(self, contact: Any) -> ContactPairing:
         return match_contact(MeshBoundary.of(self.space), contact, 0)
 
     def displacement(
@@ -71,12 +71,12 @@ class Blocks:
 
     def deformed(
         self, lower: Motion | None = None, upper: Motion | None = None, **arguments: Any
-    ) -> tuple[MatchedContact, DeformedContact, Vector, Vector]:
+    ) -> tuple[ContactPairing, DeformedContact, Vector, Vector]:
         """Return the pair before and after, and the slave's and partners' displacements; serial."""
-        matched, uh = self.matched(self.pair), self.displacement(lower, upper)
-        result = deformed_contact(self.space, self.pair, matched, uh, **arguments)
+        pairing, uh = self.pairing(self.pair), self.displacement(lower, upper)
+        result = deformed_contact(self.space, self.pair, pairing, uh, **arguments)
         u = uh.x.array.reshape(-1, self.mesh.geometry.dim)
-        return matched, result, u[matched.slave], u[result.master]
+        return pairing, result, u[pairing.slave], u[result.master]
 
 
 def blocks(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, tag_facets
 
 YOUNG, POISSON = 2.1e11, 0.3
 TRACTION = 20e6

@@ -26,7 +26,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle, Sphere
-from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, tag_facets
 
 OPTIONS = {"rtol": 1e-9, "subdomain_size": 60}
 EVERYTHING = ["factors", "coarse problem", "norm", "multipliers"]

@@ -13,7 +13,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactProblem, NotConverged, Plane, RigidObstacle, Sphere
-from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, tag_facets
 
 YOUNG = 1e6
 OPTIONS = {"rtol": 1e-8, "non_penetration": "exact", "non_penetration_tolerance": 1e-7}

@@ -27,7 +27,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle, Sphere
-from fenics_tfeti.fem.io.gmsh import read_msh
+from fenics_tfeti.io import read_msh
 
 half_balls = runpy.run_path(str(Path(__file__).parents[2] / "meshes" / "half_balls.py"))[
     "half_balls"

@@ -23,7 +23,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactProblem, InputError, NotConverged, Plane, RigidObstacle
-from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, tag_facets
 
 every_change = pytest.mark.parametrize("change", CHANGES)
 

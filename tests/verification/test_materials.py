@@ -35,7 +35,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.io.structured import tag_facets
+from fenics_tfeti.io import tag_facets
 
 pytest.importorskip("gmsh")
 

@@ -27,7 +27,7 @@ from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.io.structured import tag_facets
+from fenics_tfeti.io import tag_facets
 
 pytest.importorskip("gmsh")
 

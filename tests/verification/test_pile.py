@@ -17,7 +17,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle
-from fenics_tfeti.fem.io.gmsh import read_msh
+from fenics_tfeti.io import read_msh
 
 pytest.importorskip("gmsh")
 

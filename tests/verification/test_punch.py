@@ -28,7 +28,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactProblem, RigidObstacle
-from fenics_tfeti.fem.io.gmsh import read_msh
+from fenics_tfeti.io import read_msh
 
 half_space = runpy.run_path(str(Path(__file__).parents[2] / "meshes" / "half_space.py"))[
     "half_space"

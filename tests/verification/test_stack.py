@@ -16,7 +16,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 
-from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, tag_facets
 
 PRESSURE, WEIGHT = 20e6, 24e4
 CUBES = [(i, j, k) for k, j, i in itertools.product(range(3), repeat=3)]

@@ -1,1 +1,1 @@
-"""From facet tags to contact rows."""
+"""From facet tags to contact rows: surfaces, pairs of nodes, normals and gaps."""

@@ -1,18 +1,19 @@
-"""Oriented surfaces of segments or triangles: signed distances, and where lines meet them.
+"""Oriented surfaces of segments or triangles: signed distances, and gaps along lines.
 
-Nothing here knows dolfinx or communicates. The facets are sorted into a tree of boxes, which is
-descended for all points at once, so that every answer is exact and a point costs as many boxes as
-the tree has levels, whatever the shapes and sizes of the facets.
+Nothing here uses dolfinx or communicates. Closest points and intersections are exact for facets of
+any shapes and sizes: a tree of boxes selects the candidates.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+
+from fenics_tfeti.fem.contact.box_tree import BoxTree
+from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, ON_CORNER, RELATIVE_ROUNDING
 
 __all__ = ["Distance", "FacetedSurface", "facet_normals"]
 
@@ -20,51 +21,33 @@ Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# facets in a box that is not divided any further
-_LEAF = 2
-# points that descend the tree at once; bounds the memory where many facets are equally far
-_BLOCK = 2048
-# of barycentric coordinates: closer to a corner or an edge than this is upon it
-_CORNER = 1e-12
-# of barycentric coordinates: what a line may miss a facet by, so that none slips between two
-_CRACK = 1e-9
-# a line counts as meeting a facet if the cosine of their normals' angle is larger
-_GRAZING = 1e-9
-# the gap along a line is at most so many times the distance: lines up to 60 degrees off count
-_OBLIQUE = 2.0
-
 
 @dataclass(frozen=True)
 class Distance:
-    """Where points are with respect to a surface.
+    """Signed distances of points to a surface.
 
     Attributes
     ----------
     signed : (k,) array
         Distance to the surface, negative inside the body [m].
     normal : (k, gdim) array
-        Unit vectors along which it grows: from the closest point to a point outside, and from a
-        point inside to the closest one. On the surface its outward normal, at an edge the mean of
-        the adjacent facets', at a vertex weighted with their angles.
-    beside : (k,) bool array
-        Whether the point is beside the border of the surface, by no more than half a facet: there
-        the surface counts as continued by the plane across its normal at the border, `signed` and
-        `normal` are those of the plane.
+        Unit gradient of the signed distance: from the closest point to a point outside, and from a
+        point inside to the closest one. On the surface its outward normal: at an edge the mean of
+        the adjacent facets' normals, at a vertex their mean weighted with the facets' angles.
     """
 
     signed: Vector
     normal: Vector
-    beside: Mask
 
 
 def facet_normals(corners: Vector) -> Vector:
-    """Return the normals of segments or triangles, as long as their length or area.
+    """Return the normals of segments or triangles, of the length of their length or area.
 
     Parameters
     ----------
     corners : (m, gdim, gdim) array
-        The corners of each: a segment has its normal on the right, the corners of a triangle
-        circle it anticlockwise.
+        The corners of each facet [m]. Seen along a segment, from corner 0 to 1, its normal points
+        to the right; seen from the tip of its normal, a triangle has its corners anticlockwise.
 
     Returns
     -------
@@ -79,7 +62,7 @@ def facet_normals(corners: Vector) -> Vector:
 
 
 class FacetedSurface:
-    """An oriented surface, open or closed, on every rank as a whole.
+    """An oriented surface, open or closed.
 
     Parameters
     ----------
@@ -94,16 +77,17 @@ class FacetedSurface:
         self._corners = points[facets]
         areas = facet_normals(self._corners)
         self._normals = _unit(areas)
-        self._middles = cKDTree(self._corners.mean(axis=1))
-        self._tree = _BoxTree(self._corners)
-        self._rounding = 1e-14 * float(np.abs(points).max(initial=0.0))
+        self._centres = cKDTree(self._corners.mean(axis=1))
+        self._tree = BoxTree(self._corners)
+        self._rounding = COORDINATE_ROUNDING * float(np.abs(points).max(initial=0.0))
         self._describe_features(facets)
 
     def _describe_features(self, facets: Numbers) -> None:
-        """Find normals, border and half the size at corners, edges (3D) and insides of facets.
+        """Describe the features of each facet: corners, edges (3D) and the interior.
 
-        The normals at edges and vertices are those whose sign tells inside from outside
-        (Baerentzen and Aanaes 2005).
+        Each has a normal, half the size of the largest facet there, and is on the border of the
+        surface or not. The angle-weighted normals at vertices are those whose sign tells inside
+        from outside (Baerentzen and Aanaes 2005).
         """
         m, gdim = facets.shape
         sizes = _edge_lengths(self._corners).max(axis=1)
@@ -113,7 +97,7 @@ class FacetedSurface:
         else:
             ends = np.sort(np.stack([facets, np.roll(facets, -1, axis=1)], axis=2), axis=2)
             number = int(facets.max()) + 1
-            names, edges = np.unique(ends @ np.array([number, 1]), return_inverse=True)
+            _, edges = np.unique(ends @ np.array([number, 1]), return_inverse=True)
             edges = edges.reshape(m, 3)
             border_edge = np.bincount(edges.ravel())[edges] == 1
             on_border = np.zeros(number, dtype=bool)
@@ -125,19 +109,19 @@ class FacetedSurface:
         np.add.at(normals, keys, weights[:, :, None] * self._normals[:, None, :])
         halves = np.zeros(len(normals))
         np.maximum.at(halves, keys, 0.5 * np.broadcast_to(sizes[:, None], keys.shape))
-        inside = np.zeros((m, 1), dtype=bool)
+        interior = np.zeros((m, 1), dtype=bool)
         self._feature_normals = np.concatenate(
             [_unit(normals)[keys], self._normals[:, None, :]], axis=1
         )
-        self._feature_border = np.hstack([border, inside])
+        self._feature_border = np.hstack([border, interior])
         self._feature_half = np.hstack([halves[keys], 0.5 * sizes[:, None]])
 
     def distance(self, x: Vector) -> Distance:
-        """Find the distances of points to the surface, with signs.
+        """Return the signed distances of points to the surface.
 
-        A point is inside if it is behind the closest point of the surface. Beside the border of
-        an open surface, where nothing is known of the body, a point within half a facet is
-        measured from the plane that continues the surface there, one farther away is outside.
+        A point is inside if it is behind the closest point of the surface. Next to the border of an
+        open surface, where the body's shape is not known, the surface is continued by its tangent
+        plane over half a facet; points farther away are outside.
 
         Parameters
         ----------
@@ -147,7 +131,7 @@ class FacetedSurface:
         Returns
         -------
         Distance
-            Of each of them.
+            Of each point.
         """
         blocks = [self._closest(part) for part in _blocks(x)]
         point, facet, feature = (np.concatenate(column) for column in zip(*blocks, strict=True))
@@ -155,38 +139,39 @@ class FacetedSurface:
         offset = x - point
         length = np.linalg.norm(offset, axis=1)
         height = np.sum(offset * normal, axis=1)
-        aside = np.linalg.norm(offset - height[:, None] * normal, axis=1)
+        tangential = np.linalg.norm(offset - height[:, None] * normal, axis=1)
         border = self._feature_border[facet, feature]
-        beside = border & (aside <= self._feature_half[facet, feature])
-        signed = np.where(beside, height, np.where(border | (height >= 0.0), length, -length))
-        away = ~beside & (length > self._rounding)
+        continued = border & (tangential <= self._feature_half[facet, feature])
+        signed = np.where(continued, height, np.where(border | (height >= 0.0), length, -length))
+        away = ~continued & (length > self._rounding)
         normal[away] = offset[away] / signed[away, None]
-        return Distance(signed, normal, beside)
+        return Distance(signed, normal)
 
     def closest(self, x: Vector) -> tuple[Numbers, Vector]:
-        """Find the points of the surface that are closest to other points.
+        """Return the points of the surface that are closest to other points.
 
         Parameters
         ----------
         x : (k, gdim) array
-            The points [m].
+            The other points [m].
 
         Returns
         -------
         facet, weights : (k,) integer array, (k, gdim) array
-            The facet that each closest point is on, and its barycentric coordinates there.
+            The facet of each closest point, and its barycentric coordinates in it.
         """
         blocks = [self._closest(part)[:2] for part in _blocks(x)]
         point, facet = (np.concatenate(column) for column in zip(*blocks, strict=True))
         return facet, _barycentric(self._corners[facet], point)
 
     def gap_along(self, x: Vector, direction: Vector) -> tuple[Vector, Vector]:
-        """Find how far points can go along a direction until they meet the surface.
+        """Return the gap between points and the surface along a direction.
 
-        Of the facets that face the direction, the nearest one ahead counts for a point outside,
-        the nearest one behind for a point inside: it has to go back. Where there is none, the
-        plane across the way to the closest point takes the surface's place. The result is at most
-        twice the distance to the surface, also where the direction grazes or leaves it.
+        For a point outside it is the distance along the direction to the nearest facet that faces
+        the direction; for a point inside, the distance backwards, counted negative. Where the line
+        meets no such facet, the surface is replaced by the plane through the closest point and
+        perpendicular to `Distance.normal`. The result is at most twice the distance to the surface,
+        so that lines of more than 60 degrees to the normal give no large gaps.
 
         Parameters
         ----------
@@ -198,24 +183,25 @@ class FacetedSurface:
         Returns
         -------
         gap, signed : (k,) arrays
-            Along the direction, and `Distance.signed` [m]; both negative inside.
+            The gap along the direction, and `Distance.signed` [m]; both negative inside.
         """
+        largest_ratio = 2.0
         distance = self.distance(x)
-        met = [self._meet(*part) for part in zip(_blocks(x), _blocks(direction), strict=True)]
+        met = [self._intersect(*part) for part in zip(_blocks(x), _blocks(direction), strict=True)]
         ahead, behind = (np.concatenate(column) for column in zip(*met, strict=True))
         length = np.abs(distance.signed)
         cosine = -np.sum(direction * distance.normal, axis=1)
-        plane = length / np.maximum(cosine, 1.0 / _OBLIQUE)
+        plane = length / np.maximum(cosine, 1.0 / largest_ratio)
         along = np.where(distance.signed > 0.0, ahead, behind)
-        along = np.where(np.isfinite(along), np.minimum(along, _OBLIQUE * length), plane)
+        along = np.where(np.isfinite(along), np.minimum(along, largest_ratio * length), plane)
         return np.sign(distance.signed) * along, distance.signed
 
     def _closest(self, x: Vector) -> tuple[Vector, Numbers, Numbers]:
-        """Return the closest points, their facets, and the features of these they are on."""
-        # as far as one facet is, others may be
-        one = self._middles.query(x)[1]
+        """Return the closest points, their facets, and the features of the facets they are on."""
+        # the distance to any one facet bounds the distance to the closest
+        one = self._centres.query(x)[1]
         point = _closest_on(self._corners[one], self._normals[one], x)[0]
-        limit = np.linalg.norm(point - x, axis=1) * (1.0 + 1e-9) + self._rounding
+        limit = np.linalg.norm(point - x, axis=1) * (1.0 + RELATIVE_ROUNDING) + self._rounding
 
         def near(row: Numbers, low: Vector, high: Vector) -> Mask:
             away = np.maximum(np.maximum(low - x[row], x[row] - high), 0.0)
@@ -229,12 +215,12 @@ class FacetedSurface:
         first = order[np.unique(row[order], return_index=True)[1]]
         return point[first], facet[first], feature[first]
 
-    def _meet(self, x: Vector, direction: Vector) -> tuple[Vector, Vector]:
-        """Return how far ahead and behind facets meet the lines; infinite where none does."""
+    def _intersect(self, x: Vector, direction: Vector) -> tuple[Vector, Vector]:
+        """Return the distances ahead and behind at which lines meet facets; infinite for none."""
         with np.errstate(divide="ignore"):
             inverse = 1.0 / direction
-        # lines along the faces of boxes
-        margin = 1e-9 * self._tree.size
+        # for lines along the sides of boxes
+        margin = RELATIVE_ROUNDING * self._tree.size
 
         def crossed(row: Numbers, low: Vector, high: Vector) -> Mask:
             with np.errstate(invalid="ignore"):
@@ -249,77 +235,26 @@ class FacetedSurface:
         corners, normal = self._corners[facet], self._normals[facet]
         cosine = -np.sum(direction[row] * normal, axis=1)
         height = np.sum((x[row] - corners[:, 0]) * normal, axis=1)
-        along = height / np.where(cosine > _GRAZING, cosine, 1.0)
+        faces = cosine > RELATIVE_ROUNDING
+        along = height / np.where(faces, cosine, 1.0)
         weights = _barycentric(corners, x[row] + along[:, None] * direction[row])
-        # NaN on facets without area
-        hit = (cosine > _GRAZING) & (weights >= -_CRACK).all(axis=1)
+        # up to rounding, so that no line passes between two facets; False on facets without area,
+        # where the weights are NaN
+        hit = faces & (weights >= -RELATIVE_ROUNDING).all(axis=1)
         ahead, behind = np.full(len(x), np.inf), np.full(len(x), np.inf)
         for nearest, chosen in ((ahead, hit & (along >= 0.0)), (behind, hit & (along <= 0.0))):
             np.minimum.at(nearest, row[chosen], np.abs(along[chosen]))
         return ahead, behind
 
 
-class _BoxTree:
-    """A balanced binary tree of boxes around facets, level by level.
-
-    Attributes
-    ----------
-    size : float
-        The longest side of the box around all.
-    """
-
-    def __init__(self, corners: Vector) -> None:
-        depth = max(0, int(np.ceil(np.log2(len(corners) / _LEAF))))
-        leaf = -(-len(corners) // 2**depth)
-        # some facets twice, so that all boxes hold equally many
-        order = np.resize(np.arange(len(corners)), 2**depth * leaf)
-        low, high = corners.min(axis=1), corners.max(axis=1)
-        middle = 0.5 * (low + high)
-        self._low, self._high = [], []
-        for level in range(depth + 1):
-            order = order.reshape(2**level, -1)
-            self._low.append(low[order].min(axis=1))
-            self._high.append(high[order].max(axis=1))
-            if level < depth:
-                axis = np.ptp(middle[order], axis=1).argmax(axis=1)
-                place = middle[order, axis[:, None]]
-                order = np.take_along_axis(order, place.argsort(axis=1), axis=1)
-        self._leaves: Numbers = order.astype(np.int64)
-        self.size = float((self._high[0] - self._low[0]).max())
-
-    def candidates(
-        self, number: int, wanted: Callable[[Numbers, Vector, Vector], Mask]
-    ) -> tuple[Numbers, Numbers]:
-        """Descend the tree with `number` queries.
-
-        Parameters
-        ----------
-        number : int
-            Of queries.
-        wanted : callable
-            (query (j,), low (j, gdim), high (j, gdim)) -> (j,) bool: whether a query wants what
-            is in a box.
-
-        Returns
-        -------
-        query, facet : integer arrays
-            Pairs.
-        """
-        query, box = np.arange(number, dtype=np.int64), np.zeros(number, dtype=np.int64)
-        for low, high in zip(self._low, self._high, strict=True):
-            if low is not self._low[0]:
-                query, box = np.repeat(query, 2), (2 * box[:, None] + [0, 1]).ravel()
-            keep = wanted(query, low[box], high[box])
-            query, box = query[keep], box[keep]
-        return np.repeat(query, self._leaves.shape[1]), self._leaves[box].ravel()
-
-
 def _blocks(rows: Vector) -> list[Vector]:
-    return np.array_split(rows, -(-len(rows) // _BLOCK)) if len(rows) else [rows]
+    """Split points into blocks, to bound the memory where many facets are equally far."""
+    points_of_block = 2048
+    return np.array_split(rows, -(-len(rows) // points_of_block)) if len(rows) else [rows]
 
 
 def _unit(vectors: Vector) -> Vector:
-    """Return unit vectors; zero for zero."""
+    """Return unit vectors; a zero vector stays zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     units: Vector = vectors / np.where(length > 0.0, length, 1.0)
     return units
@@ -357,9 +292,10 @@ def _barycentric(corners: Vector, x: Vector) -> Vector:
 
 
 def _closest_on(corners: Vector, normal: Vector, x: Vector) -> tuple[Vector, Numbers]:
-    """Return the points of facets that are closest to x, and on which feature they are.
+    """Return the points of facets that are closest to x, and the features they are on.
 
-    Features are the corners, then (3D) the edges from each corner to the next, then the inside.
+    The features are numbered: the corners, then (3D) the edge from each corner to the next, then
+    the interior.
     """
     number, gdim = x.shape
     if gdim == 2:
@@ -369,7 +305,7 @@ def _closest_on(corners: Vector, normal: Vector, x: Vector) -> tuple[Vector, Num
     height = np.sum((x - corners[:, 0]) * normal, axis=1)
     point = x - height[:, None] * normal
     feature = np.full(number, 6, dtype=np.int64)
-    outside = np.flatnonzero(~(_barycentric(corners, x) > _CORNER).all(axis=1))
+    outside = np.flatnonzero(~(_barycentric(corners, x) > ON_CORNER).all(axis=1))
     start = corners[outside]
     step = np.roll(start, -1, axis=1) - start
     along = _along_edge(start, start + step, x[outside, None, :])
@@ -383,9 +319,9 @@ def _closest_on(corners: Vector, normal: Vector, x: Vector) -> tuple[Vector, Num
 
 
 def _along_edge(start: Vector, end: Vector, x: Vector) -> Vector:
-    """Return where between 0 and 1 the closest point is; exactly 0 or 1 for the ends."""
+    """Return the position of the closest point of an edge, exactly 0 and 1 at its ends."""
     step = end - start
     square = np.sum(step * step, axis=-1)
     along = np.sum((x - start) * step, axis=-1) / np.where(square > 0.0, square, 1.0)
-    along = np.where(along < _CORNER, 0.0, along)
-    return np.where(along > 1.0 - _CORNER, 1.0, along)
+    along = np.where(along < ON_CORNER, 0.0, along)
+    return np.where(along > 1.0 - ON_CORNER, 1.0, along)

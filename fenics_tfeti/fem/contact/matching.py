@@ -1,330 +1,252 @@
-"""The search for partners: chi of sec. 11.1, from the slave's to the master's nodes."""
+"""Contact surfaces to pairs of nodes with normals and gaps (sec. 11.1, 11.5)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from math import isqrt
-from typing import Any
+from collections.abc import Sequence
 
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
+from numpy.typing import NDArray
 
-from fenics_tfeti.errors import InputError, format_point
-from fenics_tfeti.fem.contact.surfaces import MasterNodes, Surface
-from fenics_tfeti.fem.contact.user_data import points_of, unit_vectors, vectors_at
+from fenics_tfeti.fem.contact import search
+from fenics_tfeti.fem.contact.checks import (
+    check_arguments,
+    check_different_nodes,
+    check_different_surfaces,
+    check_not_crossed,
+    check_one_to_one,
+    check_partners,
+    check_shared_nodes,
+)
+from fenics_tfeti.fem.contact.contact import (
+    Contact,
+    ContactPair,
+    ContactPairing,
+    RigidObstacle,
+    contact_name,
+)
+from fenics_tfeti.fem.contact.obstacles import gap_and_normal
+from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
+from fenics_tfeti.fem.contact.surfaces import (
+    MasterNodes,
+    MeshBoundary,
+    Surface,
+    area_of_facets,
+    gather_master,
+    tagged_surface,
+    values_on_facets,
+)
+from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING
+from fenics_tfeti.feti.system import ContactRows
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 
-__all__ = ["Match", "along_direction", "at_images", "by_coordinates", "nearest"]
+__all__ = ["contact_rows", "match_contact", "match_contacts"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
-
-# lines that are searched at once, to bound the memory
-_LINES = 4096
-# nodes of one sheet of the master within the reach of a line, seen along the line: no farther
-# apart than this many times the reach (a sheet as steep as 60 degrees)
-_SHEET = 4.0
-# at most so many nodes of a grid are equally near to a place in its middle
-_EQUALLY_NEAR = 8
-# of distances that are equal but for rounding
-_ROUNDING = 1e-9
-_CURE = (
-    "mesh the two surfaces alike, tag only where they face each other, raise the pair's tolerance"
-)
+Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class Match:
-    """What was found for the slave's nodes that this rank owns.
-
-    Attributes
-    ----------
-    partner : (k,) integer array
-        Position among the master's nodes; -1 where there is none at all.
-    distance : (k,) array
-        What the tolerance limits [m]; infinite where there is no partner at all.
-    measure, cure : str
-        What the distance is, and what helps against too large ones, for messages.
-    """
-
-    partner: Numbers
-    distance: Vector
-    measure: str
-    cure: str
-
-
-def nearest(slave: Surface, master: MasterNodes) -> Match:
-    """Match each slave node with the nearest master node; the distance is along the surface."""
-    partner = _query(master.points, slave.points)[1]
-    offset = master.points[partner] - slave.points
-    normal = slave.normal * np.sum(offset * slave.normal, axis=1)[:, None]
-    return Match(
-        partner,
-        np.linalg.norm(offset - normal, axis=1),
-        "along the surface to the nearest master node",
-        _CURE[0].upper() + _CURE[1:],
-    )
-
-
-def along_direction(
-    comm: MPI.Intracomm,
-    slave: Surface,
-    master: MasterNodes,
-    direction: ArrayLike | Callable[[Vector], ArrayLike],
-    tolerance: float,
-    name: str,
-) -> Match:
-    """Match each slave node with the master node nearest to a line through it.
-
-    Only master nodes whose normal points against the slave's are looked at, and of several sheets
-    of the master that the line meets, the nearest one.
+def match_contacts(
+    boundary: MeshBoundary,
+    contacts: Sequence[Contact],
+    known: Sequence[tuple[Contact, ContactPairing]] = (),
+) -> list[ContactPairing]:
+    """Match the surfaces of all contacts, and check that no two contacts overlap. Collective.
 
     Parameters
     ----------
-    comm : MPI.Intracomm
-        The ranks.
-    slave, master : Surface, MasterNodes
-        The surfaces.
-    direction : (gdim,) array-like or callable
-        The lines' direction, of either sense.
-    tolerance : float
-        How far from the line, relative to the size of the slave's facets.
-    name : str
-        Name of the contact.
+    boundary : MeshBoundary
+        Of the displacement's mesh.
+    contacts : sequence of ContactPair or RigidObstacle
+        The contacts.
+    known : sequence of (contact, pairing)
+        Earlier results: pairs among them are not searched again, obstacles are evaluated again.
 
     Returns
     -------
-    Match
-        The distance is across the direction.
-    """
-    gdim = slave.normal.shape[1]
-    lines = unit_vectors(comm, direction, slave.coordinates, gdim, f"the direction of {name}")
-    reach = tolerance * slave.size
-    k = slave.nodes.size
-    partner, distance = np.full(k, -1, dtype=np.int64), np.full(k, np.inf)
-    leaves = _leaves(master.points)
-    for first in range(0, k, _LINES):
-        part = slice(first, min(first + _LINES, k))
-        line, node, across, along = _near_lines(
-            slave.points[part], lines[part], slave.normal[part], reach[part], master, leaves
-        )
-        closest = np.full(part.stop - first, np.inf)
-        np.minimum.at(closest, line, along)
-        sheet = along <= closest[line] + _SHEET * reach[part][line]
-        line, node, across = line[sheet], node[sheet], across[sheet]
-        order = np.lexsort((node, across, line))
-        found, one = np.unique(line[order], return_index=True)
-        partner[first + found], distance[first + found] = node[order][one], across[order][one]
-    # how far the others missed is for messages only, which name few
-    for row in _first_rows(slave.points, partner < 0):
-        facing = master.normal @ slave.normal[row] < 0.0
-        across = _to_lines(slave.points[[row]], lines[[row]], master.points[facing])[0]
-        distance[row] = across.min(initial=np.inf)
-    return Match(
-        partner,
-        distance,
-        "across the direction to the nearest master node that faces the slave",
-        f"Correct the direction, {_CURE}",
-    )
-
-
-def at_images(
-    comm: MPI.Intracomm,
-    slave: Surface,
-    master: MasterNodes,
-    mapping: Callable[[Vector], ArrayLike],
-    name: str,
-) -> Match:
-    """Match each slave node x with the master node nearest to the user's chi(x)."""
-    gdim = slave.normal.shape[1]
-    images = vectors_at(comm, mapping, slave.coordinates, gdim, f"the mapping of {name}")
-    distance, partner = _query(master.points, images)
-    return Match(
-        partner,
-        distance,
-        "from the mapped place to the nearest master node",
-        f"Correct the mapping, {_CURE}",
-    )
-
-
-def by_coordinates(
-    comm: MPI.Intracomm,
-    slave: Surface,
-    master: MasterNodes,
-    pairs: tuple[ArrayLike, ArrayLike],
-    tolerance: float,
-    name: str,
-) -> Match:
-    """Match the nodes at the user's points.
+    list of ContactPairing
+        This rank's part of each contact.
 
     Raises
     ------
     InputError
-        Wrong shapes, different pairs on different ranks, points that are no nodes of the surfaces,
-        a slave node named twice.
+        As `match_contact`; two contacts of the same surfaces, or of the same node with the same
+        master.
     """
-    gdim = slave.normal.shape[1]
-    with raise_collectively(comm):
-        slave_points, master_points = _given_pairs(pairs, gdim, name)
-    _check_same_on_all_ranks(comm, slave_points, master_points, name)
+    comm = boundary.space.mesh.comm
+    check_different_surfaces(contacts, comm)
+    earlier = {id(contact): pairing for contact, pairing in known}
+    pairings = [
+        match_contact(boundary, contact, i, earlier.get(id(contact)))
+        for i, contact in enumerate(contacts)
+    ]
+    check_different_nodes(contacts, pairings, comm)
+    return pairings
 
-    from_slave, at = _query(slave.points, slave_points)
-    owner = _nearest_rank(comm, from_slave)
-    mine = np.flatnonzero(owner == comm.rank)
-    at, from_slave = at[mine], from_slave[mine]
-    from_master, partner = _query(master.points, master_points[mine])
-    size = (slave.size[at], master.size[partner])
-    for side, distance, points, facet in (
-        ("slave", from_slave, slave_points[mine], size[0]),
-        ("master", from_master, master_points[mine], size[1]),
-    ):
-        _check_points_are_nodes(comm, distance, tolerance * facet, points, f"{name}: {side}")
-    _check_named_once(comm, slave, at, name)
 
-    match = Match(
+def match_contact(
+    boundary: MeshBoundary, contact: Contact, number: int, earlier: ContactPairing | None = None
+) -> ContactPairing:
+    """Find the slave's nodes, normals, partners and gaps. Collective.
+
+    The master's surface nodes are gathered on all ranks: their number grows with the surface.
+
+    Parameters
+    ----------
+    boundary : MeshBoundary
+        Of the displacement's mesh.
+    contact : ContactPair or RigidObstacle
+        The contact.
+    number : int
+        Its number, for a name.
+    earlier : ContactPairing, optional
+        An earlier result for this contact: that of a pair is returned as it is, of an obstacle's
+        the surface is used again.
+
+    Returns
+    -------
+    ContactPairing
+        This rank's part.
+
+    Raises
+    ------
+    InputError
+        Tags on no facet or on interior ones, slave nodes without a partner, shared nodes, pairs
+        that cross or are not one to one, wrong normals.
+    """
+    name = contact_name(contact, number)
+    if isinstance(contact, RigidObstacle):
+        return _match_obstacle(boundary, name, contact, earlier)
+    return earlier or _match_pair(boundary, name, contact)
+
+
+def contact_rows(pairings: Sequence[ContactPairing], gdim: int) -> ContactRows:
+    """Return the contact conditions of all contacts, one contact after the other."""
+    if not pairings:
+        return ContactRows.none(gdim)
+    return ContactRows(
+        slave=np.concatenate([p.slave for p in pairings]),
+        master=np.concatenate([p.master for p in pairings]),
+        normal=np.concatenate([p.normal for p in pairings]),
+        gap=np.concatenate([p.gap for p in pairings]),
+        contact=np.repeat(np.arange(len(pairings)), [p.slave.size for p in pairings]),
+    )
+
+
+def _match_obstacle(
+    boundary: MeshBoundary, name: str, contact: RigidObstacle, earlier: ContactPairing | None
+) -> ContactPairing:
+    comm = boundary.space.mesh.comm
+    slave = (
+        earlier.surface
+        if earlier
+        else tagged_surface(boundary, contact.facet_tags, contact.slave, f"slave of {name}")
+    )
+    gap, outward = gap_and_normal(comm, contact.obstacle, slave.coordinates, slave.normal, name)
+    gap = _without_rounding(gap, slave)
+    normal = -outward  # u'n <= gap with n pointing into the obstacle
+    angle = angles_between(slave.normal, normal)
+    return ContactPairing(
+        name,
+        slave.nodes,
         np.full(slave.nodes.size, -1, dtype=np.int64),
-        np.full(slave.nodes.size, np.inf),
-        "from the given points to the nodes",
-        "Name them in pairs",
+        slave.coordinates,
+        normal,
+        gap,
+        slave.area,
+        pairing_summary(comm, name, gap, angle, slave.nodes.size),
+        slave,
     )
-    match.partner[at], match.distance[at] = partner, np.maximum(from_slave, from_master)
-    return match
 
 
-def _query(points: Vector, places: Vector) -> tuple[Vector, Numbers]:
-    """Return the distance to, and the position of, the point nearest to each place.
+def _match_pair(boundary: MeshBoundary, name: str, contact: ContactPair) -> ContactPairing:
+    comm = boundary.space.mesh.comm
+    with raise_collectively(comm):
+        check_arguments(contact, name)
+    tags = contact.facet_tags
+    slave = tagged_surface(boundary, tags, contact.slave, f"slave of {name}", contact.normal)
+    other = tagged_surface(boundary, tags, contact.master, f"master of {name}")
+    master = gather_master(comm, other)
+    shared = _shared_nodes(comm, name, slave, master, contact.partial)
+    master = master.without(shared)
 
-    Of several equally near ones up to rounding it is the first.
-    """
-    if not len(points) or not len(places):
-        return np.full(len(places), np.inf), np.zeros(len(places), dtype=np.int64)
-    distances, at = cKDTree(points).query(places, k=range(1, min(_EQUALLY_NEAR, len(points)) + 1))
-    tie = distances <= distances[:, :1] * (1.0 + _ROUNDING)
-    first = np.argmin(np.where(tie, at, len(points)), axis=1)[:, None]
-    distance, position = (np.take_along_axis(a, first, axis=1)[:, 0] for a in (distances, at))
-    return distance, position.astype(np.int64)
+    partners = _find_partners(comm, contact, slave, master, name)
+    partners.distance[np.isin(slave.nodes, shared)] = np.inf
+    limit = contact.tolerance * slave.size
+    check_partners(comm, slave, partners, limit, contact.partial, name)
+    found = partners.distance <= limit
+    check_one_to_one(comm, slave, master, partners, found, contact.partial, name)
 
-
-def _leaves(points: Vector) -> list[Numbers]:
-    """Split points into about as many compact groups as each of them has points."""
-    if not len(points):
-        return []
-
-    def groups(branch: Any) -> Iterator[Numbers]:
-        if branch.split_dim < 0:
-            yield np.asarray(branch.indices, dtype=np.int64)
-        else:
-            yield from groups(branch.lesser)
-            yield from groups(branch.greater)
-
-    return list(groups(cKDTree(points, leafsize=max(8, isqrt(len(points)))).tree))
-
-
-def _near_lines(
-    points: Vector,
-    lines: Vector,
-    normal: Vector,
-    reach: Vector,
-    master: MasterNodes,
-    leaves: list[Numbers],
-) -> tuple[Numbers, Numbers, Vector, Vector]:
-    """Return all (line, master node, distance across, distance along) within the lines' reach."""
-    found: list[tuple[Any, ...]] = []
-    for leaf in leaves:
-        group = master.points[leaf]
-        centre = 0.5 * (group.min(axis=0) + group.max(axis=0))
-        radius = np.linalg.norm(group - centre, axis=1).max()
-        rows = np.flatnonzero(_to_lines(points, lines, centre[None])[:, 0] <= reach + radius)
-        across = _to_lines(points[rows], lines[rows], group)
-        facing = normal[rows] @ master.normal[leaf].T < 0.0
-        row, column = np.nonzero((across <= reach[rows, None]) & facing)
-        line, node = rows[row], leaf[column]
-        along = np.abs(np.sum((master.points[node] - points[line]) * lines[line], axis=1))
-        found.append((line, node, across[row, column], along))
-    nothing = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
-    line, node, across, along = (np.concatenate(c) for c in zip(nothing, *found, strict=True))
-    return line, node, across, along
+    at = partners.master[found]
+    partner = master.points[at]
+    covered = _covered_facets(boundary, slave, found, partner, name)
+    area = _area_with_partners(boundary, slave, covered) if contact.partial else slave.area
+    normal = slave.normal[found]
+    gap = _without_rounding(np.sum((partner - slave.points[found]) * normal, axis=1), slave)
+    distance = _without_rounding(partners.distance[found], slave)
+    angle = angles_between(normal, -master.normal[at])
+    relative = distance / slave.size[found]
+    return ContactPairing(
+        name,
+        slave.nodes[found],
+        master.nodes[at],
+        slave.coordinates[found],
+        normal,
+        gap,
+        area[found],
+        pairing_summary(comm, name, gap, angle, slave.nodes.size, distance, relative),
+        slave,
+    )
 
 
-def _to_lines(points: Vector, lines: Vector, others: Vector) -> Vector:
-    """Return the distance of each of the others from each line through a point: (k, m)."""
-    offset = others[None, :, :] - points[:, None, :]
-    along = np.einsum("kmd,kd->km", offset, lines)
-    distance: Vector = np.linalg.norm(offset - along[..., None] * lines[:, None, :], axis=2)
-    return distance
+def _shared_nodes(
+    comm: MPI.Intracomm, name: str, slave: Surface, master: MasterNodes, partial: bool
+) -> Numbers:
+    """Return the nodes, on all ranks, that are slave and master, such as the tip of a crack."""
+    at = np.isin(slave.nodes, master.nodes)
+    shared = concatenate_ranks(comm, slave.nodes[at])
+    some_left = shared.size < len(master.nodes)
+    check_shared_nodes(comm, slave, at, partial and some_left, name)
+    return shared
 
 
-def _first_rows(points: Vector, chosen: NDArray[np.bool_], number: int = 3) -> Numbers:
-    """Return the first of some points, by their coordinates."""
-    rows = np.flatnonzero(chosen)
-    first: Numbers = rows[np.lexsort(points[rows].T[::-1])[:number]]
-    return first
-
-
-def _given_pairs(pairs: Any, gdim: int, name: str) -> tuple[Vector, Vector]:
-    try:
-        slave, master = pairs
-    except (TypeError, ValueError):
-        raise InputError(f"{name}: pairs have to be (slave points, master points)") from None
-    slave = points_of(slave, gdim, f"{name}: the slave points of pairs")
-    master = points_of(master, gdim, f"{name}: the master points of pairs")
-    if len(slave) != len(master):
-        raise InputError(
-            f"{name}: pairs have {len(slave)} slave points and {len(master)} master points; they "
-            "belong together one by one"
+def _find_partners(
+    comm: MPI.Intracomm, contact: ContactPair, slave: Surface, master: MasterNodes, name: str
+) -> search.Partners:
+    if contact.direction is not None:
+        return search.along_direction(
+            comm, slave, master, contact.direction, contact.tolerance, name
         )
-    return slave, master
+    if contact.mapping is not None:
+        return search.at_images(comm, slave, master, contact.mapping, name)
+    if contact.pairs is not None:
+        return search.by_coordinates(comm, slave, master, contact.pairs, contact.tolerance, name)
+    return search.nearest(slave, master)
 
 
-def _check_same_on_all_ranks(
-    comm: MPI.Intracomm, slave_points: Vector, master_points: Vector, name: str
-) -> None:
-    given = (slave_points, master_points)
-    first = comm.bcast(given)
-    same = all(np.array_equal(a, b) for a, b in zip(given, first, strict=True))
-    if not comm.allreduce(same, MPI.LAND):
-        raise InputError(f"{name}: pairs differ between ranks; give all of them to every rank")
+def _covered_facets(
+    boundary: MeshBoundary, slave: Surface, found: Mask, partner: Vector, name: str
+) -> Mask:
+    """Tell which of this rank's facets have partners at all nodes; check that none cross."""
+    space = boundary.space
+    images = np.full_like(slave.points, np.nan)
+    images[found] = partner
+    images = values_on_facets(space, slave, images)
+    normals = values_on_facets(space, slave, slave.normal)
+    corners = boundary.coordinates[slave.vertices, : slave.points.shape[1]]
+    check_not_crossed(space.mesh.comm, slave, corners, normals, images, name)
+    covered: Mask = np.isfinite(images).all(axis=(1, 2))
+    return covered
 
 
-def _nearest_rank(comm: MPI.Intracomm, distance: Vector) -> Numbers:
-    """Return for each point the rank whose distance is smallest, the lowest of several."""
-    smallest = np.empty_like(distance)
-    comm.Allreduce(distance, smallest, MPI.MIN)
-    candidate = np.where(distance == smallest, comm.rank, comm.size).astype(np.int64)
-    owner = np.empty_like(candidate)
-    comm.Allreduce(candidate, owner, MPI.MIN)
-    return owner
+def _area_with_partners(boundary: MeshBoundary, slave: Surface, covered: Mask) -> Vector:
+    """Return the area of each node on covered facets, or all of its area where it has none."""
+    area = area_of_facets(boundary, slave, covered)
+    return np.where(area > RELATIVE_ROUNDING * slave.area, area, slave.area)
 
 
-def _check_points_are_nodes(
-    comm: MPI.Intracomm, distance: Vector, limit: Vector, points: Vector, what: str
-) -> None:
-    far = distance > limit
-    columns = (points[far], distance[far], limit[far])
-    points, distance, limit = (concatenate_ranks(comm, column) for column in columns)
-    if not len(points):
-        return
-    first = _first_rows(points, np.ones(len(points), dtype=bool))
-    some = "; ".join(
-        f"{format_point(points[k])} at distance {distance[k]:.3g} (tolerance {limit[k]:.3g})"
-        for k in first
-    )
-    raise InputError(
-        f"{what} points of {len(points)} pairs are no nodes of its surface: {some}. Distances are "
-        "to the nearest node. Take the coordinates from the mesh, or raise the pair's tolerance"
-    )
-
-
-def _check_named_once(comm: MPI.Intracomm, slave: Surface, at: Numbers, name: str) -> None:
-    node, counts = np.unique(at, return_counts=True)
-    twice = concatenate_ranks(comm, slave.points[node[counts > 1]])
-    if len(twice):
-        first = _first_rows(twice, np.ones(len(twice), dtype=bool), 1)[0]
-        raise InputError(
-            f"{name}: {len(twice)} slave nodes are in several pairs, the first at "
-            f"{format_point(twice[first], slave.extent)}: name each once"
-        )
+def _without_rounding(lengths: Vector, slave: Surface) -> Vector:
+    """Set lengths to zero that are no more than the rounding of coordinates."""
+    return np.where(np.abs(lengths) <= COORDINATE_ROUNDING * slave.extent, 0.0, lengths)

@@ -1,4 +1,4 @@
-"""Rigid obstacles: x -> (gap, normal), and what a user's function returned, checked."""
+"""Rigid obstacles x -> (gap, normal): plane, sphere, cylinder, and the user's, checked."""
 
 from __future__ import annotations
 
@@ -12,18 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fenics_tfeti.errors import InputError, format_point
-from fenics_tfeti.fem.contact.user_data import called, refuse_where
+from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.tolerances import NO_DIRECTION, UNIT_LENGTH
+from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["Cylinder", "Obstacle", "Plane", "Sphere", "gap_and_normal"]
 
 Vector = NDArray[np.float64]
 Obstacle = Callable[[Vector], tuple[ArrayLike, ArrayLike] | ArrayLike]
-
-# nearer to a centre or an axis than this part of the radius, there is no normal
-_NO_NORMAL = 1e-12
-# of a normal's length
-_UNIT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -35,12 +32,12 @@ class Plane:
     point : sequence of float
         A point of its boundary [m].
     normal : sequence of float
-        Normal of the boundary that points out of the obstacle, at the body; of any length.
+        Normal of the boundary that points out of the obstacle, towards the body; of any length.
 
     Raises
     ------
     InputError
-        If the normal has no direction, or the point not as many coordinates.
+        If the normal has length zero, or the point has fewer coordinates than the normal.
 
     Examples
     --------
@@ -72,7 +69,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class Sphere:
-    """A rigid ball, in 2D a disc; or with `hollow` all that is around it.
+    """A rigid ball (in 2D a disc), or with `hollow` the space around it.
 
     Attributes
     ----------
@@ -81,12 +78,12 @@ class Sphere:
     radius : float
         [m].
     hollow : bool
-        Whether the body is inside, and the obstacle around it.
+        Whether the body is inside the sphere and the obstacle around it.
 
     Raises
     ------
     InputError
-        If the radius is not positive, or a point is at the centre, where no normal is.
+        If the radius is not positive, or a point is at the centre, where the normal is not defined.
 
     Examples
     --------
@@ -112,15 +109,15 @@ class Sphere:
     def __call__(self, x: Vector) -> tuple[Vector, Vector]:
         """Return the distances and normals at points x of shape (3, n)."""
         centre = np.asarray(self.centre, dtype=float)
-        outwards = x[: centre.size] - centre[:, None]
-        return _round(x, outwards, self.radius, self.hollow, "at the centre of the sphere")
+        outward = x[: centre.size] - centre[:, None]
+        return _radial_gap(x, outward, self.radius, self.hollow, "at the centre of the sphere")
 
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A rigid cylinder without ends, or with `hollow` all that is around it.
+    """A rigid cylinder of infinite length, or with `hollow` the space around it.
 
-    In 2D, `Sphere` is the disc.
+    In 2D use `Sphere`, which is a disc there.
 
     Attributes
     ----------
@@ -131,13 +128,13 @@ class Cylinder:
     radius : float
         [m].
     hollow : bool
-        Whether the body is inside, and the obstacle around it.
+        Whether the body is inside the cylinder and the obstacle around it.
 
     Raises
     ------
     InputError
-        If the axis has no direction, the radius is not positive, or a point is on the axis, where
-        no normal is.
+        If the axis has length zero, the radius is not positive, or a point is on the axis, where
+        the normal is not defined.
 
     Examples
     --------
@@ -172,8 +169,8 @@ class Cylinder:
         """Return the distances and normals at points x of shape (3, n)."""
         axis = _direction(self.axis, "the cylinder's axis")
         from_point = x - np.asarray(self.point, dtype=float)[:, None]
-        outwards = from_point - axis[:, None] * (axis @ from_point)
-        return _round(x, outwards, self.radius, self.hollow, "on the axis of the cylinder")
+        outward = from_point - axis[:, None] * (axis @ from_point)
+        return _radial_gap(x, outward, self.radius, self.hollow, "on the axis of the cylinder")
 
 
 def gap_and_normal(
@@ -186,7 +183,7 @@ def gap_and_normal(
     comm : MPI.Intracomm
         The ranks.
     obstacle : callable
-        x (3, k) -> (gap, normal), or -> gap along the body's own normal.
+        x (3, k) -> (gap, normal), or x (3, k) -> gap along the body's own normal.
     points : (k, 3) array
         Points of the body [m].
     normal : (k, gdim) array
@@ -197,18 +194,18 @@ def gap_and_normal(
     Returns
     -------
     gap, outward : (k,) array, (k, gdim) array
-        Distances [m] and the obstacle's normals, which point at the body.
+        Distances [m] and the obstacle's unit normals, which point towards the body.
 
     Raises
     ------
     InputError
-        Wrong shapes, NaN, normals that are not of unit length, what the function raises; an
-        obstacle that is turned inside out.
+        Wrong shapes, NaN, normals that are not of unit length, an exception of the function; an
+        obstacle whose normals all point away from the body.
     """
     gdim = normal.shape[1]
     with raise_collectively(comm):
-        gap, outward = _called_obstacle(obstacle, points, normal, name)
-    refuse_where(
+        gap, outward = _evaluate_obstacle(obstacle, points, normal, name)
+    raise_where(
         comm,
         ~(np.isfinite(gap) & np.isfinite(outward).all(axis=1)),
         points[:, :gdim],
@@ -218,33 +215,33 @@ def gap_and_normal(
         ),
     )
     length = np.linalg.norm(outward, axis=1)
-    refuse_where(
+    raise_where(
         comm,
-        np.abs(length - 1.0) > _UNIT,
+        np.abs(length - 1.0) > UNIT_LENGTH,
         points[:, :gdim],
         lambda number, place: (
-            f"{name}: the obstacle's normal is no unit vector in {gdim} dimensions at {number} "
+            f"{name}: the obstacle's normal is not a unit vector in {gdim} dimensions at {number} "
             f"points, the first at {place}. Divide it by its length"
         ),
     )
     facing = comm.allreduce(int(np.sum(np.sum(outward * normal, axis=1) < 0.0)))
     if not facing:
         raise InputError(
-            f"{name}: at none of the {comm.allreduce(len(points))} nodes does the obstacle's "
-            "normal point at the body. It has to point out of the obstacle: turn it round (for a "
-            "Sphere or Cylinder around the body, hollow=True)"
+            f"{name}: the obstacle's normal points away from the body at all "
+            f"{comm.allreduce(len(points))} nodes. It has to point out of the obstacle, towards "
+            "the body: change its sign (for a Sphere or Cylinder around the body, hollow=True)"
         )
     return gap, outward / length[:, None]
 
 
-def _called_obstacle(
+def _evaluate_obstacle(
     obstacle: Obstacle, points: Vector, normal: Vector, name: str
 ) -> tuple[Vector, Vector]:
-    """Return gap (k,) and normal (k, gdim) as the user's function gives them."""
+    """Return gap (k,) and normal (k, gdim) from the user's function."""
     k, gdim = normal.shape
-    if k == 0:  # a user's function need not be prepared for that
+    if k == 0:  # a user's function may fail for no points
         return np.zeros(0), np.zeros((0, gdim))
-    gap, outward = _gap_then_normal(called(obstacle, points, f"{name}: the obstacle"), name)
+    gap, outward = _split(evaluate(obstacle, points, f"{name}: the obstacle"), name)
     if outward is None:
         outward = -normal.T
     if gap.shape != (k,) or outward.shape not in ((gdim, k), (3, k)):
@@ -255,7 +252,8 @@ def _called_obstacle(
     return gap, outward[:gdim].T
 
 
-def _gap_then_normal(values: Any, name: str) -> tuple[Vector, Vector | None]:
+def _split(values: Any, name: str) -> tuple[Vector, Vector | None]:
+    """Split what the function returned into gap and normal; None where it returned no normal."""
     try:
         if isinstance(values, (tuple, list)) and len(values) == 2 and np.ndim(values[1]) > 0:
             return np.asarray(values[0], dtype=float), np.asarray(values[1], dtype=float)
@@ -266,20 +264,20 @@ def _gap_then_normal(values: Any, name: str) -> tuple[Vector, Vector | None]:
         ) from None
 
 
-def _round(
-    x: Vector, outwards: Vector, radius: float, hollow: bool, where: str
+def _radial_gap(
+    x: Vector, outward: Vector, radius: float, hollow: bool, where: str
 ) -> tuple[Vector, Vector]:
     """Return gaps and normals from the vectors that lead to points from a centre or an axis."""
-    distance = np.linalg.norm(outwards, axis=0)
-    at = np.flatnonzero(distance <= _NO_NORMAL * radius)
+    distance = np.linalg.norm(outward, axis=0)
+    at = np.flatnonzero(distance <= NO_DIRECTION * radius)
     if at.size:
-        point = format_point(x[: len(outwards), at[0]], radius)
+        point = format_point(x[: len(outward), at[0]], radius)
         raise InputError(
-            f"the point {point} is {where}, where it has no normal: take it out "
-            "of the slave's surface, or move the obstacle"
+            f"the point {point} is {where}, where the normal is not defined: remove it from "
+            "the slave's surface, or move the obstacle"
         )
     sign = -1.0 if hollow else 1.0
-    return sign * (distance - radius), sign * outwards / distance
+    return sign * (distance - radius), sign * outward / distance
 
 
 def _coordinates(given: Sequence[float], what: str) -> Vector:

@@ -1,4 +1,4 @@
-"""Tagged surfaces: the nodes that this rank owns, with normals, areas and sizes."""
+"""Tagged surfaces: the nodes that this rank owns, with normals, areas and sizes of facets."""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import FunctionSpace
 
-from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.user_data import refuse_where, unit_vectors
-from fenics_tfeti.fem.decomposition.partition import cell_facets, exterior_facets
+from fenics_tfeti.fem.messages import coordinate_order, raise_where
+from fenics_tfeti.fem.reference_cells import ReferenceCell
+from fenics_tfeti.fem.tolerances import VANISHING_NORMAL
+from fenics_tfeti.fem.topology import cell_facets, cell_type, exterior_facets, facet_vertices
+from fenics_tfeti.fem.user_data import unit_vectors
 from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
 
 __all__ = [
-    "FACET_EDGES",
     "GivenNormal",
     "MasterNodes",
     "MeshBoundary",
@@ -38,19 +40,10 @@ Numbers = NDArray[np.int64]
 Indices = NDArray[np.int32]
 GivenNormal = ArrayLike | Callable[[Vector], ArrayLike] | None
 
-# vertices of the edges of a facet, by its number of vertices, in dolfinx's order
-FACET_EDGES = {
-    2: ((0, 1),),
-    3: ((0, 1), (0, 2), (1, 2)),
-    4: ((0, 1), (0, 2), (1, 3), (2, 3)),
-}
-# a nodal normal whose facets' normals cancel to less than this part of their area
-_VANISHING_NORMAL = 1e-3
-
 
 @dataclass(frozen=True)
 class MeshBoundary:
-    """What all surfaces of a mesh have in common, found once.
+    """The boundary of a mesh: what all its tagged surfaces need, computed once.
 
     Attributes
     ----------
@@ -61,9 +54,9 @@ class MeshBoundary:
     node_of_row : integer array
         The local node at each row of ``geometry.x``.
     exterior : bool array
-        Whether each facet of this rank is on the boundary of the mesh; ghosts are not.
+        Whether each facet of this rank is on the boundary of the mesh; False for ghosts.
     rows : (facets, 2) integer array
-        A cell of each facet of this rank, and the facet's number there.
+        A cell of each facet of this rank, and the facet's number in it.
     normal_form : CompiledForm
         The normal times each node's shape function, to be integrated over facets.
     """
@@ -77,15 +70,15 @@ class MeshBoundary:
 
     @staticmethod
     def of(space: FunctionSpace) -> MeshBoundary:
-        """Look at the boundary of a space's mesh. Collective."""
+        """Find the boundary of a space's mesh. Collective."""
         domain = space.mesh
         exterior = exterior_facets(domain)
-        facet_of, _ = cell_facets(domain)
+        facet_of = cell_facets(domain)
         rows = np.zeros((exterior.size, 2), dtype=np.int32)
         rows[facet_of, 0] = np.arange(len(facet_of))[:, None]
         rows[facet_of, 1] = np.arange(facet_of.shape[1])
         node_of_row = np.full(domain.geometry.x.shape[0], -1, dtype=np.int32)
-        # cell by cell they are the same
+        # cells of degree 1 list nodes and vertices in the same order
         node_of_row[_compat.geometry_cells(domain)] = _compat.cell_dofs(space)
         normal = ufl.inner(ufl.FacetNormal(domain), ufl.TestFunction(space))
         form = _compat.CompiledForm(normal * ufl.Measure("ds", domain=domain)(1), domain.comm)
@@ -95,7 +88,7 @@ class MeshBoundary:
     def weighted_normals(self, facets: Indices) -> Vector:
         """Integrate the normal times each node's shape function over facets: (nodes, gdim).
 
-        Its length is the area that turns a uniform pressure into the node's force.
+        The length of the integral is the area that turns a uniform pressure into the node's force.
         """
         bound = self.normal_form.bind([self.space], {}, {1: self.rows[facets]})
         values = _compat.assemble_distributed(bound)
@@ -124,6 +117,8 @@ class Surface:
         The facets that this rank owns.
     vertices : (f, v) integer array
         Local numbers of their nodes, some of which other ranks own.
+    facet_type : ReferenceCell
+        The facets' cell type.
     extent : float
         Largest coordinate of the surface by magnitude, over all ranks [m].
     """
@@ -136,16 +131,13 @@ class Surface:
     size: Vector
     facets: Indices
     vertices: Indices
+    facet_type: ReferenceCell
     extent: float
 
     @property
     def points(self) -> Vector:
         """Coordinates of shape (k, gdim) [m]."""
         return self.coordinates[:, : self.normal.shape[1]]
-
-    def place(self, node: int) -> str:
-        """Write where the node with a local position is."""
-        return format_point(self.points[node], self.extent)
 
 
 @dataclass(frozen=True)
@@ -176,7 +168,7 @@ class MasterNodes:
 def tagged_surface(
     boundary: MeshBoundary, facet_tags: Any, tag: int, what: str, given: GivenNormal = None
 ) -> Surface:
-    """Find the nodes of a tagged surface.
+    """Find the nodes of a tagged surface. Collective.
 
     Parameters
     ----------
@@ -216,21 +208,32 @@ def tagged_surface(
     extent = domain.comm.allreduce(float(np.abs(coordinates).max(initial=0.0)), MPI.MAX)
     weighted = boundary.weighted_normals(facets)[nodes]
     to_global = space.dofmap.index_map.local_to_global
-    rows = _facet_rows(domain, facets)
+    rows = facet_vertices(domain, facets)
     vertices = boundary.node_of_row[rows]
     global_nodes = np.asarray(to_global(nodes), dtype=np.int64)
     of_vertices = np.asarray(to_global(vertices.ravel()), dtype=np.int64).reshape(vertices.shape)
     size = _smallest_facets(domain, rows, of_vertices, global_nodes)
-    normal, area = _normals(domain.comm, weighted, size, coordinates, given, what)
-    return Surface(global_nodes, nodes, coordinates, normal, area, size, facets, vertices, extent)
+    normal, area = _normals_and_areas(domain.comm, weighted, size, coordinates, given, what)
+    return Surface(
+        global_nodes,
+        nodes,
+        coordinates,
+        normal,
+        area,
+        size,
+        facets,
+        vertices,
+        cell_type(domain).facet,
+        extent,
+    )
 
 
 def gather_master(comm: MPI.Intracomm, master: Surface) -> MasterNodes:
-    """Gather a surface's nodes on every rank, by their coordinates."""
+    """Gather a surface's nodes on every rank, in the order of their coordinates."""
     columns = (master.nodes, master.points, master.normal, master.size)
     nodes, points, normal, size = (concatenate_ranks(comm, column) for column in columns)
-    # equally near nodes are then taken in one order, however the mesh is distributed
-    order = np.lexsort(points.T[::-1])
+    # of equally near nodes, the same is then chosen however the mesh is distributed
+    order = coordinate_order(points)
     return MasterNodes(nodes[order], points[order], normal[order], size[order])
 
 
@@ -260,7 +263,7 @@ def values_on_facets(space: FunctionSpace, surface: Surface, values: Vector) -> 
 
 
 def area_of_facets(boundary: MeshBoundary, surface: Surface, chosen: NDArray[np.bool_]) -> Vector:
-    """Return the part of each node's area that some of the facets make up.
+    """Return the share of each node's area that belongs to chosen facets.
 
     Parameters
     ----------
@@ -308,7 +311,7 @@ def _check_facets(
         )
 
 
-def _normals(
+def _normals_and_areas(
     comm: MPI.Intracomm,
     weighted: Vector,
     size: Vector,
@@ -316,12 +319,12 @@ def _normals(
     given: GivenNormal,
     what: str,
 ) -> tuple[Vector, Vector]:
-    """Return unit normals and areas; the areas are those that the normals see."""
+    """Return unit normals (k, gdim) and the areas (k,) projected along them."""
     gdim = weighted.shape[1]
     length = np.linalg.norm(weighted, axis=1)
-    least = _VANISHING_NORMAL * size ** (gdim - 1)
+    least = VANISHING_NORMAL * size ** (gdim - 1)
     if given is None:
-        refuse_where(
+        raise_where(
             comm,
             length <= least,
             coordinates[:, :gdim],
@@ -333,7 +336,7 @@ def _normals(
         return weighted / length[:, None], length
     normal = unit_vectors(comm, given, coordinates, gdim, f"the normal of the {what}")
     area = np.sum(weighted * normal, axis=1)
-    refuse_where(
+    raise_where(
         comm,
         area <= least,
         coordinates[:, :gdim],
@@ -345,17 +348,10 @@ def _normals(
     return normal, area
 
 
-def _facet_rows(domain: Any, facets: Indices) -> Indices:
-    """Return the rows of ``geometry.x`` at the vertices of facets: (f, v)."""
-    vertices = {"tetrahedron": 3, "hexahedron": 4}.get(_compat.cell_name(domain), 2)
-    rows = _compat.entity_nodes(domain, domain.topology.dim - 1, facets)
-    return rows.reshape(facets.size, vertices)
-
-
 def _smallest_facets(domain: Any, rows: Indices, vertices: Numbers, nodes: Numbers) -> Vector:
     """Return the mean edge length of the smallest facet at each node, over all ranks' facets."""
     x = domain.geometry.x[rows]
-    edges = np.array(FACET_EDGES[rows.shape[1]])
+    edges = np.array(cell_type(domain).facet.edges)
     mean = np.linalg.norm(x[:, edges[:, 1]] - x[:, edges[:, 0]], axis=2).mean(axis=1)
     directory = Directory(domain.comm, np.unique(vertices))
     keys, sizes = directory.collect(vertices.ravel(), np.repeat(mean, rows.shape[1]))

@@ -1,1 +1,1 @@
-"""From a mesh and forms to torn subdomains."""
+"""From a mesh and forms to the matrices and loads of torn subdomains."""

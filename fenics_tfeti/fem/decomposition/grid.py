@@ -1,6 +1,6 @@
-"""Bodies whose nodes are a grid along the axes, cut into blocks that are equal if possible.
+"""Bodies whose nodes form a grid along the axes, cut into blocks that are equal where possible.
 
-Equal blocks are congruent subdomains, which share their assembly and their factor.
+Equal blocks are congruent subdomains, which share their stiffness matrix and its factor.
 """
 
 from __future__ import annotations
@@ -10,30 +10,24 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
+
 __all__ = ["Grid", "block_of_cells", "find_grid"]
 
 Points = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
-# relative to the body: difference of coordinates that are meant to be equal
-_SAME = 1e-9
-# part of the places of a grid at which there have to be nodes: bodies may have corners cut out, and
-# parts of them on several ranks have steps
-_FILLED = 0.5
-# by how much the number of blocks along an axis may miss what would make cubes, to come out even
-_LEEWAY = 1.4
-
 
 @dataclass(frozen=True)
 class Grid:
-    """The cells of a body whose nodes are on a tensor-product grid.
+    """The cells of a body whose nodes form a tensor-product grid.
 
     Attributes
     ----------
     cell : (m, d) integer array
-        Of each cell its place along each axis; the simplices of one box have the same.
+        Index along each axis of the grid box of each cell; the simplices of one box have the same.
     cells : (d,) integer array
-        Number of places along each axis.
+        Number of boxes along each axis.
     lengths : (d,) array
         The body's [m].
     """
@@ -44,7 +38,7 @@ class Grid:
 
 
 def find_grid(points: Points, cell_nodes: Numbers) -> Grid | None:
-    """Find out whether nodes are a grid along the axes, from their coordinates alone.
+    """Find out from coordinates whether nodes form a grid along the axes.
 
     Parameters
     ----------
@@ -56,7 +50,8 @@ def find_grid(points: Points, cell_nodes: Numbers) -> Grid | None:
     Returns
     -------
     Grid or None
-        None unless most combinations of coordinates are at one node, and none at two.
+        A grid if at least half of all combinations of coordinates are at one node and none is at
+        two: corners of the body may be missing, and so may boxes on other ranks.
 
     Examples
     --------
@@ -65,28 +60,30 @@ def find_grid(points: Points, cell_nodes: Numbers) -> Grid | None:
     >>> find_grid(points, np.array([[0, 1, 2], [1, 2, 3]])).cells.tolist()
     [1, 1]
     """
+    least_filled = 0.5
     if len(points) == 0:
         return None
     lengths = np.ptp(points, axis=0)
-    steps = np.stack([_steps(x, _SAME * lengths.max()) for x in points.T], axis=1)
-    shape = steps.max(axis=0) + 1
-    # as floats: of an unstructured mesh every coordinate is another one
-    if len(points) < _FILLED * np.prod(shape.astype(float)):
+    same = RELATIVE_ROUNDING * lengths.max()
+    index = np.stack([_grid_index(x, same) for x in points.T], axis=1)
+    shape = index.max(axis=0) + 1
+    # as floats: all coordinates of an unstructured mesh differ, and the product overflows
+    if len(points) < least_filled * np.prod(shape.astype(float)):
         return None
-    if np.unique(np.ravel_multi_index(tuple(steps.T), tuple(shape))).size < len(points):
+    if np.unique(np.ravel_multi_index(tuple(index.T), tuple(shape))).size < len(points):
         return None
-    return Grid(steps[cell_nodes].min(axis=1), shape - 1, lengths)
+    return Grid(index[cell_nodes].min(axis=1), shape - 1, lengths)
 
 
 def block_of_cells(grid: Grid, nodes: float) -> Numbers:
-    """Cut a grid into blocks that are as nearly cubes as coming out even allows.
+    """Cut a grid into equal blocks that are nearly cubes.
 
     Parameters
     ----------
     grid : Grid
         The cells.
     nodes : float
-        Nodes of a block to aim at.
+        Wanted number of nodes of a block.
 
     Returns
     -------
@@ -101,23 +98,27 @@ def block_of_cells(grid: Grid, nodes: float) -> Numbers:
         _blocks_along(int(n), length / edge)
         for n, length in zip(grid.cells, grid.lengths, strict=True)
     ]
-    places = [(grid.cell[:, axis] * count) // grid.cells[axis] for axis, count in enumerate(counts)]
-    block: Numbers = np.ravel_multi_index(tuple(places), tuple(counts))
+    index = [(grid.cell[:, axis] * count) // grid.cells[axis] for axis, count in enumerate(counts)]
+    block: Numbers = np.ravel_multi_index(tuple(index), tuple(counts))
     return block
 
 
-def _steps(x: Points, same: float) -> Numbers:
-    """Return of each coordinate how many different smaller ones there are."""
+def _grid_index(x: Points, same: float) -> Numbers:
+    """Return for each coordinate the number of different smaller ones."""
     order = np.argsort(x)
-    steps = np.empty(x.size, dtype=np.int64)
-    steps[order] = np.cumsum(np.diff(x[order], prepend=x[order[:1]]) > same)
-    return steps
+    index = np.empty(x.size, dtype=np.int64)
+    index[order] = np.cumsum(np.diff(x[order], prepend=x[order[:1]]) > same)
+    return index
 
 
 def _blocks_along(cells: int, wanted: float) -> int:
-    """Return the number of blocks along an axis: one that divides the cells, if one is near."""
+    """Return the number of blocks along an axis, preferably one that divides the cells.
+
+    A divisor is taken if it differs from the wanted number by no more than a factor of 1.4.
+    """
+    largest_factor = 1.4
     wanted = min(max(wanted, 1.0), float(cells))
     counts = np.arange(1, min(cells, int(2.0 * wanted) + 1) + 1)
-    miss = np.maximum(counts / wanted, wanted / counts)
-    even = (cells % counts == 0) & (miss <= _LEEWAY)
-    return int(counts[np.argmin(np.where(even, miss, miss + _LEEWAY))])
+    factor = np.maximum(counts / wanted, wanted / counts)
+    divides = (cells % counts == 0) & (factor <= largest_factor)
+    return int(counts[np.argmin(np.where(divides, factor, factor + largest_factor))])

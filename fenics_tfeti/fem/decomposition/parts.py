@@ -1,4 +1,4 @@
-"""Subdomains as parts of the user's mesh, numbered alike where their shapes are equal."""
+"""The parts of the user's mesh that are subdomains, with equal node numbers where congruent."""
 
 from __future__ import annotations
 
@@ -14,55 +14,49 @@ from numpy.typing import NDArray
 from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
 
 __all__ = ["Part", "find_equal", "number_parts"]
 
-Numbers = NDArray[np.int32]
+Indices = NDArray[np.int32]
 Points = NDArray[np.float64]
-
-# relative to the coordinates: what rounding leaves when equal cells lie at different places
-_ROUNDING = 1e-14
-# Steps in the width of a part by which its nodes are sorted and fingerprinted. A power of two, so
-# that no regular grid has its nodes half-way between two steps; where a node lies there by chance,
-# only sharing is lost.
-_STEPS = 2**30
 
 
 @dataclass(frozen=True)
 class Part:
-    """A subdomain's cells, and the numbers of their nodes within it.
+    """The cells of a subdomain, and the numbers of their nodes within it.
 
     Attributes
     ----------
     cells : (m,) integer array
-        The user's cells.
+        The cells of the user's mesh.
     nodes : (k,) integer array
-        The user's blocked degrees of freedom, in the order of the subdomain's nodes.
+        Blocked degrees of freedom of the user's space, in the order of the subdomain's nodes.
     table : (m, v) integer array
-        The subdomain's nodes of each cell.
+        The nodes of each cell, numbered within the subdomain.
     body : int
         The body.
     shape : bytes or None
-        Fingerprint of the table and of the nodes' places relative to each other, the same for
-        congruent parts; None where no other part has as many cells and nodes.
+        Hash of the table and of the nodes' relative coordinates, equal for congruent parts; None
+        where no other part has as many cells and nodes.
     """
 
-    cells: Numbers
-    nodes: Numbers
-    table: Numbers
+    cells: Indices
+    nodes: Indices
+    table: Indices
     body: int
     shape: bytes | None = None
 
 
 def number_parts(
-    space: FunctionSpace, cells: Sequence[Numbers], bodies: Sequence[int]
+    space: FunctionSpace, cells: Sequence[Indices], bodies: Sequence[int]
 ) -> list[Part]:
-    """Give the nodes of each subdomain numbers of its own.
+    """Give the nodes of each subdomain numbers within it.
 
     Parameters
     ----------
     space : FunctionSpace
-        The displacement's.
+        The displacement's space.
     cells : sequence of integer arrays
         Cells of each of this rank's subdomains.
     bodies : sequence of int
@@ -71,8 +65,8 @@ def number_parts(
     Returns
     -------
     list of Part
-        Those that may be congruent with cells and nodes in an order that depends on their shape
-        alone, so that congruent ones have equal tables.
+        Where parts have equally many cells and nodes, both are sorted in an order that depends on
+        their shape alone: congruent parts have equal tables.
     """
     dofs = _compat.cell_dofs(space)
     x = space.tabulate_dof_coordinates()[:, : space.mesh.geometry.dim]
@@ -88,35 +82,35 @@ def number_parts(
 
 
 def find_equal(
-    parts: Sequence[Part], x: Points, data: Sequence[NDArray[Any]], at_any_place: bool
+    parts: Sequence[Part], x: Points, data: Sequence[NDArray[Any]], translation_invariant: bool
 ) -> list[int]:
     """Find parts that are equal in shape and data.
 
     Parameters
     ----------
     parts : sequence of Part
-        This rank's.
+        This rank's parts.
     x : (dofs, gdim) array
-        Places of the user's blocked degrees of freedom [m].
+        Coordinates of the blocked degrees of freedom of the user's space [m].
     data : sequence of (cells, ...) arrays
-        What else has to be equal, bit by bit, for each of the user's cells.
-    at_any_place : bool
-        False: where parts lie matters too, so that none is equal to another.
+        Data of each cell of the user's mesh that have to be equal, bit by bit.
+    translation_invariant : bool
+        False: no two parts are equal, since they lie at different places.
 
     Returns
     -------
     list of int
-        For each part the first one that it equals, itself if there is none before.
+        For each part the first one that is equal to it, possibly itself.
     """
     first = list(range(len(parts)))
-    if not at_any_place:
+    if not translation_invariant:
         return first
     known: dict[bytes, list[int]] = defaultdict(list)
     for i, part in enumerate(parts):
         if part.shape is None:
             continue
-        # equal hashes are equal data; coordinates are rounded in it, and compared
-        candidates = known[part.shape + _digest(*(values[part.cells] for values in data))]
+        # the hash stands for the data; coordinates are rounded in it and therefore compared
+        candidates = known[part.shape + _hash(*(values[part.cells] for values in data))]
         for j in candidates:
             if _is_translated(x[part.nodes], x[parts[j].nodes]):
                 first[i] = j
@@ -126,34 +120,39 @@ def find_equal(
     return first
 
 
-def _number(dofs: Numbers, cells: Numbers, body: int) -> Part:
+def _number(dofs: Indices, cells: Indices, body: int) -> Part:
     nodes, table = np.unique(dofs[cells], return_inverse=True)
     return Part(cells, nodes, table.reshape(cells.size, -1).astype(np.int32), body)
 
 
 def _sort(part: Part, x: Points) -> Part:
-    """Sort nodes by their places relative to the part, and cells by their nodes."""
+    """Sort the nodes by their coordinates relative to the part, and the cells by their nodes."""
+    # Coordinates are rounded to steps in the width of the part. Their number is a power of two, so
+    # that no regular grid has nodes half-way between two steps; a part whose node is there by
+    # chance is assembled by itself.
+    steps = 2**30
     relative = x - x.min(axis=0)
-    steps = np.rint(relative * (_STEPS / relative.max())).astype(np.int64)
-    order = np.lexsort(steps.T)
+    rounded = np.rint(relative * (steps / relative.max())).astype(np.int64)
+    order = np.lexsort(rounded.T)
     rank = np.empty(order.size, dtype=np.int32)
     rank[order] = np.arange(order.size, dtype=np.int32)
     table = rank[part.table]
     rows = np.lexsort(table.T)
-    shape = _digest(steps[order], table[rows])
+    shape = _hash(rounded[order], table[rows])
     return Part(part.cells[rows], part.nodes[order], table[rows], part.body, shape)
 
 
-def _digest(*data: NDArray[Any]) -> bytes:
-    found = hashlib.sha256()
+def _hash(*data: NDArray[Any]) -> bytes:
+    digest = hashlib.sha256()
     for values in data:
-        found.update(f"{values.dtype} {values.shape}".encode())
-        found.update(values.tobytes())
-    return found.digest()
+        digest.update(f"{values.dtype} {values.shape}".encode())
+        digest.update(values.tobytes())
+    return digest.digest()
 
 
 def _is_translated(one: Points, other: Points) -> bool:
+    """Tell whether two parts' nodes differ by a translation, up to the rounding of coordinates."""
     offset = one - other
     offset -= offset[:1]
-    reach = max(np.abs(one).max(), np.abs(other).max())
-    return bool(np.abs(offset).max() <= _ROUNDING * reach)
+    largest = max(np.abs(one).max(), np.abs(other).max())
+    return bool(np.abs(offset).max() <= COORDINATE_ROUNDING * largest)

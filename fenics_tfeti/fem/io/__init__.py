@@ -1,1 +1,26 @@
-"""Mesh files, structured meshes, fields in files, pictures."""
+"""Mesh files, structured meshes, files of fields, pictures; also found as `fenics_tfeti.io`."""
+
+from fenics_tfeti.fem.io.fields import (
+    contact_fields,
+    displacement_space,
+    von_mises,
+    write_fields,
+)
+from fenics_tfeti.fem.io.gmsh import read_msh
+from fenics_tfeti.fem.io.pictures import draw_deformed, draw_profile
+from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
+
+__all__ = [
+    "Box",
+    "TaggedMesh",
+    "boxes",
+    "contact_fields",
+    "displacement_space",
+    "draw_deformed",
+    "draw_profile",
+    "read_msh",
+    "tag_facets",
+    "von_mises",
+    "write_fields",
+]

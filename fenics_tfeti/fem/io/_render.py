@@ -1,7 +1,7 @@
-"""Draws a deformed mesh: ``python _render.py data.npz picture.png``, a process of its own.
+"""Draw a deformed mesh in a process of its own: ``python _render.py data.npz picture.png``.
 
-It must not import dolfinx: on Debian 12, VTK from PyPI aborts in a process that used dolfinx 0.5.2.
-Therefore it is run by its path, and imports nothing of its package. `pictures.py` writes the data.
+On Debian 12, VTK from PyPI aborts in a process that used dolfinx 0.5.2. Therefore this script is
+run by its path and imports nothing of its package; `pictures.py` writes the data.
 """
 
 from __future__ import annotations
@@ -19,35 +19,18 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
-Numbers = NDArray[np.int64]
 
 INK = "#22262b"
 OUTLINE = "#8a9099"
 DPI = 200
-MANY_FACES = 20_000  # more faces than this would drown in the lines between them
-VTK_SHAPES = {"triangle": 5, "quadrilateral": 9, "tetrahedron": 10, "hexahedron": 12}
-
-# For each shape: the vertices next to the first one, and the order of a mirrored cell.
-NEIGHBOURS = {
-    "triangle": [1, 2],
-    "quadrilateral": [1, 3],
-    "tetrahedron": [1, 2, 3],
-    "hexahedron": [1, 3, 4],
-}
-MIRRORED = {
-    "triangle": [0, 2, 1],
-    "quadrilateral": [0, 3, 2, 1],
-    "tetrahedron": [0, 2, 1, 3],
-    "hexahedron": [4, 5, 6, 7, 0, 1, 2, 3],
-}
 
 
 def grid_of(data: Any) -> pyvista.UnstructuredGrid:
     """Return the undeformed mesh with its colours."""
-    cells = right_handed(data["cells"], data["points"], str(data["shape"]))
+    cells = data["cells"]
     rows = np.column_stack([np.full(len(cells), cells.shape[1]), cells])
-    kinds = np.full(len(cells), VTK_SHAPES[str(data["shape"])], dtype=np.uint8)
-    grid = pyvista.UnstructuredGrid(rows.ravel(), kinds, data["points"])
+    types = np.full(len(cells), data["vtk_type"], dtype=np.uint8)
+    grid = pyvista.UnstructuredGrid(rows.ravel(), types, data["points"])
     colours = data["colours"]
     target = grid.cell_data if len(colours) == len(cells) else grid.point_data
     target["colours"] = colours
@@ -58,7 +41,7 @@ def grid_of(data: Any) -> pyvista.UnstructuredGrid:
 def edges_of(surface: pyvista.PolyData) -> pyvista.PolyData:
     """Return the sharp edges and the boundary of each body.
 
-    The filter joins points at the same place; bodies that touch are drawn apart for it.
+    The filter merges points at the same place; bodies that touch are moved apart for it.
     """
     surface.point_data["place"] = surface.points
     bodies = surface.connectivity("all")
@@ -72,17 +55,9 @@ def edges_of(surface: pyvista.PolyData) -> pyvista.PolyData:
     return edges
 
 
-def right_handed(cells: Numbers, points: NDArray[np.float64], shape: str) -> Numbers:
-    """Mirror the cells that are left-handed: the edges of bodies are found by outward normals."""
-    neighbours = NEIGHBOURS[shape]
-    gdim = len(neighbours)
-    corners = points[cells][..., :gdim]
-    is_left = np.linalg.det(corners[:, neighbours] - corners[:, :1]) < 0
-    return np.where(is_left[:, np.newaxis], cells[:, MIRRORED[shape]], cells)
-
-
-def photograph(data: Any, limits: tuple[float, float], pixels: tuple[int, int]) -> Image:
-    """Return an image (height, width, 3) of the deformed mesh on white, without empty margins."""
+def render_mesh(data: Any, limits: tuple[float, float], pixels: tuple[int, int]) -> Image:
+    """Return an image (height, width, 3) of the deformed mesh on white, without margins."""
+    most_outlined = 20_000  # the lines between more faces would hide the colours
     surface = grid_of(data).extract_surface(algorithm="dataset_surface")
     edges = edges_of(surface)
     deformed, deformed_edges = (part.copy() for part in (surface, edges))
@@ -99,7 +74,7 @@ def photograph(data: Any, limits: tuple[float, float], pixels: tuple[int, int]) 
         cmap=str(data["colour_map"]),
         clim=limits,
         show_scalar_bar=False,
-        show_edges=deformed.n_cells < MANY_FACES,
+        show_edges=deformed.n_cells < most_outlined,
         edge_color=INK,
         edge_opacity=0.3,
         line_width=1.5,
@@ -123,14 +98,14 @@ def photograph(data: Any, limits: tuple[float, float], pixels: tuple[int, int]) 
 
 
 def without_margins(image: Image) -> Image:
-    """Cut off the white rows and columns around what is drawn."""
+    """Remove the white rows and columns around the drawing."""
     drawn = np.any(image < 250, axis=2)
     rows, columns = np.flatnonzero(drawn.any(axis=1)), np.flatnonzero(drawn.any(axis=0))
     return image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
 
 
 def compose(data: Any, image: Image, limits: tuple[float, float], path: str) -> None:
-    """Put the title, the image, the colour bar and the note on one page."""
+    """Compose the title, the image, the colour bar and the note into one picture."""
     width, height = data["size"] / DPI
     figure = Figure(figsize=(width, height), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
@@ -154,10 +129,10 @@ def main(data_path: str, picture_path: str) -> None:
     with np.load(data_path) as file:
         data = dict(file)
     low, high = np.min(data["colours"]), np.max(data["colours"])
-    if high - low <= 1e-12 * max(abs(low), abs(high)):  # a bar needs some length
+    if high - low <= 1e-12 * max(abs(low), abs(high)):  # the colour bar needs an interval
         low, high = low - 0.5 * (abs(low) or 1), high + 0.5 * (abs(high) or 1)
     limits = (float(low), float(high))
-    image = photograph(data, limits, (2 * int(data["size"][0]), 2 * int(data["size"][1])))
+    image = render_mesh(data, limits, (2 * int(data["size"][0]), 2 * int(data["size"][1])))
     compose(data, image, limits, picture_path)
 
 

@@ -1,4 +1,4 @@
-"""Fields derived from a solution, and files of fields for ParaView."""
+"""Fields computed from a solution, and files of fields for ParaView."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ __all__ = ["contact_fields", "displacement_space", "von_mises", "write_fields"]
 
 
 def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Function:
-    """Evaluate the von Mises stress at the centre of each cell. Collective.
+    """Evaluate the von Mises stress at the midpoint of each cell. Collective.
 
     Parameters
     ----------
     mesh : dolfinx.mesh.Mesh
         The mesh.
     stress : UFL expression, 3 x 3 or 2 x 2
-        Stress tensor [Pa], in terms of the displacement. In two dimensions, give the whole tensor
-        of the plane strain state, or its part in the plane together with `poisson_ratio`.
+        Stress tensor [Pa], in terms of the displacement. In two dimensions either the 3 x 3 tensor,
+        or its 2 x 2 in-plane part together with `poisson_ratio`.
     poisson_ratio : float, optional
-        For a 2 x 2 tensor: gives the normal stress out of the plane in plane strain,
-        poisson_ratio (s_xx + s_yy) for an isotropic elastic body. Pass 0 for plane stress.
+        For a 2 x 2 tensor: the out-of-plane normal stress is poisson_ratio (s_xx + s_yy), as in
+        plane strain of an isotropic body. Pass 0 for plane stress.
 
     Returns
     -------
@@ -45,17 +45,17 @@ def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Fu
     Raises
     ------
     InputError
-        If `stress` is not such a tensor, or a 2 x 2 tensor comes without `poisson_ratio`.
+        If `stress` has another shape, or is a 2 x 2 tensor without `poisson_ratio`.
 
     Notes
     -----
-    Where the stress is not constant on a cell, the peaks at the corners of the cell are cut off.
+    Where the stress is not constant on a cell, its largest values at the vertices are not shown.
     """
     with raise_collectively(mesh.comm):
         stress = ufl.as_ufl(stress)
         _check_stress(stress, poisson_ratio)
     if stress.ufl_shape == (2, 2):
-        # A Constant, since a number would be compiled into the code, anew for each value.
+        # a Constant: for each number in the expression, code would be compiled anew
         ratio = Constant(mesh, float(poisson_ratio or 0.0))
         normal = ratio * ufl.tr(stress)
         stress = ufl.as_tensor(
@@ -73,28 +73,28 @@ def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Fu
 
 
 def write_fields(path: str | os.PathLike[str], functions: Sequence[Function]) -> None:
-    """Write fields into files that ParaView opens: `path` and one or more files beside it.
+    """Write fields to files for ParaView: `path` and the files that it refers to. Collective.
 
-    Under MPI each rank writes its part. Collective.
+    Under MPI each rank writes its part.
 
     Parameters
     ----------
     path : path-like
-        Name of the file, with the suffix .pvd. Its folder is made if need be.
+        Name of the file, with the suffix .pvd. Its folder is created if it does not exist.
     functions : sequence of dolfinx.fem.Function
-        Fields on one mesh, of degree 1 (continuous) or 0 (constant on each cell), scalars and
-        vectors together. They go by their ``name``; all names must differ.
+        Scalar and vector fields on one mesh, continuous of degree 1 or constant on each cell. Each
+        is written under its ``name``; the names have to differ.
 
     Raises
     ------
     InputError
         If a field or a name is wrong; then nothing is written.
     OSError
-        If the folder cannot be made.
+        If the folder cannot be created.
     """
     path = Path(path)
     if not functions:
-        raise InputError("there are no fields to write; pass at least one function")
+        raise InputError("there are no fields to write: pass at least one function")
     comm = functions[0].function_space.mesh.comm
     with raise_collectively(comm):
         _check_fields(path, functions)
@@ -109,12 +109,12 @@ def write_fields(path: str | os.PathLike[str], functions: Sequence[Function]) ->
 
 
 def field_degree(function: Function) -> int:
-    """Return the degree of a field that can be drawn and written: 1, or 0 if constant on cells.
+    """Return the degree of a field: 1 if continuous of degree 1, 0 if constant on each cell.
 
     Raises
     ------
     InputError
-        If it is neither continuous of degree 1 nor constant on each cell.
+        If it is neither, and can therefore not be written or drawn.
     """
     family, degree, _ = _compat.element_facts(function.function_space)
     if (family, degree) == ("Lagrange", 1) or (family, degree) == ("Discontinuous Lagrange", 0):
@@ -126,28 +126,28 @@ def field_degree(function: Function) -> int:
 
 
 def _check_stress(stress: Any, poisson_ratio: float | None) -> None:
-    """Check the shape of a stress tensor."""
     if stress.ufl_shape not in {(2, 2), (3, 3)}:
         raise InputError(
-            f"a stress of shape {stress.ufl_shape} is no tensor; pass one of shape (3, 3) or (2, 2)"
+            f"the stress has shape {stress.ufl_shape}; a tensor of shape (3, 3) or (2, 2) is "
+            "expected"
         )
     if stress.ufl_shape == (2, 2) and poisson_ratio is None:
         raise InputError(
-            "the stress out of the plane is missing: pass poisson_ratio for plane strain, 0 for "
-            "plane stress, or a stress tensor of shape (3, 3)"
+            "the out-of-plane stress is missing: pass poisson_ratio for plane strain, 0 for plane "
+            "stress, or a stress tensor of shape (3, 3)"
         )
 
 
 def _check_fields(path: Path, functions: Sequence[Function]) -> None:
-    """Check the names and spaces of fields, since the writer would fail halfway."""
+    """Check the names and spaces of fields before the writer starts a file."""
     if path.suffix != ".pvd":
         raise InputError(f"'{path}' does not end in .pvd, the suffix of ParaView's collections")
     count = Counter(function.name for function in functions)
     for name, times in count.items():
         if not name.strip():
-            raise InputError("a field has no name; set its name, as in uh.name = 'displacement'")
+            raise InputError("a field has no name: set it, as in uh.name = 'displacement'")
         if times > 1:
-            raise InputError(f"{times} fields have the name '{name}'; give each its own")
+            raise InputError(f"{times} fields have the name '{name}': give each its own")
     mesh = functions[0].function_space.mesh
     for function in functions:
         if function.function_space.mesh is not mesh:
@@ -156,7 +156,9 @@ def _check_fields(path: Path, functions: Sequence[Function]) -> None:
 
 
 def displacement_space(mesh: Mesh) -> FunctionSpace:
-    """Return the space of continuous vector fields of degree 1, by whatever call dolfinx has.
+    """Return the space of displacements: Lagrange elements of degree 1, gdim components.
+
+    It saves scripts from the differences between the versions of dolfinx.
 
     Parameters
     ----------
@@ -167,7 +169,7 @@ def displacement_space(mesh: Mesh) -> FunctionSpace:
 
 
 def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> list[Function]:
-    """Turn the results at slave nodes into fields, zero elsewhere. Collective.
+    """Return the contact results as fields that are zero outside of slave nodes. Collective.
 
     Parameters
     ----------
@@ -186,7 +188,7 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
     pressure, gap = Function(scalar, name="contact pressure"), Function(scalar, name="initial gap")
     force = Function(space, name="contact force")
     block = space.dofmap.index_map_bs
-    # both spaces have one degree of freedom or block for each vertex, cell by cell in one order
+    # both spaces have one (blocked) degree of freedom for each vertex, in the same order by cells
     to_scalar = np.empty(len(force.x.array) // block, dtype=np.int32)
     to_scalar[_compat.cell_dofs(space)] = _compat.cell_dofs(scalar)
     first = space.dofmap.index_map.local_range[0]

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -17,40 +13,19 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from dolfinx.mesh import Mesh
-
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.io._gmsh_session import import_gmsh, opened_file
+from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
+from fenics_tfeti.fem.reference_cells import MESH_CELLS
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["TaggedMesh", "read_msh"]
+__all__ = ["read_msh"]
 
 _log = logging.getLogger(__name__)
 
-_SHAPES = ("Triangle", "Quadrilateral", "Tetrahedron", "Hexahedron")  # as Gmsh calls them
-_KIND = {0: "point", 1: "curve", 2: "surface", 3: "volume"}
-
-
-@dataclass(frozen=True)
-class TaggedMesh:
-    """A distributed mesh with integer tags.
-
-    Attributes
-    ----------
-    mesh : dolfinx.mesh.Mesh
-        The mesh; coordinates in the unit of the file, metres for everything in this package.
-    cell_tags : dolfinx.mesh.MeshTags
-        The tag of each cell, usually the number of its body.
-    facet_tags : dolfinx.mesh.MeshTags
-        The tags of those facets that have one; possibly of none.
-    names : dict of str to int
-        Name -> tag of cells or facets; the same on all ranks.
-    """
-
-    mesh: Mesh
-    cell_tags: Any
-    facet_tags: Any
-    names: dict[str, int]
+# Gmsh's names of entities, by dimension
+_ENTITY = ("point", "curve", "surface", "volume")
 
 
 def read_msh(
@@ -58,24 +33,24 @@ def read_msh(
 ) -> TaggedMesh:
     """Read a mesh and its physical groups from a Gmsh file.
 
-    Rank 0 reads the file, then dolfinx distributes the cells. Nodes at the same place stay
-    separate nodes, thus bodies that touch stay separate bodies. Nodes of no cell are left out, with
-    a warning in the log. Collective.
+    Rank 0 reads the file, then dolfinx distributes the cells. Nodes at the same place are not
+    merged: bodies that touch stay separate bodies. Nodes of no cell are left out, with a warning in
+    the log. Collective.
 
     Parameters
     ----------
     path : path-like
-        A .msh file, of version 2 or 4, with a physical group on each body and on each part of
-        the surface that is to be tagged.
+        A .msh file of version 2 or 4, with a physical group on each body and on each surface that
+        is to be tagged.
     comm : MPI.Comm
         Communicator of the mesh.
     gdim : int
-        Number of coordinates, 3 or 2; equals the dimension of the cells.
+        Number of coordinates, 2 or 3, equal to the dimension of the cells.
 
     Returns
     -------
     TaggedMesh
-        The tags are the numbers of the physical groups, `names` the names of those that have one.
+        The tags are the numbers of the physical groups, and `names` maps their names to tags.
 
     Raises
     ------
@@ -84,7 +59,7 @@ def read_msh(
     ImportError
         If the Python module of Gmsh is missing.
     InputError
-        If the file cannot be read, a cell is there twice or names a node twice, or the physical
+        If the file cannot be read, a cell is in it twice or has a node twice, or the physical
         groups do not give each cell one tag and each facet at most one. All errors are raised on
         all ranks.
 
@@ -95,13 +70,13 @@ def read_msh(
     """
     path = Path(path)
     with raise_collectively(comm):
-        gmsh = _import_gmsh()
+        gmsh = import_gmsh()
     with ExitStack() as session:
         names: dict[str, int] = {}
         tagged_facets = 0
         with raise_collectively(comm):
             if comm.rank == 0:
-                session.enter_context(_opened(gmsh, path))
+                session.enter_context(opened_file(gmsh, path))
                 names, tagged_facets = _prepare(gmsh.model, path, gdim)
         names, tagged_facets = comm.bcast((names, tagged_facets))
         mesh, cell_tags, facet_tags = _compat.gmsh_model_to_mesh(gmsh.model, comm, gdim)
@@ -110,109 +85,12 @@ def read_msh(
     owned = mesh.topology.index_map(gdim - 1).size_local
     found = comm.allreduce(int(np.count_nonzero(facet_tags.indices < owned)))
     if found != tagged_facets:
-        raise _not_sides(path, tagged_facets - found, tagged_facets, gdim - 1)
+        raise _not_facets(path, tagged_facets - found, tagged_facets, gdim - 1)
     return TaggedMesh(mesh, cell_tags, facet_tags, names)
 
 
-def _import_gmsh() -> Any:
-    """Import the Python module of Gmsh, which old versions let take over Ctrl-C."""
-    try:
-        with _interrupt_handler_kept():
-            import gmsh
-    except (ImportError, OSError) as error:  # OSError: its shared library is missing
-        raise ImportError(
-            f"reading a .msh file needs the Python module gmsh ({error}); install it with "
-            "'apt install python3-gmsh' (Debian, Ubuntu) or 'pip install gmsh'"
-        ) from error
-    return gmsh
-
-
-@contextmanager
-def _opened(gmsh: Any, path: Path) -> Iterator[None]:
-    """Have the file as the current Gmsh model, and leave Gmsh as it was."""
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"there is no mesh file '{path}' (looked in {Path.cwd()}); check the path, or make "
-            "the file with Gmsh first"
-        )
-    with path.open("rb") as file:
-        if not file.read(1024).lstrip().startswith(b"$"):
-            raise InputError(f"{path} is not a Gmsh mesh file: it does not start with $MeshFormat")
-    with _session(gmsh):
-        gmsh.model.add("fenics_tfeti.read_msh")
-        try:
-            gmsh.merge(str(path))
-        except Exception as error:  # Gmsh raises no class of its own
-            raise InputError(
-                f"Gmsh cannot read {path} ({error}); save it again as a mesh of version 4.1, or "
-                "update Gmsh"
-            ) from error
-        yield
-
-
-@contextmanager
-def _session(gmsh: Any) -> Iterator[None]:
-    """Open a quiet Gmsh session, or borrow the user's and give it back unchanged."""
-    if _is_initialized(gmsh):
-        terminal = gmsh.option.getNumber("General.Terminal")
-        current = gmsh.model.getCurrent()
-        models = len(gmsh.model.list())
-        gmsh.option.setNumber("General.Terminal", 0)
-        try:
-            yield
-        finally:
-            if len(gmsh.model.list()) > models:
-                gmsh.model.remove()
-            gmsh.model.setCurrent(current)
-            gmsh.option.setNumber("General.Terminal", terminal)
-        return
-    with _interrupt_handler_kept():
-        gmsh.initialize(readConfigFiles=False)
-        gmsh.option.setNumber("General.Terminal", 0)
-        try:
-            yield
-        finally:
-            gmsh.finalize()
-
-
-def _is_initialized(gmsh: Any) -> bool:
-    """Ask whether the user has a Gmsh session open."""
-    if hasattr(gmsh, "isInitialized"):
-        return bool(gmsh.isInitialized())
-    # Gmsh 4.8 knows its version in a session only; after one, it complains before it raises.
-    with _stderr_closed():
-        try:
-            return bool(gmsh.option.getString("General.Version"))
-        except Exception:
-            return False
-
-
-@contextmanager
-def _interrupt_handler_kept() -> Iterator[None]:
-    """Restore the handler of Ctrl-C, which Gmsh replaces so that it ends the process."""
-    handler = signal.getsignal(signal.SIGINT)
-    try:
-        yield
-    finally:
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, handler)
-
-
-@contextmanager
-def _stderr_closed() -> Iterator[None]:
-    """Discard what a C library writes to the standard error stream."""
-    copy = os.dup(2)
-    with open(os.devnull, "wb") as nowhere:
-        os.dup2(nowhere.fileno(), 2)
-    try:
-        yield
-    finally:
-        os.dup2(copy, 2)
-        os.close(copy)
-
-
 def _prepare(model: Any, path: Path, gdim: int) -> tuple[dict[str, int], int]:
-    """Check all that dolfinx takes for granted, where it would fail on rank 0 alone and hang.
+    """Check what dolfinx requires; its own errors, on rank 0 alone, would leave ranks waiting.
 
     Returns
     -------
@@ -221,17 +99,17 @@ def _prepare(model: Any, path: Path, gdim: int) -> tuple[dict[str, int], int]:
     """
     dimension = max((d for d in range(4) if len(model.mesh.getElementTypes(d))), default=0)
     if dimension == 0:
-        raise InputError(f"{path} holds no cells; was it damaged, or saved before meshing?")
+        raise InputError(f"{path} has no cells; was it damaged, or saved before meshing?")
     if dimension != gdim:
         raise InputError(
             f"the cells in {path} are of dimension {dimension}, but gdim is {gdim}; pass "
-            f"gdim={dimension}, or save a mesh with {_KIND.get(gdim, 'cell')}s"
+            f"gdim={dimension}, or save a mesh with cells of dimension {gdim}"
         )
-    shapes = {_shape(model, element) for element in model.mesh.getElementTypes(dimension)}
-    if len(shapes) > 1 or not shapes <= set(_SHAPES):
+    types = {_cell_type(model, element) for element in model.mesh.getElementTypes(dimension)}
+    if len(types) > 1 or not types <= set(MESH_CELLS):
         raise InputError(
-            f"{path} holds cells of the shapes {', '.join(sorted(shapes))}; supported are meshes "
-            f"of one shape out of {', '.join(_SHAPES)}"
+            f"{path} has cells of the types {', '.join(sorted(types))}; supported are meshes of "
+            f"one type out of {', '.join(MESH_CELLS)}"
         )
     cells, facets = (
         [(d, tag) for d, tag in model.getPhysicalGroups() if d == dimension - codim]
@@ -244,12 +122,12 @@ def _prepare(model: Any, path: Path, gdim: int) -> tuple[dict[str, int], int]:
         _keep_groups(model, cells + facets)
     nodes = model.mesh.getNodes()[0]
     if len(nodes) != nodes.max():
-        model.mesh.renumberNodes()  # dolfinx wants numbers without gaps
+        model.mesh.renumberNodes()  # dolfinx requires numbers without gaps
     return _names(model, cells + facets, path), tagged_facets
 
 
 def _check_cell_nodes(model: Any, path: Path, dim: int) -> None:
-    """Check that no cell is there twice or has a node twice, and name nodes of no cell."""
+    """Check that no cell is there twice or has a node twice; warn about nodes of no cell."""
     types, _, rows = model.mesh.getElements(dim)
     cells = np.sort(rows[0].reshape(-1, model.mesh.getElementProperties(types[0])[3]), axis=1)
 
@@ -260,26 +138,26 @@ def _check_cell_nodes(model: Any, path: Path, dim: int) -> None:
     collapsed = np.flatnonzero(np.any(cells[:, 1:] == cells[:, :-1], axis=1))
     if len(collapsed):
         raise InputError(
-            f"{path} has cells that name a node twice: {around(collapsed)}; mesh there again, "
+            f"{path} has cells with the same node twice: {around(collapsed)}; mesh there again, "
             "without collapsed cells"
         )
     once = np.unique(cells, axis=0, return_index=True)[1]
     again = np.setdiff1d(np.arange(len(cells)), once)
     if len(again):
         raise InputError(
-            f"{path} has cells that are there several times: {around(again)}; remove the copies "
+            f"{path} has several cells with the same nodes: {around(again)}; remove the copies "
             "(removeDuplicateElements in Gmsh)"
         )
     unused = np.setdiff1d(model.mesh.getNodes()[0], cells)
     if len(unused):
-        # such as centres of circles, which Gmsh saves with its option Mesh.SaveAll
+        # such as centres of circles, which Gmsh saves if its option Mesh.SaveAll is set
         first = format_point(model.mesh.getNode(unused[0])[0])
         _log.warning("%s: left out %d nodes of no cell, one at %s", path, len(unused), first)
 
 
 def _check_cell_groups(model: Any, groups: list[tuple[int, int]], path: Path, dim: int) -> None:
     """Check that each cell is in exactly one physical group."""
-    kind = _KIND[dim]
+    kind = _ENTITY[dim]
     if not groups:
         raise InputError(
             f"{path} has no physical {kind} group; give each body one (addPhysicalGroup({dim}, "
@@ -299,29 +177,29 @@ def _check_cell_groups(model: Any, groups: list[tuple[int, int]], path: Path, di
 
 
 def _check_facet_groups(model: Any, groups: list[tuple[int, int]], path: Path, dim: int) -> int:
-    """Check that no facet is in two physical groups, and count the facets in groups."""
+    """Check that no facet is in two physical groups; return the number of facets in groups."""
     nodes = [rows for group in groups for rows in _elements(model, *group, path)[1]]
     if not nodes:
         return 0
     if len({rows.shape[1] for rows in nodes}) > 1:
-        raise InputError(f"{path}: the facets are of different shapes; use cells of one shape")
+        raise InputError(f"{path}: the facets are of different types; use cells of one type")
     facets = np.sort(np.concatenate(nodes), axis=1)
     if len(np.unique(facets, axis=0)) != len(facets):
         raise InputError(
-            f"{path}: a facet is in several physical {_KIND[dim]} groups, but can have one tag "
-            "only; split the groups so that they do not overlap"
+            f"{path}: a facet is in several physical {_ENTITY[dim]} groups, but can have only one "
+            "tag; split the groups so that they do not overlap"
         )
     in_cells = np.unique(model.mesh.getElements(dim + 1)[2][0])
     alone = np.count_nonzero(~np.isin(facets, in_cells).all(axis=1))
     if alone:
-        raise _not_sides(path, alone, len(facets), dim)
+        raise _not_facets(path, alone, len(facets), dim)
     return len(facets)
 
 
-def _not_sides(path: Path, count: int, total: int, dim: int) -> InputError:
+def _not_facets(path: Path, count: int, total: int, dim: int) -> InputError:
     return InputError(
-        f"{path}: {count} of the {total} elements in the physical {_KIND[dim]} groups are not "
-        f"sides of cells; mesh the {_KIND[dim + 1]}s again"
+        f"{path}: {count} of the {total} elements in the physical {_ENTITY[dim]} groups are not "
+        f"facets of cells; mesh the {_ENTITY[dim + 1]}s again"
     )
 
 
@@ -332,26 +210,27 @@ def _elements(model: Any, dim: int, group: int, path: Path) -> tuple[list[Any], 
         types, tags, rows = model.mesh.getElements(dim, entity)
         if len(types) != 1:
             raise InputError(
-                f"{path}: {_KIND[dim]} {entity} of physical group {group} has elements of "
-                f"{len(types)} shapes, not of one; mesh it, or take it out of the group"
+                f"{path}: {_ENTITY[dim]} {entity} of physical group {group} has elements of "
+                f"{len(types)} types, not of one; mesh it, or remove it from the group"
             )
         numbers.append(tags[0])
         nodes.append(rows[0].reshape(len(tags[0]), -1))
     return numbers, nodes
 
 
-def _shape(model: Any, element_type: int) -> str:
-    """Return the shape of a Gmsh element type, "Hexahedron" for example."""
-    return str(model.mesh.getElementProperties(element_type)[0]).split()[0]
+def _cell_type(model: Any, element_type: int) -> str:
+    """Return the name in dolfinx of a Gmsh element type, such as "hexahedron"."""
+    # Gmsh's names are such as "Hexahedron 8"
+    return str(model.mesh.getElementProperties(element_type)[0]).split()[0].lower()
 
 
 def _keep_groups(model: Any, groups: list[tuple[int, int]]) -> None:
-    """Remove other physical groups; dolfinx crashes at points and curves that are in no cell."""
+    """Remove other physical groups: dolfinx crashes on points and curves that are in no cell."""
     kept = [
         (dim, model.getEntitiesForPhysicalGroup(dim, tag), tag, model.getPhysicalName(dim, tag))
         for dim, tag in groups
     ]
-    # all of them at once: Gmsh 4.8 fails at some that come from a file
+    # all at once: Gmsh 4.8 fails to remove single ones that come from a file
     model.removePhysicalGroups()
     for dim, entities, tag, name in kept:
         model.addPhysicalGroup(dim, entities, tag)
@@ -359,12 +238,12 @@ def _keep_groups(model: Any, groups: list[tuple[int, int]]) -> None:
 
 
 def _names(model: Any, groups: list[tuple[int, int]], path: Path) -> dict[str, int]:
-    """Return name -> tag, without the names that stand for two tags."""
+    """Return name -> tag, without names of several tags."""
     named: dict[str, set[int]] = {}
     for dim, tag in groups:
         if name := model.getPhysicalName(dim, tag):
             named.setdefault(name, set()).add(tag)
     for name in [name for name, tags in named.items() if len(tags) > 1]:
         tags = named.pop(name)
-        _log.warning("%s: '%s' names the groups %s; use the numbers", path, name, sorted(tags))
+        _log.warning("%s: the groups %s share the name '%s'; use numbers", path, sorted(tags), name)
     return {name: tags.pop() for name, tags in named.items()}

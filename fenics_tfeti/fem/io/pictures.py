@@ -24,6 +24,8 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io.fields import field_degree
+from fenics_tfeti.fem.reference_cells import ReferenceCell
+from fenics_tfeti.fem.topology import cell_type, owned_cells
 from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["draw_deformed", "draw_profile"]
@@ -31,20 +33,12 @@ __all__ = ["draw_deformed", "draw_profile"]
 _log = logging.getLogger(__name__)
 
 _RENDER = Path(__file__).with_name("_render.py")
-_PATIENCE = 600  # seconds; drawing takes a few, without a graphics card
 
+# units in SI units
 _IN_SI = {
     "": 1.0, "m": 1.0, "mm": 1e-3, "µm": 1e-6, "Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9,
     "N": 1.0, "kN": 1e3, "MN": 1e6,
 }  # fmt: skip
-
-# Vertices in the order of VTK, numbered as dolfinx does
-_TO_VTK = {
-    "triangle": [0, 1, 2],
-    "quadrilateral": [0, 1, 3, 2],
-    "tetrahedron": [0, 1, 2, 3],
-    "hexahedron": [0, 1, 3, 2, 4, 5, 7, 6],
-}
 
 
 def draw_deformed(
@@ -60,29 +54,30 @@ def draw_deformed(
     colour_map: str = "YlOrRd",
     size: tuple[int, int] = (1600, 1000),
 ) -> None:
-    """Draw the deformed mesh, coloured by a field, and the outline of the undeformed one.
+    """Draw the deformed mesh, coloured by a field, and the undeformed outline. Collective.
 
-    Under MPI, rank 0 gathers the whole mesh and draws it. Collective.
+    Under MPI, rank 0 gathers the whole mesh and draws it.
 
     Parameters
     ----------
     path : path-like
-        The .png file. Its folder is made if need be.
+        The .png file. Its folder is created if it does not exist.
     displacement : dolfinx.fem.Function
-        Continuous, of degree 1, with as many components as the mesh has dimensions [m].
+        Continuous of degree 1, with one component for each dimension of the mesh [m].
     colour : dolfinx.fem.Function, optional
         A scalar, continuous of degree 1 or constant on each cell, in SI units. By default the
         magnitude of the displacement.
     label : str, optional
-        What the colours mean; by default the name of `colour`.
+        Title of the colour bar; by default the name of `colour`.
     unit : str
-        Unit beside the colour bar: the numbers are converted from SI. One of m, mm, µm, Pa, kPa,
-        MPa, GPa, N, kN, MN; empty for numbers as they are.
+        Unit of the colour bar, to which values are converted from SI units: m, mm, µm, Pa, kPa,
+        MPa, GPa, N, kN or MN. By default values are not converted.
     title : str
-        Headline.
+        Title of the picture.
     scale : float, optional
-        Factor by which displacements are magnified. By default the roundest one that makes the
-        largest displacement about a tenth of the size of the mesh. It is told in the picture.
+        Magnification of the displacements, which is written in the picture. By default 1, 2 or 5
+        times a power of ten, such that the largest displacement is drawn no larger than a tenth of
+        the mesh.
     camera : sequence of 3 floats
         Direction from the mesh to the viewer; the z axis points up. In two dimensions the view
         is along the z axis.
@@ -102,8 +97,7 @@ def draw_deformed(
 
     Notes
     -----
-    The picture is drawn by another Python process, since libraries for graphics and dolfinx do
-    not always get along in one.
+    The picture is drawn by another Python process, since VTK and dolfinx can fail in one.
     """
     path = Path(path)
     comm = displacement.function_space.mesh.comm
@@ -114,7 +108,7 @@ def draw_deformed(
         if unit not in _IN_SI:
             raise InputError(f"unknown unit '{unit}'; choose one of {', '.join(_IN_SI)[2:]}")
         if comm.rank == 0:
-            _need("pyvista")
+            _require("pyvista")
     view = _gather(displacement, colour)
     with raise_collectively(comm):
         if view is not None:
@@ -148,16 +142,16 @@ def draw_profile(
     Parameters
     ----------
     path : path-like
-        The .png file. Its folder is made if need be.
+        The .png file. Its folder is created if it does not exist.
     curves : dict of str to (x, y) or (x, y, style)
-        What each curve is called, and its points, two arrays (n,). The style is Matplotlib's:
-        "-" for a line, "o" for points, "--", ... Under MPI, the curves of rank 0 are drawn.
+        Name of each curve, and its points, two arrays (n,). The style is Matplotlib's: "-" for a
+        line, "o" for points, "--", ... Under MPI, the curves of rank 0 are drawn.
     xlabel, ylabel : str
-        What the axes mean, with units.
+        Labels of the axes, with units.
     title : str
-        Headline.
+        Title of the picture.
     comm : MPI.Comm
-        Ranks that take part; MPI.COMM_SELF where only one rank calls.
+        The ranks that call; MPI.COMM_SELF if only one does.
 
     Raises
     ------
@@ -170,9 +164,9 @@ def draw_profile(
     with raise_collectively(comm):
         _check_path(path)
         if comm.rank == 0:
-            _need("matplotlib")
+            _require("matplotlib")
             if not curves:
-                raise InputError("there are no curves to draw; pass at least one")
+                raise InputError("there are no curves to draw: pass at least one")
             points = {name: _points(name, curve) for name, curve in curves.items()}
             path.parent.mkdir(parents=True, exist_ok=True)
             _plot(path, points, xlabel, ylabel, title)
@@ -187,31 +181,30 @@ class _View:
     points, displacement : (n, 3) array
         Nodes and their displacements [m].
     cells : (m, v) array of int
-        Their vertices, in the order of VTK.
+        Their vertices in the order of VTK, right-handed: outward normals show the sharp edges.
     colours : (n,) or (m,) array
-        A number for each node or cell.
-    shape : str
-        Shape of the cells.
+        Values of nodes or cells.
+    vtk_type : int
+        VTK's number of the cells' type.
     """
 
     points: NDArray[np.float64]
     displacement: NDArray[np.float64]
     cells: NDArray[np.int64]
     colours: NDArray[np.float64]
-    shape: str
+    vtk_type: int
 
 
 def _gather(displacement: Function, colour: Function | None) -> _View | None:
     """Gather the mesh and the fields on rank 0; the other ranks get None. Collective."""
     mesh = displacement.function_space.mesh
-    shape = _compat.cell_name(mesh)
-    order = _TO_VTK[shape]
-    owned = mesh.topology.index_map(mesh.topology.dim).size_local
-    nodes = _compat.geometry_cells(mesh)[:owned, : len(order)]
+    cell = cell_type(mesh)
+    owned = owned_cells(mesh)
+    nodes = _compat.geometry_cells(mesh)[:owned, : cell.vertices]
     number = mesh.geometry.index_map().local_to_global(np.unique(nodes).astype(np.int32))
     cells = number[np.searchsorted(np.unique(nodes), nodes)]
 
-    # Values cell by cell: the vertices of a cell have one order in all spaces of degree 1.
+    # cell by cell: the vertices of a cell are in the same order in all spaces of degree 1
     gdim = mesh.geometry.dim
     moves = displacement.x.array.reshape(-1, gdim)
     moves = moves[_compat.cell_dofs(displacement.function_space)[:owned]]
@@ -227,17 +220,27 @@ def _gather(displacement: Function, colour: Function | None) -> _View | None:
 
     _, first, place = np.unique(cells, return_index=True, return_inverse=True)
     by_cell = colours.shape[1] == 1
+    right_handed = _right_handed(place.reshape(cells.shape), points, cell)
     return _View(
         points=points.reshape(-1, 3)[first],
         displacement=np.pad(moves.reshape(-1, gdim)[first], ((0, 0), (0, 3 - gdim))),
-        cells=place.reshape(cells.shape)[:, order],
+        cells=right_handed[:, cell.vtk_order],
         colours=colours[:, 0] if by_cell else colours.ravel()[first],
-        shape=shape,
+        vtk_type=cell.vtk_type,
     )
 
 
+def _right_handed(
+    cells: NDArray[np.int64], corners: NDArray[np.float64], cell: ReferenceCell
+) -> NDArray[np.int64]:
+    """Reflect the left-handed cells (m, v), given the coordinates (m, v, 3) of their corners."""
+    x = corners[..., : cell.dim]
+    left_handed = np.linalg.det(x[:, cell.axes] - x[:, :1]) < 0.0
+    return np.where(left_handed[:, None], cells[:, cell.reflected], cells)
+
+
 def _round_scale(view: _View) -> float:
-    """Return 1, 2 or 5 times a power of ten: the displacements then are a tenth of the size."""
+    """Return 1, 2 or 5 times a power of ten that makes displacements a tenth of the mesh."""
     largest = float(np.linalg.norm(view.displacement, axis=1).max())
     size = float(np.ptp(view.points, axis=0).max())
     if largest == 0.0:
@@ -248,30 +251,31 @@ def _round_scale(view: _View) -> float:
 
 
 def _render(path: Path, data: dict[str, Any]) -> None:
-    """Draw in another process, and put the picture in its place only if that succeeded."""
-    # The child must not think that it is a rank of this run.
+    """Draw in another process, and move the picture to its path only on success."""
+    seconds = 600  # drawing takes a few seconds, without a graphics card
+    # without MPI's variables, by which the process would take itself for a rank of this run
     prefixes = ("OMPI_", "PMI_", "PMIX_", "PRTE_", "MPI_", "MPIR_", "HYDRA_", "HYDI_", "SLURM_")
     environment = {k: v for k, v in os.environ.items() if not k.startswith(prefixes)}
     environment["PYVISTA_OFF_SCREEN"] = "true"
     with tempfile.TemporaryDirectory() as folder:
         data_path, picture_path = Path(folder, "data.npz"), Path(folder, "picture.png")
         np.savez(data_path, **data)
-        # -P keeps the folder of the script, whose modules import dolfinx, off the search path.
+        # -P keeps the folder of the script off the search path: gmsh.py would hide the package
         command = [sys.executable, "-P", str(_RENDER), str(data_path), str(picture_path)]
         try:
             child = subprocess.run(
-                command, env=environment, capture_output=True, text=True, timeout=_PATIENCE
+                command, env=environment, capture_output=True, text=True, timeout=seconds
             )
         except subprocess.TimeoutExpired as error:
             raise RuntimeError(
-                f"drawing {path} took more than {_PATIENCE} s and was stopped; write the fields "
-                "by write_fields and draw them in ParaView"
+                f"drawing {path} took more than {seconds} s and was stopped; write the fields by "
+                "write_fields and draw them in ParaView"
             ) from error
         _log.debug("drawing %s: %s", path, child.stderr)
         if child.returncode != 0 or not picture_path.is_file():
             raise RuntimeError(
                 f"drawing {path} failed (exit code {child.returncode}); VTK needs off-screen "
-                f"rendering, by OSMesa or EGL for example. Its last words:\n{child.stderr[-2000:]}"
+                f"rendering, by OSMesa or EGL for example. It printed:\n{child.stderr[-2000:]}"
             )
         path.parent.mkdir(parents=True, exist_ok=True)
         shutil.move(picture_path, path)
@@ -284,7 +288,7 @@ def _plot(
     ylabel: str,
     title: str,
 ) -> None:
-    """Draw curves by Matplotlib's objects, which leave the user's own figures alone."""
+    """Draw curves on a figure of its own; pyplot could change the user's figures."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -321,42 +325,39 @@ def _points(name: str, curve: Sequence[Any]) -> tuple[NDArray[Any], NDArray[Any]
 
 
 def _check_path(path: Path) -> None:
-    """Check the name of a picture."""
     if path.suffix != ".png":
-        raise InputError(f"'{path}' does not end in .png, and other pictures cannot be made")
+        raise InputError(f"'{path}' does not end in .png, the only supported format")
 
 
 def _check_displacement(displacement: Function) -> None:
-    """Check that a function is a displacement."""
     mesh = displacement.function_space.mesh
     _, _, shape = _compat.element_facts(displacement.function_space)
     if field_degree(displacement) != 1 or shape != (mesh.geometry.dim,):
         raise InputError(
-            f"'{displacement.name}' is no displacement: it must be continuous, of degree 1, and "
-            f"have {mesh.geometry.dim} components"
+            f"'{displacement.name}' is not a displacement; a continuous field of degree 1 with "
+            f"{mesh.geometry.dim} components is expected"
         )
     if not np.all(np.isfinite(displacement.x.array)):
-        raise InputError(f"'{displacement.name}' has values that are infinite or no numbers")
+        raise InputError(f"'{displacement.name}' has values that are NaN or infinite")
 
 
 def _check_colour(displacement: Function, colour: Function | None) -> None:
-    """Check that colours can be made of a function."""
     if colour is None:
         return
     _, _, shape = _compat.element_facts(colour.function_space)
     field_degree(colour)
     if shape != ():
-        raise InputError(f"'{colour.name}' of shape {shape} gives no colours; pass a scalar")
+        raise InputError(f"the colour '{colour.name}' has shape {shape}; a scalar is expected")
     if colour.function_space.mesh is not displacement.function_space.mesh:
         raise InputError(f"'{colour.name}' is on another mesh than '{displacement.name}'")
     if not np.all(np.isfinite(colour.x.array)):
-        raise InputError(f"'{colour.name}' has values that are infinite or no numbers")
+        raise InputError(f"'{colour.name}' has values that are NaN or infinite")
 
 
-def _need(module: str) -> None:
+def _require(module: str) -> None:
     """Check that a module is installed, without importing it."""
     if importlib.util.find_spec(module) is None:
-        # Bare, pip might bring a NumPy too new for the compiled modules that are there.
+        # without the limit, pip may install a NumPy too new for installed compiled modules
         limit = int(np.__version__.split(".")[0]) + 1
         raise ImportError(
             f"this picture needs the Python module {module}; install it with "

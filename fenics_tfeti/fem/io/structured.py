@@ -1,4 +1,4 @@
-"""Structured meshes of boxes, each a body of its own, and tags for their facets."""
+"""Structured meshes of boxes, each a body of its own, and tags of facets by their place."""
 
 from __future__ import annotations
 
@@ -15,24 +15,14 @@ from dolfinx.mesh import Mesh, exterior_facet_indices, meshtags
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.io.gmsh import TaggedMesh
+from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
+from fenics_tfeti.fem.reference_cells import MESH_CELLS, ReferenceCell, reference_cell
+from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["Box", "boxes", "tag_facets"]
 
 Marker = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
-
-# The cells into which a rectangle or a block of the grid is cut: their vertices, numbered
-# x + 2 y + 4 z as dolfinx does. All simplices share the diagonal from the lowest to the highest
-# vertex, so the cut is the same on opposite sides, and boxes with matching grids match.
-_CUTS = {
-    "quadrilateral": ((0, 1, 2, 3),),
-    "triangle": ((0, 1, 3), (0, 2, 3)),
-    "hexahedron": ((0, 1, 2, 3, 4, 5, 6, 7),),
-    "tetrahedron": (
-        (0, 1, 3, 7), (0, 1, 5, 7), (0, 4, 5, 7), (0, 2, 3, 7), (0, 4, 6, 7), (0, 2, 6, 7),
-    ),
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -56,31 +46,31 @@ class Box:
 
 
 def boxes(comm: MPI.Comm, parts: Sequence[Box], cell: str = "hexahedron") -> TaggedMesh:
-    """Create a mesh of boxes, none of which shares a node with another one.
+    """Create a mesh of boxes that share no nodes. Collective.
 
     Boxes that touch are separate bodies, with two nodes at each place where their grids match.
-    Each rank makes an equal share of the cells, then dolfinx distributes them. Collective.
+    Each rank makes an equal share of the cells, then dolfinx distributes them.
 
     Parameters
     ----------
     comm : MPI.Comm
         Communicator of the mesh.
     parts : sequence of Box
-        The boxes, all of three coordinates for "hexahedron" and "tetrahedron" (six for each block
-        of the grid), of two for "quadrilateral" and "triangle" (two for each).
+        The boxes: of three coordinates for hexahedra and tetrahedra (six for each block of the
+        grid), of two for quadrilaterals and triangles (two for each).
     cell : str
-        Shape of the cells.
+        Type of the cells, "triangle", "quadrilateral", "tetrahedron" or "hexahedron".
 
     Returns
     -------
     TaggedMesh
-        The tag of a cell is the number of its box, counted from 1. No facet is tagged yet, see
+        The tag of a cell is the number of its box, counted from 1. No facet is tagged, see
         `tag_facets`.
 
     Raises
     ------
     InputError
-        If a box is empty or does not fit the shape of the cells, or two boxes have the same name.
+        If a box is empty or does not fit the type of the cells, or two boxes have the same name.
 
     Examples
     --------
@@ -91,12 +81,13 @@ def boxes(comm: MPI.Comm, parts: Sequence[Box], cell: str = "hexahedron") -> Tag
     (90, 16)
     """
     with raise_collectively(comm):
-        _check(parts, cell)
-    cell_counts = [len(_CUTS[cell]) * int(np.prod(part.divisions)) for part in parts]
+        _check_boxes(parts, cell)
+    cell_type = reference_cell(cell)
+    cell_counts = [len(cell_type.grid_cut) * int(np.prod(part.divisions)) for part in parts]
     node_counts = [int(np.prod(np.add(part.divisions, 1))) for part in parts]
     first_nodes = np.cumsum([0, *node_counts])[:-1]
     cells = [
-        first_node + _cells(part, cell, share)
+        first_node + _cells(part, cell_type, share)
         for part, first_node, share in zip(
             parts, first_nodes, _shares(cell_counts, comm), strict=True
         )
@@ -105,7 +96,7 @@ def boxes(comm: MPI.Comm, parts: Sequence[Box], cell: str = "hexahedron") -> Tag
         _points(part, share) for part, share in zip(parts, _shares(node_counts, comm), strict=True)
     ]
     mesh = _compat.distributed_mesh(comm, np.concatenate(cells), np.concatenate(points), cell)
-    # The cells were numbered box by box, so their number tells their box.
+    # the cells were numbered box by box
     number = mesh.topology.original_cell_index
     box = 1 + np.searchsorted(np.cumsum(cell_counts), number, side="right")
     cell_tags = _tags(mesh, mesh.topology.dim, np.arange(len(number)), box)
@@ -119,18 +110,18 @@ def tag_facets(
     markers: Mapping[int, Marker] | Iterable[tuple[int, Marker] | tuple[int, Marker, int]],
     cell_tags: Any = None,
 ) -> Any:
-    """Tag the facets of the surface that lie where a marker says. Collective.
+    """Tag the exterior facets at the places that markers select. Collective.
 
     Parameters
     ----------
     mesh : dolfinx.mesh.Mesh
         The mesh.
     markers : dict of int to callable, or sequence of (tag, callable) or (tag, callable, body)
-        What to tag: the callable gets points (3, n) [m] and returns (n,) bool, and a facet lies
-        there if all its vertices do. With a `body`, only the facets of cells with this tag are
-        tagged: where two bodies touch, the facets of both are at the same place.
+        The callable gets points (3, n) [m] and returns (n,) bool; a facet is tagged if all its
+        vertices are selected. With a `body`, only the facets of cells with this tag are tagged:
+        where two bodies touch, the facets of both are at the same place.
     cell_tags : dolfinx.mesh.MeshTags, optional
-        The bodies; needed if one is named in `markers`.
+        The bodies; needed if `markers` name one.
 
     Returns
     -------
@@ -140,7 +131,8 @@ def tag_facets(
     Raises
     ------
     InputError
-        If a tag meets no facet, a facet meets two tags, or a marker fails. Raised on all ranks.
+        If a marker selects no facet, two tags are for one facet, or a marker fails. Raised on all
+        ranks.
 
     Examples
     --------
@@ -162,9 +154,9 @@ def tag_facets(
     chosen = np.zeros((len(rows), len(facets)), dtype=bool)
     with raise_collectively(mesh.comm):
         if cell_tags is None and any(len(row) > 2 for row in rows):
-            raise InputError("a facet tag is for one body only; pass the cell_tags as well")
+            raise InputError("a facet tag is for one body only: pass the cell_tags as well")
         for k, (tag, marker, *body) in enumerate(rows):
-            chosen[k] = _is_inside(nodes, mesh.geometry.x, marker, tag)
+            chosen[k] = _is_selected(nodes, mesh.geometry.x, marker, tag)
             if body:
                 chosen[k] &= _is_in_body(mesh, facets, cell_tags, body[0])
         tags = np.array([row[0] for row in rows], dtype=np.int32)
@@ -172,39 +164,40 @@ def tag_facets(
     counts = mesh.comm.allreduce(np.count_nonzero(chosen, axis=1))
     if not np.all(counts):
         raise InputError(
-            f"no facet of the surface meets the facet tags {tags[counts == 0].tolist()}; check "
-            "their markers (with a tolerance, as numpy.isclose has) and bodies"
+            f"no facet of the surface is selected for the facet tags {tags[counts == 0].tolist()}; "
+            "check their markers (they need a tolerance, as in numpy.isclose) and bodies"
         )
     return _tags(mesh, dim - 1, facets[np.any(chosen, axis=0)], values)
 
 
-def _check(parts: Sequence[Box], cell: str) -> None:
-    """Check the boxes."""
-    if cell not in _CUTS:
-        raise InputError(f"unknown cell '{cell}'; choose one of {', '.join(_CUTS)}")
+def _check_boxes(parts: Sequence[Box], cell: str) -> None:
+    if cell not in MESH_CELLS:
+        raise InputError(f"unknown cell '{cell}'; choose one of {', '.join(MESH_CELLS)}")
     if not parts:
         raise InputError("a mesh needs at least one box")
-    gdim = 3 if cell in ("hexahedron", "tetrahedron") else 2
+    gdim = reference_cell(cell).dim
     for part in parts:
         lengths = {len(part.lower), len(part.upper), len(part.divisions)}
         if lengths != {gdim}:
             raise InputError(
-                f"{part} has corners or divisions of {sorted(lengths)} components; a mesh with "
-                f"the cell '{cell}' needs {gdim}"
+                f"{part} has corners or divisions of {sorted(lengths)} components; a mesh of "
+                f"{cell} cells needs {gdim}"
             )
         if not np.all(np.asarray(part.lower) < np.asarray(part.upper)):
-            raise InputError(f"{part} is empty: make each component of lower less than of upper")
+            raise InputError(
+                f"{part} is empty: each component of lower has to be less than that of upper"
+            )
         if any(int(n) != n or n < 1 for n in part.divisions):
-            raise InputError(f"{part}: each of the divisions must be a whole number, at least 1")
+            raise InputError(f"{part}: the divisions have to be whole numbers of at least 1")
     names = [part.name for part in parts if part.name]
     if len(set(names)) < len(names):
         raise InputError(f"two boxes have the same name, out of {names}; rename one")
 
 
 def _shares(counts: list[int], comm: MPI.Comm) -> list[NDArray[np.int64]]:
-    """Return which things of each box this rank makes, when all are numbered box by box.
+    """Return for each box the numbers, within the box, of the items that this rank makes.
 
-    The ranks' shares follow each other without a gap, as dolfinx counts them.
+    All items are numbered box by box, and the ranks' shares follow each other, as dolfinx expects.
     """
     total = sum(counts)
     start, stop = total * comm.rank // comm.size, total * (comm.rank + 1) // comm.size
@@ -224,14 +217,14 @@ def _points(part: Box, chosen: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.column_stack([axis[i] for axis, i in zip(axes, places, strict=True)])
 
 
-def _cells(part: Box, cell: str, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+def _cells(part: Box, cell: ReferenceCell, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the nodes (m, v) of chosen cells of a box, both numbered within the box."""
     gdim = len(part.divisions)
     strides = np.cumprod([1, *np.add(part.divisions, 1)])[:gdim]
     corners = (np.arange(2**gdim)[:, np.newaxis] >> np.arange(gdim) & 1) @ strides
-    block, piece = np.divmod(chosen, len(_CUTS[cell]))
+    block, piece = np.divmod(chosen, len(cell.grid_cut))
     lowest = np.column_stack(np.unravel_index(block, part.divisions, order="F")) @ strides
-    nodes: NDArray[np.int64] = lowest[:, np.newaxis] + corners[np.asarray(_CUTS[cell])][piece]
+    nodes: NDArray[np.int64] = lowest[:, np.newaxis] + corners[np.asarray(cell.grid_cut)][piece]
     return nodes
 
 
@@ -241,27 +234,25 @@ def _tags(mesh: Mesh, dim: int, entities: NDArray[Any], values: NDArray[Any]) ->
     return meshtags(mesh, dim, entities[order].astype(np.int32), values[order].astype(np.int32))
 
 
-def _is_inside(
+def _is_selected(
     nodes: NDArray[np.int32], x: NDArray[np.float64], marker: Marker, tag: int
 ) -> NDArray[np.bool_]:
     """Tell for which rows of `nodes` (m, v) the marker is true at all vertices."""
     vertices, place = np.unique(nodes, return_inverse=True)
-    try:
-        inside = np.asarray(marker(x[vertices].T), dtype=bool)
-    except Exception as error:
-        raise InputError(f"the marker of facet tag {tag} failed: {error}") from error
-    if inside.shape != vertices.shape:
+    what = f"the marker of facet tag {tag}"
+    selected = np.asarray(evaluate(marker, x[vertices], what), dtype=bool)
+    if selected.shape != vertices.shape:
         raise InputError(
-            f"the marker of facet tag {tag} returned the shape {inside.shape} for points of shape "
-            f"(3, {len(vertices)}); return one truth value for each point"
+            f"{what} returned the shape {selected.shape} for points of shape "
+            f"(3, {len(vertices)}); expected one truth value for each point, ({len(vertices)},)"
         )
-    return np.asarray(np.all(inside[place.reshape(nodes.shape)], axis=1))
+    return np.asarray(np.all(selected[place.reshape(nodes.shape)], axis=1))
 
 
 def _is_in_body(
     mesh: Mesh, facets: NDArray[np.int32], cell_tags: Any, body: int
 ) -> NDArray[np.bool_]:
-    """Tell which facets of the surface belong to a cell with the tag `body`."""
+    """Tell which exterior facets belong to a cell with the tag `body`."""
     dim = mesh.topology.dim
     cells_of_facets = mesh.topology.connectivity(dim - 1, dim)
     cells = cells_of_facets.array[cells_of_facets.offsets[facets]]
@@ -269,7 +260,7 @@ def _is_in_body(
 
 
 def _one_tag_each(tags: NDArray[np.int32], chosen: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Return the tag of each facet that meets a marker; `chosen` is (markers, facets)."""
+    """Return the tag of each selected facet; `chosen` is (markers, facets)."""
     chosen = chosen[:, np.any(chosen, axis=0)]
     limits = np.iinfo(np.int32)
     highest = np.where(chosen, tags[:, np.newaxis], limits.min).max(axis=0, initial=limits.min)
@@ -277,7 +268,8 @@ def _one_tag_each(tags: NDArray[np.int32], chosen: NDArray[np.bool_]) -> NDArray
     twice = np.flatnonzero(lowest != highest)
     if len(twice):
         raise InputError(
-            f"{len(twice)} facets meet several tags, {lowest[twice[0]]} and {highest[twice[0]]} "
-            "for example, but a facet can have one only; make the markers disjoint"
+            f"{len(twice)} facets are selected for several tags, {lowest[twice[0]]} and "
+            f"{highest[twice[0]]} for example, but a facet can have only one: make the markers "
+            "disjoint"
         )
     return np.asarray(highest, dtype=np.int32)

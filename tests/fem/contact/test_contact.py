@@ -17,10 +17,9 @@ from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.contact import match_contact, match_contacts
+from fenics_tfeti.fem.contact.matching import match_contact, match_contacts
 from fenics_tfeti.fem.contact.surfaces import MeshBoundary
-from fenics_tfeti.fem.io.gmsh import read_msh
-from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, read_msh, tag_facets
 
 CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
 SECOND_SLAVE, SECOND_MASTER = 15, 16
@@ -178,7 +177,7 @@ def test_pairs_may_be_rounded_and_in_any_order():
     pair = ContactPair(tags, SLAVE, MASTER, pairs=(rounded, x - [0.0, 0.1]))
     x, partner, matched = partners(V, pair)
     np.testing.assert_allclose(partner, x - [0.0, 0.1], atol=1e-14)
-    assert matched.pairing["largest_distance"] == pytest.approx(np.sqrt(2) * 1e-3)
+    assert matched.summary["largest_distance"] == pytest.approx(np.sqrt(2) * 1e-3)
 
 
 # -- tolerance -------------------------------------------------------------------------------------
@@ -226,8 +225,8 @@ def test_tolerance_is_relative_to_the_local_facets():
     bend(V, lambda x: np.ones(len(x), dtype=bool), grade)
     matched = match_contact(MeshBoundary.of(V), ContactPair(tags, SLAVE, MASTER, partial=True), 0)
     assert sorted(np.round(matched.coordinates[:, 0], 12)) == [0.158, 0.358, 1.008]
-    assert matched.pairing["unmatched"] == 2
-    assert matched.pairing["largest_relative_distance"] == pytest.approx(0.08)
+    assert matched.summary["unmatched"] == 2
+    assert matched.summary["largest_relative_distance"] == pytest.approx(0.08)
 
 
 def test_meshes_that_correspond_but_are_not_identical():
@@ -242,7 +241,7 @@ def test_meshes_that_correspond_but_are_not_identical():
         ),
     )
     pair = ContactPair(scene.facet_tags, SLAVE, MASTER, tolerance=0.9)
-    assert match_contact(MeshBoundary.of(scene.V), pair, 0).pairing["pairs"] == 25
+    assert match_contact(MeshBoundary.of(scene.V), pair, 0).summary["pairs"] == 25
 
 
 # -- meshes by gmsh --------------------------------------------------------------------------------
@@ -273,7 +272,7 @@ def test_unstructured_faces_that_are_alike(gmsh_beams, arguments):
     pair = ContactPair(tags, names["contact_upper"], names["contact_lower"], **arguments)
     x, partner, matched = partners(V, pair)
     np.testing.assert_allclose(partner, x, atol=1e-13)
-    assert matched.pairing["unmatched"] == 0
+    assert matched.summary["unmatched"] == 0
     assert matched.area.sum() == pytest.approx(1.0, rel=1e-12)
 
 
@@ -287,9 +286,9 @@ def test_surfaces_that_nobody_meshed_alike():
     )
     i, j = np.arange(17), np.arange(12)
     misses = np.abs(i[:, None] / 16 - j / 11).min(axis=1) * 16
-    assert matched.pairing["pairs"] == np.sum(misses <= 0.5) == 12
-    assert matched.pairing["unmatched"] == 5
-    assert matched.pairing["largest_relative_distance"] == pytest.approx(
+    assert matched.summary["pairs"] == np.sum(misses <= 0.5) == 12
+    assert matched.summary["unmatched"] == 5
+    assert matched.summary["largest_relative_distance"] == pytest.approx(
         misses[misses <= 0.5].max()
     )
 
@@ -325,7 +324,7 @@ def test_unstructured_faces_that_nobody_meshed_alike(tmp_path, way):
     )
     over = np.sum((slave[:, 0] > -1e-9) & (slave[:, 0] < 1 + 1e-9))
     assert over <= len(x) < len(slave)
-    assert matched.pairing["unmatched"] == len(slave) - len(x)
+    assert matched.summary["unmatched"] == len(slave) - len(x)
     distance = np.linalg.norm(x[:, None] - master, axis=2)
     np.testing.assert_allclose(np.linalg.norm(x - partner, axis=1), distance.min(axis=1))
     assert len(np.unique(np.round(partner, 9), axis=0)) == len(x)
@@ -379,7 +378,7 @@ def both(tags):
 @pytest.mark.parametrize("cell", CELLS)
 def test_partial_contact_counts_the_free_nodes(cell):
     _, tags, V = slab_on_two(MPI.COMM_SELF, cell)
-    pairing = [matched.pairing for matched in match_contacts(MeshBoundary.of(V), both(tags))]
+    pairing = [matched.summary for matched in match_contacts(MeshBoundary.of(V), both(tags))]
     rows = 3 if scenes.dimension(cell) == 3 else 1
     assert [entry["pairs"] for entry in pairing] == [5 * rows, 5 * rows]
     assert [entry["unmatched"] for entry in pairing] == [8 * rows, 8 * rows]
@@ -467,7 +466,7 @@ def test_shared_nodes_of_a_partial_contact_stay_free():
     folded = {"mapping": lambda x: x[[1, 0, 2]], "partial": True}
     x, partner, matched = partners(V, ContactPair(tags, SLAVE, MASTER, **folded))
     np.testing.assert_allclose(partner, x[:, ::-1], atol=1e-14)
-    assert matched.pairing["pairs"] == 2 and matched.pairing["unmatched"] == 1
+    assert matched.summary["pairs"] == 2 and matched.summary["unmatched"] == 1
     with pytest.raises(InputError, match=r"share 1 nodes, the first at \(0, 0\).*partial=True"):
         match_contact(MeshBoundary.of(V), ContactPair(tags, SLAVE, MASTER), 0)
 
@@ -517,7 +516,7 @@ def test_pairing_entry():
     mapping = {"mapping": lambda x: np.array([x[0] + 0.01, 1 + 0 * x[1], x[2]])}
     entry = match_contact(
         MeshBoundary.of(V), ContactPair(tags, SLAVE, MASTER, name="a", **mapping), 0
-    ).pairing
+    ).summary
     assert entry == {
         "contact": "a",
         "pairs": 5,
@@ -569,7 +568,7 @@ def test_edge_node_meets_one_surface_from_two_sides():
         ContactPair(tags, SLAVE, MASTER, direction=(0.0, 1.0)),
         ContactPair(tags, SECOND_SLAVE, MASTER, direction=(1.0, 0.0)),
     ]
-    assert [m.pairing["pairs"] for m in match_contacts(MeshBoundary.of(V), contacts)] == [5, 3]
+    assert [m.summary["pairs"] for m in match_contacts(MeshBoundary.of(V), contacts)] == [5, 3]
 
 
 def test_equal_tags_of_different_mesh_tags_are_different_surfaces():
@@ -579,4 +578,4 @@ def test_equal_tags_of_different_mesh_tags_are_different_surfaces():
         ContactPair(tags, SLAVE, MASTER),
         ContactPair(other, SLAVE, MASTER, mapping=lambda x: x + [[1], [0], [0]]),
     ]
-    assert [m.pairing["pairs"] for m in match_contacts(MeshBoundary.of(V), contacts)] == [5, 6]
+    assert [m.summary["pairs"] for m in match_contacts(MeshBoundary.of(V), contacts)] == [5, 6]

@@ -13,7 +13,7 @@ from scenes import GROUND, pressed_block
 from fenics_tfeti import Cylinder, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact import obstacles
-from fenics_tfeti.fem.contact.contact import match_contact
+from fenics_tfeti.fem.contact.matching import match_contact
 from fenics_tfeti.fem.contact.surfaces import MeshBoundary
 
 X = np.array([[3.0, 0.0], [4.0, -10.0], [0.0, 0.0]])
@@ -111,13 +111,13 @@ def test_sphere_below_the_body(cell):
     distance = np.linalg.norm(offset, axis=1)
     np.testing.assert_allclose(contact.gap, distance - 1.0, rtol=1e-14)
     np.testing.assert_allclose(contact.normal, -offset / distance[:, None], atol=1e-15)
-    assert contact.pairing["smallest_gap"] == pytest.approx(0.5, rel=1e-14)
+    assert contact.summary["smallest_gap"] == pytest.approx(0.5, rel=1e-14)
     steepest = np.degrees(np.arccos(1.5 / distance.max()))
-    assert contact.pairing["largest_angle"] == pytest.approx(steepest, rel=1e-12)
+    assert contact.summary["largest_angle"] == pytest.approx(steepest, rel=1e-12)
 
 
 def test_pairing_of_an_obstacle():
-    assert matched(Plane((0, -0.5), (0, 1))).pairing == {
+    assert matched(Plane((0, -0.5), (0, 1))).summary == {
         "contact": "contact 0 (obstacle)",
         "pairs": 3,
         "unmatched": 0,

@@ -11,7 +11,9 @@ import pytest
 import scenes
 from moved_blocks import CELLS, blocks, lifted
 
-from fenics_tfeti.fem.contact.contact import ContactResult, Plane, match_contact
+from fenics_tfeti import Plane
+from fenics_tfeti.fem.contact.contact import ContactResult
+from fenics_tfeti.fem.contact.matching import match_contact
 from fenics_tfeti.fem.contact.surfaces import MeshBoundary
 from fenics_tfeti.fem.contact.transfer import expected_contact, gather_solved
 
@@ -47,7 +49,7 @@ def transferred(coarse, contact, fine_match, displacement, pressure=linear):
 @every_cell
 def test_linear_pressure_is_transferred_exactly(cell):
     coarse, fine = blocks(cell, n=2), blocks(cell, n=4)
-    matched = fine.matched(fine.pair)
+    matched = fine.pairing(fine.pair)
     guess = transferred(coarse, coarse.pair, [matched], coarse.displacement())
     expected = linear(matched.coordinates) * matched.area
     np.testing.assert_allclose(guess.normal_force, expected, rtol=1e-12)
@@ -57,7 +59,7 @@ def test_linear_pressure_is_transferred_exactly(cell):
 def test_linear_approach_closes_the_gap_of_the_fine_mesh(cell):
     """The slave goes down by 0.02 (1 + x), the master up by 0.01."""
     coarse, fine = blocks(cell, n=2), blocks(cell, n=4)
-    matched = fine.matched(fine.pair)
+    matched = fine.pairing(fine.pair)
     moved = coarse.displacement(
         lifted(lambda *x: 0.01 + 0.0 * x[0]), lifted(lambda *x: -0.02 * (1.0 + x[0]))
     )
@@ -71,7 +73,7 @@ def test_obstacle(cell):
     coarse, fine = blocks(cell, n=2), blocks(cell, n=4)
     up = np.eye(coarse.mesh.geometry.dim)[-1]
     floor = Plane(-0.5 * up, up)
-    matched = fine.matched(fine.obstacle(floor))
+    matched = fine.pairing(fine.obstacle(floor))
     moved = coarse.displacement(lifted(lambda *x: -0.1 * x[0]))
     guess = transferred(coarse, coarse.obstacle(floor), [matched], moved)
     np.testing.assert_allclose(guess.gap, 0.5 - 0.1 * matched.coordinates[:, 0], atol=1e-14)
@@ -82,7 +84,7 @@ def test_obstacle(cell):
 def test_nodes_without_partner_say_nothing(cell):
     """A quarter of the coarse slave nodes have none: no pressure leaks in, gaps stay open."""
     coarse, fine = blocks(cell, n=4), blocks(cell, n=8)
-    matched = coarse.matched(coarse.pair)
+    matched = coarse.pairing(coarse.pair)
     some = matched.coordinates[:, 0] < 1.8
     part = replace(
         matched,
@@ -95,7 +97,7 @@ def test_nodes_without_partner_say_nothing(cell):
     )
     result = result_of(part, np.ones(some.sum()))
     solved = gather_solved([coarse.pair], [part], [result], coarse.displacement())
-    there = fine.matched(fine.pair)
+    there = fine.pairing(fine.pair)
     guess = expected_contact(solved, [there])
     near = there.coordinates[:, 0] < 2.0 - 1e-9
     np.testing.assert_allclose(guess.normal_force[near], there.area[near])

@@ -17,9 +17,9 @@ from dolfinx.fem import petsc as fem_petsc
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.assembly import prepare_forms
-from fenics_tfeti.fem.decomposition.partition import cell_facets
 from fenics_tfeti.fem.decomposition.parts import number_parts
-from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+from fenics_tfeti.fem.topology import cell_facets
+from fenics_tfeti.io import Box, boxes, tag_facets
 
 NUMBER = 4  # boxes in a row, each 1 wide
 BOTTOM, LEFT = 5, 6
@@ -83,7 +83,7 @@ def alone(row: Row, part: Any, form: Any) -> Any:
     dx = ufl.Measure(
         "dx", domain, subdomain_data=mesh.meshtags(domain, dim, cells, np.full(cells.size, 1, "i4"))
     )
-    own = np.isin(row.facet_tags.indices, cell_facets(domain)[0][cells])
+    own = np.isin(row.facet_tags.indices, cell_facets(domain)[cells])
     facets = row.facet_tags.indices[own], row.facet_tags.values[own]
     ds = ufl.Measure("ds", domain, subdomain_data=mesh.meshtags(domain, dim - 1, *facets))
     gdim = domain.geometry.dim

@@ -8,9 +8,10 @@ import pytest
 from dolfinx.mesh import CellType, create_box, create_rectangle
 
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.decomposition.grid import block_of_cells, find_grid
-from fenics_tfeti.fem.decomposition.partition import find_bodies, split_into_subdomains
-from fenics_tfeti.fem.io.fields import displacement_space
+from fenics_tfeti.fem.decomposition.partition import split_into_subdomains
+from fenics_tfeti.io import displacement_space
 
 
 def box(cells, cell="hexahedron", size=(1.0, 1.0, 1.0)):

@@ -16,8 +16,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.io.fields import von_mises, write_fields
-from fenics_tfeti.fem.io.structured import Box, boxes
+from fenics_tfeti.io import Box, boxes, von_mises, write_fields
 
 GDIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
 

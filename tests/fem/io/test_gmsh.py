@@ -17,7 +17,7 @@ import ufl
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.io.gmsh import read_msh
+from fenics_tfeti.io import read_msh
 
 gmsh = pytest.importorskip("gmsh")
 

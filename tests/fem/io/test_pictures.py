@@ -16,8 +16,7 @@ from dolfinx import fem
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io import pictures
-from fenics_tfeti.fem.io.pictures import draw_deformed, draw_profile
-from fenics_tfeti.fem.io.structured import Box, boxes
+from fenics_tfeti.io import Box, boxes, draw_deformed, draw_profile
 
 GDIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
 PNG = b"\x89PNG\r\n\x1a\n"

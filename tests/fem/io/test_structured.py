@@ -12,7 +12,7 @@ import ufl
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, tag_facets
 
 GDIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
 CELLS_PER_BLOCK = {"triangle": 2, "quadrilateral": 1, "tetrahedron": 6, "hexahedron": 1}

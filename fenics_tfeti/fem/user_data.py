@@ -1,4 +1,8 @@
-"""Values of the user's functions at points, checked."""
+"""Values of the user's functions and arrays at points, checked.
+
+Directions, mappings, normals, pairs of points and obstacles all come through here. The file belongs
+to no sub-package: markers of facets in `io` are evaluated by it as well.
+"""
 
 from __future__ import annotations
 
@@ -10,26 +14,25 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fenics_tfeti.errors import InputError, format_point
-from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.tolerances import NO_DIRECTION
+from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["called", "points_of", "refuse_where", "unit_vectors", "vectors_at"]
+__all__ = ["evaluate", "points_of", "unit_vectors", "vectors_at"]
 
 Vector = NDArray[np.float64]
 
-# a vector shorter than this part of the longest one has no direction but rounding's
-_NO_DIRECTION = 1e-12
 
-
-def called(function: Callable[[Vector], Any], points: Vector, what: str) -> Any:
-    """Call a user's function at points (k, 3); what it raises becomes an `InputError`.
+def evaluate(function: Callable[[Vector], Any], points: Vector, what: str) -> Any:
+    """Call a user's function; an exception that it raises becomes an `InputError`.
 
     Parameters
     ----------
     function : callable
         Called with points of shape (3, k).
     points : (k, 3) array
-        [m].
+        Coordinates [m].
     what : str
         The function's name in messages.
 
@@ -55,16 +58,16 @@ def vectors_at(
     gdim: int,
     what: str,
 ) -> Vector:
-    """Return a user's vectors (k, gdim) at points (k, 3). Collective.
+    """Evaluate a user's vector field (k, gdim) at points (k, 3). Collective.
 
     Raises
     ------
     InputError
-        A wrong shape, NaN, or what the function itself raises.
+        A wrong shape, NaN, or an exception of the function.
     """
     with raise_collectively(comm):
         vectors = _vectors(function, points, gdim, what)
-    refuse_where(
+    raise_where(
         comm,
         ~np.isfinite(vectors).all(axis=1),
         points[:, :gdim],
@@ -80,63 +83,42 @@ def unit_vectors(
     gdim: int,
     what: str,
 ) -> Vector:
-    """Return a constant or a user's function as unit vectors (k, gdim) at points (k, 3).
+    """Evaluate a constant or a user's vector field at points (k, 3), divided by its length.
 
     Collective.
+
+    Returns
+    -------
+    (k, gdim) array
+        Unit vectors.
 
     Raises
     ------
     InputError
-        A wrong shape, NaN, a vector without direction.
+        A wrong shape, NaN, or a vector of length zero.
     """
     if callable(given):
         vectors = vectors_at(comm, given, points, gdim, what)
     else:
         with raise_collectively(comm):
-            vectors = np.tile(_direction(given, gdim, what), (len(points), 1))
+            vectors = np.tile(_constant_vector(given, gdim, what), (len(points), 1))
     length = np.linalg.norm(vectors, axis=1)
     longest = comm.allreduce(float(length.max(initial=0.0)), MPI.MAX)
-    refuse_where(
+    raise_where(
         comm,
-        length <= _NO_DIRECTION * longest,
+        length <= NO_DIRECTION * longest,
         points[:, :gdim],
         lambda number, place: (
-            f"{what} vanishes at {number} points, the first at {place}: give a direction at every "
-            "node of the slave"
+            f"{what} vanishes at {number} points, the first at {place}: give a non-zero vector at "
+            "every node of the slave"
         ),
     )
     unit: Vector = vectors / length[:, None]
     return unit
 
 
-def refuse_where(
-    comm: MPI.Intracomm,
-    wrong: NDArray[np.bool_],
-    points: Vector,
-    message: Callable[[int, str], str],
-) -> None:
-    """Raise an `InputError` on all ranks if something is wrong at some points of some ranks.
-
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    wrong : (k,) bool array
-        Whether it is wrong at this rank's points.
-    points : (k, gdim) array
-        [m].
-    message : callable
-        (number of wrong points, the first of them by its coordinates) -> message.
-    """
-    found = concatenate_ranks(comm, points[wrong])
-    size = comm.allreduce(float(np.abs(points).max(initial=0.0)), MPI.MAX)
-    if len(found):
-        first = found[np.lexsort(found.T[::-1])[0]]
-        raise InputError(message(len(found), format_point(first, size)))
-
-
 def points_of(given: ArrayLike, gdim: int, what: str) -> Vector:
-    """Return points of shape (k, gdim), given with gdim or three coordinates each.
+    """Return a user's points as (k, gdim); they may have gdim or three coordinates each.
 
     Raises
     ------
@@ -166,9 +148,9 @@ def _vectors(
     function: Callable[[Vector], ArrayLike], points: Vector, gdim: int, what: str
 ) -> Vector:
     k = len(points)
-    if k == 0:  # a user's function need not be prepared for that
+    if k == 0:  # a user's function may fail for no points
         return np.zeros((0, gdim))
-    values = _numbers(called(function, points, what), what)
+    values = _numbers(evaluate(function, points, what), what)
     if values.shape not in ((gdim, k), (3, k)):
         raise InputError(
             f"{what} returned shape {values.shape} for points of shape (3, {k}), expected "
@@ -178,12 +160,10 @@ def _vectors(
     return vectors
 
 
-def _direction(given: ArrayLike, gdim: int, what: str) -> Vector:
-    constant = _numbers(given, what)
-    if constant.shape != (gdim,):
-        raise InputError(
-            f"{what} has shape {constant.shape}; expected ({gdim},) or a function of x"
-        )
-    if not np.isfinite(constant).all() or not np.any(constant):
-        raise InputError(f"{what} is {constant.tolist()}: it has no direction")
-    return constant
+def _constant_vector(given: ArrayLike, gdim: int, what: str) -> Vector:
+    vector = _numbers(given, what)
+    if vector.shape != (gdim,):
+        raise InputError(f"{what} has shape {vector.shape}; expected ({gdim},) or a function of x")
+    if not np.isfinite(vector).all() or not np.any(vector):
+        raise InputError(f"{what} is {vector.tolist()}: it has no direction")
+    return vector

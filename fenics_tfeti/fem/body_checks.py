@@ -1,0 +1,308 @@
+"""Checks of bodies: connected through facets, no two nodes at the same place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from dolfinx.mesh import Mesh
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.cell_checks import CellGeometry
+from fenics_tfeti.fem.contact.contact import Contact, ContactPair
+from fenics_tfeti.fem.decomposition.bodies import Bodies
+from fenics_tfeti.fem.messages import coordinate_order, format_mesh_point
+from fenics_tfeti.fem.tolerances import SAME_PLACE
+from fenics_tfeti.fem.topology import exterior_cell_facets
+from fenics_tfeti.parallel import Directory, concatenate_ranks
+
+__all__ = [
+    "SurfaceNodes",
+    "check_cracks",
+    "check_joints",
+    "check_pieces",
+    "check_split_nodes",
+    "surface_nodes",
+]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class SurfaceNodes:
+    """Nodes on the surface of bodies; a node that several bodies share has a row for each.
+
+    Attributes
+    ----------
+    number : (k,) integer array
+        Global node numbers in the input of the mesh.
+    x : (k, gdim) array
+        Coordinates [m].
+    body : (k,) integer array
+        The body.
+    size : (k,) array
+        Shortest edge of the body's cells at the node; edges of length zero do not count [m].
+    slave, master : (k,) bool array
+        Whether the node is on the slave's or the master's surface of a contact pair.
+    vertex : (k,) integer array
+        Global node numbers in the distributed mesh.
+    """
+
+    number: Numbers
+    x: Vector
+    body: Numbers
+    size: Vector
+    slave: Mask
+    master: Mask
+    vertex: Numbers
+
+    def __getitem__(self, chosen: Any) -> SurfaceNodes:
+        """Return some of the rows."""
+        return SurfaceNodes(*(column[chosen] for column in self.columns()))
+
+    def columns(self) -> tuple[Any, ...]:
+        """Return the attributes in their order."""
+        nodes = (self.number, self.x, self.body, self.size)
+        return (*nodes, self.slave, self.master, self.vertex)
+
+    def merged(self) -> SurfaceNodes:
+        """Return one row for each pair of node and body."""
+        keys = np.stack([self.body, self.number], axis=1)
+        _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        inverse = inverse.ravel()
+        size = np.full(first.size, np.inf)
+        np.minimum.at(size, inverse, self.size)
+        slave, master = np.zeros(first.size, dtype=bool), np.zeros(first.size, dtype=bool)
+        np.logical_or.at(slave, inverse, self.slave)
+        np.logical_or.at(master, inverse, self.master)
+        return replace(self[first], size=size, slave=slave, master=master)
+
+
+def surface_nodes(domain: Mesh, cells: CellGeometry, contacts: Sequence[Contact]) -> SurfaceNodes:
+    """Return the nodes of the exterior facets of this rank's cells.
+
+    Parameters
+    ----------
+    domain : Mesh
+        The mesh.
+    cells : CellGeometry
+        Its cells.
+    contacts : sequence of ContactPair or RigidObstacle
+        For the marks of slave and master.
+    """
+    cell, facet = np.nonzero(exterior_cell_facets(domain))
+    nodes = cells.nodes[cell[:, None], np.array(cells.type.facets)[facet]]
+    per_facet = nodes.shape[1]
+    local = nodes.ravel()
+    slave, master = _contact_nodes(domain, contacts)
+    # dolfinx 0.5 numbers a node anew on ranks whose cells meet there without a common facet;
+    # the numbers in the input of the mesh are unique
+    numbers = np.asarray(domain.geometry.input_global_indices, dtype=np.int64)
+    to_global = domain.geometry.index_map().local_to_global
+    return SurfaceNodes(
+        numbers[local],
+        domain.geometry.x[local, : domain.geometry.dim],
+        np.repeat(cells.body[cell], per_facet),
+        np.repeat(cells.shortest_edges()[cell], per_facet),
+        slave[local],
+        master[local],
+        np.asarray(to_global(local.astype(np.int32)), dtype=np.int64),
+    ).merged()
+
+
+def _contact_nodes(domain: Mesh, contacts: Sequence[Contact]) -> tuple[Mask, Mask]:
+    """Mark the nodes on slave and on master surfaces of pairs; tags are checked later."""
+    marks = np.zeros((2, len(domain.geometry.x)), dtype=bool)
+    dim = domain.topology.dim - 1
+    for contact in contacts:
+        if not isinstance(contact, ContactPair):
+            continue
+        tags = contact.facet_tags
+        if _compat.tags_are_on(tags, domain) and tags.dim == dim:
+            for mark, tag in zip(marks, (contact.slave, contact.master), strict=True):
+                mark[_compat.entity_nodes(domain, dim, tags.find(tag))] = True
+    return marks[0], marks[1]
+
+
+# -- checks ------------------------------------------------------------------------------------
+
+
+def check_pieces(domain: Mesh, bodies: Bodies, cells: CellGeometry, surface: SurfaceNodes) -> None:
+    """Check that each cell tag, where given, is on one connected body. Collective."""
+    if bodies.tags is None:
+        return
+    tags, pieces = np.unique(bodies.tags, return_counts=True)
+    if np.all(pieces == 1):
+        return
+    tag = tags[np.argmax(pieces > 1)]
+    (here,) = np.nonzero(bodies.tags == tag)
+    mine = np.isin(cells.body, here)
+    places, of = (concatenate_ranks(domain.comm, a[mine]) for a in (cells.midpoint, cells.body))
+    one, other = (
+        points[coordinate_order(points)[0]] for points in (places[of == body] for body in here[:2])
+    )
+    nodes = surface[np.isin(surface.body, here)]
+    shared = _shared_nodes(domain, nodes, nodes.body)
+    same = _coincident_pairs(domain, nodes, np.zeros(nodes.body.size))[0]
+    hint = ""
+    if len(shared):
+        hint = f"They share {_count(domain, shared, 'node')}, but no facet. "
+    elif len(same):
+        hint = (
+            f"They have {_count(domain, same, 'pair')}: were nodes that should be one not merged? "
+        )
+    raise InputError(
+        f"the cells with tag {tag} in cell_tags are in {len(here)} pieces, one with a cell around "
+        f"{format_mesh_point(domain, one)}, another with one around "
+        f"{format_mesh_point(domain, other)}. {hint}A cell tag stands for one body, connected "
+        "through facets: connect the pieces, give each a tag of its own, or leave cell_tags out, "
+        "then the bodies are the connected parts of the mesh"
+    )
+
+
+def check_joints(domain: Mesh, bodies: Bodies, surface: SurfaceNodes) -> None:
+    """Check that parts of the mesh without a common facet have no common node. Collective."""
+    part = bodies.part[surface.body]
+    shared = _shared_nodes(domain, surface, part)
+    if not len(shared):
+        return
+    first = shared[coordinate_order(shared)[0]]
+    near = np.all(surface.x == first, axis=1)
+    names = [bodies.names[b] for b in np.unique(concatenate_ranks(domain.comm, surface.body[near]))]
+    raise InputError(
+        f"bodies are joined through {_count(domain, shared, 'node')}, but through no facet: "
+        f"{' and '.join(names)}. An edge or a point cannot hold an elastic body: give each body "
+        "nodes of its own (and say by a ContactPair what may touch), or connect them through facets"
+    )
+
+
+def check_split_nodes(domain: Mesh, surface: SurfaceNodes) -> None:
+    """Check that dolfinx has not split a node where a body is pinched. Collective."""
+    split = _shared_nodes(domain, surface, surface.vertex)
+    if len(split):
+        raise InputError(
+            f"on {domain.comm.size} processes, this version of dolfinx makes several nodes of "
+            f"{_count(domain, split, 'node')}, where cells of different processes meet in an edge "
+            "or a point only: the body would come apart there. Run on one process or with a newer "
+            "dolfinx, or mesh the body so that cells meet in facets"
+        )
+
+
+def check_cracks(domain: Mesh, bodies: Bodies, surface: SurfaceNodes) -> None:
+    """Check that no body has two nodes at one place, except on the faces of a pair. Collective."""
+    points, of = _coincident_pairs(domain, surface, surface.body)
+    if not len(points):
+        return
+    raise InputError(
+        f"{bodies.names[of[coordinate_order(points)[0]]]} has "
+        f"{_count(domain, points, 'pair')}: the cells there are not connected, as in a crack. "
+        "Merge these nodes (in Gmsh by removeDuplicateNodes, for this body alone); if a crack is "
+        "meant, make its two faces a ContactPair, without the facets at its tip"
+    )
+
+
+def _count(domain: Mesh, points: Vector, what: str) -> str:
+    """Return for instance "3 nodes (the first at (1, 0.5))"; collective."""
+    of = " of nodes at the same place" if what == "pair" else ""
+    plural, first = ("", "") if len(points) == 1 else ("s", "the first ")
+    place = format_mesh_point(domain, points[coordinate_order(points)[0]])
+    return f"{len(points)} {what}{plural}{of} ({first}at {place})"
+
+
+# -- nodes -------------------------------------------------------------------------------------
+
+
+def _shared_nodes(domain: Mesh, nodes: SurfaceNodes, group: Numbers) -> Vector:
+    """Return the coordinates (n, gdim) of nodes that are in several groups, on all ranks."""
+    keys, x, group = Directory(domain.comm, np.unique(nodes.number)).collect(
+        nodes.number, nodes.x, group
+    )
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    differs = np.zeros(first.size, dtype=bool)
+    differs[inverse[group != group[first][inverse]]] = True
+    return concatenate_ranks(domain.comm, x[first[differs]])
+
+
+def _coincident_pairs(
+    domain: Mesh, nodes: SurfaceNodes, group: NDArray[Any]
+) -> tuple[Vector, Numbers]:
+    """Find pairs of nodes of a group at the same place, except a slave and a master node.
+
+    Parameters
+    ----------
+    domain : Mesh
+        The mesh.
+    nodes : SurfaceNodes
+        Nodes of this rank.
+    group : (k,) array
+        Nodes of different groups may coincide.
+
+    Returns
+    -------
+    points, body : (n, gdim), (n,) arrays
+        The place and the body of each pair, on all ranks.
+    """
+    comm, gdim = domain.comm, domain.geometry.dim
+    reach = SAME_PLACE * comm.allreduce(float(nodes.size.max(initial=0.0)), MPI.MAX)
+    keys, rows = _bins(comm, nodes.x, reach)
+    data = (*nodes.columns(), group)
+    *columns, group = Directory(comm, np.unique(keys)).collect(keys, *(d[rows] for d in data))[1:]
+    near = SurfaceNodes(*columns)
+    pairs = np.zeros((0, 2), dtype=np.int64)
+    if group.size:
+        # one more coordinate keeps the groups apart
+        place = np.column_stack([near.x, 4.0 * reach * group])
+        pairs = cKDTree(place).query_pairs(reach, output_type="ndarray")
+    a, b = near[pairs[:, 0]], near[pairs[:, 1]]
+    distance = np.linalg.norm(a.x - b.x, axis=1)
+    wrong = (a.number != b.number) & (distance <= SAME_PLACE * np.minimum(a.size, b.size))
+    slave, master = _marked_anywhere(near, near.slave), _marked_anywhere(near, near.master)
+    one, other = pairs.T
+    wrong &= ~((slave[one] & master[other]) | (master[one] & slave[other]))
+    numbers = np.sort(np.stack([a.number, b.number], axis=1)[wrong], axis=1)
+    found = [concatenate_ranks(comm, column) for column in (numbers, a.x[wrong], a.body[wrong])]
+    # a pair near the border of bins is found in each of them
+    once = np.unique(found[0], axis=0, return_index=True)[1]
+    return found[1][once].reshape(-1, gdim), found[2][once]
+
+
+def _marked_anywhere(nodes: SurfaceNodes, mark: Mask) -> Mask:
+    """Tell which nodes are marked in any of their rows: no rank has all facets at a node."""
+    numbers, place = np.unique(nodes.number, return_inverse=True)
+    marked = np.zeros(numbers.size, dtype=bool)
+    np.logical_or.at(marked, place, mark)
+    return marked[place]
+
+
+def _bins(comm: MPI.Intracomm, x: Vector, reach: float) -> tuple[Numbers, Numbers]:
+    """Sort points into cubic bins, by which they are distributed over the ranks.
+
+    Returns
+    -------
+    keys, rows : integer arrays
+        Key of a bin and row of a point, for each bin that the point is in or within `reach` of.
+    """
+    bins_along_mesh = 64
+    number_of_keys = 2**20
+    low, high = x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)
+    comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)
+    comm.Allreduce(MPI.IN_PLACE, high, MPI.MAX)
+    width = max(float(np.max(high - low)) / bins_along_mesh, 4.0 * reach, np.finfo(float).tiny)
+    steps = np.array(list(product((-reach, reach), repeat=x.shape[1])))
+    bins = np.floor((x[:, None] + steps - low) / width).astype(np.int64)
+    # a hash with large primes spreads the keys evenly, for any shape of the mesh
+    keys = (bins @ np.array([73856093, 19349663, 83492791])[: x.shape[1]]) % number_of_keys
+    rows = np.repeat(np.arange(len(x)), len(steps))
+    both = np.unique(np.stack([keys.ravel(), rows], axis=1), axis=0)
+    return both[:, 0], both[:, 1]

@@ -1,0 +1,75 @@
+"""A tree of bounding boxes around facets, descended for all queries at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["BoxTree"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+class BoxTree:
+    """A balanced binary tree of boxes around facets, level by level.
+
+    Parameters
+    ----------
+    corners : (m, v, gdim) array
+        Corners of the facets [m].
+
+    Attributes
+    ----------
+    size : float
+        The longest side of the box around all facets [m].
+    """
+
+    def __init__(self, corners: Vector) -> None:
+        facets_of_leaf = 2
+        depth = max(0, int(np.ceil(np.log2(len(corners) / facets_of_leaf))))
+        leaf = -(-len(corners) // 2**depth)
+        # some facets twice, so that all boxes of a level hold equally many
+        order = np.resize(np.arange(len(corners)), 2**depth * leaf)
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        centre = 0.5 * (low + high)
+        self._low, self._high = [], []
+        for level in range(depth + 1):
+            order = order.reshape(2**level, -1)
+            self._low.append(low[order].min(axis=1))
+            self._high.append(high[order].max(axis=1))
+            if level < depth:
+                axis = np.ptp(centre[order], axis=1).argmax(axis=1)
+                place = centre[order, axis[:, None]]
+                order = np.take_along_axis(order, place.argsort(axis=1), axis=1)
+        self._leaves: Numbers = order.astype(np.int64)
+        self.size = float((self._high[0] - self._low[0]).max())
+
+    def candidates(
+        self, number: int, wanted: Callable[[Numbers, Vector, Vector], Mask]
+    ) -> tuple[Numbers, Numbers]:
+        """Find all facets in the boxes that queries want.
+
+        Parameters
+        ----------
+        number : int
+            Number of queries.
+        wanted : callable
+            (query (j,), low (j, gdim), high (j, gdim)) -> (j,) bool: whether each query wants the
+            facets in a box. A box that is wanted implies that the boxes around it are.
+
+        Returns
+        -------
+        query, facet : integer arrays
+            Pairs; some of them may be there twice.
+        """
+        query, box = np.arange(number, dtype=np.int64), np.zeros(number, dtype=np.int64)
+        for level, (low, high) in enumerate(zip(self._low, self._high, strict=True)):
+            if level > 0:
+                query, box = np.repeat(query, 2), (2 * box[:, None] + [0, 1]).ravel()
+            keep = wanted(query, low[box], high[box])
+            query, box = query[keep], box[keep]
+        return np.repeat(query, self._leaves.shape[1]), self._leaves[box].ravel()

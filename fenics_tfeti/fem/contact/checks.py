@@ -1,0 +1,345 @@
+"""Checks of contacts: their arguments, the pairs that were found, and contacts that overlap.
+
+What concerns one pair of points or one surface alone is checked where it is read, in `search` and
+`surfaces`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.contact import Contact, ContactPair, ContactPairing, RigidObstacle
+from fenics_tfeti.fem.contact.pairing_summary import angles_between
+from fenics_tfeti.fem.contact.search import Partners
+from fenics_tfeti.fem.contact.surfaces import MasterNodes, Surface
+from fenics_tfeti.fem.messages import coordinate_order, raise_where
+from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
+from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
+
+__all__ = [
+    "check_arguments",
+    "check_different_nodes",
+    "check_different_surfaces",
+    "check_not_crossed",
+    "check_one_to_one",
+    "check_partners",
+    "check_shared_nodes",
+]
+
+Vector = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+# -- arguments ---------------------------------------------------------------------------------
+
+
+def check_arguments(contact: ContactPair, name: str) -> None:
+    """Check the arguments of a pair that need no mesh.
+
+    Raises
+    ------
+    InputError
+        Equal tags, several ways to find partners, a mapping that is not a function, a tolerance
+        that is not positive.
+    """
+    if contact.slave == contact.master:
+        raise InputError(f"{name}: slave and master have the same tag {contact.slave}")
+    ways = [way for way in ("direction", "mapping", "pairs") if getattr(contact, way) is not None]
+    if len(ways) > 1:
+        raise InputError(
+            f"{name}: {' and '.join(ways)} are given; partners can be found in one way only"
+        )
+    if contact.mapping is not None and not callable(contact.mapping):
+        raise InputError(f"{name}: the mapping has to be a function x (3, n) -> (3, n)")
+    try:
+        positive = 0.0 < float(contact.tolerance) < np.inf
+    except (TypeError, ValueError):
+        positive = False
+    if not positive:
+        raise InputError(
+            f"{name}: the tolerance is {contact.tolerance!r}; a positive number is expected, "
+            "relative to the size of the slave's facets"
+        )
+
+
+# -- the pairs of one contact ------------------------------------------------------------------
+
+
+def check_shared_nodes(
+    comm: MPI.Intracomm, slave: Surface, shared: Mask, allowed: bool, name: str
+) -> None:
+    """Check that slave and master share no nodes, or in a partial contact not all of them.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks.
+    slave : Surface
+        The slave's surface.
+    shared : (k,) bool array
+        Which of its nodes belong to the master as well.
+    allowed : bool
+        Whether shared nodes stay free.
+    name : str
+        Name of the contact.
+
+    Raises
+    ------
+    InputError
+        With the number of shared nodes and the first one.
+    """
+    raise_where(
+        comm,
+        np.zeros_like(shared) if allowed else shared,
+        slave.points,
+        lambda number, place: (
+            f"{name}: slave and master share {number} nodes, the first at {place}. The surfaces "
+            "overlap or the bodies are one: each body needs nodes of its own. (Where two faces of "
+            "one body meet, such as at the tip of a crack, partial=True leaves the shared nodes "
+            "free)"
+        ),
+    )
+
+
+def check_partners(
+    comm: MPI.Intracomm,
+    slave: Surface,
+    partners: Partners,
+    limit: Vector,
+    partial: bool,
+    name: str,
+) -> None:
+    """Check that all slave nodes have a partner, or in a partial contact at least one.
+
+    Raises
+    ------
+    InputError
+        With the first nodes without partner, their distances and the remedy.
+    """
+    far = partners.distance > limit
+    missing, total = comm.allreduce(int(far.sum())), comm.allreduce(far.size)
+    if missing == 0 or (partial and missing < total):
+        return
+    relative = partners.distance[far] / slave.size[far]
+    largest = comm.allreduce(float(relative[np.isfinite(relative)].max(initial=0.0)), MPI.MAX)
+    columns = (slave.points[far], partners.distance[far], limit[far])
+    rows = _first_rows(comm, columns, 3)
+    some = "; ".join(
+        f"{format_point(point, slave.extent)} at distance {distance:.3g} (tolerance {most:.3g})"
+        if np.isfinite(distance)
+        else f"{format_point(point, slave.extent)}"
+        for point, distance, most in zip(*rows, strict=True)
+    )
+    measure = (
+        f"Distances are {partners.measure}, up to {largest:.2g} of the facets' size. "
+        if largest
+        else ""
+    )
+    free = "" if partial else ", or leave these nodes free by partial=True"
+    raise InputError(
+        f"{name}: {missing} of {total} slave nodes have no partner: {some}. {measure}"
+        f"{partners.remedy}{free}"
+    )
+
+
+def check_one_to_one(
+    comm: MPI.Intracomm,
+    slave: Surface,
+    master: MasterNodes,
+    partners: Partners,
+    found: Mask,
+    partial: bool,
+    name: str,
+) -> None:
+    """Check that no two slave nodes have the same partner.
+
+    Raises
+    ------
+    InputError
+        With the first master node that several slave nodes have, and the remedy.
+    """
+    shared, counts = np.unique(concatenate_ranks(comm, partners.master[found]), return_counts=True)
+    shared = shared[counts > 1]
+    if not shared.size:
+        return
+    concerned = found & np.isin(partners.master, shared)
+    relative = partners.distance[concerned] / slave.size[concerned]
+    columns = (slave.points[concerned], partners.master[concerned], relative)
+    points, partner, relative = (concatenate_ranks(comm, column) for column in columns)
+    # a tolerance below the second smallest distance of a master node leaves one partner
+    order = np.lexsort((relative, partner))
+    second = order[1:][partner[order][1:] == partner[order][:-1]]
+    # the master's nodes are in the order of their coordinates
+    both = points[partner == shared[0]]
+    places = " and ".join(
+        format_point(point, slave.extent) for point in both[coordinate_order(both)]
+    )
+    remedy = (
+        "Exchange slave and master, or mesh the surfaces alike"
+        if not partial
+        else f"With a tolerance below {relative[second].min():.2g} some of them stay free; or "
+        "exchange slave and master, or mesh the surfaces alike"
+    )
+    raise InputError(
+        f"{name}: {shared.size} master nodes are each the partner of several slave nodes, the "
+        f"first at {format_point(master.points[shared[0]], slave.extent)} of those at {places}; "
+        f"the mapping has to be one to one. {remedy}"
+    )
+
+
+def check_not_crossed(
+    comm: MPI.Intracomm,
+    slave: Surface,
+    corners: Vector,
+    normals: Vector,
+    images: Vector,
+    name: str,
+) -> None:
+    """Check that neighbouring slave nodes have their partners in the same order along the surface.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks.
+    slave : Surface
+        The slave's surface.
+    corners, normals, images : (f, v, gdim) arrays
+        Nodes of this rank's facets, the normals there, and the partners' coordinates, NaN where
+        there is none.
+    name : str
+        Name of the contact.
+
+    Raises
+    ------
+    InputError
+        With the first edge whose ends have crossing pairs, and the remedy.
+    """
+    gdim = images.shape[2]
+    edges = np.array(slave.facet_type.edges)
+    ends, ends_normals, partners = (
+        of_facets[:, edges].reshape(-1, 2, gdim) for of_facets in (corners, normals, images)
+    )
+    normal = ends_normals.sum(axis=1)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)
+    # tangential components only: gaps may differ from node to node
+    edge = _tangential(ends[:, 1] - ends[:, 0], normal)
+    image = partners[:, 1] - partners[:, 0]
+    product = np.linalg.norm(edge, axis=1) * np.linalg.norm(image, axis=1)
+    image = _tangential(image, normal)
+    # False where there is a NaN
+    crossed = np.sum(edge * image, axis=1) < -RELATIVE_ROUNDING * product
+
+    found = np.concatenate([ends[crossed], partners[crossed]], axis=1)
+    # an edge belongs to two facets: it is listed from its smaller end, and once
+    swap = _comes_before(found[:, 1], found[:, 0])
+    found[swap] = found[swap][:, [1, 0, 3, 2]]
+    found = np.unique(concatenate_ranks(comm, found.reshape(-1, 4 * gdim)), axis=0)
+    if not len(found):
+        return
+    a, b, of_a, of_b = (format_point(p, slave.extent) for p in found[0].reshape(4, gdim))
+    raise InputError(
+        f"{name}: pairs cross on {len(found)} edges of slave facets: the neighbours {a} and {b} "
+        f"have the partners {of_a} and {of_b}, which lie in the opposite order. Correct the pairs, "
+        "mapping or direction, or lower the pair's tolerance"
+    )
+
+
+def _tangential(vectors: Vector, normal: Vector) -> Vector:
+    tangential: Vector = vectors - np.sum(vectors * normal, axis=1)[:, None] * normal
+    return tangential
+
+
+def _comes_before(first: Vector, second: Vector) -> Mask:
+    """Compare points row by row, by their first different coordinate."""
+    different = first != second
+    at = np.argmax(different, axis=1)
+    rows = np.arange(len(first))
+    before: Mask = first[rows, at] < second[rows, at]
+    return before
+
+
+def _first_rows(comm: MPI.Intracomm, columns: tuple[Vector, ...], number: int) -> list[Vector]:
+    """Return the first rows over all ranks by the coordinates in the first column."""
+
+    def first(rows: list[Vector]) -> list[Vector]:
+        order = coordinate_order(rows[0])[:number]
+        return [row[order] for row in rows]
+
+    # sorted on each rank as well, so that each sends few rows
+    mine = first(list(columns))
+    return first([concatenate_ranks(comm, row) for row in mine])
+
+
+# -- several contacts --------------------------------------------------------------------------
+
+
+def check_different_surfaces(contacts: Sequence[Contact], comm: MPI.Intracomm) -> None:
+    """Check that no two pairs join the same two surfaces, in either role.
+
+    Raises
+    ------
+    InputError
+        With the numbers of the contacts and the tags.
+    """
+    pairs: dict[tuple[int, frozenset[int]], int] = {}
+    with raise_collectively(comm):
+        for number, contact in enumerate(contacts):
+            if not isinstance(contact, ContactPair):
+                continue
+            tags = frozenset((contact.slave, contact.master))
+            key = (id(_compat.cpp_object(contact.facet_tags)), tags)
+            if key in pairs:
+                raise InputError(
+                    f"contacts {pairs[key]} and {number} join the same two surfaces, with slave "
+                    f"and master {sorted(tags)}: keep one of them"
+                )
+            pairs[key] = number
+
+
+def check_different_nodes(
+    contacts: Sequence[Contact], pairings: Sequence[ContactPairing], comm: MPI.Intracomm
+) -> None:
+    """Check that no slave node is in two contacts with the same master surface or obstacle.
+
+    Raises
+    ------
+    InputError
+        With the contacts, the number of such nodes and the first one.
+    """
+    for (one, a), (other, b) in combinations(zip(contacts, pairings, strict=True), 2):
+        if _same_master(one, other):
+            _check_common_nodes(comm, a, b)
+
+
+def _check_common_nodes(comm: MPI.Intracomm, a: ContactPairing, b: ContactPairing) -> None:
+    _, at_a, at_b = np.intersect1d(a.slave, b.slave, return_indices=True)
+    # at an edge of the body a node has two conditions, with normals farther apart than this angle
+    edge_angle = 45.0
+    raise_where(
+        comm,
+        angles_between(a.normal[at_a], b.normal[at_b]) < edge_angle,
+        a.coordinates[at_a, : a.normal.shape[1]],
+        lambda number, place: (
+            f"{a.name} and {b.name} match {number} slave nodes twice with the same master surface "
+            f"or obstacle, the first at {place}: join the two slave surfaces under one tag, or "
+            "separate them"
+        ),
+    )
+
+
+def _same_master(one: Contact, other: Contact) -> bool:
+    if isinstance(one, ContactPair) and isinstance(other, ContactPair):
+        tags = (_compat.cpp_object(c.facet_tags) for c in (one, other))
+        return one.master == other.master and next(tags) is next(tags)
+    if isinstance(one, RigidObstacle) and isinstance(other, RigidObstacle):
+        return one.obstacle is other.obstacle
+    return False

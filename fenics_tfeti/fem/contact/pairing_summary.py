@@ -1,0 +1,72 @@
+"""The pairing of a contact in numbers, for the report."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
+
+__all__ = ["angles_between", "pairing_summary"]
+
+Vector = NDArray[np.float64]
+
+
+def pairing_summary(
+    comm: MPI.Intracomm,
+    name: str,
+    gap: Vector,
+    angle: Vector,
+    total: int,
+    distance: Vector | None = None,
+    relative: Vector | None = None,
+) -> dict[str, Any]:
+    """Summarise the pairing of a contact; the same on all ranks. Collective.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks.
+    name : str
+        Name of the contact.
+    gap, angle : (k,) arrays
+        Gaps [m], and angles between the slave's normals and the opposite of the master's [degrees].
+    total : int
+        Number of slave nodes that this rank owns, with and without partner.
+    distance, relative : (k,) arrays, optional
+        The distances that the tolerance limits [m], and the same relative to the size of the
+        facets; None for obstacles.
+
+    Returns
+    -------
+    dict
+        An entry of `Report.pairing`.
+    """
+    pairs = comm.allreduce(gap.size)
+
+    def largest(values: Vector) -> float:
+        return float(comm.allreduce(float(values.max(initial=-np.inf)), MPI.MAX))
+
+    return {
+        "contact": name,
+        "pairs": pairs,
+        "unmatched": comm.allreduce(total) - pairs,
+        "largest_distance": None if distance is None else largest(distance),
+        "largest_relative_distance": None if relative is None else largest(relative),
+        "largest_angle": largest(angle),
+        "smallest_gap": 0.0 - largest(-gap),
+        "largest_gap": largest(gap),
+    }
+
+
+def angles_between(first: Vector, second: Vector) -> Vector:
+    """Return the angles between unit vectors (k, gdim), row by row [degrees]."""
+    # by the chord, which is accurate for small angles, unlike the inverse cosine
+    chord = np.linalg.norm(first - second, axis=1)
+    chord[chord < COORDINATE_ROUNDING] = 0.0
+    angle: Vector = np.degrees(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
+    return angle

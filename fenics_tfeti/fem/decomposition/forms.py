@@ -1,0 +1,301 @@
+"""The user's forms, checked and compiled once, to be integrated over any of this rank's cells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import ufl
+from dolfinx.fem import Function, FunctionSpace
+from dolfinx.mesh import Mesh
+from ufl import geometry
+from ufl.corealg.traversal import traverse_unique_terminals
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.topology import cell_facets, owned_cells
+from fenics_tfeti.parallel import raise_collectively
+
+__all__ = ["PreparedForm", "prepare_form"]
+
+Indices = NDArray[np.int32]
+Tags = NDArray[np.int64]
+
+# geometric quantities of UFL that a translation does not change
+_TRANSLATION_INVARIANT = (
+    geometry.CellDiameter,
+    geometry.CellVolume,
+    geometry.Circumradius,
+    geometry.FacetArea,
+    geometry.FacetNormal,
+    geometry.Jacobian,
+    geometry.JacobianDeterminant,
+    geometry.JacobianInverse,
+    geometry.MaxCellEdgeLength,
+    geometry.MaxFacetEdgeLength,
+    geometry.MinCellEdgeLength,
+    geometry.MinFacetEdgeLength,
+)
+# in place of a tag, where the form is not integrated
+_NO_TAG = np.iinfo(np.int64).min
+
+
+@dataclass(frozen=True)
+class PreparedForm:
+    """A compiled form, with the tags of its integrals on the user's cells and facets.
+
+    Attributes
+    ----------
+    name : str
+        For messages.
+    compiled : CompiledForm
+        The kernels.
+    coefficients : list of Function
+        The user's coefficients.
+    constants : list of Constant
+        The user's constants.
+    cell_tag : (cells,) integer array or None
+        Tag of each cell, where the form has integrals over cells.
+    facet_tag : (cells, facets of a cell) integer array or None
+        Tag of each facet of each cell, on the boundary of the mesh only, where the form has
+        integrals over facets.
+    cell_ids, facet_ids : list of int
+        The tags that the form's integrals name.
+    translation_invariant : bool
+        Whether a translated cell has the same element matrix.
+    """
+
+    name: str
+    compiled: _compat.CompiledForm
+    coefficients: list[Function]
+    constants: list[Any]
+    cell_tag: Tags | None
+    facet_tag: Tags | None
+    cell_ids: list[int]
+    facet_ids: list[int]
+    translation_invariant: bool
+
+    def bind(self, spaces: list[FunctionSpace], cells: Sequence[Indices]) -> Any:
+        """Bind the form to torn spaces and to the cells of some parts."""
+        chosen = np.sort(np.concatenate([np.zeros(0, dtype=np.int32), *cells]))
+        # each tag of the form has to be bound, also where none of these cells has it
+        of_cells: dict[int, Indices] = {}
+        of_facets: dict[int, Indices] = {}
+        if self.cell_tag is not None:
+            tag = self.cell_tag[chosen]
+            of_cells = {t: chosen[tag == t] for t in self.cell_ids}
+        if self.facet_tag is not None:
+            tags = self.facet_tag[chosen]
+            for t in self.facet_ids:
+                row, facet = np.nonzero(tags == t)
+                of_facets[t] = np.column_stack([chosen[row], facet]).astype(np.int32)
+        return self.compiled.bind(spaces, of_cells, of_facets)
+
+    def values(self) -> list[NDArray[np.float64]]:
+        """Return copies of the present values of the coefficients and constants.
+
+        Raises
+        ------
+        InputError
+            NaN or infinite values, on this rank.
+        """
+        _check_values(self.name, self.coefficients, self.constants)
+        coefficients = [np.array(w.x.array, dtype=float) for w in self.coefficients]
+        return coefficients + [np.array(c.value, dtype=float) for c in self.constants]
+
+    def cell_data(self) -> list[NDArray[Any]]:
+        """Return tags and coefficients (cells, ...) by which the element matrices may differ."""
+        tags = [values for values in (self.cell_tag, self.facet_tag) if values is not None]
+        return [*tags, *(_values_of_cells(w) for w in self.coefficients)]
+
+
+def prepare_form(
+    space: FunctionSpace, form: ufl.Form, name: str, exterior: NDArray[np.bool_]
+) -> PreparedForm:
+    """Check and compile a form, and look up the tags of its measures. Collective.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    form : ufl.Form
+        With integrals over cells and exterior facets.
+    name : str
+        The form's name in messages.
+    exterior : (cells, facets of a cell) bool array
+        Which facets of each owned cell are on the boundary of the mesh.
+
+    Raises
+    ------
+    InputError
+        Unsupported integrals, coefficients or tags; NaN in coefficients and constants.
+    """
+    domain = space.mesh
+    with raise_collectively(domain.comm):
+        _check_integrals(form, name)
+        _check_coefficients(form, name, domain)
+    data = _compat.subdomain_data(form)
+    cell_ids = _tagged_ids(form, "cell")
+    facet_ids = _tagged_ids(form, "exterior_facet")
+    with raise_collectively(domain.comm):
+        for kind, ids in (("cell", cell_ids), ("exterior_facet", facet_ids)):
+            _check_tags(data.get(kind), kind, ids, name, domain)
+
+    owned = owned_cells(domain)
+    cell_tag = facet_tag = None
+    if _has(form, "cell"):
+        of_cell = _dense_tags(data.get("cell"), owned, cell_ids)
+        form, cell_ids, cell_tag = _tag_everywhere(form, "cell", cell_ids, of_cell)
+    if _has(form, "exterior_facet"):
+        facet_of = cell_facets(domain)
+        of_facet = _dense_tags(
+            data.get("exterior_facet"), int(facet_of.max(initial=-1)) + 1, facet_ids
+        )
+        form, facet_ids, of_facet = _tag_everywhere(form, "exterior_facet", facet_ids, of_facet)
+        facet_tag = np.where(exterior, of_facet[facet_of[:owned]], _NO_TAG)
+    return PreparedForm(
+        name,
+        _compat.CompiledForm(form, domain.comm),
+        list(form.coefficients()),
+        list(form.constants()),
+        cell_tag,
+        facet_tag,
+        cell_ids,
+        facet_ids,
+        _is_translation_invariant(form),
+    )
+
+
+def _has(form: ufl.Form, kind: str) -> bool:
+    return any(integral.integral_type() == kind for integral in form.integrals())
+
+
+def _is_translation_invariant(form: ufl.Form) -> bool:
+    return all(
+        isinstance(terminal, _TRANSLATION_INVARIANT)
+        for integral in form.integrals()
+        for terminal in traverse_unique_terminals(integral.integrand())
+        if isinstance(terminal, geometry.GeometricQuantity)
+    )
+
+
+def _check_integrals(form: ufl.Form, name: str) -> None:
+    for integral in form.integrals():
+        kind = integral.integral_type()
+        if kind not in ("cell", "exterior_facet"):
+            raise InputError(
+                f"the {name} has an integral over {kind}; only dx and ds are supported, since "
+                "subdomains are torn from each other"
+            )
+
+
+def _check_coefficients(form: ufl.Form, name: str, domain: Mesh) -> None:
+    for number, coefficient in enumerate(form.coefficients()):
+        label = _label(number, coefficient, name)
+        W = coefficient.function_space
+        if _compat.cpp_object(W.mesh) is not _compat.cpp_object(domain):
+            raise InputError(f"{label} is on another mesh than the displacement")
+        family, degree, _ = _compat.element_facts(W)
+        if "Discontinuous" not in family and not (family == "Lagrange" and degree <= 2):
+            raise InputError(
+                f"{label} has the element {family} of degree {degree}; coefficients may be "
+                "discontinuous Lagrange of any degree, or Lagrange of degree 1 or 2: interpolate "
+                "it into such a space"
+            )
+    _check_values(name, form.coefficients(), form.constants())
+
+
+def _check_values(name: str, coefficients: Sequence[Function], constants: Sequence[Any]) -> None:
+    for number, coefficient in enumerate(coefficients):
+        bad = np.count_nonzero(~np.isfinite(coefficient.x.array))
+        if bad:
+            raise InputError(
+                f"{_label(number, coefficient, name)} has {bad} values that are NaN or infinite"
+            )
+    for number, constant in enumerate(constants):
+        if not np.isfinite(constant.value).all():
+            raise InputError(
+                f"constant {number} of the {name} is NaN or infinite: {constant.value}"
+            )
+
+
+def _label(number: int, coefficient: Function, name: str) -> str:
+    return f"coefficient {number} ({getattr(coefficient, 'name', 'unnamed')}) of the {name}"
+
+
+def _tagged_ids(form: ufl.Form, kind: str) -> list[int]:
+    """Return the tags that a form's integrals of one kind are limited to."""
+    ids: set[int] = set()
+    for integral in form.integrals():
+        if integral.integral_type() == kind and integral.subdomain_id() not in (
+            "everywhere",
+            "otherwise",
+        ):
+            ids.update(np.atleast_1d(integral.subdomain_id()).tolist())
+    return sorted(ids)
+
+
+def _check_tags(tags: Any, kind: str, ids: list[int], name: str, domain: Mesh) -> None:
+    measure, dim = {
+        "cell": ("dx", domain.topology.dim),
+        "exterior_facet": ("ds", domain.topology.dim - 1),
+    }[kind]
+    if not ids:
+        return
+    if tags is None or not hasattr(tags, "find"):
+        raise InputError(
+            f"the {name} has {measure}({ids[0]}), but the measure has no mesh tags: use "
+            f"ufl.Measure('{measure}', domain=mesh, subdomain_data=tags)"
+        )
+    if tags.dim != dim:
+        raise InputError(
+            f"the subdomain_data of {measure} in the {name} tags entities of dimension {tags.dim}, "
+            f"expected {dim}"
+        )
+
+
+def _dense_tags(tags: Any, size: int, ids: list[int]) -> Tags:
+    """Return the tag of each entity, where it is one of the ids."""
+    dense = np.full(size, _NO_TAG)
+    if tags is not None:
+        used = np.isin(tags.values, ids) & (tags.indices < size)
+        dense[tags.indices[used]] = tags.values[used]
+    return dense
+
+
+def _tag_everywhere(
+    form: ufl.Form, kind: str, ids: list[int], tags: Tags
+) -> tuple[ufl.Form, list[int], Tags]:
+    """Replace "everywhere" in integrals of one kind by all tags in use and one for the rest.
+
+    "Everywhere" would include cells of other parts and, in some versions of dolfinx, facets between
+    ranks.
+
+    Returns
+    -------
+    tuple
+        The form, its tags, and the tag of each entity where it is one of them.
+    """
+    rest = max(ids, default=0) + 1
+    everywhere = (*ids, rest) if ids else rest
+    integrals = []
+    for integral in form.integrals():
+        if integral.integral_type() == kind and integral.subdomain_id() == "everywhere":
+            integral = integral.reconstruct(subdomain_id=everywhere)
+        integrals.append(integral)
+    form = ufl.Form(integrals)
+    used = _tagged_ids(form, kind)
+    if rest in used:
+        tags = np.where(tags == _NO_TAG, rest, tags)
+    return form, used, tags
+
+
+def _values_of_cells(function: Function) -> NDArray[np.float64]:
+    """Return a coefficient's values (cells, v, block) on each cell of this rank."""
+    space = function.function_space
+    values = function.x.array.reshape(-1, space.dofmap.index_map_bs)
+    return np.asarray(values[_compat.cell_dofs(space)], dtype=float)

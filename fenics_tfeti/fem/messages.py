@@ -1,0 +1,60 @@
+"""Error messages that name the first place where something is wrong, for any number of ranks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx.mesh import Mesh
+
+from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.parallel import concatenate_ranks
+
+__all__ = ["coordinate_order", "format_mesh_point", "raise_where"]
+
+Vector = NDArray[np.float64]
+
+
+def coordinate_order(points: Vector) -> NDArray[np.intp]:
+    """Return the order of points (k, gdim) by their coordinates, the first coordinate first.
+
+    It does not depend on how the points are distributed over the ranks.
+    """
+    order: NDArray[np.intp] = np.lexsort(points.T[::-1])
+    return order
+
+
+def raise_where(
+    comm: MPI.Intracomm,
+    wrong: NDArray[np.bool_],
+    points: Vector,
+    message: Callable[[int, str], str],
+) -> None:
+    """Raise an `InputError` on all ranks if points of any rank are wrong. Collective.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks.
+    wrong : (k,) bool array
+        Which of this rank's points are wrong.
+    points : (k, gdim) array
+        Coordinates [m].
+    message : callable
+        (number of wrong points, coordinates of the first one as text) -> message.
+    """
+    found = concatenate_ranks(comm, points[wrong])
+    size = comm.allreduce(float(np.abs(points).max(initial=0.0)), MPI.MAX)
+    if len(found):
+        first = found[coordinate_order(found)[0]]
+        raise InputError(message(len(found), format_point(first, size)))
+
+
+def format_mesh_point(domain: Mesh, point: Vector) -> str:
+    """Write a point (gdim,) with the digits that the size of the mesh leaves. Collective."""
+    size = float(np.abs(domain.geometry.x).max(initial=0.0))
+    return format_point(point, domain.comm.allreduce(size, MPI.MAX))

@@ -1,0 +1,188 @@
+"""Reference cells: vertices, edges and facets, and their order in dolfinx and in VTK.
+
+The only tables of cell shapes in the `fem` layer. Vertices are numbered as in dolfinx; those of
+quadrilaterals and hexahedra in tensor-product order, vertex x + 2 y + 4 z at the point (x, y, z).
+Nothing of FEniCSx is imported here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["MESH_CELLS", "ReferenceCell", "reference_cell"]
+
+Vertices = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class ReferenceCell:
+    """A cell type of degree 1.
+
+    Attributes
+    ----------
+    name : str
+        Name in dolfinx and UFL.
+    dim : int
+        Dimension.
+    vertices : int
+        Number of vertices.
+    edges : tuple of (int, int)
+        Vertices of each edge, in lexicographic order.
+    facets : tuple of tuples of int
+        Vertices of each facet, in dolfinx's numbering of facets.
+    facet_name : str
+        Name of the facets' cell type.
+    axes : tuple of int
+        The vertices that share an edge with vertex 0, such that the edges to them form a
+        right-handed system.
+    reflected : tuple of int
+        The vertices in an order that reverses the orientation.
+    vtk_type : int
+        Number of the cell type in VTK.
+    vtk_order : tuple of int
+        The vertices in the order of VTK, which is also that of Gmsh.
+    grid_cut : tuple of tuples of int
+        The cells of this type into which one block of a grid is cut, by the vertices of the block
+        in tensor-product order. Simplices all share the diagonal from the lowest to the highest
+        vertex: opposite sides of the block are cut alike, so that adjacent grids match.
+    """
+
+    name: str
+    dim: int
+    vertices: int
+    edges: tuple[tuple[int, int], ...]
+    facets: tuple[Vertices, ...]
+    facet_name: str
+    axes: Vertices
+    reflected: Vertices
+    vtk_type: int
+    vtk_order: Vertices
+    grid_cut: tuple[Vertices, ...]
+
+    @property
+    def is_simplex(self) -> bool:
+        """Whether the cell is an interval, a triangle or a tetrahedron."""
+        return self.vertices == self.dim + 1
+
+    @property
+    def facet(self) -> ReferenceCell:
+        """The cell type of the facets; not for intervals."""
+        return reference_cell(self.facet_name)
+
+
+_CELLS = {
+    cell.name: cell
+    for cell in (
+        ReferenceCell(
+            name="interval",
+            dim=1,
+            vertices=2,
+            edges=((0, 1),),
+            facets=((0,), (1,)),
+            facet_name="point",
+            axes=(1,),
+            reflected=(1, 0),
+            vtk_type=3,
+            vtk_order=(0, 1),
+            grid_cut=((0, 1),),
+        ),
+        ReferenceCell(
+            name="triangle",
+            dim=2,
+            vertices=3,
+            edges=((0, 1), (0, 2), (1, 2)),
+            facets=((1, 2), (0, 2), (0, 1)),
+            facet_name="interval",
+            axes=(1, 2),
+            reflected=(0, 2, 1),
+            vtk_type=5,
+            vtk_order=(0, 1, 2),
+            grid_cut=((0, 1, 3), (0, 2, 3)),
+        ),
+        ReferenceCell(
+            name="quadrilateral",
+            dim=2,
+            vertices=4,
+            edges=((0, 1), (0, 2), (1, 3), (2, 3)),
+            facets=((0, 1), (0, 2), (1, 3), (2, 3)),
+            facet_name="interval",
+            axes=(1, 2),
+            reflected=(0, 2, 1, 3),
+            vtk_type=9,
+            vtk_order=(0, 1, 3, 2),
+            grid_cut=((0, 1, 2, 3),),
+        ),
+        ReferenceCell(
+            name="tetrahedron",
+            dim=3,
+            vertices=4,
+            edges=((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)),
+            facets=((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)),
+            facet_name="triangle",
+            axes=(1, 2, 3),
+            reflected=(0, 2, 1, 3),
+            vtk_type=10,
+            vtk_order=(0, 1, 2, 3),
+            grid_cut=(
+                (0, 1, 3, 7),
+                (0, 1, 5, 7),
+                (0, 4, 5, 7),
+                (0, 2, 3, 7),
+                (0, 4, 6, 7),
+                (0, 2, 6, 7),
+            ),
+        ),
+        ReferenceCell(
+            name="hexahedron",
+            dim=3,
+            vertices=8,
+            edges=(
+                (0, 1),
+                (0, 2),
+                (0, 4),
+                (1, 3),
+                (1, 5),
+                (2, 3),
+                (2, 6),
+                (3, 7),
+                (4, 5),
+                (4, 6),
+                (5, 7),
+                (6, 7),
+            ),
+            facets=(
+                (0, 1, 2, 3),
+                (0, 1, 4, 5),
+                (0, 2, 4, 6),
+                (1, 3, 5, 7),
+                (2, 3, 6, 7),
+                (4, 5, 6, 7),
+            ),
+            facet_name="quadrilateral",
+            axes=(1, 2, 4),
+            reflected=(4, 5, 6, 7, 0, 1, 2, 3),
+            vtk_type=12,
+            vtk_order=(0, 1, 3, 2, 4, 5, 7, 6),
+            grid_cut=((0, 1, 2, 3, 4, 5, 6, 7),),
+        ),
+    )
+}
+
+MESH_CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
+"""Names of the cell types that a mesh can have."""
+
+
+def reference_cell(name: str) -> ReferenceCell:
+    """Return the cell type of a name.
+
+    Parameters
+    ----------
+    name : str
+        As in dolfinx, such as "hexahedron".
+
+    Examples
+    --------
+    >>> reference_cell("tetrahedron").facet.edges
+    ((0, 1), (0, 2), (1, 2))
+    """
+    return _CELLS[name]
