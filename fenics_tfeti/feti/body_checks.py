@@ -91,7 +91,10 @@ def _shared_nodes(system: TornSystem, first: int) -> _SharedNodes:
     size = np.repeat([float(np.ptp(s.coordinates, axis=0).max()) for s in subdomains], sizes)
     directory = Directory(system.comm, np.unique(nodes))
     columns = directory.collect(nodes, number, body, x, size)
-    order = np.lexsort((columns[1], columns[0]))
+    # copies arrive by ascending subdomain, and a stable sort keeps that order within a node
+    order = np.argsort(columns[0], kind="stable")
+    same = columns[0][order][1:] == columns[0][order][:-1]
+    order = order[np.append(same, False) | np.append(False, same)] if order.size else order
     nodes, number, body, x, size = (column[order] for column in columns)
 
     pairs = list(_pairs_of_copies(nodes))
