@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Any
 
 from mpi4py import MPI
 
@@ -12,8 +14,6 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.feti.tolerances import SYMMETRIC
-from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["ContactGuess", "ContactRows", "Prescribed", "Subdomain", "TornSystem"]
 
@@ -30,7 +30,7 @@ class Subdomain:
     Attributes
     ----------
     stiffness : (n, n) scipy.sparse.csr_matrix
-        K_i, symmetric positive semidefinite [N/m].
+        K_i, symmetric positive semidefinite [N/m]; entries are sorted in place if they are not.
     load : (n,) array
         f_i [N].
     coordinates : (nodes, gdim) array
@@ -38,8 +38,9 @@ class Subdomain:
     nodes : (nodes,) integer array
         Global node numbers, distinct within the subdomain; equal numbers are glued.
     body : int
-        The body that the subdomain is a part of. A body's subdomains must be glued so that they can
-        only move rigidly together (face-connected meshes are).
+        The body that the subdomain is a part of; bodies are numbered 0, 1, ... without gaps. A
+        body's subdomains have to be glued so that they can only move rigidly together, as those
+        of meshes connected by facets are.
     """
 
     stiffness: sp.csr_matrix
@@ -47,6 +48,16 @@ class Subdomain:
     coordinates: Vector
     nodes: Numbers
     body: int
+
+    def __post_init__(self) -> None:
+        """Convert lists and other types of numbers to arrays; sort the entries of K."""
+        _convert(self, load=np.float64, coordinates=np.float64, nodes=np.int64)
+        _set(self, "body", _integer(self.body))
+        K = self.stiffness
+        if sp.issparse(K) and K.format == "csr":
+            # read-only arrays are left to the check
+            with suppress(ValueError):
+                K.sum_duplicates()
 
     @property
     def size(self) -> int:
@@ -70,6 +81,10 @@ class Prescribed:
     components: Numbers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     values: Vector = field(default_factory=lambda: np.zeros(0))
 
+    def __post_init__(self) -> None:
+        """Convert lists and other types of numbers to arrays."""
+        _convert(self, nodes=np.int64, components=np.int64, values=np.float64)
+
 
 @dataclass(frozen=True)
 class ContactRows:
@@ -84,7 +99,7 @@ class ContactRows:
     normal : (k, gdim) array
         Unit normals n, outward from the slave's body.
     gap : (k,) array
-        [m].
+        [m]; infinite where there is nothing to touch: such a row is left out.
     contact : (k,) integer array
         Number of the contact that the row belongs to, for the sums of forces.
     """
@@ -94,6 +109,11 @@ class ContactRows:
     normal: Vector
     gap: Vector
     contact: Numbers
+
+    def __post_init__(self) -> None:
+        """Convert lists and other types of numbers to arrays."""
+        _convert(self, slave=np.int64, master=np.int64, contact=np.int64)
+        _convert(self, normal=np.float64, gap=np.float64)
 
     @staticmethod
     def none(gdim: int) -> ContactRows:
@@ -121,25 +141,21 @@ class ContactGuess:
     normal_force: Vector
     gap: Vector
 
+    def __post_init__(self) -> None:
+        """Convert lists and other types of numbers to arrays."""
+        _convert(self, normal_force=np.float64, gap=np.float64)
+
     def check(self, rows: int) -> None:
-        """Check shapes and numbers; `rows` is how many contact rows this rank gives.
+        """Check shapes and numbers; `rows` is the number of contact rows of this rank.
 
         Raises
         ------
         InputError
             On this rank, with what is wrong.
         """
-        for what, values in (("normal forces", self.normal_force), ("gaps", self.gap)):
-            if np.shape(values) != (rows,):
-                raise InputError(
-                    f"{what} of the contact guess have shape {np.shape(values)}, expected "
-                    f"({rows},): one for each contact row of this rank"
-                )
-        _check_finite("normal forces of the contact guess", self.normal_force)
-        if np.isnan(self.gap).any():
-            raise InputError(
-                f"gaps of the contact guess: {np.count_nonzero(np.isnan(self.gap))} are NaN"
-            )
+        from fenics_tfeti.feti.system_checks import check_guess
+
+        check_guess(self, rows)
 
 
 @dataclass(frozen=True)
@@ -176,75 +192,65 @@ class TornSystem:
         """Return the name of a body."""
         return self.body_names[body] if body < len(self.body_names) else f"body {body}"
 
-    def check(self, stiffness: bool = True) -> None:
-        """Check shapes, numbers and symmetry.
-
-        Parameters
-        ----------
-        stiffness : bool
-            Whether to look at the stiffness matrices too; false where that was done before.
+    def __post_init__(self) -> None:
+        """Check the communicator, without which no error reaches the other ranks.
 
         Raises
         ------
         InputError
-            On all ranks, naming the subdomain or row and what is wrong with it.
+            On this rank.
         """
-        with raise_collectively(self.comm):
-            known: set[int] = set()
-            for number, subdomain in enumerate(self.subdomains):
-                _check_subdomain(number, subdomain, self.gdim)
-                if stiffness and id(subdomain.stiffness) not in known:
-                    _check_stiffness(number, subdomain)
-                    known.add(id(subdomain.stiffness))
-            _check_finite("prescribed displacements", self.prescribed.values)
-            _check_finite("contact gaps", self.contacts.gap)
-            _check_finite("contact normals", self.contacts.normal)
-            _check_normals(self.contacts)
+        if not isinstance(self.comm, MPI.Intracomm) or self.comm == MPI.COMM_NULL:
+            raise InputError(f"comm: got {self.comm!r}, expected an intracommunicator of mpi4py")
+        _set(self, "gdim", _integer(self.gdim))
+
+    def check(self, stiffness: bool = True) -> None:
+        """Check types, shapes, numbers, symmetry, and how the subdomains are glued. Collective.
+
+        Parameters
+        ----------
+        stiffness : bool
+            Whether to check the stiffness matrices and the gluing too; false where that was done
+            for the same subdomains.
+
+        Raises
+        ------
+        InputError
+            On all ranks, with the name of what is wrong, and the remedy.
+        """
+        from fenics_tfeti.feti.system_checks import check_system
+
+        check_system(self, stiffness)
 
 
-def _check_subdomain(number: int, subdomain: Subdomain, gdim: int) -> None:
-    name = _name(number, subdomain)
-    n = gdim * subdomain.nodes.size
-    shapes = {
-        "stiffness": (subdomain.stiffness.shape, (n, n)),
-        "load": (subdomain.load.shape, (n,)),
-        "coordinates": (subdomain.coordinates.shape, (subdomain.nodes.size, gdim)),
-    }
-    for what, (shape, expected) in shapes.items():
-        if tuple(shape) != expected:
-            raise InputError(f"{name}: {what} has shape {shape}, expected {expected}")
-    _check_finite(f"load of {name}", subdomain.load, "a traction or body force?")
-    _check_finite(f"coordinates of {name}", subdomain.coordinates)
+def _convert(part: Any, **dtypes: type[np.generic]) -> None:
+    """Convert fields that hold the right numbers in another form; leave others to the check.
+
+    Lists become arrays, integers int64, integers and shorter floating point numbers float64. An
+    array of the right type stays the same object.
+    """
+    for name, dtype in dtypes.items():
+        try:
+            values = np.asarray(getattr(part, name))
+        except ValueError:
+            continue
+        integers = issubclass(dtype, np.integer)
+        if values.size == 0 and values.dtype == np.float64:
+            # an empty list
+            values = values.astype(dtype)
+        elif values.dtype.kind in ("i" if integers else "iuf") and values.dtype.itemsize <= 8:
+            values = values.astype(dtype, copy=False)
+        elif integers and values.dtype.kind == "u" and values.dtype.itemsize < 8:
+            values = values.astype(dtype)
+        if values.dtype == dtype:
+            _set(part, name, values)
 
 
-def _name(number: int, subdomain: Subdomain) -> str:
-    return f"subdomain {number} (body {subdomain.body})"
+def _integer(value: Any) -> Any:
+    """Return integers of any kind as int, other values as they are."""
+    return int(value) if isinstance(value, np.integer) else value
 
 
-def _check_stiffness(number: int, subdomain: Subdomain) -> None:
-    K, name = subdomain.stiffness, _name(number, subdomain)
-    _check_finite(f"stiffness of {name}", K.data, "a material coefficient?")
-    skew = abs(K - K.T).max() if K.nnz else 0.0
-    if skew > SYMMETRIC * abs(K).max():
-        raise InputError(
-            f"the bilinear form is not symmetric: in {name} |K - K'| is {skew:.3e} where |K| is "
-            f"{abs(K).max():.3e}. Contact by minimisation needs a symmetric form a(u, v) = a(v, u)"
-        )
-
-
-def _check_finite(what: str, values: Vector, hint: str = "") -> None:
-    bad = np.flatnonzero(~np.isfinite(values).ravel())
-    if bad.size:
-        raise InputError(
-            f"{what}: {bad.size} of {values.size} numbers are NaN or infinite. {hint}".rstrip()
-        )
-
-
-def _check_normals(contacts: ContactRows) -> None:
-    lengths = np.linalg.norm(contacts.normal, axis=1)
-    wrong = np.flatnonzero(np.abs(lengths - 1.0) > 1e-6)
-    if wrong.size:
-        raise InputError(
-            f"{wrong.size} contact normals are not of unit length, the first at slave node "
-            f"{contacts.slave[wrong[0]]} with length {lengths[wrong[0]]:.3e}"
-        )
+def _set(part: Any, name: str, value: Any) -> None:
+    """Set a field of a frozen data class while it is being made."""
+    object.__setattr__(part, name, value)

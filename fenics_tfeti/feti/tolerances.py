@@ -10,6 +10,8 @@ __all__ = [
     "HARDLY_DEFORMED",
     "NO_WORK",
     "PARALLEL",
+    "ROUNDED_GAP",
+    "ROUNDED_POSITION",
     "ROUNDING",
     "SAME_VALUE",
     "SYMMETRIC",
@@ -18,8 +20,13 @@ __all__ = [
     "ZERO_ENERGY",
 ]
 
-# two values prescribed for one displacement, relative to the largest prescribed one
+# values that differ by no more than this count as equal: prescribed displacements relative to the
+# largest one of their node, gaps relative to the sum of the magnitudes they are computed from
 SAME_VALUE = 1e-10
+# rounding of positions relative to the largest coordinate: in displacements computed as differences
+# of positions, and in gaps, which may come from surfaces far from the origin
+ROUNDED_POSITION = 16 * 2.0**-52
+ROUNDED_GAP = 1e-12
 # |K - K'| relative to |K|
 SYMMETRIC = 1e-9
 # energy of a rigid mode below which K is singular for it, relative to the largest stiffness

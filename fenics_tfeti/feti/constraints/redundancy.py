@@ -8,7 +8,6 @@ dropped: with it the multipliers would not be unique.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -28,31 +27,30 @@ Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# relative to the gaps: opposite conditions that leave no room by more than this exclude each other
-_NO_ROOM = 1e-9
-
 
 @dataclass(frozen=True)
 class ContactConditions:
-    """The contact rows that this rank gives.
+    """The contact rows that this rank gives, in coordinates where B D^{-1} B' is a dot product.
 
     Attributes
     ----------
-    sides : sequence of (nodes (k,), coefficients (k, gdim), weight (k,))
-        Of slave and master: global nodes (-1 for none), what multiplies their displacements, and
-        the sum of the weights of their copies.
-    scale : (k,) array
-        Factor that makes the rows B D^{-1} B' = 1.
-    gap : (k,) array
-        Right-hand sides before scaling [m].
-    kept : (k,) bool array
-        Rows to look at.
+    row : (t,) integer array
+        Contact row of this rank that each term belongs to; rows without a term are not examined.
+    node : (t,) integer array
+        Global node number of the term.
+    coefficients : (t, gdim) array
+        Row of B times D^{-1/2} at the node; those of a row have length 1 together.
+    rhs : (k,) array
+        Right-hand sides of this rank's contact rows, in the same scale.
+    tolerance : (k,) array
+        Rounding of the right-hand sides.
     """
 
-    sides: Sequence[tuple[Numbers, Vector, Vector]]
-    scale: Vector
-    gap: Vector
-    kept: Mask
+    row: Numbers
+    node: Numbers
+    coefficients: Vector
+    rhs: Vector
+    tolerance: Vector
 
 
 @dataclass(frozen=True)
@@ -107,34 +105,39 @@ def find_redundant(
     InputError
         On all ranks, if two opposite conditions exclude each other.
     """
-    number = first_of_rank(comm, conditions.gap.size)[0] + np.arange(conditions.gap.size)
-    entries = [_entries(conditions, side, number) for side in conditions.sides]
-    node, row, values = (np.concatenate(column) for column in zip(*entries, strict=True))
-
-    several = _in_several_rows(directory, node, row)
+    first = first_of_rank(comm, conditions.rhs.size)[0]
+    number = first + np.arange(conditions.rhs.size, dtype=np.int64)
+    row = first + conditions.row
+    several = _in_several_rows(directory, conditions.node, row)
     chosen = np.isin(number, row[several])
-    numbers = concatenate_ranks(comm, number[chosen])
-    rhs = concatenate_ranks(comm, (conditions.scale * conditions.gap)[chosen])
+    rows = _Rows(
+        *(
+            concatenate_ranks(comm, column[chosen])
+            for column in (number, conditions.rhs, conditions.tolerance)
+        )
+    )
     taken = np.isin(row, number[chosen])
-    columns = [concatenate_ranks(comm, column[taken]) for column in (node, row, values)]
-    dropped, coupled, gram = _examine(numbers, rhs, *columns)
+    node, row, coefficients = (
+        concatenate_ranks(comm, column[taken])
+        for column in (conditions.node, row, conditions.coefficients)
+    )
+    dropped, coupled, gram = _examine(rows, node, row, coefficients)
     return Redundancy(
         np.isin(number, dropped), dropped.size, _dependent(gram), np.isin(number, coupled), gram
     )
 
 
-def _entries(
-    conditions: ContactConditions, side: tuple[Numbers, Vector, Vector], number: Numbers
-) -> tuple[Numbers, Numbers, Vector]:
-    """Return (node, row, unit-row coefficients) of one side."""
-    nodes, coefficients, weight = side
-    unit = coefficients * (conditions.scale / np.sqrt(weight))[:, None]
-    there = conditions.kept & np.any(coefficients != 0.0, axis=1)
-    return nodes[there], number[there], unit[there]
+@dataclass(frozen=True)
+class _Rows:
+    """Rows of all ranks that share a node with others: number (ascending), rhs, tolerance."""
+
+    number: Numbers
+    rhs: Vector
+    tolerance: Vector
 
 
 def _in_several_rows(directory: Directory, node: Numbers, row: Numbers) -> Mask:
-    """Return which entries are at nodes that several rows, of any rank, act on."""
+    """Return which terms are at nodes that several rows, of any rank, act on."""
     count = np.zeros(directory.keys.size, dtype=np.int64)
     keys = directory.collect(node, row)[0]
     np.add.at(count, directory.position(keys), 1)
@@ -143,44 +146,45 @@ def _in_several_rows(directory: Directory, node: Numbers, row: Numbers) -> Mask:
 
 
 def _examine(
-    numbers: Numbers, rhs: Vector, node: Numbers, row: Numbers, values: Vector
+    rows: _Rows, node: Numbers, row: Numbers, coefficients: Vector
 ) -> tuple[Numbers, Numbers, sp.csr_matrix]:
     """Return the numbers of the rows to drop, those of the coupled rows, and their Gram matrix."""
-    if numbers.size == 0:
-        return numbers, numbers, sp.csr_matrix((0, 0))
-    gdim = values.shape[1]
+    if rows.number.size == 0:
+        return rows.number, rows.number, sp.csr_matrix((0, 0))
+    gdim = coefficients.shape[1]
     column = np.unique(node, return_inverse=True)[1].ravel()
-    rows = np.repeat(np.searchsorted(numbers, row), gdim)
+    at = np.repeat(np.searchsorted(rows.number, row), gdim)
     columns = (gdim * column[:, None] + np.arange(gdim)).ravel()
     C = sp.csr_matrix(
-        (values.ravel(), (rows, columns)), shape=(numbers.size, int(columns.max()) + 1)
+        (coefficients.ravel(), (at, columns)), (rows.number.size, int(columns.max()) + 1)
     )
     gram = (C @ C.T).tocoo()
-    _check_room(numbers, rhs, gram, node, row)
+    _check_room(rows, gram, node, row)
 
-    same = gram.data > 1.0 - PARALLEL
-    alike = sp.coo_matrix((gram.data[same], (gram.row[same], gram.col[same])), shape=gram.shape)
+    parallel = gram.data > 1.0 - PARALLEL
+    alike = sp.coo_matrix(
+        (gram.data[parallel], (gram.row[parallel], gram.col[parallel])), gram.shape
+    )
     group = connected_components(alike, directed=False)[1]
     # the smallest right-hand side of each group stays, the first of equal ones
-    order = np.lexsort((np.arange(rhs.size), rhs, group))
+    order = np.lexsort((rows.number, rows.rhs, group))
     stays = np.sort(order[np.unique(group[order], return_index=True)[1]])
-    dropped = np.delete(numbers, stays)
+    dropped = np.delete(rows.number, stays)
 
     gram = gram.tocsr()[stays][:, stays]
     gram.eliminate_zeros()
     coupled = np.flatnonzero(np.diff(gram.indptr) > 1)
-    return dropped, numbers[stays[coupled]], gram[coupled][:, coupled]
+    return dropped, rows.number[stays[coupled]], gram[coupled][:, coupled]
 
 
-def _check_room(
-    numbers: Numbers, rhs: Vector, gram: sp.coo_matrix, node: Numbers, row: Numbers
-) -> None:
+def _check_room(rows: _Rows, gram: sp.coo_matrix, node: Numbers, row: Numbers) -> None:
     """Check that opposite conditions leave room; the data are the same on all ranks."""
     opposite = gram.data < -(1.0 - PARALLEL)
     i, j = gram.row[opposite], gram.col[opposite]
-    excluded = np.flatnonzero(rhs[i] + rhs[j] < -_NO_ROOM * np.abs(rhs).max(initial=0.0))
+    tolerance = rows.tolerance[i] + rows.tolerance[j]
+    excluded = np.flatnonzero(rows.rhs[i] + rows.rhs[j] < -tolerance)
     if excluded.size:
-        first = node[row == numbers[i[excluded[0]]]].tolist()
+        first = node[row == rows.number[i[excluded[0]]]].tolist()
         raise InputError(
             f"{excluded.size // 2} pairs of contact conditions exclude each other: they press on "
             f"the same nodes from opposite sides and leave no room, the first at the nodes {first} "

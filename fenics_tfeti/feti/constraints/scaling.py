@@ -15,9 +15,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from fenics_tfeti.errors import FactorizationError
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["Scaling", "node_weights", "stiffness_of_weight"]
 
@@ -40,17 +38,10 @@ def node_weights(system: TornSystem, scaling: Scaling) -> Vector:
     -------
     (torn nodes of this rank,) array
         Positive, at most 1.
-
-    Raises
-    ------
-    FactorizationError
-        If a diagonal is not positive.
     """
     if scaling == "multiplicity":
         return np.ones(sum(subdomain.nodes.size for subdomain in system.subdomains))
     stiffness = _diagonals(system)
-    with raise_collectively(system.comm):
-        _check_positive(system, stiffness)
     weights: Vector = stiffness / _largest(system, stiffness)
     return weights
 
@@ -73,14 +64,3 @@ def _diagonals(system: TornSystem) -> Vector:
 
 def _largest(system: TornSystem, stiffness: Vector) -> float:
     return float(system.comm.allreduce(float(stiffness.max(initial=0.0)), MPI.MAX))
-
-
-def _check_positive(system: TornSystem, stiffness: Vector) -> None:
-    bad = np.flatnonzero(~(stiffness > 0.0))
-    if bad.size:
-        ends = np.cumsum([subdomain.nodes.size for subdomain in system.subdomains])
-        subdomain = system.subdomains[int(np.searchsorted(ends, bad[0], side="right"))]
-        raise FactorizationError(
-            f"the diagonal of the stiffness is not positive at {bad.size} nodes, first in "
-            f"{system.body_name(subdomain.body)}: is the form elasticity with positive moduli?"
-        )

@@ -13,6 +13,10 @@ __all__ = ["describe_motion", "kernel", "rigid_body_modes"]
 
 Vector = NDArray[np.float64]
 
+# length of a rotation's part that is orthogonal to other modes, in units of the subdomain's size,
+# below which it moves nothing
+_NO_ROTATION = 1e-7
+
 
 def raw_modes(coordinates: Vector, origin: Vector) -> Vector:
     """Return unit translations and rotations about an origin.
@@ -51,13 +55,20 @@ def rigid_body_modes(coordinates: Vector) -> Vector:
 
     Returns
     -------
-    (gdim * nodes, 3 or 6) array
-        R with R'R = I.
+    (gdim * nodes, k) array
+        R with R'R = I; k = 3 in 2D, 6 in 3D, less for nodes on a line or a single node.
     """
     centre = coordinates.mean(axis=0)
     size = np.abs(coordinates - centre).max()
     # in units of the subdomain's size, so translations and rotations are alike in magnitude
-    return np.linalg.qr(raw_modes((coordinates - centre) / size, np.zeros_like(centre)))[0]
+    modes = raw_modes((coordinates - centre) / (size or 1.0), np.zeros_like(centre))
+    R, triangle = np.linalg.qr(modes)
+    if len(triangle) == modes.shape[1] and np.abs(triangle.diagonal()).min() > _NO_ROTATION:
+        return R
+    # rotations about a line, or about a node, move nothing
+    left, values, _ = np.linalg.svd(modes, full_matrices=False)
+    basis: Vector = left[:, values > _NO_ROTATION * values[0]]
+    return basis
 
 
 def kernel(subdomain: Subdomain) -> Vector:

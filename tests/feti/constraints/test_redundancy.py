@@ -83,6 +83,25 @@ def test_conditions_that_exclude_each_other():
         build_constraints(two_cubes(rows))
 
 
+@pytest.mark.parametrize("room", [-1e-9, -1e-10])
+def test_other_gaps_hide_no_conditions_that_exclude_each_other(room):
+    rows = conditions((NODE, -1, Z, 0.0), (NODE, -1, -Z, room), (NODE, -1, X, 1e10))
+    with pytest.raises(InputError, match="1 pairs of contact conditions exclude each other"):
+        build_constraints(two_cubes(rows))
+
+
+def test_room_that_rounding_takes_away():
+    rows = conditions((NODE, -1, Z, 0.3), (NODE, -1, -Z, np.nextafter(-0.3, -1.0)))
+    assert build_constraints(two_cubes(rows))[0].dependent == 1
+
+
+def test_infinite_gap_implies_and_excludes_nothing():
+    rows = conditions((NODE, -1, Z, np.inf), (NODE, -1, Z, 0.1), (NODE, -1, -Z, np.inf))
+    constraints, c = build_constraints(two_cubes(rows))
+    assert (constraints.redundant, constraints.dependent, constraints.infinite_gaps) == (0, 0, 2)
+    assert constraints.coupling.numbers.size == 0
+
+
 def test_opposite_conditions_may_leave_no_room_at_all():
     rows = conditions((NODE, -1, Z, 0.1), (NODE, -1, -Z, -0.1))
     assert build_constraints(two_cubes(rows))[0].dependent == 1

@@ -168,6 +168,101 @@ def test_wrong_input(parts, message):
         build_constraints(eight_cubes(**parts))
 
 
+def both_sides(values, gap: float, size: float = 1.0) -> TornSystem:
+    """Return the column with one pair of nodes prescribed in the direction of the normal."""
+    system = column()
+    contacts = system.contacts
+    nodes = np.array([contacts.slave[0], contacts.master[0]])
+    prescribed = Prescribed(nodes, np.array([2, 2]), np.array(values))
+    cubes = [dataclasses.replace(s, coordinates=size * s.coordinates) for s in system.subdomains]
+    contacts = dataclasses.replace(contacts, gap=np.full(contacts.gap.size, gap))
+    return dataclasses.replace(system, subdomains=cubes, prescribed=prescribed, contacts=contacts)
+
+
+@pytest.mark.parametrize(
+    "system",
+    [
+        both_sides([0.3, np.nextafter(0.3, 1.0)], 0.0),
+        both_sides([np.nextafter(0.3, 0.0), 0.3], 0.0),
+        both_sides([-0.2, 0.1], 0.3 - 2e-16),
+        # gaps are differences of positions
+        both_sides([0.0, 0.0], -1e-13),
+        both_sides([0.0, 0.0], -1e-10, size=1e3),
+    ],
+    ids=["last bit", "other last bit", "gap closed", "rounded gap", "rounded gap, kilometres"],
+)
+def test_rounding_of_prescribed_displacements_violates_nothing(system):
+    constraints, _ = build_constraints(system)
+    assert np.count_nonzero(constraints.own_rows < 0) == 1
+
+
+@pytest.mark.parametrize(
+    "system",
+    [
+        both_sides([-0.3, -0.3 + 1e-9], 0.0),
+        both_sides([-0.2, 0.1], 0.3 - 1e-9),
+        both_sides([0.0, 1e-11], 0.0),
+        both_sides([0.0, 1e-14], 0.0, size=1e-3),
+    ],
+    ids=["penetration", "gap closed", "small", "small, millimetres"],
+)
+def test_prescribed_displacements_that_violate_a_condition(system):
+    """Whatever moves elsewhere, and however large other gaps are."""
+    moved = system.prescribed
+    far = Prescribed(
+        np.append(moved.nodes, system.subdomains[0].nodes[0]),
+        np.append(moved.components, 0),
+        np.append(moved.values, 0.02),
+    )
+    gap = system.contacts.gap.copy()
+    gap[1:] = 1e10
+    contacts = dataclasses.replace(system.contacts, gap=gap)
+    with pytest.raises(InputError, match="violate 1 contact"):
+        build_constraints(dataclasses.replace(system, prescribed=far, contacts=contacts))
+
+
+def prescribed_twice(one: float, other: float, far: float = 0.02) -> TornSystem:
+    """Return the cubes with two values for one displacement and a third elsewhere."""
+    nodes, components = np.array([CENTRE, CENTRE, 0]), np.array([2, 2, 0])
+    return eight_cubes(prescribed=Prescribed(nodes, components, np.array([one, other, far])))
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [(0.3, np.nextafter(0.3, 1.0)), (1e-9, 1e-9 + 1e-16), (0.0, 1e-17), (0.0, -0.0)],
+)
+def test_equal_values_may_differ_by_rounding(one, other):
+    constraints, c = build_constraints(prescribed_twice(one, other))
+    np.testing.assert_allclose(np.abs(c).max(), max(one, 0.02))
+
+
+@pytest.mark.parametrize(("one", "other"), [(0.0, 1e-12), (1e-9, 1.001e-9), (0.3, 0.3 + 1e-9)])
+def test_contradiction_does_not_depend_on_displacements_elsewhere(one, other):
+    with pytest.raises(InputError, match=f"contradictory.*node {CENTRE}"):
+        build_constraints(prescribed_twice(one, other))
+
+
+def with_gaps(gap: np.ndarray) -> TornSystem:
+    system = column()
+    return dataclasses.replace(system, contacts=dataclasses.replace(system.contacts, gap=gap))
+
+
+def test_infinite_gaps_are_no_rows():
+    gap = np.where(np.arange(16) % 3 == 0, np.inf, 0.1)
+    constraints, c = build_constraints(with_gaps(gap))
+    assert constraints.infinite_gaps == 6
+    np.testing.assert_array_equal(constraints.own_rows < 0, np.isinf(gap))
+    np.testing.assert_allclose(c[constraints.inequality] / constraints.scale, 0.1)
+
+
+def test_infinite_gap_of_a_row_that_prescribed_displacements_decide():
+    system = both_sides([0.0, 0.5], np.inf)
+    constraints, c = build_constraints(system)
+    assert constraints.infinite_gaps == 16
+    assert constraints.inequality.size == 0
+    assert np.all(np.isfinite(c))
+
+
 def test_order_of_subdomains_does_not_change_what_is_constrained():
     system = column()
     turned = dataclasses.replace(system, subdomains=system.subdomains[::-1])

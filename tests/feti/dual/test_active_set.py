@@ -162,10 +162,10 @@ def test_guess_is_reported():
 @pytest.mark.parametrize(
     "force, gap, words",
     [
-        (np.zeros(2), np.zeros(49), r"forces.*\(2,\), expected \(49,\)"),
-        (np.zeros(49), np.zeros(2), r"gaps.*\(2,\), expected \(49,\)"),
-        (np.full(49, np.inf), np.zeros(49), "forces.*infinite"),
-        (np.zeros(49), np.full(49, np.nan), "gaps.*49 are NaN"),
+        (np.zeros(2), np.zeros(49), r"normal_force.*\(2,\), expected \(49,\)"),
+        (np.zeros(49), np.zeros(2), r"gap of.*\(2,\), expected \(49,\)"),
+        (np.full(49, np.inf), np.zeros(49), "normal_force.*infinite"),
+        (np.zeros(49), np.full(49, np.nan), "gap of.*49 gaps are NaN"),
     ],
 )
 def test_wrong_guess_is_an_error(force, gap, words):

@@ -1,0 +1,42 @@
+"""Entries of B by global row number, before the rows have a layout over the ranks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Entries"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Entries:
+    """Entries of B in the columns of this rank.
+
+    Attributes
+    ----------
+    rows : (e,) integer array
+        Global row numbers.
+    columns : (e,) integer array
+        Torn unknowns of this rank.
+    values : (e,) array
+        The entries.
+    """
+
+    rows: Numbers
+    columns: Numbers
+    values: Vector
+
+    @staticmethod
+    def concatenate(parts: Sequence[Entries]) -> Entries:
+        """Return the entries of all parts."""
+        return Entries(
+            np.concatenate([part.rows for part in parts]),
+            np.concatenate([part.columns for part in parts]),
+            np.concatenate([part.values for part in parts]),
+        )

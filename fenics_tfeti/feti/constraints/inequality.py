@@ -1,0 +1,219 @@
+"""Inequality rows: contact conditions between weighted means of the copies of nodes.
+
+A condition is a sum over nodes, sum_k c_k'u(node_k) <= gap: two nodes with coefficients n and -n,
+or one node with n for a rigid obstacle. Its row takes the weighted mean of the copies of each node.
+On glued displacements that is the row of the chapter, and it is orthogonal to every contrast.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.feti.constraints.entries import Entries
+from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable, largest_coordinate
+from fenics_tfeti.feti.constraints.redundancy import ContactConditions, Redundancy, find_redundant
+from fenics_tfeti.feti.system import ContactRows, TornSystem
+from fenics_tfeti.feti.tolerances import ROUNDED_GAP, SAME_VALUE
+from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
+
+__all__ = ["InequalityRows", "inequality_rows"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# a unit normal whose free part is shorter than this is a rounded normal of a prescribed direction
+_NEGLIGIBLE_NORMAL = 1e-10
+
+
+@dataclass(frozen=True)
+class InequalityRows:
+    """The inequality rows that this rank gives, or that have entries on it.
+
+    Attributes
+    ----------
+    entries : Entries
+        Their entries on this rank.
+    number : (r,) integer array
+        Global row numbers: first the rows that this rank gives, then those that have entries here;
+        numbers repeat.
+    contact : (r,) integer array
+        Number of the contact.
+    scale : (r,) array
+        Factor of the row that makes B D^{-1} B' = 1.
+    rhs : (r,) array
+        Right-hand side, scaled.
+    kept : (contact rows of this rank,) bool array
+        Contact rows that became rows of B.
+    infinite_gaps : int
+        Number of contact rows with an infinite gap, over all ranks.
+    redundancy : Redundancy
+        Contact rows that others imply, and rows that are not orthogonal.
+    """
+
+    entries: Entries
+    number: Numbers
+    contact: Numbers
+    scale: Vector
+    rhs: Vector
+    kept: Mask
+    infinite_gaps: int
+    redundancy: Redundancy
+
+
+@dataclass(frozen=True)
+class _Terms:
+    """The terms c_k'u(node_k) of this rank's contact conditions.
+
+    Attributes
+    ----------
+    row : (t,) integer array
+        Contact row of this rank.
+    node : (t,) integer array
+        Global node number.
+    coefficients : (t, gdim) array
+        c_k of the components without prescribed displacement, 0 for the others.
+    weight : (t,) array
+        Sum of the weights of the node's copies.
+    known : (t,) array
+        The part of c_k'u(node_k) that prescribed displacements decide [m].
+    size : (t,) array
+        Sum of the magnitudes of its summands [m].
+    """
+
+    row: Numbers
+    node: Numbers
+    coefficients: Vector
+    weight: Vector
+    known: Vector
+    size: Vector
+
+
+def inequality_rows(
+    system: TornSystem, directory: Directory, copies: Copies, table: NodeTable, first: int
+) -> InequalityRows:
+    """Return the contact rows with B D^{-1} B' = 1, numbered from `first`. Collective.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if a row names a node of no subdomain, prescribed displacements violate it, or
+        two rows exclude each other.
+    """
+    contacts = system.contacts
+    terms = _terms(system, directory, table)
+    # prescribed displacements go to the right-hand side: the row stays orthogonal to their rows
+    gap, tolerance = contacts.gap.copy(), np.abs(contacts.gap)
+    np.subtract.at(gap, terms.row, terms.known)
+    np.add.at(tolerance, terms.row, terms.size)
+    tolerance = SAME_VALUE * tolerance + ROUNDED_GAP * largest_coordinate(system)
+
+    squares, norm2 = np.zeros(gap.size), np.zeros(gap.size)
+    np.add.at(squares, terms.row, np.sum(terms.coefficients**2, axis=1))
+    np.add.at(norm2, terms.row, np.sum(terms.coefficients**2, axis=1) / terms.weight)
+    finite, free = np.isfinite(contacts.gap), squares > _NEGLIGIBLE_NORMAL**2
+    with raise_collectively(system.comm):
+        _check_decided_rows(contacts, gap, tolerance, finite & ~free)
+    kept = finite & free
+    scale = 1.0 / np.sqrt(np.where(kept, norm2, 1.0))
+    redundancy = find_redundant(
+        _conditions(terms, kept, scale, gap, tolerance), directory, system.comm
+    )
+    kept &= ~redundancy.dropped
+
+    number = np.full(gap.size, -1, dtype=np.int64)
+    number[kept] = first + first_of_rank(system.comm, int(kept.sum()))[0] + np.arange(kept.sum())
+    rhs = np.where(kept, scale * gap, 0.0)
+    here = kept[terms.row]
+    row = terms.row[here]
+    coefficients = (terms.coefficients / terms.weight[:, None])[here] * scale[row][:, None]
+    # the holders of a row's nodes need the row
+    nodes, numbers, coefficients, *others = directory.forward(
+        terms.node[here], number[row], coefficients, contacts.contact[row], scale[row], rhs[row]
+    )
+    given = (number, contacts.contact, scale, rhs)
+    needed = zip(given, (numbers, *others), strict=True)
+    number, contact, scale, rhs = (np.concatenate([own[kept], held]) for own, held in needed)
+    entries = _spread_over_copies(copies, nodes, numbers, coefficients)
+    infinite_gaps = int(system.comm.allreduce(int(np.count_nonzero(~finite))))
+    return InequalityRows(entries, number, contact, scale, rhs, kept, infinite_gaps, redundancy)
+
+
+def _terms(system: TornSystem, directory: Directory, table: NodeTable) -> _Terms:
+    """Return the terms of this rank's contact rows, n of the slave and -n of the master."""
+    contacts = system.contacts
+    deformable = np.flatnonzero(contacts.master >= 0)
+    row = np.concatenate([np.arange(contacts.slave.size), deformable])
+    node = np.concatenate([contacts.slave, contacts.master[deformable]])
+    coefficients = np.concatenate([contacts.normal, -contacts.normal[deformable]])
+    found = table.lookup(directory, node)
+    with raise_collectively(system.comm):
+        _check_known(node, found.multiplicity)
+    known = np.where(found.prescribed, coefficients * found.values, 0.0)
+    return _Terms(
+        row,
+        node,
+        np.where(found.prescribed, 0.0, coefficients),
+        found.weight,
+        known.sum(axis=1),
+        np.abs(known).sum(axis=1),
+    )
+
+
+def _conditions(
+    terms: _Terms, kept: Mask, scale: Vector, gap: Vector, tolerance: Vector
+) -> ContactConditions:
+    """Return the kept rows in the coordinates D^{-1/2} of the nodes, where they have length 1."""
+    chosen = kept[terms.row] & np.any(terms.coefficients != 0.0, axis=1)
+    row = terms.row[chosen]
+    factor = scale[row] / np.sqrt(terms.weight[chosen])
+    return ContactConditions(
+        row,
+        terms.node[chosen],
+        terms.coefficients[chosen] * factor[:, None],
+        scale * gap,
+        scale * tolerance,
+    )
+
+
+def _spread_over_copies(
+    copies: Copies, nodes: Numbers, rows: Numbers, coefficients: Vector
+) -> Entries:
+    """Give every local copy of the nodes the row's coefficients times its weight."""
+    order = np.argsort(copies.node, kind="stable")
+    first = np.cumsum(copies.count) - copies.count
+    at = np.searchsorted(copies.nodes, nodes)
+    term = np.repeat(np.arange(nodes.size), copies.count[at])
+    start = np.cumsum(copies.count[at]) - copies.count[at]
+    copy = order[first[at][term] + np.arange(term.size) - start[term]]
+    gdim = coefficients.shape[1]
+    columns = copies.unknown[copy][:, None] + np.arange(gdim)
+    values = coefficients[term] * copies.weight[copy][:, None]
+    nonzero = values != 0.0
+    return Entries(
+        np.repeat(rows[term], gdim).reshape(-1, gdim)[nonzero], columns[nonzero], values[nonzero]
+    )
+
+
+def _check_known(nodes: Numbers, multiplicity: Numbers) -> None:
+    unknown = nodes[multiplicity == 0]
+    if unknown.size:
+        raise InputError(f"a contact row names node {unknown[0]}, which is in no subdomain")
+
+
+def _check_decided_rows(
+    contacts: ContactRows, gap: Vector, tolerance: Vector, decided: Mask
+) -> None:
+    """Check the rows that prescribed displacements alone decide."""
+    violated = np.flatnonzero(decided & (gap < -tolerance))
+    if violated.size:
+        k = violated[0]
+        raise InputError(
+            f"prescribed displacements violate {violated.size} contact conditions: at slave node "
+            f"{contacts.slave[k]} they close the gap of {contacts.gap[k]:g} m by "
+            f"{contacts.gap[k] - gap[k]:g} m. Prescribe less, or take the nodes out of the contact"
+        )

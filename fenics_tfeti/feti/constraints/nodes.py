@@ -1,0 +1,161 @@
+"""Nodes and their copies: multiplicities, weights and prescribed displacements over all ranks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.feti.tolerances import ROUNDED_POSITION, SAME_VALUE
+from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
+
+__all__ = ["Copies", "NodeTable", "largest_coordinate"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Copies:
+    """Copies of nodes in the subdomains of this rank, subdomain by subdomain.
+
+    Attributes
+    ----------
+    node : (copies,) integer array
+        Position in `nodes`.
+    unknown : (copies,) integer array
+        First torn unknown.
+    weight : (copies,) array
+        Entry of D.
+    nodes : (nodes,) integer array
+        The distinct global numbers, ascending.
+    count : (nodes,) integer array
+        Number of copies on this rank.
+    """
+
+    node: Numbers
+    unknown: Numbers
+    weight: Vector
+    nodes: Numbers
+    count: Numbers
+
+    @staticmethod
+    def build(system: TornSystem, weights: Vector | None) -> Copies:
+        """Collect the copies; weights are 1 by default."""
+        every = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in system.subdomains)])
+        nodes, node, count = np.unique(every, return_inverse=True, return_counts=True)
+        unknown = system.gdim * np.arange(every.size, dtype=np.int64)
+        weight = np.ones(every.size) if weights is None else weights
+        return Copies(node.ravel(), unknown, weight, nodes, count)
+
+
+@dataclass(frozen=True)
+class NodeTable:
+    """What all ranks together know of some nodes: those placed here, or those asked for.
+
+    Attributes
+    ----------
+    multiplicity : (nodes,) integer array
+        Number of copies; 0 for a node of no subdomain.
+    weight : (nodes,) array
+        Sum of the copies' weights.
+    first_row : (nodes,) integer array
+        Global number of the node's first equality row.
+    prescribed : (nodes, gdim) bool array
+        Which components have a prescribed displacement.
+    values : (nodes, gdim) array
+        Prescribed displacements, 0 elsewhere [m].
+    """
+
+    multiplicity: Numbers
+    weight: Vector
+    first_row: Numbers
+    prescribed: Mask
+    values: Vector
+
+    @staticmethod
+    def build(system: TornSystem, directory: Directory, copies: Copies) -> NodeTable:
+        """Gather the table at the nodes' places in the directory; number the equality rows.
+
+        Raises
+        ------
+        InputError
+            On all ranks, if prescribed displacements contradict each other or name a node of no
+            subdomain.
+        """
+        places = directory.keys.size
+        sums = np.bincount(copies.node, weights=copies.weight, minlength=copies.nodes.size)
+        keys, counts, sums = directory.collect(copies.nodes, copies.count, sums)
+        multiplicity, weight = np.zeros(places, dtype=np.int64), np.zeros(places)
+        np.add.at(multiplicity, directory.position(keys), counts)
+        np.add.at(weight, directory.position(keys), sums)
+
+        given = system.prescribed
+        arrived = directory.collect(given.nodes, given.components, given.values)
+        rounding = ROUNDED_POSITION * largest_coordinate(system)
+        with raise_collectively(system.comm):
+            prescribed, values = _merge_prescribed(
+                directory, arrived, (places, system.gdim), rounding
+            )
+        rows = _equality_rows(multiplicity, prescribed)
+        first = first_of_rank(system.comm, int(rows.sum()))[0] + np.cumsum(rows) - rows
+        return NodeTable(multiplicity, weight, first.astype(np.int64), prescribed, values)
+
+    def lookup(self, directory: Directory, nodes: Numbers) -> NodeTable:
+        """Return the table of any nodes; the multiplicity of unknown ones is 0. Collective."""
+        columns = (self.multiplicity, self.weight, self.first_row, self.prescribed, self.values)
+        return NodeTable(*directory.lookup(nodes, *columns)[1:])
+
+    def equality_rows(self) -> int:
+        """Return the number of equality rows of all nodes in this table."""
+        return int(_equality_rows(self.multiplicity, self.prescribed).sum())
+
+
+def largest_coordinate(system: TornSystem) -> float:
+    """Return the largest coordinate in magnitude over all ranks [m]. Collective."""
+    own = max((float(np.abs(s.coordinates).max(initial=0.0)) for s in system.subdomains), default=0)
+    return float(system.comm.allreduce(own, MPI.MAX))
+
+
+def _equality_rows(multiplicity: Numbers, prescribed: Mask) -> Numbers:
+    """Return the number of equality rows of each node: k for prescribed components, else k - 1."""
+    k = multiplicity[:, None]
+    rows: Numbers = np.where(prescribed, k, k - 1).sum(axis=1)
+    return rows
+
+
+def _merge_prescribed(
+    directory: Directory,
+    arrived: tuple[NDArray[Any], ...],
+    shape: tuple[int, int],
+    rounding: float,
+) -> tuple[Mask, Vector]:
+    """Merge (node, component, value) of all ranks; the values of one displacement have to agree."""
+    nodes, components, values = arrived
+    at = directory.position(nodes)
+    if np.any(at < 0):
+        raise InputError(
+            f"a displacement is prescribed for node {nodes[at < 0][0]}, which is in no subdomain"
+        )
+    prescribed, merged = np.zeros(shape, dtype=bool), np.zeros(shape)
+    prescribed[at, components] = True
+    merged[at, components] = values
+    largest = np.zeros(shape[0])
+    np.maximum.at(largest, at, np.abs(values))
+    difference = np.abs(merged[at, components] - values)
+    wrong = np.flatnonzero(difference > SAME_VALUE * largest[at] + rounding)
+    if wrong.size:
+        k = wrong[0]
+        raise InputError(
+            f"contradictory Dirichlet values: component {components[k]} of node {nodes[k]} is "
+            f"prescribed as {values[k]:g} and as {merged[at[k], components[k]]:g} "
+            f"({wrong.size} such contradictions). Give each displacement one value"
+        )
+    return prescribed, merged

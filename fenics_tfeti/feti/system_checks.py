@@ -1,0 +1,369 @@
+"""Checks of a torn system: every field of every part, on all ranks, before anything is computed.
+
+Each error names the thing and the remedy, and is raised on all ranks. How subdomains are glued is
+checked in `body_checks`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.feti.body_checks import check_bodies
+from fenics_tfeti.feti.local.rigid_body_modes import kernel
+from fenics_tfeti.feti.system import (
+    ContactGuess,
+    ContactRows,
+    Prescribed,
+    Subdomain,
+    TornSystem,
+)
+from fenics_tfeti.feti.tolerances import SYMMETRIC
+from fenics_tfeti.parallel import raise_collectively
+
+__all__ = ["check_guess", "check_system"]
+
+Numbers = NDArray[np.int64]
+Vector = NDArray[np.float64]
+
+# the directory of nodes computes with numbers of up to twice this
+_LARGEST_NODE = 2**61
+# | |n| - 1 | of a unit normal
+_UNIT = 1e-6
+
+
+def check_system(system: TornSystem, stiffness: bool = True) -> None:
+    """Check types, shapes, numbers, and how the subdomains are glued. Collective.
+
+    Parameters
+    ----------
+    system : TornSystem
+        The system.
+    stiffness : bool
+        Whether to check the stiffness matrices and the gluing too; false where that was done for
+        the same subdomains.
+
+    Raises
+    ------
+    InputError
+        On all ranks, with the name of what is wrong, and the remedy.
+    """
+    with raise_collectively(system.comm):
+        _check_parts(system)
+        if stiffness:
+            _check_matrices(system)
+    _check_numbering(system)
+    if stiffness:
+        check_bodies(system)
+
+
+def check_guess(guess: ContactGuess, rows: int) -> None:
+    """Check a contact guess for this rank's contact rows.
+
+    Raises
+    ------
+    InputError
+        On this rank.
+    """
+    for what, values in (("normal_force", guess.normal_force), ("gap", guess.gap)):
+        _check_array(f"{what} of the contact guess", values, (rows,), np.float64)
+    _check_finite("normal_force of the contact guess", guess.normal_force)
+    _check_gaps("gap of the contact guess", guess.gap)
+
+
+def _check_parts(system: TornSystem) -> None:
+    """Check all that this rank gives but the entries of stiffness matrices."""
+    gdim = system.gdim
+    if not isinstance(gdim, int) or gdim not in (2, 3):
+        raise InputError(f"gdim: got {gdim!r}, expected 2 or 3")
+    _check_names("body_names", system.body_names)
+    _check_names("contact_names", system.contact_names)
+    if not isinstance(system.subdomains, Sequence):
+        raise InputError(
+            f"subdomains: got {_kind(system.subdomains)}, expected a list of Subdomain"
+        )
+    for number, subdomain in enumerate(system.subdomains):
+        if not isinstance(subdomain, Subdomain):
+            raise InputError(f"subdomains[{number}]: got {_kind(subdomain)}, expected a Subdomain")
+        _check_subdomain(_name(system, number), subdomain, gdim)
+    if not isinstance(system.prescribed, Prescribed):
+        raise InputError(
+            f"prescribed: got {_kind(system.prescribed)}, expected a Prescribed; Prescribed() for "
+            "no prescribed displacement"
+        )
+    _check_prescribed(system.prescribed, gdim)
+    if not isinstance(system.contacts, ContactRows):
+        raise InputError(
+            f"contacts: got {_kind(system.contacts)}, expected ContactRows; ContactRows.none(gdim) "
+            "for no contact"
+        )
+    _check_contacts(system.contacts, gdim)
+
+
+def _check_matrices(system: TornSystem) -> None:
+    """Check this rank's stiffness matrices, each object once."""
+    known: set[int] = set()
+    for number, subdomain in enumerate(system.subdomains):
+        if id(subdomain.stiffness) not in known:
+            _check_matrix(f"stiffness of {_name(system, number)}", subdomain, system.gdim)
+            known.add(id(subdomain.stiffness))
+
+
+def _check_numbering(system: TornSystem) -> None:
+    """Check what takes the numbers of all ranks. Collective."""
+    bodies = np.unique(np.array([s.body for s in system.subdomains], dtype=np.int64))
+    contact = system.contacts.contact
+    own = (system.gdim, bodies, int(contact.max(initial=-1)), contact.size)
+    gdims, lists, largest, rows = zip(*system.comm.allgather(own), strict=True)
+    if len(set(gdims)) > 1:
+        raise InputError(
+            f"gdim differs between the ranks: {', '.join(map(str, gdims))}. Give all ranks the same"
+        )
+    every = np.unique(np.concatenate(lists))
+    if every.size == 0:
+        raise InputError(
+            "no subdomains: the torn system has none on any rank. Give at least one rank some"
+        )
+    if every[-1] != every.size - 1:
+        missing = int(np.flatnonzero(every != np.arange(every.size))[0])
+        raise InputError(
+            f"body numbers: {every.size} bodies with numbers of up to {every[-1]}, but no "
+            f"subdomain of body {missing}. Number the bodies 0, 1, ... without gaps"
+        )
+    limit = max(sum(rows), len(system.contact_names))
+    if max(largest) >= limit:
+        raise InputError(
+            f"contacts.contact: contact number {max(largest)} with {sum(rows)} contact rows and "
+            f"{len(system.contact_names)} contact_names. Number the contacts 0, 1, ..."
+        )
+
+
+def _check_array(
+    what: str, value: Any, shape: tuple[int | None, ...], dtype: type[np.generic]
+) -> None:
+    """Check that a field is an array of a shape and type; None stands for any length."""
+    if not isinstance(value, np.ndarray):
+        raise InputError(
+            f"{what}: got {_kind(value)}, expected a NumPy array of {_numbers(dtype)} with shape "
+            f"{_shape(shape)}"
+        )
+    if value.dtype != dtype:
+        raise InputError(
+            f"{what}: got numbers of type {value.dtype}, expected {_numbers(dtype)}. If they are, "
+            f"convert them with numpy.asarray(values).astype(numpy.{dtype.__name__})"
+        )
+    fits = value.ndim == len(shape) and all(
+        expected is None or n == expected for n, expected in zip(value.shape, shape, strict=True)
+    )
+    if not fits:
+        raise InputError(f"{what}: got shape {_shape(value.shape)}, expected {_shape(shape)}")
+
+
+def _check_finite(what: str, values: Vector, hint: str = "") -> None:
+    """Check that there is no NaN or infinity."""
+    bad = np.flatnonzero(~np.isfinite(values).ravel())
+    if bad.size:
+        raise InputError(
+            f"{what}: {bad.size} of {values.size} numbers are NaN or infinite. {hint}".rstrip()
+        )
+
+
+def _check_gaps(what: str, gaps: Vector) -> None:
+    """Check that gaps are numbers or +inf."""
+    bad = np.flatnonzero(np.isnan(gaps) | (gaps == -np.inf))
+    if bad.size:
+        raise InputError(
+            f"{what}: {bad.size} of {gaps.size} gaps are NaN or -inf. Where there is nothing to "
+            "touch, give +inf"
+        )
+
+
+def _check_names(what: str, names: Any) -> None:
+    if isinstance(names, str) or not isinstance(names, Sequence):
+        raise InputError(f"{what}: got {_kind(names)}, expected a list of strings")
+    wrong = [name for name in names if not isinstance(name, str)]
+    if wrong:
+        raise InputError(f"{what}: got {_kind(wrong[0])} in it, expected strings")
+
+
+def _check_subdomain(name: str, subdomain: Subdomain, gdim: int) -> None:
+    body = subdomain.body
+    if not isinstance(body, int) or isinstance(body, bool):
+        raise InputError(f"body of {name}: got {body!r}, expected an integer")
+    if body < 0:
+        raise InputError(f"body of {name}: got {body}, expected a number from 0 on")
+    _check_array(f"nodes of {name}", subdomain.nodes, (None,), np.int64)
+    _check_nodes(name, subdomain.nodes)
+    n = subdomain.nodes.size
+    _check_array(f"coordinates of {name}", subdomain.coordinates, (n, gdim), np.float64)
+    _check_array(f"load of {name}", subdomain.load, (gdim * n,), np.float64)
+    _check_finite(f"coordinates of {name}", subdomain.coordinates)
+    _check_finite(f"load of {name}", subdomain.load, "a traction or body force?")
+    _check_format(f"stiffness of {name}", subdomain.stiffness, gdim * n)
+
+
+def _check_nodes(name: str, nodes: Numbers) -> None:
+    if nodes.size == 0:
+        raise InputError(f"nodes of {name}: there are none. Leave the subdomain out")
+    _check_range(f"nodes of {name}", nodes, 0, _LARGEST_NODE)
+    distinct, count = np.unique(nodes, return_counts=True)
+    if distinct.size < nodes.size:
+        raise InputError(
+            f"nodes of {name}: {np.count_nonzero(count > 1)} node numbers occur more than once, "
+            f"the first is {distinct[count > 1][0]}. Number each node of a subdomain once"
+        )
+
+
+def _check_range(what: str, numbers: Numbers, first: int, beyond: int) -> None:
+    wrong = np.flatnonzero((numbers < first) | (numbers >= beyond))
+    if wrong.size:
+        raise InputError(
+            f"{what}: {wrong.size} of {numbers.size} numbers are not in [{first}, {beyond}), the "
+            f"first is {numbers[wrong[0]]} at position {wrong[0]}"
+        )
+
+
+def _check_format(what: str, K: Any, n: int) -> None:
+    """Check the kind, shape and structure of a matrix."""
+    if not sp.issparse(K):
+        raise InputError(
+            f"{what}: got {_kind(K)}, expected a scipy.sparse.csr_matrix. Convert it with "
+            "scipy.sparse.csr_matrix(K), once for all subdomains that share it"
+        )
+    if K.format != "csr":
+        raise InputError(
+            f"{what}: got a matrix in {K.format} format, expected csr. Convert it with K.tocsr(), "
+            "once for all subdomains that share it"
+        )
+    if K.dtype != np.float64:
+        raise InputError(
+            f"{what}: got numbers of type {K.dtype}, expected float64. If they are real, convert "
+            "it with K.astype(numpy.float64)"
+        )
+    if K.shape != (n, n):
+        raise InputError(
+            f"{what}: got shape {_shape(K.shape)}, expected {_shape((n, n))}: gdim unknowns for "
+            "each node"
+        )
+
+
+def _check_matrix(what: str, subdomain: Subdomain, gdim: int) -> None:
+    K = subdomain.stiffness
+    try:
+        K.check_format(full_check=True)
+    except ValueError as error:
+        raise InputError(f"{what}: not a valid csr matrix: {error}") from error
+    if not K.has_canonical_format:
+        raise InputError(
+            f"{what}: entries are unsorted or repeated, and the arrays cannot be changed in place. "
+            "Give a copy with K.sum_duplicates()"
+        )
+    _check_finite(what, K.data, "a material coefficient?")
+    difference = K - K.T
+    skew = float(np.abs(difference.data).max(initial=0.0))
+    largest = float(np.abs(K.data).max(initial=0.0))
+    if skew > SYMMETRIC * largest:
+        raise InputError(
+            f"the bilinear form is not symmetric: {what} has |K - K'| = {skew:.3e} where |K| = "
+            f"{largest:.3e}. Contact by minimisation needs a symmetric form a(u, v) = a(v, u)"
+        )
+    bad = np.flatnonzero(~(K.diagonal() > 0.0))
+    if bad.size:
+        raise InputError(
+            f"{what}: {bad.size} of {K.shape[0]} diagonal entries are not positive, the first at "
+            f"component {bad[0] % gdim} of node {subdomain.nodes[bad[0] // gdim]}. Is the form "
+            "elasticity with positive moduli, and is every node a vertex of a cell?"
+        )
+    _check_connected(what, subdomain, gdim)
+
+
+def _check_connected(what: str, subdomain: Subdomain, gdim: int) -> None:
+    """Check that no part of a subdomain can move rigidly without the rest."""
+    K, nodes = subdomain.stiffness, subdomain.nodes.size
+    row = np.repeat(np.arange(K.shape[0]) // gdim, np.diff(K.indptr))
+    graph = sp.coo_matrix((np.ones(row.size, dtype=bool), (row, K.indices // gdim)), (nodes, nodes))
+    pieces, piece = connected_components(graph, directed=False)
+    if pieces == 1:
+        return
+    modes = 0
+    for number in range(pieces):
+        members = np.flatnonzero(piece == number)
+        unknowns = (gdim * members[:, None] + np.arange(gdim)).ravel()
+        part = Subdomain(
+            K[unknowns][:, unknowns],
+            subdomain.load[unknowns],
+            subdomain.coordinates[members],
+            subdomain.nodes[members],
+            subdomain.body,
+        )
+        modes += kernel(part).shape[1]
+    if modes > kernel(subdomain).shape[1]:
+        raise InputError(
+            f"{what}: the subdomain consists of {pieces} parts that no stiffness connects, one of "
+            f"them with node {subdomain.nodes[0]} and another with node "
+            f"{subdomain.nodes[np.argmax(piece != piece[0])]}. Make each a subdomain of its own"
+        )
+
+
+def _check_prescribed(prescribed: Prescribed, gdim: int) -> None:
+    _check_array("prescribed.nodes", prescribed.nodes, (None,), np.int64)
+    shape = prescribed.nodes.shape
+    _check_array("prescribed.components", prescribed.components, shape, np.int64)
+    _check_array("prescribed.values", prescribed.values, shape, np.float64)
+    _check_range("prescribed.nodes", prescribed.nodes, 0, _LARGEST_NODE)
+    _check_range("prescribed.components", prescribed.components, 0, gdim)
+    _check_finite("prescribed displacements", prescribed.values)
+
+
+def _check_contacts(contacts: ContactRows, gdim: int) -> None:
+    _check_array("contacts.slave", contacts.slave, (None,), np.int64)
+    k = contacts.slave.size
+    _check_array("contacts.master", contacts.master, (k,), np.int64)
+    _check_array("contacts.normal", contacts.normal, (k, gdim), np.float64)
+    _check_array("contacts.gap", contacts.gap, (k,), np.float64)
+    _check_array("contacts.contact", contacts.contact, (k,), np.int64)
+    _check_range("contacts.slave", contacts.slave, 0, _LARGEST_NODE)
+    _check_range("contacts.master (-1 for a rigid obstacle)", contacts.master, -1, _LARGEST_NODE)
+    _check_range("contacts.contact", contacts.contact, 0, np.iinfo(np.int64).max)
+    same = np.flatnonzero(contacts.slave == contacts.master)
+    if same.size:
+        raise InputError(
+            f"contacts: {same.size} rows have the same node as slave and master, the first is row "
+            f"{same[0]} with node {contacts.slave[same[0]]}. Leave them out"
+        )
+    _check_gaps("contacts.gap", contacts.gap)
+    _check_finite("contacts.normal", contacts.normal)
+    lengths = np.linalg.norm(contacts.normal, axis=1)
+    wrong = np.flatnonzero(np.abs(lengths - 1.0) > _UNIT)
+    if wrong.size:
+        raise InputError(
+            f"contacts.normal: {wrong.size} normals are not of unit length, the first at slave "
+            f"node {contacts.slave[wrong[0]]} with length {lengths[wrong[0]]:.3e}. Divide by it"
+        )
+
+
+def _name(system: TornSystem, number: int) -> str:
+    rank = f" of rank {system.comm.rank}" if system.comm.size > 1 else ""
+    return f"subdomain {number}{rank} (body {system.subdomains[number].body})"
+
+
+def _kind(value: Any) -> str:
+    name = type(value).__name__
+    shape = getattr(value, "shape", None)
+    return f"{name} of shape {_shape(shape)}" if isinstance(shape, tuple) and shape else name
+
+
+def _numbers(dtype: type[np.generic]) -> str:
+    return "integers (int64)" if issubclass(dtype, np.integer) else "numbers (float64)"
+
+
+def _shape(shape: tuple[int | None, ...]) -> str:
+    """Write a shape; k stands for any length."""
+    inside = ", ".join("k" if n is None else str(n) for n in shape)
+    return f"({inside},)" if len(shape) == 1 else f"({inside})"

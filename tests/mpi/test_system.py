@@ -1,0 +1,57 @@
+"""Mistakes in the data of one rank are errors on all ranks, with the same message."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from mpi4py import MPI
+
+import pytest
+from bad_systems import MISTAKES, column_on
+
+from fenics_tfeti import InputError
+from fenics_tfeti.feti import ContactRows, Prescribed, TornSolver, TornSystem
+
+comm = MPI.COMM_WORLD
+LAST = comm.rank == comm.size - 1
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.name)
+def test_mistake_of_one_rank_is_named_on_all(mistake):
+    system = column_on(comm)
+    with pytest.raises(InputError) as raised:
+        TornSolver(mistake.make(system) if LAST else system)
+    message = str(raised.value).replace(f" of rank {comm.size - 1}", "")
+    assert [word for word in mistake.words if word not in message] == [], message
+    assert len(set(comm.allgather(message))) == 1
+
+
+def test_right_system_passes():
+    column_on(comm).check()
+
+
+def test_rank_is_named():
+    system = column_on(comm)
+    if LAST:
+        changed = dataclasses.replace(system.subdomains[0], body=-1)
+        system = dataclasses.replace(system, subdomains=[changed])
+    with pytest.raises(InputError, match=f"body of subdomain 0 of rank {comm.size - 1} "):
+        system.check()
+
+
+def test_dimensions_of_the_ranks_differ():
+    contacts = ContactRows.none(2 + LAST)
+    with pytest.raises(InputError, match="gdim differs between the ranks: 2,.*3"):
+        TornSystem([], Prescribed(), contacts, 2 + LAST, comm=comm).check()
+
+
+def test_no_subdomains_on_any_rank():
+    with pytest.raises(InputError, match="no subdomains"):
+        TornSystem([], Prescribed(), ContactRows.none(3), 3, comm=comm).check()
+
+
+def test_rank_without_subdomains():
+    system = column_on(MPI.COMM_SELF)
+    if comm.rank > 0:
+        system = TornSystem([], Prescribed(), ContactRows.none(3), 3)
+    dataclasses.replace(system, comm=comm).check()
