@@ -12,7 +12,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from fenics_tfeti.errors import UnresistedMotion
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
@@ -20,6 +19,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import NO_WORK
+from fenics_tfeti.qp import least_norm_nonnegative
 
 __all__ = ["check_load", "feasible_start", "least_norm_nonnegative"]
 
@@ -120,59 +120,6 @@ def _contact_forces(
     multipliers[constraints.inequality[:owned]] = forces[first : first + owned]
     shared: Vector = constraints.layout.sum(multipliers)[constraints.inequality]
     return shared
-
-
-def least_norm_nonnegative(C: Vector, d: Vector) -> tuple[Vector, Vector]:
-    """Minimise 1/2 ||x||^2 subject to Cx = d and x >= o, by a semismooth Newton method on the dual.
-
-    Parameters
-    ----------
-    C : (r, n) array
-        Few rows.
-    d : (r,) array
-        Right-hand side.
-
-    Returns
-    -------
-    x : (n,) array
-        The solution; if there is none, a minimiser of ||Cx - d||.
-    residual : (r,) array
-        d - Cx. Where it is not zero it certifies that there is no solution: C'residual <= o and
-        d'residual > 0.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> x, residual = least_norm_nonnegative(np.array([[1.0, 1.0, -1.0]]), np.array([2.0]))
-    >>> x.round(12).tolist(), residual.round(12).tolist()
-    ([1.0, 1.0, 0.0], [0.0])
-    """
-    y = np.zeros(d.size)
-    tolerance = 1e-11 * np.linalg.norm(d)
-
-    def value(y: Vector) -> float:
-        return 0.5 * float(np.sum(np.maximum(C.T @ y, 0.0) ** 2)) - float(d @ y)
-
-    for step in range(100):
-        x = np.maximum(C.T @ y, 0.0)
-        gradient = C @ x - d
-        if np.linalg.norm(gradient) <= tolerance:
-            return x, -gradient
-        support = C[:, x > 0.0] if step else C
-        H = support @ support.T
-        # where the support leaves the Hessian singular; fades as the gradient does
-        damping = min(1e-3, np.linalg.norm(gradient) / np.linalg.norm(d))
-        H += damping * np.trace(C @ C.T) / d.size * np.eye(d.size)
-        p = np.linalg.solve(H, -gradient)
-        slope, length = float(gradient @ p), 1.0
-        # near the solution the decrease drowns in rounding
-        limit = value(y) + 1e-12 * abs(value(y))
-        while value(y + length * p) > limit + 1e-4 * length * slope and length > 1e-12:
-            length *= 0.5
-        y = y + length * p
-    # no solution, or one that rounding hides: the basic solution decides, with a certificate
-    x = nnls(C, d, maxiter=10 * C.shape[1])[0]
-    return x, d - C @ x
 
 
 def _raise_unresisted(system: TornSystem, kernels: Sequence[Vector], own_motion: Vector) -> None:
