@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.errors import InputError, NotConverged
 from fenics_tfeti.feti.coarse.feasible_start import check_load, feasible_start
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.feasibility import check_conditions
 from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.feti.constraints.scaling import stiffness_of_weight
 from fenics_tfeti.feti.dual.problem import DualProblem
@@ -148,6 +149,7 @@ class TornSolver:
             system.check(stiffness=known is None)
             local = known.local if known else LocalSetup.build(system, options)
             constraints, c = build_constraints(system, local.weights)
+            check_conditions(system, constraints, c)
             same_B = known if known and constraints.same_rows(known.constraints) else None
         with phase("coarse problem"):
             projector = (
