@@ -171,9 +171,8 @@ class TornSolver:
         system, coarse_space = self.system, projector.coarse_space
         load = np.concatenate([np.zeros(0), *(s.load for s in system.subdomains)])
         e = coarse_space.coarse_load(load)
-        norm = float(np.sqrt(system.comm.allreduce(float(load @ load))))
-        check_load(system, local.kernels, projector, e, norm)
-        feasible = feasible_start(system, local.kernels, coarse_space, e, norm)
+        check_load(system, local.kernels, projector, e)
+        feasible = feasible_start(system, local.kernels, coarse_space, e)
         return ContactData(load, c, e, feasible)
 
     def _first_state(

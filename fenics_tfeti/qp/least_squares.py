@@ -56,39 +56,44 @@ def nonnegative_least_squares(A: Vector, b: Vector) -> Vector:
 def _lawson_hanson(A: Vector, b: Vector) -> Vector:
     """Minimise ||Ax - b|| subject to x >= o, for columns and b of unit length (23.10)."""
     x, passive = np.zeros(A.shape[1]), np.zeros(0, dtype=np.int64)
-    residual = b
+    residual, barred = b, np.zeros(A.shape[1], dtype=bool)
     for _ in range(10 * sum(A.shape)):
         size = float(np.linalg.norm(residual))
-        descent = A.T @ residual
+        descent = np.where(barred, 0.0, A.T @ residual)
         descent[passive] = 0.0
         new = int(np.argmax(descent))
         # a column that is orthogonal to the residual but for rounding is no help
         if size <= _ROUNDING or descent[new] <= _ORTHOGONAL * size:
             break
-        passive = np.append(passive, new)
-        step = _least_squares(A, passive, b)
-        while step.min() <= 0.0:
-            falling = step <= 0.0
-            fall = (x[passive] - step)[falling]
-            way = np.divide(x[passive][falling], fall, out=np.zeros(fall.size), where=fall > 0.0)
-            x[passive] += way.min() * (step - x[passive])
-            leaving = passive[falling][way <= way.min()]
-            x[leaving] = 0.0
-            passive = passive[~np.isin(passive, leaving)]
-            if passive.size == 0:
-                return x
-            step = _least_squares(A, passive, b)
-        before = size
-        x[passive] = step
-        residual = b - A @ x
-        if np.linalg.norm(residual) >= before:
+        tried, columns = _feasible_step(A, b, x, np.append(passive, new))
+        left = b - A @ tried
+        if np.linalg.norm(left) < size:
+            x, passive, residual = tried, columns, left
+            barred[:] = False
+        else:
+            # by rounding; another column may help
+            barred[new] = True
+    return x
+
+
+def _feasible_step(
+    A: Vector, b: Vector, x: Vector, passive: NDArray[np.int64]
+) -> tuple[Vector, NDArray[np.int64]]:
+    """Go from x >= o towards the minimiser over some columns; those that reach zero leave."""
+    x = x.copy()
+    while passive.size:
+        step = np.linalg.lstsq(A[:, passive], b, rcond=None)[0]
+        falling = step <= 0.0
+        if not falling.any():
+            x[passive] = step
             break
-    return x
-
-
-def _least_squares(A: Vector, columns: NDArray[np.int64], b: Vector) -> Vector:
-    x: Vector = np.linalg.lstsq(A[:, columns], b, rcond=None)[0]
-    return x
+        fall = (x[passive] - step)[falling]
+        way = np.divide(x[passive][falling], fall, out=np.zeros(fall.size), where=fall > 0.0)
+        x[passive] += way.min() * (step - x[passive])
+        leaving = passive[falling][way <= way.min()]
+        x[leaving] = 0.0
+        passive = passive[~np.isin(passive, leaving)]
+    return x, passive
 
 
 def _lengths(rows: Vector) -> Vector:
