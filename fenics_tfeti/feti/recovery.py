@@ -17,7 +17,6 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.feti.coarse.projector import Projector
@@ -26,8 +25,9 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.tolerances import PARALLEL
 from fenics_tfeti.parallel import concatenate_ranks
+from fenics_tfeti.qp import least_distance
 
-__all__ = ["Recovered", "balance_multipliers", "least_distance", "recover_displacement"]
+__all__ = ["Recovered", "balance_multipliers", "recover_displacement"]
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -257,40 +257,4 @@ def _smallest_without_penetration(active: Projector, gap: Vector) -> Vector:
         conditions = np.concatenate([conditions, new])
         limits = np.concatenate([limits, concatenate_ranks(comm, gap[worst])])
         z = least_distance(conditions, limits)
-    return z
-
-
-def least_distance(A: Vector, b: Vector) -> Vector:
-    """Minimise ||z|| subject to Az <= b (Lawson and Hanson, Solving Least Squares Problems, 23.4).
-
-    Parameters
-    ----------
-    A : (m, k) array
-        Rows of any length.
-    b : (m,) array
-        Right-hand sides.
-
-    Returns
-    -------
-    (k,) array
-        The solution; zeros if no z fulfils the conditions.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> z = least_distance(np.array([[-1.0, 0.0], [0.0, -2.0]]), np.array([-1.0, 4.0]))
-    >>> (z.round(12) + 0.0).tolist()
-    [1.0, 0.0]
-    """
-    scale = float(np.abs(b).max(initial=0.0))
-    if scale == 0.0:
-        return np.zeros(A.shape[1])
-    lengths = np.maximum(np.linalg.norm(A, axis=1), np.finfo(float).tiny)
-    rows = np.vstack([A.T / lengths, b / lengths / scale])
-    target = np.append(np.zeros(A.shape[1]), 1.0)
-    weights = nnls(-rows, target, maxiter=10 * max(A.shape))[0]
-    residual = -rows @ weights - target
-    if np.linalg.norm(residual) <= PARALLEL:
-        return np.zeros(A.shape[1])
-    z: Vector = -scale * residual[:-1] / residual[-1]
     return z

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.errors import InputError, NotConverged
 from fenics_tfeti.feti.coarse.feasible_start import check_load, feasible_start
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.feasibility import check_conditions
 from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
@@ -146,6 +147,7 @@ class TornSolver:
             system.check(stiffness=known is None)
             local = known.local if known else LocalSetup.build(system, options)
             constraints, c = build_constraints(system, local.weights)
+            check_conditions(system, constraints, c)
             same_B = known if known and constraints.same_rows(known.constraints) else None
         with phase("coarse problem"):
             projector = (
@@ -167,9 +169,8 @@ class TornSolver:
         system, coarse_space = self.system, projector.coarse_space
         load = np.concatenate([np.zeros(0), *(s.load for s in system.subdomains)])
         e = coarse_space.coarse_load(load)
-        norm = float(np.sqrt(system.comm.allreduce(float(load @ load))))
-        check_load(system, local.kernels, projector, e, norm)
-        feasible = feasible_start(system, local.kernels, coarse_space, e, norm)
+        check_load(system, local.kernels, projector, e)
+        feasible = feasible_start(system, local.kernels, coarse_space, e)
         return ContactData(load, c, e, feasible)
 
     def _first_state(

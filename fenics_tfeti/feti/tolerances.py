@@ -31,9 +31,11 @@ ROUNDED_GAP = 1e-12
 SYMMETRIC = 1e-9
 # energy of a rigid mode below which K is singular for it, relative to the largest stiffness
 ZERO_ENERGY = 1e-9
-# ||B R xi||^2 / ||R xi||^2 of a rigid motion of a body below which no constraint resists it
-UNRESISTED = 1e-12
-# work of the load on a rigid motion, relative to the load; closing speed relative to the motion
+# ||B R xi|| below which no constraint resists a rigid motion, relative to its root mean square
+# displacement, for rows of unit length
+UNRESISTED = 1e-9
+# work of the load on a rigid motion, relative to the sum of forces on the bodies that move times
+# the same displacement; closing speed relative to the motion
 NO_WORK = 1e-9
 # 1 - |cos| of the angle between rows of B that count as one row; eigenvalue of a Gram matrix of
 # unit rows that counts as zero

@@ -5,6 +5,11 @@ The storey knows nothing of finite elements or domain decomposition. It implemen
 """
 
 from fenics_tfeti.qp.feasible_set import Bounds
+from fenics_tfeti.qp.least_squares import (
+    least_distance,
+    least_norm_nonnegative,
+    nonnegative_least_squares,
+)
 from fenics_tfeti.qp.mprgp import MPRGPOptions, MPRGPResult, Products, mprgp
 from fenics_tfeti.qp.smalbe import OuterIteration, SMALBEOptions, SMALBEResult, SMALBEState, smalbe
 from fenics_tfeti.qp.space import Space
@@ -21,6 +26,9 @@ __all__ = [
     "SMALBEState",
     "Space",
     "lanczos_upper_bound",
+    "least_distance",
+    "least_norm_nonnegative",
     "mprgp",
+    "nonnegative_least_squares",
     "smalbe",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -15,7 +15,6 @@ from scipy.linalg import block_diag
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.local.rigid_body_modes import describe_motion, raw_modes
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.feti.tolerances import UNRESISTED
 
 __all__ = ["BodyMotions", "body_motions", "describe_body_motion"]
 
@@ -23,28 +22,78 @@ Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# what rounding leaves of rigid motions of a body in its gluing rows
+# what rounding leaves of rigid motions of a body in its gluing rows, and how much the rounding of
+# coordinates far from the origin adds
 _TRACE = 1e-13
+_OFFSET = 16 * 2.0**-52
+# part of a motion outside the kernels that is rounding
+_INSIDE = 1e-12
+# ||B R z||^2 below which the eigenvectors of the Gram matrix are not accurate enough
+_SQUARED = 1e-8
+# each pass reduces their error by a factor of 1e-5 or less
+_PASSES = 3
 
 
 @dataclass(frozen=True)
 class BodyMotions:
     """Rigid motions of whole bodies, in terms of the subdomains' modes.
 
+    The unit of a motion is a root mean square displacement of 1 over the nodes of the body, and
+    rows of B are taken with unit length: what resists is a matter of geometry, and depends neither
+    on units nor on the mesh.
+
     Attributes
     ----------
     basis : (coarse, modes * bodies) scipy.sparse.csr_matrix
-        T: R T z moves each body rigidly, orthonormal columns for each body.
-    held : (modes * bodies, modes * bodies) array
-        How elastic supports and the equality rows of B resist the motions, as a Gram matrix. Rows
-        are taken with unit length: what resists is a matter of geometry.
-    contact : (modes * bodies, owned inequality rows) scipy.sparse.csr_matrix
-        What the motions do to the contact rows, again of unit length.
+        T: R T z moves each body rigidly, z in units of motion.
+    moved : (m, modes * bodies) scipy.sparse.csr_matrix
+        What the motions do to the rows of B that this rank holds; traces of rounding are removed.
+    supports : (modes * bodies, modes * bodies) array
+        Gram matrix by which elastic supports resist that take motions out of the kernel of K.
+    rounding : float
+        What rounding may leave in `moved`.
     """
 
     basis: sp.csr_matrix
-    held: Vector
-    contact: sp.csr_matrix
+    moved: sp.csr_matrix
+    supports: Vector
+    rounding: float
+
+    def resistance(
+        self, rows: Mask, owned: int, sum_over_ranks: Callable[[Vector], Vector]
+    ) -> tuple[Vector, Vector]:
+        """Return motions that some rows resist weakly or not at all.
+
+        Parameters
+        ----------
+        rows : (m,) bool array
+            The rows.
+        owned : int
+            How many rows, the first ones, this rank owns.
+        sum_over_ranks : callable
+            Sums arrays over the ranks.
+
+        Returns
+        -------
+        resistance : (k,) array
+            ||B R z|| of each motion, at most 1e-4.
+        motions : (modes * bodies, k) array
+            Orthonormal z.
+        """
+        B = self.moved[np.flatnonzero(rows[:owned])]
+        gram = sum_over_ranks((B.T @ B).toarray()) + self.supports
+        values, vectors = np.linalg.eigh(gram)
+        weak = values <= _SQUARED
+        z, others = vectors[:, weak], vectors[:, ~weak]
+        if not z.shape[1]:
+            return np.zeros(0), z
+        # eigenvectors of the Gram matrix have errors of 1e-16 / _SQUARED; here B is not squared
+        for _ in range(_PASSES):
+            product = sum_over_ranks(B.T @ (B @ z)) + self.supports @ z
+            z = np.linalg.qr(z - others @ ((others.T @ product) / values[~weak][:, None]))[0]
+        Bz = B @ z
+        values, vectors = np.linalg.eigh(sum_over_ranks(Bz.T @ Bz) + z.T @ self.supports @ z)
+        return np.sqrt(np.maximum(values, 0.0)), z @ vectors
 
 
 def body_motions(
@@ -53,7 +102,7 @@ def body_motions(
     constraints: Constraints,
     everyone: sp.csr_matrix,
 ) -> BodyMotions:
-    """Measure how the constraints resist rigid motions of bodies.
+    """Measure what rigid motions of bodies do to the constraints.
 
     Parameters
     ----------
@@ -66,43 +115,39 @@ def body_motions(
     everyone : (m, coarse) scipy.sparse.csr_matrix
         G' with the columns of all ranks, in the rows that this rank holds.
     """
-    basis, energy = _motions_and_energy(system, kernels)
-    owned = constraints.layout.owned
-    # (rows of B, motions): what each motion does to rows of unit length
-    moved = sp.diags(1.0 / constraints.row_lengths[:owned]) @ (everyone[:owned] @ basis)
+    basis, supports, distance = _motions_and_supports(system, kernels)
+    rounding = max(_TRACE, _OFFSET * distance)
+    lengths = constraints.row_lengths
+    moved = sp.diags(1.0 / np.where(lengths > 0.0, lengths, 1.0)) @ (everyone @ basis)
     # gluing rows resist no motion of a whole body; rounding leaves traces of them
-    moved.data[np.abs(moved.data) <= _TRACE] = 0.0
+    moved.data[np.abs(moved.data) <= rounding] = 0.0
     moved.eliminate_zeros()
-    equality = constraints.equality[:owned]
-    held = moved[np.flatnonzero(equality)]
-    return BodyMotions(
-        basis,
-        system.comm.allreduce((held.T @ held).toarray()) + energy,
-        moved[np.flatnonzero(~equality)].T.tocsr(),
-    )
+    return BodyMotions(basis, moved.tocsr(), supports, rounding)
 
 
-def _motions_and_energy(
+def _motions_and_supports(
     system: TornSystem, kernels: Sequence[Vector]
-) -> tuple[sp.csr_matrix, Vector]:
-    """Return T, and the energy of the motions outside the kernel of K (elastic supports)."""
+) -> tuple[sp.csr_matrix, Vector, float]:
+    """Return T, the Gram matrix of motions outside the kernel, and the largest |x| / body size."""
     comm = system.comm
     gdim = system.gdim
     bodies = comm.allreduce(max((s.body + 1 for s in system.subdomains), default=0), MPI.MAX)
     modes = 3 if gdim == 2 else 6
-    centres, sizes = _centres_and_sizes(system, bodies)
+    centres, sizes, nodes = _centres_and_sizes(system, bodies)
 
-    blocks, gram, energy = [], np.zeros((bodies, modes, modes)), np.zeros((bodies, modes, modes))
+    blocks, gram, outside = [], np.zeros((bodies, modes, modes)), np.zeros((bodies, modes, modes))
+    distance = 0.0
     for subdomain, R in zip(system.subdomains, kernels, strict=True):
         body = subdomain.body
         raw = raw_modes((subdomain.coordinates - centres[body]) / sizes[body], np.zeros(gdim))
         inside = R.T @ raw
         blocks.append((body, inside))
-        gram[body] += raw.T @ raw
-        energy[body] += raw.T @ raw - inside.T @ inside
-    gram, energy = comm.allreduce(gram), comm.allreduce(energy)
+        gram[body] += raw.T @ raw / nodes[body]
+        outside[body] += (raw.T @ raw - inside.T @ inside) / nodes[body]
+        distance = max(distance, float(np.abs(subdomain.coordinates).max()) / sizes[body])
+    gram, outside = comm.allreduce(gram), comm.allreduce(outside)
 
-    # orthonormal motions of each body over its torn nodes
+    # motions of each body that are orthonormal over its torn nodes, in the mean
     inverse = [np.linalg.inv(np.linalg.cholesky(g)).T if g.any() else g for g in gram]
     rows = [sp.csr_matrix((0, modes * bodies))]
     for body, inside in blocks:
@@ -112,13 +157,13 @@ def _motions_and_energy(
         shape = (len(inside), modes * bodies)
         rows.append(sp.csr_matrix((data, columns, indptr), shape=shape))
     basis = sp.vstack(comm.allgather(sp.vstack(rows, format="csr")), format="csr")
-    scaled = [t.T @ e @ t for t, e in zip(inverse, energy, strict=True)]
-    # rounding leaves traces of 1e-16 in what should vanish
-    scaled = [np.where(np.abs(e) > UNRESISTED, e, 0.0) for e in scaled]
-    return basis, block_diag(*scaled) if bodies else np.zeros((0, 0))
+    scaled = [t.T @ e @ t for t, e in zip(inverse, outside, strict=True)]
+    scaled = [np.where(np.abs(e) > _INSIDE, e, 0.0) for e in scaled]
+    supports = block_diag(*scaled) if bodies else np.zeros((0, 0))
+    return basis, supports, float(comm.allreduce(distance, MPI.MAX))
 
 
-def _centres_and_sizes(system: TornSystem, bodies: int) -> tuple[Vector, Vector]:
+def _centres_and_sizes(system: TornSystem, bodies: int) -> tuple[Vector, Vector, Vector]:
     sums, counts = np.zeros((bodies, system.gdim)), np.zeros(bodies)
     for subdomain in system.subdomains:
         sums[subdomain.body] += subdomain.coordinates.sum(axis=0)
@@ -130,7 +175,7 @@ def _centres_and_sizes(system: TornSystem, bodies: int) -> tuple[Vector, Vector]
         reach = np.abs(subdomain.coordinates - centres[subdomain.body]).max()
         sizes[subdomain.body] = max(sizes[subdomain.body], reach)
     system.comm.Allreduce(MPI.IN_PLACE, sizes, MPI.MAX)
-    return centres, np.where(sizes > 0.0, sizes, 1.0)
+    return centres, np.where(sizes > 0.0, sizes, 1.0), counts
 
 
 def describe_body_motion(

@@ -9,10 +9,12 @@ forces are zero, and the start is that of lemma 11.1.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.optimize import nnls
+from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import UnresistedMotion
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
@@ -20,6 +22,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import NO_WORK
+from fenics_tfeti.qp import least_norm_nonnegative
 
 __all__ = ["check_load", "feasible_start", "least_norm_nonnegative"]
 
@@ -27,7 +30,7 @@ Vector = NDArray[np.float64]
 
 
 def check_load(
-    system: TornSystem, kernels: Sequence[Vector], projector: Projector, e: Vector, norm: float
+    system: TornSystem, kernels: Sequence[Vector], projector: Projector, e: Vector
 ) -> None:
     """Check that the load does no work on the motions that no constraint resists.
 
@@ -41,21 +44,20 @@ def check_load(
         Of all constraints.
     e : (coarse,) array
         R'f.
-    norm : float
-        ||f||, the scale of e.
 
     Raises
     ------
     UnresistedMotion
         Naming body and motion.
     """
-    work = projector.free.T @ e
-    if np.linalg.norm(work) > NO_WORK * norm:
-        _raise_unresisted(system, kernels, projector.coarse_space.own_part(projector.free @ work))
+    coarse_space = projector.coarse_space
+    for group in _groups(system, coarse_space, projector.free_bodies, e):
+        if np.linalg.norm(group.work) > NO_WORK * group.force:
+            _raise_unresisted(system, kernels, coarse_space, group.motions @ group.work)
 
 
 def feasible_start(
-    system: TornSystem, kernels: Sequence[Vector], coarse_space: CoarseSpace, e: Vector, norm: float
+    system: TornSystem, kernels: Sequence[Vector], coarse_space: CoarseSpace, e: Vector
 ) -> Vector:
     """Return lambda~ with G lambda~ = e and lambda~_I >= o.
 
@@ -69,8 +71,6 @@ def feasible_start(
         G.
     e : (coarse,) array
         R'f.
-    norm : float
-        ||f||, the scale of e.
 
     Returns
     -------
@@ -85,97 +85,92 @@ def feasible_start(
     constraints = coarse_space.constraints
     supports = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
     start = np.zeros(constraints.size)
-    if supports.free.shape[1]:
-        start[constraints.inequality] = _contact_forces(
-            system, kernels, coarse_space, supports, e, norm
-        )
+    if supports.free_bodies.shape[1]:
+        for group in _groups(system, coarse_space, supports.free_bodies, e):
+            start += _contact_forces(system, kernels, coarse_space, group)
     # (11.38) for what the contact forces leave
-    left = e - coarse_space.restrict(start)
-    return start + supports.expand(supports.solve(left))
+    left = supports.without_free_motions(e - coarse_space.restrict(start))
+    return start + supports.least_norm(left)
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Bodies that contacts connect, and their motions that some rows do not resist.
+
+    Attributes
+    ----------
+    motions : (modes * bodies, k) array
+        Orthonormal z, see `BodyMotions`.
+    work : (k,) array
+        Work of the load on these motions [N].
+    force : float
+        Sum of the magnitudes of the nodal loads [N]: the work is at most this, but for rotations of
+        what reaches far.
+    """
+
+    motions: Vector
+    work: Vector
+    force: float
+
+
+def _groups(
+    system: TornSystem, coarse_space: CoarseSpace, free: Vector, e: Vector
+) -> list[_Group]:
+    """Split unresisted motions by groups of bodies, each with a scale of forces of its own."""
+    comm, bodies = system.comm, coarse_space.bodies
+    modes = 3 * (system.gdim - 1)
+    number = free.shape[0] // modes
+    force = np.zeros(number)
+    for subdomain in system.subdomains:
+        nodal = np.linalg.norm(subdomain.load.reshape(-1, system.gdim), axis=1)
+        force[subdomain.body] += nodal.sum()
+    force = comm.allreduce(force)
+    of_body = sp.kron(sp.identity(number), np.ones((modes, 1)), format="csr")
+    moved = abs(bodies.moved) @ of_body
+    graph = comm.allreduce((moved.T @ moved).toarray())
+    group = connected_components(sp.csr_matrix(graph > 0.0), directed=False)[1]
+    work = bodies.basis.T @ e
+    found = []
+    for g in range(int(group.max(initial=-1)) + 1):
+        inside = np.repeat(group == g, modes)
+        motions = _orthonormal(np.where(inside[:, None], free, 0.0))
+        if motions.shape[1]:
+            found.append(_Group(motions, motions.T @ work, float(force[group == g].sum())))
+    return found
+
+
+def _orthonormal(columns: Vector) -> Vector:
+    """Return an orthonormal basis of the columns' range."""
+    if not columns.shape[1]:
+        return columns
+    U, values, _ = np.linalg.svd(columns, full_matrices=False)
+    basis: Vector = U[:, values > 0.5]
+    return basis
 
 
 def _contact_forces(
-    system: TornSystem,
-    kernels: Sequence[Vector],
-    coarse_space: CoarseSpace,
-    supports: Projector,
-    e: Vector,
-    norm: float,
+    system: TornSystem, kernels: Sequence[Vector], coarse_space: CoarseSpace, group: _Group
 ) -> Vector:
-    """Return least-norm nonnegative multipliers that balance the load on the free motions."""
+    """Return least-norm nonnegative contact multipliers that balance the load on a group."""
     constraints = coarse_space.constraints
-    # the ranks' columns side by side: as many as contact rows, not as unknowns
-    held = (coarse_space.contact.T @ supports.free).T
-    owned = constraints.owned_inequalities
-    columns = coarse_space.comm.allgather(held[:, :owned])
-    first = sum(part.shape[1] for part in columns[: coarse_space.comm.rank])
-    C, d = np.concatenate(columns, axis=1), supports.free.T @ e
-
-    if np.linalg.norm(d) <= NO_WORK * norm:
-        return np.zeros(constraints.inequality.size)
-    forces, residual = least_norm_nonnegative(C, d)
-    if np.linalg.norm(residual) > NO_WORK * norm:
-        _raise_unresisted(system, kernels, coarse_space.own_part(supports.free @ residual))
     multipliers = np.zeros(constraints.size)
-    multipliers[constraints.inequality[:owned]] = forces[first : first + owned]
-    shared: Vector = constraints.layout.sum(multipliers)[constraints.inequality]
-    return shared
+    if np.linalg.norm(group.work) <= NO_WORK * group.force:
+        return multipliers
+    # the ranks' columns side by side: as many as contact rows, not as unknowns
+    owned = constraints.inequality[: constraints.owned_inequalities]
+    columns = coarse_space.comm.allgather(coarse_space.moved_rows(group.motions)[owned].T)
+    first = sum(part.shape[1] for part in columns[: coarse_space.comm.rank])
+    forces, residual = least_norm_nonnegative(np.concatenate(columns, axis=1), group.work)
+    if np.linalg.norm(residual) > NO_WORK * group.force:
+        _raise_unresisted(system, kernels, coarse_space, group.motions @ residual)
+    multipliers[owned] = forces[first : first + owned.size]
+    return constraints.layout.sum(multipliers)
 
 
-def least_norm_nonnegative(C: Vector, d: Vector) -> tuple[Vector, Vector]:
-    """Minimise 1/2 ||x||^2 subject to Cx = d and x >= o, by a semismooth Newton method on the dual.
-
-    Parameters
-    ----------
-    C : (r, n) array
-        Few rows.
-    d : (r,) array
-        Right-hand side.
-
-    Returns
-    -------
-    x : (n,) array
-        The solution; if there is none, a minimiser of ||Cx - d||.
-    residual : (r,) array
-        d - Cx. Where it is not zero it certifies that there is no solution: C'residual <= o and
-        d'residual > 0.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> x, residual = least_norm_nonnegative(np.array([[1.0, 1.0, -1.0]]), np.array([2.0]))
-    >>> x.round(12).tolist(), residual.round(12).tolist()
-    ([1.0, 1.0, 0.0], [0.0])
-    """
-    y = np.zeros(d.size)
-    tolerance = 1e-11 * np.linalg.norm(d)
-
-    def value(y: Vector) -> float:
-        return 0.5 * float(np.sum(np.maximum(C.T @ y, 0.0) ** 2)) - float(d @ y)
-
-    for step in range(100):
-        x = np.maximum(C.T @ y, 0.0)
-        gradient = C @ x - d
-        if np.linalg.norm(gradient) <= tolerance:
-            return x, -gradient
-        support = C[:, x > 0.0] if step else C
-        H = support @ support.T
-        # where the support leaves the Hessian singular; fades as the gradient does
-        damping = min(1e-3, np.linalg.norm(gradient) / np.linalg.norm(d))
-        H += damping * np.trace(C @ C.T) / d.size * np.eye(d.size)
-        p = np.linalg.solve(H, -gradient)
-        slope, length = float(gradient @ p), 1.0
-        # near the solution the decrease drowns in rounding
-        limit = value(y) + 1e-12 * abs(value(y))
-        while value(y + length * p) > limit + 1e-4 * length * slope and length > 1e-12:
-            length *= 0.5
-        y = y + length * p
-    # no solution, or one that rounding hides: the basic solution decides, with a certificate
-    x = nnls(C, d, maxiter=10 * C.shape[1])[0]
-    return x, d - C @ x
-
-
-def _raise_unresisted(system: TornSystem, kernels: Sequence[Vector], own_motion: Vector) -> None:
+def _raise_unresisted(
+    system: TornSystem, kernels: Sequence[Vector], coarse_space: CoarseSpace, z: Vector
+) -> None:
+    own_motion = coarse_space.own_part(coarse_space.coarse_motions(z))
     motions = describe_body_motion(system, kernels, own_motion)
     raise UnresistedMotion(
         "the load does work on a rigid motion that no support and no contact resists (11.16): "

@@ -6,7 +6,7 @@ dual problem, of the active ones for a face of it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,29 @@ Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 
+# factor on the diagonal of GG' for pinned motions that are weakly resisted
+_FIRMLY = 1e8
+
+
+@dataclass(frozen=True)
+class WeakMotions:
+    """Motions that the rows resist so weakly that GG', which squares G, does not show it.
+
+    They are pinned in the factored matrix A, and return as a correction of its inverse:
+    (GG')^+ = A^{-1} + Z Z' and Q = G'A^{-1}G + W W'.
+
+    Attributes
+    ----------
+    motions : (coarse, k) array
+        Z.
+    rows : (m, k) array
+        W = G'Z on all rows that this rank holds; on the projector's rows orthonormal.
+    """
+
+    motions: Vector
+    rows: Vector
+
+
 @dataclass(frozen=True)
 class Projector:
     """Q = G'(GG')^+ G and P = I - Q for the equality rows and some contact rows.
@@ -34,14 +57,20 @@ class Projector:
         The rows of B that are meant; all others of a multiplier count as zero.
     free : (coarse, k) array
         Orthonormal basis of the kernel of GG': rigid motions that these rows do not resist.
+    free_bodies : (modes * bodies, k) array
+        The same as motions of bodies, see `BodyMotions`.
     factor : CoarseFactor or None
         That of GG'; None where no subdomain can move.
+    weak : WeakMotions or None
+        Motions that are resisted too weakly for the factor.
     """
 
     coarse_space: CoarseSpace
     rows: Mask
     free: Vector
+    free_bodies: Vector
     factor: CoarseFactor | None
+    weak: WeakMotions | None = None
 
     @staticmethod
     def build(coarse_space: CoarseSpace, active: Mask | None = None) -> Projector:
@@ -58,21 +87,46 @@ class Projector:
         chosen = np.ones(constraints.inequality.size, dtype=bool) if active is None else active
         rows = constraints.equality
         rows[constraints.inequality] = chosen
-        free = coarse_space.unresisted(chosen)
+        z, weak = coarse_space.weakly_resisted(rows)
+        free = np.linalg.qr(coarse_space.coarse_motions(z))[0]
         contact = coarse_space.contact[:, np.flatnonzero(chosen)]
         layout = coarse_space.layout
         gram = coarse_space.equality + layout.rows((contact[layout.own] @ contact.T).tocsr())
-        if free.shape[1]:
+        pinned = np.column_stack([free, coarse_space.coarse_motions(weak)])
+        if pinned.shape[1]:
             # without any row the matrix is zero
             stiffness = layout.largest_diagonal(gram) or 1.0
-            gram = layout.add_to_diagonal(gram, _pinned_unknowns(free), stiffness)
-        return Projector(coarse_space, rows, free, layout.factor(gram) if layout.size else None)
+            # pinned so firmly that what resists a weak motion is rounding beside it
+            firmly = _FIRMLY if weak.shape[1] else 1.0
+            gram = layout.add_to_diagonal(gram, _pinned_unknowns(pinned), firmly * stiffness)
+        factor = layout.factor(gram) if layout.size else None
+        projector = Projector(coarse_space, rows, free, z, factor)
+        return projector._with_weak_motions(weak) if weak.shape[1] else projector
+
+    def _with_weak_motions(self, z: Vector) -> Projector:
+        """Return the projector that knows of motions z of bodies, which its factor pins."""
+        coarse_space, space = self.coarse_space, self.coarse_space.constraints.layout.space
+        # Z = (I - A^{-1} GG') T z, W = G'Z; what T z does to the rows is known without rounding
+        moved = coarse_space.moved_rows(z)
+        follow = np.column_stack([self.coefficients(column) for column in moved.T])
+        W = moved - np.column_stack([coarse_space.prolong(column) for column in follow.T])
+        owned = np.flatnonzero(self.rows[: coarse_space.constraints.layout.owned])
+        gram = space.sum_over_ranks(W[owned].T @ W[owned])
+        # Z and W times U^{-1} with W'W = U'U
+        inverse = np.linalg.inv(np.linalg.cholesky(gram)).T
+        weak = WeakMotions((coarse_space.coarse_motions(z) - follow) @ inverse, W @ inverse)
+        return replace(self, weak=weak)
 
     # -- coarse vectors that every rank has whole -------------------------------------------------
 
     def solve(self, coarse: Vector) -> Vector:
         """Return (GG')^+ applied to a coarse vector in the range of G."""
-        return coarse if self.factor is None else self.factor.solve(coarse)
+        if self.factor is None:
+            return coarse
+        solution = self.factor.solve(coarse)
+        if self.weak is not None:
+            solution = solution + self.weak.motions @ (self.weak.motions.T @ coarse)
+        return solution
 
     def without_free_motions(self, coarse: Vector) -> Vector:
         """Return a coarse vector without its part in the motions that the rows do not resist."""
@@ -81,11 +135,33 @@ class Projector:
 
     def coefficients(self, x: Vector) -> Vector:
         """Return (GG')^+ G x."""
-        return self.solve(self.coarse_space.restrict(self.on_rows(x)))
+        coarse = self.coarse_space.restrict(self.on_rows(x))
+        if self.factor is None:
+            return coarse
+        solution = self.factor.solve(coarse)
+        if self.weak is not None:
+            solution = solution + self.weak.motions @ self._weak_part(x)
+        return solution
 
     def expand(self, coarse: Vector) -> Vector:
         """Return G' applied to a coarse vector."""
         return self.on_rows(self.coarse_space.prolong(coarse))
+
+    def least_norm(self, coarse: Vector) -> Vector:
+        """Return G'(GG')^+ applied to a coarse vector: the smallest x on the rows with Gx = it."""
+        if self.factor is None:
+            return self.expand(coarse)
+        x = self.coarse_space.prolong(self.factor.solve(coarse))
+        if self.weak is not None:
+            x = x + self.weak.rows @ (self.weak.motions.T @ coarse)
+        return self.on_rows(x)
+
+    def _weak_part(self, x: Vector) -> Vector:
+        """Return W'x."""
+        assert self.weak is not None
+        layout = self.coarse_space.constraints.layout
+        part = self.weak.rows[: layout.owned].T @ self.on_rows(x)[: layout.owned]
+        return layout.space.sum_over_ranks(part)
 
     # -- multipliers ------------------------------------------------------------------------------
 
@@ -95,7 +171,11 @@ class Projector:
 
     def Q(self, x: Vector) -> Vector:
         """Return Qx = G'(GG')^+ Gx."""
-        return self.expand(self.coefficients(x))
+        if self.factor is None or self.weak is None:
+            return self.expand(self.coefficients(x))
+        coarse = self.factor.solve(self.coarse_space.restrict(self.on_rows(x)))
+        motion = self.coarse_space.prolong(coarse) + self.weak.rows @ self._weak_part(x)
+        return self.on_rows(motion)
 
     def P(self, x: Vector) -> Vector:
         """Return Px = x - Qx."""
@@ -122,7 +202,11 @@ class Projector:
             return np.zeros_like(x), np.zeros_like(x)
         own, others = self.factor.solve_own(self.coarse_space.restrict_own(self.on_rows(x)))
         part = self.on_rows(self.coarse_space.prolong_own(own))
-        return part, part + self.on_rows(self.coarse_space.others.T @ others)
+        Qx = part + self.on_rows(self.coarse_space.others.T @ others)
+        if self.weak is not None:
+            weak = self.on_rows(self.weak.rows @ self._weak_part(x))
+            part, Qx = part + self.coarse_space.constraints.layout.owned_part(weak), Qx + weak
+        return part, Qx
 
     def remove_rigid_motion(self, part: Vector, x: Vector) -> tuple[Vector, float]:
         """Return y - G'a with the rigid motions a = (GG')^+ Gy, and x'y; one exchange.
@@ -150,13 +234,21 @@ class Projector:
         if self.factor is None:
             return np.zeros_like(part), float(sum_over_ranks(numbers).sum())
         chosen = self.on_rows(part)
+        if self.weak is not None:
+            numbers = np.append(self.weak.rows.T @ chosen, numbers)
         own, numbers = self.factor.solve_sum(
             self.coarse_space.restrict_own(chosen), self.coarse_space.others @ chosen, numbers
         )
         if resisted and self.free.shape[1]:
             free = self.coarse_space.own_part(self.free)
             own = own - free @ sum_over_ranks(free.T @ own)
-        return self.coarse_space.prolong_own(own), float(numbers.sum())
+        motion = self.coarse_space.prolong_own(own)
+        if self.weak is not None:
+            k = self.weak.rows.shape[1]
+            layout = self.coarse_space.constraints.layout
+            motion = motion + layout.owned_part(self.weak.rows @ numbers[:k])
+            numbers = numbers[k:]
+        return motion, float(numbers.sum())
 
     def _sum(self, part: Vector) -> Vector:
         return self.coarse_space.constraints.layout.sum(part)

@@ -193,26 +193,35 @@ class CoarseSpace:
         places: Numbers = self.ends[congruent.members][:, None] + np.arange(modes)
         return places
 
-    def unresisted(self, active: Mask) -> Vector:
-        """Return the rigid motions of bodies that the equality and some contact rows do not resist.
+    def weakly_resisted(self, rows: Mask) -> tuple[Vector, Vector]:
+        """Return the rigid motions of bodies that some rows resist not at all, and weakly.
 
         Parameters
         ----------
-        active : (i,) bool array
-            The contact rows.
+        rows : (m,) bool array
+            The rows of B.
 
         Returns
         -------
-        (coarse, k) array
-            Orthonormal basis of the kernel of these rows' G'.
+        free, weak : (modes * bodies, k) array
+            Orthonormal motions z, see `BodyMotions`: those without resistance, and those whose
+            resistance, squared in GG', would be lost to rounding.
         """
-        chosen = np.flatnonzero(active[: self.constraints.owned_inequalities])
-        resisted = self.bodies.contact[:, chosen]
-        sum_over_ranks = self.constraints.layout.space.sum_over_ranks
-        gram = sum_over_ranks((resisted @ resisted.T).toarray()) + self.bodies.held
-        resistance, motions = np.linalg.eigh(gram)
-        free: Vector = self.bodies.basis @ motions[:, resistance <= UNRESISTED]
-        return np.linalg.qr(free)[0]
+        space = self.constraints.layout.space
+        owned = self.constraints.layout.owned
+        resistance, z = self.bodies.resistance(rows, owned, space.sum_over_ranks)
+        unresisted = resistance <= max(UNRESISTED, self.bodies.rounding)
+        return z[:, unresisted], z[:, ~unresisted]
+
+    def coarse_motions(self, z: Vector) -> Vector:
+        """Return the coarse vectors of motions z of bodies."""
+        coarse: Vector = self.bodies.basis @ z
+        return coarse
+
+    def moved_rows(self, z: Vector) -> Vector:
+        """Return B R T z on the rows that this rank holds, without traces of rounding."""
+        moved: Vector = self.constraints.row_lengths[:, None] * (self.bodies.moved @ z)
+        return moved
 
 
 def _packed_kernels(

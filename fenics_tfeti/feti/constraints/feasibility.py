@@ -1,0 +1,114 @@
+"""Contact conditions that contradict each other although no two of them are opposite.
+
+Elastic bodies can fulfil any conditions whose rows are linearly independent. Rows that share nodes
+may depend on each other: three walls around one node, say. By Farkas' lemma such conditions have no
+common solution if there are forces lambda >= o with B'lambda = o and c'lambda < 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.feti.tolerances import PARALLEL, SAME_VALUE
+from fenics_tfeti.parallel import concatenate_ranks
+from fenics_tfeti.qp import nonnegative_least_squares
+
+__all__ = ["check_conditions", "contradiction"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+
+def check_conditions(system: TornSystem, constraints: Constraints, c: Vector) -> None:
+    """Check that the contact conditions and the prescribed displacements have a common solution.
+
+    Parameters
+    ----------
+    system : TornSystem
+        Contacts, and names for the message.
+    constraints : Constraints
+        B.
+    c : (m,) array
+        Right-hand sides of the constraints.
+
+    Raises
+    ------
+    InputError
+        On all ranks, naming the contacts and the slave nodes.
+    """
+    coupling = constraints.coupling
+    if not constraints.dependent:
+        return
+    # the coupled rows are few: every rank has all of them
+    gaps = np.zeros(coupling.numbers.size)
+    owned = coupling.rows < constraints.layout.owned
+    gaps[coupling.positions[owned]] = c[coupling.rows[owned]]
+    gaps = system.comm.allreduce(gaps)
+    gram = coupling.gram.tocsr()
+    blocks, block = connected_components(gram, directed=False)
+    for b in range(blocks):
+        members = np.flatnonzero(block == b)
+        found = contradiction(gram[members][:, members].toarray(), gaps[members])
+        if found.size:
+            _raise(system, constraints, coupling.numbers[members[found]])
+
+
+def contradiction(W: Vector, gaps: Vector) -> Numbers:
+    """Return rows of B_I u <= c that have no common solution; none if all of them have one.
+
+    Parameters
+    ----------
+    W : (k, k) array
+        Gram matrix of the rows, which have unit length.
+    gaps : (k,) array
+        c.
+
+    Examples
+    --------
+    The normals of three walls, and a triangle between them that vanishes or is turned inside out.
+
+    >>> import numpy as np
+    >>> W = np.array([[1.0, -0.5, -0.5], [-0.5, 1.0, -0.5], [-0.5, -0.5, 1.0]])
+    >>> [contradiction(W, np.full(3, gap)).tolist() for gap in (0.1, 0.0, -0.1)]
+    [[], [], [0, 1, 2]]
+    """
+    size = float(np.abs(gaps).max(initial=0.0))
+    # gaps that contradict each other by rounding only leave a single point
+    gaps = gaps + SAME_VALUE * size
+    violation = float((-gaps).max(initial=0.0))
+    if violation == 0.0:
+        return np.zeros(0, dtype=np.int64)
+    values, vectors = np.linalg.eigh(W)
+    there = values > PARALLEL
+    rows = np.sqrt(values[there]) * vectors[:, there]
+    # Farkas: forces with sum of rows o and c'lambda = -violation
+    A = np.vstack([rows.T, gaps / violation])
+    b = np.append(np.zeros(rows.shape[1]), -1.0)
+    forces = nonnegative_least_squares(A, b)
+    if np.linalg.norm(A @ forces - b) > np.sqrt(PARALLEL):
+        return np.zeros(0, dtype=np.int64)
+    found: Numbers = np.flatnonzero(forces > SAME_VALUE * forces.max())
+    return found
+
+
+def _raise(system: TornSystem, constraints: Constraints, numbers: Numbers) -> None:
+    """Raise the error; rows are named by the ranks that gave them."""
+    contacts, own = system.contacts, constraints.own_rows
+    given = np.flatnonzero(own >= 0)
+    mine = given[np.isin(constraints.layout.numbers[own[given]], numbers)]
+    nodes = np.unique(concatenate_ranks(system.comm, contacts.slave[mine]))
+    which = np.unique(concatenate_ranks(system.comm, contacts.contact[mine]))
+    names = [
+        system.contact_names[i] if i < len(system.contact_names) else f"contact {i}" for i in which
+    ]
+    raise InputError(
+        f"contact conditions and prescribed displacements contradict each other: {numbers.size} "
+        f"conditions of {', '.join(names)} at the slave nodes {nodes[:6].tolist()} (global "
+        "numbers) leave no place for these nodes. Check gaps and normals, make more room, or take "
+        "the nodes out of one of the contacts"
+    )

@@ -1,0 +1,212 @@
+"""Small dense least squares problems with signs: rigid motions against contact conditions.
+
+After Lawson and Hanson, Solving Least Squares Problems, chapter 23. Rows and columns may be of any
+length, also zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["least_distance", "least_norm_nonnegative", "nonnegative_least_squares"]
+
+Vector = NDArray[np.float64]
+
+# cosine of the angle between a column and the residual that counts as a right angle
+_ORTHOGONAL = 1e-12
+# ||b - Ax|| / ||b|| that counts as zero
+_ROUNDING = 1e-15
+# ||d - Cx|| / ||d|| with which Newton's method ends
+_NEWTON = 1e-11
+# 1 / sqrt(1 + z'z), z in units of the largest violation, below which no z fulfils the conditions
+_NO_SOLUTION = 1e-12
+
+
+def nonnegative_least_squares(A: Vector, b: Vector) -> Vector:
+    """Minimise ||Ax - b|| subject to x >= o.
+
+    Parameters
+    ----------
+    A : (r, n) array
+        Columns of any length; those of length zero get x = 0.
+    b : (r,) array
+        Right-hand side.
+
+    Returns
+    -------
+    (n,) array
+        A basic solution.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> nonnegative_least_squares(np.array([[1e-9, 0.0, -1.0]]), np.array([2e-9])).round(9).tolist()
+    [2.0, 0.0, 0.0]
+    """
+    x = np.zeros(A.shape[1])
+    lengths, size = _lengths(A.T), float(_lengths(b[None])[0])
+    there = np.flatnonzero(lengths)
+    if there.size == 0 or size == 0.0:
+        return x
+    x[there] = size * _lawson_hanson(A[:, there] / lengths[there], b / size) / lengths[there]
+    return x
+
+
+def _lawson_hanson(A: Vector, b: Vector) -> Vector:
+    """Minimise ||Ax - b|| subject to x >= o, for columns and b of unit length (23.10)."""
+    x, passive = np.zeros(A.shape[1]), np.zeros(0, dtype=np.int64)
+    residual, barred = b, np.zeros(A.shape[1], dtype=bool)
+    for _ in range(10 * sum(A.shape)):
+        size = float(np.linalg.norm(residual))
+        descent = np.where(barred, 0.0, A.T @ residual)
+        descent[passive] = 0.0
+        new = int(np.argmax(descent))
+        # a column that is orthogonal to the residual but for rounding is no help
+        if size <= _ROUNDING or descent[new] <= _ORTHOGONAL * size:
+            break
+        tried, columns = _feasible_step(A, b, x, np.append(passive, new))
+        left = b - A @ tried
+        if np.linalg.norm(left) < size:
+            x, passive, residual = tried, columns, left
+            barred[:] = False
+        else:
+            # by rounding; another column may help
+            barred[new] = True
+    return x
+
+
+def _feasible_step(
+    A: Vector, b: Vector, x: Vector, passive: NDArray[np.int64]
+) -> tuple[Vector, NDArray[np.int64]]:
+    """Go from x >= o towards the minimiser over some columns; those that reach zero leave."""
+    x = x.copy()
+    while passive.size:
+        step = np.linalg.lstsq(A[:, passive], b, rcond=None)[0]
+        falling = step <= 0.0
+        if not falling.any():
+            x[passive] = step
+            break
+        fall = (x[passive] - step)[falling]
+        way = np.divide(x[passive][falling], fall, out=np.zeros(fall.size), where=fall > 0.0)
+        x[passive] += way.min() * (step - x[passive])
+        leaving = passive[falling][way <= way.min()]
+        x[leaving] = 0.0
+        passive = passive[~np.isin(passive, leaving)]
+    return x, passive
+
+
+def _lengths(rows: Vector) -> Vector:
+    """Return the norms of rows without underflow."""
+    largest = np.abs(rows).max(axis=1, initial=0.0)
+    safe = np.where(largest > 0.0, largest, 1.0)
+    lengths: Vector = largest * np.linalg.norm(rows / safe[:, None], axis=1)
+    return lengths
+
+
+def least_norm_nonnegative(C: Vector, d: Vector) -> tuple[Vector, Vector]:
+    """Minimise 1/2 ||x||^2 subject to Cx = d and x >= o, by a semismooth Newton method on the dual.
+
+    Parameters
+    ----------
+    C : (r, n) array
+        Few rows.
+    d : (r,) array
+        Right-hand side.
+
+    Returns
+    -------
+    x : (n,) array
+        The solution; if there is none, a minimiser of ||Cx - d||.
+    residual : (r,) array
+        d - Cx. Where it is not zero it certifies that there is no solution: C'residual <= o and
+        d'residual > 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x, residual = least_norm_nonnegative(np.array([[1.0, 1.0, -1.0]]), np.array([2.0]))
+    >>> x.round(12).tolist(), residual.round(12).tolist()
+    ([1.0, 1.0, 0.0], [0.0])
+    """
+    size, stiffness = float(_lengths(d[None])[0]), float(_lengths(C.reshape(1, -1))[0])
+    if size == 0.0 or stiffness == 0.0:
+        return np.zeros(C.shape[1]), d.copy()
+    unit, target = C / stiffness, d / size
+    found = _newton(unit, target)
+    if found is None:
+        # no solution, or one that rounding hides: the basic solution decides, with a certificate
+        found = nonnegative_least_squares(unit, target)
+    return found * (size / stiffness), size * (target - unit @ found)
+
+
+def _newton(C: Vector, d: Vector) -> Vector | None:
+    """Return x = max(C'y, o) with Cx = d, for C and d of unit length; None if none is found."""
+    y = np.zeros(d.size)
+
+    def value(y: Vector) -> float:
+        return 0.5 * float(np.sum(np.maximum(C.T @ y, 0.0) ** 2)) - float(d @ y)
+
+    for step in range(100):
+        x = np.maximum(C.T @ y, 0.0)
+        gradient = C @ x - d
+        size = float(np.linalg.norm(gradient))
+        if not np.isfinite(size):
+            return None
+        if size <= _NEWTON:
+            return x
+        support = C[:, x > 0.0] if step else C
+        # damped where the support leaves the Hessian singular; fades as the gradient does
+        damping = min(1e-3, size) / d.size
+        H = support @ support.T + damping * np.eye(d.size)
+        p = np.linalg.solve(H, -gradient)
+        slope, length = float(gradient @ p), 1.0
+        # near the solution the decrease drowns in rounding
+        limit = value(y) + 1e-12 * abs(value(y))
+        while value(y + length * p) > limit + 1e-4 * length * slope and length > 1e-12:
+            length *= 0.5
+        y = y + length * p
+    return None
+
+
+def least_distance(A: Vector, b: Vector) -> Vector:
+    """Minimise ||z|| subject to Az <= b (Lawson and Hanson, 23.4).
+
+    Parameters
+    ----------
+    A : (m, k) array
+        Rows of any length; a row of length zero is the condition 0 <= b.
+    b : (m,) array
+        Right-hand sides.
+
+    Returns
+    -------
+    (k,) array
+        The solution; zeros if no z fulfils the conditions.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> z = least_distance(np.array([[-1.0, 0.0], [0.0, -2.0]]), np.array([-1.0, 4.0]))
+    >>> (z.round(12) + 0.0).tolist()
+    [1.0, 0.0]
+    """
+    none = np.zeros(A.shape[1])
+    lengths = _lengths(A)
+    if np.any((lengths == 0.0) & (b < 0.0)):
+        return none
+    there = lengths > 0.0
+    A, b = A[there] / lengths[there, None], b[there] / lengths[there]
+    # the largest violation at z = o: conditions that are far from it do not set the scale
+    scale = float((-b).max(initial=0.0))
+    if scale == 0.0:
+        return none
+    rows = np.vstack([A.T, b / scale])
+    target = np.append(none, 1.0)
+    weights = nonnegative_least_squares(-rows, target)
+    if np.linalg.norm(rows @ weights + target) <= _NO_SOLUTION:
+        return none
+    # the conditions that hold with equality say the same with less cancellation
+    active = weights > 0.0
+    z: Vector = np.linalg.lstsq(A[active], b[active], rcond=None)[0]
+    return z

@@ -1,0 +1,89 @@
+"""Which rigid motions are resisted, and whether the load works on them: one measure for both."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from torn import cube
+
+from fenics_tfeti import UnresistedMotion
+from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
+
+
+def block(load, normals_of, n: int = 2, size: float = 1.0, force: float = 1.0) -> TornSystem:
+    """Return a loose cube with rigid obstacles: `normals_of` gives the normals at a point."""
+    body = cube(n, load=load)
+    nodes, normals = [], []
+    for node, x in zip(body.nodes, body.coordinates, strict=True):
+        for normal in normals_of(x):
+            nodes.append(node)
+            normals.append(normal)
+    k = len(nodes)
+    unit = np.array(normals, float)
+    unit /= np.linalg.norm(unit, axis=1)[:, None]
+    rows = ContactRows(np.array(nodes), np.full(k, -1), unit, np.zeros(k), np.zeros(k, dtype=int))
+    body = type(body)(
+        body.stiffness * (force / size), body.load * force, body.coordinates * size, body.nodes, 0
+    )
+    return TornSystem([body], Prescribed(), rows, 3, ["block"])
+
+
+def test_a_coefficient_that_is_rounding_bears_no_load():
+    """The side walls cannot hold the block down by 3e-18 of their force."""
+
+    def walls(x):
+        ground = [(0, 0, -1)] if x[2] == 0 else []
+        left = [(-1, 0, 3e-18)] if x[0] == 0 else []
+        right = [(1, 0, 3e-18)] if x[0] == 1 else []
+        return ground + left + right
+
+    with pytest.raises(UnresistedMotion, match=r"block: translation along \(0, 0, 1\)"):
+        TornSolver(block((0, 0, 1.0), walls))
+
+
+@pytest.mark.parametrize("tilt", [1e-3, 1e-5, 1e-7])
+@pytest.mark.parametrize("method", ["active_set", "smalbe"])
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e3])
+def test_a_flat_valley_bears_the_load(tilt, method, size):
+    """The ground slopes by `tilt` to one side or the other; the load leans by a tenth of it."""
+
+    def valley(x):
+        corner = np.count_nonzero(x[:2] == 0.5) == 0
+        return [(tilt if corner else -tilt, 0, -1)] if x[2] == 0 else []
+
+    system = block((0.1 * tilt, 0, -1.0), valley, size=size, force=size**2)
+    solution = TornSolver(system, Options(rtol=1e-6, method=method)).solve()
+    force = solution.normal_force[:, None] * system.contacts.normal
+    np.testing.assert_allclose(force.sum(axis=0)[2], -size**2, rtol=1e-5)
+    np.testing.assert_allclose(force.sum(axis=0)[0], 0.1 * tilt * size**2, rtol=1e-2)
+
+
+@pytest.mark.parametrize("n", [1, 2, 6])
+@pytest.mark.parametrize("lean", [1e-6, 1e-3])
+def test_a_plane_bears_no_load_that_leans(n, lean):
+    def plane(x):
+        return [(0, 0, -1)] if x[2] == 0 else []
+
+    with pytest.raises(UnresistedMotion, match=r"block: translation along \(1, 0, 0\)"):
+        TornSolver(block((lean, 0, -1.0), plane, n))
+
+
+def test_a_small_load_beside_a_large_one_is_noticed():
+    """The light cube slides although its load is rounding beside that of the other."""
+    systems = [block((0, 0, -1e12), lambda x: [(0, 0, -1)] if x[2] == 0 else [])]
+    light = cube(2, (5, 0, 0), body=1, first=10**9, load=(1.0, 0, -1.0))
+    bottom = light.nodes[light.coordinates[:, 2] == 0]
+    k = bottom.size
+    first = systems[0].contacts
+    rows = ContactRows(
+        np.concatenate([first.slave, bottom]),
+        np.full(first.slave.size + k, -1),
+        np.concatenate([first.normal, np.tile([0.0, 0.0, -1.0], (k, 1))]),
+        np.zeros(first.slave.size + k),
+        np.zeros(first.slave.size + k, dtype=int),
+    )
+    system = TornSystem(
+        [systems[0].subdomains[0], light], Prescribed(), rows, 3, ["heavy", "light"]
+    )
+    with pytest.raises(UnresistedMotion, match=r"light: translation along \(1, 0, 0\)"):
+        TornSolver(system)

@@ -1,0 +1,79 @@
+"""Contact conditions and prescribed displacements without a common solution are an error."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+from torn import cube
+
+from fenics_tfeti import InputError
+from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti.constraints.feasibility import contradiction
+
+
+NODE = 2 * 1000 * 1000 + 2 * 1000 + 2
+X, Y, Z = np.eye(3)
+
+
+def conditions(*rows) -> ContactRows:
+    """Make rows (normal, gap) of a node against rigid obstacles."""
+    normal, gap = zip(*rows, strict=True)
+    k = len(rows)
+    unit = np.array(normal, float) / np.linalg.norm(normal, axis=1)[:, None]
+    return ContactRows(np.full(k, NODE), np.full(k, -1), unit, np.array(gap, float), np.arange(k))
+
+
+def held_cubes(contacts: ContactRows, z: float | None = None) -> TornSystem:
+    """Two glued cubes held at one face; the node may have a prescribed z displacement."""
+    cubes = [cube(2), cube(2, (1, 0, 0))]
+    face = cubes[0].nodes[cubes[0].coordinates[:, 0] == 0]
+    nodes, components = np.repeat(face, 3), np.tile([0, 1, 2], face.size)
+    values = np.zeros(nodes.size)
+    if z is not None:
+        nodes, components = np.append(nodes, NODE), np.append(components, 2)
+        values = np.append(values, z)
+    return TornSystem(cubes, Prescribed(nodes, components, values), contacts, 3)
+
+
+def walls(gap: float) -> ContactRows:
+    """Three walls around a node, 120 degrees apart."""
+    normals = [X, -0.5 * X + 0.75**0.5 * Y, -0.5 * X - 0.75**0.5 * Y]
+    return conditions(*((n, gap) for n in normals))
+
+
+@pytest.mark.parametrize("method", ["active_set", "smalbe"])
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e3])
+def test_walls_turned_inside_out_are_named(method, size):
+    with pytest.raises(InputError, match=f"contradict each other.*contact 0.*{NODE}"):
+        TornSolver(held_cubes(walls(-0.01 * size)), Options(method=method)).solve()
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-3])
+def test_walls_that_leave_room_do_not(gap):
+    assert TornSolver(held_cubes(walls(gap))).solve().report.converged
+
+
+def test_prescribed_displacement_into_a_wedge():
+    """The walls leave x <= -|y|, and the third one x >= 0.1 z - 0.014."""
+    rows = conditions((X + Y, 0.0), (X - Y, 0.0), (-X + 0.1 * Z, 0.014))
+    assert TornSolver(held_cubes(rows, 0.1)).solve().report.converged
+    with pytest.raises(InputError, match="prescribed displacements contradict"):
+        TornSolver(held_cubes(rows, 0.2))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_contradiction_is_that_of_a_linear_programme(seed):
+    rng = np.random.default_rng(seed)
+    rows = rng.standard_normal((rng.integers(2, 9), 3))
+    rows /= np.linalg.norm(rows, axis=1)[:, None]
+    gaps = rng.standard_normal(len(rows)) * 10.0 ** rng.uniform(-9, 9)
+    found = contradiction(rows @ rows.T, gaps)
+    scale = np.abs(gaps).max()
+
+    def feasible(at):
+        return linprog(np.zeros(3), rows[at], gaps[at] / scale, bounds=(None, None)).success
+
+    assert feasible(np.arange(len(rows))) == (found.size == 0)
+    if found.size:
+        assert not feasible(found)

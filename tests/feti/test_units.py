@@ -1,0 +1,107 @@
+"""The same problem in other units takes the same iterations; a load on supports moves nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from torn import column, cube
+
+from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
+
+METHODS = pytest.mark.parametrize("method", ["active_set", "smalbe"])
+
+
+def in_units(system: TornSystem, force: float, length: float) -> TornSystem:
+    """Return the system with forces and lengths in other units; stiffness is force over length."""
+    subdomains = [
+        dataclasses.replace(
+            s,
+            stiffness=s.stiffness * (force / length),
+            load=s.load * force,
+            coordinates=s.coordinates * length,
+        )
+        for s in system.subdomains
+    ]
+    contacts = dataclasses.replace(system.contacts, gap=system.contacts.gap * length)
+    prescribed = dataclasses.replace(system.prescribed, values=system.prescribed.values * length)
+    return dataclasses.replace(
+        system, subdomains=subdomains, contacts=contacts, prescribed=prescribed
+    )
+
+
+def column_with_gap() -> TornSystem:
+    """The upper cube is pushed down over a gap."""
+    system = column(load=(0.1, 0, -1.0))
+    gap = np.linspace(0.0, 0.1, system.contacts.gap.size)
+    return dataclasses.replace(system, contacts=dataclasses.replace(system.contacts, gap=gap))
+
+
+def squeezed_column() -> TornSystem:
+    system = column(load=(0, 0, 0))
+    upper = system.subdomains[-1]
+    top = upper.nodes[np.isclose(upper.coordinates[:, 2], 3)]
+    held = system.prescribed
+    prescribed = Prescribed(
+        np.concatenate([held.nodes, top]),
+        np.concatenate([held.components, np.full(top.size, 2)]),
+        np.concatenate([held.values, np.full(top.size, -0.05)]),
+    )
+    return dataclasses.replace(system, prescribed=prescribed)
+
+
+@METHODS
+@pytest.mark.parametrize("preconditioner", ["none", "lumped"])
+@pytest.mark.parametrize("problem", [column, column_with_gap, squeezed_column])
+def test_units_do_not_matter(problem, method, preconditioner):
+    counts = []
+    for force in (1e-12, 1.0, 1e12):
+        for length in (1e-9, 1.0, 1e3):
+            system = in_units(problem(), force, length)
+            options = Options(method=method, preconditioner=preconditioner)
+            report = TornSolver(system, options).solve().report
+            counts.append(report.products["total"])
+    assert max(counts) <= min(counts) + 1
+
+
+@METHODS
+@pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])
+def test_a_load_on_held_nodes_moves_nothing(method, size):
+    system = column(load=(0, 0, 0))
+    lower = system.subdomains[0]
+    load = np.where(np.repeat(lower.coordinates[:, 2] == 0, 3), size, 0.0)
+    lower = dataclasses.replace(lower, load=load)
+    system = dataclasses.replace(system, subdomains=[lower, *system.subdomains[1:]])
+    solution = TornSolver(system, Options(method=method)).solve()
+    assert not any(u.any() for u in solution.displacements)
+    assert solution.report.converged and solution.report.products["total"] == 0
+
+
+@METHODS
+def test_a_load_that_nodes_on_both_sides_of_glue_share_out_moves_nothing(method):
+    """Copies of the nodes between two subdomains are loaded against each other."""
+    system = column(load=(0, 0, 0))
+    first, second = system.subdomains[:2]
+    up = np.where(np.repeat(first.coordinates[:, 2] == 1, 3), 1.0, 0.0)
+    down = np.where(np.repeat(second.coordinates[:, 2] == 1, 3), -1.0, 0.0)
+    subdomains = [
+        dataclasses.replace(first, load=up),
+        dataclasses.replace(second, load=down),
+        system.subdomains[2],
+    ]
+    solution = TornSolver(
+        dataclasses.replace(system, subdomains=subdomains), Options(method=method)
+    ).solve()
+    assert not any(u.any() for u in solution.displacements)
+
+
+def test_a_loose_cube_without_load_stays_where_it_is():
+    body = cube(2)
+    bottom = body.nodes[body.coordinates[:, 2] == 0]
+    k = bottom.size
+    rows = ContactRows(
+        bottom, np.full(k, -1), np.tile([0.0, 0, -1.0], (k, 1)), np.zeros(k), np.zeros(k, dtype=int)
+    )
+    solution = TornSolver(TornSystem([body], Prescribed(), rows, 3)).solve()
+    assert not solution.displacements[0].any()
