@@ -12,6 +12,7 @@ from mistakes import MISTAKES
 from scenes import two_beams
 
 import fenics_tfeti
+from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 
 
@@ -96,3 +97,27 @@ def test_not_converged_gets_better_with_the_limit():
         )
         errors.append(np.linalg.norm(problem.solve().x.array - exact))
     assert errors[0] > errors[1] > errors[2]
+
+
+@pytest.mark.parametrize(
+    ("point", "written"),
+    [
+        ((0.5, 1.0, 0.0), "(0.5, 1, 0)"),
+        ((1.38777878e-17, 0.25), "(0, 0.25)"),
+        ((-1e-17, 1.0), "(0, 1)"),
+        ((1 / 3, 2 / 3, 1.0), "(0.333333, 0.666667, 1)"),
+        ((1.5e-9, 1e-9, 1e-25), "(1.5e-09, 1e-09, 0)"),
+        ((123456.7, 2e-3), "(123457, 0)"),
+        ((2e7, 0.0), "(2e+07, 0)"),
+        ((0.0, 0.0, 0.0), "(0, 0, 0)"),
+        ((np.nan, 1.0), "(nan, 1)"),
+        ((np.inf, 1.0), "(inf, 1)"),
+        ((5e-324, 0.0), "(4.94066e-324, 0)"),
+    ],
+)
+def test_point_in_a_message_has_no_rounding_errors(point, written):
+    assert format_point(np.array(point)) == written
+
+
+def test_coordinate_that_is_small_against_the_surroundings_is_zero():
+    assert format_point((1.4e-17, -3e-18), size=2.0) == "(0, 0)"
