@@ -2,22 +2,23 @@
 
 # Finer meshes
 
-How fine a mesh has to be, one finds out by solving on several. The contact of a coarse mesh also
-tells the solver nearly all that it has to find out on a finer one: which nodes press, and how much.
+A study of mesh convergence solves one problem on several meshes. The solution on a coarse mesh is
+also a good start for the solver on a finer one: it predicts which nodes are in contact, and the
+contact forces there.
 
 A rigid roller of radius R is pressed into an elastic block, in plane strain; by symmetry half of it
-is meshed. The strip of contact has about the half-width that Hertz's formula gives for a half
-space,
+is meshed. Hertz's formulas for a half space give approximately the half-width a of the contact area
+and the largest pressure p0,
 
-    a^2 = 4 F R / (pi E*),
+    a^2 = 4 F R / (pi E*),   p0 = 2 F / (pi a),
 
 where F is the force per unit length and E* = E / (1 - nu^2).
 
 This demo illustrates how to
 
 - make structured meshes of one body;
-- start a solution from that on a coarser mesh, by `solve(coarse=...)`;
-- see what that saves. Each mesh is solved without it as well, to compare.
+- start from the solution on a coarser mesh, by `solve(coarse=...)`;
+- measure what that saves: the problem on each mesh is solved without it as well.
 
 Run it by `python demos/finer_meshes.py`, or on several processes by
 `mpirun -n 2 python demos/finer_meshes.py`; it draws a picture into `results/`. All units are SI.
@@ -37,7 +38,7 @@ from dolfinx import fem
 from fenics_tfeti import ContactProblem, RigidObstacle, Sphere
 from fenics_tfeti.io import Box, boxes, displacement_space, draw_profile, tag_facets
 
-results = Path(__file__).parent.parent / "results"
+results = Path("results")
 comm = MPI.COMM_WORLD
 
 # ## Data
@@ -52,8 +53,8 @@ TOP, BOTTOM, SYMMETRY = 1, 2, 3
 
 # ## One problem
 #
-# Nothing moves across the plane of symmetry; the bottom is pushed up, against a roller that stays
-# where it is. `Sphere` is a disc in two dimensions.
+# The horizontal displacement is zero on the plane of symmetry. The bottom of the block is moved up;
+# the roller stays in place. `Sphere` is a disc in two dimensions.
 
 
 def new_problem(n):
@@ -88,14 +89,14 @@ def new_problem(n):
 
 
 def effort(report):
-    """Write products with F, applications of the preconditioner, and sets that were tried."""
+    """Format products with F, applications of the preconditioner, and active sets."""
     products = report.products
     return f"{products['total']:3d} + {products['preconditioner']:3d}, sets: {len(report.faces)}"
 
 
-# ## Finer and finer
+# ## Four meshes
 #
-# The coarse problem is what `solve` takes: it knows contact, pressures and displacements.
+# `solve` takes the solved problem of the coarser mesh, with its contact and its displacement.
 
 curves, coarse = {}, None
 for n in (16, 32, 64, 128):
@@ -113,7 +114,7 @@ for n in (16, 32, 64, 128):
             f"{problem.report.unknowns['primal']:6d} unknowns: F = {1e-3 * force:.1f} kN/m, "
             f"half-width {1e3 * x[contact.active].max():.2f} mm, Hertz {1e3 * a:.2f} mm"
         )
-        print(f"       from nothing         {effort(alone.report)}")
+        print(f"       from zero            {effort(alone.report)}")
         if coarse:
             print(f"       from the coarse mesh {effort(problem.report)}")
     curves[f"{n} x {n}"] = (1e3 * x, 1e-6 * contact.pressure, "sDo^"[len(curves)])
@@ -121,10 +122,11 @@ for n in (16, 32, 64, 128):
 
 # ## Picture
 #
-# By Hertz the pressure is p0 sqrt(1 - x^2 / a^2), with p0 = 2 F / (pi a).
+# By Hertz's formula the pressure is p0 sqrt(1 - x^2 / a^2).
 
+p0 = 2 * force / (np.pi * a)
 axis = np.linspace(0, 1.5 * a, 300)
-hertz = 2 * force / (np.pi * a) * np.sqrt(np.maximum(0, 1 - (axis / a) ** 2))
+hertz = p0 * np.sqrt(np.maximum(0, 1 - (axis / a) ** 2))
 near = {label: (x[x < 1.5e3 * a], p[x < 1.5e3 * a], s) for label, (x, p, s) in curves.items()}
 draw_profile(
     results / "finer_meshes.png",

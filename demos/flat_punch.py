@@ -1,22 +1,22 @@
-"""A rigid flat punch on an elastic half space: infinite pressure at its edge.
+"""A rigid flat punch on an elastic half space: the pressure is singular at the edge.
 
 # Flat punch
 
-A rigid punch with a flat end of radius a = 10 mm is pushed by delta = 0.1 mm into a half space. In
-contrast to a ball, its area of contact is known, but the pressure grows beyond all bounds towards
-the edge. The force and the pressure under a circular punch are
+A rigid punch with a flat end of radius a = 10 mm is pushed by delta = 0.1 mm into a half space. The
+contact area is known in advance, but the pressure is singular at its edge. The force and the
+pressure under a circular punch are
 
     F = 2 a E* delta,   p(r) = F / (2 pi a sqrt(a^2 - r^2)),   E* = E / (1 - nu^2).
 
-Under a long punch of width 2a (plane strain) with the force F' per unit of length,
+Under a long punch of width 2a (plane strain) with the force F' per unit of length it is
 
     p(x) = F' / (pi sqrt(a^2 - x^2)).
 
 This demo illustrates how to
 
-- describe an obstacle by a function of your own: how far it is from each point;
-- push by a distance: a negative gap is an obstacle that has moved into the body;
-- help the solver by a preconditioner where the elements' sizes differ much.
+- define an obstacle by a function of your own, which returns the gap and the normal at each point;
+- prescribe an approach: a negative gap is an obstacle that has moved into the body;
+- choose the lumped preconditioner for a mesh with very different element sizes.
 
 Run it by `python demos/flat_punch.py`, or on several processes by
 `mpirun -n 2 python demos/flat_punch.py`; it writes pictures and fields into `results/`. The meshes
@@ -45,7 +45,7 @@ from fenics_tfeti.io import (
 )
 
 here = Path(__file__).parent
-results = here.parent / "results"
+results = Path("results")
 comm = MPI.COMM_WORLD
 
 # ## Data
@@ -57,7 +57,7 @@ E_star = E / (1 - nu**2)
 
 # ## One solution, in two or three dimensions
 #
-# Only a half (a quarter) of the body is meshed. It ends at a distance of 200 a, where it is held.
+# Only a half (a quarter) of the body is meshed. The displacement is zero at a distance of 200 a.
 
 
 def solve(path, gdim):
@@ -79,7 +79,7 @@ def solve(path, gdim):
     a_form = ufl.inner(sigma(u), epsilon(v)) * ufl.dx
     L_form = no_load * v[0] * ufl.dx
 
-    # Nothing moves across a plane of symmetry, and nothing at all moves far away.
+    # The displacement normal to a plane of symmetry is zero.
     far = fem.locate_dofs_topological(V, gdim - 1, facet_tags.find(tags["far"]))
     bcs = [fem.dirichletbc(np.zeros(gdim), far, V)]
     for component, plane in enumerate(("symmetry_x", "symmetry_y")[: gdim - 1]):
@@ -87,8 +87,8 @@ def solve(path, gdim):
         dofs = fem.locate_dofs_topological(Vi, gdim - 1, facet_tags.find(tags[plane]))
         bcs.append(fem.dirichletbc(0.0, dofs, Vi))
 
-    # Under the punch the gap is -delta. Beside it there is nothing to touch: a gap of a, which no
-    # point will ever cross, says so. The normal points from the obstacle to the body: downwards.
+    # The gap is -delta under the punch. Beside it there is no obstacle: the gap a is larger than
+    # any displacement. The normal points from the obstacle to the body, downwards.
     def punch(x):
         r = np.linalg.norm(x[: gdim - 1], axis=0)
         gap = np.where(r < a * (1 + 1e-6), -delta, a)
@@ -105,12 +105,13 @@ def solve(path, gdim):
 
 # ## Comparison with the formulas
 #
-# All pressures relative to the mean one, F / (pi a^2) and F' / (2 a). Linear elements cannot follow
-# the pressure at the edge: the node there carries the force of its surroundings, and its neighbour
-# lacks it. F is too large for the same reason: a body of finitely many elements is too stiff,
-# mostly at the edge. Both errors become three times smaller with elements of half the size.
+# All pressures are relative to the mean pressure, F / (pi a^2) and F' / (2 a).
+#
+# Linear elements do not resolve the singularity: the contact force of the node at the edge is too
+# large, that of the next node too small. F is too large, since the discrete body is too stiff,
+# mostly at the edge. With elements of half the size both errors are three times smaller.
 
-curves = {}
+curves, errors = {}, {}
 s = np.linspace(0, 0.995, 400)
 for name, gdim, style in (("strip", 2, "s"), ("disc", 3, "o")):
     problem, uh, stress = solve(here.parent / "meshes" / f"punch_{name}.msh", gdim)
@@ -120,14 +121,14 @@ for name, gdim, style in (("strip", 2, "s"), ("disc", 3, "o")):
     p = contact.pressure / (F / (np.pi * a**2 if gdim == 3 else 2 * a))
     factor = 1 / 2 if gdim == 3 else 2 / np.pi
     inner = r < 0.75
-    error = np.abs(p[inner] * np.sqrt(1 - r[inner] ** 2) / factor - 1).max()
+    errors[name] = np.abs(p[inner] * np.sqrt(1 - r[inner] ** 2) / factor - 1).max()
     if comm.rank == 0:
         report = problem.report
         print(f"{name}: {report.unknowns['primal']} unknowns, {report.products['total']} products")
-        print(f"  pressure up to 3/4 a: error at most {100 * error:.2f} %")
+        print(f"  pressure up to 3/4 a: error at most {errors[name]:.2%}")
         if gdim == 3:
             exact = 2 * a * E_star * delta
-            print(f"  F = {F:.2f} N, 2 a E* delta = {exact:.2f} N  {100 * (F / exact - 1):+.2f} %")
+            print(f"  F = {F:.2f} N, 2 a E* delta = {exact:.2f} N  {F / exact - 1:+.2%}")
     below = r < 0.999
     curves[name] = (r[below], p[below], style)
     curves[f"formula, {name}"] = (s, factor / np.sqrt(1 - s**2), "-")
@@ -148,8 +149,8 @@ draw_profile(
     comm=comm,
 )
 
-# The surface under and beside the disc sinks by delta and by 2 delta / pi arcsin(a / r). The rank
-# that draws collects the nodes on the line y = z = 0 from all ranks.
+# The surface sinks by delta under the disc and by 2 delta / pi arcsin(a / r) beside it. The nodes
+# on the line y = z = 0 are gathered from all ranks.
 
 V = uh.function_space
 nodes = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]

@@ -2,8 +2,8 @@
 
 # Hertz's ball
 
-A ball of radius R = 50 mm is pressed onto a rigid plane without friction. It flattens
-over a small disc of radius a. Formulas that hold for a much smaller than R are
+A ball of radius R = 50 mm is pressed onto a rigid plane without friction. The contact area is a
+disc of radius a. Formulas that hold for a much smaller than R are
 
     a^3 = 3 F R / (4 E*),   p(r) = p0 sqrt(1 - r^2 / a^2),   p0 = 3 F / (2 pi a^2),
 
@@ -11,9 +11,9 @@ where F is the force and E* = E / (1 - nu^2) for a rigid plane.
 
 This demo illustrates how to
 
-- let a body come into contact with a rigid obstacle, which needs no mesh;
+- define contact with a rigid obstacle, which needs no mesh;
 - use symmetry: only a quarter of the lower half of the ball is meshed;
-- push with a force: nothing but the plane stops the ball (the problem is *semicoercive*);
+- solve a *semicoercive* problem: a force presses the ball, and contact alone supports it;
 - compare the contact pressure with a formula, on hexahedra and on tetrahedra.
 
 Run it by `python demos/hertz_ball.py`, or on several processes by
@@ -44,12 +44,12 @@ from fenics_tfeti.io import (
 )
 
 here = Path(__file__).parent
-results = here.parent / "results"
+results = Path("results")
 comm = MPI.COMM_WORLD
 
 # ## Data
 #
-# A hard plastic. The force is the one for which Hertz's formula says a = 4 mm.
+# A hard plastic. Hertz's formula gives a = 4 mm for this force.
 
 R, E, nu = 0.05, 2e9, 0.3
 E_star = E / (1 - nu**2)
@@ -58,8 +58,8 @@ force = 4 / 3 * E_star * 4e-3**3 / R
 
 # ## One solution
 #
-# Everything up to `ContactProblem` is plain dolfinx. The ball stands on its pole, the origin, and
-# its flat cut face at z = R carries the force, as a uniform traction.
+# Everything up to `ContactProblem` is plain dolfinx. The ball touches the plane at the origin. A
+# uniform traction on the flat face at z = R makes the force.
 
 
 def solve(path):
@@ -82,7 +82,7 @@ def solve(path):
     a = ufl.inner(sigma(u), epsilon(v)) * ufl.dx
     L = traction * v[2] * ds(tags["flat"])
 
-    # On a plane of symmetry nothing moves across it.
+    # The displacement normal to a plane of symmetry is zero.
     bcs = []
     for component, plane in ((0, "symmetry_x"), (1, "symmetry_y")):
         Vi = V.sub(component)
@@ -98,43 +98,45 @@ def solve(path):
 
 # ## Comparison with Hertz
 #
-# The formulas take the force that the solution transmits, four times that of the quarter. (The mesh
-# is a polyhedron, its flat face a bit smaller than the circle. So is the force.) The pressure of a
-# node is its contact force over the area that belongs to it. By Hertz, p^2 is a linear function of
-# r^2; a straight line through the nodes with more than 30 % of the largest pressure gives a and p0.
+# The formulas are evaluated for the computed contact force, four times that of the quarter. It is
+# slightly smaller than the given force, since the flat face of the mesh is a polygon in the circle.
+#
+# The pressure of a node is its contact force over the area that belongs to it. By Hertz's formula,
+# p^2 is a linear function of r^2. A straight line through the nodes with more than 30 % of the
+# largest pressure gives a and p0.
 
 
-def compare(name, problem):
-    """Print errors of a and p0; return radii and pressures of the nodes, and Hertz's a and p0."""
+def hertz(F):
+    """Return the radius and the largest pressure of the contact area by Hertz's formulas."""
+    a = (3 * F * R / (4 * E_star)) ** (1 / 3)
+    return a, 3 * F / (2 * np.pi * a**2)
+
+
+def fit(r, p):
+    """Return the radius and the largest pressure fitted to the pressures of the nodes."""
+    inner = p > 0.3 * p.max()
+    slope, intercept = np.polyfit(r[inner] ** 2, p[inner] ** 2, 1)
+    return np.sqrt(-intercept / slope), np.sqrt(intercept)
+
+
+curves, errors = {}, {}
+for cells, style in (("tetrahedra", "^"), ("hexahedra", "o")):
+    problem, uh, stress = solve(here.parent / "meshes" / f"hertz_ball_{cells}.msh")
     contact = problem.contact[0].gather()
     r, p = np.linalg.norm(contact.coordinates[:, :2], axis=1), contact.pressure
     F = 4 * problem.report.contact_force[0]
-    a = (3 * F * R / (4 * E_star)) ** (1 / 3)
-    p0 = 3 * F / (2 * np.pi * a**2)
-
-    inner = p > 0.3 * p.max()
-    slope, intercept = np.polyfit(r[inner] ** 2, p[inner] ** 2, 1)
-    a_fit, p0_fit = np.sqrt(-intercept / slope), np.sqrt(intercept)
-    report = problem.report
+    (a, p0), (a_fit, p0_fit) = hertz(F), fit(r, p)
+    errors[cells] = a_fit / a - 1, p0_fit / p0 - 1
+    curves[cells] = (1e3 * r, 1e-6 * p, style)
     if comm.rank == 0:
-        print(f"{name}: {report.unknowns['primal']} unknowns, {report.products['total']} products")
-        print(f"  F  = {F:9.2f} N   of the {force:.2f} N that push")
-        print(f"  a  = {1e3 * a_fit:9.4f} mm  Hertz {1e3 * a:9.4f}  {100 * (a_fit / a - 1):+.2f} %")
-        print(
-            f"  p0 = {1e-6 * p0_fit:9.3f} MPa Hertz {1e-6 * p0:9.3f}  "
-            f"{100 * (p0_fit / p0 - 1):+.2f} %"
-        )
-    return r, p, a, p0
-
-
-curves = {}
-for cells in ("tetrahedra", "hexahedra"):
-    problem, uh, stress = solve(here.parent / "meshes" / f"hertz_ball_{cells}.msh")
-    r, p, a, p0 = compare(cells, problem)
-    curves[cells] = (1e3 * r, 1e-6 * p, "^" if cells == "tetrahedra" else "o")
+        report = problem.report
+        print(f"{cells}: {report.unknowns['primal']} unknowns, {report.products['total']} products")
+        print(f"  F  = {F:8.2f} N, given {force:.2f} N")
+        print(f"  a  = {1e3 * a_fit:8.4f} mm,  Hertz {1e3 * a:8.4f}  {errors[cells][0]:+.2%}")
+        print(f"  p0 = {1e-6 * p0_fit:8.3f} MPa, Hertz {1e-6 * p0:8.3f}  {errors[cells][1]:+.2%}")
 radius = np.linspace(0, 1.5 * a, 400)
-hertz = p0 * np.sqrt(np.maximum(0, 1 - (radius / a) ** 2))
-curves["Hertz"] = (1e3 * radius, 1e-6 * hertz, "-")
+pressure = p0 * np.sqrt(np.maximum(0, 1 - (radius / a) ** 2))
+curves["Hertz"] = (1e3 * radius, 1e-6 * pressure, "-")
 
 # ## Pictures
 

@@ -3,8 +3,8 @@
 # Hertz's roller
 
 A roller of radius R1 = 50 mm is pressed by a force F' per unit of length, first onto a rigid plane,
-then into a rigid groove of radius R2 = 100 mm. It flattens over a strip of half width a. Formulas
-of Hertz that hold for a much smaller than the radii are
+then into a rigid groove of radius R2 = 100 mm. The contact area is a strip of half-width a.
+Formulas of Hertz that hold for a much smaller than the radii are
 
     a^2 = 4 F' R / (pi E*),   p(x) = p0 sqrt(1 - x^2 / a^2),   p0 = 2 F' / (pi a),
 
@@ -13,8 +13,8 @@ with 1/R = 1/R1 on the plane and 1/R = 1/R1 - 1/R2 in the groove, and E* = E / (
 This demo illustrates how to
 
 - solve in two dimensions, in a state of plane strain;
-- press one body against different rigid obstacles: `Plane`, and `Sphere`, which is a disc in two
-  dimensions, and with `hollow=True` all that is around the disc.
+- press one body against different rigid obstacles: a `Plane`, and a `Sphere`, which is a disc in
+  two dimensions, and with `hollow=True` the outside of the disc.
 
 Run it by `python demos/hertz_cylinder.py`; it writes pictures and fields into `results/`. The mesh
 comes from `meshes/half_balls.py`. All units are SI.
@@ -43,11 +43,11 @@ from fenics_tfeti.io import (
 )
 
 here = Path(__file__).parent
-results = here.parent / "results"
+results = Path("results")
 
 # ## Data
 #
-# A hard plastic. The force is the one for which the formula says a = 3 mm on the plane.
+# A hard plastic. Hertz's formula gives a = 3 mm on the plane for this force.
 
 R1, R2, E, nu = 0.05, 0.1, 2e9, 0.3
 E_star = E / (1 - nu**2)
@@ -55,7 +55,7 @@ force = np.pi * E_star * 3e-3**2 / (4 * R1)
 
 # ## Mesh
 #
-# One half of the lower half of the circle: its pole is the origin, x = 0 is a plane of symmetry.
+# A quarter of the circle. It touches the plane at the origin; x = 0 is a plane of symmetry.
 
 roller = read_msh(here.parent / "meshes" / "hertz_cylinder.msh", MPI.COMM_WORLD, gdim=2)
 mesh, facet_tags, tags = roller.mesh, roller.facet_tags, roller.names
@@ -89,22 +89,24 @@ bcs = [fem.dirichletbc(0.0, middle, V0)]
 
 # ## Two obstacles
 #
-# Nothing but the obstacle stops the roller: its vertical position is part of the solution.
+# Contact alone supports the roller in the vertical direction.
+#
+# The formulas are evaluated for the computed contact force, twice that of the half.
+#
+# The pressure of a node is its contact force over the length that belongs to it. By Hertz's
+# formula, p^2 is a linear function of x^2. A straight line through the nodes with more than 30 % of
+# the largest pressure gives a and p0.
 
 cases = {
     "plane": (R1, Plane(point=(0, 0), normal=(0, 1))),
     "groove": (1 / (1 / R1 - 1 / R2), Sphere(centre=(0, R2), radius=R2, hollow=True)),
 }
-curves = {}
+curves, errors = {}, {}
 for (name, (R, obstacle)), style in zip(cases.items(), ("o", "s"), strict=True):
     contact = RigidObstacle(facet_tags, slave=tags["contact"], obstacle=obstacle)
     problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=[contact])
     uh = problem.solve()
 
-    # The formulas take the force that the solution transmits, twice that of the half. The pressure
-    # of a node is its contact force over the length that belongs to it. By Hertz, p^2 is a linear
-    # function of x^2; a straight line through the nodes with more than 30 % of the largest pressure
-    # gives a and p0.
     nodes = problem.contact[0].gather()
     x, p = nodes.coordinates[:, 0], nodes.pressure
     F = 2 * problem.report.contact_force[0]
@@ -113,14 +115,12 @@ for (name, (R, obstacle)), style in zip(cases.items(), ("o", "s"), strict=True):
     inner = p > 0.3 * p.max()
     slope, intercept = np.polyfit(x[inner] ** 2, p[inner] ** 2, 1)
     a_fit, p0_fit = np.sqrt(-intercept / slope), np.sqrt(intercept)
+    errors[name] = a_fit / a - 1, p0_fit / p0 - 1
     if mesh.comm.rank == 0:
         report = problem.report
         print(f"{name}: {report.unknowns['primal']} unknowns, {report.products['total']} products")
-        print(f"  a  = {1e3 * a_fit:7.4f} mm  Hertz {1e3 * a:7.4f}  {100 * (a_fit / a - 1):+.2f} %")
-        print(
-            f"  p0 = {1e-6 * p0_fit:7.3f} MPa Hertz {1e-6 * p0:7.3f}  "
-            f"{100 * (p0_fit / p0 - 1):+.2f} %"
-        )
+        print(f"  a  = {1e3 * a_fit:7.4f} mm,  Hertz {1e3 * a:7.4f}  {errors[name][0]:+.2%}")
+        print(f"  p0 = {1e-6 * p0_fit:7.3f} MPa, Hertz {1e-6 * p0:7.3f}  {errors[name][1]:+.2%}")
     line = np.linspace(0, a, 400)
     curves[f"on the {name}" if name == "plane" else f"in the {name}"] = (1e3 * x, 1e-6 * p, style)
     curves[f"Hertz, {name}"] = (1e3 * line, 1e-6 * p0 * np.sqrt(1 - (line / a) ** 2), "-")

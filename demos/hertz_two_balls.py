@@ -2,8 +2,8 @@
 
 # Two balls
 
-A ball of radius R1 = 50 mm is pressed onto one of R2 = 100 mm, which is stiffer. Formulas of Hertz
-that hold while the radius a of the contact area is much smaller than R1 and R2 are
+A ball of radius R1 = 50 mm is pressed onto a stiffer one of radius R2 = 100 mm. Formulas of Hertz
+that hold for a radius a of the contact area much smaller than R1 and R2 are
 
     a^3 = 3 F R / (4 E*),   p(r) = p0 sqrt(1 - r^2 / a^2),   p0 = 3 F / (2 pi a^2),
 
@@ -11,8 +11,8 @@ that hold while the radius a of the contact area is much smaller than R1 and R2 
 
 This demo illustrates how to
 
-- let two curved bodies touch, whose nodes do not lie on each other: `direction` says along which
-  line the partner of a node is to be found;
+- define contact of two curved bodies, whose nodes do not coincide: `direction` is the line on which
+  the master node of a slave node is found;
 - give each body its own material.
 
 Run it by `python demos/hertz_two_balls.py`, or on several processes by
@@ -43,11 +43,11 @@ from fenics_tfeti.io import (
 )
 
 here = Path(__file__).parent
-results = here.parent / "results"
+results = Path("results")
 
 # ## Data
 #
-# The force is the one for which the formula says a = 4 mm.
+# Hertz's formula gives a = 4 mm for this force.
 
 R1, E1, nu1 = 0.05, 2e9, 0.4
 R2, E2, nu2 = 0.1, 6e9, 0.3
@@ -58,7 +58,7 @@ force = 4 / 3 * E_star * 4e-3**3 / R
 # ## Mesh
 #
 # A quarter of the lower half of the upper ball and of the upper half of the lower one. They touch
-# at the origin. The grids match there: seen along z, their nodes lie nearly on each other.
+# at the origin. The grids match there: projected along z, their nodes nearly coincide.
 
 balls = read_msh(here.parent / "meshes" / "hertz_two_balls.msh", MPI.COMM_WORLD)
 mesh, facet_tags, tags = balls.mesh, balls.facet_tags, balls.names
@@ -94,8 +94,8 @@ L_form = traction * v[2] * ds(tags["flat_upper"])
 
 # ## Supports
 #
-# Nothing moves across the planes of symmetry, and the lower ball stands on its flat face. The upper
-# one is held by contact alone.
+# The displacement normal to the planes of symmetry is zero, and so is that normal to the flat face
+# of the lower ball. Contact alone supports the upper ball.
 
 bcs = []
 for component, surface in ((0, "symmetry_x"), (1, "symmetry_y"), (2, "flat_lower")):
@@ -105,7 +105,7 @@ for component, surface in ((0, "symmetry_x"), (1, "symmetry_y"), (2, "flat_lower
 
 # ## Contact
 #
-# Partners are on a vertical line, and the gap between them is vertical too.
+# The two nodes of a pair are on a vertical line, and the gap between them is vertical too.
 
 down = (0, 0, -1)
 pair = ContactPair(
@@ -120,10 +120,11 @@ uh = problem.solve()
 
 # ## Comparison with Hertz
 #
-# The formulas take the force that the solution transmits, four times that of the quarter. The
-# pressure of a node is its contact force over the area that belongs to it. By Hertz, p^2 is a
-# linear function of r^2; a straight line through the nodes with more than 30 % of the largest
-# pressure gives a and p0.
+# The formulas are evaluated for the computed contact force, four times that of the quarter.
+#
+# The pressure of a node is its contact force over the area that belongs to it. By Hertz's formula,
+# p^2 is a linear function of r^2. A straight line through the nodes with more than 30 % of the
+# largest pressure gives a and p0.
 
 report = problem.report
 contact = problem.contact[0].gather()
@@ -136,10 +137,11 @@ slope, intercept = np.polyfit(r[inner] ** 2, p[inner] ** 2, 1)
 a_fit, p0_fit = np.sqrt(-intercept / slope), np.sqrt(intercept)
 if mesh.comm.rank == 0:
     print(f"{report.unknowns['primal']} unknowns, {report.products['total']} products")
-    print(f"farthest partner {1e3 * report.pairing[0]['largest_distance']:.3f} mm across z")
-    print(f"F  = {F:9.2f} N   of the {force:.2f} N that push")
-    print(f"a  = {1e3 * a_fit:9.4f} mm  Hertz {1e3 * a:9.4f}  {100 * (a_fit / a - 1):+.2f} %")
-    print(f"p0 = {1e-6 * p0_fit:9.3f} MPa Hertz {1e-6 * p0:9.3f}  {100 * (p0_fit / p0 - 1):+.2f} %")
+    farthest = 1e3 * report.pairing[0]["largest_distance"]
+    print(f"largest distance of the nodes of a pair across z: {farthest:.3f} mm")
+    print(f"F  = {F:8.2f} N, given {force:.2f} N")
+    print(f"a  = {1e3 * a_fit:8.4f} mm,  Hertz {1e3 * a:8.4f}  {a_fit / a - 1:+.2%}")
+    print(f"p0 = {1e-6 * p0_fit:8.3f} MPa, Hertz {1e-6 * p0:8.3f}  {p0_fit / p0 - 1:+.2%}")
 
 # ## Pictures
 

@@ -1,20 +1,21 @@
-"""A ball on a plane, pressed in steps and let go: solve once, then again and again.
+"""A ball on a plane, loaded and unloaded in steps: one problem, solved for each load.
 
 # Load steps
 
-The ball of `demos/hertz_ball.py` is pressed onto the rigid plane by a force F that grows in eight
-steps, and then is let go in three. The disc of contact grows as Hertz's formula says,
+The ball of `demos/hertz_ball.py` is pressed onto the rigid plane by a force F that grows in four
+steps and then decreases in two. By Hertz's formula, the radius a of the contact area is
 
     a^3 = 3 F R / (4 E*).
 
-Without friction, only the present force matters: on the way back the contact is what it was on the
-way there.
+Without friction the solution depends on the present load only: loading and unloading give the same
+contact area for the same force.
 
 This demo illustrates how to
 
 - change the load of a problem and solve it again;
-- see what that saves: factors and coarse problem are those of the first step, and the iterations
-  start from the last contact forces. A new `ContactProblem` solves each step as well, to compare.
+- reuse what the load does not change: later steps take the factors and the coarse problem of the
+  first step, and their iterations start from the contact forces of the step before;
+- measure what that saves: a new `ContactProblem` solves each step as well.
 
 Run it by `python demos/load_steps.py`, or on several processes by
 `mpirun -n 2 python demos/load_steps.py`; it draws a picture into `results/`. All units are SI.
@@ -36,13 +37,13 @@ from fenics_tfeti import ContactProblem, Plane, RigidObstacle
 from fenics_tfeti.io import displacement_space, draw_profile, read_msh
 
 here = Path(__file__).parent
-results = here.parent / "results"
+results = Path("results")
 comm = MPI.COMM_WORLD
 
 # ## The problem
 #
-# As in `demos/hertz_ball.py`; there is more about it there. The largest force is the one for which
-# Hertz's formula says a = 4 mm. The traction is a constant, so that its value can be changed.
+# The same as in `demos/hertz_ball.py`, which explains it. Hertz's formula gives a = 4 mm for the
+# largest force. The traction is a `Constant`, so that its value can be changed between the steps.
 
 R, E, nu = 0.05, 2e9, 0.3
 E_star = E / (1 - nu**2)
@@ -85,14 +86,14 @@ def new_problem():
     return ContactProblem(a, L, bcs=bcs, contacts=[contact], options={"rtol": 1e-6})
 
 
-# ## What to look at
+# ## Results of a step
 #
-# The force that the solution transmits, four times that of the quarter, and the radius of the disc
-# of contact, from the straight line that p^2 is over r^2 by Hertz, as in `demos/hertz_ball.py`.
+# The contact force is four times that of the quarter. The radius of the contact area is fitted as
+# in `demos/hertz_ball.py`: by Hertz's formula, p^2 is a linear function of r^2.
 
 
 def force_and_radius(problem):
-    """Return the force and the fitted radius of the disc of contact."""
+    """Return the contact force and the fitted radius of the contact area."""
     found = problem.contact[0].gather()
     r, p = np.linalg.norm(found.coordinates[:, :2], axis=1), found.pressure
     inner = p > 0.3 * p.max()
@@ -101,7 +102,7 @@ def force_and_radius(problem):
 
 
 def timed(work):
-    """Return what a function returns, and the seconds that it took on the slowest rank."""
+    """Return the result of a function and its wall time on the slowest rank."""
     comm.barrier()
     start = time.perf_counter()
     result = work()
@@ -116,12 +117,15 @@ def tell(line):
 
 # ## Steps
 #
-# The same `problem` is solved again after each change of `traction`. The first step costs what any
-# solution costs, and is left out of the sums. (The forms are compiled before anything is timed:
-# later solves find them in the cache.)
+# The same `problem` is solved again after each change of `traction`. The sums of products and times
+# leave out the first step, which can reuse nothing.
+#
+# One problem is set up before the first is timed, so that the compilation of the forms is not
+# measured.
 
 new_problem()
-fractions = [*np.arange(1, 9) / 8, 6 / 8, 3 / 8, 1 / 8]
+loading, unloading = [1 / 4, 2 / 4, 3 / 4, 4 / 4], [2 / 4, 1 / 4]
+fractions = loading + unloading
 problem, setup = timed(new_problem)
 forces, radii, costs = [], [], []
 tell("          --- force ---  ----- radius -----  --- solved again ---  ---- from scratch ---")
@@ -158,15 +162,15 @@ tell(
     f"all after the first: {again_seconds:.2f} s instead of {scratch_seconds:.2f} s, "
     f"{scratch_seconds / again_seconds:.1f} times faster"
 )
-tell(f"taken over from the step before: {', '.join(problem.report.reused)}")
+tell(f"reused from the step before: {', '.join(problem.report.reused)}")
 
-# The way back: the radius for the same force, first when pressed and then when let go.
+# The radius for the same force, in loading and in unloading.
 
-for step in range(8, len(fractions)):
-    before = fractions.index(fractions[step])
+n = len(loading)
+for fraction, radius in zip(unloading, radii[n:], strict=True):
     tell(
-        f"at {fractions[step]:.3f} of the force: a = {1e3 * radii[before]:.6f} mm pressed, "
-        f"{1e3 * radii[step]:.6f} mm let go"
+        f"at {fraction:.3f} of the force: a = {1e3 * radii[loading.index(fraction)]:.6f} mm in "
+        f"loading, {1e3 * radius:.6f} mm in unloading"
     )
 
 # ## Picture
@@ -176,11 +180,11 @@ draw_profile(
     results / "load_steps.png",
     {
         "Hertz": (1e-3 * 4 / 3 * E_star * curve**3 / R, 1e3 * curve, "-"),
-        "pressed": (1e-3 * np.array(forces[:8]), 1e3 * np.array(radii[:8]), "o"),
-        "let go": (1e-3 * np.array(forces[8:]), 1e3 * np.array(radii[8:]), "x"),
+        "loading": (1e-3 * np.array(forces[:n]), 1e3 * np.array(radii[:n]), "o"),
+        "unloading": (1e-3 * np.array(forces[n:]), 1e3 * np.array(radii[n:]), "x"),
     },
     xlabel="force [kN]",
-    ylabel="radius of the disc of contact [mm]",
-    title="Ball on a rigid plane, pressed in eight steps and let go in three",
+    ylabel="radius of the contact area [mm]",
+    title="Ball on a rigid plane, loaded in four steps and unloaded in two",
     comm=comm,
 )

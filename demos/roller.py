@@ -1,23 +1,28 @@
-"""A steel roller between two plates: Hertz pressure, and motions that nothing resists.
+"""A steel roller between two plates: Hertz pressure and unresisted motions.
 
 # A roller between two plates
 
 A roller of radius 0.1 m lies between two steel plates, in plane strain. The lower plate is clamped
 at its bottom. The upper one is guided at its sides, and a pressure of 10 MPa on its top presses it
-onto the roller. Neither of the two is held by anything but contact.
+onto the roller. Contact alone supports the roller and, in the vertical direction, the upper plate.
+
+By Hertz's formulas, each of the two contact areas under the load P = 10 MPa x 0.4 m has the
+half-width b and the pressure p, with
+
+    b^2 = 4 P R / (pi E*),   p(x) = p0 sqrt(1 - x^2 / b^2),   p0 = 2 P / (pi b),
+
+where E* = E / (2 (1 - nu^2)).
 
 This demo illustrates how to
 
-- say which node meets which by a direction: here straight up and down;
-- compare with a closed form: by Hertz, two places of contact of the half-width
-  b = sqrt(4 P R / (pi E*)), E* = E / (2 (1 - nu^2)), with a pressure p0 sqrt(1 - (x / b)^2),
-  p0 = 2 P / (pi b), under the load P = 10 MPa x 0.4 m;
-- find in the report what the problem leaves open.
+- pair slave and master nodes along a direction, here the vertical one;
+- compare half-width and pressure with Hertz's formulas;
+- find the unresisted motions in the report.
 
-The contact conditions are linearised about the undeformed surfaces, and the slave's normals decide
-what they leave open. Here the slave is the roller. All its normals meet in the axis, so it is free
-to spin, and its curvature keeps it from sliding away. With the plates as slaves and their vertical
-normals it is the other way round: see what changes in the line "free motions".
+The contact conditions are linearised about the undeformed surfaces, and the normals of the slave
+decide which motions they resist. Here the roller is the slave. All its normals meet in its axis: it
+is free to rotate, but cannot slide. With the plates as slaves, whose normals are vertical, it is
+free to slide, but cannot rotate.
 
 Run it by `python demos/roller.py`; it writes pictures and fields into `results/`.
 """
@@ -47,7 +52,7 @@ from fenics_tfeti.io import (
 )
 
 here = Path(__file__).parent
-results = here.parent / "results"
+results = Path("results")
 
 # One line for each outer iteration of the solver, from rank 0.
 logging.basicConfig(stream=sys.stdout, level=logging.WARNING, format="%(message)s", force=True)
@@ -108,13 +113,14 @@ problem = ContactProblem(
 )
 uh = problem.solve()
 
-# ## What came out
+# ## Results
 #
-# The mean square of the distance from the middle is b^2 / 4 for Hertz's pressure.
+# The mean square of x, weighted by Hertz's pressure, is b^2 / 4.
 
 report = problem.report
 P, R = 10e6 * 0.4, 0.1
-b = np.sqrt(8 * P * R * (1 - nu**2) / (np.pi * E))
+E_star = E / (2 * (1 - nu**2))
+b = np.sqrt(4 * P * R / (np.pi * E_star))
 p0 = 2 * P / (np.pi * b)
 x = np.linspace(-b, b, 201)
 curves = {"Hertz": (1e3 * x, p0 * np.sqrt(1 - (x / b) ** 2) / 1e6, "-")}
@@ -123,23 +129,24 @@ if mesh.comm.rank == 0:
     print("products     ", report.products, "in", report.outer_iterations, "outer iterations")
     print("free motions ", *report.free_motions, sep="\n  ")
     print("certificate  ", {k: f"{v:.1e}" for k, v in report.to_dict()["certificate"].items()})
-    results.mkdir(exist_ok=True)
+errors = {}
 for contact, style in zip(problem.contact, ("o", "x"), strict=True):
     contact = contact.gather()
     places = contact.coordinates[:, 0]
     force = contact.normal_force @ contact.normal
     width = 2 * np.sqrt(contact.normal_force @ places**2 / contact.normal_force.sum())
     peak = contact.pressure.max()
+    errors[contact.name] = abs(force[1]) / P - 1, width / b - 1, peak / p0 - 1
     curves[contact.name] = 1e3 * places, contact.pressure / 1e6, style
     if mesh.comm.rank == 0:
-        print(f"{contact.name}: force {abs(force[1]) / P - 1:+.1e} of the load away from it,")
-        print(f"  half-width {1e3 * width:.4f} mm ({width / b - 1:+.2%} from Hertz),", end="")
-        print(f" peak {peak / 1e6:.1f} MPa ({peak / p0 - 1:+.2%})")
-mesh.comm.barrier()
-report.to_json(results / "roller.json")
+        of_force, of_width, of_peak = errors[contact.name]
+        print(f"{contact.name}: force {abs(force[1]):.6e} N/m, load {P:.6e} N/m  {of_force:+.1e}")
+        print(f"  half-width {1e3 * width:.4f} mm,  Hertz {1e3 * b:.4f}  {of_width:+.2%}")
+        print(f"  largest p {peak / 1e6:.1f} MPa, Hertz {p0 / 1e6:.1f}  {of_peak:+.2%}")
 
 stress = von_mises(mesh, sigma(uh), poisson_ratio=nu)
 write_fields(results / "roller.pvd", [uh, stress, *contact_fields(V, problem.contact)])
+report.to_json(results / "roller.json")
 stress.x.array[:] = np.minimum(stress.x.array, 100e6)
 draw_deformed(
     results / "roller.png",

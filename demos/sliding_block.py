@@ -1,31 +1,30 @@
-"""A block pushed over a bump: contact of surfaces that slide far, without penetration.
+"""A block pushed over a bump: large sliding without penetration.
 
 # Sliding block
 
 An elastic block with a round foot is pushed, step by step, over the bump of another elastic body,
-in two dimensions (plane strain). A carriage holds the upper part of the block: it moves it
-sideways by s and does not let it turn, but lets it rise and sink. A traction presses it down.
-There is no friction. What force does the push need?
+in two dimensions (plane strain) and without friction. The horizontal displacement s of the upper
+part of the block is prescribed, so that the block does not rotate; its vertical displacement is
+free. A traction presses it down. The result is the horizontal force H(s) that the motion needs.
 
-Linearised contact conditions know the surfaces only as they were at first: each node of the foot
-would slide along its own tangent, away from the base, whether there is a bump or not. With the
-option `non_penetration="exact"` the solver measures normals and gaps on the deformed surfaces,
-finds new partners for nodes that slid, and solves again until nothing penetrates, and nothing
-presses that does not touch.
+Linearised contact conditions are those of the undeformed surfaces: each node of the foot slides on
+a straight line, whether there is a bump or not. With the option `non_penetration="exact"` the
+solver measures normals and gaps on the deformed surfaces, pairs the nodes anew, and solves again,
+until no node penetrates and each contact force acts at a closed gap.
 
-Two things are known about the force H(s):
+Two properties of H are known:
 
 - The bump is symmetric, so H is antisymmetric about its top.
-- Nothing is lost without friction: the work of H over the whole bump is zero.
+- Without friction no energy is lost: the work of H over the whole bump is zero.
 
-Were the bodies rigid, H would be the slope of the way that the block takes, times the load. Elastic
-ones differ from that little, as they touch in a narrow strip.
+For rigid bodies H would be the load times the slope of the path of the block. Elastic bodies differ
+little from that, since the contact area is narrow.
 
 This demo illustrates how to
 
-- ask for exact non-penetration, and see what each of its passes leaves;
-- move a body in steps, by a prescribed displacement that is a constant;
-- get resultants out of nodal forces and normals.
+- ask for exact non-penetration, and read from the report what each geometry pass leaves;
+- move a body in steps, by a prescribed displacement that is a `Constant`;
+- compute resultants of nodal contact forces.
 
 Run it by `python demos/sliding_block.py`, or on several processes by
 `mpirun -n 2 python demos/sliding_block.py`; it draws pictures into `results/`. The mesh comes from
@@ -47,7 +46,7 @@ from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.io import displacement_space, draw_deformed, draw_profile, read_msh, von_mises
 
 here = Path(__file__).parent
-results = here.parent / "results"
+results = Path("results")
 comm = MPI.COMM_WORLD
 
 # ## Data
@@ -84,7 +83,8 @@ ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
 a = ufl.inner(sigma(u), epsilon(v)) * ufl.dx
 L = load * v[1] * ds(tags["top"])
 
-# The base is fixed below. The carriage holds the top and the upper part of the sides.
+# The base is fixed at its bottom. The horizontal displacement is prescribed on the top of the block
+# and on the upper part of its sides.
 
 bcs = []
 for name, component, value in (
@@ -97,7 +97,7 @@ for name, component, value in (
     dofs = fem.locate_dofs_topological(Vi, 1, facet_tags.find(tags[name]))
     bcs.append(fem.dirichletbc(value, dofs, Vi))
 
-# The foot is the slave. Its nodes at first stand over nodes of the base, and are paired vertically.
+# The foot is the slave. Its nodes start above nodes of the base, and are paired vertically.
 
 contact = ContactPair(
     facet_tags, slave=tags["block surface"], master=tags["base surface"], direction=(0, 1)
@@ -109,7 +109,7 @@ exact = {
 }
 problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], options=exact)
 
-# The linearised solution, for the comparison, is what one pass alone gives.
+# A single geometry pass gives the linearised solution, for comparison.
 
 linearised = {**exact, "non_penetration_max_it": 1, "error_if_not_converged": False}
 
@@ -122,15 +122,15 @@ def tell(line):
 
 # ## Steps
 #
-# Each solve starts from where the last one ended: forces, normals and partners. The block pushes
-# with -force * normal on itself where its nodes press; the carriage has to balance that.
+# Each solve starts from the contact forces, normals and pairs of the step before. The contact force
+# on the block is -force * normal at each of its nodes; H balances its horizontal part.
 
 drawn = {0: "start", 7: "up", 11: "top", 15: "down"}
 H, F = [], []
 
 
 def error(one):
-    """Return how deep nodes penetrate, or how far pressing ones are from the other body [mm]."""
+    """Return the largest penetration of a node, or gap at a node with a contact force [mm]."""
     return 1e3 * max(one.penetration, one.separation)
 
 
@@ -164,7 +164,7 @@ for step, s in enumerate(steps):
 
 # ## The force against the position
 #
-# A rigid block would rise as far as its foot needs to clear the bump.
+# A rigid block rises by the largest height of the bump above its foot.
 
 position, H = steps + start, np.array(H)
 fine = np.linspace(start, -start, 2001)

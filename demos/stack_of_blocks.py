@@ -2,18 +2,19 @@
 
 # A stack of blocks
 
-3 x 3 x 3 concrete cubes of 1 m stand in a rigid box, open at the top. Nothing joins them: each has
-nodes of its own, and each of the 54 faces between two of them is a contact pair; the cube in the
-middle touches six others. The floor and the walls of the box are rigid planes. No displacement is
-prescribed anywhere: contact alone holds all 27 bodies, against their weight and a pressure on the
-top that grows towards one corner of the box. Some edges of the cubes lift off.
+3 x 3 x 3 concrete cubes of 1 m stand in a rigid box, open at the top. Each cube has nodes of its
+own, and each of the 54 faces between two cubes is a contact pair. The floor and the walls of the
+box are rigid planes.
+
+No displacement is prescribed: contact alone supports all 27 bodies, against their weight and a
+pressure on the top that grows towards one corner of the box. Some edges of the cubes lift off.
 
 This demo illustrates how to
 
 - build many contact pairs from the names of surfaces in the mesh file;
-- hold bodies by rigid obstacles alone;
-- check a solution by statics: without friction the walls and the neighbours push sideways only,
-  so each column of three cubes carries its own load, layer by layer.
+- support bodies by rigid obstacles alone;
+- check a solution by statics: without friction the forces of the walls and the neighbouring columns
+  are horizontal, so each column of three cubes carries its own load.
 
 Run it by `python demos/stack_of_blocks.py`, or on several processes by
 `mpirun -n 2 python demos/stack_of_blocks.py`; it writes a picture and fields into `results/`.
@@ -43,7 +44,7 @@ from fenics_tfeti.io import (
 )
 
 here = Path(__file__).parent
-results = here.parent / "results"
+results = Path("results")
 
 # One line for each outer iteration of the solver, from rank 0.
 logging.basicConfig(stream=sys.stdout, level=logging.WARNING, format="%(message)s", force=True)
@@ -51,7 +52,7 @@ logging.getLogger("fenics_tfeti").setLevel(logging.INFO)
 
 # ## Mesh
 #
-# The surface with the name "2 1 3 +x" is that of the cube (2, 1, 3) at its upper x.
+# The surface named "2 1 3 +x" is the face of the cube (2, 1, 3) at its larger x.
 
 stack = read_msh(here.parent / "meshes" / "stack_of_blocks.msh", MPI.COMM_WORLD)
 mesh, facet_tags, tags = stack.mesh, stack.facet_tags, stack.names
@@ -99,7 +100,8 @@ def load(i, j):
 
 # ## Contact
 #
-# Each face between two cubes is a pair; each face on the floor or at a wall meets a rigid plane.
+# Each face between two cubes is a pair; each face at the floor or at a wall has a rigid plane as
+# obstacle.
 
 
 def contacts_of_stack(facet_tags, tags):
@@ -128,9 +130,9 @@ contacts = contacts_of_stack(facet_tags, tags)
 problem = ContactProblem(a, L, contacts=contacts, options={"rtol": 1e-8})
 uh = problem.solve()
 
-# ## What came out
+# ## Results
 #
-# Below the top, each horizontal face carries the load of its column and the weight above it.
+# Each horizontal face below the top carries the load of its column and the weight above it.
 
 report = problem.report
 carried = dict(zip([contact.name for contact in contacts], report.contact_force, strict=True))
@@ -145,12 +147,10 @@ if mesh.comm.rank == 0:
     print(f"largest error of the force through a face {worst:.1e}")
     print("free motions ", report.free_motions or "none")
     print("certificate  ", {k: f"{v:.1e}" for k, v in report.to_dict()["certificate"].items()})
-    results.mkdir(exist_ok=True)
-mesh.comm.barrier()
-report.to_json(results / "stack_of_blocks.json")
 
 stress = von_mises(mesh, sigma(uh))
 write_fields(results / "stack_of_blocks.pvd", [uh, stress, *contact_fields(V, problem.contact)])
+report.to_json(results / "stack_of_blocks.json")
 draw_deformed(
     results / "stack_of_blocks.png",
     uh,

@@ -3,14 +3,15 @@
 # Two beams
 
 Two beams of 2 m x 1 m x 1 m lie on each other, the upper one shifted by 1 m. The lower one is
-clamped at x = 0. The upper one cannot move sideways at x = 3, but is free to sink: contact alone
-holds it (the problem is *semicoercive*). A traction of 20 MPa pulls its top and its left face down.
+clamped at x = 0. The horizontal displacement of the upper one is zero at x = 3; in the vertical
+direction contact alone supports it (the problem is *semicoercive*). A downward traction of 20 MPa
+acts on its top and on its left face.
 
 This demo illustrates how to
 
 - read a tagged mesh from a file and pose linear elasticity in UFL, as in any dolfinx demo;
-- say which surfaces may touch, and solve the contact problem;
-- look at contact forces, stresses, and at how the solver went about it.
+- define which surfaces may touch, and solve the contact problem;
+- look at contact forces, stresses, and the report of the solver.
 
 Run it by `python demos/two_beams.py`, or on several processes by
 `mpirun -n 2 python demos/two_beams.py`; it writes pictures and fields into `results/`.
@@ -41,7 +42,7 @@ from fenics_tfeti.io import (
 )
 
 here = Path(__file__).parent
-results = here.parent / "results"
+results = Path("results")
 
 # One line for each outer iteration of the solver, from rank 0.
 logging.basicConfig(stream=sys.stdout, level=logging.WARNING, format="%(message)s", force=True)
@@ -49,7 +50,7 @@ logging.getLogger("fenics_tfeti").setLevel(logging.INFO)
 
 # ## Mesh
 #
-# The file keeps the nodes of the two beams apart, with matching grids where they touch.
+# Each beam has nodes of its own, with matching grids on the two contact surfaces.
 
 beams = read_msh(here.parent / "meshes" / "two_beams.msh", MPI.COMM_WORLD)
 mesh, facet_tags, tags = beams.mesh, beams.facet_tags, beams.names
@@ -91,16 +92,16 @@ for component in (0, 1):
 
 # ## Contact
 #
-# The bottom of the upper beam is the slave, the top of the lower one the master. Nothing else is to
-# be chosen: no penalty, no search distance.
+# The bottom of the upper beam is the slave, the top of the lower one the master. There is no
+# penalty parameter and no search distance to choose.
 
 pair = ContactPair(facet_tags, slave=tags["contact_upper"], master=tags["contact_lower"])
 problem = ContactProblem(a, L, bcs=bcs, contacts=[pair], options={"rtol": 1e-6})
 uh = problem.solve()
 
-# ## What came out
+# ## Results
 #
-# Equilibrium of the upper beam: the contact forces add up to 20 MPa x 3 m^2 = 60 MN.
+# By the equilibrium of the upper beam, the contact force is 20 MPa x 3 m^2 = 60 MN.
 
 report = problem.report
 contact = problem.contact[0].gather()
@@ -109,12 +110,10 @@ if mesh.comm.rank == 0:
     print("products    ", report.products, "in", report.outer_iterations, "outer iterations")
     print(f"contact force {report.contact_force[0]:.6e} N")
     print("certificate ", {k: f"{v:.1e}" for k, v in report.to_dict()["certificate"].items()})
-    results.mkdir(exist_ok=True)
-mesh.comm.barrier()
-report.to_json(results / "two_beams.json")
 
 stress = von_mises(mesh, sigma(uh))
 write_fields(results / "two_beams.pvd", [uh, stress, *contact_fields(V, problem.contact)])
+report.to_json(results / "two_beams.json")
 draw_deformed(
     results / "two_beams.png", uh, stress, label="von Mises stress", unit="MPa", title="Two beams"
 )

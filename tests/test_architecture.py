@@ -1,8 +1,9 @@
-"""The house of docs/house.rst: who may import what."""
+"""The layers: which module may import which, and what each layer may import from outside."""
 
 from __future__ import annotations
 
 import ast
+import graphlib
 import subprocess
 import sys
 from pathlib import Path
@@ -12,50 +13,154 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "fenics_tfeti"
 FINITE_ELEMENTS = {"dolfinx", "ufl", "basix", "ffcx"}
 
+# What the modules of a layer may import from the other layers, and from outside at their top.
+# The modules on no layer (problem, options, report) join the layers and may import all of them.
+LAYERS = {
+    "errors": (set(), set()),
+    "parallel": ({"errors"}, {"mpi4py", "numpy"}),
+    "qp": ({"errors"}, {"numpy", "scipy"}),
+    "feti": ({"errors", "parallel", "qp"}, {"mpi4py", "numpy", "petsc4py", "scipy"}),
+    "fem": ({"errors", "parallel", "feti"}, None),
+}
+# The sub-packages of feti: each imports those before it, and of feti's own modules only these.
+FETI_ORDER = ["local", "constraints", "coarse", "dual"]
+FETI_BASE = {"system", "tolerances", "options"}
 
-def imports(file: Path) -> set[str]:
-    names = set()
-    for node in ast.walk(ast.parse(file.read_text())):
+
+def name_of(file: Path) -> str:
+    """Return the dotted name of a module."""
+    parts = file.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+FILES = {name_of(file): file for file in sorted(PACKAGE.rglob("*.py"))}
+TREES = {name: ast.parse(file.read_text()) for name, file in FILES.items()}
+MODULES = sorted(FILES)
+
+
+def in_layer(layer: str) -> list[str]:
+    """Return the modules of a layer, those of its sub-packages included."""
+    return [name for name in MODULES if f"{name}.".startswith(f"fenics_tfeti.{layer}.")]
+
+
+def imports(tree: ast.Module, top_only: bool = False) -> set[str]:
+    """Return the modules that a module imports; those of the package by their full names."""
+    found = set()
+    for node in tree.body if top_only else ast.walk(tree):
         if isinstance(node, ast.Import):
-            names.update(alias.name for alias in node.names)
+            found.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            names.add(node.module or "")
-    return names
+            assert node.level == 0 and node.module, "imports are absolute"
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                found.add(full if full in FILES else node.module)
+    return found
 
 
-@pytest.mark.parametrize("file", sorted(PACKAGE.glob("feti/*.py")), ids=lambda f: f.name)
-def test_feti_looks_down_only(file):
-    assert not {name.split(".")[0] for name in imports(file)} & FINITE_ELEMENTS
-    assert not [n for n in imports(file) if n.startswith(("fenics_tfeti.fem", "fenics_tfeti.pro"))]
+def source(module: str, name: str) -> str:
+    """Return the module in which a name is defined that a package may only pass on."""
+    for node in TREES[module].body:
+        if isinstance(node, ast.ImportFrom) and name in {alias.name for alias in node.names}:
+            return source(node.module, name) if node.module in FILES else node.module
+    return module
 
 
-@pytest.mark.parametrize("file", sorted(PACKAGE.glob("qp/*.py")), ids=lambda f: f.name)
-def test_qp_knows_nothing_but_numpy(file):
-    outside = {name.split(".")[0] for name in imports(file)} & (
-        FINITE_ELEMENTS | {"petsc4py", "mpi4py"}
-    )
-    assert not outside
-    assert not [n for n in imports(file) if n.startswith("fenics_tfeti.") and ".qp" not in n]
+GRAPH = {
+    name: {other for other in imports(tree) if other.split(".")[0] == "fenics_tfeti"}
+    for name, tree in TREES.items()
+}
 
 
-@pytest.mark.parametrize("file", sorted(PACKAGE.rglob("*.py")), ids=lambda f: f.name)
-def test_only_the_adapter_asks_for_versions(file):
-    text = file.read_text()
-    if file.name != "_compat.py":
-        assert "dolfinx.cpp" not in text
-        assert "dolfinx.__version__" not in text
-        assert "import cpp" not in text
+@pytest.mark.parametrize("layer", LAYERS)
+def test_layer_has_modules(layer):
+    """A layer that was renamed would pass all other tests."""
+    assert in_layer(layer)
 
 
-def test_lower_storeys_need_no_dolfinx():
-    code = (
-        "import sys; sys.modules['dolfinx'] = sys.modules['ufl'] = None\n"
-        "import fenics_tfeti.feti, fenics_tfeti.qp\n"
+@pytest.mark.parametrize("module", [name for layer in LAYERS for name in in_layer(layer)])
+def test_layers_are_imported_downwards(module):
+    layer = module.split(".")[1]
+    allowed, _ = LAYERS[layer]
+    assert {other.split(".")[1] for other in GRAPH[module]} <= allowed | {layer}
+
+
+@pytest.mark.parametrize(
+    "module",
+    [name for layer, (_, outside) in LAYERS.items() if outside for name in in_layer(layer)],
+)
+def test_libraries_that_a_layer_needs(module):
+    """Other libraries may be imported within functions, where they are optional."""
+    roots = {other.split(".")[0] for other in imports(TREES[module], top_only=True)}
+    _, outside = LAYERS[module.split(".")[1]]
+    assert roots - set(sys.stdlib_module_names) - {"fenics_tfeti"} <= outside
+
+
+@pytest.mark.parametrize("module", [name for name in MODULES if name not in in_layer("fem")])
+def test_only_fem_imports_finite_element_libraries(module):
+    roots = {other.split(".")[0] for other in imports(TREES[module])}
+    if module != "fenics_tfeti.problem":  # it takes forms and returns a Function
+        assert not roots & FINITE_ELEMENTS
+
+
+@pytest.mark.parametrize("module", in_layer("fem"))
+def test_fem_knows_only_the_data_and_tolerances_of_feti(module):
+    used = {
+        source(node.module, alias.name)
+        for node in ast.walk(TREES[module])
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("fenics_tfeti.feti")
+        for alias in node.names
+    }
+    assert used <= {"fenics_tfeti.feti.system", "fenics_tfeti.feti.tolerances"}
+
+
+@pytest.mark.parametrize("package", FETI_ORDER)
+def test_subpackages_of_feti_are_imported_downwards(package):
+    modules = in_layer(f"feti.{package}")
+    assert len(modules) > 1
+    below = FETI_ORDER[: FETI_ORDER.index(package) + 1]
+    for module in modules:
+        used = {
+            other.split(".")[2] for other in GRAPH[module] if other.startswith("fenics_tfeti.feti.")
+        }
+        assert used <= FETI_BASE | set(below), module
+
+
+def test_no_modules_import_each_other():
+    graphlib.TopologicalSorter(GRAPH).prepare()
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_only_the_adapter_asks_for_versions(module):
+    text = FILES[module].read_text()
+    if module != "fenics_tfeti.fem._compat":
+        for words in ("dolfinx.cpp", "import cpp", "_cpp_object", "dolfinx.__version__"):
+            assert words not in text
+
+
+def python(code: str) -> str:
+    """Run code in a new process; return what it prints."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_feti_needs_no_finite_element_library():
+    printed = python(
+        "import sys\n"
+        f"for missing in {FINITE_ELEMENTS}: sys.modules[missing] = None\n"
+        "import fenics_tfeti.feti\n"
         "try:\n    from fenics_tfeti import ContactProblem\n"
         "except ImportError as error:\n    print(error)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "apt install python3-dolfinx-real" in done.stdout
+    assert "apt install python3-dolfinx-real" in printed
+
+
+def test_qp_needs_neither_mpi_nor_petsc():
+    python(
+        "import sys\n"
+        f"for missing in {FINITE_ELEMENTS | {'mpi4py', 'petsc4py'}}: sys.modules[missing] = None\n"
+        "import fenics_tfeti.qp"
+    )
 
 
 @pytest.mark.parametrize(
@@ -68,4 +173,4 @@ def test_lower_storeys_need_no_dolfinx():
 )
 def test_package_may_be_the_first_import(first):
     """Of the wheels, mpi4py has to be imported before petsc4py and dolfinx."""
-    subprocess.run([sys.executable, "-c", first], check=True)
+    python(first)

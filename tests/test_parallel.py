@@ -1,4 +1,4 @@
-"""Errors in a block on one process; tests/mpi/test_exchange.py has those on several."""
+"""Errors in a block on one rank; tests/mpi/test_parallel.py has those on several."""
 
 from __future__ import annotations
 

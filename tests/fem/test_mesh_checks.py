@@ -6,7 +6,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from mesh_arrays import grid, merged, mesh_of, slit, tags_of, together
+from mesh_arrays import concatenated, grid, merged, mesh_of, slit, tags_of
 
 from dolfinx.mesh import CellType, create_unit_cube, create_unit_square
 
@@ -80,7 +80,7 @@ def test_any_order_of_the_vertices_of_simplices(cell):
 def test_bodies_that_touch_may_have_nodes_at_the_same_places(cell):
     points, cells = block(cell)
     shift = 3.0 * np.eye(points.shape[1])[0]
-    both = together((points, cells), (points + shift, cells))
+    both = concatenated((points, cells), (points + shift, cells))
     check(cell, *both)
     check(cell, *both, tags=np.repeat([1, 2], len(cells)))
 
@@ -97,7 +97,7 @@ def test_tags_that_meet_in_a_vertex_within_a_connected_mesh():
 
 
 def test_tags_without_cells_in_between():
-    points, cells = together(grid((2, 2)), grid((2, 2), (5.0, 0.0)))
+    points, cells = concatenated(grid((2, 2)), grid((2, 2), (5.0, 0.0)))
     check("quadrilateral", points, cells, tags=np.repeat([-3, 100], 4))
 
 
@@ -126,7 +126,7 @@ def test_crack_through_cells_of_all_shapes_is_refused(cell):
     """Two blocks glued at a part of a face: the rest of it is a crack."""
     points, cells = block(cell)
     shift = 3.0 * np.eye(points.shape[1])[0]
-    points, cells = together((points, cells), (points + shift, cells))
+    points, cells = concatenated((points, cells), (points + shift, cells))
     glued = (points[:, 0] == 3.0) & (points[:, -1] <= 1.0)
     points, cells = merged(points, cells, np.flatnonzero(glued | (points[:, 0] != 3.0)))
     with pytest.raises(InputError, match=rf"{2 * 4 ** (points.shape[1] - 2)} pairs"):
@@ -181,7 +181,7 @@ def test_flat_cell_is_named(cell):
     points, cells = block(cell)
     lone = points[cells[-1]] + 7.0
     lone[:, -1] = 8.0
-    points, cells = together((points, cells), (lone, np.arange(len(lone))[None]))
+    points, cells = concatenated((points, cells), (lone, np.arange(len(lone))[None]))
     with pytest.raises(
         InputError, match=rf"without .*1 of {len(cells)} cells, .* in body . in .9,"
     ):

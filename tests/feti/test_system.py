@@ -13,7 +13,15 @@ from bad_systems import MISTAKES, column_on
 from torn import column, cube
 
 from fenics_tfeti import InputError
-from fenics_tfeti.feti import ContactRows, Options, Prescribed, Subdomain, TornSolver, TornSystem
+from fenics_tfeti.feti import (
+    ContactGuess,
+    ContactRows,
+    Options,
+    Prescribed,
+    Subdomain,
+    TornSolver,
+    TornSystem,
+)
 
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.name)
@@ -193,3 +201,32 @@ def test_infinite_gaps_bear_no_force():
     assert not found.normal_force[k:].any()
     assert not found.active[k:].any()
     assert found.report.products == expected.report.products
+
+
+def test_name_of_a_body():
+    assert column().body_name(1) == "upper"
+    assert column().body_name(7) == "body 7"
+
+
+def test_no_contact_rows():
+    none = ContactRows.none(2)
+    assert none.normal.shape == (0, 2)
+    assert none.slave.size == none.master.size == none.gap.size == none.contact.size == 0
+
+
+@pytest.mark.parametrize(
+    ("force", "gap", "message"),
+    [
+        (np.zeros(2), np.zeros(3), r"normal forces .* shape \(2,\), expected \(3,\)"),
+        (np.zeros(3), np.zeros(4), r"gaps .* shape \(4,\), expected \(3,\)"),
+        (np.array([0.0, np.inf, 1.0]), np.zeros(3), "normal forces .* 1 of 3 numbers are NaN"),
+        (np.zeros(3), np.array([0.0, np.nan, 1.0]), "gaps .* 1 are NaN"),
+    ],
+)
+def test_wrong_guess(force, gap, message):
+    with pytest.raises(InputError, match=message):
+        ContactGuess(force, gap).check(3)
+
+
+def test_gaps_of_a_guess_may_be_infinite():
+    ContactGuess(np.zeros(2), np.array([0.0, np.inf])).check(2)

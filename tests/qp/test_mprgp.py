@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from qp_problems import Problem, random_problem, string
 
-from fenics_tfeti.qp import Bounds, MPRGPOptions, Products, mprgp
+from fenics_tfeti.qp import MPRGPOptions, Products, mprgp
 
 both_expansions = pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
 accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)
@@ -263,23 +263,3 @@ def test_zero_right_hand_side():
     result = solve(problem)
     assert result.converged
     np.testing.assert_array_equal(result.x, [0.0, 0.0, 2.0])
-
-
-def test_bounds_from_a_vector_take_the_finite_ones():
-    bounds = Bounds.from_vector(np.array([-np.inf, 1.0, -np.inf, -2.0]))
-    assert bounds.indices.tolist() == [1, 3]
-    assert bounds.lower.tolist() == [1.0, -2.0]
-
-
-def test_gradient_split_by_its_definition():
-    x = np.array([0.0, 0.0, 3.0, 3.0, 5.0])
-    g = np.array([-1.0, 2.0, 1.0, -4.0, 7.0])
-    bounds = Bounds(np.arange(4), np.zeros(4))
-    from fenics_tfeti.qp import Space
-
-    split = bounds.split(x, g, 4.0, Space())
-    np.testing.assert_array_equal(split.free, [0.0, 0.0, 1.0, -4.0, 7.0])
-    np.testing.assert_array_equal(split.chopped, [-1.0, 0.0, 0.0, 0.0])
-    # (x - l) / step length is 3/4 where the free gradient is 1; the last component has no bound.
-    np.testing.assert_allclose(split.reduced_free, 0.75 * 1.0 + 16.0 + 49.0)
-    np.testing.assert_allclose(split.projected_norm, np.sqrt(1.0 + 1.0 + 16.0 + 49.0))

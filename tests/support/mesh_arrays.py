@@ -43,7 +43,7 @@ def grid(divisions: tuple[int, ...], corner: tuple[float, ...] = ()) -> tuple[An
     return points + np.array(corner or 0.0), (blocks @ strides)[:, None] + offsets
 
 
-def together(*parts: tuple[Any, Any]) -> tuple[Any, Any]:
+def concatenated(*parts: tuple[Any, Any]) -> tuple[Any, Any]:
     """Put meshes into one, without common nodes."""
     first = np.cumsum([0, *(len(points) for points, _ in parts)])
     return (

@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from mesh_arrays import merged, mesh_of, tags_of, together, unstructured_block
+from mesh_arrays import concatenated, merged, mesh_of, tags_of, unstructured_block
 from primal_reference import Pair
 from scenes import (
     CLAMPED,
@@ -65,9 +65,10 @@ def cubes() -> tuple[Any, Any]:
         return corner + turned + (1.0 - 2.0 * turned) * unit, cells
 
     beams = [
-        merged(*together(image(first, 0, first), image(first + 1, 0, first))) for first in (0, 1)
+        merged(*concatenated(image(first, 0, first), image(first + 1, 0, first)))
+        for first in (0, 1)
     ]
-    return together(*beams)
+    return concatenated(*beams)
 
 
 def scene(

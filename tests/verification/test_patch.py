@@ -19,7 +19,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from mesh_arrays import mesh_of, slit, tags_of, together, unstructured_block
+from mesh_arrays import concatenated, mesh_of, slit, tags_of, unstructured_block
 from scenes import at, elasticity, fixed, stress, vector_space
 
 import ufl
@@ -75,7 +75,7 @@ def stack(cell: str, contact: str) -> tuple[Any, Any, Any]:
         part = x[:, -1] if k % 2 == 0 else 1.0 - x[:, -1]
         x[:, -1] = (1.0 - part) * below + part * above
         parts.append((x, cells))
-    points, cells = together(*parts)
+    points, cells = concatenated(*parts)
     domain = mesh_of(MPI.COMM_SELF, cell, points, cells)
     cell_tags = tags_of(domain, np.repeat(range(len(parts)), len(parts[0][1])))
 

@@ -113,9 +113,7 @@ class _Group:
     force: float
 
 
-def _groups(
-    system: TornSystem, coarse_space: CoarseSpace, free: Vector, e: Vector
-) -> list[_Group]:
+def _groups(system: TornSystem, coarse_space: CoarseSpace, free: Vector, e: Vector) -> list[_Group]:
     """Split unresisted motions by groups of bodies, each with a scale of forces of its own."""
     comm, bodies = system.comm, coarse_space.bodies
     modes = 3 * (system.gdim - 1)

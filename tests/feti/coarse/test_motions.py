@@ -54,7 +54,7 @@ def test_a_flat_valley_bears_the_load(tilt, method, size):
     system = block((0.1 * tilt, 0, -1.0), valley, size=size, force=size**2)
     solution = TornSolver(system, Options(rtol=1e-6, method=method)).solve()
     force = solution.normal_force[:, None] * system.contacts.normal
-    np.testing.assert_allclose(force.sum(axis=0)[2], -size**2, rtol=1e-5)
+    np.testing.assert_allclose(force.sum(axis=0)[2], -(size**2), rtol=1e-5)
     np.testing.assert_allclose(force.sum(axis=0)[0], 0.1 * tilt * size**2, rtol=1e-2)
 
 

@@ -11,7 +11,6 @@ from fenics_tfeti import InputError
 from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
 from fenics_tfeti.feti.constraints.feasibility import contradiction
 
-
 NODE = 2 * 1000 * 1000 + 2 * 1000 + 2
 X, Y, Z = np.eye(3)
 

@@ -78,20 +78,6 @@ def test_scaling_by_multiplicity_gives_orthonormal_rows(name):
     np.testing.assert_allclose(B @ B.T, np.eye(len(B)), rtol=0.0, atol=1e-14)
 
 
-@pytest.mark.parametrize("unit", [1e-12, 1e12])
-def test_weights_by_stiffness_have_no_unit(unit):
-    system = column()
-    scaled = dataclasses.replace(
-        system,
-        subdomains=[
-            dataclasses.replace(s, stiffness=unit * s.stiffness) for s in system.subdomains
-        ],
-    )
-    weights = node_weights(system, "stiffness")
-    assert weights.max() == 1.0
-    np.testing.assert_allclose(node_weights(scaled, "stiffness"), weights, rtol=1e-14)
-
-
 @pytest.mark.parametrize("name", GLUED)
 def test_glued_displacements_violate_no_gluing_row(name):
     """One displacement for each node, zero where it is fixed, fulfils all rows with c = 0."""

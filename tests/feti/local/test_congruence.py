@@ -52,19 +52,6 @@ def test_loads_and_numbers_do_not_matter():
     assert members([cube(2), cube(2, load=(1, 2, 3), body=4, first=99)]) == [[0, 1]]
 
 
-@pytest.mark.parametrize("preconditioner", ["none", "lumped", "dirichlet"])
-def test_explicit_and_implicit_operators_agree(preconditioner):
-    x = None
-    for kind in ("implicit", "explicit"):
-        options = Options(dual_operator=kind, preconditioner=preconditioner)
-        solver = TornSolver(column(height=3), options)
-        x = np.random.default_rng(0).standard_normal(solver.data.feasible.size) if x is None else x
-        result = solver.setup.F(x)
-        if kind == "implicit":
-            expected = result
-    np.testing.assert_allclose(result, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
-
-
 def test_one_softer_cube_among_equal_ones():
     """Classes are of different sizes then; the force still is the load."""
     system = column(height=4, load=(0, 0, -2.0))

@@ -1,4 +1,4 @@
-"""Rigid motions in words: a rotation is named by the point or axis that it leaves where it is."""
+"""Rigid body modes, the kernel of K_i, and rigid motions in words."""
 
 from __future__ import annotations
 
@@ -6,8 +6,19 @@ import itertools
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
+from torn import cube
 
-from fenics_tfeti.feti.local.rigid_body_modes import describe_motion, raw_modes
+from fenics_tfeti.feti import Subdomain
+from fenics_tfeti.feti.local.rigid_body_modes import (
+    describe_motion,
+    kernel,
+    raw_modes,
+    rigid_body_modes,
+)
+
+CUBE = cube(4)
+K = CUBE.stiffness.toarray()
 
 
 @pytest.mark.parametrize(
@@ -26,7 +37,25 @@ from fenics_tfeti.feti.local.rigid_body_modes import describe_motion, raw_modes
     ],
 )
 def test_motion_in_words(pole, parts, words):
-    """The centre of the nodes is (1, 1) or (1, 1, 1)."""
+    """A rotation is named by the point or axis that it leaves in place; the centre is at 1."""
     nodes = np.array(list(itertools.product((0.0, 2.0), repeat=len(pole))))
     motion = raw_modes(nodes, np.array(pole, dtype=float)) @ parts
     assert describe_motion(nodes, motion) == words
+
+
+def test_kernel():
+    R = kernel(CUBE)
+    np.testing.assert_allclose(K @ R, 0.0, atol=1e-13)
+    np.testing.assert_allclose(R.T @ R, np.eye(6), atol=1e-14)
+
+
+def test_elastic_support_takes_motions_out_of_the_kernel():
+    spring = sp.diags(np.where(np.arange(len(K)) % 3 == 2, 0.1, 0.0))
+    held = Subdomain((CUBE.stiffness + spring).tocsr(), CUBE.load, CUBE.coordinates, CUBE.nodes, 0)
+    assert kernel(held).shape[1] == 3  # along x, along y, about z
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e3])
+def test_rigid_body_modes_at_any_size(scale):
+    modes = rigid_body_modes(scale * CUBE.coordinates + 10.0)
+    np.testing.assert_allclose(modes.T @ modes, np.eye(6), atol=1e-13)

@@ -1,0 +1,105 @@
+"""Each demo runs, and its result is the one that its text explains."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from demo_runner import DEMOS, run_demo
+
+
+@pytest.fixture
+def demo(request, tmp_path):
+    """Run the demo after which the test is named; return its variables."""
+    name = request.function.__name__.removeprefix("test_")
+    return run_demo(name, *getattr(request, "param", ()), folder=tmp_path)
+
+
+def test_two_beams(demo):
+    """Equilibrium of the upper beam: 20 MPa on 3 m^2."""
+    assert demo["report"].contact_force == pytest.approx([60e6], rel=1e-6)
+
+
+def test_hertz_ball(demo):
+    """Radius and largest pressure of the contact area by Hertz's formulas."""
+    assert demo["errors"]["hexahedra"] == pytest.approx((0.0, 0.0), abs=0.006)
+    assert demo["errors"]["tetrahedra"] == pytest.approx((0.0, 0.0), abs=0.025)
+
+
+def test_hertz_two_balls(demo):
+    """Radius and largest pressure of the contact area by Hertz's formulas."""
+    assert demo["a_fit"] == pytest.approx(demo["a"], rel=0.015)
+    assert demo["p0_fit"] == pytest.approx(demo["p0"], rel=0.006)
+
+
+def test_hertz_cylinder(demo):
+    """Half-width and largest pressure of the contact area by Hertz's formulas."""
+    assert demo["errors"]["plane"] == pytest.approx((0.0, 0.0), abs=0.002)
+    assert demo["errors"]["groove"] == pytest.approx((0.0, 0.0), abs=0.008)
+
+
+def test_flat_punch(demo):
+    """The pressure up to 3/4 of the radius, and the force of the circular punch."""
+    assert demo["errors"]["strip"] < 0.006
+    assert demo["errors"]["disc"] < 0.035
+    assert demo["F"] == pytest.approx(demo["exact"], rel=0.025)
+
+
+def test_stack_of_blocks(demo):
+    """Each face carries its column: statics, exactly."""
+    assert demo["worst"] < 1e-10
+    assert not demo["report"].free_motions
+
+
+@pytest.mark.parametrize(("demo", "error"), [((), 1e-3), (("3",), 6e-3)], indirect=["demo"])
+def test_pile_of_cylinders(demo, error):
+    """The contact forces of rigid discs."""
+    assert len(demo["errors"]) == 6
+    assert max(demo["errors"].values()) < error
+
+
+def test_roller(demo):
+    """The load on each contact; half-width and largest pressure by Hertz's formulas."""
+    for force, width, peak in demo["errors"].values():
+        assert abs(force) < 1e-10
+        assert abs(width) < 0.006
+        assert abs(peak) < 0.003
+    assert "rotation" in demo["report"].free_motions[0]
+
+
+def test_load_steps(demo):
+    """The radius by Hertz's formula, the same in unloading as in loading, for fewer products."""
+    forces, radii = np.array(demo["forces"]), np.array(demo["radii"])
+    hertz = np.cbrt(3 * forces * demo["R"] / (4 * demo["E_star"]))
+    np.testing.assert_allclose(radii, hertz, rtol=0.015)
+    np.testing.assert_allclose(radii[[4, 5]], radii[[1, 0]], rtol=1e-5)
+    assert demo["again"] < 0.85 * demo["scratch"]
+
+
+def test_finer_meshes(demo):
+    """Half-width and largest pressure by Hertz's formulas; the coarse mesh saves products."""
+    contact, element = demo["contact"], demo["size"] / 128
+    width = contact.coordinates[contact.active, 0].max()
+    assert abs(width - demo["a"]) < element
+    assert contact.pressure.max() == pytest.approx(demo["p0"], rel=0.012)
+    saved, alone = (demo[key].report for key in ("problem", "alone"))
+    assert saved.products["total"] < alone.products["total"]
+
+
+def test_sliding_block(demo):
+    """The force is antisymmetric, its work that of lifting the block, and zero in the end."""
+    H, largest = demo["H"], np.abs(demo["H"]).max()
+    assert np.abs(H + H[::-1]).max() < 0.035 * largest
+    assert demo["parts"][: demo["top"]].sum() == pytest.approx(demo["rigid_work"], rel=0.01)
+    assert abs(demo["parts"].sum()) < 0.02 * demo["rigid_work"]
+    np.testing.assert_allclose(demo["F"], demo["pressure"] * demo["width"], rtol=1e-4)
+
+
+def test_each_demo_has_a_test():
+    names = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
+    demos = {path.stem for path in DEMOS.glob("*.py")}
+    assert demos and demos <= names
+
+
+def test_demos_say_how_they_are_run():
+    for path in DEMOS.glob("*.py"):
+        assert f"python demos/{path.name}" in path.read_text()

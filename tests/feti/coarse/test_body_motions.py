@@ -1,0 +1,93 @@
+"""Rigid motions of bodies: what resists them, and their names."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from dense import DenseSystem
+from torn import column, cube
+
+from fenics_tfeti.feti import ContactRows, Prescribed, TornSolver
+from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
+
+SOLVER = TornSolver(column())
+SYSTEM = DenseSystem.of(SOLVER)
+BODIES = SOLVER.setup.projector.coarse_space.bodies
+KERNELS = SOLVER.setup.local.kernels
+CONSTRAINTS = SOLVER.setup.constraints
+
+
+def moved() -> np.ndarray:
+    """Return what the motions of the bodies do to the rows of B of unit length."""
+    motions = SYSTEM.R @ BODIES.basis.toarray()
+    return np.diag(1 / np.linalg.norm(SYSTEM.B, axis=1)) @ SYSTEM.B @ motions
+
+
+def test_motions_of_a_body_are_orthonormal_and_keep_it_glued():
+    motions = SYSTEM.R @ BODIES.basis.toarray()
+    assert motions.shape[1] == 12
+    np.testing.assert_allclose(motions.T @ motions, np.eye(12), atol=1e-13)
+    np.testing.assert_allclose(SYSTEM.K @ motions, 0.0, atol=1e-13)
+    nodes = np.concatenate([s.nodes for s in SOLVER.system.subdomains])
+    first = {node: i for i, node in reversed(list(enumerate(nodes)))}
+    copies = [first[node] for node in nodes]
+    by_node = motions.reshape(nodes.size, 3, 12)
+    np.testing.assert_allclose(by_node, by_node[copies], atol=1e-13)
+
+
+def test_equality_rows_hold_the_lower_body_but_not_the_upper_one():
+    rows = moved()[CONSTRAINTS.equality]
+    np.testing.assert_allclose(BODIES.held, rows.T @ rows, atol=1e-12)
+    lower, upper = np.linalg.eigvalsh(BODIES.held[:6, :6]), np.linalg.eigvalsh(BODIES.held[6:, 6:])
+    assert lower[0] > 0.01
+    assert np.count_nonzero(upper > 0.01) == 3 and np.abs(upper[:3]).max() < 1e-12
+
+
+def test_contact_rows():
+    rows = moved()[CONSTRAINTS.inequality]
+    np.testing.assert_allclose(BODIES.contact.toarray(), rows.T, atol=1e-12)
+
+
+@pytest.mark.parametrize(("axes", "left"), [((0, 1, 2), 0), ((2,), 3)])
+def test_elastic_support_resists(axes, left):
+    """A cube on springs along some axes; along z alone it may slide and turn about z."""
+    block = cube(2)
+    springs = np.where(np.isin(np.arange(block.size) % 3, axes), 0.1, 0.0)
+    held = dataclasses.replace(block, stiffness=(block.stiffness + sp.diags(springs)).tocsr())
+    system = dataclasses.replace(
+        column(), subdomains=[held], contacts=ContactRows.none(3), prescribed=Prescribed()
+    )
+    bodies = TornSolver(system).setup.projector.coarse_space.bodies
+    resistance = np.linalg.eigvalsh(bodies.held)
+    assert np.count_nonzero(resistance < 1e-12) == left
+    assert np.count_nonzero(resistance > 0.1) == 6 - left
+
+
+@pytest.mark.parametrize(
+    ("moving", "names"),
+    [
+        ([1.0, 0.0], ["lower: translation along (0, 0, 1)"]),
+        ([0.0, -2.0], ["upper: translation along (0, 0, -1)"]),
+        (
+            [1.0, 1.0],
+            ["lower: translation along (0, 0, 1)", "upper: translation along (0, 0, 1)"],
+        ),
+        ([1.0, 1e-8], ["lower: translation along (0, 0, 1)"]),
+    ],
+)
+def test_motion_is_named_by_body(moving, names):
+    up = np.concatenate(
+        [np.tile([0.0, 0.0, moving[s.body]], s.nodes.size) for s in SOLVER.system.subdomains]
+    )
+    assert describe_body_motion(SOLVER.system, KERNELS, SYSTEM.R.T @ up) == names
+
+
+def test_opposite_motion_is_meant_as_well():
+    down = np.concatenate(
+        [np.tile([0.0, 0.0, -1.0 * s.body], s.nodes.size) for s in SOLVER.system.subdomains]
+    )
+    names = describe_body_motion(SOLVER.system, KERNELS, SYSTEM.R.T @ down, either_way=True)
+    assert names == ["upper: translation along (0, 0, 1)"]

@@ -1,0 +1,96 @@
+"""P and Q of all rows and of the rows of a face, against dense algebra."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from dense import DenseSystem
+from torn import column, cube
+
+from fenics_tfeti.feti import ContactRows, Prescribed, TornSolver
+from fenics_tfeti.feti.coarse.projector import Projector
+
+SOLVER = TornSolver(column())
+SYSTEM = DenseSystem.of(SOLVER)
+CONSTRAINTS = SOLVER.setup.constraints
+SPACE = SOLVER.setup.projector.coarse_space
+X, Y = np.random.default_rng(0).standard_normal((2, len(SYSTEM.B)))
+
+# active contact rows: all, some that hold the upper cube, too few to hold it, none
+FACES = {"all": slice(None), "five": slice(0, 5), "two": slice(0, 2), "none": slice(0, 0)}
+
+
+def on_face(name: str) -> tuple[Projector, np.ndarray, np.ndarray]:
+    """Return the projector of a face, its rows, and the dense P."""
+    active = np.zeros(CONSTRAINTS.inequality.size, dtype=bool)
+    active[FACES[name]] = True
+    rows = CONSTRAINTS.equality
+    rows[CONSTRAINTS.inequality] = active
+    return Projector.build(SPACE, active), rows, SYSTEM.projector(rows)
+
+
+each_face = pytest.mark.parametrize("face", FACES)
+
+
+def test_projector_is_that_of_orthonormal_rows():
+    """Q = G'G for G with orthonormal rows, here from an SVD."""
+    rows = np.linalg.svd(SYSTEM.G, full_matrices=False)[2]
+    np.testing.assert_allclose(SOLVER.setup.projector.Q(X), rows.T @ (rows @ X), atol=1e-12)
+
+
+@each_face
+def test_projections_of_vectors_on_the_face(face):
+    projector, rows, P = on_face(face)
+    x = np.where(rows, X, 0.0)
+    np.testing.assert_allclose(projector.P(x), P @ x, atol=1e-12)
+    np.testing.assert_allclose(projector.Q(x), x - P @ x, atol=1e-12)
+
+
+@each_face
+def test_sums_of_parts(face):
+    """On one rank the part is the whole."""
+    projector, _, P = on_face(face)
+    found, product = projector.P_of_sum(Y, X)
+    np.testing.assert_allclose(found, P @ Y, atol=1e-12)
+    assert product == pytest.approx(X @ Y, rel=1e-12)
+    np.testing.assert_allclose(projector.part_of_P(Y), P @ Y, atol=1e-12)
+    for found in projector.part_of_Q(X):
+        np.testing.assert_allclose(found, projector.Q(X), atol=1e-12)
+
+
+@each_face
+def test_rigid_motion_is_removed_off_the_face_too(face):
+    """y - G'a with the a of least norm that makes it Py on the face."""
+    projector, rows, _ = on_face(face)
+    found, product = projector.remove_rigid_motion(Y, X)
+    a = np.linalg.lstsq(SYSTEM.G[:, rows].T, Y[rows], rcond=1e-10)[0]
+    np.testing.assert_allclose(found, Y - SYSTEM.G.T @ a, atol=1e-11)
+    assert product == pytest.approx(X @ Y, rel=1e-12)
+
+
+@each_face
+def test_generalized_inverse_of_the_coarse_matrix(face):
+    projector, rows, _ = on_face(face)
+    G = np.where(rows, SYSTEM.G, 0.0)
+    coarse = projector.without_free_motions(np.random.default_rng(1).standard_normal(SPACE.size))
+    np.testing.assert_allclose(G @ G.T @ projector.solve(coarse), coarse, atol=1e-12)
+    np.testing.assert_allclose(projector.free.T @ coarse, 0.0, atol=1e-13)
+    np.testing.assert_allclose(projector.expand(coarse), G.T @ coarse, atol=1e-13)
+
+
+def test_subdomain_without_rigid_modes():
+    """There is no coarse unknown then, and P is the identity."""
+    block = cube(2)
+    held = dataclasses.replace(block, stiffness=(block.stiffness + sp.identity(81)).tocsr())
+    system = dataclasses.replace(column(), subdomains=[held], contacts=ContactRows.none(3))
+    bottom = block.nodes[block.coordinates[:, 2] == 0]
+    fixed = Prescribed(bottom, np.zeros(bottom.size, dtype=int), np.zeros(bottom.size))
+    projector = TornSolver(dataclasses.replace(system, prescribed=fixed)).setup.projector
+    x = np.arange(float(bottom.size))
+    assert projector.coarse_space.size == 0
+    np.testing.assert_array_equal(projector.P(x), x)
+    np.testing.assert_array_equal(projector.part_of_Q(x)[1], 0.0)
+    assert projector.P_of_sum(x, x)[1] == x @ x

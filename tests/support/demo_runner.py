@@ -1,0 +1,60 @@
+"""Run a demo as a user does, in a folder of its own."""
+
+from __future__ import annotations
+
+import json
+import logging
+import runpy
+import sys
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+from fenics_tfeti.fem.io import pictures
+
+DEMOS = Path(__file__).parent.parent.parent / "demos"
+EMPTY_PICTURE = 10_000  # bytes
+
+
+def run_demo(name: str, *arguments: str, folder: Path) -> dict[str, Any]:
+    """Run a demo in a folder, check what it writes, and return its variables.
+
+    The pictures of deformed meshes are not rendered, which would take most of the time; the data
+    for them are checked.
+    """
+
+    def checked(path: Path, data: dict[str, Any]) -> None:
+        assert np.all(np.isfinite(data["colours"])) and np.ptp(data["colours"]) > 0
+        assert np.all(np.isfinite(data["displacement"])) and np.any(data["displacement"])
+
+    root, package = logging.getLogger(), logging.getLogger("fenics_tfeti")
+    before = root.handlers[:], root.level, package.level
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr(sys, "argv", [f"{name}.py", *arguments])
+        patch.setattr(pictures, "_render", checked)
+        try:
+            variables = runpy.run_path(str(DEMOS / f"{name}.py"))
+        finally:
+            root.handlers[:], level, package_level = before
+            root.setLevel(level)
+            package.setLevel(package_level)
+    MPI.COMM_WORLD.barrier()
+    check_files(folder / "results")
+    return variables
+
+
+def check_files(results: Path) -> None:
+    """Check that files were written, and that they can be read."""
+    files = sorted(results.iterdir())
+    assert files
+    for file in files:
+        if file.suffix == ".png":
+            content = file.read_bytes()
+            assert content.startswith(b"\x89PNG") and len(content) > EMPTY_PICTURE
+        if file.suffix == ".json":
+            assert json.loads(file.read_text())["converged"] is True

@@ -1,0 +1,65 @@
+"""Mistakes in options and other arguments of the problem and of `solve`."""
+
+from __future__ import annotations
+
+import numpy as np
+import scenes
+
+from dolfinx import mesh
+
+from mistakes.catalogue import beams, mistake
+
+
+@mistake("subdomainsize", "subdomain_size")
+def unknown_option(comm):
+    beams(comm).problem(options={"subdomainsize": 100})
+
+
+@mistake("rtol", "-1")
+def option_out_of_range(comm):
+    beams(comm).problem(options={"rtol": -1.0})
+
+
+@mistake("preconditioner", "'jacobi'", "dirichlet")
+def option_with_an_unknown_value(comm):
+    beams(comm).problem(options={"preconditioner": "jacobi"})
+
+
+@mistake("subdomains", r"\(3,\)", "cells")
+def subdomains_of_a_wrong_length(comm):
+    beams(comm).problem(subdomains=np.zeros(3, dtype=np.int32)).solve()
+
+
+@mistake("cell_tags", "cells", "without a tag")
+def cells_without_a_tag(comm):
+    scene = beams(comm)
+    some = scene.cell_tags.find(1).astype(np.int32)
+    tags = mesh.meshtags(scene.mesh, 2, some, np.ones(some.size, dtype=np.int32))
+    scene.problem(cell_tags=tags).solve()
+
+
+@mistake("float", "ContactProblem", "solved")
+def coarse_is_no_problem(comm):
+    beams(comm).problem().solve(coarse=2.0)
+
+
+@mistake("not solved", r"solve\(\)")
+def coarse_is_not_solved(comm):
+    beams(comm).problem().solve(coarse=beams(comm).problem())
+
+
+@mistake("3 dimensions", "2")
+def coarse_of_another_dimension(comm):
+    beams(comm).problem().solve(coarse=scenes.two_beams(comm, "hexahedron", 2).problem())
+
+
+@mistake("obstacle", "pair", "same order")
+def coarse_with_other_contacts(comm):
+    coarse = scenes.pressed_block(comm, "quadrilateral").problem()
+    beams(comm).problem().solve(coarse=coarse)
+
+
+@mistake("active_set", "smalbe", "leave it out")
+def coarse_with_another_method(comm):
+    coarse = beams(comm).problem()
+    beams(comm).problem(options={"method": "smalbe"}).solve(coarse=coarse)

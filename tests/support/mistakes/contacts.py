@@ -1,0 +1,118 @@
+"""Mistakes in what may touch what: tags, roles of surfaces, obstacles."""
+
+from __future__ import annotations
+
+import numpy as np
+import scenes
+from scenes import MASTER, SLAVE
+
+from fenics_tfeti import ContactPair, RigidObstacle, Sphere
+from mistakes.catalogue import beams, mistake
+
+
+@mistake("99", "facet")
+def slave_tag_on_no_facet(comm):
+    scene = beams(comm)
+    scene.problem(contacts=[ContactPair(scene.facet_tags, slave=99, master=MASTER)]).solve()
+
+
+@mistake("98", "facet")
+def master_tag_on_no_facet(comm):
+    scene = beams(comm)
+    scene.problem(contacts=[ContactPair(scene.facet_tags, slave=SLAVE, master=98)]).solve()
+
+
+@mistake("97", "facet")
+def obstacle_tag_on_no_facet(comm):
+    scene = beams(comm)
+    ground = scenes.Plane((0.0, 0.0), (0.0, 1.0))
+    scene.problem(contacts=[RigidObstacle(scene.facet_tags, slave=97, obstacle=ground)]).solve()
+
+
+@mistake("slave", "master", r"\b5\b")
+def slave_is_its_own_master(comm):
+    scene = beams(comm)
+    scene.problem(contacts=[ContactPair(scene.facet_tags, slave=SLAVE, master=SLAVE)]).solve()
+
+
+@mistake("slave", "master", "contacts 0 and 1")
+def slave_of_one_contact_is_master_of_another(comm):
+    scene = beams(comm)
+    tags = scene.facet_tags
+    pairs = [ContactPair(tags, slave=SLAVE, master=MASTER)]
+    scene.problem(contacts=[*pairs, ContactPair(tags, slave=MASTER, master=SLAVE)]).solve()
+
+
+@mistake("contact 0", "facet_tags", "dimension 2")
+def cell_tags_for_facet_tags(comm):
+    scene = beams(comm)
+    scene.problem(contacts=[ContactPair(scene.cell_tags, slave=1, master=2)]).solve()
+
+
+@mistake("contact 0", "facet_tags", "another mesh")
+def facet_tags_of_another_mesh(comm):
+    scene, other = beams(comm), beams(comm)
+    contacts = [ContactPair(other.facet_tags, slave=SLAVE, master=MASTER)]
+    scene.problem(contacts=contacts).solve()
+
+
+@mistake("obstacle", "NaN")
+def obstacle_returns_nan(comm):
+    scene = beams(comm)
+
+    def ground(x):
+        return np.full(x.shape[1], np.nan), np.tile([[0.0], [1.0]], x.shape[1])
+
+    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=ground)]
+    scene.problem(contacts=contacts).solve()
+
+
+@mistake("obstacle", "shape", r"\(5,\) and \(2, 5\)")
+def obstacle_returns_a_wrong_shape(comm):
+    scene = beams(comm)
+
+    def ground(x):
+        return 0.0, np.array([0.0, 1.0])
+
+    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=ground)]
+    scene.problem(contacts=contacts).solve()
+
+
+@mistake("contact 0", "normal", "unit")
+def obstacle_returns_normals_of_no_unit_length(comm):
+    scene = beams(comm)
+
+    def ground(x):
+        return x[1], np.tile([[0.0], [2.0]], x.shape[1])
+
+    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=ground)]
+    scene.problem(contacts=contacts).solve()
+
+
+@mistake("obstacle", "(?i)ZeroDivisionError", "shape")
+def obstacle_that_fails(comm):
+    scene = beams(comm)
+    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=lambda x: 1 / 0)]
+    scene.problem(contacts=contacts).solve()
+
+
+@mistake("obstacle", r"\(gap, normal\)")
+def obstacle_returns_nothing(comm):
+    scene = beams(comm)
+    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=lambda x: "far away")]
+    scene.problem(contacts=contacts).solve()
+
+
+@mistake("centre", r"\(1\.5, 1\)", "contact 0")
+def slave_node_at_the_centre_of_the_sphere(comm):
+    scene = beams(comm)
+    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=Sphere((1.5, 1.0), 0.1))]
+    scene.problem(contacts=contacts).solve()
+
+
+@mistake("contact 0", "obstacle", "hollow=True", "turn it round", r"\b5\b")
+def obstacle_on_the_wrong_side(comm):
+    scene = beams(comm)
+    plane = scenes.Plane((0.0, 1.0), (0.0, -1.0))
+    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=plane)]
+    scene.problem(contacts=contacts).solve()

@@ -1,0 +1,97 @@
+"""Mistakes in forms, spaces and prescribed displacements."""
+
+from __future__ import annotations
+
+import numpy as np
+import scenes
+from scenes import ROLLER, YOUNG
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactProblem
+from fenics_tfeti.errors import FactorizationError
+from mistakes.catalogue import beams, mistake
+
+
+@mistake("NaN", "bilinear form", "constant 0")
+def nan_in_a_constant(comm):
+    scene = beams(comm)
+    scene.kept[0].value = np.nan
+    scene.problem().solve()
+
+
+@mistake("NaN", "bilinear form", r"coefficient 0 \(f\)")
+def nan_in_one_cell_of_a_coefficient(comm):
+    scene = beams(comm)
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    young = fem.Function(scenes.scalar_space(scene.mesh, "DG", 0))
+    # The one cell that holds the point (0.1, 0.1), on whatever rank it is.
+    young.interpolate(lambda x: YOUNG * np.where((x[0] < 0.25) & (x[1] < 0.25), np.nan, 1.0))
+    scene.a = scenes.elasticity(u, v, young)
+    scene.problem().solve()
+
+
+@mistake("NaN", r"\blinear form", "constant 0")
+def nan_in_the_load(comm):
+    scene = beams(comm)
+    scene.kept[1].value = np.nan
+    scene.problem().solve()
+
+
+@mistake("NaN", "Dirichlet condition 2")
+def nan_in_a_dirichlet_value(comm):
+    scene = beams(comm)
+    scene.bcs.append(scenes.fixed(scene.V, scene.facet_tags, ROLLER, 0, np.nan))
+    scene.problem().solve()
+
+
+def posed_on(scene: scenes.Scene, V) -> None:
+    """Solve a Laplace-like problem on a space that the package does not support."""
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    a = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
+    load = fem.Constant(scene.mesh, 1.0)
+    right = load * (v[0] if v.ufl_shape else v) * ufl.dx
+    ContactProblem(a, right, bcs=[], contacts=scene.package_contacts()).solve()
+
+
+@mistake("degree 2", "degree 1")
+def space_of_degree_two(comm):
+    scene = beams(comm)
+    posed_on(scene, scenes.vector_space(scene.mesh, 2))
+
+
+@mistake("scalar", "2 components")
+def scalar_space(comm):
+    scene = beams(comm)
+    posed_on(scene, scenes.scalar_space(scene.mesh))
+
+
+@mistake("symmetric", r"a\(u, v\)")
+def form_that_is_not_symmetric(comm):
+    scene = beams(comm)
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    speed = fem.Constant(scene.mesh, 1e11)
+    scene.a += speed * u[1].dx(0) * v[0] * ufl.dx
+    scene.problem().solve()
+
+
+@mistake("positive", "cell tag", error=FactorizationError)
+def form_that_is_negative(comm):
+    scene = beams(comm)
+    scene.kept[0].value = -YOUNG
+    scene.problem().solve()
+
+
+@mistake("a has 1", "L has 2", "bilinear")
+def forms_exchanged(comm):
+    scene = beams(comm)
+    scene.a, scene.L = scene.L, scene.a
+    scene.problem().solve()
+
+
+@mistake("a and L", "different function spaces")
+def forms_on_two_meshes(comm):
+    scene, other = beams(comm), beams(comm)
+    scene.L = other.L
+    scene.problem().solve()

@@ -1,0 +1,230 @@
+"""Mistakes in the pairing of slave and master nodes, and in normals."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import scenes
+from scenes import CLAMPED, LOADED, MASTER, ROLLER, SLAVE, YOUNG
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair
+from fenics_tfeti.io import Box, boxes, tag_facets
+from mistakes.catalogue import beams, mistake
+
+# the slave's nodes of beams()
+PLACES = np.array([[1.0, 1.0, 0.0], [1.25, 1, 0], [1.5, 1, 0], [1.75, 1, 0], [2.0, 1, 0]])
+
+
+def non_matching(comm: MPI.Comm) -> scenes.Scene:
+    """Two blocks with 4 and 3 elements along the contact: the two inner slave nodes miss."""
+    tagged = boxes(
+        comm, [Box((0, 0), (1, 1), (4, 4)), Box((0, 1), (1, 2), (3, 4))], "quadrilateral"
+    )
+    tags = tag_facets(
+        tagged.mesh,
+        [
+            (CLAMPED, scenes.at(1, 0.0), 1),
+            (ROLLER, scenes.at(1, 2.0), 2),
+            (MASTER, scenes.at(1, 1.0), 1),
+            (SLAVE, scenes.at(1, 1.0), 2),
+        ],
+        tagged.cell_tags,
+    )
+    V = scenes.vector_space(tagged.mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    young, load = fem.Constant(tagged.mesh, YOUNG), fem.Constant(tagged.mesh, 1.0)
+    return scenes.Scene(
+        mesh=tagged.mesh,
+        V=V,
+        a=scenes.elasticity(u, v, young),
+        L=load * v[0] * ufl.dx,
+        bcs=[scenes.fixed(V, tags, CLAMPED, None), scenes.fixed(V, tags, ROLLER, None)],
+        contacts=[scenes.reference.Pair(SLAVE, MASTER)],
+        facet_tags=tags,
+        cell_tags=tagged.cell_tags,
+        total_forces=[],
+        kept=[young, load],
+    )
+
+
+@mistake("2 of 4 slave nodes", r"\(0\.333333, 1\) at distance 0\.0833", "toleran")
+def slave_nodes_without_partner(comm):
+    non_matching(comm).problem().solve()
+
+
+def paired(comm: MPI.Comm, **arguments) -> None:
+    scene = beams(comm)
+    pair = ContactPair(scene.facet_tags, slave=SLAVE, master=MASTER, name="joint", **arguments)
+    scene.problem(contacts=[pair]).solve()
+
+
+@mistake("joint", "direction and mapping", "one way")
+def two_ways_to_find_partners(comm):
+    paired(comm, direction=(0.0, 1.0), mapping=lambda x: x)
+
+
+@mistake("joint", "tolerance", "-0.1", "positive")
+def tolerance_that_is_negative(comm):
+    paired(comm, tolerance=-0.1)
+
+
+@mistake("joint", "direction", r"\(3,\)", r"\(2,\)")
+def direction_of_a_wrong_shape(comm):
+    paired(comm, direction=(0.0, 0.0, 1.0))
+
+
+@mistake("joint", "direction", "no direction")
+def direction_of_no_length(comm):
+    paired(comm, direction=(0.0, 0.0))
+
+
+@mistake("joint", "direction", "vanishes", "1 points", r"\(1\.5, 1\)")
+def direction_that_vanishes_somewhere(comm):
+    paired(comm, direction=lambda x: x[:2] - np.array([[1.5], [1.0]]))
+
+
+@mistake("joint", r"5 of 5 slave nodes have no partner", r"\(1, 1\.1\) at dist", "across the dir")
+def direction_that_misses(comm):
+    scene = scenes.two_beams(comm, "quadrilateral", 4, gap=0.1)
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", direction=(1.0, -1.0))
+    scene.problem(contacts=[pair]).solve()
+
+
+@mistake("joint", "mapping", "function")
+def mapping_that_is_no_function(comm):
+    paired(comm, mapping=(0.0, 1.0))
+
+
+@mistake("joint", "mapping", "shape", r"expected \(2, \d\)")
+def mapping_of_a_wrong_shape(comm):
+    paired(comm, mapping=lambda x: x[0])
+
+
+@mistake("joint", "mapping", "NaN", "1 points", r"\(1\.25, 1\)")
+def mapping_that_is_nan_somewhere(comm):
+    paired(comm, mapping=lambda x: np.where(np.isclose(x[0], 1.25), np.nan, x))
+
+
+@mistake("joint", "mapping", "KeyError", "chi")
+def mapping_that_fails(comm):
+    paired(comm, mapping=lambda x: {}["chi"])
+
+
+@mistake("joint", r"4 of 5 slave nodes", r"\(1, 1\) at distance 0.125", "mapped", "0.5", "toleran")
+def mapping_that_misses_the_nodes(comm):
+    paired(comm, mapping=lambda x: x + np.array([[0.125], [0.0], [0.0]]) * (3 - 2 * x[0]))
+
+
+@mistake("joint", "cross", "4 edges", r"\(1, 1\) and \(1\.25, 1\)", r"\(2, 1\) and \(1\.75, 1\)")
+def mapping_that_turns_the_surface_round(comm):
+    paired(comm, mapping=lambda x: np.array([3.0 - x[0], x[1], x[2]]))
+
+
+@mistake("joint", "cross", r"1 edges", r"\(1\.25, 1\) and \(1\.5, 1\)", "opposite order")
+def pairs_that_cross(comm):
+    paired(comm, pairs=(PLACES, PLACES[[0, 2, 1, 3, 4]]))
+
+
+@mistake("joint", "1 slave nodes", "several pairs", r"\(1\.25, 1\)", "once")
+def slave_node_in_two_pairs(comm):
+    paired(comm, pairs=(PLACES[[0, 1, 1, 2, 3, 4]], PLACES[[0, 1, 2, 2, 3, 4]]))
+
+
+@mistake(
+    "joint", "1 master nodes", "several slave nodes", r"\(1\.5, 1\) of those at \(1\.25, 1\) and"
+)
+def master_node_in_two_pairs(comm):
+    paired(comm, pairs=(PLACES, PLACES[[0, 2, 2, 3, 4]]))
+
+
+@mistake("joint", "1 of 5 slave nodes", r"\(1\.5, 1\)", "partial=True")
+def slave_node_in_no_pair(comm):
+    paired(comm, pairs=(PLACES[[0, 1, 3, 4]], PLACES[[0, 1, 3, 4]]))
+
+
+@mistake("joint", "slave points", "1 pairs", r"\(1\.35, 1\) at distance 0.1 ", "0.025", "toleran")
+def slave_points_of_pairs_that_are_no_nodes(comm):
+    moved = PLACES + np.outer([0, 1, 0, 0, 0], [0.1, 0, 0])
+    paired(comm, pairs=(moved, PLACES))
+
+
+@mistake("joint", "master points", "5 pairs", r"\(1, 1\.5\) at distance 0.5 ", "toleran")
+def master_points_of_pairs_that_are_no_nodes(comm):
+    paired(comm, pairs=(PLACES, PLACES + [0.0, 0.5, 0.0]))
+
+
+@mistake("joint", "pairs", "5 slave points", "4 master points")
+def pairs_of_different_lengths(comm):
+    paired(comm, pairs=(PLACES, PLACES[1:]))
+
+
+@mistake("joint", "slave points of pairs", "NaN", "row 2")
+def pairs_with_nan(comm):
+    paired(comm, pairs=(np.where(PLACES == 1.5, np.nan, PLACES), PLACES))
+
+
+@mistake("joint", "normal", "slave", "into the body", "5 nodes", r"\(1, 1\)")
+def normal_that_points_inwards(comm):
+    paired(comm, normal=(0.0, 1.0))
+
+
+@mistake("joint", "normal", "along its surface", "1 nodes", r"\(1\.75, 1\)")
+def normal_that_is_tangential_somewhere(comm):
+    paired(comm, normal=lambda x: np.array([np.isclose(x[0], 1.75), -1.0 + np.isclose(x[0], 1.75)]))
+
+
+@mistake("joint", "normal", "vanishes", "1 points", r"\(1, 1\)")
+def normal_that_vanishes_somewhere(comm):
+    paired(comm, normal=lambda x: np.array([0 * x[0], 1.0 - x[0]]))
+
+
+@mistake("joint", "normal", r"\(3,\)", r"\(2,\)")
+def normal_of_a_wrong_shape(comm):
+    paired(comm, normal=(0.0, 0.0, 1.0))
+
+
+@mistake("joint", "normal", "NaN", r"\(1\.5, 1\)")
+def normal_that_is_nan_somewhere(comm):
+    paired(
+        comm, normal=lambda x: np.array([0 * x[0], np.where(np.isclose(x[0], 1.5), np.nan, -1.0)])
+    )
+
+
+@mistake("contact 0", "4 of 4 slave nodes", "toleran")
+def partial_contact_without_any_pair(comm):
+    scene = non_matching(comm)
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, mapping=lambda x: x + 5.0, partial=True)
+    scene.problem(contacts=[pair]).solve()
+
+
+@mistake(
+    "contact 0", "1 master nodes", r"\(0.25, 1\) and \(0.5, 1\)", "one to one", "tolerance below"
+)
+def partial_contact_that_is_not_one_to_one(comm):
+    """The master has 3 elements on the slave's 4."""
+    scene = non_matching(comm)
+    pair = ContactPair(scene.facet_tags, MASTER, SLAVE, tolerance=1.0, partial=True)
+    scene.problem(contacts=[pair]).solve()
+
+
+@mistake("one", "two", "1 slave nodes twice", r"\(1\.5, 1\)", "one tag")
+def slave_nodes_with_the_same_master_in_two_contacts(comm):
+    scene = beams(comm)
+    halves = tag_facets(
+        scene.mesh,
+        [
+            (SLAVE, lambda x: np.isclose(x[1], 1.0) & (x[0] > 0.99) & (x[0] < 1.51), 2),
+            (MASTER, lambda x: np.isclose(x[1], 1.0) & (x[0] > 0.99) & (x[0] < 2.01), 1),
+            (LOADED, lambda x: np.isclose(x[1], 1.0) & (x[0] > 1.49) & (x[0] < 2.01), 2),
+        ],
+        scene.cell_tags,
+    )
+    contacts = [
+        ContactPair(halves, SLAVE, MASTER, name="one"),
+        ContactPair(halves, LOADED, MASTER, name="two"),
+    ]
+    scene.problem(contacts=contacts).solve()
