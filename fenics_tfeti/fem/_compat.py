@@ -52,10 +52,11 @@ def cpp_object(thing: Any) -> Any:
 def space_with_dofs(space: fem.FunctionSpace, dofs: Numbers, size: int) -> fem.FunctionSpace:
     """Create a space of the same element and mesh with other degrees of freedom. Collective.
 
-    - 0.5.2 and 0.9 take the C++ objects alike; 0.5.2's class is ``cpp.fem.FunctionSpace``,
-      0.9's and 0.11's ``cpp.fem.FunctionSpace_float64``.
+    - 0.5.2 has the class ``cpp.fem.FunctionSpace`` of (mesh, element, dofmap);
+    - 0.9 has ``cpp.fem.FunctionSpace_float64`` of (mesh, element, dofmap, value shape);
+    - 0.11 has ``cpp.fem.FunctionSpace_float64`` of (mesh, element, dofmap).
 
-    Takes the class of the given space.
+    Takes the class of the given space and dispatches on its attribute ``value_shape``.
 
     Parameters
     ----------
@@ -75,8 +76,11 @@ def space_with_dofs(space: fem.FunctionSpace, dofs: Numbers, size: int) -> fem.F
     block = old.index_map_bs
     dofmap = cpp.fem.DofMap(old.dof_layout, numbers, block, table, old.bs)
     V = cpp_object(space)
+    value_shape = (V.value_shape,) if hasattr(V, "value_shape") else ()
     return fem.FunctionSpace(
-        domain, space.ufl_element(), type(V)(cpp_object(domain), V.element, dofmap)
+        domain,
+        space.ufl_element(),
+        type(V)(cpp_object(domain), V.element, dofmap, *value_shape),
     )
 
 
@@ -490,7 +494,10 @@ def entity_nodes(
     """Return the rows of ``mesh.geometry.x`` at the vertices of entities such as facets.
 
     - 0.5.2 has ``cpp.mesh.entities_to_geometry`` only; it is in 0.9 and 0.11 as well, and all take
-      the C++ mesh.
+      the C++ mesh;
+    - 0.9 divides by the number of entities, which ends the process when there are none.
+
+    Does not dispatch: no version is asked about no entities.
 
     Parameters
     ----------
@@ -507,6 +514,9 @@ def entity_nodes(
         Their vertices, in the vertex order of dolfinx.
     """
     domain.topology.create_connectivity(dim, domain.topology.dim)
+    if len(entities) == 0:
+        shape = cpp.mesh.cell_entity_type(cpp.mesh.to_type(cell_name(domain)), dim, 0)
+        return np.empty((0, cpp.mesh.cell_num_vertices(shape)), dtype=np.int32)
     return np.asarray(cpp.mesh.entities_to_geometry(cpp_object(domain), dim, entities, False))
 
 
