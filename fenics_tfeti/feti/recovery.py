@@ -27,10 +27,13 @@ from fenics_tfeti.feti.tolerances import PARALLEL
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.qp import least_distance
 
-__all__ = ["Recovered", "balance_multipliers", "recover_displacement"]
+__all__ = ["Recovered", "balance_multipliers", "forces_at_rest", "recover_displacement"]
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+# rounding of a load that equality rows take, relative to the largest nodal load of a rank
+_SHARED_OUT = 1e-15
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,7 @@ def balance_multipliers(
     while True:
         face = Projector.build(coarse_space, balanced[rows] > 0.0)
         missing = face.without_free_motions(e - coarse_space.restrict(balanced))
-        corrected = balanced + face.expand(face.solve(missing))
+        corrected = balanced + face.least_norm(missing)
         negative = corrected[rows] < 0.0
         if not space.sums(float(np.count_nonzero(negative)))[0]:
             return corrected, face
@@ -130,6 +133,38 @@ def recover_displacement(
         torn += coarse_space.rigid_motion(face.free @ away)
     displacement, closed = close_constraints(F, c, torn, multipliers[rows] > 0.0)
     return Recovered(strained, torn, displacement, closed)
+
+
+def forces_at_rest(F: DualOperator, load: Vector, c: Vector) -> Vector | None:
+    """Return multipliers with which u = o is the solution: B'lambda = f, and all rows hold.
+
+    That is so for a load on held nodes only, or for one that copies of a node share out; then there
+    is no displacement that errors could be compared with.
+
+    Parameters
+    ----------
+    F : DualOperator
+        For B.
+    load : (n,) array
+        f of this rank's subdomains [N].
+    c : (m,) array
+        Right-hand sides of the constraints.
+
+    Returns
+    -------
+    (m,) array or None
+        lambda; None if something moves, on all ranks alike.
+    """
+    constraints = F.constraints
+    # as B_E D^{-1} B_E' = I
+    forces = np.where(constraints.equality, F.jumps(load / constraints.weights), 0.0)
+    left = np.abs(load - F.constraint_forces(forces))
+    rest = (
+        not c[constraints.equality].any()
+        and bool((c[constraints.inequality] >= 0.0).all())
+        and bool((left <= _SHARED_OUT * np.abs(load).max(initial=0.0)).all())
+    )
+    return forces if constraints.layout.comm.allreduce(rest, MPI.LAND) else None
 
 
 def close_constraints(
