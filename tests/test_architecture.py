@@ -47,7 +47,7 @@ def test_only_the_adapter_asks_for_versions(file):
         assert "import cpp" not in text
 
 
-def test_lower_storeys_need_no_dolfinx():
+def test_lower_layers_need_no_dolfinx():
     code = (
         "import sys; sys.modules['dolfinx'] = sys.modules['ufl'] = None\n"
         "import fenics_tfeti.feti, fenics_tfeti.qp\n"

@@ -1,4 +1,4 @@
-"""The qp storey with vectors shared by ranks: the same iterations as in one process."""
+"""The qp layer with vectors shared by ranks: the same iterations as in one process."""
 
 from __future__ import annotations
 
