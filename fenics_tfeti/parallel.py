@@ -1,7 +1,7 @@
 """Communication between ranks: collective errors, gathered arrays, the directory of numbers.
 
-Everything here belongs to the set-up; the directory works on integer keys such as global node
-numbers. What the iterations exchange is in `fenics_tfeti.feti.constraints.dual_layout`.
+All of it is for the set-up. The communication of the iterations is in
+`fenics_tfeti.feti.constraints.dual_layout`.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ Array = NDArray[Any]
 def raise_collectively(comm: MPI.Comm) -> Iterator[None]:
     """Make an error in a block *without communication* an error on all ranks.
 
-    Collective: no rank leaves the block before the others, so none waits for one that has raised.
-    All raise the error of the lowest rank that has one, which there keeps its traceback. What
-    cannot be pickled arrives on the others as a RuntimeError with its name and message.
+    Collective: the ranks leave the block together, so none waits for one that has raised. All raise
+    the error of the lowest rank that has one, which keeps its traceback there. An error that cannot
+    be pickled is a RuntimeError with its name and message on the other ranks.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def raise_collectively(comm: MPI.Comm) -> Iterator[None]:
 
 
 def _portable(error: Exception | None) -> Exception | None:
-    """Return an exception that survives pickling."""
+    """Return the error, or a RuntimeError in place of one that cannot be pickled."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:
@@ -69,12 +69,12 @@ def _portable(error: Exception | None) -> Exception | None:
 
 
 def concatenate_ranks(comm: MPI.Intracomm, part: Array) -> Array:
-    """Return the ranks' arrays one behind the other, on every rank."""
+    """Return the arrays of all ranks, concatenated in the order of ranks, on all ranks."""
     return np.concatenate(comm.allgather(part))
 
 
 def concatenate_buffers(comm: MPI.Intracomm, *parts: Array) -> list[Array]:
-    """As `concatenate_ranks`, for vectors of one length and numbers of one kind; no pickling."""
+    """Concatenate vectors of equal length and numeric type as `concatenate_ranks`, unpickled."""
     counts = np.empty(comm.size, dtype=np.int64)
     comm.Allgather(np.array([parts[0].size]), counts)
     whole = [np.empty(int(counts.sum()), dtype=part.dtype) for part in parts]
@@ -84,13 +84,16 @@ def concatenate_buffers(comm: MPI.Intracomm, *parts: Array) -> list[Array]:
 
 
 def first_of_rank(comm: MPI.Intracomm, count: int) -> tuple[int, int]:
-    """Return the number of things on lower ranks and on all ranks."""
+    """Return the sums of the counts of lower ranks and of all ranks."""
     counts = comm.allgather(count)
     return sum(counts[: comm.rank]), sum(counts)
 
 
 class Directory:
-    """Integer keys spread over the ranks by number; each place knows who holds its keys.
+    """A distributed directory of integer keys, such as global node numbers.
+
+    Any rank may hold a key. Each key has a home rank, by its number, which knows the ranks that
+    hold it and keeps its row of distributed tables.
 
     Parameters
     ----------
@@ -102,38 +105,41 @@ class Directory:
     Attributes
     ----------
     keys : (d,) integer array
-        The keys whose place is this rank, ascending.
+        The keys whose home is this rank, ascending.
     """
 
     def __init__(self, comm: MPI.Intracomm, keys: Keys) -> None:
         self._comm = comm
         limit = comm.allreduce(int(keys.max(initial=-1)), MPI.MAX) + 1
         self._chunk = max(1, -(-limit // comm.size))
-        arrived = comm.alltoall(self._by_place(keys, [])[0])
+        arrived = comm.alltoall(self._by_home(keys, [])[0])
         ranks = np.repeat(np.arange(comm.size), [rows[0].size for rows in arrived])
         held = np.concatenate([rows[0] for rows in arrived])
         order = np.argsort(held, kind="stable")
         self._held, self._holders = held[order], ranks[order]
         self.keys: Keys = np.unique(held)
 
-    def _by_place(
+    def _by_home(
         self, keys: Keys, data: list[Array]
     ) -> tuple[list[tuple[Array, ...]], NDArray[np.intp]]:
-        """Split rows (key, data...) by the keys' places; also return the order used."""
-        # keys that nobody holds may lie beyond the limit; the last place answers for them
-        place = np.clip(keys // self._chunk, 0, self._comm.size - 1)
-        order = np.argsort(place, kind="stable")
-        cuts = np.searchsorted(place[order], np.arange(1, self._comm.size))
+        """Split rows (key, data...) by the keys' homes; also return the order used."""
+        # keys that no rank holds may lie beyond the limit
+        home = np.clip(keys // self._chunk, 0, self._comm.size - 1)
+        order = np.argsort(home, kind="stable")
+        cuts = np.searchsorted(home[order], np.arange(1, self._comm.size))
         columns = [np.split(column[order], cuts) for column in (keys, *data)]
         return list(zip(*columns, strict=True)), order
 
     def collect(self, keys: Keys, *data: Array) -> tuple[Array, ...]:
-        """Send rows (key, data...) to the keys' places; return the columns that arrived here."""
-        arrived = self._comm.alltoall(self._by_place(keys, list(data))[0])
+        """Send rows (key, data...) to the keys' homes; return the columns that arrive here.
+
+        Rows arrive in the order of ranks, those of a rank in the order given.
+        """
+        arrived = self._comm.alltoall(self._by_home(keys, list(data))[0])
         return tuple(np.concatenate(column) for column in zip(*arrived, strict=True))
 
     def position(self, keys: Keys) -> Keys:
-        """Return where keys stand in ``self.keys``; -1 for those that nobody holds."""
+        """Return the positions of keys in ``self.keys``; -1 for keys that no rank holds."""
         if self.keys.size == 0:
             return np.full(keys.shape, -1, dtype=np.int64)
         at = np.minimum(np.searchsorted(self.keys, keys), self.keys.size - 1)
@@ -145,16 +151,16 @@ class Directory:
         Parameters
         ----------
         keys : (k,) integer array
-            What this rank asks for.
+            The keys.
         *tables : (d, ...) arrays
-            The tables' rows for ``self.keys``.
+            Rows of the tables for ``self.keys``.
 
         Returns
         -------
         found, rows... : (k,) bool array, (k, ...) arrays
-            Whether somebody holds the key, and its row of each table (zeros if nobody does).
+            Whether a rank holds the key, and its row of each table (zeros if none does).
         """
-        questions, order = self._by_place(keys, [])
+        questions, order = self._by_home(keys, [])
         answers = []
         for (asked,) in self._comm.alltoall(questions):
             at = self.position(asked)
@@ -175,7 +181,7 @@ class Directory:
         return rows
 
     def forward(self, keys: Keys, *data: Array) -> tuple[Array, ...]:
-        """Send rows (key, data...) to all holders of the keys; return the columns for this rank.
+        """Send rows (key, data...) to all ranks that hold the keys; return the columns received.
 
         The rows of a key arrive in the order of the ranks that sent them.
         """

@@ -81,7 +81,7 @@ def check_bodies(system: TornSystem) -> None:
 
 
 def _shared_nodes(system: TornSystem, first: int) -> _SharedNodes:
-    """Return the nodes placed on this rank, once for each pair of subdomains that share them."""
+    """Return the shared nodes at home on this rank, once for each pair of subdomains."""
     gdim, subdomains = system.gdim, system.subdomains
     sizes = [s.nodes.size for s in subdomains]
     nodes = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in subdomains)])

@@ -28,6 +28,7 @@ from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 from fenics_tfeti.feti.local.rigid_body_modes import kernel
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.feti.system_checks import check_types
 from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["DualSetup", "LocalSetup", "choose_factor", "factor_subdomains"]
@@ -76,7 +77,15 @@ class LocalSetup:
 
 
 def has_same_stiffness(one: TornSystem, other: TornSystem) -> bool:
-    """Tell, on all ranks alike, whether two systems have the same stiffness matrices as objects."""
+    """Tell, with one answer on all ranks, whether two systems share their stiffness matrices.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the subdomains of `one` are not a list of `Subdomain`.
+    """
+    with raise_collectively(one.comm):
+        check_types(one)
     same = len(one.subdomains) == len(other.subdomains) and all(
         s.stiffness is t.stiffness and s.nodes is t.nodes
         for s, t in zip(one.subdomains, other.subdomains, strict=True)

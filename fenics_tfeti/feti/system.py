@@ -1,4 +1,4 @@
-"""The torn problem (11.21): all that the TFETI solver is given."""
+"""The torn problem (11.21): the input of the Total FETI solver."""
 
 from __future__ import annotations
 
@@ -124,18 +124,17 @@ class ContactRows:
 
 @dataclass(frozen=True)
 class ContactGuess:
-    """What is expected of each contact row that this rank gives, such as on a coarser mesh.
+    """Expected force and gap of each contact row of this rank, such as those of a coarser mesh.
 
-    A row counts as pressing if the force is more than what would close the gap against the
-    stiffness of its nodes alone. Near the edge of a contact, where a guess has a bit of both, that
-    says on which side of it a row is.
+    A row is active at first if the force is more than what closes the gap against the stiffness of
+    its nodes alone; near the edge of a contact, a guess may have both a force and a gap.
 
     Attributes
     ----------
     normal_force : (k,) array
         Nodal normal forces [N].
     gap : (k,) array
-        Gaps that remain [m]; infinite where nothing is known.
+        Remaining gaps [m]; infinite where nothing is known.
     """
 
     normal_force: Vector

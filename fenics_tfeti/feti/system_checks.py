@@ -27,7 +27,7 @@ from fenics_tfeti.feti.system import (
 from fenics_tfeti.feti.tolerances import SYMMETRIC
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["check_guess", "check_system"]
+__all__ = ["check_guess", "check_system", "check_types"]
 
 Numbers = NDArray[np.int64]
 Vector = NDArray[np.float64]
@@ -63,6 +63,23 @@ def check_system(system: TornSystem, stiffness: bool = True) -> None:
         check_bodies(system)
 
 
+def check_types(system: TornSystem) -> None:
+    """Check that `subdomains` is a list of `Subdomain`.
+
+    Raises
+    ------
+    InputError
+        On this rank.
+    """
+    if not isinstance(system.subdomains, Sequence):
+        raise InputError(
+            f"subdomains: got {_kind(system.subdomains)}, expected a list of Subdomain"
+        )
+    for number, subdomain in enumerate(system.subdomains):
+        if not isinstance(subdomain, Subdomain):
+            raise InputError(f"subdomains[{number}]: got {_kind(subdomain)}, expected a Subdomain")
+
+
 def check_guess(guess: ContactGuess, rows: int) -> None:
     """Check a contact guess for this rank's contact rows.
 
@@ -84,13 +101,8 @@ def _check_parts(system: TornSystem) -> None:
         raise InputError(f"gdim: got {gdim!r}, expected 2 or 3")
     _check_names("body_names", system.body_names)
     _check_names("contact_names", system.contact_names)
-    if not isinstance(system.subdomains, Sequence):
-        raise InputError(
-            f"subdomains: got {_kind(system.subdomains)}, expected a list of Subdomain"
-        )
+    check_types(system)
     for number, subdomain in enumerate(system.subdomains):
-        if not isinstance(subdomain, Subdomain):
-            raise InputError(f"subdomains[{number}]: got {_kind(subdomain)}, expected a Subdomain")
         _check_subdomain(_name(system, number), subdomain, gdim)
     if not isinstance(system.prescribed, Prescribed):
         raise InputError(

@@ -1,7 +1,7 @@
-"""Bound- and equality-constrained quadratic programmes: an operator and vectors, nothing else.
+"""Bound- and equality-constrained quadratic programmes, given as an operator and vectors.
 
-The storey knows nothing of finite elements or domain decomposition. It implements MPRGP
-(algorithm 8.2), SMALBE-M (algorithm 9.2) and a Lanczos bound of the spectrum.
+Independent of finite elements and domain decomposition: MPRGP (algorithm 8.2), SMALBE-M
+(algorithm 9.2) and a Lanczos bound of the spectrum.
 """
 
 from fenics_tfeti.qp.feasible_set import Bounds

@@ -1,4 +1,4 @@
-"""Lower bounds on some of the unknowns, and the gradient's split by them."""
+"""Feasible sets given by lower bounds, and the free and chopped gradient."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Split:
-    """The parts of a gradient g at a feasible x, and their squared norms over all processes.
+    """The parts of a gradient g at a feasible x, and their squared norms over all ranks.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Split:
 
     @property
     def projected_norm(self) -> float:
-        """The norm of the projected gradient g^P = phi + beta."""
+        """Norm of the projected gradient g^P = phi + beta."""
         return float(np.sqrt(self.free2 + self.chopped2))
 
     @property
@@ -78,12 +78,12 @@ class Bounds:
 
     @staticmethod
     def from_vector(lower: Vector) -> Bounds:
-        """Make the bounds from a vector with -inf for components that have none."""
+        """Return the bounds of a vector that is -inf where there is none."""
         indices = np.flatnonzero(lower > -np.inf)
         return Bounds(indices, lower[indices])
 
     def project(self, x: Vector) -> Vector:
-        """Move x in place to the nearest feasible point and return it."""
+        """Project x in place onto the feasible set and return it."""
         x[self.indices] = np.maximum(x[self.indices], self.lower)
         return x
 
@@ -93,7 +93,7 @@ class Bounds:
         return mask
 
     def longest_step(self, x: Vector, p: Vector) -> float:
-        """Return the largest a for which x - a p is feasible, on this process."""
+        """Return the largest a for which this rank's part of x - a p is feasible."""
         downwards = p[self.indices] > 0.0
         towards = self.indices[downwards]
         if towards.size == 0:
@@ -109,7 +109,7 @@ class Bounds:
         Qx: Vector | None = None,
         Ap: Vector | None = None,
     ) -> Split:
-        """Split the gradient g at x; one reduction over the processes.
+        """Split the gradient g at x; one reduction over the ranks.
 
         Parameters
         ----------
@@ -120,9 +120,14 @@ class Bounds:
         space : Space
             The inner product.
         Qx : (n,) array, optional
-            G'Gx with orthonormal rows of G, to get ||Gx|| in the same reduction.
+            G'Gx with orthonormal rows of G, for ||Gx||.
         Ap : (n,) array, optional
-            To get phi'Ap in it, too.
+            Product with the last direction, for phi'Ap.
+
+        Returns
+        -------
+        Split
+            The parts and their norms.
         """
         g_bounded = g[self.indices]
         active = self.active(x)

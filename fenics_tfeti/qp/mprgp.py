@@ -18,12 +18,16 @@ Vector = NDArray[np.float64]
 Hessian = Callable[[Vector], tuple[Vector, Vector | None]]
 Expansion = Literal["standard", "projected_cg"]
 
+# curvature of a direction relative to ||A|| that counts as none
+_NO_CURVATURE = 1e-15
+
 
 @dataclass
 class Products:
-    """How often the Hessian (and the preconditioner) was applied, by kind of step.
+    """Number of products with the Hessian by kind of step, and of preconditioner applications.
 
-    The products of a fall-back count as expansion, those that recompute a gradient as cg.
+    Products of an expansion step that is undone count as expansion, those that recompute the
+    gradient after `MPRGPOptions.refresh` recurrences as cg.
     """
 
     cg: int = 0
@@ -33,7 +37,7 @@ class Products:
 
     @property
     def total(self) -> int:
-        """All products with the Hessian; applications of the preconditioner are no products."""
+        """Number of products with the Hessian."""
         return self.cg + self.expansion + self.proportioning
 
 
@@ -49,11 +53,11 @@ class MPRGPOptions:
         Fixed step length of expansion, in (0, 2/||A||).
     expansion : {"standard", "projected_cg"}
         Half step and fixed step of the algorithm, or the projected conjugate gradient step
-        (MPPCG), undone in favour of the standard one whenever the cost would rise.
+        (MPPCG), which is undone and replaced by the standard one if the cost rises.
     max_products : int
         Limit on the products with the Hessian.
     refresh : int
-        Recompute the gradient from its definition after so many recurrences.
+        Number of recurrences after which the gradient is recomputed from its definition.
     """
 
     Gamma: float = 1.0
@@ -65,7 +69,7 @@ class MPRGPOptions:
 
 @dataclass(frozen=True)
 class MPRGPResult:
-    """What MPRGP returns.
+    """Result of MPRGP.
 
     Attributes
     ----------
@@ -104,8 +108,8 @@ def mprgp(
     Parameters
     ----------
     hessian : callable
-        x -> (Ax, Qx): the product with the symmetric positive definite A and, where the caller
-        wants a second linear function of x kept along the iterations, that one (else None).
+        x -> (Ax, Qx): the product with the symmetric positive definite A, and a second linear
+        function of x that is updated by the same recurrences, or None.
     b : (n,) array
         Right-hand side.
     bounds : Bounds
@@ -113,11 +117,11 @@ def mprgp(
     x : (n,) array
         Start; projected to the feasible set.
     stop : callable
-        Gets the `Split` of the gradient, tells whether to stop.
+        Stopping test, a function of the `Split` of the gradient.
     options : MPRGPOptions, optional
         Parameters of the method.
     space : Space, optional
-        The inner product; by default this process holds the whole vectors.
+        The inner product; by default that of vectors on one rank.
     gradient : (array, array or None), optional
         Ax - b and Qx at a feasible x, where known: saves the first product.
     precondition : callable, optional
@@ -128,7 +132,7 @@ def mprgp(
     Returns
     -------
     MPRGPResult
-        Iterate, gradient and whether the test was met.
+        Last iterate, its gradient, and whether the stopping test was met.
 
     Raises
     ------
@@ -173,7 +177,7 @@ def mprgp(
 
 @dataclass
 class _Iteration:
-    """The state of the iteration; each step of the algorithm is one method."""
+    """The state of the iteration; `step` is one pass of algorithm 8.2."""
 
     hessian: Hessian
     b: Vector
@@ -186,7 +190,7 @@ class _Iteration:
     g: Vector = field(init=False)
     Qx: Vector | None = field(init=False)
     split: Split = field(init=False)
-    p: Vector | None = field(init=False)  # None: to start from the free gradient
+    p: Vector | None = field(init=False)  # None: the preconditioned free gradient
     recurrences: int = field(init=False, default=0)
 
     def start(self, x: Vector, gradient: tuple[Vector, Vector | None] | None) -> None:
@@ -205,26 +209,31 @@ class _Iteration:
         strictly_proportional = (
             self.split.chopped2 <= self.options.Gamma**2 * self.split.reduced_free
         )
+        # Step 1: ||beta||^2 <= Gamma^2 phi~'phi
         if strictly_proportional:
             self.conjugate_gradient_step()
+        # Step 2: otherwise
         else:
             self.proportioning_step()
 
     def conjugate_gradient_step(self) -> None:
+        """Take a conjugate gradient step, or an expansion step if that leaves the feasible set."""
         p = self.preconditioned_free_gradient() if self.p is None else self.p
         Ap, Qp = self.product(p, "cg")
         gp, curvature, pp, longest = self.space.dots_and_min(
             (self.g, p), (p, Ap), (p, p), value=self.bounds.longest_step(self.x, p)
         )
         # 1 / step_length stands for ||A||: no curvature but that of rounding
-        flat = curvature <= 1e-15 * pp / self.options.step_length
+        flat = curvature <= _NO_CURVATURE * pp / self.options.step_length
         if flat and not np.isfinite(longest):
             raise ValueError(
                 "the cost function falls without limit along a feasible direction: the Hessian is "
                 "not positive definite there; add the missing constraints or regularise"
             )
+        # Step 1: alpha_cg = g'p / p'Ap against alpha_f, the longest feasible step
         length = np.inf if flat else gp / curvature
         if length <= longest:
+            # Step 1.a: x -= alpha_cg p, g -= alpha_cg Ap, p = z - (z'Ap / p'Ap) p
             self.move(length, p, Ap, Qp)
             if self.recurrences >= self.options.refresh:
                 self.recompute_gradient("cg")
@@ -232,7 +241,7 @@ class _Iteration:
                 return
             self.update_split(Ap)
             z = self.preconditioned_free_gradient()
-            # without preconditioner z is the free gradient
+            # without preconditioner z'Ap = phi'Ap, which is part of the split
             alone = self.precondition is None
             zAp = self.split.conjugation if alone else self.space.dots((z, Ap))[0]
             self.p = z - zAp / curvature * p
@@ -242,7 +251,7 @@ class _Iteration:
             self.expansion_step(longest, p, Ap, Qp)
 
     def expansion_step(self, longest: float, p: Vector, Ap: Vector, Qp: Vector | None) -> None:
-        """Go to the nearest bound, then along the free gradient with projection."""
+        """Step 1.b: the step to the nearest bound, then a projected step of fixed length."""
         self.products.cg -= 1
         self.products.expansion += 1
         self.move(longest, p, Ap, Qp)
@@ -257,7 +266,7 @@ class _Iteration:
     def projected_step(
         self, length: float, longest: float, p: Vector, Ap: Vector, Qp: Vector | None
     ) -> None:
-        """Take the whole conjugate gradient step and project; undo it if the cost rose."""
+        """Step 1.b of MPPCG: the projected conjugate gradient step, undone if the cost rises."""
         before = self.x, self.g, self.Qx, self.cost()
         self.x = self.bounds.project(self.x - length * p)
         self.recompute_gradient("expansion")
@@ -270,7 +279,7 @@ class _Iteration:
             self.expansion_step(longest, p, Ap, Qp)
 
     def proportioning_step(self) -> None:
-        """Release the bounds whose multipliers have the wrong sign."""
+        """Step 2: x -= (g'd / d'Ad) d along the chopped gradient d = beta."""
         d = np.zeros_like(self.x)
         d[self.bounds.indices] = self.split.chopped
         Ad, Qd = self.product(d, "proportioning")
@@ -293,7 +302,7 @@ class _Iteration:
         self.recurrences = 0
 
     def move(self, length: float, p: Vector, Ap: Vector, Qp: Vector | None) -> None:
-        # x may leave the feasible set by rounding only; the projection makes bounds exact
+        # the step is feasible but for rounding; the projection makes active bounds exact
         self.x = self.bounds.project(self.x - length * p)
         self.g = self.g - length * Ap
         if Qp is not None and self.Qx is not None:
@@ -309,7 +318,7 @@ class _Iteration:
         )
 
     def new_face(self) -> None:
-        """Restart the conjugate gradients."""
+        """Restart the conjugate gradients from the (preconditioned) free gradient."""
         self.update_split()
         self.p = None
 

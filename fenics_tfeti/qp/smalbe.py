@@ -18,8 +18,8 @@ __all__ = ["OuterIteration", "SMALBEOptions", "SMALBEResult", "SMALBEState", "sm
 Vector = NDArray[np.float64]
 Reason = Literal["converged", "max_it", "max_products"]
 
-# the inner gradient need not be smaller than this part of what the final test wants: near the end
-# the growth of the Lagrangian drowns in rounding, and M falls without need
+# lower limit of the inner tolerance, relative to that of the final test: below it the increase of
+# the Lagrangian is rounding, and M would be reduced without need
 _INNER_FLOOR = 0.1
 
 
@@ -32,11 +32,11 @@ class SMALBEOptions:
     rtol : float
         eps in the stopping test (11.47), relative to ||b||.
     rho : float
-        Penalty, already inside the Hessian that `smalbe` is given; never changed.
+        Penalty parameter, part of the Hessian that `smalbe` is given; constant.
     M0 : float
-        Initial balance M_0 > 0 between the gradient and the violated equalities, (11.46).
+        Initial balance parameter M_0 > 0 of gradient and equality residual, (11.46).
     beta : float
-        Factor in (0, 1) by which M is reduced when the Lagrangian grows too little.
+        Factor in (0, 1) by which M is multiplied if the Lagrangian increases too little.
     eta : float
         Upper limit of the inner gradient, relative to ||b||, in (0, 1].
     max_it : int
@@ -56,7 +56,7 @@ class SMALBEOptions:
 
 @dataclass(frozen=True)
 class OuterIteration:
-    """One line of the history: where the k-th outer iteration ended.
+    """The end of the k-th outer iteration.
 
     Attributes
     ----------
@@ -67,9 +67,9 @@ class OuterIteration:
     gradient, constraint : float
         ||g^P|| and ||Gx||, relative to ||b||.
     M : float
-        The balance M_k that was used.
+        The balance parameter M_k.
     active : int
-        Active bounds, over all processes.
+        Number of active bounds over all ranks.
     """
 
     number: int
@@ -82,7 +82,7 @@ class OuterIteration:
 
 @dataclass
 class SMALBEState:
-    """What a later call needs to go on where an earlier one stopped.
+    """An iterate, from which a later call may continue.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class SMALBEState:
     q : (n,) array
         G'mu, the equality multipliers' part of the gradient.
     M : float or None
-        The balance M_k; None starts with M_0.
+        The balance parameter M_k; None for M_0.
     """
 
     x: Vector
@@ -101,7 +101,7 @@ class SMALBEState:
 
 @dataclass(frozen=True)
 class SMALBEResult:
-    """What SMALBE-M returns.
+    """Result of SMALBE-M.
 
     Attributes
     ----------
@@ -142,8 +142,8 @@ def smalbe(
     Parameters
     ----------
     hessian : callable
-        x -> ((A + rho Q)x, Qx) with Q = G'G, the rows of G orthonormal. As only Q is needed, G is
-        never formed, and an outer iteration costs no product.
+        x -> ((A + rho Q)x, Qx) with Q = G'G, the rows of G orthonormal. G itself is not needed, and
+        an outer iteration costs no product.
     b : (n,) array
         Right-hand side.
     bounds : Bounds
@@ -151,7 +151,7 @@ def smalbe(
     start : SMALBEState
         First iterate and multipliers; zeros for theorem 11.2.
     norm_b : float, optional
-        ||b||, where another scale than the norm of `b` is meant by the relative tolerances.
+        Scale of the relative tolerances; ||b|| by default.
     options : SMALBEOptions, optional
         Parameters of the method.
     space : Space, optional
@@ -166,7 +166,7 @@ def smalbe(
     Returns
     -------
     SMALBEResult
-        Iterate, multipliers, whether it converged and why it stopped.
+        Last iterate, multipliers, and why the iterations ended.
 
     Examples
     --------
@@ -204,7 +204,7 @@ def smalbe(
             wanted = max(M * split.constraint_norm, _INNER_FLOOR * tolerance)
             return split.projected_norm <= min(wanted, options.eta * norm_b)
 
-        # Step 1
+        # Step 1: MPRGP until ||g^P(x, mu, rho)|| <= min(M_k ||Gx||, eta), or the final test holds
         inner = mprgp(
             hessian,
             b - q,
@@ -230,17 +230,19 @@ def smalbe(
         )
         if monitor is not None:
             monitor(history[-1])
+        # Step 2: stop if ||g^P|| <= eps ||b|| and ||Gx|| <= eps ||b||
         if solved(split) or not inner.converged:
             reason: Reason = "converged" if solved(split) else "max_products"
             return SMALBEResult(
                 SMALBEState(x, q, M), inner.gradient, solved(split), reason, history
             )
-        # Step 2, and the Lagrangian L(x, mu, rho) = 1/2 x'(g - b + q) with the mu of Step 1
+        # Step 3: mu += rho Gx, with q = G'mu; the Lagrangian is that of the mu of Step 1,
+        # L(x, mu, rho) = 1/2 x'(g - b + q)
         lagrangian = 0.5 * space.dots((x, inner.gradient - b + q))[0]
         assert inner.Qx is not None
         q = q + options.rho * inner.Qx
         gradient = inner.gradient + options.rho * inner.Qx, inner.Qx
-        # Step 3
+        # Step 4: M_{k+1} = beta M_k if L increased by less than rho/2 ||Gx||^2
         if lagrangian < previous_lagrangian + 0.5 * options.rho * split.constraint2:
             M *= options.beta
         previous_lagrangian = lagrangian

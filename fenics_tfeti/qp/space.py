@@ -1,4 +1,4 @@
-"""Inner products of vectors that one process holds, or that many share."""
+"""Inner products of vectors on one rank, or distributed over several."""
 
 from __future__ import annotations
 
@@ -19,21 +19,20 @@ def _same_array(values: Vector) -> Vector:
 
 @dataclass(frozen=True)
 class Space:
-    """The Euclidean space of the unknowns.
+    """The Euclidean inner product of distributed vectors.
 
-    A process holds the components that it needs; those that it also counts in sums, its *owned*
-    ones, come first. A component held by several processes is owned by exactly one of them.
-    The default is a vector held by one process alone.
+    A rank holds the components that it needs; those that it owns come first. Each component is
+    owned by exactly one of the ranks that hold it, and counted there in sums. By default a vector
+    is on one rank.
 
     Attributes
     ----------
     owned : int or None
-        Number of owned components; None means all.
+        Number of owned components; None for all.
     sum_over_ranks : callable
-        Sums an array of partial sums over all processes.
+        Adds up an array over all ranks.
     sum_and_min_over_ranks : callable
-        Sums all numbers of an array over all processes but the last, of which it takes the
-        smallest.
+        The same, but for the last component the minimum over all ranks.
 
     Examples
     --------
@@ -48,20 +47,20 @@ class Space:
     sum_and_min_over_ranks: Callable[[Vector], Vector] = _same_array
 
     def partial(self, x: Vector, y: Vector) -> float:
-        """Return this process's part of the inner product x'y."""
+        """Return this rank's part of the inner product x'y."""
         return float(x[: self.owned] @ y[: self.owned])
 
     def sums(self, *partial: float) -> list[float]:
-        """Sum several partial sums over all processes in one reduction."""
+        """Return several sums over all ranks by one reduction, given this rank's parts."""
         total: list[float] = self.sum_over_ranks(np.array(partial)).tolist()
         return total
 
     def dots(self, *pairs: tuple[Vector, Vector]) -> list[float]:
-        """Return several inner products for the price of one reduction."""
+        """Return several inner products by one reduction."""
         return self.sums(*(self.partial(x, y) for x, y in pairs))
 
     def dots_and_min(self, *pairs: tuple[Vector, Vector], value: float) -> list[float]:
-        """Return several inner products and the smallest of the processes' values, likewise."""
+        """Return several inner products and the smallest value of all ranks by one reduction."""
         partial = [*(self.partial(x, y) for x, y in pairs), value]
         total: list[float] = self.sum_and_min_over_ranks(np.array(partial)).tolist()
         return total

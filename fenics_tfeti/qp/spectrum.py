@@ -1,4 +1,4 @@
-"""Bounds of the spectrum by the Lanczos method."""
+"""Estimate of the largest eigenvalue by the Lanczos method."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ def lanczos_upper_bound(
 ) -> float:
     """Estimate the largest eigenvalue of a symmetric positive semidefinite operator from above.
 
-    The largest Ritz value underestimates; adding the norm of its residual bounds the eigenvalue
-    nearest to it. With few steps that need not be the largest one: an estimate, usually above.
+    The largest Ritz value is a lower bound. Within the norm of its residual there is an eigenvalue,
+    but after few steps not necessarily the largest one: their sum is an estimate, usually from
+    above.
 
     Parameters
     ----------
@@ -37,7 +38,7 @@ def lanczos_upper_bound(
     Returns
     -------
     float
-        Largest Ritz value plus its residual.
+        Largest Ritz value plus the norm of its residual.
 
     Examples
     --------

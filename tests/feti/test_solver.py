@@ -1,4 +1,4 @@
-"""The feti storey alone, without dolfinx, against dense algebra."""
+"""The feti layer alone, without dolfinx, against dense algebra."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The layout of the dual vectors over the ranks: exchange with neighbours, inner products.
 
-The sum over the holders of a component is the one exchange with neighbours of a product with F;
-the space reduces inner products. Both work on buffers, without pickling.
+A product with F takes one exchange with the neighbours, `DualLayout.sum`; inner products are
+reduced by `DualLayout.space`. Both communicate buffers, without pickling.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ Array = NDArray[Any]
 
 
 class DualLayout:
-    """A distributed vector: each rank holds the components it needs, some shared with others.
+    """The distribution of a vector: each rank holds the components that it needs.
 
-    The components that a rank owns (of which it is the lowest holder) come first, then the others,
-    both by ascending global number. Holders of a component keep bitwise equal values.
+    A component may be held by several ranks; the lowest of them owns it. Owned components come
+    first, then the others, both by ascending global number. All ranks that hold a component have
+    bitwise equal values of it.
 
     Parameters
     ----------
@@ -78,7 +79,7 @@ class DualLayout:
         return positions
 
     def sum(self, part: Vector) -> Vector:
-        """Add up the holders' parts of each component; one exchange with the neighbours.
+        """Add up the parts of each component over the ranks that hold it; one exchange.
 
         Parameters
         ----------
@@ -97,7 +98,7 @@ class DualLayout:
         MPI.Request.Waitall(requests)
         total = part.copy()
         total[self._shared] = 0.0
-        # in the order of ranks on every holder: equal bits, hence equal decisions at the bounds
+        # in the order of ranks everywhere: equal bits, hence equal decisions at the bounds
         for rank in sorted([*received, self.comm.rank]):
             if rank == self.comm.rank:
                 total[self._shared] += part[self._shared]
@@ -106,13 +107,13 @@ class DualLayout:
         return total
 
     def owned_part(self, x: Vector) -> Vector:
-        """Return the owned components of x, zeros for the others: parts of which x is the sum."""
+        """Return x with zeros for components that are not owned; x is the sum of these parts."""
         part = np.zeros_like(x)
         part[: self.owned] = x[: self.owned]
         return part
 
     def shared_entries(self, rows: Keys, columns: Keys, values: Vector) -> tuple[Array, ...]:
-        """Send entries of a matrix in shared columns to the columns' other holders.
+        """Send matrix entries in shared columns to the other ranks that hold the columns.
 
         Parameters
         ----------
@@ -126,7 +127,7 @@ class DualLayout:
         Returns
         -------
         rows, columns, values : arrays
-            What the neighbours sent, columns as local positions on this rank.
+            Entries from the neighbours, columns as local positions on this rank.
         """
         messages: list[tuple[Array, ...]] = [
             (rows[:0], columns[:0], values[:0]) for _ in range(self.comm.size)
@@ -148,7 +149,7 @@ class DualLayout:
         if self.comm.size == 1:
             return partial
         total = np.empty_like(partial)
-        # one item of a type of its own, or else MPI may reduce the numbers in pieces
+        # one item of a derived type: MPI may reduce arrays in pieces
         kind = MPI.DOUBLE.Create_contiguous(partial.size).Commit()
         self.comm.Allreduce([partial, 1, kind], [total, 1, kind], _SUM_AND_MIN)
         kind.Free()
@@ -156,7 +157,7 @@ class DualLayout:
 
 
 def _sum_and_min(some: Any, others: Any, kind: MPI.Datatype) -> None:
-    """Add up all numbers of two buffers but the last ones, of which the smaller stays."""
+    """Add two buffers, but take the minimum of their last components."""
     x, y = np.frombuffer(some), np.frombuffer(others)
     y[:-1] += x[:-1]
     y[-1] = min(x[-1], y[-1])

@@ -58,7 +58,7 @@ class Copies:
 
 @dataclass(frozen=True)
 class NodeTable:
-    """What all ranks together know of some nodes: those placed here, or those asked for.
+    """What all ranks together know of some nodes: those at home on this rank, or those looked up.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class NodeTable:
 
     @staticmethod
     def build(system: TornSystem, directory: Directory, copies: Copies) -> NodeTable:
-        """Gather the table at the nodes' places in the directory; number the equality rows.
+        """Gather the table at the nodes' home ranks; number the equality rows.
 
         Raises
         ------
@@ -90,10 +90,10 @@ class NodeTable:
             On all ranks, if prescribed displacements contradict each other or name a node of no
             subdomain.
         """
-        places = directory.keys.size
+        homes = directory.keys.size
         sums = np.bincount(copies.node, weights=copies.weight, minlength=copies.nodes.size)
         keys, counts, sums = directory.collect(copies.nodes, copies.count, sums)
-        multiplicity, weight = np.zeros(places, dtype=np.int64), np.zeros(places)
+        multiplicity, weight = np.zeros(homes, dtype=np.int64), np.zeros(homes)
         np.add.at(multiplicity, directory.position(keys), counts)
         np.add.at(weight, directory.position(keys), sums)
 
@@ -102,7 +102,7 @@ class NodeTable:
         rounding = ROUNDED_POSITION * largest_coordinate(system)
         with raise_collectively(system.comm):
             prescribed, values = _merge_prescribed(
-                directory, arrived, (places, system.gdim), rounding
+                directory, arrived, (homes, system.gdim), rounding
             )
         rows = _equality_rows(multiplicity, prescribed)
         first = first_of_rank(system.comm, int(rows.sum()))[0] + np.cumsum(rows) - rows

@@ -1,9 +1,9 @@
 """Weights of the copies of a node: the D in B D^{-1} B' = I (sec. 11.12, scaling).
 
-With D of stiffnesses the dual problem keeps its bounds, as each row is multiplied by a positive
-number and only gluing rows are combined; F becomes B K^+ B' with K measured against D, so a
-material that is a thousand times softer than its neighbour no longer dominates F. The
-preconditioner of (11.36) with its scaling B_D = (B D^{-1} B')^{-1} B D^{-1} is B_D = B D^{-1}.
+With weights of stiffness, F = BK^+B' measures K relative to D: a material that is a thousand times
+softer than its neighbour does not dominate F. The bounds of the dual problem stay as they are, as
+each contact row is multiplied by a positive number and only gluing rows are combined. In the
+preconditioner of (11.36), B_D = (B D^{-1} B')^{-1} B D^{-1} is B D^{-1}.
 """
 
 from __future__ import annotations
