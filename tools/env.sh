@@ -84,7 +84,7 @@ $pins" --system-site-packages --no-build-isolation -e '.[dev]'
     wheel)
         python=$(tools/find-wheel-python.sh)
         fill .venv-wheel "$python" "$PWD $python $("$python" --version)" "" \
-            'dolfinx-solver-real==0.11.*' gmsh -e '.[test,pictures]'
+            'dolfinx-solver-real==0.11.*' gmsh -e '.[test,pictures,factor]'
         ;;
     *)
         echo "usage: tools/env.sh debian|wheel" >&2

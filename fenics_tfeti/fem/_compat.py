@@ -7,6 +7,7 @@ for an attribute or an argument, before any communication.
 from __future__ import annotations
 
 import inspect
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,12 +30,35 @@ from fenics_tfeti.fem.reference_cells import reference_cell
 Numbers = NDArray[np.int32]
 
 
-# -- meshes and function spaces ----------------------------------------------------------------
-
-
 def version() -> str:
     """Return dolfinx's version."""
     return str(dolfinx.__version__)
+
+
+@contextmanager
+def quiet_compiler() -> Iterator[None]:
+    """Leave out the command lines that setuptools logs while a form or an element compiles.
+
+    - 0.5.2 asks setuptools to log them as INFO of the root logger, and has given that logger a
+      handler when ``ffcx`` was imported;
+    - 0.9 and 0.11 write nothing.
+
+    Does not dispatch: where nothing is logged, nothing is left out. Warnings and errors of
+    setuptools are logged, and what the compiler writes is not touched.
+    """
+    root = logging.getLogger()
+    root.addFilter(_is_no_command_line)
+    try:
+        yield
+    finally:
+        root.removeFilter(_is_no_command_line)
+
+
+def _is_no_command_line(record: logging.LogRecord) -> bool:
+    return record.levelno > logging.INFO or "distutils" not in record.pathname
+
+
+# -- meshes and function spaces ----------------------------------------------------------------
 
 
 def cpp_object(thing: Any) -> Any:
@@ -93,12 +117,13 @@ def lagrange_space(
     - 0.9 and 0.11 have ``functionspace`` for (family, degree, shape).
     """
     family = "DG" if discontinuous else "Lagrange"
-    if hasattr(fem, "functionspace"):
-        shape = ((components,),) if components else ()
-        return fem.functionspace(domain, (family, degree, *shape))
-    if components:
-        return fem.VectorFunctionSpace(domain, (family, degree), dim=components)
-    return fem.FunctionSpace(domain, (family, degree))
+    with quiet_compiler():
+        if hasattr(fem, "functionspace"):
+            shape = ((components,),) if components else ()
+            return fem.functionspace(domain, (family, degree, *shape))
+        if components:
+            return fem.VectorFunctionSpace(domain, (family, degree), dim=components)
+        return fem.FunctionSpace(domain, (family, degree))
 
 
 def element_facts(space: fem.FunctionSpace) -> tuple[str, int, tuple[int, ...]]:
@@ -278,10 +303,9 @@ class CompiledForm:
     def __init__(self, form: ufl.Form, comm: MPI.Comm) -> None:
         self._form = form
         self._new = hasattr(fem, "create_form")
-        if self._new:
-            self._compiled = fem.compile_form(comm, form)
-        else:
-            self._compiled = dolfinx.jit.ffcx_jit(comm, form)
+        compile_form = fem.compile_form if self._new else dolfinx.jit.ffcx_jit
+        with quiet_compiler():
+            self._compiled = compile_form(comm, form)
 
     def bind(
         self,
@@ -442,7 +466,8 @@ def distributed_mesh(
     if "domain" in inspect.signature(mesh.create_mesh).parameters:
         shape = ufl.Cell(cell, geometric_dimension=gdim)
         domain = ufl.Mesh(ufl.VectorElement("Lagrange", shape, 1))
-        return mesh.create_mesh(comm, cells, points, domain=domain)
+        with quiet_compiler():
+            return mesh.create_mesh(comm, cells, points, domain=domain)
     import basix.ufl
 
     element = basix.ufl.element("Lagrange", cell, 1, shape=(gdim,))
@@ -476,7 +501,8 @@ def gmsh_model_to_mesh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[Any, Any,
         from dolfinx.io import gmsh as reader
     except ImportError:
         from dolfinx.io import gmshio as reader
-    result = reader.model_to_mesh(model, comm, 0, gdim=gdim)
+    with quiet_compiler():
+        result = reader.model_to_mesh(model, comm, 0, gdim=gdim)
     domain, cell_tags, facet_tags = (
         (result.mesh, result.cell_tags, result.facet_tags)
         if hasattr(result, "facet_tags")
@@ -530,7 +556,9 @@ def interpolate_expression(expression: Any, function: Any) -> None:
     """
     points = function.function_space.element.interpolation_points
     points = points() if callable(points) else points
-    function.interpolate(fem.Expression(expression, points))
+    with quiet_compiler():
+        compiled = fem.Expression(expression, points)
+    function.interpolate(compiled)
 
 
 def list_pieces_once(index: Path) -> None:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from itertools import pairwise
 
 from mpi4py import MPI
 
 import numpy as np
+import pytest
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
@@ -26,3 +29,52 @@ def test_the_number_of_threads_of_scotch_is_put_back(monkeypatch):
     path = np.array([0, 1, 3, 4], dtype=np.int32), np.array([1, 0, 2, 1], dtype=np.int32)
     _compat.partition_graph(*path, 2)
     assert os.environ["SCOTCH_PTHREAD_NUMBER"] == "2"
+
+
+COMPILES_A_FORM = """
+from mpi4py import MPI
+import ufl
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.io.structured import Box, boxes
+mesh = boxes(MPI.COMM_SELF, [Box((0, 0, 0), (1, 1, 1), (1, 1, 1))]).mesh
+V = _compat.lagrange_space(mesh, 1, 3)
+u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+_compat.CompiledForm(ufl.inner(u, v) * ufl.dx(1), MPI.COMM_SELF)
+"""
+
+
+@pytest.fixture
+def compile_a_form(tmp_path):
+    """Return a function that compiles in a new process without a cache; it takes the compiler."""
+
+    def run(**environment: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-c", COMPILES_A_FORM],
+            env={**os.environ, "XDG_CACHE_HOME": str(tmp_path), **environment},
+            capture_output=True,
+            text=True,
+        )
+
+    return run
+
+
+def test_compiling_a_form_prints_no_commands(compile_a_form):
+    run = compile_a_form()
+    assert run.returncode == 0, run.stderr
+    assert "build_ext" not in run.stdout + run.stderr
+    assert "gcc" not in run.stdout + run.stderr
+
+
+def test_what_the_compiler_complains_about_is_shown(compile_a_form):
+    run = compile_a_form(CFLAGS="-include is/not/there.h")
+    assert run.returncode != 0
+    assert "is/not/there.h: No such file" in run.stderr
+    assert "CompileError" in run.stderr
+
+
+@pytest.mark.parametrize(("cell", "vertices"), [("tetrahedron", 3), ("hexahedron", 4)])
+def test_no_facets_have_no_nodes(cell, vertices):
+    """dolfinx 0.9 divides by their number."""
+    mesh = boxes(MPI.COMM_SELF, [Box((0, 0, 0), (1, 1, 1), (1, 1, 1))], cell).mesh
+    nodes = _compat.entity_nodes(mesh, 2, np.empty(0, dtype=np.int32))
+    assert nodes.shape == (0, vertices)

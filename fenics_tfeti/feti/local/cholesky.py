@@ -1,8 +1,12 @@
-"""Sparse Cholesky factors by CHOLMOD or MUMPS, through PETSc."""
+"""Sparse Cholesky factors by CHOLMOD or MUMPS, through PETSc, or by rslab."""
 
 from __future__ import annotations
 
-from typing import Literal
+import weakref
+from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Literal, Protocol
 
 from mpi4py import MPI  # first, or the wheels' petsc4py does not find the MPI library
 
@@ -23,44 +27,42 @@ __all__ = [
 ]
 
 Vector = NDArray[np.float64]
-Package = Literal["auto", "cholmod", "mumps"]
+Package = Literal["auto", "cholmod", "rslab", "mumps"]
 
-_PREFERENCE = ("cholmod", "mumps")
-
-
-def _petsc_matrix(matrix: sp.csr_matrix) -> PETSc.Mat:
-    indices = (matrix.indptr.astype(PETSc.IntType), matrix.indices.astype(PETSc.IntType))
-    A = PETSc.Mat().createAIJ(matrix.shape, csr=(*indices, matrix.data), comm=PETSc.COMM_SELF)
-    A.setOption(PETSc.Mat.Option.SPD, True)
-    return A
+_PREFERENCE = ("cholmod", "rslab", "mumps")
 
 
-def _has_package(package: str) -> bool:
-    pc = PETSc.PC().create(PETSc.COMM_SELF)
-    pc.setOperators(_petsc_matrix(sp.identity(1, format="csr")))
-    pc.setType("cholesky")
-    pc.setFactorSolverType(package)
+@cache
+def _is_available(package: str) -> bool:
+    if package == "rslab":
+        return find_spec("rslab") is not None
+    A = _petsc_matrix(sp.identity(1, format="csr"))
+    pc = _petsc_cholesky(A, package)
     try:
         pc.setFactorSetUpSolverType()
     except PETSc.Error:
         return False
     finally:
-        pc.destroy()
+        _destroy(pc, A)
     return True
 
 
 def available_packages() -> list[str]:
-    """Return which of CHOLMOD and MUMPS this PETSc has, the preferred one first."""
-    return [package for package in _PREFERENCE if _has_package(package)]
+    """Return which of CHOLMOD, rslab and MUMPS are installed, the preferred one first."""
+    return [package for package in _PREFERENCE if _is_available(package)]
 
 
 def choose_package(package: Package) -> str:
     """Return the name of the package to use.
 
+    CHOLMOD solves with a factor of a few thousand unknowns fastest. rslab factors and solves as
+    fast as MUMPS, in less memory and without its MPI communicators, which limit the number of
+    factors.
+
     Raises
     ------
     FactorizationError
-        If PETSc was built without it.
+        If it is not installed.
     """
     available = available_packages()
     if package == "auto" and available:
@@ -68,18 +70,41 @@ def choose_package(package: Package) -> str:
     if package in available:
         return package
     raise FactorizationError(
-        f"PETSc has no sparse Cholesky factorisation by {package!r}; it has "
-        f"{available or 'neither CHOLMOD nor MUMPS'}. Choose another 'factor', or install a PETSc "
-        "with MUMPS (Debian: python3-petsc4py-real, conda-forge: petsc4py)"
+        f"there is no sparse Cholesky factorisation by {package!r}; available are "
+        f"{available or 'neither CHOLMOD nor rslab nor MUMPS'}. Choose another 'factor', install a "
+        "PETSc with CHOLMOD or MUMPS (Debian: python3-petsc4py-real, conda-forge: petsc4py), or "
+        "'pip install rslab'"
     )
 
 
-# MUMPS' INFOG(1) when it did not initialise
-_NO_COMMUNICATOR = -3
-# INFOG(12)
-_NEGATIVE_PIVOTS = 12
-# right-hand sides that are solved for together
+# right-hand sides that are solved for together: the factor is read once for all of them
 _COLUMNS = 64
+# largest residual of a useful factor, relative to the right-hand side
+_USELESS = 1e-6
+# more work than any solve has: rslab's solves stay on the thread that calls them
+_NEVER = 2**62
+# MPI communicators that have to be free for another factor by MUMPS: it takes 5, dolfinx a few
+_COMMUNICATORS = 16
+# numbers of MUMPS' INFOG
+_ERROR, _NEGATIVE_PIVOTS = 1, 12
+
+
+class _Factor(Protocol):
+    """What a package has to offer; its constructor takes a matrix and may raise `_Indefinite`."""
+
+    def solve(self, b: Vector) -> Vector:
+        """Solve for a vector (n,)."""
+
+    def solve_columns(self, b: Vector) -> Vector:
+        """Solve for the columns of a matrix (n, k) in Fortran order."""
+
+    @property
+    def entries(self) -> int:
+        """Number of the factor's entries."""
+
+
+class _Indefinite(Exception):
+    """A package found that the matrix is not positive definite; the text says how."""
 
 
 class SparseCholesky:
@@ -90,7 +115,7 @@ class SparseCholesky:
     matrix : (n, n) scipy.sparse.csr_matrix
         Both triangles.
     package : str
-        "cholmod" or "mumps".
+        "cholmod", "rslab" or "mumps".
 
     Raises
     ------
@@ -106,74 +131,159 @@ class SparseCholesky:
     """
 
     def __init__(self, matrix: sp.csr_matrix, package: str) -> None:
-        pc = PETSc.PC().create(PETSc.COMM_SELF)
-        pc.setOperators(_petsc_matrix(matrix))
-        pc.setType("cholesky")
-        pc.setFactorSolverType(package)
-        pc.setFactorSetUpSolverType()
-        self._factor = pc.getFactorMatrix()
         try:
-            pc.setUp()
-        except PETSc.Error as error:
+            self._factor: _Factor = (
+                _RslabFactor(matrix) if package == "rslab" else _PetscFactor(matrix, package)
+            )
+            self._check_by_a_solve(matrix)
+        except _Indefinite as error:
             raise FactorizationError(
-                f"the Cholesky factorisation by {package} failed: the matrix of order "
+                f"the Cholesky factorisation by {package} failed ({error}): the matrix of order "
                 f"{matrix.shape[0]} is not positive definite"
             ) from error
-        self._pc = pc
-        self._x = PETSc.Vec().createSeq(matrix.shape[0], comm=PETSc.COMM_SELF)
-        self._b = self._x.duplicate()
-        self._reject_indefinite(matrix, package)
 
-    def _reject_indefinite(self, matrix: sp.csr_matrix, package: str) -> None:
-        if package == "mumps" and self._factor.getMumpsInfog(1) == _NO_COMMUNICATOR:
-            raise FactorizationError(
-                "MUMPS could not start: the MPI library has no communicators left, and each factor "
-                "holds some (MPICH has 2048, enough for about 400 factors a rank). Use fewer "
-                "subdomains (a larger 'subdomain_size'), more ranks, or a PETSc with CHOLMOD; "
-                "solved problems that are not needed any more hold communicators too"
-            )
-        # MUMPS factors indefinite matrices, and PETSc passes on no failure of CHOLMOD: try a solve
-        probe = np.random.default_rng(0).standard_normal(matrix.shape[0])
-        b = matrix @ probe
+    def _check_by_a_solve(self, matrix: sp.csr_matrix) -> None:
+        """Find the failures of CHOLMOD, which PETSc does not pass on, and inaccurate factors."""
+        b = matrix @ np.random.default_rng(0).standard_normal(matrix.shape[0])
         x = self.solve(b)
         with np.errstate(invalid="ignore", over="ignore"):
-            residual = np.linalg.norm(matrix @ x - b)
-            positive = float(b @ x) > 0.0
-        if not (positive and residual <= 1e-6 * np.linalg.norm(b)):
-            raise FactorizationError(
-                f"the Cholesky factorisation by {package} is useless (residual {residual:.1e}): "
-                f"the matrix of order {matrix.shape[0]} is not positive definite"
-            )
+            residual = np.linalg.norm(matrix @ x - b) / np.linalg.norm(b)
+            if not (residual <= _USELESS and b @ x > 0.0):
+                raise _Indefinite(f"relative residual {residual:.1e}")
 
     def solve(self, b: Vector) -> Vector:
         """Solve for a vector (n,) or, column by column, for a matrix (n, k)."""
-        if b.ndim == 2:
-            return self._solve_columns(b)
-        self._b.array_w[:] = b
-        self._factor.solve(self._b, self._x)
-        x: Vector = self._x.array_r.copy()
-        return x
-
-    def _solve_columns(self, b: Vector) -> Vector:
-        """Solve for a matrix, some columns at a time: the factor is read once for all of them."""
+        if b.ndim == 1:
+            return self._factor.solve(b)
         x = np.empty(b.shape, order="F")
         for start in range(0, b.shape[1], _COLUMNS):
-            columns = np.asfortranarray(b[:, start : start + _COLUMNS])
-            result = np.empty_like(columns)
-            mats = [
-                PETSc.Mat().createDense(array.shape, array=array.ravel("F"), comm=PETSc.COMM_SELF)
-                for array in (columns, result)
-            ]
-            self._factor.matSolve(*mats)
-            x[:, start : start + _COLUMNS] = mats[1].getDenseArray()
-            for mat in mats:
-                mat.destroy()
+            some = slice(start, start + _COLUMNS)
+            x[:, some] = self._factor.solve_columns(np.asfortranarray(b[:, some]))
         return x
 
     @property
     def entries(self) -> int:
         """Number of the factor's entries."""
+        return self._factor.entries
+
+
+class _RslabFactor:
+    """A supernodal LDL' factor; one thread, as the ranks share the processors."""
+
+    def __init__(self, matrix: sp.csr_matrix) -> None:
+        rslab = import_module("rslab")
+        try:
+            self._factor = rslab.ldlt(matrix, threads=1, solve_par_min_work=_NEVER)
+        except RuntimeError as error:
+            raise _Indefinite(str(error)) from error
+        _, negative, zero = self._factor.inertia
+        if negative or zero:
+            raise _Indefinite(f"{negative} negative and {zero} zero pivots")
+
+    def solve(self, b: Vector) -> Vector:
+        x: Vector = self._factor.solve(np.ascontiguousarray(b, dtype=np.float64))
+        return x
+
+    def solve_columns(self, b: Vector) -> Vector:
+        x: Vector = self._factor.solve_many(b)
+        return x
+
+    @property
+    def entries(self) -> int:
+        return int(self._factor.factor_nnz)
+
+
+def _petsc_matrix(matrix: sp.csr_matrix) -> PETSc.Mat:
+    indices = (matrix.indptr.astype(PETSc.IntType), matrix.indices.astype(PETSc.IntType))
+    return PETSc.Mat().createAIJ(matrix.shape, csr=(*indices, matrix.data), comm=PETSc.COMM_SELF)
+
+
+def _petsc_cholesky(A: PETSc.Mat, package: str) -> PETSc.PC:
+    """Return the PC that will factor a matrix; nothing is computed yet."""
+    A.setOption(PETSc.Mat.Option.SPD, True)
+    pc = PETSc.PC().create(A.getComm())
+    pc.setOperators(A)
+    pc.setType("cholesky")
+    pc.setFactorSolverType(package)
+    return pc
+
+
+def _destroy(*things: PETSc.Object) -> None:
+    """Free the memory of PETSc's objects at once; petsc4py only collects it as garbage."""
+    for thing in things:
+        thing.destroy()
+
+
+class _PetscFactor:
+    """A supernodal or simplicial factor by CHOLMOD, a multifrontal one by MUMPS."""
+
+    def __init__(self, matrix: sp.csr_matrix, package: str) -> None:
+        if package == "mumps":
+            _require_communicators()
+        A = _petsc_matrix(matrix)
+        pc = _petsc_cholesky(A, package)
+        try:
+            pc.setUp()
+            self._factor = pc.getFactorMatrix()
+        except PETSc.Error as error:
+            raise _Indefinite(f"PETSc's error {error.ierr}") from error
+        finally:
+            # the factor outlives the PC and its copy of the matrix
+            _destroy(pc, A)
+        self._x = PETSc.Vec().createSeq(matrix.shape[0], comm=PETSc.COMM_SELF)
+        self._b = self._x.duplicate()
+        weakref.finalize(self, _destroy, self._factor, self._x, self._b).atexit = False
+        if package == "mumps":
+            _reject_bad_pivots(self._factor)
+
+    def solve(self, b: Vector) -> Vector:
+        self._b.array_w[:] = b
+        self._factor.solve(self._b, self._x)
+        x: Vector = self._x.array_r.copy()
+        return x
+
+    def solve_columns(self, b: Vector) -> Vector:
+        B = PETSc.Mat().createDense(b.shape, array=b.ravel("F"), comm=PETSc.COMM_SELF)
+        X = B.duplicate()
+        self._factor.matSolve(B, X)
+        x: Vector = X.getDenseArray().copy()
+        _destroy(B, X)
+        return x
+
+    @property
+    def entries(self) -> int:
         return int(self._factor.getInfo()["nz_used"])
+
+
+def _require_communicators() -> None:
+    """Raise a `FactorizationError` if MPI has no communicators for another factor by MUMPS.
+
+    MUMPS that does not get them breaks the factors that exist.
+    """
+    communicators = []
+    try:
+        for _ in range(_COMMUNICATORS):
+            communicators.append(MPI.COMM_SELF.Dup())
+    except MPI.Exception as error:
+        raise FactorizationError(
+            "MUMPS cannot start: the MPI library has no communicators left, and each factor holds "
+            "some (MPICH has 2048, enough for about 400 factors a rank). Install rslab ('pip "
+            "install rslab') or a PETSc with CHOLMOD, use fewer subdomains (a larger "
+            "'subdomain_size') or more ranks; solved problems that are not needed any more hold "
+            "communicators too"
+        ) from error
+    finally:
+        for communicator in communicators:
+            communicator.Free()
+
+
+def _reject_bad_pivots(factor: PETSc.Mat) -> None:
+    """Raise an `_Indefinite` for what MUMPS reports: it factors indefinite matrices as well."""
+    status, negative = (factor.getMumpsInfog(i) for i in (_ERROR, _NEGATIVE_PIVOTS))
+    if status < 0:
+        raise _Indefinite(f"INFOG(1) is {status}")
+    if negative:
+        raise _Indefinite(f"{negative} negative pivots")
 
 
 class DistributedCholesky:
@@ -207,16 +317,14 @@ class DistributedCholesky:
         rows = own_rows.sorted_indices()
         indices = (rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType))
         A = PETSc.Mat().createAIJ((rows.shape, rows.shape), csr=(*indices, rows.data), comm=comm)
-        A.setOption(PETSc.Mat.Option.SPD, True)
-        pc = PETSc.PC().create(comm)
-        pc.setOperators(A)
-        pc.setType("cholesky")
-        pc.setFactorSolverType("mumps")
-        pc.setFactorSetUpSolverType()
+        pc = _petsc_cholesky(A, "mumps")
         pc.setUp()
-        self._pc, self._factor = pc, pc.getFactorMatrix()
+        self._factor = pc.getFactorMatrix()
         self._x, self._b = A.createVecs()
-        self._reject_indefinite(A)
+        try:
+            self._reject_indefinite(A)
+        finally:
+            _destroy(pc, A)
 
     def _reject_indefinite(self, A: PETSc.Mat) -> None:
         probe, b = self._x.duplicate(), self._b.duplicate()
