@@ -16,6 +16,10 @@ from dolfinx import fem, mesh
 
 from fenics_tfeti import ContactProblem
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.decomposition.bodies import find_bodies
+from fenics_tfeti.fem.mesh_checks import check_mesh
+
+CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 
 
 def mesh_of(comm: MPI.Comm, cell: str, points: ArrayLike, cells: ArrayLike) -> Any:
@@ -41,6 +45,29 @@ def grid(divisions: tuple[int, ...], corner: tuple[float, ...] = ()) -> tuple[An
     offsets = (np.arange(2 ** len(divisions))[:, None] >> np.arange(len(divisions)) & 1) @ strides
     blocks = np.array(list(itertools.product(*(range(n) for n in reversed(divisions)))))[:, ::-1]
     return points + np.array(corner or 0.0), (blocks @ strides)[:, None] + offsets
+
+
+# Kuhn's tetrahedra of a cube
+TETRAHEDRA = [(0, 1, 3, 7), (0, 1, 5, 7), (0, 2, 3, 7), (0, 2, 6, 7), (0, 4, 5, 7), (0, 4, 6, 7)]
+
+
+def block(cell: str, n: int = 3) -> tuple[Any, Any]:
+    """Return points and cells of a square or cube of n^2 or n^3 units."""
+    points, cells = grid((n,) * (3 if "hedron" in cell else 2))
+    if cell == "triangle":
+        cells = np.concatenate([cells[:, [0, 1, 3]], cells[:, [0, 2, 3]]])
+    if cell == "tetrahedron":
+        cells = np.concatenate([cells[:, corners] for corners in TETRAHEDRA])
+    return points, cells
+
+
+def check_arrays(
+    cell: str, points: ArrayLike, cells: ArrayLike, tags: Any = None, contacts: Any = ()
+) -> None:
+    """Make a mesh of arrays, tag its cells, and check it; serial."""
+    domain = mesh_of(MPI.COMM_SELF, cell, points, cells)
+    cell_tags = None if tags is None else tags_of(domain, tags)
+    check_mesh(domain, find_bodies(domain, cell_tags), contacts)
 
 
 def concatenated(*parts: tuple[Any, Any]) -> tuple[Any, Any]:

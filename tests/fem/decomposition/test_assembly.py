@@ -2,78 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
-
-from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import YOUNG, dimension, elasticity, scalar_space, vector_space
+from box_rows import BOTTOM, INSIDE, LEFT, Row, assemble, row_of_boxes
+from scenes import YOUNG, elasticity, scalar_space
 
 import ufl
 from dolfinx import fem, mesh
 from dolfinx.fem import petsc as fem_petsc
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.decomposition.assembly import prepare_forms
-from fenics_tfeti.fem.decomposition.parts import number_parts
+from fenics_tfeti.fem.decomposition.assembly import prepare_forms, same_values
 from fenics_tfeti.fem.topology import cell_facets
-from fenics_tfeti.io import Box, boxes, tag_facets
 
-NUMBER = 4  # boxes in a row, each 1 wide
-BOTTOM, LEFT = 5, 6
-INSIDE = 1.5  # in the second box
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
-
-
-@dataclass
-class Row:
-    """A row of boxes cut from one body, none of whose nodes is at a binary fraction."""
-
-    mesh: Any
-    V: Any
-    parts: list[Any]
-    middle: Any
-    facet_tags: Any
-    x: Any = None
-    young: Any = 1.0
-
-    @property
-    def dx(self) -> Any:
-        return ufl.Measure("dx", domain=self.mesh)
-
-    @property
-    def ds(self) -> Any:
-        return ufl.Measure("ds", domain=self.mesh, subdomain_data=self.facet_tags)
-
-    def cells_near(self, x: float) -> Any:
-        return np.flatnonzero(np.abs(self.middle - x) < 0.15).astype(np.int32)
-
-
-def row_of_boxes(cell: str = "quadrilateral", far: float = 0.1) -> Row:
-    gdim, n = dimension(cell), 3
-    lower = (far, *(0.1,) * (gdim - 1))
-    upper = (far + NUMBER, *(1.1,) * (gdim - 1))
-    domain = boxes(MPI.COMM_SELF, [Box(lower, upper, (NUMBER * n, *(n,) * (gdim - 1)))], cell).mesh
-    middle = domain.geometry.x[_compat.geometry_cells(domain)].mean(axis=1)[:, 0] - far
-    label = np.floor(middle).astype(int)
-    tags = tag_facets(
-        domain,
-        {
-            BOTTOM: lambda x: np.isclose(x[gdim - 1], 0.1),
-            LEFT: lambda x: np.isclose(x[0], far),
-        },
-    )
-    V = vector_space(domain)
-    cells = [np.flatnonzero(label == i).astype(np.int32) for i in range(NUMBER)]
-    return Row(domain, V, number_parts(V, cells, [0] * NUMBER), middle, tags)
-
-
-def assemble(row: Row, a: Any, L: Any = None) -> list[Any]:
-    v = ufl.TestFunction(row.V)
-    zero = fem.Constant(row.mesh, 0.0)
-    return prepare_forms(row.V, a, zero * v[0] * row.dx if L is None else L).subdomains(row.parts)
 
 
 def alone(row: Row, part: Any, form: Any) -> Any:
@@ -242,19 +186,6 @@ def test_loads_are_each_one_s_own():
         np.testing.assert_allclose(subdomain.load, alone(row, part, load), rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("kind", ["dx", "ds"])
-def test_everywhere_and_on_tags(kind):
-    row = row_of_boxes()
-    v, one = ufl.TestFunction(row.V), fem.Constant(row.mesh, 1.0)
-    near = row.cells_near(INSIDE)
-    cells = mesh.meshtags(row.mesh, 2, near, np.full(near.size, LEFT, "i4"))
-    measure = {"dx": ufl.Measure("dx", row.mesh, subdomain_data=cells), "ds": row.ds}[kind]
-    L = one * v[0] * measure + 10 * one * v[0] * measure(LEFT)
-    total = sum(s.load.sum() for s in assemble(row, uniform(row)(row.dx, row.ds), L))
-    whole, tagged = {"dx": (4.0, near.size / 9), "ds": (10.0, 1.0)}[kind]
-    assert total == pytest.approx(whole + 10 * tagged)
-
-
 def test_coordinates_and_nodes_are_each_one_s_own():
     row = row_of_boxes()
     places = row.V.tabulate_dof_coordinates()[:, :2]
@@ -262,10 +193,24 @@ def test_coordinates_and_nodes_are_each_one_s_own():
         np.testing.assert_array_equal(subdomain.coordinates, places[subdomain.nodes])
 
 
-def test_unlike_subdomains_keep_the_order_of_the_mesh():
-    """Nothing is sorted where no other subdomain has as many cells and nodes."""
+def test_new_loads_on_known_subdomains():
     row = row_of_boxes()
-    cells = [np.arange(5, dtype=np.int32), np.arange(5, 36, dtype=np.int32)]
-    for part, own in zip(number_parts(row.V, cells, [0, 0]), cells, strict=True):
-        assert part.shape is None
-        np.testing.assert_array_equal(part.cells, own)
+    v, load = ufl.TestFunction(row.V), fem.Constant(row.mesh, 1.0)
+    forms = prepare_forms(row.V, uniform(row)(row.dx, row.ds), load * v[0] * row.dx)
+    known = forms.subdomains(row.parts)
+    load.value = 3.0
+    again = forms.subdomains(row.parts, known)
+    assert [s.stiffness for s in again] == [s.stiffness for s in known]
+    for new, old in zip(again, known, strict=True):
+        np.testing.assert_allclose(new.load, 3.0 * old.load, rtol=1e-15)
+
+
+def test_changed_constants_are_noticed():
+    row = row_of_boxes()
+    v, load = ufl.TestFunction(row.V), fem.Constant(row.mesh, 1.0)
+    forms = prepare_forms(row.V, uniform(row)(row.dx, row.ds), load * v[0] * row.dx)
+    before = forms.values()
+    load.value = 3.0
+    now = forms.values()
+    assert same_values(before.bilinear, now.bilinear, row.mesh.comm)
+    assert not same_values(before.linear, now.linear, row.mesh.comm)

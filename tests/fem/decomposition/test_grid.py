@@ -8,10 +8,7 @@ import pytest
 from dolfinx.mesh import CellType, create_box, create_rectangle
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.decomposition.grid import block_of_cells, find_grid
-from fenics_tfeti.fem.decomposition.partition import split_into_subdomains
-from fenics_tfeti.io import displacement_space
 
 
 def box(cells, cell="hexahedron", size=(1.0, 1.0, 1.0)):
@@ -23,11 +20,6 @@ def box(cells, cell="hexahedron", size=(1.0, 1.0, 1.0)):
 
 def grid_of(mesh):
     return find_grid(mesh.geometry.x[:, : mesh.geometry.dim], _compat.geometry_cells(mesh))
-
-
-def split(mesh, unknowns, *partitioner):
-    space = displacement_space(mesh)
-    return split_into_subdomains(space, find_bodies(mesh, None), unknowns, *partitioner)
 
 
 @pytest.mark.parametrize(
@@ -106,15 +98,3 @@ def test_blocks_of_flat_cells_are_cubes_all_the_same():
     block = block_of_cells(grid, 200)
     one = grid.cell[block == 0].max(axis=0) + 1
     assert (one == [4, 4, 16]).all()
-
-
-def test_blocks_are_equal():
-    parts = split(box((12, 12, 12), "tetrahedron"), 1000)
-    assert {part.size for part in parts} == {6 * 6**3}
-
-
-def test_scotch_can_be_asked_for():
-    mesh = box((16, 16, 16))
-    sizes = {part.size for part in split(mesh, 2200, "scotch")}
-    assert {part.size for part in split(mesh, 2200)} == {512}
-    assert sizes != {512}

@@ -125,14 +125,14 @@ def test_mesh_whose_nodes_are_all_in_cells_gives_no_warning(tmp_path, caplog):
 def test_cell_that_is_there_twice_is_refused(tmp_path):
     elements = [(2, 1, (1, 2, 3)), (2, 1, (1, 3, 4)), (2, 1, (3, 1, 2))]
     path = write_msh(tmp_path / "a.msh", SQUARE, elements)
-    with pytest.raises(InputError, match=r"several times: 1 of 3, .* \(0\.666667, 0\.333333, 0\)"):
+    with pytest.raises(InputError, match=r"same nodes: 1 of 3, .* \(0\.666667, 0\.333333, 0\)"):
         read_msh(path, MPI.COMM_SELF, gdim=2)
 
 
-def test_cell_that_names_a_node_twice_is_refused(tmp_path):
+def test_cell_with_a_node_twice_is_refused(tmp_path):
     elements = [(3, 1, (1, 2, 3, 3))]
     path = write_msh(tmp_path / "a.msh", SQUARE, elements)
-    with pytest.raises(InputError, match="a node twice: 1 of 1, the first around"):
+    with pytest.raises(InputError, match="the same node twice: 1 of 1, the first around"):
         read_msh(path, MPI.COMM_SELF, gdim=2)
 
 
@@ -192,18 +192,18 @@ def test_facet_in_two_groups_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("ends", [(1, 3), (1, 5), (5, 6)])
-def test_tagged_facet_that_is_no_side_of_a_cell_is_refused(tmp_path, ends):
+def test_tagged_element_that_is_no_facet_of_a_cell_is_refused(tmp_path, ends):
     points, elements = CELLS["quadrilateral"]
     points = [*points, (7, 7, 0), (8, 8, 0)]
     path = write_msh(tmp_path / "a.msh", points, [*elements, (1, 8, ends)])
-    with pytest.raises(InputError, match="1 of the 2 elements .* are not sides of cells"):
+    with pytest.raises(InputError, match="1 of the 2 elements .* are not facets of cells"):
         read_msh(path, MPI.COMM_SELF, gdim=2)
 
 
 def test_mixed_cells_are_refused(tmp_path):
     points = [*SQUARE, (2, 0, 0)]
     elements = [(3, 1, (1, 2, 3, 4)), (2, 2, (2, 5, 3))]
-    with pytest.raises(InputError, match="Quadrilateral, Triangle"):
+    with pytest.raises(InputError, match="of the types quadrilateral, triangle; supported are"):
         read_msh(write_msh(tmp_path / "a.msh", points, elements), MPI.COMM_SELF, gdim=2)
 
 

@@ -144,12 +144,12 @@ def test_unknown_unit_is_refused(tmp_path):
 
 
 def test_scalar_is_no_displacement(tmp_path):
-    refused(tmp_path / "a.png", "'pressure' is no displacement", fields("triangle")[1])
+    refused(tmp_path / "a.png", "'pressure' is not a displacement", fields("triangle")[1])
 
 
 def test_vector_gives_no_colours(tmp_path):
     u, _, _ = fields("triangle")
-    refused(tmp_path / "a.png", r"of shape \(2,\) gives no colours", u, u)
+    refused(tmp_path / "a.png", r"has shape \(2,\); a scalar is expected", u, u)
 
 
 def test_colours_of_another_mesh_are_refused(tmp_path):
@@ -159,7 +159,7 @@ def test_colours_of_another_mesh_are_refused(tmp_path):
 def test_no_numbers_are_refused(tmp_path):
     u, _, stress = fields("triangle")
     stress.x.array[1] = np.nan
-    refused(tmp_path / "a.png", "'stress' has values that are infinite or no numbers", u, stress)
+    refused(tmp_path / "a.png", "'stress' has values that are NaN or infinite", u, stress)
 
 
 def without(monkeypatch, module):

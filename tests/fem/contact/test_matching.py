@@ -1,0 +1,215 @@
+"""Pairs of nodes with gaps and areas; partial contacts; contact rows."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import scenes
+from scenes import CLAMPED, LOADED, MASTER, ROLLER, SIDE_X, SLAVE, TRACTION, YOUNG, at
+from strips import matched, partners, strips
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
+from fenics_tfeti.fem.contact.surfaces import MeshBoundary
+from fenics_tfeti.io import Box, boxes, tag_facets
+
+CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
+
+
+SECOND_SLAVE, SECOND_MASTER = 15, 16
+
+
+def test_tilted_normal_shortens_the_gap():
+    V, tags = strips(gap=0.1)
+    pair = ContactPair(
+        tags, SLAVE, MASTER, normal=(0.6, -0.8), mapping=lambda x: x - [[0], [0.1], [0]]
+    )
+    np.testing.assert_allclose(matched(V, pair).gap, 0.08, rtol=1e-13)
+
+
+def slab_on_two(comm, cell="quadrilateral"):
+    """Two blocks side by side with a gap between, a slab over both; all on one scene.
+
+    Returns mesh parts and the tags SLAVE, MASTER (left), SECOND_MASTER (right), LOADED (top).
+    """
+    gdim = scenes.dimension(cell)
+
+    def box(lower, upper, n):
+        deep = ((0,), (1,), (2,)) if gdim == 3 else ((), (), ())
+        return Box(
+            (lower[0], *deep[0], lower[1]), (upper[0], *deep[1], upper[1]), (n[0], *deep[2], n[1])
+        )
+
+    parts = [
+        box((0, 0), (1, 1), (4, 2)),
+        box((2, 0), (3, 1), (4, 2)),
+        box((0, 1), (3, 1.5), (12, 2)),
+    ]
+    tagged = boxes(comm, parts, cell)
+    up = gdim - 1
+    tags = tag_facets(
+        tagged.mesh,
+        [
+            (CLAMPED, at(up, 0.0)),
+            (MASTER, at(up, 1.0), 1),
+            (SECOND_MASTER, at(up, 1.0), 2),
+            (SLAVE, at(up, 1.0), 3),
+            (LOADED, at(up, 1.5), 3),
+            (SIDE_X, at(0, 0.0), 3),
+        ],
+        tagged.cell_tags,
+    )
+    return tagged, tags, scenes.vector_space(tagged.mesh)
+
+
+def both(tags):
+    return [
+        ContactPair(tags, SLAVE, MASTER, name="left", partial=True),
+        ContactPair(tags, SLAVE, SECOND_MASTER, name="right", partial=True),
+    ]
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_partial_contact_counts_the_free_nodes(cell):
+    _, tags, V = slab_on_two(MPI.COMM_SELF, cell)
+    summaries = [pairing.summary for pairing in match_contacts(MeshBoundary.of(V), both(tags))]
+    rows = 3 if scenes.dimension(cell) == 3 else 1
+    assert [entry["pairs"] for entry in summaries] == [5 * rows, 5 * rows]
+    assert [entry["unmatched"] for entry in summaries] == [8 * rows, 8 * rows]
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_area_of_a_partial_contact_is_that_of_the_master(cell):
+    _, tags, V = slab_on_two(MPI.COMM_SELF, cell)
+    for pairing in match_contacts(MeshBoundary.of(V), both(tags)):
+        assert pairing.area.sum() == pytest.approx(1.0, rel=1e-12)
+
+
+def test_slab_over_two_bodies():
+    """Each of the two bodies carries half of the load."""
+    tagged, tags, V = slab_on_two(MPI.COMM_SELF)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    young, load = fem.Constant(tagged.mesh, YOUNG), fem.Constant(tagged.mesh, -TRACTION)
+    ds = ufl.Measure("ds", domain=tagged.mesh, subdomain_data=tags)
+    bcs = [scenes.fixed(V, tags, CLAMPED, None), scenes.fixed(V, tags, SIDE_X, 0)]
+    problem = ContactProblem(
+        scenes.elasticity(u, v, young),
+        load * v[1] * ds(LOADED),
+        bcs,
+        both(tags),
+        tagged.cell_tags,
+        options={"rtol": 1e-10},
+    )
+    problem.solve()
+    assert sum(problem.report.contact_force) == pytest.approx(3.0 * TRACTION, rel=1e-8)
+    assert [entry["contact"] for entry in problem.report.pairing] == ["left", "right"]
+    assert all(force > TRACTION for force in problem.report.contact_force)
+
+
+def test_body_that_is_slave_of_one_and_master_of_another():
+    """Three loose blocks on each other: all carry the load on the top."""
+    parts = [Box((0, y), (1, y + 1), (3, 3)) for y in (0, 1, 2)]
+    tagged = boxes(MPI.COMM_SELF, parts, "quadrilateral")
+    tags = tag_facets(
+        tagged.mesh,
+        [
+            (CLAMPED, at(1, 0.0), 1),
+            (MASTER, at(1, 1.0), 1),
+            (SLAVE, at(1, 1.0), 2),
+            (SECOND_MASTER, at(1, 2.0), 2),
+            (SECOND_SLAVE, at(1, 2.0), 3),
+            (LOADED, at(1, 3.0), 3),
+            (SIDE_X, lambda x: np.isclose(x[0], 0.0) & (x[1] > 0.9), 2),
+            (ROLLER, lambda x: np.isclose(x[0], 0.0) & (x[1] > 1.9), 3),
+        ],
+        tagged.cell_tags,
+    )
+    V = scenes.vector_space(tagged.mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    young, load = fem.Constant(tagged.mesh, YOUNG), fem.Constant(tagged.mesh, -TRACTION)
+    ds = ufl.Measure("ds", domain=tagged.mesh, subdomain_data=tags)
+    contacts = [ContactPair(tags, SLAVE, MASTER), ContactPair(tags, SECOND_SLAVE, SECOND_MASTER)]
+    bcs = [scenes.fixed(V, tags, CLAMPED, 1)]
+    bcs += [scenes.fixed(V, tags, tag, 0) for tag in (CLAMPED, SIDE_X, ROLLER)]
+    problem = ContactProblem(
+        scenes.elasticity(u, v, young),
+        load * v[1] * ds(LOADED),
+        bcs,
+        contacts,
+        tagged.cell_tags,
+        options={"rtol": 1e-10},
+    )
+    problem.solve()
+    assert problem.report.contact_force == pytest.approx([TRACTION, TRACTION], rel=1e-8)
+
+
+def test_shared_nodes_of_a_partial_contact_stay_free():
+    """The lips of a crack: its tip is slave and master."""
+    tagged = boxes(MPI.COMM_SELF, [Box((0, 0), (2, 1), (4, 2))], "quadrilateral")
+    tags = tag_facets(
+        tagged.mesh, [(SLAVE, lambda x: at(1, 0.0)(x) & (x[0] < 1.01)), (MASTER, at(0, 0.0))]
+    )
+    V = scenes.vector_space(tagged.mesh)
+    # the corner is in both; (0.5, 0) and (1, 0) meet (0, 0.5) and (0, 1) when the corner closes
+    folded = {"mapping": lambda x: x[[1, 0, 2]], "partial": True}
+    x, partner, pairing = partners(V, ContactPair(tags, SLAVE, MASTER, **folded))
+    np.testing.assert_allclose(partner, x[:, ::-1], atol=1e-14)
+    assert pairing.summary["pairs"] == 2 and pairing.summary["unmatched"] == 1
+    with pytest.raises(InputError, match=r"share 1 nodes, the first at \(0, 0\).*partial=True"):
+        matched(V, ContactPair(tags, SLAVE, MASTER))
+
+
+def test_nodes_are_errors_where_the_contact_is_not_partial():
+    _, tags, V = slab_on_two(MPI.COMM_SELF)
+    with pytest.raises(InputError, match=r"8 of 13 slave nodes .*partial=True"):
+        matched(V, ContactPair(tags, SLAVE, MASTER))
+
+
+def test_known_pair_is_returned_as_it_is():
+    V, tags = strips()
+    boundary, pair = MeshBoundary.of(V), ContactPair(tags, SLAVE, MASTER)
+    known = match_contacts(boundary, [pair])
+    assert match_contacts(boundary, [pair], [(pair, known[0])])[0] is known[0]
+
+
+def test_known_obstacle_is_evaluated_again():
+    V, tags = strips(gap=0.1)
+    height = [0.5]
+    floor = RigidObstacle(tags, SLAVE, lambda x: x[1] - height[0])
+    boundary = MeshBoundary.of(V)
+    known = match_contacts(boundary, [floor])
+    height[0] = 0.75
+    again = match_contacts(boundary, [floor], [(floor, known[0])])[0]
+    np.testing.assert_allclose(again.gap, known[0].gap - 0.25, rtol=1e-14)
+    assert again.surface is known[0].surface
+
+
+def test_rows_of_all_contacts_follow_each_other():
+    V, tags = strips()
+    floor = RigidObstacle(tags, SLAVE, Plane((0.0, 0.5), (0.0, 1.0)))
+    contacts = [ContactPair(tags, SLAVE, MASTER), floor]
+    rows = contact_rows(match_contacts(MeshBoundary.of(V), contacts), 2)
+    assert rows.contact.tolist() == [0] * 5 + [1] * 5
+    assert np.all((rows.master == -1) == (rows.contact == 1))
+
+
+def test_no_contacts_are_no_rows():
+    assert contact_rows([], 3).normal.shape == (0, 3)
+
+
+def test_gaps_of_touching_surfaces_are_zero_exactly():
+    """The surfaces are at 1/3, which no binary number is."""
+    parts = [Box((0, 0), (1, 1 / 3), (4, 2)), Box((0, 1 / 3), (1, 1), (4, 2))]
+    tagged = boxes(MPI.COMM_SELF, parts, "quadrilateral")
+    marks = [(MASTER, at(1, 1 / 3), 1), (SLAVE, at(1, 1 / 3), 2)]
+    tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
+    V = scenes.vector_space(tagged.mesh)
+    x = V.mesh.geometry.x
+    x[np.isclose(x[:, 1], 1 / 3), 1] += 1e-16 * np.random.default_rng(0).integers(-2, 3, 10)
+    assert not matched(V, ContactPair(tags, SLAVE, MASTER)).gap.any()

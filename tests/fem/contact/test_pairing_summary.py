@@ -1,0 +1,58 @@
+"""The pairing in numbers, and in the report."""
+
+from __future__ import annotations
+
+import json
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import scenes
+from scenes import MASTER, SLAVE
+from strips import bend, matched, strips
+
+from fenics_tfeti import ContactPair
+from fenics_tfeti.fem.contact.pairing_summary import angles_between
+
+
+def test_summary_of_a_tilted_slave():
+    """The slave is tilted by 45 degrees about (0, 1.1), and turned back by its given normal."""
+    V, tags = strips(gap=0.1)
+    bend(V, lambda x: x[:, 1] > 1.05, lambda x: x + np.outer(x[:, 0], [0.0, 1.0, 0.0]))
+    mapping = {"mapping": lambda x: np.array([x[0] + 0.01, 1 + 0 * x[1], x[2]])}
+    summary = matched(V, ContactPair(tags, SLAVE, MASTER, name="a", **mapping)).summary
+    assert summary == {
+        "contact": "a",
+        "pairs": 5,
+        "unmatched": 0,
+        "largest_distance": pytest.approx(0.01),
+        "largest_relative_distance": pytest.approx(0.01 / (0.25 * np.sqrt(2))),
+        "largest_angle": pytest.approx(45.0),
+        "smallest_gap": pytest.approx(0.1 / np.sqrt(2)),
+        "largest_gap": pytest.approx(1.1 / np.sqrt(2)),
+    }
+
+
+def test_report_has_the_summary(tmp_path):
+    scene = scenes.two_beams(MPI.COMM_SELF, "quadrilateral", 3)
+    problem = scene.problem()
+    problem.solve()
+    problem.report.to_json(tmp_path / "report.json")
+    written = json.loads((tmp_path / "report.json").read_text())["pairing"]
+    assert written == problem.report.pairing
+    head, line = problem.report.pairing_table().splitlines()
+    assert head.split()[:3] == ["contact", "pairs", "unmatched"]
+    assert line.split() == ["contact", "0", "(pair)", "4", "0", "0", "0", "0", "0", "0"]
+
+
+@pytest.mark.parametrize("degrees", [0.0, 1e-7, 30.0, 90.0, 180.0])
+def test_angles(degrees):
+    angle = np.radians(degrees)
+    first, second = np.array([[1.0, 0.0]]), np.array([[np.cos(angle), np.sin(angle)]])
+    assert angles_between(first, second) == pytest.approx([degrees], rel=1e-8)
+
+
+def test_directions_that_differ_by_rounding_are_the_same():
+    first = np.array([[1.0, 0.0]])
+    assert angles_between(first, first + 1e-15).tolist() == [0.0]

@@ -1,0 +1,256 @@
+"""The four ways to find partners, the tolerance, and meshes that do not match."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import scenes
+from scenes import MASTER, SLAVE, at
+from strips import bend, matched, partners, ring, strips
+
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.io import Box, boxes, read_msh, tag_facets
+
+CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
+
+
+def ways(V, tags, gap):
+    """Return the arguments of all ways to say that partners are `gap` below."""
+    up = V.mesh.geometry.dim - 1
+    down = np.eye(3)[up] * gap
+    slave = matched(V, ContactPair(tags, SLAVE, MASTER)).coordinates
+    gdim = V.mesh.geometry.dim
+    return {
+        "nearest": {},
+        "direction": {"direction": down[:gdim] / gap},
+        "direction at points": {
+            "direction": lambda x: -3.0 * np.tile(down[:gdim, None], x.shape[1])
+        },
+        "mapping": {"mapping": lambda x: x - down[:, None]},
+        "pairs": {"pairs": (slave, slave - down)},
+    }
+
+
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("way", ["nearest", "direction", "direction at points", "mapping", "pairs"])
+def test_all_ways_find_the_node_below(cell, way):
+    scene = scenes.two_beams(MPI.COMM_SELF, cell, 3, gap=0.1)
+    arguments = ways(scene.V, scene.facet_tags, 0.1)[way]
+    x, partner, pairing = partners(
+        scene.V, ContactPair(scene.facet_tags, SLAVE, MASTER, **arguments)
+    )
+    down = 0.1 * np.eye(x.shape[1])[-1]
+    assert len(x) == 4 ** (x.shape[1] - 1)
+    np.testing.assert_allclose(partner, x - down, atol=1e-13)
+    np.testing.assert_allclose(pairing.gap, 0.1, rtol=1e-12)
+
+
+def test_direction_that_is_not_the_nearest():
+    """The master is half an element to the right: along (-1, 2) partners are as numbered."""
+    V, tags = strips(gap=0.25)
+    bend(V, lambda x: x[:, 1] > 1.1, lambda x: x - [0.125, 0.0, 0.0])
+    x, partner, pairing = partners(
+        V, ContactPair(tags, SLAVE, MASTER, direction=(-1.0, 2.0), tolerance=1e-6)
+    )
+    np.testing.assert_allclose(partner - x, np.tile([0.125, -0.25], (5, 1)), atol=1e-14)
+    np.testing.assert_allclose(pairing.gap, 0.25)
+    with pytest.raises(InputError, match="5 of 5 slave nodes"):
+        matched(V, ContactPair(tags, SLAVE, MASTER))
+
+
+def radial(x):
+    return x[:2]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [{"direction": radial}, {"mapping": lambda x: x * 2.0}, {"normal": radial}],
+    ids=["direction", "mapping", "normal"],
+)
+def test_concentric_rings_pair_along_the_radius(arguments):
+    V, tags = ring()
+    x, partner, _ = partners(V, ContactPair(tags, SLAVE, MASTER, **arguments))
+    np.testing.assert_allclose(partner, x * 2.0, atol=1e-13)
+
+
+def test_direction_finds_the_near_side_of_a_master_all_around():
+    """All four sides of the lower square are master: its bottom is on the same lines."""
+    V, tags = strips(gap=0.1)
+    marks = [(MASTER, lambda x: np.ones(x.shape[1], dtype=bool), 1), (SLAVE, at(1, 1.1), 2)]
+    cell_tags = boxes(
+        MPI.COMM_SELF, [Box((0, 0), (1, 1), (4, 2)), Box((0, 1.1), (1, 2.1), (4, 2))], "triangle"
+    )
+    V = scenes.vector_space(cell_tags.mesh)
+    tags = tag_facets(cell_tags.mesh, marks, cell_tags.cell_tags)
+    _, partner, _ = partners(V, ContactPair(tags, SLAVE, MASTER, direction=(0.0, 1.0)))
+    np.testing.assert_allclose(partner[:, 1], 1.0)
+
+
+def test_direction_takes_the_nearer_of_two_sheets():
+    """Two slabs below the slave, both master, with normals upwards."""
+    parts = [Box((0, y), (1, y + 0.5), (4, 2)) for y in (0.0, 1.0, 1.6)]
+    tagged = boxes(MPI.COMM_SELF, parts, "quadrilateral")
+    marks = [(MASTER, at(1, 0.5), 1), (MASTER, at(1, 1.5), 2), (SLAVE, at(1, 1.6), 3)]
+    tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
+    V = scenes.vector_space(tagged.mesh)
+    # the far sheet is exactly below, the near one misses a little
+    bend(V, lambda x: (x[:, 1] > 0.9) & (x[:, 1] < 1.55), lambda x: x + [0.01, 0.0, 0.0])
+    _, partner, _ = partners(V, ContactPair(tags, SLAVE, MASTER, direction=(0.0, -1.0)))
+    np.testing.assert_allclose(partner[:, 1], 1.5)
+
+
+def test_mapping_between_surfaces_that_do_not_face_each_other():
+    """chi may turn: the slave's bottom touches the master's right side, once folded up."""
+    tagged = boxes(
+        MPI.COMM_SELF, [Box((0, 0), (1, 1), (2, 4)), Box((3, 0), (4, 1), (4, 2))], "quadrilateral"
+    )
+    tags = tag_facets(
+        tagged.mesh, [(MASTER, at(0, 1.0), 1), (SLAVE, at(1, 0.0), 2)], tagged.cell_tags
+    )
+    V = scenes.vector_space(tagged.mesh)
+    x, partner, _ = partners(
+        V,
+        ContactPair(
+            tags, SLAVE, MASTER, mapping=lambda x: np.array([1 + x[1], x[0] - 3, 0 * x[2]])
+        ),
+    )
+    np.testing.assert_allclose(partner, np.stack([1 + x[:, 1], x[:, 0] - 3], axis=1), atol=1e-14)
+
+
+def test_pairs_may_be_rounded_and_in_any_order():
+    V, tags = strips()
+    x = np.array([[0.5, 1.1], [0.0, 1.1], [1.0, 1.1], [0.25, 1.1], [0.75, 1.1]])
+    rounded = x + 1e-3 * np.array([1.0, -1.0])
+    pair = ContactPair(tags, SLAVE, MASTER, pairs=(rounded, x - [0.0, 0.1]))
+    x, partner, pairing = partners(V, pair)
+    np.testing.assert_allclose(partner, x - [0.0, 0.1], atol=1e-14)
+    assert pairing.summary["largest_distance"] == pytest.approx(np.sqrt(2) * 1e-3)
+
+
+@pytest.mark.parametrize("way", ["nearest", "direction", "direction at points", "mapping", "pairs"])
+def test_micrometres_give_the_pairs_of_metres(way):
+    numbers = []
+    for metre in (1.0, 1e-6):
+        scene = scenes.two_beams(MPI.COMM_SELF, "triangle", 4, gap=0.1, metre=metre)
+        slave = scene.V.mesh.geometry.x[:, 1] > 1.05 * metre
+        bend(scene.V, lambda x, s=slave: s, lambda x, m=metre: x + [0.02 * m, 0, 0])
+        wide = ContactPair(scene.facet_tags, SLAVE, MASTER, tolerance=0.09)
+        x = matched(scene.V, wide).coordinates
+        arguments = {
+            "nearest": {},
+            "direction": {"direction": (0.0, 1.0)},
+            "direction at points": {"direction": lambda x: np.tile([[0.0], [1.0]], x.shape[1])},
+            "mapping": {"mapping": lambda x, m=metre: x - [[0], [0.1 * m], [0]]},
+            "pairs": {"pairs": (x, x - [0, 0.1 * metre, 0])},
+        }[way]
+        near = ContactPair(scene.facet_tags, SLAVE, MASTER, tolerance=0.09, **arguments)
+        pairing = matched(scene.V, near)
+        numbers.append((pairing.slave.tolist(), pairing.master.tolist()))
+        with pytest.raises(InputError, match="5 (of 5 slave nodes|pairs)"):
+            matched(scene.V, replace(near, tolerance=0.07))
+    assert numbers[0] == numbers[1]
+
+
+def test_tolerance_is_relative_to_the_local_facets():
+    """The slave's facets are 0.05 to 0.65 long, and all nodes 0.008 from their partners."""
+    V, tags = strips(gap=0.1)
+
+    def grade(x):
+        places = np.interp(x[:, 0], [0, 0.25, 0.5, 0.75, 1.0], [0, 0.05, 0.15, 0.35, 1.0])
+        return np.stack([places + 0.008 * (x[:, 1] > 1.05), x[:, 1], x[:, 2]], axis=1)
+
+    bend(V, lambda x: np.ones(len(x), dtype=bool), grade)
+    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, partial=True))
+    assert sorted(np.round(pairing.coordinates[:, 0], 12)) == [0.158, 0.358, 1.008]
+    assert pairing.summary["unmatched"] == 2
+    assert pairing.summary["largest_relative_distance"] == pytest.approx(0.08)
+
+
+@pytest.fixture(scope="module")
+def gmsh_beams(tmp_path_factory):
+    """The demo's beams with few unstructured tetrahedra, alike on the contact faces."""
+    pytest.importorskip("gmsh")
+    path = Path(__file__).parents[3] / "meshes" / "two_beams.py"
+    spec = importlib.util.spec_from_file_location("two_beams_mesh", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    file = tmp_path_factory.mktemp("mesh") / "beams.msh"
+    module.two_beams(file, "tetrahedron", 4)
+    beams = read_msh(file, MPI.COMM_SELF)
+    names = beams.names
+    return scenes.vector_space(beams.mesh), beams.facet_tags, names
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [{}, {"direction": (0, 0, 1)}, {"mapping": lambda x: x}],
+    ids=["nearest", "direction", "mapping"],
+)
+def test_unstructured_faces_that_are_alike(gmsh_beams, arguments):
+    V, tags, names = gmsh_beams
+    pair = ContactPair(tags, names["contact_upper"], names["contact_lower"], **arguments)
+    x, partner, pairing = partners(V, pair)
+    np.testing.assert_allclose(partner, x, atol=1e-13)
+    assert pairing.summary["unmatched"] == 0
+    assert pairing.area.sum() == pytest.approx(1.0, rel=1e-12)
+
+
+def test_surfaces_that_nobody_meshed_alike():
+    """17 slave nodes on 12 master nodes: a partial contact takes those near enough, no others."""
+    V, tags = strips((11, 3), (16, 3), gap=0.05)
+    with pytest.raises(InputError, match=r"15 of 17 slave nodes have no partner"):
+        matched(V, ContactPair(tags, SLAVE, MASTER, tolerance=1e-3))
+    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, tolerance=0.5, partial=True))
+    i, j = np.arange(17), np.arange(12)
+    misses = np.abs(i[:, None] / 16 - j / 11).min(axis=1) * 16
+    assert pairing.summary["pairs"] == np.sum(misses <= 0.5) == 12
+    assert pairing.summary["unmatched"] == 5
+    assert pairing.summary["largest_relative_distance"] == pytest.approx(
+        misses[misses <= 0.5].max()
+    )
+
+
+@pytest.mark.parametrize("way", [{}, {"direction": (0.0, 0.0, 1.0)}], ids=["nearest", "direction"])
+def test_unstructured_faces_that_nobody_meshed_alike(tmp_path, way):
+    """All slave nodes over the finer master find a node of it, those over its rim stay free."""
+    gmsh = pytest.importorskip("gmsh")
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        occ, mesh = gmsh.model.occ, gmsh.model.mesh
+        bodies = [occ.addBox(0, 0, 0, 1, 1, 0.5), occ.addBox(-0.25, 0.1, 0.5, 1.5, 0.8, 0.5)]
+        occ.synchronize()
+        for body, tag, size in zip(bodies, (MASTER, SLAVE), (0.07, 0.2), strict=True):
+            gmsh.model.addPhysicalGroup(3, [body], body)
+            faces = [face for _, face in gmsh.model.getBoundary([(3, body)], oriented=False)]
+            touching = [f for f in faces if abs(occ.getCenterOfMass(2, f)[2] - 0.5) < 1e-9]
+            gmsh.model.addPhysicalGroup(2, touching, tag)
+            mesh.setSize(gmsh.model.getBoundary([(3, body)], recursive=True), size)
+        mesh.generate(3)
+        gmsh.write(str(tmp_path / "blocks.msh"))
+    finally:
+        gmsh.finalize()
+    blocks = read_msh(tmp_path / "blocks.msh", MPI.COMM_SELF)
+    V = scenes.vector_space(blocks.mesh)
+    pair = ContactPair(blocks.facet_tags, SLAVE, MASTER, tolerance=0.5, partial=True, **way)
+    x, partner, pairing = partners(V, pair)
+    points = V.tabulate_dof_coordinates()
+    slave, master = (
+        points[fem.locate_dofs_topological(V, 2, blocks.facet_tags.find(tag))]
+        for tag in (SLAVE, MASTER)
+    )
+    over = np.sum((slave[:, 0] > -1e-9) & (slave[:, 0] < 1 + 1e-9))
+    assert over <= len(x) < len(slave)
+    assert pairing.summary["unmatched"] == len(slave) - len(x)
+    distance = np.linalg.norm(x[:, None] - master, axis=2)
+    np.testing.assert_allclose(np.linalg.norm(x - partner, axis=1), distance.min(axis=1))
+    assert len(np.unique(np.round(partner, 9), axis=0)) == len(x)

@@ -1,0 +1,91 @@
+"""Forms: which integrals, coefficients and tags they may have, and what bound forms integrate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from box_rows import INSIDE, LEFT, assemble, row_of_boxes
+from scenes import YOUNG, elasticity, scalar_space
+
+import ufl
+from dolfinx import fem, mesh
+
+from fenics_tfeti import InputError
+from fenics_tfeti.fem.decomposition.forms import prepare_form
+from fenics_tfeti.fem.topology import exterior_cell_facets
+
+
+def prepared(row, form):
+    return prepare_form(row.V, form, "form", exterior_cell_facets(row.mesh))
+
+
+def stiffness(row, factor=1.0):
+    u, v = ufl.TrialFunction(row.V), ufl.TestFunction(row.V)
+    return elasticity(u, v, YOUNG * factor, row.dx)
+
+
+@pytest.mark.parametrize("kind", ["dx", "ds"])
+def test_everywhere_and_on_tags(kind):
+    row = row_of_boxes()
+    v, one = ufl.TestFunction(row.V), fem.Constant(row.mesh, 1.0)
+    near = row.cells_near(INSIDE)
+    cells = mesh.meshtags(row.mesh, 2, near, np.full(near.size, LEFT, "i4"))
+    measure = {"dx": ufl.Measure("dx", row.mesh, subdomain_data=cells), "ds": row.ds}[kind]
+    L = one * v[0] * measure + 10 * one * v[0] * measure(LEFT)
+    total = sum(s.load.sum() for s in assemble(row, stiffness(row), L))
+    whole, tagged = {"dx": (4.0, near.size / 9), "ds": (10.0, 1.0)}[kind]
+    assert total == pytest.approx(whole + 10 * tagged)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "expected"),
+    [
+        (lambda domain: 1.0, True),
+        (lambda domain: ufl.JacobianDeterminant(domain), True),
+        (lambda domain: ufl.SpatialCoordinate(domain)[0], False),
+    ],
+    ids=["constant", "JacobianDeterminant", "SpatialCoordinate"],
+)
+def test_forms_without_coordinates_are_translation_invariant(quantity, expected):
+    row = row_of_boxes()
+    form = prepared(row, stiffness(row, quantity(row.mesh)))
+    assert form.translation_invariant is expected
+
+
+def test_integrals_over_interior_facets_are_refused():
+    row = row_of_boxes()
+    u, v = ufl.TrialFunction(row.V), ufl.TestFunction(row.V)
+    jump = ufl.inner(ufl.jump(u), ufl.jump(v)) * ufl.Measure("dS", domain=row.mesh)
+    with pytest.raises(InputError, match="interior_facet; only dx and ds are supported"):
+        prepared(row, stiffness(row) + jump)
+
+
+def test_tags_without_subdomain_data_are_refused():
+    row = row_of_boxes()
+    u, v = ufl.TrialFunction(row.V), ufl.TestFunction(row.V)
+    with pytest.raises(InputError, match=r"has dx\(3\), but the measure has no mesh tags"):
+        prepared(row, elasticity(u, v, YOUNG, row.dx(3)))
+
+
+def test_cell_tags_for_an_integral_over_facets_are_refused():
+    row = row_of_boxes()
+    v = ufl.TestFunction(row.V)
+    cells = mesh.meshtags(row.mesh, 2, np.arange(3, dtype="i4"), np.full(3, 1, "i4"))
+    ds = ufl.Measure("ds", row.mesh, subdomain_data=cells)
+    with pytest.raises(InputError, match="tags entities of dimension 2, expected 1"):
+        prepared(row, fem.Constant(row.mesh, 1.0) * v[0] * ds(1))
+
+
+def test_coefficient_of_another_mesh_is_refused():
+    row, other = row_of_boxes(), row_of_boxes()
+    factor = fem.Function(scalar_space(other.mesh, "DG", 0), name="modulus")
+    with pytest.raises(InputError) as raised:
+        prepared(row, stiffness(row, factor))
+    assert "modulus" in str(raised.value) and "another mesh" in str(raised.value)
+
+
+def test_coefficient_of_degree_three_is_refused():
+    row = row_of_boxes()
+    factor = fem.Function(scalar_space(row.mesh, "Lagrange", 3), name="modulus")
+    with pytest.raises(InputError, match=r"modulus.* Lagrange of degree 3"):
+        prepared(row, stiffness(row, factor))

@@ -1,0 +1,47 @@
+"""Cells without volume, twisted ones and overlapping ones are refused and named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mesh_arrays import CELLS, block, check_arrays, concatenated
+
+from fenics_tfeti import InputError
+
+by_cell = pytest.mark.parametrize("cell", CELLS)
+
+
+@by_cell
+def test_flat_cell_is_named(cell):
+    points, cells = block(cell)
+    lone = points[cells[-1]] + 7.0
+    lone[:, -1] = 8.0
+    points, cells = concatenated((points, cells), (lone, np.arange(len(lone))[None]))
+    with pytest.raises(
+        InputError, match=rf"without .*1 of {len(cells)} cells, .* in body . in .9,"
+    ):
+        check_arrays(cell, points, cells)
+
+
+@pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
+def test_concave_cell_is_named(cell):
+    points, cells = block(cell, 2)
+    points[0] = 0.9
+    with pytest.raises(InputError, match="twisted .*: 1 of"):
+        check_arrays(cell, points, cells)
+
+
+@pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
+def test_order_of_vertices_of_gmsh_and_vtk_is_not_that_of_dolfinx(cell):
+    points, cells = block(cell, 2)
+    with pytest.raises(InputError, match="twisted .* order of dolfinx"):
+        check_arrays(cell, points, cells[:, [0, 1, 3, 2, 4, 5, 7, 6][: cells.shape[1]]])
+
+
+@pytest.mark.parametrize("cell", ["triangle", "tetrahedron"])
+def test_simplex_turned_inside_out_is_found(cell):
+    points, cells = block(cell)
+    inner = np.all((points > 0.0) & (points < 3.0), axis=1)
+    points[np.flatnonzero(inner)[0]] += 1.6
+    with pytest.raises(InputError, match="overlap their neighbours"):
+        check_arrays(cell, points, cells)
