@@ -1,0 +1,272 @@
+"""Solve a case with the package, and compare with what the oracle says."""
+
+from __future__ import annotations
+
+import traceback
+from dataclasses import dataclass, field
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from glued import GluedProblem
+from numpy.typing import NDArray
+from oracle import Answer
+
+from fenics_tfeti.errors import ContactError, InputError, NotConverged, UnresistedMotion
+
+Vector = NDArray[np.float64]
+
+__all__ = ["CLASSES", "Found", "Outcome", "compare", "attempt"]
+
+# classes of outcomes; those after the first four are failures
+CLASSES = (
+    "right",
+    "right error",
+    "limit of rounding",
+    "skipped",
+    "wrong",
+    "no convergence",
+    "false error",
+    "traceback",
+    "hang",
+    "ranks differ",
+)
+
+# the error in the energy norm that counts as right, relative to rtol
+FACTOR = 10.0
+# a body whose energy norm is below this part of its group's is compared with the group's, and
+# below this part of all bodies' with theirs
+OF_GROUP, OF_ALL = 1e-3, 1e-6
+# rounding errors of the package are this much larger than those of one operation on the data
+ROUNDINGS = 1e2
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the package returned, in the unknowns of the glued problem.
+
+    Attributes
+    ----------
+    displacement : (n,) array or None
+        u, the mean of copies.
+    jump : (nodes,) array
+        Largest difference between copies of each node.
+    force : (m,) array
+        Normal forces by contact row.
+    contact_force : list of float
+        Sums, as reported.
+    energy : float
+        As reported.
+    products : int
+        As reported.
+    error : Exception or None
+        What was raised.
+    """
+
+    displacement: Vector | None = None
+    jump: Vector = field(default_factory=lambda: np.zeros(0))
+    force: Vector = field(default_factory=lambda: np.zeros(0))
+    contact_force: list[float] = field(default_factory=list)
+    energy: float = 0.0
+    products: int = 0
+    error: Exception | None = None
+    trace: str = ""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The class of an outcome, and what it rests on."""
+
+    kind: str
+    detail: str = ""
+    numbers: dict[str, float] = field(default_factory=dict)
+
+
+def attempt(solve: Any) -> Found:
+    """Run a function that returns `Found`; errors become part of it."""
+    try:
+        found: Found = solve()
+        return found
+    except Exception as error:
+        return Found(error=error, trace=traceback.format_exc())
+
+
+def compare(problem: GluedProblem, answer: Answer, found: Found, rtol: float) -> Outcome:
+    """Return the class of an outcome."""
+    error = found.error
+    said = f"{type(error).__name__}: {error}" if error is not None else ""
+    if error is not None and not isinstance(error, ContactError):
+        return Outcome("traceback", f"{said}\n{found.trace}")
+    if answer.verdict == "unsure":
+        return Outcome("skipped", answer.why)
+    if answer.verdict in ("infeasible", "unbounded"):
+        return _compare_error(answer, error, said)
+    if isinstance(error, NotConverged):
+        needs = _attainable(answer)
+        if needs > 0.1 * rtol:
+            return Outcome("limit of rounding", f"{said}; rounding alone makes {needs:.1e}")
+        return Outcome("no convergence", said)
+    if error is not None:
+        return Outcome("false error", said)
+    return _compare_solution(problem, answer, found, rtol)
+
+
+def _compare_error(answer: Answer, error: Exception | None, said: str) -> Outcome:
+    what = f"{answer.verdict}: {answer.why}"
+    if error is None:
+        return Outcome("wrong", f"converged, but {what}")
+    if isinstance(error, NotConverged):
+        return Outcome("no convergence", f"{said}; {what}")
+    is_motion = isinstance(error, UnresistedMotion)
+    right = is_motion if answer.verdict == "unbounded" else isinstance(error, InputError)
+    if answer.verdict == "infeasible" and is_motion:
+        right = False
+    return Outcome("right error" if right else "false error", f"{said}; {what}")
+
+
+def _scales(answer: Answer) -> Vector:
+    """Return the energy norm that the error of each body is compared with."""
+    groups = np.zeros(answer.group.max() + 1)
+    np.add.at(groups, answer.group, answer.energy)
+    return np.sqrt(
+        np.maximum.reduce(
+            [
+                answer.energy,
+                OF_GROUP**2 * groups[answer.group],
+                np.full(answer.energy.size, OF_ALL**2 * groups.sum()),
+            ]
+        )
+    )
+
+
+def _attainable(answer: Answer) -> float:
+    """Return the relative error that rounding the data alone may make, in the worst body."""
+    scale = _scales(answer)
+    noise = ROUNDINGS * answer.noise
+    return float(np.max(np.divide(noise, scale, out=np.zeros_like(noise), where=scale > 0.0)))
+
+
+def _compare_solution(
+    problem: GluedProblem, answer: Answer, found: Found, rtol: float
+) -> Outcome:
+    u = found.displacement
+    assert u is not None
+    if not np.isfinite(u).all():
+        return Outcome("wrong", "displacements are not finite")
+    scale, floor = _scales(answer), ROUNDINGS * answer.noise
+    if np.any(answer.error > 0.3 * FACTOR * rtol * scale + floor):
+        worst = float(np.max(answer.error / np.maximum(scale, 1e-300)))
+        return Outcome("skipped", f"the oracle's own error is {worst:.1e}")
+    difference = u - answer.displacement
+    errors = np.zeros(problem.bodies)
+    size, deformation, rigid = (np.zeros(problem.bodies) for _ in range(3))
+    K = (problem.elastic + problem.springs.matrix()).tocsr()
+    for b in range(problem.bodies):
+        at = problem.unknowns(b)
+        part = difference[at]
+        errors[b] = np.sqrt(max(0.0, float(part @ (K[at][:, at] @ part))))
+        exact = answer.displacement[at]
+        size[b] = np.abs(exact).max()
+        deformation[b] = np.abs(exact - _rigid_part(problem, b, exact)).max()
+    stiffness = np.array([abs(K[at][:, at]).max() for at in map(problem.unknowns, range(problem.bodies))])
+    floor = floor + 1e-15 * np.sqrt(stiffness) * size.max()
+    ratio = {"error": _worst(errors, FACTOR * rtol * scale + floor)}
+
+    # local lengths: of the bodies that a row joins, without their rigid motions
+    rounding = 1e-12 * size + 1e-14 * size.max()
+    body_of_row = _bodies_of_rows(problem)
+    tolerance = FACTOR * rtol * deformation + rounding
+    finite = np.isfinite(problem.gap)
+    allowed = np.array([tolerance[b].max(initial=0.0) for b in body_of_row])
+    exact_opening = problem.gap - problem.rows @ answer.displacement
+    opening = problem.gap - problem.rows @ u
+    penetration = np.where(finite, np.minimum(exact_opening, 0.0) - opening, 0.0)
+    allowed = allowed + 1e-12 * np.where(finite, np.abs(problem.gap), 0.0)
+    ratio["penetration"] = _worst(np.maximum(penetration, 0.0), allowed)
+    jump = np.array([found.jump[problem.body == b].max() for b in range(problem.bodies)])
+    ratio["gluing"] = _worst(jump, tolerance)
+    off = np.zeros(problem.bodies)
+    body_of_fixed = problem.body[problem.fixed // problem.gdim]
+    np.maximum.at(off, body_of_fixed, np.abs(u[problem.fixed] - problem.values))
+    ratio["supports"] = _worst(off, tolerance)
+    ratio["forces"] = _force_ratio(problem, answer, found, rtol)
+    exact_energy = float(
+        0.5 * answer.energy.sum() - problem.load @ answer.displacement
+    )
+    absolute = np.abs(answer.displacement)
+    noise = 1e-12 * float(np.abs(problem.load) @ absolute) + 1e-13 * float(absolute @ abs(K) @ absolute)
+    ratio["energy"] = _worst(
+        np.array([abs(found.energy - exact_energy)]),
+        np.array([FACTOR * rtol * max(abs(exact_energy), 0.5 * answer.energy.sum()) + noise]),
+    )
+    bad = {name: value for name, value in ratio.items() if value > 1.0}
+    if not bad:
+        return Outcome("right", "", ratio)
+    words = ", ".join(f"{name} {value:.1e}" for name, value in bad.items())
+    return Outcome("wrong", f"times what is allowed: {words}", ratio)
+
+
+def _rigid_part(problem: GluedProblem, body: int, u: Vector) -> Vector:
+    from glued import rigid_modes
+
+    R = rigid_modes(problem.coordinates[problem.body == body])
+    return R @ (R.T @ u)
+
+
+def _bodies_of_rows(problem: GluedProblem) -> list[NDArray[np.int64]]:
+    rows = problem.rows
+    return [
+        np.unique(problem.body[rows.indices[rows.indptr[k] : rows.indptr[k + 1]] // problem.gdim])
+        for k in range(rows.shape[0])
+    ]
+
+
+def _worst(values: Vector, allowed: Vector) -> float:
+    values, allowed = np.asarray(values), np.asarray(allowed)
+    ratios = np.where(
+        values > 0.0, values / np.maximum(allowed, np.finfo(float).tiny), 0.0
+    )
+    return float(ratios.max(initial=0.0))
+
+
+def _force_ratio(problem: GluedProblem, answer: Answer, found: Found, rtol: float) -> float:
+    """Compare the sums of contact forces; their scale is all that acts on the group's bodies."""
+    if not problem.gap.size:
+        return 0.0
+    acting = np.zeros(answer.group.max() + 1)
+    rounding = np.zeros_like(acting)
+    for b in range(problem.bodies):
+        at = problem.unknowns(b)
+        exact = answer.displacement[at]
+        K = problem.elastic[at][:, at]
+        local = exact - _rigid_part(problem, b, exact)
+        acting[answer.group[b]] += np.abs(K @ local).sum()
+        rounding[answer.group[b]] += 1e-14 * (abs(K) @ np.abs(exact)).sum()
+    body_of_row = _bodies_of_rows(problem)
+    exact = np.bincount(problem.contact, weights=answer.force)
+    sums = np.bincount(problem.contact, weights=found.force, minlength=exact.size)
+    allowed = np.zeros(exact.size)
+    for k, bodies in enumerate(body_of_row):
+        groups = answer.group[bodies]
+        value = FACTOR * rtol * acting[groups].max() + rounding[groups].max()
+        allowed[problem.contact[k]] = max(allowed[problem.contact[k]], value)
+    reported = np.zeros(exact.size)
+    reported[: len(found.contact_force)] = found.contact_force
+    pulling = max(0.0, -float(found.force.min(initial=0.0)))
+    return max(
+        _worst(np.abs(sums - exact), allowed),
+        _worst(np.abs(reported - exact), allowed),
+        _worst(np.array([pulling]), np.array([allowed.max()])),
+    )
+
+
+def agree(comm: MPI.Comm, found: Found) -> str:
+    """Return how the ranks differ; empty if they do not."""
+    mine = (
+        type(found.error).__name__ if found.error else "",
+        found.contact_force,
+        found.products,
+    )
+    every = comm.allgather(mine)
+    return "" if all(one == every[0] for one in every) else f"by rank: {every}"
