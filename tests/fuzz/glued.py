@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -87,6 +88,29 @@ class GluedProblem:
         """Return the unknowns of a body, ascending."""
         nodes = np.flatnonzero(self.body == body)
         return (self.gdim * nodes[:, None] + np.arange(self.gdim)).ravel()
+
+    def body_of_springs(self) -> Numbers:
+        """Return the body of each spring."""
+        rows = abs(self.springs.rows)
+        columns = np.asarray(rows.argmax(axis=1)).ravel() if rows.shape[0] else np.zeros(0, int)
+        return self.body[columns // self.gdim]
+
+    def determined_rows(self) -> NDArray[np.bool_]:
+        """Tell for which rows no combination of others gives the same forces on free unknowns."""
+        free = np.ones(self.load.size, dtype=bool)
+        free[self.fixed] = False
+        C = self.rows[:, free].toarray()
+        C[~np.isfinite(self.gap)] = 0.0
+        lengths = np.linalg.norm(C, axis=1)
+        C = C / np.maximum(lengths, 1e-300)[:, None]
+        gram = C @ C.T
+        blocks, block = connected_components(np.abs(gram) > 1e-12, directed=False)
+        determined = lengths > 1e-10
+        for b in range(blocks):
+            at = np.flatnonzero(block == b)
+            if at.size > 1 and np.linalg.eigvalsh(gram[np.ix_(at, at)])[0] < 1e-8:
+                determined[at] = False
+        return determined
 
 
 def rigid_modes(coordinates: Vector) -> Vector:

@@ -598,9 +598,8 @@ def _measured(whole: _Condensed, w: Vector, alpha: Vector, active: Mask) -> Answ
     # springs, by the displacement itself
     springs = problem.springs
     stretch = springs.rows @ u
-    of_spring = whole.touched[m:].argmax(axis=1) if springs.stiffness.size else np.zeros(0, int)
-    spring_energy = springs.stiffness * stretch**2
-    np.add.at(energy, of_spring, np.where(whole.movable[m:], spring_energy, 0.0))
+    of_spring = problem.body_of_springs()
+    np.add.at(energy, of_spring, springs.stiffness * stretch**2)
     mismatch = np.sqrt(springs.stiffness) * (stretch - w[m:] / springs.stiffness)
     np.add.at(residual, of_spring, np.abs(np.where(whole.movable[m:], mismatch, 0.0)))
 
