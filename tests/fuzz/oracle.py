@@ -40,7 +40,7 @@ _SINGULAR = 1e-13
 _TRACE = 1e-14
 _EPS = float(np.finfo(float).eps)
 
-Verdict = Literal["solution", "infeasible", "unbounded", "unsure"]
+Verdict = Literal["solution", "infeasible", "unbounded", "infeasible and unbounded", "unsure"]
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Answer:
     ----------
     verdict : str
         "solution"; "infeasible" if no displacement fulfils the conditions; "unbounded" if the load
-        does work on a motion that nothing resists; "unsure" if rounding decides.
+        does work on a motion that nothing resists; both; "unsure" if rounding decides.
     why : str
         In words.
     displacement : (n,) array
@@ -86,10 +86,12 @@ def solve(problem: GluedProblem) -> Answer:
     """Solve a problem, or say why it has no solution."""
     try:
         excess = _infeasibility(problem)
-        if excess:
-            return Answer("infeasible", excess)
         condensed = _Condensed(problem)
         motion = condensed.unresisted_motion()
+        if excess and motion:
+            return Answer("infeasible and unbounded", f"{excess}; {motion}")
+        if excess:
+            return Answer("infeasible", excess)
         if motion:
             return Answer("unbounded", motion)
         return condensed.solve()
@@ -172,6 +174,9 @@ class _Body:
         self.K = K[np.ix_(self.free, self.free)]
         self.K_lift = (K @ self.lift)[self.free]
         self.full_K = K
+        # the size of what is summed
+        moved = np.abs(K) @ np.abs(self.lift + self.shift)
+        self.forces = float(np.sum(np.abs(problem.load[every][self.free]) + moved[self.free]))
         self.root = 1.0 / np.sqrt(np.maximum(self.K.diagonal(), np.finfo(float).tiny))
         pinned = self.K + self.K.diagonal().max(initial=0.0) * self.N @ self.N.T
         self._factor = la.cho_factor(self.root[:, None] * pinned * self.root) if N.size else (
@@ -432,9 +437,8 @@ class _Programme:
                 raise Unsure("the active rows do not balance the load")
             alpha = alpha + self._away(active, near, self.Phi @ w - self.d - self.A.T @ alpha)
             opening = self.Phi @ w - self.d - self.A.T @ alpha
-            noise = 1e-11 * max(float(np.abs(w).max()), float(np.abs(opening[near]).max(initial=0.0)))
-            drop = self.inequality & active & (w < -noise * 1e-2)
-            add = self.inequality & near & ~active & (opening < -noise)
+            drop = self.inequality & active & (w < -1e-12 * float(np.abs(w).max()))
+            add = self.inequality & near & ~active & (opening < -self._rounding(w, alpha))
             if not drop.any() and not add.any():
                 w = np.where(self.inequality, np.maximum(w, 0.0), w)
                 return w, alpha, active
@@ -485,13 +489,18 @@ class _Programme:
                 continue
             alpha = alpha + self._away(active, near, self.Phi @ w - self.d - self.A.T @ alpha)
             opening = self.Phi @ w - self.d - self.A.T @ alpha
-            noise = 1e-11 * max(float(np.abs(w).max()), float(np.abs(opening[near]).max(initial=0)))
             closed = np.where(self.inequality & near & ~active, opening, 0.0)
+            closed[closed >= -self._rounding(w, alpha)] = 0.0
             worst = int(np.argmin(closed))
-            if closed[worst] >= -noise:
+            if closed[worst] == 0.0:
                 return w, alpha, active
             active[worst] = True
         raise Unsure("the active set method does not end")
+
+    def _rounding(self, w: Vector, alpha: Vector) -> Vector:
+        """Return what of the openings of rows may be rounding errors."""
+        terms: Vector = np.abs(self.Phi) @ np.abs(w) + np.abs(self.d) + np.abs(self.A.T) @ np.abs(alpha)
+        return 1e-12 * terms
 
     def _carrying(self, near: Mask) -> Vector:
         """Return some w with A w = e and lambda >= 0."""
@@ -573,8 +582,7 @@ def _measured(whole: _Condensed, w: Vector, alpha: Vector, active: Mask) -> Answ
     count = len(whole.bodies)
     u = np.zeros(problem.load.size)
     energy, residual = np.zeros(count), np.zeros(count)
-    imbalance = 0.0
-    deformation = np.zeros(problem.load.size)
+    imbalance, sizes = np.zeros(count), np.zeros(count)
     for b, body in enumerate(whole.bodies):
         forces = whole.f[b] - whole.B[b].T @ w
         v = body.solve(forces)
@@ -584,16 +592,16 @@ def _measured(whole: _Condensed, w: Vector, alpha: Vector, active: Mask) -> Answ
         energy[b] = max(0.0, float(local @ body.full_K @ local))
         left = (forces - body.K.astype(np.longdouble) @ v).astype(float)
         rigid = body.N.T @ left
-        size = np.abs(forces).sum() + np.abs(whole.f[b]).sum() + np.abs(whole.B[b].T @ w).sum()
-        if rigid.size and size > 0.0:
-            imbalance = max(imbalance, float(np.abs(rigid).max()) / size)
+        sizes[b] = body.forces + (np.abs(whole.B[b].T) @ np.abs(w)).sum()
+        imbalance[b] = np.abs(rigid).max(initial=0.0)
         left -= body.N @ rigid
         residual[b] = np.sqrt(max(0.0, float(left @ body.solve(left))))
         local[body.free] += body.N @ alpha[at]
-        deformation[body.unknowns] = local
         u[body.unknowns] = local + body.shift
-    if imbalance > 1e-12:
-        raise Unsure(f"forces of a body out of balance by {imbalance:.1e}")
+    for bodies, _ in whole._components():
+        worst, size = imbalance[bodies].max(), sizes[bodies].max()
+        if worst > 1e-12 * size:
+            raise Unsure(f"forces of a body out of balance by {worst / size:.1e}")
 
     # springs, by the displacement itself
     springs = problem.springs

@@ -36,8 +36,9 @@ CLASSES = (
 # the error in the energy norm that counts as right, relative to rtol
 FACTOR = 10.0
 # a body whose energy norm is below this part of its group's is compared with the group's, and
-# below this part of all bodies' with theirs
-OF_GROUP, OF_ALL = 1e-3, 1e-6
+# below this part of all bodies' with theirs; a body below AT_REST of all does not deform, and its
+# error may be that large
+OF_GROUP, OF_ALL, AT_REST = 1e-3, 1e-6, 1e-9
 # rounding errors of the package are this much larger than those of one operation on the data
 ROUNDINGS = 1e2
 
@@ -100,7 +101,7 @@ def compare(problem: GluedProblem, answer: Answer, found: Found, rtol: float) ->
         return Outcome("traceback", f"{said}\n{found.trace}")
     if answer.verdict == "unsure":
         return Outcome("skipped", answer.why)
-    if answer.verdict in ("infeasible", "unbounded"):
+    if answer.verdict != "solution":
         return _compare_error(answer, error, said)
     if isinstance(error, NotConverged):
         needs = _attainable(answer)
@@ -119,9 +120,11 @@ def _compare_error(answer: Answer, error: Exception | None, said: str) -> Outcom
     if isinstance(error, NotConverged):
         return Outcome("no convergence", f"{said}; {what}")
     is_motion = isinstance(error, UnresistedMotion)
-    right = is_motion if answer.verdict == "unbounded" else isinstance(error, InputError)
-    if answer.verdict == "infeasible" and is_motion:
-        right = False
+    right = {
+        "infeasible": isinstance(error, InputError) and not is_motion,
+        "unbounded": is_motion,
+        "infeasible and unbounded": isinstance(error, InputError),
+    }[answer.verdict]
     return Outcome("right error" if right else "false error", f"{said}; {what}")
 
 
@@ -158,6 +161,8 @@ def _compare_solution(
     if np.any(answer.error > 0.3 * FACTOR * rtol * scale + floor):
         worst = float(np.max(answer.error / np.maximum(scale, 1e-300)))
         return Outcome("skipped", f"the oracle's own error is {worst:.1e}")
+    whole = float(np.sqrt(answer.energy.sum()))
+    floor = floor + AT_REST * whole * (answer.energy <= (AT_REST * whole) ** 2)
     difference = u - answer.displacement
     errors = np.zeros(problem.bodies)
     size, deformation, rigid = (np.zeros(problem.bodies) for _ in range(3))
@@ -176,7 +181,8 @@ def _compare_solution(
     ratio = {"error": _worst(np.sqrt(errors), FACTOR * rtol * scale + floor)}
 
     # local lengths: of the bodies that a row joins, without their rigid motions
-    rounding = 1e-12 * size + 1e-14 * size.max()
+    reach = float(np.max(np.abs(problem.load) / K.diagonal()))
+    rounding = 1e-12 * size + 1e-14 * size.max() + 1e-12 * reach
     body_of_row = _bodies_of_rows(problem)
     tolerance = FACTOR * rtol * deformation + rounding
     finite = np.isfinite(problem.gap)
