@@ -1,0 +1,127 @@
+"""The problem that a fuzz case states, without subdomains: what the oracle is given."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+__all__ = ["GluedProblem", "Springs", "rigid_modes"]
+
+
+@dataclass(frozen=True)
+class Springs:
+    """Elastic supports: energy 1/2 sum_j stiffness_j (rows_j u)^2.
+
+    Attributes
+    ----------
+    rows : (k, n) scipy.sparse.csr_matrix
+        Rows of any length.
+    stiffness : (k,) array
+        Positive [N/m].
+    """
+
+    rows: sp.csr_matrix
+    stiffness: Vector
+
+    def matrix(self) -> sp.csr_matrix:
+        """Return the stiffness matrix (n, n)."""
+        return (self.rows.T @ sp.diags(self.stiffness) @ self.rows).tocsr()
+
+
+@dataclass(frozen=True)
+class GluedProblem:
+    """min 1/2 u'(K + springs)u - f'u over u = value on the fixed unknowns, C u <= gap.
+
+    Attributes
+    ----------
+    coordinates : (nodes, gdim) array
+        Unknown ``gdim * node + component`` is a displacement of the node.
+    body : (nodes,) integer array
+        A node belongs to one body; the bodies are connected.
+    elastic : (n, n) scipy.sparse.csr_matrix
+        K without springs; its kernel are the rigid motions of the bodies.
+    springs : Springs
+        Elastic supports.
+    load : (n,) array
+        f.
+    fixed : (k,) integer array
+        Unknowns with a prescribed value.
+    values : (k,) array
+        The values.
+    rows : (m, n) scipy.sparse.csr_matrix
+        C: unit normals of the slave nodes, minus those of the master nodes.
+    gap : (m,) array
+        Infinite where there is no condition.
+    contact : (m,) integer array
+        Number of the contact of each row.
+    """
+
+    coordinates: Vector
+    body: Numbers
+    elastic: sp.csr_matrix
+    springs: Springs
+    load: Vector
+    fixed: Numbers
+    values: Vector
+    rows: sp.csr_matrix
+    gap: Vector
+    contact: Numbers
+
+    @property
+    def gdim(self) -> int:
+        """2 or 3."""
+        return int(self.coordinates.shape[1])
+
+    @property
+    def bodies(self) -> int:
+        """Number of bodies."""
+        return int(self.body.max()) + 1
+
+    def unknowns(self, body: int) -> Numbers:
+        """Return the unknowns of a body, ascending."""
+        nodes = np.flatnonzero(self.body == body)
+        return (self.gdim * nodes[:, None] + np.arange(self.gdim)).ravel()
+
+    def body_of_springs(self) -> Numbers:
+        """Return the body of each spring."""
+        rows = abs(self.springs.rows)
+        columns = np.asarray(rows.argmax(axis=1)).ravel() if rows.shape[0] else np.zeros(0, int)
+        return self.body[columns // self.gdim]
+
+    def determined_rows(self) -> NDArray[np.bool_]:
+        """Tell for which rows no combination of others gives the same forces on free unknowns."""
+        free = np.ones(self.load.size, dtype=bool)
+        free[self.fixed] = False
+        C = self.rows[:, free].toarray()
+        C[~np.isfinite(self.gap)] = 0.0
+        lengths = np.linalg.norm(C, axis=1)
+        C = C / np.maximum(lengths, 1e-300)[:, None]
+        gram = C @ C.T
+        blocks, block = connected_components(np.abs(gram) > 1e-12, directed=False)
+        determined = lengths > 1e-10
+        for b in range(blocks):
+            at = np.flatnonzero(block == b)
+            if at.size > 1 and np.linalg.eigvalsh(gram[np.ix_(at, at)])[0] < 1e-8:
+                determined[at] = False
+        return determined
+
+
+def rigid_modes(coordinates: Vector) -> Vector:
+    """Return an orthonormal basis (n, 3 or 6) of the rigid motions of some nodes."""
+    nodes, gdim = coordinates.shape
+    x = coordinates - coordinates.mean(axis=0)
+    x = x / np.abs(x).max()
+    translations = np.tile(np.eye(gdim), (nodes, 1))
+    spins = []
+    for i, j in [(0, 1)] if gdim == 2 else [(0, 1), (1, 2), (2, 0)]:
+        spin = np.zeros((nodes, gdim))
+        spin[:, i], spin[:, j] = -x[:, j], x[:, i]
+        spins.append(spin.ravel())
+    return np.linalg.qr(np.column_stack([translations, *spins]))[0]

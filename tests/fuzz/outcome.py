@@ -1,0 +1,295 @@
+"""Solve a case with the package, and compare with what the oracle says."""
+
+from __future__ import annotations
+
+import traceback
+from dataclasses import dataclass, field
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from glued import GluedProblem
+from numpy.typing import NDArray
+from oracle import Answer
+
+from fenics_tfeti.errors import ContactError, InputError, NotConverged, UnresistedMotion
+
+Vector = NDArray[np.float64]
+
+__all__ = ["CLASSES", "Found", "Outcome", "compare", "attempt"]
+
+# classes of outcomes; those after the first four are failures
+CLASSES = (
+    "right",
+    "right error",
+    "limit of rounding",
+    "skipped",
+    "wrong",
+    "no convergence",
+    "false error",
+    "traceback",
+    "hang",
+    "ranks differ",
+)
+
+# the error in the energy norm that counts as right, relative to rtol
+FACTOR = 10.0
+# a body whose energy norm is below this part of its group's is compared with the group's, and
+# below this part of all bodies' with theirs; a body below AT_REST of all does not deform, and its
+# error may be that large
+OF_GROUP, OF_ALL, AT_REST = 1e-3, 1e-6, 1e-9
+# rounding errors of the package are this much larger than those of one operation on the data
+ROUNDINGS = 1e2
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the package returned, in the unknowns of the glued problem.
+
+    Attributes
+    ----------
+    displacement : (n,) array or None
+        u, the mean of copies.
+    jump : (nodes,) array
+        Largest difference between copies of each node.
+    force : (m,) array
+        Normal forces by contact row.
+    contact_force : list of float
+        Sums, as reported.
+    energy : float
+        As reported.
+    products : int
+        As reported.
+    error : Exception or None
+        What was raised.
+    """
+
+    displacement: Vector | None = None
+    jump: Vector = field(default_factory=lambda: np.zeros(0))
+    force: Vector = field(default_factory=lambda: np.zeros(0))
+    contact_force: list[float] = field(default_factory=list)
+    energy: float = 0.0
+    products: int = 0
+    error: Exception | None = None
+    trace: str = ""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The class of an outcome, and what it rests on."""
+
+    kind: str
+    detail: str = ""
+    numbers: dict[str, float] = field(default_factory=dict)
+
+
+def attempt(solve: Any) -> Found:
+    """Run a function that returns `Found`; errors become part of it."""
+    try:
+        found: Found = solve()
+        return found
+    except Exception as error:
+        return Found(error=error, trace=traceback.format_exc())
+
+
+def compare(problem: GluedProblem, answer: Answer, found: Found, rtol: float) -> Outcome:
+    """Return the class of an outcome."""
+    error = found.error
+    said = f"{type(error).__name__}: {error}" if error is not None else ""
+    if error is not None and not isinstance(error, ContactError):
+        return Outcome("traceback", f"{said}\n{found.trace}")
+    if answer.verdict == "unsure":
+        return Outcome("skipped", answer.why)
+    if answer.verdict != "solution":
+        return _compare_error(answer, error, said)
+    if isinstance(error, NotConverged):
+        needs = _attainable(answer)
+        if 0.1 * rtol < needs < 1.0:
+            return Outcome("limit of rounding", f"{said}; rounding alone makes {needs:.1e}")
+        return Outcome("no convergence", said)
+    if error is not None:
+        return Outcome("false error", said)
+    return _compare_solution(problem, answer, found, rtol)
+
+
+def _compare_error(answer: Answer, error: Exception | None, said: str) -> Outcome:
+    what = f"{answer.verdict}: {answer.why}"
+    if error is None:
+        return Outcome("wrong", f"converged, but {what}")
+    if isinstance(error, NotConverged):
+        return Outcome("no convergence", f"{said}; {what}")
+    is_motion = isinstance(error, UnresistedMotion)
+    right = {
+        "infeasible": isinstance(error, InputError) and not is_motion,
+        "unbounded": is_motion,
+        "infeasible and unbounded": isinstance(error, InputError),
+    }[answer.verdict]
+    return Outcome("right error" if right else "false error", f"{said}; {what}")
+
+
+def _scales(answer: Answer) -> Vector:
+    """Return the energy norm that the error of each body is compared with."""
+    groups = np.zeros(answer.group.max() + 1)
+    np.add.at(groups, answer.group, answer.energy)
+    return np.sqrt(
+        np.maximum.reduce(
+            [
+                answer.energy,
+                OF_GROUP**2 * groups[answer.group],
+                np.full(answer.energy.size, OF_ALL**2 * groups.sum()),
+            ]
+        )
+    )
+
+
+def _attainable(answer: Answer) -> float:
+    """Return the relative error that rounding the data alone may make, in the worst body."""
+    scale = _scales(answer)
+    noise = ROUNDINGS * answer.noise
+    return float(np.max(np.divide(noise, scale, out=np.zeros_like(noise), where=scale > 0.0)))
+
+
+def _compare_solution(
+    problem: GluedProblem, answer: Answer, found: Found, rtol: float
+) -> Outcome:
+    u = found.displacement
+    assert u is not None
+    if not np.isfinite(u).all():
+        return Outcome("wrong", "displacements are not finite")
+    scale, floor = _scales(answer), ROUNDINGS * answer.noise
+    if np.any(answer.error > 0.3 * FACTOR * rtol * scale + floor):
+        worst = float(np.max(answer.error / np.maximum(scale, 1e-300)))
+        return Outcome("skipped", f"the oracle's own error is {worst:.1e}")
+    whole = float(np.sqrt(answer.energy.sum()))
+    floor = floor + AT_REST * whole * (answer.energy <= (AT_REST * whole) ** 2)
+    difference = u - answer.displacement
+    errors = np.zeros(problem.bodies)
+    size, deformation, rigid = (np.zeros(problem.bodies) for _ in range(3))
+    K = (problem.elastic + problem.springs.matrix()).tocsr()
+    springs = problem.springs
+    np.add.at(errors, problem.body_of_springs(), springs.stiffness * (springs.rows @ difference)**2)
+    for b in range(problem.bodies):
+        at = problem.unknowns(b)
+        part = difference[at] - _rigid_part(problem, b, difference[at])
+        errors[b] += max(0.0, float(part @ (problem.elastic[at][:, at] @ part)))
+        exact = answer.displacement[at]
+        size[b] = np.abs(exact).max()
+        deformation[b] = np.abs(exact - _rigid_part(problem, b, exact)).max()
+    stiffness = np.array([abs(K[at][:, at]).max() for at in map(problem.unknowns, range(problem.bodies))])
+    floor = floor + 1e-15 * np.sqrt(stiffness) * size.max() + _rounding_of_load(problem, K)
+    ratio = {"error": _worst(np.sqrt(errors), FACTOR * rtol * scale + floor)}
+
+    # local lengths: of the bodies that a row joins, without their rigid motions
+    reach = float(np.max(np.abs(problem.load) / K.diagonal()))
+    rounding = 1e-12 * size + 1e-14 * size.max() + 1e-12 * reach
+    body_of_row = _bodies_of_rows(problem)
+    tolerance = FACTOR * rtol * deformation + rounding
+    finite = np.isfinite(problem.gap)
+    allowed = np.array([tolerance[b].max(initial=0.0) for b in body_of_row])
+    exact_opening = problem.gap - problem.rows @ answer.displacement
+    opening = problem.gap - problem.rows @ u
+    penetration = np.where(finite, np.minimum(exact_opening, 0.0) - opening, 0.0)
+    allowed = allowed + 1e-12 * np.where(finite, np.abs(problem.gap), 0.0)
+    ratio["penetration"] = _worst(np.maximum(penetration, 0.0), allowed)
+    jump = np.array([found.jump[problem.body == b].max() for b in range(problem.bodies)])
+    ratio["gluing"] = _worst(jump, tolerance)
+    off = np.zeros(problem.bodies)
+    body_of_fixed = problem.body[problem.fixed // problem.gdim]
+    np.maximum.at(off, body_of_fixed, np.abs(u[problem.fixed] - problem.values))
+    ratio["supports"] = _worst(off, tolerance)
+    ratio["forces"] = _force_ratio(problem, answer, found, rtol)
+    exact_energy = float(
+        0.5 * answer.energy.sum() - problem.load @ answer.displacement
+    )
+    absolute = np.abs(answer.displacement)
+    noise = 1e-12 * float(np.abs(problem.load) @ absolute)
+    noise += 1e-13 * float(absolute @ abs(K) @ absolute) + _rounding_of_load(problem, K) ** 2
+    ratio["energy"] = _worst(
+        np.array([abs(found.energy - exact_energy)]),
+        np.array([FACTOR * rtol * max(abs(exact_energy), 0.5 * answer.energy.sum()) + noise]),
+    )
+    bad = {name: value for name, value in ratio.items() if value > 1.0}
+    if not bad:
+        return Outcome("right", "", ratio)
+    words = ", ".join(f"{name} {value:.1e}" for name, value in bad.items())
+    return Outcome("wrong", f"times what is allowed: {words}", ratio)
+
+
+def _rounding_of_load(problem: GluedProblem, K: Any) -> float:
+    """Return what rounding leaves of a load that supports and contacts take up, in energy."""
+    return 1e-12 * float(np.sqrt(np.sum(problem.load**2 / K.diagonal())))
+
+
+def _rigid_part(problem: GluedProblem, body: int, u: Vector) -> Vector:
+    from glued import rigid_modes
+
+    R = rigid_modes(problem.coordinates[problem.body == body])
+    return R @ (R.T @ u)
+
+
+def _bodies_of_rows(problem: GluedProblem) -> list[NDArray[np.int64]]:
+    rows = problem.rows
+    return [
+        np.unique(problem.body[rows.indices[rows.indptr[k] : rows.indptr[k + 1]] // problem.gdim])
+        for k in range(rows.shape[0])
+    ]
+
+
+def _worst(values: Vector, allowed: Vector) -> float:
+    values, allowed = np.asarray(values), np.asarray(allowed)
+    ratios = np.where(
+        values > 0.0, values / np.maximum(allowed, np.finfo(float).tiny), 0.0
+    )
+    return float(ratios.max(initial=0.0))
+
+
+def _force_ratio(problem: GluedProblem, answer: Answer, found: Found, rtol: float) -> float:
+    """Compare contact forces; their scale is all that acts on the bodies of a group.
+
+    On each body that is the resultant on its free unknowns, and for each contact the sum, where no
+    other conditions of its nodes leave the forces undetermined.
+    """
+    if not problem.gap.size:
+        return 0.0
+    acting = np.zeros(answer.group.max() + 1)
+    for b in range(problem.bodies):
+        at = problem.unknowns(b)
+        exact = answer.displacement[at]
+        K = problem.elastic[at][:, at]
+        local = exact - _rigid_part(problem, b, exact)
+        here = FACTOR * rtol * np.abs(K @ local).sum() + 1e-14 * (abs(K) @ np.abs(exact)).sum()
+        acting[answer.group[b]] += here
+    allowed_body = acting[answer.group]
+    difference = found.force - answer.force
+    free = np.ones(problem.load.size)
+    free[problem.fixed] = 0.0
+    nodal = (free * (problem.rows.T @ difference)).reshape(-1, problem.gdim)
+    resultant = np.zeros((problem.bodies, problem.gdim))
+    np.add.at(resultant, problem.body, nodal)
+    ratio = _worst(np.abs(resultant).max(axis=1), allowed_body)
+
+    unique = problem.determined_rows()
+    allowed_row = np.array(
+        [allowed_body[bodies].max(initial=0.0) for bodies in _bodies_of_rows(problem)]
+    )
+    for contact in np.unique(problem.contact):
+        at = problem.contact == contact
+        allowed = allowed_row[at].max()
+        total = float(found.force[at].sum())
+        sums = [total - found.contact_force[contact], max(0.0, -float(found.force[at].min()))]
+        if unique[at].all():
+            sums.append(float(difference[at].sum()))
+        ratio = max(ratio, _worst(np.abs(sums), np.full(len(sums), allowed)))
+    return ratio
+
+
+def agree(comm: MPI.Comm, found: Found) -> str:
+    """Return how the ranks differ; empty if they do not."""
+    mine = (
+        type(found.error).__name__ if found.error else "",
+        found.contact_force,
+        found.products,
+    )
+    every = comm.allgather(mine)
+    return "" if all(one == every[0] for one in every) else f"by rank: {every}"

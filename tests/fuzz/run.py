@@ -1,0 +1,203 @@
+"""Run random cases: ``python tests/fuzz/run.py -n 200`` or ``--seed 123`` for one of them.
+
+The parent starts workers, which write one line for each case; one that says nothing for `--timeout`
+seconds is ended, and its case counts as a hang.
+"""
+
+from __future__ import annotations
+
+import argparse
+import faulthandler
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+# the package of this checkout, whatever is installed
+sys.path.insert(0, str(HERE.parents[1]))
+
+
+def _worker(arguments: argparse.Namespace) -> None:
+    """Solve the cases of a list of seeds, on all ranks of COMM_WORLD together."""
+    from mpi4py import MPI
+
+    from cases import solve_case
+
+    comm = MPI.COMM_WORLD
+    out = open(arguments.output, "a") if comm.rank == 0 else None
+    for seed in range(arguments.first, arguments.first + arguments.n * arguments.stride, arguments.stride):
+        if out:
+            print(json.dumps({"begin": seed}), file=out, flush=True)
+        faulthandler.dump_traceback_later(0.8 * arguments.timeout)
+        start = time.monotonic()
+        outcome = solve_case(arguments.level, seed, comm)
+        faulthandler.cancel_dump_traceback_later()
+        if out:
+            line = {
+                "seed": seed,
+                "kind": outcome.kind,
+                "detail": outcome.detail,
+                "numbers": outcome.numbers,
+                "seconds": time.monotonic() - start,
+            }
+            print(json.dumps(line), file=out, flush=True)
+
+
+class _Workers:
+    """A process (or one mpirun) that works through every `stride`-th seed, restarted on a hang."""
+
+    def __init__(self, arguments: argparse.Namespace, first: int, stride: int, count: int, folder: Path) -> None:
+        self.arguments, self.stride = arguments, stride
+        self.next, self.left = first, count
+        self.path = folder / f"worker{first}.jsonl"
+        self.errors = folder / f"worker{first}.err"
+        self.results: list[dict[str, Any]] = []
+        self._read = 0
+        self._heard = time.monotonic()
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        a = self.arguments
+        command = [sys.executable, str(HERE / "run.py"), "--worker", "--level", a.level]
+        command += ["--first", str(self.next), "-n", str(self.left), "--stride", str(self.stride)]
+        command += ["--timeout", str(a.timeout), "--output", str(self.path)]
+        if a.ranks > 1:
+            command = [*_mpirun(), "-n", str(a.ranks), *command]
+        environment = {
+            **os.environ,
+            "OMP_NUM_THREADS": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+            "OMPI_ALLOW_RUN_AS_ROOT": "1",
+            "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+        }
+        self.process = subprocess.Popen(
+            command,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=open(self.errors, "ab"),
+            start_new_session=True,
+        )
+        self._heard = time.monotonic()
+
+    def look(self) -> bool:
+        """Read what is new; restart after a crash or a hang. Return whether work is left."""
+        assert self.process is not None
+        ended = self.process.poll() is not None
+        for line in self._lines():
+            self._heard = time.monotonic()
+            if "seed" in line:
+                self.results.append(line)
+                self.next, self.left = line["seed"] + self.stride, self.left - 1
+        if self.left == 0:
+            self.process.wait()
+            return False
+        silent = time.monotonic() - self._heard > self.arguments.timeout
+        if not ended and not silent:
+            return True
+        if not ended:
+            os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait()
+        kind = "traceback" if ended else "hang"
+        tail = self.errors.read_text(errors="replace")[-3000:]
+        self.results.append({"seed": self.next, "kind": kind, "detail": tail, "numbers": {}, "seconds": 0.0})
+        self.next, self.left = self.next + self.stride, self.left - 1
+        if self.left:
+            self.start()
+        return self.left > 0
+
+    def _lines(self) -> list[dict[str, Any]]:
+        if not self.path.exists():
+            return []
+        with open(self.path) as file:
+            file.seek(self._read)
+            text = file.read()
+        whole = text[: text.rfind("\n") + 1]
+        self._read += len(whole.encode())
+        return [json.loads(line) for line in whole.splitlines()]
+
+
+def _mpirun() -> list[str]:
+    """Return the mpirun of the MPI library that this Python's mpi4py loads."""
+    own = Path(sys.prefix) / "bin" / "mpiexec"
+    command = str(own) if own.exists() else "/usr/bin/mpirun"
+    version = subprocess.run([command, "--version"], capture_output=True, text=True).stdout
+    return [command, "--oversubscribe"] if "Open MPI" in version else [command]
+
+
+def run(arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    """Run all cases; return their results by seed."""
+    import tempfile
+
+    jobs = 1 if arguments.ranks > 1 else arguments.jobs
+    with tempfile.TemporaryDirectory() as folder:
+        workers = []
+        for j in range(min(jobs, arguments.n)):
+            count = len(range(j, arguments.n, jobs))
+            workers.append(_Workers(arguments, arguments.first + j, jobs, count, Path(folder)))
+            workers[-1].start()
+        busy = list(workers)
+        try:
+            while busy:
+                time.sleep(0.05)
+                busy = [w for w in busy if w.look()]
+        finally:
+            for worker in workers:
+                if worker.process is not None and worker.process.poll() is None:
+                    os.killpg(worker.process.pid, signal.SIGKILL)
+    results = [line for worker in workers for line in worker.results]
+    return sorted(results, key=lambda line: line["seed"])
+
+
+def table(results: list[dict[str, Any]], kinds: tuple[str, ...]) -> str:
+    """Return the table of outcomes, and the seeds of those that are not right."""
+    counts = Counter(line["kind"] for line in results)
+    lines = [f"{kind:20s} {counts[kind]:6d}" for kind in kinds]
+    for line in results:
+        if line["kind"] not in ("right", "right error"):
+            detail = line["detail"].strip().split("\n")[0][:150]
+            lines.append(f"  seed {line['seed']}: {line['kind']}: {detail}")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-n", type=int, default=200, help="number of cases")
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--seed", type=int, help="one case, told in full")
+    parser.add_argument("--level", choices=["feti", "mesh"], default="feti")
+    parser.add_argument("--ranks", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--timeout", type=float, default=60.0, help="seconds for one case")
+    parser.add_argument("--json", help="write all results here")
+    parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--stride", type=int, default=1, help=argparse.SUPPRESS)
+    parser.add_argument("--output", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.worker:
+        _worker(arguments)
+        return 0
+    from outcome import CLASSES
+
+    if arguments.seed is not None:
+        from cases import tell_case
+
+        tell_case(arguments.level, arguments.seed)
+        return 0
+    start = time.monotonic()
+    results = run(arguments)
+    if arguments.json:
+        Path(arguments.json).write_text("\n".join(json.dumps(line) for line in results))
+    print(table(results, CLASSES))
+    print(f"{len(results)} cases, {time.monotonic() - start:.0f} s")
+    bad = [line for line in results if line["kind"] in CLASSES[4:]]
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
