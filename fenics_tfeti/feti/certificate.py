@@ -301,6 +301,8 @@ class PrimalProblem:
             np.add.at(sums.T, self.row_bodies.of_subdomain, by_subdomain.T)
         self._comm.Allreduce(MPI.IN_PLACE, sums)
         error2, energy2, residual2, force2, rounding2 = np.maximum(sums, 0.0)
+        # the coarse problem spreads rounding errors over all bodies
+        rounding2 = np.full_like(rounding2, rounding2.sum())
         return _BodyMeasures(
             error2, energy2, residual2, force2, rounding2, self._deformation(recovered.strained)
         )
@@ -362,7 +364,7 @@ class _BodyMeasures:
     energy2: Vector  # ||u_t||_K^2 [J]
     residual2: Vector  # ||Ku_t - f + B'lambda||^2 [N^2]
     force2: Vector  # ||f||^2 + ||B'lambda||^2 [N^2]
-    rounding2: Vector  # what rounding may leave in an energy [J]
+    rounding2: Vector  # what rounding may leave in an energy, the same for all bodies [J]
     deformation: Vector  # largest displacement without rigid motions of subdomains [m]
 
 

@@ -133,7 +133,9 @@ def _farkas(C: Vector, bound: Vector) -> tuple[Vector, float]:
     lengths = np.linalg.norm(C, axis=1)
     if len(C) == 1 or not lengths.any():
         worst = int(np.argmin(np.where(lengths > 1e-10, np.inf, bound)))
-        return np.eye(len(C))[worst], max(0.0, -float(bound[worst]) if lengths[worst] < 1e-10 else 0)
+        return np.eye(len(C))[worst], max(
+            0.0, -float(bound[worst]) if lengths[worst] < 1e-10 else 0
+        )
     scale = np.abs(bound[bound < 0]).max()
     columns = np.flatnonzero(np.abs(C).max(axis=0) > 0.0)
     equal = np.vstack([C[:, columns].T, np.ones(len(C))])
@@ -179,8 +181,12 @@ class _Body:
         self.forces = float(np.sum(np.abs(problem.load[every][self.free]) + moved[self.free]))
         self.root = 1.0 / np.sqrt(np.maximum(self.K.diagonal(), np.finfo(float).tiny))
         pinned = self.K + self.K.diagonal().max(initial=0.0) * self.N @ self.N.T
-        self._factor = la.cho_factor(self.root[:, None] * pinned * self.root) if N.size else (
-            la.cho_factor(self.root[:, None] * self.K * self.root) if self.free.size else None
+        self._factor = (
+            la.cho_factor(self.root[:, None] * pinned * self.root)
+            if N.size
+            else (
+                la.cho_factor(self.root[:, None] * self.K * self.root) if self.free.size else None
+            )
         )
         self._pinned = pinned.astype(np.longdouble)
 
@@ -499,7 +505,9 @@ class _Programme:
 
     def _rounding(self, w: Vector, alpha: Vector) -> Vector:
         """Return what of the openings of rows may be rounding errors."""
-        terms: Vector = np.abs(self.Phi) @ np.abs(w) + np.abs(self.d) + np.abs(self.A.T) @ np.abs(alpha)
+        terms: Vector = (
+            np.abs(self.Phi) @ np.abs(w) + np.abs(self.d) + np.abs(self.A.T) @ np.abs(alpha)
+        )
         return 1e-12 * terms
 
     def _carrying(self, near: Mask) -> Vector:
@@ -635,7 +643,8 @@ def _noise(whole: _Condensed, u: Vector, w: Vector, active: Mask) -> Vector:
     forces = K @ np.abs(u) + np.abs(problem.load)
     m = whole.m
     lengths = np.append(
-        np.abs(problem.gap[whole.finite]) * (w[:m] > 0.0) + abs(problem.rows[whole.finite]) @ abs(u),
+        np.abs(problem.gap[whole.finite]) * (w[:m] > 0.0)
+        + abs(problem.rows[whole.finite]) @ abs(u),
         np.zeros(w.size - m),
     )
     at, r = np.flatnonzero(active & whole.movable), whole.e.size

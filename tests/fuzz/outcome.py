@@ -150,9 +150,7 @@ def _attainable(answer: Answer) -> float:
     return float(np.max(np.divide(noise, scale, out=np.zeros_like(noise), where=scale > 0.0)))
 
 
-def _compare_solution(
-    problem: GluedProblem, answer: Answer, found: Found, rtol: float
-) -> Outcome:
+def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol: float) -> Outcome:
     u = found.displacement
     assert u is not None
     if not np.isfinite(u).all():
@@ -168,7 +166,9 @@ def _compare_solution(
     size, deformation, rigid = (np.zeros(problem.bodies) for _ in range(3))
     K = (problem.elastic + problem.springs.matrix()).tocsr()
     springs = problem.springs
-    np.add.at(errors, problem.body_of_springs(), springs.stiffness * (springs.rows @ difference)**2)
+    np.add.at(
+        errors, problem.body_of_springs(), springs.stiffness * (springs.rows @ difference) ** 2
+    )
     for b in range(problem.bodies):
         at = problem.unknowns(b)
         part = difference[at] - _rigid_part(problem, b, difference[at])
@@ -176,7 +176,9 @@ def _compare_solution(
         exact = answer.displacement[at]
         size[b] = np.abs(exact).max()
         deformation[b] = np.abs(exact - _rigid_part(problem, b, exact)).max()
-    stiffness = np.array([abs(K[at][:, at]).max() for at in map(problem.unknowns, range(problem.bodies))])
+    stiffness = np.array(
+        [abs(K[at][:, at]).max() for at in map(problem.unknowns, range(problem.bodies))]
+    )
     floor = floor + 1e-15 * np.sqrt(stiffness) * size.max() + _rounding_of_load(problem, K)
     ratio = {"error": _worst(np.sqrt(errors), FACTOR * rtol * scale + floor)}
 
@@ -199,9 +201,7 @@ def _compare_solution(
     np.maximum.at(off, body_of_fixed, np.abs(u[problem.fixed] - problem.values))
     ratio["supports"] = _worst(off, tolerance)
     ratio["forces"] = _force_ratio(problem, answer, found, rtol)
-    exact_energy = float(
-        0.5 * answer.energy.sum() - problem.load @ answer.displacement
-    )
+    exact_energy = float(0.5 * answer.energy.sum() - problem.load @ answer.displacement)
     absolute = np.abs(answer.displacement)
     noise = 1e-12 * float(np.abs(problem.load) @ absolute)
     noise += 1e-13 * float(absolute @ abs(K) @ absolute) + _rounding_of_load(problem, K) ** 2
@@ -238,9 +238,7 @@ def _bodies_of_rows(problem: GluedProblem) -> list[NDArray[np.int64]]:
 
 def _worst(values: Vector, allowed: Vector) -> float:
     values, allowed = np.asarray(values), np.asarray(allowed)
-    ratios = np.where(
-        values > 0.0, values / np.maximum(allowed, np.finfo(float).tiny), 0.0
-    )
+    ratios = np.where(values > 0.0, values / np.maximum(allowed, np.finfo(float).tiny), 0.0)
     return float(ratios.max(initial=0.0))
 
 

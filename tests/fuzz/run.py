@@ -31,7 +31,9 @@ def _worker(arguments: argparse.Namespace) -> None:
 
     comm = MPI.COMM_WORLD
     out = open(arguments.output, "a") if comm.rank == 0 else None
-    for seed in range(arguments.first, arguments.first + arguments.n * arguments.stride, arguments.stride):
+    for seed in range(
+        arguments.first, arguments.first + arguments.n * arguments.stride, arguments.stride
+    ):
         if out:
             print(json.dumps({"begin": seed}), file=out, flush=True)
         faulthandler.dump_traceback_later(0.8 * arguments.timeout)
@@ -52,7 +54,9 @@ def _worker(arguments: argparse.Namespace) -> None:
 class _Workers:
     """A process (or one mpirun) that works through every `stride`-th seed, restarted on a hang."""
 
-    def __init__(self, arguments: argparse.Namespace, first: int, stride: int, count: int, folder: Path) -> None:
+    def __init__(
+        self, arguments: argparse.Namespace, first: int, stride: int, count: int, folder: Path
+    ) -> None:
         self.arguments, self.stride = arguments, stride
         self.next, self.left = first, count
         self.path = folder / f"worker{first}.jsonl"
@@ -105,7 +109,9 @@ class _Workers:
             self.process.wait()
         kind = "traceback" if ended else "hang"
         tail = self.errors.read_text(errors="replace")[-3000:]
-        self.results.append({"seed": self.next, "kind": kind, "detail": tail, "numbers": {}, "seconds": 0.0})
+        self.results.append(
+            {"seed": self.next, "kind": kind, "detail": tail, "numbers": {}, "seconds": 0.0}
+        )
         self.next, self.left = self.next + self.stride, self.left - 1
         if self.left:
             self.start()

@@ -185,7 +185,9 @@ def _geometry(rng: Generator) -> _Draw:
     n = int(rng.integers(1, 5) if gdim == 2 else rng.choice([1, 1, 2, 2, 3]))
     per_cell = gdim * (n + 1) ** gdim
     limit = max(1, min(int(rng.integers(1, 10 if gdim == 2 else 7)), MAX_UNKNOWNS // per_cell))
-    cells, body = _grow(rng, gdim, limit, float(rng.choice([0.0, 0.3, 0.6, 1.0], p=[0.1, 0.3, 0.4, 0.2])))
+    cells, body = _grow(
+        rng, gdim, limit, float(rng.choice([0.0, 0.3, 0.6, 1.0], p=[0.1, 0.3, 0.4, 0.2]))
+    )
     edges = 2.0 ** rng.uniform(-1.0, 1.0, gdim) if rng.random() < 0.5 else np.ones(gdim)
     story = [f"{gdim}D, {n} elements an edge, cells of bodies {[body[c] for c in cells]}"]
     return _Draw(rng, gdim, n, edges, cells, body, story, strain=10.0 ** rng.uniform(-9, 0))
@@ -350,7 +352,9 @@ def _supports(draw: _Draw) -> _Supports:
                             offset[c] + draw.strain * rng.normal() * moved
                         )
         if kind == "spring" or (faces and draw.chance(0.1)):
-            stiffness = 10.0 ** (rng.uniform(-9.0, 2.0) if draw.chance(0.8) else rng.uniform(-13, 4))
+            stiffness = 10.0 ** (
+                rng.uniform(-9.0, 2.0) if draw.chance(0.8) else rng.uniform(-13, 4)
+            )
             cell, axis, side = faces[rng.integers(len(faces))]
             way = rng.choice(["all", "normal", "component"])
             directions = {
