@@ -15,6 +15,7 @@ from fenics_tfeti.feti.system import (
     Subdomain,
     TornSystem,
 )
+from fenics_tfeti.feti.system_checks import check_system
 from fenics_tfeti.feti.timer import Timer
 
 __all__ = [
@@ -29,5 +30,6 @@ __all__ = [
     "TornSolution",
     "TornSolver",
     "TornSystem",
+    "check_system",
     "parse_options",
 ]

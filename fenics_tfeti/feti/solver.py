@@ -33,6 +33,7 @@ from fenics_tfeti.feti.setup import (
     has_same_stiffness,
 )
 from fenics_tfeti.feti.system import ContactGuess, TornSystem
+from fenics_tfeti.feti.system_checks import check_guess, check_system
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
 
@@ -144,7 +145,7 @@ class TornSolver:
         same_K = previous is not None and has_same_stiffness(system, previous.system)
         known = previous.setup if previous is not None and same_K else None
         with phase("constraints"):
-            system.check(stiffness=known is None)
+            check_system(system, stiffness=known is None)
             local = known.local if known else LocalSetup.build(system, options)
             constraints, c = build_constraints(system, local.weights)
             check_conditions(system, constraints, c)
@@ -275,7 +276,7 @@ class TornSolver:
 def _check_guess(guess: ContactGuess | None, system: TornSystem, options: Options) -> None:
     if guess is None:
         return
-    guess.check(system.contacts.slave.size)
+    check_guess(guess, system.contacts.slave.size)
     if options.method != "active_set":
         raise InputError(
             f"a guess of the contact is the start of method='active_set'; with {options.method!r} "

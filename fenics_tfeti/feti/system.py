@@ -144,18 +144,6 @@ class ContactGuess:
         """Convert lists and other types of numbers to arrays."""
         _convert(self, normal_force=np.float64, gap=np.float64)
 
-    def check(self, rows: int) -> None:
-        """Check shapes and numbers; `rows` is the number of contact rows of this rank.
-
-        Raises
-        ------
-        InputError
-            On this rank, with what is wrong.
-        """
-        from fenics_tfeti.feti.system_checks import check_guess
-
-        check_guess(self, rows)
-
 
 @dataclass(frozen=True)
 class TornSystem:
@@ -202,24 +190,6 @@ class TornSystem:
         if not isinstance(self.comm, MPI.Intracomm) or self.comm == MPI.COMM_NULL:
             raise InputError(f"comm: got {self.comm!r}, expected an intracommunicator of mpi4py")
         _set(self, "gdim", _integer(self.gdim))
-
-    def check(self, stiffness: bool = True) -> None:
-        """Check types, shapes, numbers, symmetry, and how the subdomains are glued. Collective.
-
-        Parameters
-        ----------
-        stiffness : bool
-            Whether to check the stiffness matrices and the gluing too; false where that was done
-            for the same subdomains.
-
-        Raises
-        ------
-        InputError
-            On all ranks, with the name of what is wrong, and the remedy.
-        """
-        from fenics_tfeti.feti.system_checks import check_system
-
-        check_system(self, stiffness)
 
 
 def _convert(part: Any, **dtypes: type[np.generic]) -> None:

@@ -362,7 +362,7 @@ def _check_contacts(contacts: ContactRows, gdim: int) -> None:
 
 def _name(system: TornSystem, number: int) -> str:
     rank = f" of rank {system.comm.rank}" if system.comm.size > 1 else ""
-    return f"subdomain {number}{rank} (body {system.subdomains[number].body})"
+    return f"subdomain {number}{rank} ({system.body_name(system.subdomains[number].body)})"
 
 
 def _kind(value: Any) -> str:
