@@ -11,23 +11,28 @@ PACKAGE = TESTS.parent / "fenics_tfeti"
 
 # Modules without a test file of their own, and where they are tested.
 ELSEWHERE = {
-    "problem.py": "tests/verification, tests/mpi and tests/demos solve whole problems",
-    "report.py": "tests/fem/contact/test_contact.py reads the pairing table of a solved problem",
-    "feti/certificate.py": "tests/feti/test_solver.py, tests/verification",
+    "fem/messages.py": "tests/test_errors.py",
+    "fem/tolerances.py": "constants only",
+    "fem/user_data.py": "tests/test_errors.py",
+    "feti/body_checks.py": "tests/feti/test_system.py",
+    "feti/constraints/entries.py": "tests/feti/constraints/test_rows.py",
+    "feti/constraints/equality.py": "tests/feti/constraints/test_rows.py",
+    "feti/constraints/inequality.py": "tests/feti/constraints/test_rows.py",
+    "feti/constraints/nodes.py": "tests/feti/constraints/test_rows.py",
     "feti/dual/pcpg.py": "tests/feti/dual/test_active_set.py",
     "feti/dual/problem.py": "data only",
     "feti/options.py": "tests/test_options.py, tests/test_errors.py",
     "feti/outer.py": "tests/feti/test_solver.py",
     "feti/report.py": "tests/feti/test_solver.py",
     "feti/setup.py": "tests/feti/test_solver.py",
+    "feti/system_checks.py": "tests/feti/test_system.py",
     "feti/tolerances.py": "constants only",
-    "fem/contact/matching.py": "tests/fem/contact/test_contact.py",
-    "fem/contact/surfaces.py": "tests/fem/contact/test_contact.py, test_faceted_surface.py",
-    "fem/contact/user_data.py": "tests/test_errors.py",
-    "fem/decomposition/partition.py": "tests/fem/decomposition/test_assembly.py",
-    "fem/decomposition/parts.py": "tests/fem/decomposition/test_assembly.py",
-    "fem/displacement.py": "tests/test_errors.py, tests/verification",
+    "io.py": "tests/fem/io",
+    "problem.py": "tests/verification, tests/mpi and tests/demos solve whole problems",
+    "report.py": "tests/fem/contact/test_contact.py reads the pairing table of a solved problem",
 }
+# Tests of what several modules do together.
+TOGETHER = {"feti/test_units.py", "feti/coarse/test_motions.py"}
 
 MODULES = sorted(
     path.relative_to(PACKAGE) for path in PACKAGE.rglob("*.py") if not path.name.startswith("_")
@@ -36,6 +41,7 @@ TEST_FILES = sorted(
     path.relative_to(TESTS)
     for layer in ("qp", "feti", "fem")
     for path in (TESTS / layer).rglob("test_*.py")
+    if path.relative_to(TESTS).as_posix() not in TOGETHER
 )
 
 

@@ -177,7 +177,8 @@ class TornSystem:
 
     def body_name(self, body: int) -> str:
         """Return the name of a body."""
-        return self.body_names[body] if body < len(self.body_names) else f"body {body}"
+        known = isinstance(body, int | np.integer) and 0 <= body < len(self.body_names)
+        return self.body_names[body] if known else f"body {body}"
 
     def __post_init__(self) -> None:
         """Check the communicator, without which no error reaches the other ranks.
