@@ -12,7 +12,7 @@ PACKAGE = TESTS.parent / "fenics_tfeti"
 # Modules without a test file of their own, and where they are tested.
 ELSEWHERE = {
     "problem.py": "tests/verification, tests/mpi and tests/demos solve whole problems",
-    "report.py": "tests/fem/contact/test_contact.py reads the pairing table of a solved problem",
+    "report.py": "tests/fem/contact/test_pairing_summary.py reads it from a solved problem",
     "feti/certificate.py": "tests/feti/test_solver.py, tests/verification",
     "feti/dual/pcpg.py": "tests/feti/dual/test_active_set.py",
     "feti/dual/problem.py": "data only",
@@ -21,12 +21,8 @@ ELSEWHERE = {
     "feti/report.py": "tests/feti/test_solver.py",
     "feti/setup.py": "tests/feti/test_solver.py",
     "feti/tolerances.py": "constants only",
-    "fem/contact/matching.py": "tests/fem/contact/test_contact.py",
-    "fem/contact/surfaces.py": "tests/fem/contact/test_contact.py, test_faceted_surface.py",
-    "fem/contact/user_data.py": "tests/test_errors.py",
-    "fem/decomposition/partition.py": "tests/fem/decomposition/test_assembly.py",
-    "fem/decomposition/parts.py": "tests/fem/decomposition/test_assembly.py",
-    "fem/displacement.py": "tests/test_errors.py, tests/verification",
+    "fem/io/tagged_mesh.py": "data only",
+    "fem/tolerances.py": "constants only",
 }
 
 MODULES = sorted(

@@ -110,7 +110,7 @@ def slave_node_at_the_centre_of_the_sphere(comm):
     scene.problem(contacts=contacts).solve()
 
 
-@mistake("contact 0", "obstacle", "hollow=True", "turn it round", r"\b5\b")
+@mistake("contact 0", "obstacle", "hollow=True", "change its sign", r"\b5\b")
 def obstacle_on_the_wrong_side(comm):
     scene = beams(comm)
     plane = scenes.Plane((0.0, 1.0), (0.0, -1.0))
