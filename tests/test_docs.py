@@ -28,7 +28,7 @@ def test_all_options_with_their_defaults():
             assert float(listed[f.name].replace(" ", "")) == f.default
 
 
-@pytest.mark.parametrize("layer", ["qp", "feti"])
+@pytest.mark.parametrize("layer", ["qp", "feti", "fem"])
 def test_all_files_of_a_layer(layer):
     text = (ROOT / "docs" / "contributing.rst").read_text()
     section = text.split(f"\n``fenics_tfeti.{layer}``\n")[1].split("\n``fenics_tfeti.")[0]

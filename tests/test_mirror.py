@@ -11,9 +11,8 @@ PACKAGE = TESTS.parent / "fenics_tfeti"
 
 # Modules without a test file of their own, and where they are tested.
 ELSEWHERE = {
-    "fem/messages.py": "tests/test_errors.py",
+    "fem/io/tagged_mesh.py": "data only",
     "fem/tolerances.py": "constants only",
-    "fem/user_data.py": "tests/test_errors.py",
     "feti/body_checks.py": "tests/feti/test_system.py",
     "feti/constraints/entries.py": "tests/feti/constraints/test_rows.py",
     "feti/constraints/equality.py": "tests/feti/constraints/test_rows.py",
@@ -27,9 +26,8 @@ ELSEWHERE = {
     "feti/setup.py": "tests/feti/test_solver.py",
     "feti/system_checks.py": "tests/feti/test_system.py",
     "feti/tolerances.py": "constants only",
-    "io.py": "tests/fem/io",
     "problem.py": "tests/verification, tests/mpi and tests/demos solve whole problems",
-    "report.py": "tests/fem/contact/test_contact.py reads the pairing table of a solved problem",
+    "report.py": "tests/fem/contact/test_pairing_summary.py reads it from a solved problem",
 }
 # Tests of what several modules do together.
 TOGETHER = {"feti/test_units.py", "feti/coarse/test_motions.py"}

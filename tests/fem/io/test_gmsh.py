@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
-import signal
-import sys
 from pathlib import Path
 
 from mpi4py import MPI
 
 import numpy as np
 import pytest
+from msh_files import CELLS, SQUARE, write_cell, write_msh
 
 import dolfinx
 import ufl
@@ -23,40 +22,8 @@ gmsh = pytest.importorskip("gmsh")
 
 MESHES = Path(__file__).parents[3] / "meshes"
 
-SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
-CUBE = SQUARE + [(x, y, 1) for x, y, _ in SQUARE]
-TETRAHEDRON = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
-
-# Cell: its nodes, then the elements (Gmsh type, physical group, nodes): the cell and one facet.
-CELLS = {
-    "triangle": (SQUARE[:3], [(2, 4, (1, 2, 3)), (1, 9, (1, 2))]),
-    "quadrilateral": (SQUARE, [(3, 4, (1, 2, 3, 4)), (1, 9, (1, 2))]),
-    "tetrahedron": (TETRAHEDRON, [(4, 4, (1, 2, 3, 4)), (2, 9, (1, 2, 3))]),
-    "hexahedron": (CUBE, [(5, 4, tuple(range(1, 9))), (3, 9, (1, 2, 3, 4))]),
-}
 VOLUME = {"triangle": 1 / 2, "quadrilateral": 1, "tetrahedron": 1 / 6, "hexahedron": 1}
 FACET_AREA = {"triangle": 1, "quadrilateral": 1, "tetrahedron": 1 / 2, "hexahedron": 1}
-
-
-def write_msh(path, points, elements, names=(), numbers=None):
-    """Write a .msh file of version 2.2."""
-    numbers = numbers or range(1, len(points) + 1)
-    lines = ["$MeshFormat", "2.2 0 8", "$EndMeshFormat"]
-    lines += ["$PhysicalNames", str(len(names)), *names, "$EndPhysicalNames"]
-    lines += ["$Nodes", str(len(points))]
-    lines += [f"{k} {x} {y} {z}" for k, (x, y, z) in zip(numbers, points, strict=True)]
-    lines += ["$EndNodes", "$Elements", str(len(elements))]
-    for k, (kind, group, nodes) in enumerate(elements, start=1):
-        entity = group or 77  # the geometric entity, with or without a physical group
-        lines += [f"{k} {kind} 2 {group} {entity} " + " ".join(map(str, nodes))]
-    path.write_text("\n".join([*lines, "$EndElements", ""]))
-    return path
-
-
-def write_cell(path, cell):
-    points, elements = CELLS[cell]
-    dim = 3 if "hedron" in cell else 2
-    return write_msh(path, points, elements, [f'{dim} 4 "body"', f'{dim - 1} 9 "support"'])
 
 
 def integral(mesh, measure):
@@ -145,28 +112,6 @@ def test_physical_points_do_no_harm(tmp_path):
     assert tagged.names == {"body": 4, "support": 9}
 
 
-def test_missing_file_is_named(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"no mesh file .*nowhere\.msh"):
-        read_msh(tmp_path / "nowhere.msh", MPI.COMM_SELF)
-
-
-def test_missing_gmsh_says_how_to_install_it(tmp_path, monkeypatch):
-    path = write_cell(tmp_path / "cell.msh", "tetrahedron")
-    monkeypatch.setitem(sys.modules, "gmsh", None)
-    with pytest.raises(ImportError, match=r"apt install python3-gmsh.*pip install gmsh"):
-        read_msh(path, MPI.COMM_SELF)
-
-
-@pytest.mark.parametrize(
-    "content", ["", "hello", "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 8 1 8\n"]
-)
-def test_damaged_file_is_refused(content, tmp_path):
-    path = tmp_path / "damaged.msh"
-    path.write_text(content)
-    with pytest.raises(InputError, match=r"damaged\.msh"):
-        read_msh(path, MPI.COMM_SELF)
-
-
 @pytest.mark.parametrize("cut", [0.3, 0.6, 0.9])
 def test_truncated_file_is_refused(cut, tmp_path):
     content = (MESHES / "two_beams.msh").read_text()
@@ -211,44 +156,6 @@ def test_wrong_dimension_is_refused(tmp_path):
     path = write_cell(tmp_path / "cell.msh", "triangle")
     with pytest.raises(InputError, match="pass gdim=2"):
         read_msh(path, MPI.COMM_SELF, gdim=3)
-
-
-def test_open_session_of_gmsh_is_kept(tmp_path):
-    path = write_cell(tmp_path / "cell.msh", "tetrahedron")
-    gmsh.initialize()
-    try:
-        gmsh.model.add("mine")
-        gmsh.model.geo.addPoint(0, 0, 0)
-        gmsh.model.geo.synchronize()
-        models = gmsh.model.list()
-        read_msh(path, MPI.COMM_SELF)
-        assert gmsh.model.list() == models
-        assert gmsh.model.getCurrent() == "mine"
-        assert len(gmsh.model.getEntities()) == 1
-        assert gmsh.option.getNumber("General.Terminal") == 1
-    finally:
-        gmsh.finalize()
-
-
-def test_nothing_is_printed(tmp_path, capfd):
-    path = write_cell(tmp_path / "cell.msh", "tetrahedron")
-    for _ in range(2):
-        read_msh(path, MPI.COMM_SELF)
-    assert capfd.readouterr() == ("", "")
-
-
-def test_handler_of_interrupts_is_kept(tmp_path):
-    path = write_cell(tmp_path / "cell.msh", "tetrahedron")
-
-    def handler(signum, frame):
-        pass
-
-    before = signal.signal(signal.SIGINT, handler)
-    try:
-        read_msh(path, MPI.COMM_SELF)
-        assert signal.getsignal(signal.SIGINT) is handler
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def two_beams_script():

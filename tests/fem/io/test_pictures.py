@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import subprocess
-import sys
 
 from mpi4py import MPI
 
@@ -16,6 +14,7 @@ from dolfinx import fem
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io import pictures
+from fenics_tfeti.fem.topology import cell_type
 from fenics_tfeti.io import Box, boxes, draw_deformed, draw_profile
 
 GDIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
@@ -64,28 +63,6 @@ def test_body_that_does_not_move_can_be_drawn(tmp_path):
     u.x.array[:] = 0
     draw_deformed(tmp_path / "a.png", u, size=(240, 150))
     assert (tmp_path / "a.png").exists()
-
-
-EDGES = """
-import runpy, sys
-import numpy as np
-import pyvista
-edges_of = runpy.run_path(sys.argv[1])["edges_of"]
-square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
-points = np.concatenate([square, square + [0, 1, 0]])
-both = pyvista.PolyData(points, [4, 0, 1, 2, 3, 4, 4, 5, 6, 7])
-both.point_data["displacement"] = np.outer([0, 0, 0, 0, 5, 5, 5, 5], [1.0, 0, 0])
-edges = edges_of(both)
-ends = (edges.points + edges.point_data["displacement"])[edges.lines.reshape(-1, 3)[:, 1:]]
-print(len(ends), np.ptp(ends, axis=1).max(), both.points[:, 0].max())
-"""
-
-
-def test_edges_stay_with_their_body():
-    """Two squares touch; the upper one is moved by 5."""
-    command = [sys.executable, "-P", "-c", EDGES, str(pictures._RENDER)]
-    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
-    assert [float(number) for number in told] == [8.0, 1.0, 1.0]
 
 
 @pytest.mark.parametrize("cell", GDIM)
@@ -228,3 +205,17 @@ def test_wrong_curve_is_refused(curve, message, tmp_path):
 def test_no_curve_is_refused(tmp_path):
     with pytest.raises(InputError, match="no curves"):
         draw_profile(tmp_path / "a.png", {}, "x", "y", comm=MPI.COMM_SELF)
+
+
+@pytest.mark.parametrize("cell", GDIM)
+def test_cells_are_right_handed(cell):
+    """As outward normals need; half of the cells are reflected before."""
+    mesh = fields(cell)[0].function_space.mesh
+    kind = cell_type(mesh)
+    cells = _compat.geometry_cells(mesh).astype(np.int64)
+    cells[::2] = cells[::2][:, kind.reflected]
+    x = mesh.geometry.x[cells]
+    straight = pictures._right_handed(cells, x, kind)
+    edges = mesh.geometry.x[straight][:, :, : kind.dim]
+    assert np.all(np.linalg.det(edges[:, kind.axes] - edges[:, :1]) > 0.0)
+    np.testing.assert_array_equal(np.sort(straight, axis=1), np.sort(cells, axis=1))

@@ -29,13 +29,13 @@ def tag_on_two_pieces_that_share_a_vertex(comm):
     problem_on(domain, cell_tags=tags_of(domain, np.full(8, 7)))
 
 
-@mistake("joined", r"1 node \(at \(2, 2\)\)", "no facet", "body 0", "body 1", "own")
+@mistake("joined through", r"1 node \(at \(2, 2\)\)", "no facet", "body 0", "body 1", "own")
 def bodies_that_share_a_vertex(comm):
     points, cells = merged(*concatenated(grid((2, 2)), grid((2, 2), (2.0, 2.0))))
     problem_on(mesh_of(comm, "quadrilateral", points, cells))
 
 
-@mistake("joined", r"3 nodes \(the first at \(1, 0, 1\)\)", "cell tag 1.*cell tag 2")
+@mistake("joined through", r"3 nodes \(the first at \(1, 0, 1\)\)", "cell tag 1.*cell tag 2")
 def bodies_that_share_an_edge(comm):
     points, cells = merged(*concatenated(grid((1, 2, 1)), grid((1, 2, 1), (1.0, 0.0, 1.0))))
     domain = mesh_of(comm, "hexahedron", points, cells)

@@ -1,0 +1,90 @@
+"""The displacement space, prescribed values, and the function put together from subdomains."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import scenes
+from scenes import CLAMPED, ROLLER, SIDE_X
+
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import create_interval
+
+from fenics_tfeti import InputError
+from fenics_tfeti.fem.displacement import (
+    displacement_function,
+    prescribed_values,
+    space_of_forms,
+)
+from fenics_tfeti.feti.system import Subdomain
+
+COMM = MPI.COMM_SELF
+
+
+def beams():
+    return scenes.two_beams(COMM, "quadrilateral", 3)
+
+
+def test_space_is_that_of_the_forms():
+    scene = beams()
+    assert space_of_forms(scene.a, scene.L) == scene.V
+
+
+def test_cells_of_one_dimension_are_refused():
+    domain = create_interval(COMM, 4, [0.0, 1.0])
+    V = scenes.vector_space(domain)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    with pytest.raises(InputError, match="cells of the type interval; supported are triangle"):
+        space_of_forms(ufl.inner(u, v) * ufl.dx, fem.Constant(domain, 1.0) * v[0] * ufl.dx)
+
+
+def prescribed_at(scene, bcs):
+    """Return {(x, y, component): value}."""
+    found = prescribed_values(scene.V, bcs)
+    x = np.round(scene.V.tabulate_dof_coordinates()[found.nodes], 12)
+    keys = zip(x[:, 0], x[:, 1], found.components, strict=True)
+    return dict(zip(keys, found.values, strict=True))
+
+
+def test_condition_on_a_component_prescribes_that_component():
+    scene = beams()
+    found = prescribed_at(scene, [scenes.fixed(scene.V, scene.facet_tags, CLAMPED, 1, 0.25)])
+    assert len(found) == 4
+    assert {(x, component, value) for (x, _, component), value in found.items()} == {(0, 1, 0.25)}
+
+
+def test_condition_on_the_space_prescribes_all_components():
+    scene = beams()
+    found = prescribed_at(scene, [scenes.fixed(scene.V, scene.facet_tags, CLAMPED, None)])
+    assert len(found) == 2 * 4
+
+
+def test_no_conditions_prescribe_nothing():
+    assert prescribed_values(beams().V, []).values.size == 0
+
+
+def test_equal_values_by_two_conditions_are_no_contradiction():
+    scene = beams()
+    one = scenes.fixed(scene.V, scene.facet_tags, ROLLER, 0, 0.3)
+    other = scenes.fixed(scene.V, scene.facet_tags, ROLLER, 0, 0.3 + 1e-16)
+    assert set(prescribed_at(scene, [one, other]).values()) == {0.3 + 1e-16}
+
+
+def test_condition_on_another_space_is_refused():
+    scene, other = beams(), scenes.pressed_block(COMM, "quadrilateral", 2)
+    wrong = scenes.fixed(other.V, other.facet_tags, SIDE_X, 0)
+    with pytest.raises(InputError, match="Dirichlet condition 1 is not on the displacement's"):
+        prescribed_values(scene.V, [scene.bcs[0], wrong])
+
+
+def test_function_has_the_displacements_of_the_subdomains():
+    scene = beams()
+    x = scene.V.tabulate_dof_coordinates()[:, :2]
+    halves = [np.flatnonzero(x[:, 0] < 1.1), np.flatnonzero(x[:, 0] > 0.9)]
+    none = np.zeros(0)
+    subdomains = [Subdomain(None, none, x[nodes], nodes, 0) for nodes in halves]
+    uh = displacement_function(scene.V, subdomains, [3.0 * x[nodes].ravel() for nodes in halves])
+    np.testing.assert_array_equal(uh.x.array, 3.0 * x.ravel())

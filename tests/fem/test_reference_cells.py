@@ -1,0 +1,124 @@
+"""The tables of reference cells against those of basix and against geometry."""
+
+from __future__ import annotations
+
+import doctest
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import basix
+
+from fenics_tfeti.fem import reference_cells
+from fenics_tfeti.fem.reference_cells import MESH_CELLS, reference_cell
+
+ALL = ("interval", *MESH_CELLS)
+every_cell = pytest.mark.parametrize("name", ALL)
+mesh_cell = pytest.mark.parametrize("name", MESH_CELLS)
+
+
+def basix_cell(name):
+    return getattr(basix.CellType, name)
+
+
+def vertices_of(name):
+    return basix.geometry(basix_cell(name))
+
+
+def volume(name, order):
+    """Return the determinant of the edges from the first vertex to its neighbours."""
+    x = vertices_of(name)[list(order)]
+    axes = list(reference_cell(name).axes)
+    return np.linalg.det(x[axes] - x[0])
+
+
+def test_example_of_the_docstring():
+    failed, tried = doctest.testmod(reference_cells)
+    assert (failed, tried > 0) == (0, True)
+
+
+@every_cell
+def test_number_of_vertices_and_dimension(name):
+    cell = reference_cell(name)
+    assert vertices_of(name).shape == (cell.vertices, cell.dim)
+
+
+@mesh_cell
+def test_facets_are_in_the_order_of_basix(name):
+    cell = reference_cell(name)
+    facets = basix.topology(basix_cell(name))[cell.dim - 1]
+    assert cell.facets == tuple(map(tuple, facets))
+
+
+@mesh_cell
+def test_edges_are_those_of_basix(name):
+    edges = basix.topology(basix_cell(name))[1]
+    assert reference_cell(name).edges == tuple(sorted(map(tuple, edges)))
+
+
+@mesh_cell
+def test_facets_have_the_vertices_of_their_type(name):
+    cell = reference_cell(name)
+    assert {len(facet) for facet in cell.facets} == {cell.facet.vertices}
+    assert cell.facet.dim == cell.dim - 1
+
+
+@every_cell
+def test_axes_are_edges(name):
+    cell = reference_cell(name)
+    assert [b for a, b in cell.edges if a == 0] == list(cell.axes)
+
+
+@every_cell
+def test_axes_are_right_handed(name):
+    assert volume(name, range(reference_cell(name).vertices)) > 0.0
+
+
+@every_cell
+def test_reflected_cell_is_the_same_cell_with_the_opposite_orientation(name):
+    cell = reference_cell(name)
+    reflected = {tuple(sorted((cell.reflected[a], cell.reflected[b]))) for a, b in cell.edges}
+    assert reflected == set(cell.edges)
+    assert volume(name, cell.reflected) < 0.0
+
+
+@pytest.mark.parametrize("name", ["triangle", "quadrilateral"])
+def test_vertices_of_vtk_go_anticlockwise_around_a_face(name):
+    x = vertices_of(name)[list(reference_cell(name).vtk_order)]
+    around = np.concatenate([x, x[:1]])
+    area = 0.5 * sum(a[0] * b[1] - a[1] * b[0] for a, b in pairwise(around))
+    assert area == pytest.approx(0.5 if name == "triangle" else 1.0)
+
+
+def test_hexahedron_of_vtk_has_its_upper_face_above_the_lower():
+    x = vertices_of("hexahedron")[list(reference_cell("hexahedron").vtk_order)]
+    np.testing.assert_array_equal(x[4:] - x[:4], np.tile([0.0, 0.0, 1.0], (4, 1)))
+
+
+@every_cell
+def test_cut_of_a_block_has_its_volume(name):
+    """Cells of equal volumes; for tensor cells the block itself."""
+    cell = reference_cell(name)
+    corners = (np.arange(2**cell.dim)[:, None] >> np.arange(cell.dim)) & 1
+    factorial = {1: 1, 2: 2, 3: 6}[cell.dim] if cell.is_simplex else 1
+    volumes = [
+        abs(np.linalg.det((corners[list(piece)][list(cell.axes)] - corners[piece[0]])))
+        for piece in cell.grid_cut
+    ]
+    assert sum(volumes) / factorial == pytest.approx(1.0)
+    assert min(volumes) > 0.0
+
+
+@pytest.mark.parametrize("name", ["triangle", "tetrahedron"])
+def test_simplices_of_a_block_share_the_long_diagonal(name):
+    cell = reference_cell(name)
+    assert all({0, 2**cell.dim - 1} <= set(piece) for piece in cell.grid_cut)
+
+
+@pytest.mark.parametrize(
+    ("name", "simplex"),
+    [("triangle", True), ("quadrilateral", False), ("tetrahedron", True), ("hexahedron", False)],
+)
+def test_simplices(name, simplex):
+    assert reference_cell(name).is_simplex is simplex

@@ -1,0 +1,69 @@
+"""Facets of cells, and which of them are on the boundary."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from mesh_arrays import CELLS, block, mesh_of
+
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.topology import (
+    cell_facets,
+    cell_type,
+    exterior_cell_facets,
+    exterior_facets,
+    facet_vertices,
+    owned_cells,
+)
+
+every_cell = pytest.mark.parametrize("cell", CELLS)
+# facets of a square's or cube's surface of 3 x 3 (x 3) units
+EXTERIOR = {"triangle": 12, "quadrilateral": 12, "tetrahedron": 108, "hexahedron": 54}
+
+
+def mesh(cell):
+    return mesh_of(MPI.COMM_SELF, cell, *block(cell))
+
+
+@every_cell
+def test_cell_type(cell):
+    assert cell_type(mesh(cell)).name == cell
+
+
+@every_cell
+def test_all_cells_of_one_rank_are_owned(cell):
+    assert owned_cells(mesh(cell)) == len(block(cell)[1])
+
+
+@every_cell
+def test_facets_have_the_vertices_that_the_reference_cell_says(cell):
+    domain = mesh(cell)
+    facets = cell_facets(domain)
+    of_cell = _compat.geometry_cells(domain)[:, np.array(cell_type(domain).facets)]
+    vertices = facet_vertices(domain, facets.ravel()).reshape(of_cell.shape)
+    np.testing.assert_array_equal(np.sort(vertices, axis=2), np.sort(of_cell, axis=2))
+
+
+@every_cell
+def test_number_of_exterior_facets(cell):
+    assert np.count_nonzero(exterior_facets(mesh(cell))) == EXTERIOR[cell]
+
+
+@every_cell
+def test_exterior_facets_of_cells_are_on_the_surface(cell):
+    domain = mesh(cell)
+    exterior = exterior_cell_facets(domain)
+    x = domain.geometry.x[facet_vertices(domain, cell_facets(domain)[exterior])]
+    x = x[:, :, : domain.geometry.dim]
+    on_side = np.all(x == 0.0, axis=1) | np.all(x == 3.0, axis=1)
+    assert exterior.sum() == EXTERIOR[cell]
+    assert on_side.any(axis=1).all()
+
+
+@every_cell
+def test_no_facets_have_no_vertices(cell):
+    domain = mesh(cell)
+    none = facet_vertices(domain, np.zeros(0, dtype=np.int32))
+    assert none.shape == (0, cell_type(domain).facet.vertices)
