@@ -92,7 +92,8 @@ class RigidObstacle:
     obstacle : callable
         x -> (gap, normal) for points x of shape (3, n): the distance (n,) to the obstacle [m] and
         the unit normal (gdim, n) that points from the obstacle to the body. Or x -> gap alone, the
-        distance along the surface's own outward normal. `Plane`, `Sphere` and `Cylinder` are such
+        distance along the surface's own outward normal. An infinite gap means that there is no
+        obstacle at the point. `Plane`, `Sphere` and `Cylinder` are such
         callables.
     name : str
         For messages and the report.

@@ -194,7 +194,8 @@ def gap_and_normal(
     Returns
     -------
     gap, outward : (k,) array, (k, gdim) array
-        Distances [m] and the obstacle's unit normals, which point towards the body.
+        Distances [m], infinite where there is no obstacle, and the obstacle's unit normals, which
+        point towards the body.
 
     Raises
     ------
@@ -205,13 +206,17 @@ def gap_and_normal(
     gdim = normal.shape[1]
     with raise_collectively(comm):
         gap, outward = _evaluate_obstacle(obstacle, points, normal, name)
+    nowhere = gap == np.inf
+    # without an obstacle there the normal has no meaning
+    outward = np.where(nowhere[:, None], -normal, outward)
     raise_where(
         comm,
-        ~(np.isfinite(gap) & np.isfinite(outward).all(axis=1)),
+        ~((np.isfinite(gap) | nowhere) & np.isfinite(outward).all(axis=1)),
         points[:, :gdim],
         lambda number, place: (
-            f"{name}: the obstacle's gap or normal is NaN or infinite at {number} points, the "
-            f"first at {place}"
+            f"{name}: the obstacle's gap is NaN or -inf, or its normal NaN or infinite, at "
+            f"{number} points, the first at {place}. Where there is no obstacle, return the gap "
+            "+inf"
         ),
     )
     length = np.linalg.norm(outward, axis=1)
@@ -224,12 +229,13 @@ def gap_and_normal(
             f"points, the first at {place}. Divide it by its length"
         ),
     )
-    facing = comm.allreduce(int(np.sum(np.sum(outward * normal, axis=1) < 0.0)))
-    if not facing:
+    opposite = ~nowhere & (np.sum(outward * normal, axis=1) < 0.0)
+    near, facing = (comm.allreduce(int(np.count_nonzero(x))) for x in (~nowhere, opposite))
+    if near and not facing:
         raise InputError(
-            f"{name}: the obstacle's normal points away from the body at all "
-            f"{comm.allreduce(len(points))} nodes. It has to point out of the obstacle, towards "
-            "the body: change its sign (for a Sphere or Cylinder around the body, hollow=True)"
+            f"{name}: the obstacle's normal points away from the body at all {near} nodes. It has "
+            "to point out of the obstacle, towards the body: change its sign (for a Sphere or "
+            "Cylinder around the body, hollow=True)"
         )
     return gap, outward / length[:, None]
 

@@ -46,6 +46,7 @@ def pairing_summary(
     dict
         An entry of `Report.pairing`.
     """
+    gap = gap[np.isfinite(gap)]
     pairs = comm.allreduce(gap.size)
 
     def largest(values: Vector) -> float:

@@ -116,6 +116,45 @@ def test_sphere_below_the_body(cell):
     assert contact.summary["largest_angle"] == pytest.approx(steepest, rel=1e-12)
 
 
+def ledge(far: float):
+    """Return an obstacle below x < 0.6 only; beyond, its gap is `far` and its normal NaN."""
+
+    def obstacle(x):
+        there = x[0] < 0.6
+        normal = np.where(there, np.array([[0.0], [1.0]]), np.nan if np.isinf(far) else [[0], [1]])
+        return np.where(there, x[1], far), normal
+
+    return obstacle
+
+
+def test_infinite_gap_means_no_obstacle():
+    contact = matched(ledge(np.inf), gap=0.25)
+    right = contact.coordinates[:, 0] > 0.6
+    np.testing.assert_array_equal(np.isinf(contact.gap), right)
+    np.testing.assert_array_equal(contact.normal, np.tile([0.0, -1.0], (3, 1)))
+    summary = contact.summary
+    assert (summary["pairs"], summary["unmatched"]) == (2, 1)
+    assert (summary["smallest_gap"], summary["largest_gap"]) == (0.0, 0.0)
+
+
+def test_nodes_without_obstacle_bear_no_force():
+    scene = pressed_block(MPI.COMM_SELF, "quadrilateral", 4)
+    forces = []
+    for far in (np.inf, 0.5):
+        contact = RigidObstacle(scene.facet_tags, GROUND, ledge(far))
+        problem = scene.problem(contacts=[contact])
+        problem.solve()
+        forces.append(problem.contact[0].normal_force)
+    np.testing.assert_allclose(forces[0], forces[1], rtol=1e-8, atol=1e-10 * forces[1].max())
+    assert np.count_nonzero(forces[0]) == 3
+
+
+@pytest.mark.parametrize("gap", [np.nan, -np.inf])
+def test_gap_that_is_no_number(gap):
+    with pytest.raises(InputError, match=r"NaN or -inf.*at 1 points.*\(1, 0\).*\+inf"):
+        matched(ledge(gap))
+
+
 def test_pairing_of_an_obstacle():
     assert matched(Plane((0, -0.5), (0, 1))).summary == {
         "contact": "contact 0 (obstacle)",
