@@ -35,7 +35,7 @@ def _solve_torn(problem: TornProblem, comm: MPI.Comm, seed: int) -> Found:
     place = np.argsort(problem.numbers)
     sums, counts = np.zeros(n), np.zeros(n)
     low, high = np.full(n, np.inf), np.full(n, -np.inf)
-    for subdomain, u in zip(system.subdomains, solution.displacements, strict=True):
+    for subdomain, u in zip(system.subdomains, solution.displacements, strict=False):
         nodes = place[np.searchsorted(problem.numbers[place], subdomain.nodes)]
         at = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
         sums[at] += u

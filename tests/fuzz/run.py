@@ -78,6 +78,7 @@ class _Workers:
             "OMP_NUM_THREADS": "1",
             "OPENBLAS_NUM_THREADS": "1",
             "OMPI_ALLOW_RUN_AS_ROOT": "1",
+            "OMPI_MCA_mpi_yield_when_idle": "1",
             "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
         }
         self.process = subprocess.Popen(
