@@ -90,8 +90,10 @@ class Certificate:
 
     Attributes
     ----------
+    bound : float
+        Bound of ||u - u*||_K, u* the exact solution [sqrt(J)].
     error : float
-        Bound of ||u - u*||_K / ||u||_K, u* the exact solution.
+        The same relative to ||u||_K.
     groups : list of GroupError
         The same for each group of bodies that press on each other.
     bodies : list of BodyError
@@ -108,6 +110,7 @@ class Certificate:
         deformation of its bodies.
     """
 
+    bound: float
     error: float
     groups: list[GroupError]
     bodies: list[BodyError]
@@ -225,14 +228,15 @@ class PrimalProblem:
         measures = self._body_measures(recovered, multipliers)
         group = self.row_bodies.groups(self._comm, recovered.closed)
         groups, bodies = self._errors(measures, group)
-        error = np.sqrt(measures.error2.sum()) / (np.sqrt(measures.energy2.sum()) or 1.0)
+        bound, norm = np.sqrt([measures.error2.sum(), measures.energy2.sum()]).tolist()
         moved = measures.energy2 > UNDEFORMED**2 * measures.rounding2
         equilibrium = np.sqrt(measures.residual2 / np.where(moved, measures.force2, np.inf))
         penetration, smallest, complementarity = self._contact_measures(
             recovered, multipliers, np.where(moved, measures.deformation, 0.0)
         )
         return Certificate(
-            error=float(error) if moved.any() else max((g.error for g in groups), default=0.0),
+            bound=bound,
+            error=bound / norm if moved.any() else max((g.error for g in groups), default=0.0),
             groups=groups,
             bodies=bodies,
             equilibrium=float(equilibrium.max(initial=0.0)),

@@ -169,6 +169,37 @@ class History:
     norm_products_before: int = 0
 
 
+@dataclass
+class _Progress:
+    """The decrease of the certificate from pass to pass.
+
+    Attributes
+    ----------
+    bound, worst : float
+        The smallest so far: the bound of the error, and the largest number of the certificate.
+    at, tolerance : float
+        Tolerances when one of them last halved, and of the last pass.
+    """
+
+    bound: float = np.inf
+    worst: float = np.inf
+    at: float = np.inf
+    tolerance: float = np.inf
+
+    def update(self, certificate: Certificate, tolerance: float) -> None:
+        """Compare a certificate with the smallest numbers so far."""
+        self.tolerance = tolerance
+        if certificate.bound <= 0.5 * self.bound or certificate.worst <= 0.5 * self.worst:
+            self.bound = min(self.bound, certificate.bound)
+            self.worst = min(self.worst, certificate.worst)
+            self.at = tolerance
+
+    @property
+    def stagnates(self) -> bool:
+        """Whether a hundredfold smaller tolerance has not halved either of them."""
+        return self.tolerance <= 1e-2 * self.at
+
+
 @dataclass(frozen=True)
 class _Stage:
     """What one pass of the loop ends with."""
@@ -219,7 +250,7 @@ def iterate_until_certified(
     stage = _Stage(loop.first_state(start), solved=False)
     use_active_set = options.method == "active_set"
     limit, tolerance = max(options.rtol, ROUNDING), options.rtol * loop.scale
-    smallest, tolerance_of_smallest = np.inf, np.inf
+    progress = _Progress()
     while True:
         tolerance = max(tolerance, loop.rounding)
         if use_active_set:
@@ -233,9 +264,8 @@ def iterate_until_certified(
             return Outcome(candidate, stage.state, True, "converged", tolerance)
         if not stage.solved:
             return Outcome(candidate, stage.state, False, stage.reason, tolerance)
-        if worst <= 0.5 * smallest:
-            smallest, tolerance_of_smallest = worst, tolerance
-        elif tolerance <= max(1e-2 * tolerance_of_smallest, loop.rounding):
+        progress.update(candidate.certificate, tolerance)
+        if progress.stagnates or tolerance <= loop.rounding:
             reason = (
                 f"the error of the displacement is {worst:.1e}, and more iterations do not reduce "
                 "it: the accuracy is at the limit of rounding"

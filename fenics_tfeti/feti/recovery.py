@@ -86,8 +86,11 @@ def balance_multipliers(
     balanced = multipliers
     while True:
         face = Projector.build(coarse_space, balanced[rows] > 0.0)
-        missing = face.without_free_motions(e - coarse_space.restrict(balanced))
-        corrected = balanced + face.least_norm(missing)
+        corrected = balanced
+        # the second time for what rounding leaves where contact rows resist much less than others
+        for _ in range(2):
+            missing = face.without_free_motions(e - coarse_space.restrict(corrected))
+            corrected = corrected + face.least_norm(missing)
         negative = corrected[rows] < 0.0
         if not space.sums(float(np.count_nonzero(negative)))[0]:
             return corrected, face
@@ -128,6 +131,9 @@ def recover_displacement(
     present = alpha + coarse_space.coarse_load(strained)
     alpha -= face.free @ (face.free.T @ present)
     torn = strained + coarse_space.rigid_motion(alpha)
+    # once more for what rounding has left, without the free motions
+    rest = face.without_free_motions(face.coefficients(c - F.jumps(torn)))
+    torn += coarse_space.rigid_motion(rest)
     if face.free.shape[1]:
         away = _smallest_without_penetration(face, c - F.jumps(torn))
         torn += coarse_space.rigid_motion(face.free @ away)

@@ -29,6 +29,10 @@ __all__ = ["Face", "PCPGIterate", "pcpg"]
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+# r'z above this multiple of its smallest value: the residual is rounding, and the recurrences of
+# conjugate gradients amplify it (r'z of a regular problem may rise by its condition number)
+_DIVERGED = 1e6
+
 
 @dataclass(frozen=True)
 class Face:
@@ -140,7 +144,7 @@ def pcpg(
     iterate = start if resume and isinstance(start, PCPGIterate) else None
     if iterate is None:
         iterate = _first_iterate(problem, face, start, products)
-    test_below = 0.5 * iterate.residual
+    test_below, best = 0.5 * iterate.residual, iterate
     while products.total < max_products:
         if iterate.residual <= test_below:
             if iterate.residual <= sign_factor * iterate.violation:
@@ -149,6 +153,9 @@ def pcpg(
         iterate = _with_preconditioned_residual(problem, face, iterate, products)
         if iterate.energy <= tolerance:
             return iterate
+        if iterate.rz > _DIVERGED * best.rz:
+            return best
+        best = iterate if iterate.rz < best.rz else best
         following = _step(problem, face, iterate, products)
         if following is None:
             return iterate
