@@ -234,7 +234,7 @@ def node_without_cells(system):
     return first(system, stiffness=K.tocsr())
 
 
-@mistake("stiffness of subdomain 0", "not a valid csr matrix", "inde")
+@mistake("stiffness of subdomain 0", "not a valid csr matrix", "192")
 def stiffness_with_indices_beyond_its_shape(system):
     K = system.subdomains[0].stiffness.copy()
     K.indices[-1] = 1000
