@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mpi4py import MPI
 
@@ -51,8 +51,8 @@ _ROUGH_LANCZOS_STEPS = 3
 _CANCELLED = 1e-13
 # rounding errors, in units of the last place, that add up in the jumps
 _ROUNDING_ERRORS = 64
-# gaps farther than this many times the largest jump of displacements are shortened for SMALBE-M
-_FAR = 1e4
+# gaps farther than this many times the largest jump of displacements are shortened
+_FAR = 1e6
 
 
 @dataclass(frozen=True)
@@ -221,6 +221,10 @@ def iterate_until_certified(
 ) -> Outcome:
     """Solve the dual problem to tolerances that decrease until the certificate holds.
 
+    Gaps that are far from closing are shortened: all contact rows share the projector, so a gap out
+    of all proportion would swamp the others by rounding. As long as no row with a shortened gap
+    closes, the solution is the same; if one does, the gaps are lengthened.
+
     Parameters
     ----------
     setup : DualSetup
@@ -243,8 +247,26 @@ def iterate_until_certified(
     Outcome
         The last candidate, and whether it is certified.
     """
-    loop = _Loop.begin(setup, data, options, timer, history, body_names)
-    forces = forces_at_rest(setup.F, data.load, data.c)
+    with timer.phase("iterations"):
+        feasible = _FeasibleState.of(setup, data)
+    rows, comm = setup.constraints.inequality, setup.constraints.layout.comm
+    longest = _FAR * feasible.largest_jump
+    while True:
+        far = data.c[rows] > longest if longest > 0.0 else np.zeros(rows.size, dtype=bool)
+        c = data.c.copy()
+        c[rows] = np.where(far, longest, data.c[rows])
+        loop = _Loop.begin(setup, replace(data, c=c), feasible, options, timer, history, body_names)
+        outcome = _iterate(loop, start)
+        closed = bool((outcome.candidate.recovered.closed & far).any())
+        if not comm.allreduce(closed, MPI.LOR):
+            return outcome
+        longest, start = _FAR * longest, outcome.state
+
+
+def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
+    """Solve the dual problem to tolerances that decrease until the certificate holds."""
+    options = loop.options
+    forces = forces_at_rest(loop.setup.F, loop.data.load, loop.data.c)
     if forces is not None:
         return loop.at_rest(forces)
     stage = _Stage(loop.first_state(start), solved=False)
@@ -272,6 +294,37 @@ def iterate_until_certified(
             )
             return Outcome(candidate, stage.state, False, reason, tolerance)
         tolerance *= min(max(0.5 * limit / worst, 1e-3), 0.5)
+
+
+@dataclass(frozen=True)
+class _FeasibleState:
+    """The torn displacement K^+(f - B'lambda~) at the feasible start.
+
+    Attributes
+    ----------
+    jumps : (m,) array
+        Its jumps, scaled as the rows.
+    strain : float
+        f'K^+f of the forces f - B'lambda~ [J].
+    largest_jump : float
+        Largest absolute value of jumps and of prescribed displacements, over all ranks.
+    """
+
+    jumps: Vector
+    strain: float
+    largest_jump: float
+
+    @staticmethod
+    def of(setup: DualSetup, data: ContactData) -> _FeasibleState:
+        """Apply K^+ once."""
+        F, comm = setup.F, setup.constraints.layout.comm
+        forces = data.load - F.constraint_forces(data.feasible)
+        strained = F.generalized_inverse(forces)
+        jumps = F.jumps(strained)
+        strain = float(comm.allreduce(max(0.0, float(strained @ forces))))
+        prescribed = data.c[setup.constraints.equality]
+        largest = max(np.abs(jumps).max(initial=0.0), np.abs(prescribed).max(initial=0.0))
+        return _FeasibleState(jumps, strain, float(comm.allreduce(float(largest), MPI.MAX)))
 
 
 @dataclass(frozen=True)
@@ -306,6 +359,7 @@ class _Loop:
     def begin(
         setup: DualSetup,
         data: ContactData,
+        feasible: _FeasibleState,
         options: Options,
         timer: Timer,
         history: History,
@@ -316,12 +370,9 @@ class _Loop:
         primal = PrimalProblem(
             setup.local.stiffness, data.load, data.c, F, setup.row_bodies, body_names
         )
-        with timer.phase("iterations"):
-            forces = data.load - F.constraint_forces(data.feasible)
-            strained = F.generalized_inverse(forces)
-            d = F.jumps(strained) - data.c
-            strain = float(layout.comm.allreduce(max(0.0, float(strained @ forces))))
-        scale = float(np.sqrt(max(strain, _energy_of_jumps(setup, data, d, timer, history))))
+        d = feasible.jumps - data.c
+        jumps = _energy_of_jumps(setup, data, d, timer, history)
+        scale = float(np.sqrt(max(feasible.strain, jumps)))
         # jumps that have to be closed, with prescribed displacements and penetrated gaps
         rows, closing = setup.constraints.inequality, data.c.copy()
         closing[rows] = np.minimum(closing[rows], 0.0)
@@ -367,13 +418,12 @@ class _Loop:
     def smalbe(self, state: DualState, tolerance: float) -> _Stage:
         """Run SMALBE-M on (11.40)."""
         before, feasible = len(self.history.outer), self.data.feasible
-        d = self.d + self._shortening_of_gaps(state)
         problem = self._problem(LANCZOS_STEPS)
         with self.timer.phase("iterations"):
             result = solve_by_smalbe(
                 problem,
                 feasible,
-                d,
+                self.d,
                 SMALBEState(state.multipliers - feasible, state.coarse_gradient),
                 rtol=tolerance / (self.scale or 1.0),
                 norm_b=self.scale * np.sqrt(problem.norm),
@@ -395,22 +445,6 @@ class _Loop:
             result.converged,
             limits.get(result.reason, result.reason),
         )
-
-    def _shortening_of_gaps(self, state: DualState) -> Vector:
-        """Return by how much to shorten gaps that are far from closing, scaled as the rows.
-
-        In (11.40) all contact rows share the projector, so a gap that is out of all proportion
-        would swamp the others by rounding. A row with a shortened gap that closes all the same has
-        its true gap in the next pass, since the certificate does not hold.
-        """
-        rows, shortening = self.setup.constraints.inequality, np.zeros_like(self.d)
-        jumps = self.setup.F.jumps(self.recover(state).recovered.torn)
-        largest = float(np.abs(jumps).max(initial=0.0))
-        largest = self.setup.constraints.layout.comm.allreduce(largest, MPI.MAX)
-        left = self.data.c[rows] - jumps[rows]
-        if largest > 0.0:
-            shortening[rows] = np.maximum(left - _FAR * largest, 0.0)
-        return shortening
 
     def recover(self, state: DualState) -> Candidate:
         """Recover displacements, and measure how well they and lambda solve (11.21)."""
