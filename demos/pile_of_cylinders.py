@@ -143,7 +143,7 @@ if mesh.comm.rank == 0:
     print("unknowns     ", report.unknowns, "in", report.subdomains, "subdomains")
     print("products     ", report.products, "in", report.outer_iterations, "outer iterations")
     print("free motions ", *report.free_motions, sep="\n  ")
-    print("certificate  ", {k: f"{v:.1e}" for k, v in report.to_dict()["certificate"].items()})
+    print("certificate  ", {k: f"{v:.1e}" for k, v in report.certificate.numbers().items()})
     print("weight       ", {body: f"{w / W:.6f} W" for body, w in meshed.items()})
 errors = {}
 for contact in problem.contact:

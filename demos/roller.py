@@ -128,7 +128,7 @@ if mesh.comm.rank == 0:
     print("unknowns     ", report.unknowns, "in", report.subdomains, "subdomains")
     print("products     ", report.products, "in", report.outer_iterations, "outer iterations")
     print("free motions ", *report.free_motions, sep="\n  ")
-    print("certificate  ", {k: f"{v:.1e}" for k, v in report.to_dict()["certificate"].items()})
+    print("certificate  ", {k: f"{v:.1e}" for k, v in report.certificate.numbers().items()})
 errors = {}
 for contact, style in zip(problem.contact, ("o", "x"), strict=True):
     contact = contact.gather()

@@ -62,9 +62,12 @@ def exact(name: str) -> np.ndarray:
     d = 1.0 / np.sqrt(constraints.weights)
     N = d[:, None] * scipy.linalg.null_space(B * d)
     K, f = stiffness(system), np.concatenate([s.load for s in system.subdomains])
-    u = d**2 * (B.T @ c)
-    u = u + N @ scipy.linalg.solve(N.T @ K @ N, N.T @ (f - K @ u), assume_a="pos")
-    force = B @ (d**2 * (f - K @ u))
+    factor = scipy.linalg.cho_factor(N.T @ K @ N)
+    u = (d**2 * (B.T @ c)).astype(np.longdouble)
+    for _ in range(4):  # residuals in extended precision: stiff bodies move almost rigidly
+        residual = f - K.astype(np.longdouble) @ u
+        u = u + N @ scipy.linalg.cho_solve(factor, (N.T @ residual).astype(float))
+    force, u = B @ (d**2 * residual).astype(float), u.astype(float)
     assert force[np.isin(np.flatnonzero(rows), constraints.inequality)].min() > 0.0
     jump = constraints.matrix @ u - solver.data.c
     assert jump[constraints.inequality].max() < 1e-9 * np.abs(u).max()
