@@ -6,6 +6,8 @@ from mpi4py import MPI
 
 import numpy as np
 import oracle
+from glued import GluedProblem
+from numpy.typing import NDArray
 from outcome import Found, Outcome, agree, attempt, compare
 from torn_problems import TornProblem, draw_torn, torn_system
 
@@ -13,18 +15,33 @@ from fenics_tfeti.feti import TornSolver, parse_options
 
 __all__ = ["solve_case", "tell_case"]
 
+Vector = NDArray[np.float64]
+
 
 def solve_case(level: str, seed: int, comm: MPI.Comm) -> Outcome:
     """Solve the case of a seed on all ranks of a communicator; the outcome is that of rank 0."""
-    problem = draw_torn(seed)
-    found = attempt(lambda: _solve_torn(problem, comm, seed))
+    found, glued, rtol, _ = _solve(level, seed, comm)
     differ = agree(comm, found)
     if differ:
         return Outcome("ranks differ", differ)
     if comm.rank > 0:
         return Outcome("")
-    answer = oracle.solve(problem.glued)
-    return compare(problem.glued, answer, found, problem.options["rtol"])
+    problem = glued()
+    return compare(problem, oracle.solve(problem), found, rtol)
+
+
+def _solve(level: str, seed: int, comm: MPI.Comm):
+    """Return what the package found, how to get the glued problem, rtol and the story."""
+    if level == "feti":
+        problem = draw_torn(seed)
+        found = attempt(lambda: _solve_torn(problem, comm, seed))
+        return found, lambda: problem.glued, problem.options["rtol"], problem.story
+    # dolfinx is not needed for the other level
+    from mesh_problems import draw_mesh, glue
+
+    meshed = draw_mesh(seed)
+    found = attempt(lambda: _solve_mesh(meshed, comm))
+    return found, lambda: glue(meshed), meshed.options["rtol"], meshed.story
 
 
 def _solve_torn(problem: TornProblem, comm: MPI.Comm, seed: int) -> Found:
@@ -47,29 +64,57 @@ def _solve_torn(problem: TornProblem, comm: MPI.Comm, seed: int) -> Found:
     comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)
     comm.Allreduce(MPI.IN_PLACE, high, MPI.MAX)
     jump = (high - low).reshape(-1, gdim).max(axis=1)
-    report = solution.report
-    return Found(
-        sums / counts, jump, force, report.contact_force, report.energy, report.products["total"]
-    )
+    return _found(sums / counts, jump, force, solution.report)
+
+
+def _solve_mesh(problem, comm: MPI.Comm) -> Found:
+    from mesh_problems import contact_places, node_numbers, pose
+
+    contact_problem, posed = pose(problem, comm)
+    uh = contact_problem.solve()
+    gdim = problem.gdim
+    owned = posed.V.dofmap.index_map.size_local
+    number = node_numbers(problem, posed.V, posed.cell_tags)[:owned]
+    parts = comm.allgather((number, uh.x.array[: gdim * owned].reshape(-1, gdim)))
+    u = np.zeros((sum(len(part[0]) for part in parts), gdim))
+    for nodes, values in parts:
+        u[nodes] = values
+    first, force = contact_places(problem), []
+    for slave, contact in zip(first, contact_problem.contact, strict=True):
+        whole = contact.gather()
+        nodes = slave.number(whole.coordinates)
+        assert np.array_equal(np.sort(nodes), slave.nodes), "the contact's nodes"
+        of_node = dict(zip(nodes.tolist(), whole.normal_force.tolist(), strict=True))
+        force.append([of_node[int(i)] for i in slave.nodes])
+    forces = np.concatenate([np.zeros(0), *force])
+    return _found(u.ravel(), np.zeros(len(u)), forces, contact_problem.report)
+
+
+def _found(u: Vector, jump: Vector, force: Vector, report) -> Found:
+    products = report.products["total"]
+    return Found(u, jump, force, report.contact_force, report.energy, products)
 
 
 def tell_case(level: str, seed: int) -> None:
     """Print the case of a seed and both solutions."""
-    problem = draw_torn(seed)
-    print("\n".join(problem.story))
-    answer = oracle.solve(problem.glued)
+    found, glued, rtol, story = _solve(level, seed, MPI.COMM_SELF)
+    problem = glued()
+    print("\n".join(story))
+    answer = oracle.solve(problem)
     print(f"oracle: {answer.verdict} {answer.why}")
-    found = attempt(lambda: _solve_torn(problem, MPI.COMM_SELF, seed))
     if found.error is not None:
         print(found.trace)
     if answer.verdict == "solution":
-        contacts = problem.glued.contact
-        print("energy of bodies", answer.energy, "groups", answer.group)
-        print("oracle's error", answer.error, "noise", answer.noise)
-        print("contact forces:", np.bincount(contacts, weights=answer.force))
-        print("        package", found.contact_force, "after", found.products, "products")
-        print("largest displacement:", np.abs(answer.displacement).max(), end=" ")
-        if found.displacement is not None:
-            print("package", np.abs(found.displacement).max())
-    outcome = compare(problem.glued, answer, found, problem.options["rtol"])
+        _tell_solutions(problem, answer, found)
+    outcome = compare(problem, answer, found, rtol)
     print(f"{outcome.kind}: {outcome.detail}\n{outcome.numbers}")
+
+
+def _tell_solutions(problem: GluedProblem, answer: oracle.Answer, found: Found) -> None:
+    print("energy of bodies", answer.energy, "groups", answer.group)
+    print("oracle's error", answer.error, "noise", answer.noise)
+    print("contact forces:", np.bincount(problem.contact, weights=answer.force))
+    print("largest displacement:", np.abs(answer.displacement).max(initial=0.0))
+    if found.displacement is not None:
+        print("the package's:", found.contact_force, np.abs(found.displacement).max(), end=" ")
+        print(f"after {found.products} products")

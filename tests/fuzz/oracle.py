@@ -316,7 +316,7 @@ class _Programme:
     """The condensed problem of bodies that conditions connect, in scaled unknowns."""
 
     def __init__(self, whole: _Condensed, rows: Numbers, alphas: Numbers) -> None:
-        self.alphas, self.scale = alphas, whole.scale[rows]
+        self.rows, self.alphas, self.scale = rows, alphas, whole.scale[rows]
         self.inequality = rows < whole.m
         s = self.scale
         self.Phi = s[:, None] * whole.Phi[np.ix_(rows, rows)] * s
@@ -335,6 +335,15 @@ class _Programme:
         self.A, self.e = self.A / self.length[:, None], self.e / self.length
         # rounding errors would pass for a resistance when rows are equilibrated
         self.A[np.abs(self.A) < _TRACE] = 0.0
+
+    def response(self, d: Vector, e: Vector, active: Mask) -> Vector:
+        """Return how w follows a change of d and e (of the whole problem) with these active rows."""
+        at = np.flatnonzero(active)
+        change = self.basis.T @ e[self.alphas] / self.length
+        right = np.append((self.scale * d[self.rows])[at], -change)
+        w = np.zeros(active.size)
+        w[at] = _symmetric_solve(self._saddle(at), right)[0][: at.size]
+        return self.scale * w
 
     def solve(self) -> tuple[Vector, Vector, Mask]:
         """Return w, alpha and the active rows."""
@@ -638,34 +647,30 @@ def _measured(whole: _Condensed, w: Vector, alpha: Vector, active: Mask) -> Answ
 
 def _noise(whole: _Condensed, u: Vector, w: Vector, active: Mask) -> Vector:
     """Return what one rounding of each number does to the solution, in the bodies' energy norms."""
-    problem, rng = whole.problem, np.random.default_rng(0)
+    problem, rng, m = whole.problem, np.random.default_rng(0), whole.m
     K = abs(problem.elastic) + abs(problem.springs.matrix())
-    forces = K @ np.abs(u) + np.abs(problem.load)
-    m = whole.m
-    lengths = np.append(
-        np.abs(problem.gap[whole.finite]) * (w[:m] > 0.0)
-        + abs(problem.rows[whole.finite]) @ abs(u),
-        np.zeros(w.size - m),
-    )
-    at, r = np.flatnonzero(active & whole.movable), whole.e.size
-    M = np.zeros((at.size + r, at.size + r))
-    M[: at.size, : at.size] = whole.Phi[np.ix_(at, at)]
-    M[: at.size, at.size :], M[at.size :, : at.size] = -whole.A[:, at].T, -whole.A[:, at]
+    forces = _EPS * (K @ np.abs(u) + np.abs(problem.load))
+    rows = problem.rows[whole.finite]
+    lengths = np.zeros(w.size)
+    lengths[:m] = abs(rows) @ np.abs(u) + np.abs(problem.gap[whole.finite]) * (w[:m] > 0.0)
+    parts = [
+        _Programme(whole, rows, whole._alphas(bodies))
+        for bodies, rows in whole._components()
+        if rows.size
+    ]
     found = np.zeros(len(whole.bodies))
     for _ in range(3):
-        df = _EPS * forces * rng.choice([-1.0, 1.0], forces.size)
-        dg = _EPS * lengths * rng.choice([-1.0, 1.0], lengths.size)
-        d, e, moved = -dg, [], []
+        df = forces * rng.choice([-1.0, 1.0], forces.size)
+        d = -_EPS * lengths * rng.choice([-1.0, 1.0], lengths.size)
+        own = [df[body.unknowns][body.free] for body in whole.bodies]
         for b, body in enumerate(whole.bodies):
-            own = df[body.unknowns][body.free]
-            moved.append(own)
-            d = d + whole.B[b] @ body.solve(own)
-            e.append(body.N.T @ own)
-        x, _ = _symmetric_solve(M, np.concatenate([d[at], -np.concatenate([*e, np.zeros(0)])]))
+            d = d + whole.B[b] @ body.solve(own[b])
+        e = np.concatenate([np.zeros(0)] + [B.N.T @ f for B, f in zip(whole.bodies, own, strict=True)])
         dw = np.zeros(w.size)
-        dw[at] = x[: at.size]
+        for part in parts:
+            dw[part.rows] = part.response(d, e, active[part.rows])
         for b, body in enumerate(whole.bodies):
-            v = body.solve(moved[b] - whole.B[b].T @ dw)
+            v = body.solve(own[b] - whole.B[b].T @ dw)
             springs = np.flatnonzero(whole.touched[m:, b])
             soft = float(np.sum(dw[m:][springs] ** 2 / problem.springs.stiffness[springs]))
             found[b] = max(found[b], np.sqrt(max(0.0, float(v @ body.K @ v)) + soft))

@@ -1,0 +1,647 @@
+"""Random contact problems of boxes in dolfinx: meshes of all cells, forms, conditions, contacts.
+
+`draw_mesh` makes a description that knows nothing of ranks; `pose` turns it into the package's
+problem on a communicator, `glue` into the matrices of the oracle, assembled by dolfinx on one rank
+without the package.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from mpi4py import MPI
+
+from petsc4py import PETSc
+
+import numpy as np
+import scipy.sparse as sp
+from glued import GluedProblem, Springs
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc
+from dolfinx.mesh import Mesh, meshtags
+
+from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle, Sphere
+from fenics_tfeti.io import Box, boxes, tag_facets
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+__all__ = ["MeshProblem", "contact_places", "draw_mesh", "glue", "node_numbers", "pose"]
+
+CELLS = {"quadrilateral": 2, "triangle": 2, "hexahedron": 3, "tetrahedron": 3}
+FAR = 1e10
+# of the measure of springs: all components, normal, one direction
+ALL, NORMAL, ALONG = 1, 2, 3
+
+
+# -- the description -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Box `slave` may touch box `master` by a face; axis and side of the slave's face."""
+
+    slave: int
+    master: int
+    axis: int
+    side: int
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A rigid obstacle at a face of a box.
+
+    Attributes
+    ----------
+    kind : str
+        "plane", "sphere" (a ball far below the face), "rough" (gaps of each node by a function) or
+        "patch" (the same, with `far` where there is no obstacle).
+    gap : float
+        Distance, or its size.
+    far : float
+        1e10 or infinite.
+    moved : (gdim,) array
+        A displacement of the obstacle.
+    """
+
+    box: int
+    axis: int
+    side: int
+    kind: str
+    gap: float
+    far: float
+    moved: Vector
+
+
+@dataclass(frozen=True)
+class Support:
+    """Prescribed components {component: value} on a face of a box."""
+
+    box: int
+    axis: int
+    side: int
+    values: dict[int, float]
+
+
+@dataclass(frozen=True)
+class Spring:
+    """A term k u.v, k (u.n)(v.n) or k (u.d)(v.d) on a face of a box."""
+
+    box: int
+    axis: int
+    side: int
+    kind: int
+    stiffness: float
+
+
+@dataclass
+class MeshProblem:
+    """A description; lengths in metres of the problem's own."""
+
+    cell: str
+    divisions: int
+    lower: Vector  # (boxes, gdim)
+    edges: Vector  # (gdim,)
+    young: Vector  # (boxes,)
+    jump: float  # factor of Young's modulus in every second cell
+    poisson: float
+    joints: list[Joint] = field(default_factory=list)
+    grounds: list[Ground] = field(default_factory=list)
+    supports: list[Support] = field(default_factory=list)
+    springs: list[Spring] = field(default_factory=list)
+    direction: Vector = field(default_factory=lambda: np.zeros(0))
+    tractions: list[tuple[int, int, int, Vector]] = field(default_factory=list)
+    weights: Vector = field(default_factory=lambda: np.zeros(0))  # (boxes, gdim)
+    options: dict[str, Any] = field(default_factory=dict)
+    story: list[str] = field(default_factory=list)
+
+    @property
+    def gdim(self) -> int:
+        return CELLS[self.cell]
+
+
+def draw_mesh(seed: int) -> MeshProblem:
+    """Draw the problem of a seed."""
+    rng = np.random.default_rng([seed, 2])
+    cell = str(rng.choice(list(CELLS)))
+    gdim = CELLS[cell]
+    n = int(rng.integers(1, 6) if gdim == 2 else rng.integers(1, 4))
+    count = int(rng.integers(1, 6 if gdim == 2 else 4))
+    while count > 1 and count * gdim * (n + 1) ** gdim > 600:
+        count -= 1
+    metre, modulus = 10.0 ** rng.uniform(-6, 3), 10.0 ** rng.uniform(-6, 12)
+    if rng.random() < 0.4:
+        metre, modulus = 1.0, 2.1e11
+    strain = 10.0 ** rng.uniform(-9, -1)
+    edges = metre * 2.0 ** rng.uniform(-1, 1, gdim)
+    unit = strain * float(edges.max())
+    lower, joints = _stack(rng, count, edges, unit)
+    young = modulus * (10.0 ** rng.uniform(-6, 0, count) if rng.random() < 0.4 else np.ones(count))
+    problem = MeshProblem(
+        cell=cell,
+        divisions=n,
+        lower=lower,
+        edges=edges,
+        young=young,
+        jump=float(10.0 ** rng.uniform(-4, 0)) if rng.random() < 0.2 else 1.0,
+        poisson=float(rng.choice([0.0, 0.3, 0.45])),
+        joints=joints,
+        direction=_unit(rng.normal(size=gdim)),
+        weights=np.zeros((count, gdim)),
+    )
+    moved = unit * 10.0 ** rng.uniform(0, 4) * rng.normal(size=gdim) * (rng.random() < 0.15)
+    _hold(problem, rng, unit, moved)
+    _load(problem, rng, strain)
+    problem.options = {
+        "rtol": float(10.0 ** rng.uniform(-8, -2)) if rng.random() < 0.7 else 1e-6,
+        "subdomain_size": int(rng.choice([30, 60, 100, 3000])),
+        "partitioner": str(rng.choice(["auto", "scotch"])),
+        "method": str(rng.choice(["active_set"] * 4 + ["smalbe"])),
+        "preconditioner": str(rng.choice(["lumped", "lumped", "dirichlet", "none"])),
+        "scaling": str(rng.choice(["stiffness"] * 4 + ["multiplicity"])),
+    }
+    problem.story = [
+        f"{count} boxes of {cell}, {n} elements an edge, edges {edges}",
+        f"strain {strain:.1e}, Young's moduli {young}, jump {problem.jump:.1e}",
+        *(str(part) for part in (*joints, *problem.grounds, *problem.supports, *problem.springs)),
+        f"tractions {problem.tractions}",
+        f"weights {problem.weights.tolist()}",
+        f"everything moved by {moved}",
+        f"options {problem.options}",
+    ]
+    return problem
+
+
+def _unit(vector: Vector) -> Vector:
+    return vector / np.linalg.norm(vector)
+
+
+def _stack(
+    rng: Generator, count: int, edges: Vector, unit: float
+) -> tuple[Vector, list[Joint]]:
+    """Put boxes next to each other as a tree; a gap moves a box along the axis of its joint."""
+    gdim = edges.size
+    places = [np.zeros(gdim, dtype=int)]
+    lower = [np.zeros(gdim)]
+    joints = []
+    while len(places) < count:
+        parent = int(rng.integers(len(places))) if rng.random() < 0.5 else len(places) - 1
+        axis, side = int(rng.integers(gdim)), int(rng.choice([-1, 1]))
+        step = side * np.eye(gdim, dtype=int)[axis]
+        place = places[parent] + step
+        # boxes meet by one joint only: others would be off by the gaps
+        if any(np.abs(place - other).sum() < 2 for k, other in enumerate(places) if k != parent):
+            if rng.random() < 0.1:
+                break
+            continue
+        kind = rng.choice(["zero", "open", "closed", "wide"], p=[0.5, 0.25, 0.15, 0.1])
+        amount = {
+            "zero": 0.0,
+            "open": unit * rng.random(),
+            "closed": -unit * rng.random(),
+            "wide": unit * 10.0 ** rng.uniform(0, 1.5),
+        }[str(kind)]
+        child = len(places)
+        places.append(place)
+        lower.append(lower[parent] + step * (edges + amount))
+        if rng.random() < 0.9:
+            if rng.random() < 0.5:
+                joints.append(Joint(child, parent, axis, -side))
+            else:
+                joints.append(Joint(parent, child, axis, side))
+    return np.array(lower), joints
+
+
+def _free_faces(problem: MeshProblem, box: int) -> list[tuple[int, int]]:
+    used = {(j.slave, j.axis, j.side) for j in problem.joints}
+    used |= {(j.master, j.axis, -j.side) for j in problem.joints}
+    used |= {(part.box, part.axis, part.side) for part in (*problem.grounds, *problem.supports)}
+    return [
+        (axis, side)
+        for axis in range(problem.gdim)
+        for side in (-1, 1)
+        if (box, axis, side) not in used
+    ]
+
+
+def _hold(problem: MeshProblem, rng: Generator, unit: float, moved: Vector) -> None:
+    """Draw supports, springs and obstacles of every box."""
+    gdim, count = problem.gdim, len(problem.lower)
+    for box in range(count):
+        kind = rng.choice(["clamp", "rollers", "spring", "component", "free"], p=[0.4, 0.2, 0.15, 0.1, 0.15])
+        faces = _free_faces(problem, box)
+        offset = moved + unit * rng.normal(size=gdim) * (rng.random() < 0.4)
+        if kind in ("clamp", "component") and faces:
+            axis, side = faces[rng.integers(len(faces))]
+            components = range(gdim) if kind == "clamp" else [int(rng.integers(gdim))]
+            values = {int(c): float(offset[c]) for c in components}
+            problem.supports.append(Support(box, axis, side, values))
+        elif kind == "rollers":
+            for axis in range(gdim):
+                own = [f for f in _free_faces(problem, box) if f[0] == axis]
+                if own:
+                    values = {axis: float(offset[axis])}
+                    problem.supports.append(Support(box, axis, own[rng.integers(len(own))][1], values))
+        if (kind == "spring" or rng.random() < 0.05) and not moved.any():
+            axis, side = int(rng.integers(gdim)), int(rng.choice([-1, 1]))
+            exponent = rng.uniform(-9, 2) if rng.random() < 0.8 else rng.uniform(-12, 3)
+            k = problem.young[box] / problem.edges.max() * 10.0**exponent
+            problem.springs.append(Spring(box, axis, side, int(rng.integers(1, 4)), float(k)))
+        faces = _free_faces(problem, box)
+        while faces and rng.random() < 0.3:
+            axis, side = faces[rng.integers(len(faces))]
+            problem.grounds.append(
+                Ground(
+                    box,
+                    axis,
+                    side,
+                    str(rng.choice(["plane", "sphere", "rough", "patch"])),
+                    float(unit * rng.choice([0.0, 1.0, -0.3, 1e3], p=[0.5, 0.25, 0.15, 0.1]) * rng.random()),
+                    float(rng.choice([FAR, np.inf])),
+                    moved.copy(),
+                )
+            )
+            faces = _free_faces(problem, box)
+
+
+def _load(problem: MeshProblem, rng: Generator, strain: float) -> None:
+    """Draw tractions and body forces; boxes that nothing holds are pushed against a contact."""
+    gdim = problem.gdim
+    held = {s.box for s in problem.supports if len(s.values) == gdim}
+    for box in range(len(problem.lower)):
+        stress = strain * problem.young[box]
+        towards = [
+            side * np.eye(gdim)[axis]
+            for axis, side in [
+                *((j.axis, j.side) for j in problem.joints if j.slave == box),
+                *((j.axis, -j.side) for j in problem.joints if j.master == box),
+                *((g.axis, g.side) for g in problem.grounds if g.box == box),
+            ]
+        ]
+        if box not in held and towards and rng.random() < 0.8:
+            push = towards[rng.integers(len(towards))]
+            problem.weights[box] = stress / problem.edges.max() * push * rng.random()
+            continue
+        choice = rng.random()
+        if choice < 0.35:
+            axis, side = int(rng.integers(gdim)), int(rng.choice([-1, 1]))
+            problem.tractions.append((box, axis, side, stress * rng.normal(size=gdim)))
+        elif choice < 0.7:
+            problem.weights[box] = stress / problem.edges.max() * rng.normal(size=gdim)
+
+
+# -- in dolfinx ------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Posed:
+    """A problem on a communicator."""
+
+    mesh: Mesh
+    V: Any
+    cell_tags: Any
+    faces: Any  # facet tags: 1 + number of the box's face
+    elastic: Any
+    springs: Any
+    load: Any
+    bcs: list[Any]
+    kept: list[Any]
+
+
+def _face_tag(problem: MeshProblem, box: int, axis: int, side: int) -> int:
+    return 1 + 2 * (problem.gdim * box + axis) + (side > 0)
+
+
+def _level(problem: MeshProblem, box: int, axis: int, side: int) -> float:
+    return float(problem.lower[box, axis] + (problem.edges[axis] if side > 0 else 0.0))
+
+
+def _set_up(problem: MeshProblem, comm: MPI.Comm) -> _Posed:
+    gdim, n = problem.gdim, problem.divisions
+    parts = [Box(low, low + problem.edges, (n,) * gdim, f"box {k}") for k, low in enumerate(problem.lower)]
+    tagged = boxes(comm, parts, problem.cell)
+    mesh = tagged.mesh
+    near = 1e-3 * float(problem.edges.min()) / n
+    markers = []
+    for box in range(len(parts)):
+        for axis in range(gdim):
+            for side in (-1, 1):
+                level = _level(problem, box, axis, side)
+                markers.append(
+                    (
+                        _face_tag(problem, box, axis, side),
+                        lambda x, axis=axis, level=level: np.abs(x[axis] - level) < near,
+                        box + 1,
+                    )
+                )
+    faces = tag_facets(mesh, markers, tagged.cell_tags)
+    V = _space(mesh, ("Lagrange", 1), gdim)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    young = fem.Function(_space(mesh, ("DG", 0)))
+    weight = fem.Function(_space(mesh, ("DG", 0), gdim))
+    _fill(problem, mesh, tagged.cell_tags, young, weight)
+    poisson = fem.Constant(mesh, PETSc.ScalarType(problem.poisson))
+    mu, lam = young / (2 * (1 + poisson)), young * poisson / ((1 + poisson) * (1 - 2 * poisson))
+    strain = ufl.sym(ufl.grad(u))
+    stress = 2 * mu * strain + lam * ufl.tr(strain) * ufl.Identity(gdim)
+    elastic = ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx
+
+    spring_tags, k = _spring_tags(problem, mesh, faces)
+    along = fem.Constant(mesh, problem.direction.astype(PETSc.ScalarType))
+    normal = ufl.FacetNormal(mesh)
+    on = ufl.Measure("ds", domain=mesh, subdomain_data=spring_tags)
+    springs = (
+        k * ufl.inner(u, v) * on(ALL)
+        + k * ufl.inner(u, normal) * ufl.inner(v, normal) * on(NORMAL)
+        + k * ufl.inner(u, along) * ufl.inner(v, along) * on(ALONG)
+    )
+    traction_tags, traction = _tractions(problem, mesh, faces)
+    over = ufl.Measure("ds", domain=mesh, subdomain_data=traction_tags)
+    load = ufl.inner(weight, v) * ufl.dx + ufl.inner(traction, v) * over(1)
+    bcs = [
+        _prescribed(V, faces, _face_tag(problem, s.box, s.axis, s.side), component, value)
+        for s in problem.supports
+        for component, value in s.values.items()
+    ]
+    kept = [young, weight, poisson, along, k, traction, spring_tags, traction_tags]
+    return _Posed(mesh, V, tagged.cell_tags, faces, elastic, springs, load, bcs, kept)
+
+
+def _space(mesh: Mesh, element: tuple[str, int], components: int = 0) -> Any:
+    if hasattr(fem, "functionspace"):
+        return fem.functionspace(mesh, (*element, (components,)) if components else element)
+    return (fem.VectorFunctionSpace if components else fem.FunctionSpace)(mesh, element)
+
+
+def _prescribed(V: Any, tags: Any, tag: int, component: int, value: float) -> Any:
+    fdim = V.mesh.topology.dim - 1
+    V.mesh.topology.create_connectivity(fdim, fdim + 1)
+    dofs = fem.locate_dofs_topological(V.sub(component), fdim, tags.find(tag))
+    return fem.dirichletbc(PETSc.ScalarType(value), dofs, V.sub(component))
+
+
+def _fill(problem: MeshProblem, mesh: Mesh, cell_tags: Any, young: Any, weight: Any) -> None:
+    """Set Young's modulus and the body force cell by cell; every second layer has the jump."""
+    gdim = problem.gdim
+    middle = young.function_space.tabulate_dof_coordinates()
+    for box, low in enumerate(problem.lower):
+        cells = cell_tags.find(box + 1)
+        layer = np.floor((middle[cells, 0] - low[0]) / problem.edges[0] * problem.divisions)
+        young.x.array[cells] = problem.young[box] * np.where(layer % 2, problem.jump, 1.0)
+        for c in range(gdim):
+            weight.x.array[gdim * cells + c] = problem.weights[box, c]
+    young.x.scatter_forward()
+    weight.x.scatter_forward()
+
+
+def _cell_of_facets(mesh: Mesh, facets: NDArray[np.int32]) -> NDArray[np.int32]:
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim - 1, dim)
+    to_cells = mesh.topology.connectivity(dim - 1, dim)
+    return to_cells.array[to_cells.offsets[facets]]
+
+
+def _tags(mesh: Mesh, facets: list[NDArray[np.int32]], values: list[int]) -> Any:
+    every = np.concatenate([np.zeros(0, dtype=np.int32), *facets])
+    marks = np.concatenate(
+        [np.zeros(0, dtype=np.int32), *(np.full(f.size, v, np.int32) for f, v in zip(facets, values, strict=True))]
+    )
+    order = np.argsort(every)
+    return meshtags(mesh, mesh.topology.dim - 1, every[order], marks[order])
+
+
+def _spring_tags(problem: MeshProblem, mesh: Mesh, faces: Any) -> tuple[Any, Any]:
+    """Return tags of the facets by kind, and the stiffness as a function of cells."""
+    k = fem.Function(_space(mesh, ("DG", 0)))
+    facets, kinds = [], []
+    for spring in problem.springs:
+        found = faces.find(_face_tag(problem, spring.box, spring.axis, spring.side))
+        k.x.array[_cell_of_facets(mesh, found)] = spring.stiffness
+        facets.append(found)
+        kinds.append(spring.kind)
+    k.x.scatter_forward()
+    return _tags(mesh, facets, kinds), k
+
+
+def _tractions(problem: MeshProblem, mesh: Mesh, faces: Any) -> tuple[Any, Any]:
+    gdim = problem.gdim
+    traction = fem.Function(_space(mesh, ("DG", 0), gdim))
+    facets = []
+    for box, axis, side, value in problem.tractions:
+        found = faces.find(_face_tag(problem, box, axis, side))
+        cells = _cell_of_facets(mesh, found)
+        for c in range(gdim):
+            traction.x.array[gdim * cells + c] = value[c]
+        facets.append(found)
+    traction.x.scatter_forward()
+    return _tags(mesh, facets, [1] * len(facets)), traction
+
+
+def _outward(problem: MeshProblem, axis: int, side: int) -> Vector:
+    return side * np.eye(problem.gdim)[axis]
+
+
+def ground_function(problem: MeshProblem, ground: Ground) -> Any:
+    """Return the obstacle as a function of points, or one of the package's."""
+    gdim, out = problem.gdim, _outward(problem, ground.axis, ground.side)
+    level = _level(problem, ground.box, ground.axis, ground.side)
+    middle = problem.lower[ground.box] + 0.5 * problem.edges
+    point = middle.copy()
+    point[ground.axis] = level
+    point = point + out * ground.gap + ground.moved
+    if ground.kind == "plane":
+        return Plane(point, -out)
+    if ground.kind == "sphere":
+        radius = 50.0 * float(problem.edges.max())
+        return Sphere(point + radius * out, radius)
+
+    def rough(x: Vector) -> tuple[Vector, Vector]:
+        place = (x[:gdim].T - problem.lower[ground.box]) / problem.edges
+        wave = 1.0 + 0.5 * np.sin(7.0 * place.sum(axis=1))
+        gap = ground.gap * wave + out @ ground.moved
+        if ground.kind == "patch":
+            gap = np.where(place[:, (ground.axis + 1) % gdim] < 0.6, gap, ground.far)
+        return gap, np.tile(-out[:, None], (1, x.shape[1]))
+
+    return rough
+
+
+def pose(problem: MeshProblem, comm: MPI.Comm) -> tuple[ContactProblem, _Posed]:
+    """Return the package's problem on a communicator. Collective."""
+    posed = _set_up(problem, comm)
+    contacts: list[Any] = [
+        ContactPair(
+            posed.faces,
+            slave=_face_tag(problem, j.slave, j.axis, j.side),
+            master=_face_tag(problem, j.master, j.axis, -j.side),
+        )
+        for j in problem.joints
+    ]
+    contacts += [
+        RigidObstacle(
+            posed.faces,
+            slave=_face_tag(problem, g.box, g.axis, g.side),
+            obstacle=ground_function(problem, g),
+        )
+        for g in problem.grounds
+    ]
+    a = posed.elastic + posed.springs if problem.springs else posed.elastic
+    problem_ = ContactProblem(
+        a, posed.load, posed.bcs, contacts, posed.cell_tags, options=problem.options
+    )
+    return problem_, posed
+
+
+# -- for the oracle --------------------------------------------------------------------------------
+
+
+def node_numbers(problem: MeshProblem, V: Any, cell_tags: Any) -> Numbers:
+    """Return box by box, lattice point by lattice point, the number of each local node of V."""
+    gdim = problem.gdim
+    x = V.tabulate_dof_coordinates()[:, :gdim]
+    numbers = np.full(len(x), -1, dtype=np.int64)
+    for box in range(len(problem.lower)):
+        cells = cell_tags.find(box + 1)
+        nodes = np.unique(np.concatenate([np.zeros(0, int), *(V.dofmap.cell_dofs(int(c)) for c in cells)]))
+        numbers[nodes] = lattice_numbers(problem, box, x[nodes])
+    assert (numbers[: V.dofmap.index_map.size_local] >= 0).all()
+    return numbers
+
+
+def lattice_numbers(problem: MeshProblem, box: int, x: Vector) -> Numbers:
+    """Return the numbers of nodes of a box at given places (k, gdim)."""
+    n, gdim = problem.divisions, problem.gdim
+    place = np.rint((x[:, :gdim] - problem.lower[box]) / problem.edges * n).astype(np.int64)
+    strides = (n + 1) ** np.arange(gdim)
+    return box * (n + 1) ** gdim + place @ strides
+
+
+def _face_nodes(problem: MeshProblem, box: int, axis: int, side: int) -> Numbers:
+    n, gdim = problem.divisions, problem.gdim
+    number = np.arange((n + 1) ** gdim)
+    level = number // (n + 1) ** axis % (n + 1)
+    return box * (n + 1) ** gdim + number[level == (n if side > 0 else 0)]
+
+
+@dataclass(frozen=True)
+class SlaveNodes:
+    """The nodes of a contact's slave, in the order of the oracle's rows."""
+
+    problem: MeshProblem
+    box: int
+    nodes: Numbers
+
+    def number(self, coordinates: Vector) -> Numbers:
+        """Return the numbers of nodes at given places (k, 3)."""
+        return lattice_numbers(self.problem, self.box, coordinates)
+
+
+def contact_places(problem: MeshProblem) -> list[SlaveNodes]:
+    """Return the slave nodes of each contact."""
+    faces = [(j.slave, j.axis, j.side) for j in problem.joints]
+    faces += [(g.box, g.axis, g.side) for g in problem.grounds]
+    return [SlaveNodes(problem, face[0], _face_nodes(problem, *face)) for face in faces]
+
+
+def _matrix(form: Any, order: Numbers) -> sp.csr_matrix:
+    matrix = petsc.assemble_matrix(fem.form(form))
+    matrix.assemble()
+    indptr, indices, data = matrix.getValuesCSR()
+    K = sp.csr_matrix((data, indices, indptr), shape=matrix.getSize())
+    K = K[order][:, order]
+    return (0.5 * (K + K.T)).tocsr()
+
+
+def glue(problem: MeshProblem) -> GluedProblem:
+    """Return the matrices of a problem, assembled on one rank without the package's solver."""
+    posed = _set_up(problem, MPI.COMM_SELF)
+    gdim, V = problem.gdim, posed.V
+    number = node_numbers(problem, V, posed.cell_tags)
+    node = np.argsort(number)
+    order = (gdim * node[:, None] + np.arange(gdim)).ravel()
+    coordinates = V.tabulate_dof_coordinates()[node, :gdim]
+    load = petsc.assemble_vector(fem.form(posed.load)).array[order].copy()
+    unknowns = load.size
+
+    fixed: dict[int, float] = {}
+    for s in problem.supports:
+        for i in _face_nodes(problem, s.box, s.axis, s.side):
+            for component, value in s.values.items():
+                fixed[gdim * int(i) + component] = value
+    where = np.array(sorted(fixed), dtype=np.int64)
+    rows, gap, contact = _rows(problem, coordinates)
+    springs = _spring_rows(problem, posed, order) if problem.springs else Springs(
+        sp.csr_matrix((0, unknowns)), np.zeros(0)
+    )
+    return GluedProblem(
+        coordinates,
+        np.sort(number) // (problem.divisions + 1) ** gdim,
+        _matrix(posed.elastic, order),
+        springs,
+        load,
+        where,
+        np.array([fixed[int(i)] for i in where]),
+        rows,
+        gap,
+        contact,
+    )
+
+
+def _spring_rows(problem: MeshProblem, posed: _Posed, order: Numbers) -> Springs:
+    """Return the springs as rows: the eigenvectors of their matrix, box by box."""
+    K = _matrix(posed.springs, order)
+    per_box = K.shape[0] // len(problem.lower)
+    rows, stiffness = [], []
+    for box in range(len(problem.lower)):
+        at = np.arange(box * per_box, (box + 1) * per_box)
+        values, vectors = np.linalg.eigh(K[at][:, at].toarray())
+        kept = values > 1e-12 * max(values.max(), 0.0)
+        rows.append(
+            sp.csr_matrix(
+                (vectors[:, kept].T.ravel(), (np.repeat(np.arange(kept.sum()), at.size), np.tile(at, kept.sum()))),
+                shape=(kept.sum(), K.shape[0]),
+            )
+        )
+        stiffness.append(values[kept])
+    return Springs(sp.vstack(rows, format="csr"), np.concatenate(stiffness))
+
+
+def _rows(problem: MeshProblem, x: Vector) -> tuple[sp.csr_matrix, Vector, Numbers]:
+    """Return C, the gaps and the contacts' numbers, from the lattice alone."""
+    gdim = problem.gdim
+    C, gaps, contact = [], [], []
+
+    def add(number: int, slave: Numbers, master: Numbers | None, normal: Vector, gap: Vector) -> None:
+        matrix = _select(slave, normal, x.size)
+        if master is not None:
+            matrix = matrix - _select(master, normal, x.size)
+        C.append(matrix)
+        gaps.append(gap)
+        contact.append(np.full(slave.size, number, dtype=np.int64))
+
+    for number, j in enumerate(problem.joints):
+        slave = _face_nodes(problem, j.slave, j.axis, j.side)
+        master = _face_nodes(problem, j.master, j.axis, -j.side)
+        normal = np.tile(_outward(problem, j.axis, j.side), (slave.size, 1))
+        add(number, slave, master, normal, np.sum((x[master] - x[slave]) * normal, axis=1))
+    for number, g in enumerate(problem.grounds, start=len(problem.joints)):
+        slave = _face_nodes(problem, g.box, g.axis, g.side)
+        points = np.zeros((3, slave.size))
+        points[:gdim] = x[slave].T
+        gap, normal = ground_function(problem, g)(points)
+        add(number, slave, None, -np.asarray(normal)[:gdim].T, np.asarray(gap))
+    if not C:
+        return sp.csr_matrix((0, x.size)), np.zeros(0), np.zeros(0, dtype=np.int64)
+    return sp.vstack(C, format="csr"), np.concatenate(gaps), np.concatenate(contact)
+
+
+def _select(nodes: Numbers, vectors: Vector, size: int) -> sp.csr_matrix:
+    count, gdim = vectors.shape
+    columns = gdim * nodes[:, None] + np.arange(gdim)
+    indptr = gdim * np.arange(count + 1)
+    return sp.csr_matrix((vectors.ravel().copy(), columns.ravel(), indptr), shape=(count, size))
