@@ -1,7 +1,7 @@
-"""What differs between dolfinx 0.5.2, 0.9 and 0.11: the only file that knows.
+"""Adapter to dolfinx 0.5.2, 0.9 and 0.11: the only file that depends on the version.
 
-One function for one difference. Each says what the versions do and how it dispatches: by asking
-for an attribute or an argument, before any communication.
+One function for each difference. Its docstring says what each version does and how the function
+dispatches: by an attribute or an argument, before any communication.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ def version() -> str:
 
 @contextmanager
 def quiet_compiler() -> Iterator[None]:
-    """Leave out the command lines that setuptools logs while a form or an element compiles.
+    """Suppress the command lines that setuptools logs while a form or an element is compiled.
 
     - 0.5.2 asks setuptools to log them as INFO of the root logger, and has given that logger a
       handler when ``ffcx`` was imported;
     - 0.9 and 0.11 write nothing.
 
-    Does not dispatch: where nothing is logged, nothing is left out. Warnings and errors of
+    Does not dispatch: where nothing is logged, nothing is suppressed. Warnings and errors of
     setuptools are logged, and what the compiler writes is not touched.
     """
     root = logging.getLogger()
@@ -239,7 +239,7 @@ def tags_are_on(tags: Any, domain: mesh.Mesh) -> bool:
 
 
 def partition_graph(offsets: Numbers, neighbours: Numbers, parts: int) -> Numbers:
-    """Partition a graph of this rank alone by SCOTCH, on one thread: always into the same parts.
+    """Partition a graph of this rank by SCOTCH, always into the same parts.
 
     - 0.5.2 has ``graph.create_adjacencylist``, 0.9 ``graph.adjacencylist``; 0.11 wraps its
       result in a Python class that the partitioner does not take.
@@ -267,7 +267,7 @@ def partition_graph(offsets: Numbers, neighbours: Numbers, parts: int) -> Number
 
 @contextmanager
 def _one_scotch_thread() -> Iterator[None]:
-    """Keep SCOTCH 7 from sharing work out to threads, whose parts differ from run to run."""
+    """Run SCOTCH 7 on one thread: with several, the parts differ from run to run."""
     name = "SCOTCH_PTHREAD_NUMBER"
     before = os.environ.get(name)
     os.environ[name] = "1"
@@ -394,7 +394,7 @@ def subdomain_data(form: ufl.Form) -> dict[str, Any]:
 
 
 def assemble_stiffness(form: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.float64]]:
-    """Assemble a bilinear form on a space of which ranks share nothing. Collective.
+    """Assemble a bilinear form on a space whose dofs no ranks share. Collective.
 
     The PETSc path is the same in all versions (native matrices of 0.5.2 have no blocks).
 
@@ -413,15 +413,15 @@ def assemble_stiffness(form: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[n
 
 
 def assemble_load(form: Any) -> NDArray[np.float64]:
-    """Assemble a linear form on a space of which ranks share nothing.
+    """Assemble a linear form on a space whose dofs no ranks share.
 
-    - 0.5.2 returns a vector with ``array``, so do 0.9 and 0.11.
+    - All versions return a vector with ``array``.
     """
     return np.array(fem.assemble_vector(form).array)
 
 
 def assemble_distributed(form: Any) -> NDArray[np.float64]:
-    """Assemble a bound linear form on a distributed mesh; return the owned entries, complete.
+    """Assemble a bound linear form on a distributed mesh; return the owned entries. Collective.
 
     - ``dolfinx.fem.petsc`` is an attribute of ``dolfinx.fem`` only after its own import in 0.11.
     """
@@ -523,7 +523,7 @@ def entity_nodes(
       the C++ mesh;
     - 0.9 divides by the number of entities, which ends the process when there are none.
 
-    Does not dispatch: no version is asked about no entities.
+    Does not dispatch: without entities, dolfinx is not called.
 
     Parameters
     ----------
@@ -567,7 +567,7 @@ def list_pieces_once(index: Path) -> None:
     - 0.5.2 lists the files once for each function, so that ParaView draws the mesh several times;
     - 0.9 and 0.11 list them once.
 
-    Does not dispatch: where nothing is repeated, nothing changes.
+    Does not dispatch: a list without repetitions is not changed.
 
     Parameters
     ----------

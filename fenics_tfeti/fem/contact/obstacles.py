@@ -69,7 +69,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class Sphere:
-    """A rigid ball (in 2D a disc), or with `hollow` the space around it.
+    """A rigid ball (in 2D a disc), or with `hollow` its complement.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Sphere:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A rigid cylinder of infinite length, or with `hollow` the space around it.
+    """A rigid cylinder of infinite length, or with `hollow` its complement.
 
     In 2D use `Sphere`, which is a disc there.
 
