@@ -201,6 +201,8 @@ class PrimalProblem:
         Bodies of the subdomains and of the contact rows.
     body_names : sequence of str
         Names of the bodies.
+    unit : float
+        The stiffness that a weight of 1 stands for [N/m].
     """
 
     stiffness: list[sp.csr_matrix]
@@ -209,6 +211,7 @@ class PrimalProblem:
     F: DualOperator
     row_bodies: RowBodies
     body_names: Sequence[str]
+    unit: float
 
     def internal_forces(self, u: Vector) -> Vector:
         """Return Ku."""
@@ -288,14 +291,13 @@ class PrimalProblem:
         for congruent, K in zip(self.F.interface.classes, self.stiffness, strict=True):
             congruent.put(diagonal, np.tile(K.diagonal(), (congruent.members.size, 1)))
         applied = self.load**2 + constraint_forces**2
-        rounding = np.finfo(float).eps
         by_unknown = np.stack(
             [
                 difference * self.internal_forces(difference),
                 recovered.strained * forces,
                 (self.internal_forces(recovered.strained) - forces) ** 2,
                 applied,
-                rounding**2 * (diagonal * recovered.torn**2 + applied / diagonal),
+                applied / diagonal,
             ]
         )
         sums = np.zeros((len(by_unknown), self.row_bodies.bodies))
@@ -305,8 +307,14 @@ class PrimalProblem:
             np.add.at(sums.T, self.row_bodies.of_subdomain, by_subdomain.T)
         self._comm.Allreduce(MPI.IN_PLACE, sums)
         error2, energy2, residual2, force2, rounding2 = np.maximum(sums, 0.0)
-        # the coarse problem spreads rounding errors over all bodies
-        rounding2 = np.full_like(rounding2, rounding2.sum())
+        # of forces, and of the rigid motions that close jumps; the coarse problem spreads rounding
+        # errors over all bodies
+        constraints, closing = self.F.constraints, self.c.copy()
+        rows = constraints.inequality
+        closing[rows] = np.where(recovered.closed, closing[rows], np.minimum(closing[rows], 0.0))
+        space = constraints.layout.space
+        motions2 = self.unit * space.dots((closing, closing))[0]
+        rounding2[:] = np.finfo(float).eps ** 2 * (rounding2.sum() + motions2)
         return _BodyMeasures(
             error2, energy2, residual2, force2, rounding2, self._deformation(recovered.strained)
         )

@@ -368,7 +368,13 @@ class _Loop:
         """Compute d~ and the scale: the energy norms of u_t at lambda~ and of its jumps."""
         F, layout = setup.F, setup.constraints.layout
         primal = PrimalProblem(
-            setup.local.stiffness, data.load, data.c, F, setup.row_bodies, body_names
+            setup.local.stiffness,
+            data.load,
+            data.c,
+            F,
+            setup.row_bodies,
+            body_names,
+            setup.local.unit,
         )
         d = feasible.jumps - data.c
         jumps = _energy_of_jumps(setup, data, d, timer, history)

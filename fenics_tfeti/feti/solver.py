@@ -257,20 +257,25 @@ class TornSolver:
 
     def _solution(self, outcome: Outcome, report: Report) -> TornSolution:
         constraints, multipliers = self.setup.constraints, outcome.candidate.multipliers
-        ends = np.cumsum([s.size for s in self.system.subdomains])[:-1]
+        ends = np.cumsum([s.size for s in self.system.subdomains])
         recovered = outcome.candidate.recovered
         force = np.zeros(multipliers.size)
         force[constraints.inequality] = constraints.scale * multipliers[constraints.inequality]
         own = constraints.own_rows
         normal_force = np.where(own < 0, 0.0, force[own]) if own.size else force[:0]
         return TornSolution(
-            np.split(recovered.displacement, ends),
-            np.split(recovered.torn, ends),
+            _split(recovered.displacement, ends),
+            _split(recovered.torn, ends),
             normal_force,
             normal_force > 0.0,
             multipliers,
             report,
         )
+
+
+def _split(torn: Vector, ends: NDArray[np.int64]) -> list[Vector]:
+    """Return the parts of a torn vector; none on a rank without subdomains."""
+    return np.split(torn, ends)[:-1]
 
 
 def _check_guess(guess: ContactGuess | None, system: TornSystem, options: Options) -> None:

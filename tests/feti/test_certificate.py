@@ -45,6 +45,11 @@ SYSTEMS = {
 }
 
 
+# Of the direct solution. Rounding in the entries of K makes the rigid motions of the stiff body cost
+# some 1e-8 of the energy of the soft one; for the package they cost nothing.
+ACCURACY = {"stiff on soft": 1e-7}
+
+
 def stiffness(system: TornSystem) -> np.ndarray:
     return scipy.linalg.block_diag(*(s.stiffness.toarray() for s in system.subdomains))
 
@@ -98,7 +103,7 @@ def test_bound_holds_and_is_sharp(name, options, rtol):
     u = np.concatenate(solution.displacements)
     bound = solution.report.certificate.error * energy_norm(system, u)
     error = energy_norm(system, u - exact(name))
-    accuracy = 1e-10 * energy_norm(system, u)
+    accuracy = ACCURACY.get(name, 1e-10) * energy_norm(system, u)
     assert error - accuracy <= bound <= 10.0 * error + accuracy
     assert bound <= max(rtol, 1e-9) * energy_norm(system, u)
 

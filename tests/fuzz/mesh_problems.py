@@ -181,9 +181,7 @@ def _unit(vector: Vector) -> Vector:
     return vector / np.linalg.norm(vector)
 
 
-def _stack(
-    rng: Generator, count: int, edges: Vector, unit: float
-) -> tuple[Vector, list[Joint]]:
+def _stack(rng: Generator, count: int, edges: Vector, unit: float) -> tuple[Vector, list[Joint]]:
     """Put boxes next to each other as a tree; a gap moves a box along the axis of its joint."""
     gdim = edges.size
     places = [np.zeros(gdim, dtype=int)]
@@ -233,7 +231,9 @@ def _hold(problem: MeshProblem, rng: Generator, unit: float, moved: Vector) -> N
     """Draw supports, springs and obstacles of every box."""
     gdim, count = problem.gdim, len(problem.lower)
     for box in range(count):
-        kind = rng.choice(["clamp", "rollers", "spring", "component", "free"], p=[0.4, 0.2, 0.15, 0.1, 0.15])
+        kind = rng.choice(
+            ["clamp", "rollers", "spring", "component", "free"], p=[0.4, 0.2, 0.15, 0.1, 0.15]
+        )
         faces = _free_faces(problem, box)
         offset = moved + unit * rng.normal(size=gdim) * (rng.random() < 0.4)
         if kind in ("clamp", "component") and faces:
@@ -246,7 +246,9 @@ def _hold(problem: MeshProblem, rng: Generator, unit: float, moved: Vector) -> N
                 own = [f for f in _free_faces(problem, box) if f[0] == axis]
                 if own:
                     values = {axis: float(offset[axis])}
-                    problem.supports.append(Support(box, axis, own[rng.integers(len(own))][1], values))
+                    problem.supports.append(
+                        Support(box, axis, own[rng.integers(len(own))][1], values)
+                    )
         if (kind == "spring" or rng.random() < 0.05) and not moved.any():
             axis, side = int(rng.integers(gdim)), int(rng.choice([-1, 1]))
             exponent = rng.uniform(-9, 2) if rng.random() < 0.8 else rng.uniform(-12, 3)
@@ -261,7 +263,11 @@ def _hold(problem: MeshProblem, rng: Generator, unit: float, moved: Vector) -> N
                     axis,
                     side,
                     str(rng.choice(["plane", "sphere", "rough", "patch"])),
-                    float(unit * rng.choice([0.0, 1.0, -0.3, 1e3], p=[0.5, 0.25, 0.15, 0.1]) * rng.random()),
+                    float(
+                        unit
+                        * rng.choice([0.0, 1.0, -0.3, 1e3], p=[0.5, 0.25, 0.15, 0.1])
+                        * rng.random()
+                    ),
                     float(rng.choice([FAR, np.inf])),
                     moved.copy(),
                 )
@@ -323,7 +329,10 @@ def _level(problem: MeshProblem, box: int, axis: int, side: int) -> float:
 
 def _set_up(problem: MeshProblem, comm: MPI.Comm) -> _Posed:
     gdim, n = problem.gdim, problem.divisions
-    parts = [Box(low, low + problem.edges, (n,) * gdim, f"box {k}") for k, low in enumerate(problem.lower)]
+    parts = [
+        Box(low, low + problem.edges, (n,) * gdim, f"box {k}")
+        for k, low in enumerate(problem.lower)
+    ]
     tagged = boxes(comm, parts, problem.cell)
     mesh = tagged.mesh
     near = 1e-3 * float(problem.edges.min()) / n
@@ -409,7 +418,10 @@ def _cell_of_facets(mesh: Mesh, facets: NDArray[np.int32]) -> NDArray[np.int32]:
 def _tags(mesh: Mesh, facets: list[NDArray[np.int32]], values: list[int]) -> Any:
     every = np.concatenate([np.zeros(0, dtype=np.int32), *facets])
     marks = np.concatenate(
-        [np.zeros(0, dtype=np.int32), *(np.full(f.size, v, np.int32) for f, v in zip(facets, values, strict=True))]
+        [
+            np.zeros(0, dtype=np.int32),
+            *(np.full(f.size, v, np.int32) for f, v in zip(facets, values, strict=True)),
+        ]
     )
     order = np.argsort(every)
     return meshtags(mesh, mesh.topology.dim - 1, every[order], marks[order])
@@ -507,7 +519,9 @@ def node_numbers(problem: MeshProblem, V: Any, cell_tags: Any) -> Numbers:
     numbers = np.full(len(x), -1, dtype=np.int64)
     for box in range(len(problem.lower)):
         cells = cell_tags.find(box + 1)
-        nodes = np.unique(np.concatenate([np.zeros(0, int), *(V.dofmap.cell_dofs(int(c)) for c in cells)]))
+        nodes = np.unique(
+            np.concatenate([np.zeros(0, int), *(V.dofmap.cell_dofs(int(c)) for c in cells)])
+        )
         numbers[nodes] = lattice_numbers(problem, box, x[nodes])
     assert (numbers[: V.dofmap.index_map.size_local] >= 0).all()
     return numbers
@@ -575,8 +589,10 @@ def glue(problem: MeshProblem) -> GluedProblem:
                 fixed[gdim * int(i) + component] = value
     where = np.array(sorted(fixed), dtype=np.int64)
     rows, gap, contact = _rows(problem, coordinates)
-    springs = _spring_rows(problem, posed, order) if problem.springs else Springs(
-        sp.csr_matrix((0, unknowns)), np.zeros(0)
+    springs = (
+        _spring_rows(problem, posed, order)
+        if problem.springs
+        else Springs(sp.csr_matrix((0, unknowns)), np.zeros(0))
     )
     return GluedProblem(
         coordinates,
@@ -603,7 +619,10 @@ def _spring_rows(problem: MeshProblem, posed: _Posed, order: Numbers) -> Springs
         kept = values > 1e-12 * max(values.max(), 0.0)
         rows.append(
             sp.csr_matrix(
-                (vectors[:, kept].T.ravel(), (np.repeat(np.arange(kept.sum()), at.size), np.tile(at, kept.sum()))),
+                (
+                    vectors[:, kept].T.ravel(),
+                    (np.repeat(np.arange(kept.sum()), at.size), np.tile(at, kept.sum())),
+                ),
                 shape=(kept.sum(), K.shape[0]),
             )
         )
@@ -616,7 +635,9 @@ def _rows(problem: MeshProblem, x: Vector) -> tuple[sp.csr_matrix, Vector, Numbe
     gdim = problem.gdim
     C, gaps, contact = [], [], []
 
-    def add(number: int, slave: Numbers, master: Numbers | None, normal: Vector, gap: Vector) -> None:
+    def add(
+        number: int, slave: Numbers, master: Numbers | None, normal: Vector, gap: Vector
+    ) -> None:
         matrix = _select(slave, normal, x.size)
         if master is not None:
             matrix = matrix - _select(master, normal, x.size)

@@ -665,7 +665,9 @@ def _noise(whole: _Condensed, u: Vector, w: Vector, active: Mask) -> Vector:
         own = [df[body.unknowns][body.free] for body in whole.bodies]
         for b, body in enumerate(whole.bodies):
             d = d + whole.B[b] @ body.solve(own[b])
-        e = np.concatenate([np.zeros(0)] + [B.N.T @ f for B, f in zip(whole.bodies, own, strict=True)])
+        e = np.concatenate(
+            [np.zeros(0)] + [B.N.T @ f for B, f in zip(whole.bodies, own, strict=True)]
+        )
         dw = np.zeros(w.size)
         for part in parts:
             dw[part.rows] = part.response(d, e, active[part.rows])

@@ -112,8 +112,10 @@ class Projector:
         W = moved - np.column_stack([coarse_space.prolong(column) for column in follow.T])
         owned = np.flatnonzero(self.rows[: coarse_space.constraints.layout.owned])
         gram = space.sum_over_ranks(W[owned].T @ W[owned])
-        # Z and W times U^{-1} with W'W = U'U
-        inverse = np.linalg.inv(np.linalg.cholesky(gram)).T
+        # Z and W times V S^{-1/2} with W'W = VSV'; motions that only springs resist move no row
+        squares, V = np.linalg.eigh(gram)
+        moving = squares > np.finfo(float).eps * squares.max(initial=0.0)
+        inverse = V[:, moving] / np.sqrt(squares[moving])
         weak = WeakMotions((coarse_space.coarse_motions(z) - follow) @ inverse, W @ inverse)
         return replace(self, weak=weak)
 
