@@ -3,7 +3,7 @@ PY := .venv/bin/python
 SPHINXOPTS ?= -W --keep-going
 
 .DEFAULT_GOAL := help
-.PHONY: help env env-wheel demo demos test test-wheel doctest verify check format docs clean
+.PHONY: help env env-wheel demo demos test test-wheel test-debian13 doctest verify check format docs clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  \1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -26,6 +26,9 @@ test: env  ## doctests, serial tests, then the MPI tests on 2 and 3 ranks
 test-wheel: env-wheel  ## the same tests with the dolfinx wheel
 	@tools/test.sh .venv-wheel
 
+test-debian13:  ## the same tests in Debian 13 (dolfinx 0.9), which debootstrap makes; needs root
+	@tools/debian13.sh make test
+
 doctest: env  ## the examples in the docstrings
 	$(PY) -m pytest -q --doctest-modules fenics_tfeti/qp fenics_tfeti/feti
 
@@ -45,5 +48,6 @@ docs: env  ## HTML pages in docs/_build/html
 	$(PY) -m sphinx -b html $(SPHINXOPTS) docs docs/_build/html
 
 clean:  ## remove the environments and what runs leave behind
-	rm -rf .venv .venv.lock .venv-wheel .venv-wheel.lock *.egg-info build docs/_build results
+	rm -rf .venv .venv.lock .venv-wheel .venv-wheel.lock .debian13 .debian13.lock
+	rm -rf *.egg-info build docs/_build results
 	rm -rf .pytest_cache .hypothesis .mypy_cache .ruff_cache

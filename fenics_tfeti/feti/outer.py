@@ -34,7 +34,7 @@ from fenics_tfeti.feti.recovery import (
 from fenics_tfeti.feti.setup import DualSetup
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.feti.tolerances import ROUNDING
-from fenics_tfeti.qp import OuterIteration, Products, SMALBEState
+from fenics_tfeti.qp import OuterIteration, Products, SMALBEState, Unbounded
 
 __all__ = ["ContactData", "DualState", "Outcome", "iterate_until_certified"]
 
@@ -425,19 +425,26 @@ class _Loop:
         """Run SMALBE-M on (11.40)."""
         before, feasible = len(self.history.outer), self.data.feasible
         problem = self._problem(LANCZOS_STEPS)
-        with self.timer.phase("iterations"):
-            result = solve_by_smalbe(
-                problem,
-                feasible,
-                self.d,
-                SMALBEState(state.multipliers - feasible, state.coarse_gradient),
-                rtol=tolerance / (self.scale or 1.0),
-                norm_b=self.scale * np.sqrt(problem.norm),
-                options=self.options,
-                outer_so_far=before,
-                products=self.history.products,
-                monitor=lambda line: self._log_outer(line, before),
+        try:
+            with self.timer.phase("iterations"):
+                result = solve_by_smalbe(
+                    problem,
+                    feasible,
+                    self.d,
+                    SMALBEState(state.multipliers - feasible, state.coarse_gradient),
+                    rtol=tolerance / (self.scale or 1.0),
+                    norm_b=self.scale * np.sqrt(problem.norm),
+                    options=self.options,
+                    outer_so_far=before,
+                    products=self.history.products,
+                    monitor=lambda line: self._log_outer(line, before),
+                )
+        except Unbounded:
+            reason = (
+                "SMALBE-M found no curvature along a direction: the contact conditions contradict "
+                "each other, or rounding hides it"
             )
+            return _Stage(state, solved=False, reason=reason)
         self.history.outer += result.history
         limits = {
             "max_it": f"limit of {self.options.smalbe_max_it} outer iterations (smalbe_max_it)",

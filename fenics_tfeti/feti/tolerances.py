@@ -46,4 +46,4 @@ ROUNDING = 1e-9
 # error need not be smaller than the tolerance times this part of the group's energy norm
 HARDLY_DEFORMED = 1e-3
 # energy norm, in units of what rounding leaves of forces and displacements, that counts as none
-UNDEFORMED = 1e3
+UNDEFORMED = 1e5

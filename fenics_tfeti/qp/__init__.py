@@ -10,7 +10,7 @@ from fenics_tfeti.qp.least_squares import (
     least_norm_nonnegative,
     nonnegative_least_squares,
 )
-from fenics_tfeti.qp.mprgp import MPRGPOptions, MPRGPResult, Products, mprgp
+from fenics_tfeti.qp.mprgp import MPRGPOptions, MPRGPResult, Products, Unbounded, mprgp
 from fenics_tfeti.qp.smalbe import OuterIteration, SMALBEOptions, SMALBEResult, SMALBEState, smalbe
 from fenics_tfeti.qp.space import Space
 from fenics_tfeti.qp.spectrum import lanczos_upper_bound
@@ -25,6 +25,7 @@ __all__ = [
     "SMALBEResult",
     "SMALBEState",
     "Space",
+    "Unbounded",
     "lanczos_upper_bound",
     "least_distance",
     "least_norm_nonnegative",

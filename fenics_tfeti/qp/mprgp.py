@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.qp.feasible_set import Bounds, Split
 from fenics_tfeti.qp.space import Space
 
-__all__ = ["Hessian", "MPRGPOptions", "MPRGPResult", "Products", "mprgp"]
+__all__ = ["Hessian", "MPRGPOptions", "MPRGPResult", "Products", "Unbounded", "mprgp"]
 
 Vector = NDArray[np.float64]
 Hessian = Callable[[Vector], tuple[Vector, Vector | None]]
@@ -20,6 +20,10 @@ Expansion = Literal["standard", "projected_cg"]
 
 # curvature of a direction relative to ||A|| that counts as none
 _NO_CURVATURE = 1e-15
+
+
+class Unbounded(ValueError):
+    """The cost has no lower bound on the feasible set, or rounding hides its curvature."""
 
 
 @dataclass
@@ -136,7 +140,7 @@ def mprgp(
 
     Raises
     ------
-    ValueError
+    Unbounded
         If the cost has no lower bound on the feasible set.
 
     Examples
@@ -226,7 +230,7 @@ class _Iteration:
         # 1 / step_length stands for ||A||: no curvature but that of rounding
         flat = curvature <= _NO_CURVATURE * pp / self.options.step_length
         if flat and not np.isfinite(longest):
-            raise ValueError(
+            raise Unbounded(
                 "the cost function falls without limit along a feasible direction: the Hessian is "
                 "not positive definite there; add the missing constraints or regularise"
             )
@@ -285,7 +289,7 @@ class _Iteration:
         Ad, Qd = self.product(d, "proportioning")
         gd, curvature = self.space.dots((self.g, d), (d, Ad))
         if curvature <= 0.0:
-            raise ValueError(
+            raise Unbounded(
                 "the cost function falls without limit when a bound is released: the Hessian is "
                 "not positive definite there; add the missing constraints or regularise"
             )

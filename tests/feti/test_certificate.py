@@ -45,8 +45,8 @@ SYSTEMS = {
 }
 
 
-# Of the direct solution. Rounding in the entries of K makes the rigid motions of the stiff body cost
-# some 1e-8 of the energy of the soft one; for the package they cost nothing.
+# Of the direct solution: rounding in the entries of K makes the rigid motions of the stiff body
+# cost some 1e-8 of the energy of the soft one; for the package they cost nothing.
 ACCURACY = {"stiff on soft": 1e-7}
 
 
