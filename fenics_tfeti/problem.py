@@ -251,6 +251,7 @@ class ContactProblem:
             self._body_names,
             [matched.name for matched in self._matched],
             self.space.mesh.comm,
+            [f"Dirichlet condition {i}" for i in range(len(self.bcs))],
         )
 
     def _refresh(self) -> None:

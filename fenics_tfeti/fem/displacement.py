@@ -92,7 +92,7 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
     Returns
     -------
     Prescribed
-        The values of this rank's degrees of freedom.
+        The values of this rank's degrees of freedom, each with the number of its last condition.
 
     Raises
     ------
@@ -104,6 +104,7 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
     size = block * (index_map.size_local + index_map.num_ghosts)
     given = np.zeros(size, dtype=bool)
     values = np.zeros(size)
+    condition = np.zeros(size, dtype=np.int64)
     with raise_collectively(space.mesh.comm):
         for number, bc in enumerate(bcs):
             if not _compat.bc_is_on(bc, space):
@@ -115,10 +116,14 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
             _check_values(space, number, dofs, new, given, values)
             given[dofs] = True
             values[dofs] = new
+            condition[dofs] = number
     unrolled = np.flatnonzero(given)
     nodes = index_map.local_to_global((unrolled // block).astype(np.int32))
     return Prescribed(
-        np.asarray(nodes, dtype=np.int64), (unrolled % block).astype(np.int64), values[unrolled]
+        np.asarray(nodes, dtype=np.int64),
+        (unrolled % block).astype(np.int64),
+        values[unrolled],
+        condition[unrolled],
     )
 
 
