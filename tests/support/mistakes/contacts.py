@@ -67,6 +67,24 @@ def obstacle_returns_nan(comm):
     scene.problem(contacts=contacts).solve()
 
 
+@mistake("contact 0", "gap", r"\+inf", "where there is no obstacle")
+def obstacle_returns_minus_infinity(comm):
+    scene = beams(comm)
+    contacts = [RigidObstacle(scene.facet_tags, SLAVE, lambda x: np.full(x.shape[1], -np.inf))]
+    scene.problem(contacts=contacts).solve()
+
+
+@mistake("contact 0", "normal is NaN", "5 points")
+def obstacle_returns_a_gap_but_nan_for_the_normal(comm):
+    scene = beams(comm)
+
+    def ground(x):
+        return x[1], np.full((2, x.shape[1]), np.nan)
+
+    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=ground)]
+    scene.problem(contacts=contacts).solve()
+
+
 @mistake("obstacle", "shape", r"\(5,\) and \(2, 5\)")
 def obstacle_returns_a_wrong_shape(comm):
     scene = beams(comm)
