@@ -16,6 +16,7 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError, NotConverged
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.checks import check_depth
 from fenics_tfeti.fem.contact.contact import (
     Contact,
     ContactPair,
@@ -128,7 +129,7 @@ class ContactProblem:
         self._displacement: Function | None = None
         prescribed = prescribed_values(self.space, self.bcs)
         with self._timer.phase("partition"):
-            bodies = find_bodies(self.space.mesh, cell_tags)
+            bodies = self._bodies = find_bodies(self.space.mesh, cell_tags)
             check_mesh(self.space.mesh, bodies, self.contacts)
         with self._timer.phase("contact search"):
             self._boundary = MeshBoundary.of(self.space)
@@ -234,6 +235,7 @@ class ContactProblem:
             if [id(c) for c in self._searched] != [id(c) for c in self.contacts]:
                 self._moved = []
             self._matched = match_contacts(self._boundary, self.contacts, known)
+            check_depth(self.space, self._bodies, self._matched)
             self._searched = list(self.contacts)
 
     def _assemble(self, known: Sequence[Subdomain] | None = None) -> list[Subdomain]:

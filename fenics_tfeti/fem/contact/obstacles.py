@@ -200,8 +200,8 @@ def gap_and_normal(
     Raises
     ------
     InputError
-        Wrong shapes, NaN or -inf, normals that are not of unit length, an exception of the function; an
-        obstacle whose normals all point away from the body.
+        Wrong shapes, NaN or -inf, normals that are not of unit length, an exception of the
+        function; an obstacle whose normals all point away from the body.
     """
     gdim = normal.shape[1]
     with raise_collectively(comm):
@@ -232,8 +232,9 @@ def gap_and_normal(
     there, faced = comm.allreduce(np.array([(~nothing).sum(), (facing & ~nothing).sum()])).tolist()
     if there and not faced:
         raise InputError(
-            f"{name}: the obstacle's normal points away from the body at all {there} nodes. "
-            "It has to point out of the obstacle, towards the body: change its sign (for a Sphere or Cylinder around the body, hollow=True)"
+            f"{name}: the obstacle's normal points away from the body at all {there} nodes. It has "
+            "to point out of the obstacle, towards the body: change its sign (for a Sphere or "
+            "Cylinder around the body, hollow=True)"
         )
     return gap, outward / length[:, None]
 

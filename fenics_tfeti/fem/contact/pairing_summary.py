@@ -34,7 +34,8 @@ def pairing_summary(
     name : str
         Name of the contact.
     gap, angle : (k,) arrays
-        Gaps [m], infinite where there is no obstacle, and angles between the slave's normals and the opposite of the master's [degrees].
+        Gaps [m], infinite where there is no obstacle, and angles between the slave's normals and
+        the opposite of the master's [degrees].
     total : int
         Number of slave nodes that this rank owns, with and without partner.
     distance, relative : (k,) arrays, optional

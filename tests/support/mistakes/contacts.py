@@ -6,7 +6,11 @@ import numpy as np
 import scenes
 from scenes import MASTER, SLAVE
 
-from fenics_tfeti import ContactPair, RigidObstacle, Sphere
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem, RigidObstacle, Sphere
+from fenics_tfeti.io import Box, boxes, tag_facets
 from mistakes.catalogue import beams, mistake
 
 
@@ -134,3 +138,36 @@ def obstacle_on_the_wrong_side(comm):
     plane = scenes.Plane((0.0, 1.0), (0.0, -1.0))
     contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=plane)]
     scene.problem(contacts=contacts).solve()
+
+
+LOWER_FACE, UPPER_FACE = 41, 42
+
+
+def plates(comm, slave, master):
+    """Lay a plate on another, 4 m wide and 0.5 m thick each, and pair two of their faces."""
+    parts = [Box((0, 0), (4, 0.5), (8, 2)), Box((0, 0.5), (4, 1.0), (8, 2))]
+    tagged = boxes(comm, parts, "quadrilateral")
+    (slave_body, slave_side), (master_body, master_side) = slave, master
+    marks = [
+        (LOWER_FACE, scenes.at(1, slave_side), slave_body),
+        (UPPER_FACE, scenes.at(1, master_side), master_body),
+        (scenes.CLAMPED, scenes.at(0, 0.0)),
+    ]
+    tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
+    V = scenes.vector_space(tagged.mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    load = fem.Constant(tagged.mesh, -1.0)
+    a = scenes.elasticity(u, v, fem.Constant(tagged.mesh, scenes.YOUNG))
+    bcs = [scenes.fixed(V, tags, scenes.CLAMPED, None)]
+    contacts = [ContactPair(tags, slave=LOWER_FACE, master=UPPER_FACE)]
+    ContactProblem(a, load * v[1] * ufl.dx, bcs, contacts, tagged.cell_tags).solve()
+
+
+@mistake("contact 0", "same way", "9 nodes", "far side")
+def surfaces_that_look_the_same_way(comm):
+    plates(comm, (1, 0.5), (2, 1.0))
+
+
+@mistake("contact 0", "9 slave nodes", "thick", "up to 1,", "far side")
+def surfaces_that_lie_back_to_back(comm):
+    plates(comm, (2, 1.0), (1, 0.0))
