@@ -16,6 +16,7 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError, NotConverged
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.arguments import given_conditions, given_contacts, given_forms
 from fenics_tfeti.fem.contact.checks import check_depth
 from fenics_tfeti.fem.contact.contact import (
     Contact,
@@ -62,10 +63,10 @@ class ContactProblem:
     a, L : ufl.Form
         Bilinear and linear form on one space of Lagrange elements of degree 1 with a component for
         each dimension, with integrals over cells (``dx``) and the boundary (``ds``). SI units are
-        meant in what follows; any consistent ones will do.
-    bcs : sequence of dolfinx.fem.DirichletBC
+        meant in what follows; any consistent ones will do. ``L = 0`` is no load.
+    bcs : sequence of dolfinx.fem.DirichletBC, one of them, or None
         Prescribed displacements, on the space or its components, of any value.
-    contacts : sequence of ContactPair or RigidObstacle
+    contacts : sequence of ContactPair or RigidObstacle, one of them, or None
         What may touch.
     cell_tags : MeshTags, optional
         A tag for every cell, where bodies are to be told apart by tags: each tag is one body, its
@@ -109,9 +110,9 @@ class ContactProblem:
     def __init__(
         self,
         a: ufl.Form,
-        L: ufl.Form,
-        bcs: Sequence[Any] = (),
-        contacts: Sequence[Contact] = (),
+        L: ufl.Form | float,
+        bcs: Sequence[Any] | Any | None = (),
+        contacts: Sequence[Contact] | Contact | None = (),
         cell_tags: Any | None = None,
         subdomains: Sequence[int] | None = None,
         options: Mapping[str, Any] | None = None,
@@ -119,8 +120,9 @@ class ContactProblem:
     ) -> None:
         self.options = contact_options(options, options_prefix)
         self._timer = Timer()
+        a, L = given_forms(a, L)
         self.space = space_of_forms(a, L)
-        self.bcs, self.contacts = list(bcs), list(contacts)
+        self.bcs, self.contacts = given_conditions(bcs), given_contacts(contacts)
         self._searched: list[Contact] = []
         self._matched: list[ContactPairing] = []
         self._moved: list[ContactPairing] = []
@@ -258,6 +260,8 @@ class ContactProblem:
 
     def _refresh(self) -> None:
         """Take in what changed since the last solve, or since the problem was set up."""
+        with raise_collectively(self.space.mesh.comm):
+            self.bcs, self.contacts = given_conditions(self.bcs), given_contacts(self.contacts)
         prescribed = prescribed_values(self.space, self.bcs)
         self._match_contacts()
         before, self._values = self._values, self._forms.values()

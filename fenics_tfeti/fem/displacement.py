@@ -52,6 +52,14 @@ def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
     space = arguments[0].ufl_function_space()
     if any(argument.ufl_function_space() != space for argument in arguments):
         raise InputError("the arguments of a and L are on different function spaces; use one")
+    cell = _compat.cell_name(space.mesh)
+    if cell not in MESH_CELLS:
+        raise InputError(
+            f"the mesh has cells of the type {cell}; supported are {', '.join(MESH_CELLS)}. Model "
+            "bars and points as bodies in two or three dimensions"
+            if cell in ("interval", "point")
+            else f"the mesh has cells of the type {cell}; supported are {', '.join(MESH_CELLS)}"
+        )
     family, degree, shape = _compat.element_facts(space)
     gdim = space.mesh.geometry.dim
     if shape != (gdim,):
@@ -64,11 +72,6 @@ def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
         raise InputError(
             f"the function space is {family} of degree {degree}; node-to-node contact needs "
             "Lagrange elements of degree 1"
-        )
-    cell = _compat.cell_name(space.mesh)
-    if cell not in MESH_CELLS:
-        raise InputError(
-            f"the mesh has cells of the type {cell}; supported are {', '.join(MESH_CELLS)}"
         )
     if space.mesh.topology.dim != gdim or _compat.geometry_degree(space.mesh) != 1:
         raise InputError(

@@ -171,3 +171,44 @@ def surfaces_that_look_the_same_way(comm):
 @mistake("contact 0", "9 slave nodes", "thick", "up to 1,", "far side")
 def surfaces_that_lie_back_to_back(comm):
     plates(comm, (2, 1.0), (1, 0.0))
+
+
+@mistake("contact 0", "slave", "'top'", "integer")
+def tag_that_is_a_name(comm):
+    scene = beams(comm)
+    scene.problem(contacts=[ContactPair(scene.facet_tags, slave="top", master=MASTER)])
+
+
+@mistake("contact 0", "master", r"\[6\]", "integer", "join them")
+def several_tags(comm):
+    scene = beams(comm)
+    scene.problem(contacts=[ContactPair(scene.facet_tags, slave=SLAVE, master=[MASTER])])
+
+
+@mistake("contact 0", "facet_tags", "ndarray", "meshtags")
+def facet_tags_that_are_an_array(comm):
+    scene = beams(comm)
+    scene.problem(contacts=[ContactPair(np.zeros(3), slave=SLAVE, master=MASTER)])
+
+
+@mistake("contact 0", "tuple", "ContactPair or a RigidObstacle")
+def contact_of_a_wrong_type(comm):
+    beams(comm).problem(contacts=[(SLAVE, MASTER)])
+
+
+@mistake("contacts is a int", "list of ContactPair")
+def contacts_that_are_a_number(comm):
+    beams(comm).problem(contacts=SLAVE)
+
+
+@mistake("contact 1", "str", "ContactPair")
+def wrong_contact_before_a_later_step(comm):
+    problem = beams(comm).problem()
+    problem.contacts.append("floor")
+    problem.solve()
+
+
+@mistake("contact 0", "obstacle is a float", "Plane")
+def obstacle_that_is_no_function(comm):
+    scene = beams(comm)
+    scene.problem(contacts=[RigidObstacle(scene.facet_tags, SLAVE, 0.0)])
