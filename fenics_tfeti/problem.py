@@ -16,6 +16,8 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError, NotConverged
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.arguments import given_conditions, given_contacts, given_forms
+from fenics_tfeti.fem.contact.checks import check_depth
 from fenics_tfeti.fem.contact.contact import (
     Contact,
     ContactPair,
@@ -61,10 +63,10 @@ class ContactProblem:
     a, L : ufl.Form
         Bilinear and linear form on one space of Lagrange elements of degree 1 with a component for
         each dimension, with integrals over cells (``dx``) and the boundary (``ds``). SI units are
-        meant in what follows; any consistent ones will do.
-    bcs : sequence of dolfinx.fem.DirichletBC
+        meant in what follows; any consistent ones will do. ``L = 0`` is no load.
+    bcs : sequence of dolfinx.fem.DirichletBC, one of them, or None
         Prescribed displacements, on the space or its components, of any value.
-    contacts : sequence of ContactPair or RigidObstacle
+    contacts : sequence of ContactPair or RigidObstacle, one of them, or None
         What may touch.
     cell_tags : MeshTags, optional
         A tag for every cell, where bodies are to be told apart by tags: each tag is one body, its
@@ -108,9 +110,9 @@ class ContactProblem:
     def __init__(
         self,
         a: ufl.Form,
-        L: ufl.Form,
-        bcs: Sequence[Any] = (),
-        contacts: Sequence[Contact] = (),
+        L: ufl.Form | float,
+        bcs: Sequence[Any] | Any | None = (),
+        contacts: Sequence[Contact] | Contact | None = (),
         cell_tags: Any | None = None,
         subdomains: Sequence[int] | None = None,
         options: Mapping[str, Any] | None = None,
@@ -118,8 +120,9 @@ class ContactProblem:
     ) -> None:
         self.options = contact_options(options, options_prefix)
         self._timer = Timer()
+        a, L = given_forms(a, L)
         self.space = space_of_forms(a, L)
-        self.bcs, self.contacts = list(bcs), list(contacts)
+        self.bcs, self.contacts = given_conditions(bcs), given_contacts(contacts)
         self._searched: list[Contact] = []
         self._matched: list[ContactPairing] = []
         self._moved: list[ContactPairing] = []
@@ -128,7 +131,7 @@ class ContactProblem:
         self._displacement: Function | None = None
         prescribed = prescribed_values(self.space, self.bcs)
         with self._timer.phase("partition"):
-            bodies = find_bodies(self.space.mesh, cell_tags)
+            bodies = self._bodies = find_bodies(self.space.mesh, cell_tags)
             check_mesh(self.space.mesh, bodies, self.contacts)
         with self._timer.phase("contact search"):
             self._boundary = MeshBoundary.of(self.space)
@@ -234,6 +237,7 @@ class ContactProblem:
             if [id(c) for c in self._searched] != [id(c) for c in self.contacts]:
                 self._moved = []
             self._matched = match_contacts(self._boundary, self.contacts, known)
+            check_depth(self.space, self._bodies, self._matched)
             self._searched = list(self.contacts)
 
     def _assemble(self, known: Sequence[Subdomain] | None = None) -> list[Subdomain]:
@@ -251,10 +255,13 @@ class ContactProblem:
             self._body_names,
             [matched.name for matched in self._matched],
             self.space.mesh.comm,
+            [f"Dirichlet condition {i}" for i in range(len(self.bcs))],
         )
 
     def _refresh(self) -> None:
         """Take in what changed since the last solve, or since the problem was set up."""
+        with raise_collectively(self.space.mesh.comm):
+            self.bcs, self.contacts = given_conditions(self.bcs), given_contacts(self.contacts)
         prescribed = prescribed_values(self.space, self.bcs)
         self._match_contacts()
         before, self._values = self._values, self._forms.values()

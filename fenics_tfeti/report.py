@@ -26,7 +26,7 @@ class ContactReport(Report):
         ``largest_distance`` [m] (what the tolerance limits; None for obstacles) and
         ``largest_relative_distance`` (to the size of the facets), ``largest_angle`` between the
         slave's normal and the opposite of its partner's [degrees], ``smallest_gap`` and
-        ``largest_gap`` [m].
+        ``largest_gap`` [m]. Nodes at which an obstacle's gap is infinite are unmatched.
     """
 
     passes: list[GeometryPass] = field(default_factory=list)

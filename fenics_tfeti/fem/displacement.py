@@ -52,6 +52,14 @@ def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
     space = arguments[0].ufl_function_space()
     if any(argument.ufl_function_space() != space for argument in arguments):
         raise InputError("the arguments of a and L are on different function spaces; use one")
+    cell = _compat.cell_name(space.mesh)
+    if cell not in MESH_CELLS:
+        raise InputError(
+            f"the mesh has cells of the type {cell}; supported are {', '.join(MESH_CELLS)}. Model "
+            "bars and points as bodies in two or three dimensions"
+            if cell in ("interval", "point")
+            else f"the mesh has cells of the type {cell}; supported are {', '.join(MESH_CELLS)}"
+        )
     family, degree, shape = _compat.element_facts(space)
     gdim = space.mesh.geometry.dim
     if shape != (gdim,):
@@ -64,11 +72,6 @@ def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
         raise InputError(
             f"the function space is {family} of degree {degree}; node-to-node contact needs "
             "Lagrange elements of degree 1"
-        )
-    cell = _compat.cell_name(space.mesh)
-    if cell not in MESH_CELLS:
-        raise InputError(
-            f"the mesh has cells of the type {cell}; supported are {', '.join(MESH_CELLS)}"
         )
     if space.mesh.topology.dim != gdim or _compat.geometry_degree(space.mesh) != 1:
         raise InputError(
@@ -92,7 +95,7 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
     Returns
     -------
     Prescribed
-        The values of this rank's degrees of freedom.
+        The values of this rank's degrees of freedom, each with the number of its last condition.
 
     Raises
     ------
@@ -104,6 +107,7 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
     size = block * (index_map.size_local + index_map.num_ghosts)
     given = np.zeros(size, dtype=bool)
     values = np.zeros(size)
+    condition = np.zeros(size, dtype=np.int64)
     with raise_collectively(space.mesh.comm):
         for number, bc in enumerate(bcs):
             if not _compat.bc_is_on(bc, space):
@@ -115,10 +119,14 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
             _check_values(space, number, dofs, new, given, values)
             given[dofs] = True
             values[dofs] = new
+            condition[dofs] = number
     unrolled = np.flatnonzero(given)
     nodes = index_map.local_to_global((unrolled // block).astype(np.int32))
     return Prescribed(
-        np.asarray(nodes, dtype=np.int64), (unrolled % block).astype(np.int64), values[unrolled]
+        np.asarray(nodes, dtype=np.int64),
+        (unrolled % block).astype(np.int64),
+        values[unrolled],
+        condition[unrolled],
     )
 
 

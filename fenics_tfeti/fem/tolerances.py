@@ -40,3 +40,8 @@ VANISHING_NORMAL = 1e-3
 
 # Deviation of the length of a user's unit normals from 1.
 UNIT_LENGTH = 1e-6
+
+# -- far away ----------------------------------------------------------------------------------
+
+# Gap of an obstacle [m] from which on it counts as infinite: squares of much larger ones overflow.
+NO_OBSTACLE = 1e100

@@ -7,6 +7,7 @@ A researcher with K_i, f_i and node numbers from any code fills a `TornSystem` a
 from fenics_tfeti.feti.certificate import Certificate
 from fenics_tfeti.feti.options import Options, parse_options
 from fenics_tfeti.feti.report import Report
+from fenics_tfeti.feti.resultants import Resultant
 from fenics_tfeti.feti.solver import TornSolution, TornSolver
 from fenics_tfeti.feti.system import (
     ContactGuess,
@@ -25,6 +26,7 @@ __all__ = [
     "Options",
     "Prescribed",
     "Report",
+    "Resultant",
     "Subdomain",
     "Timer",
     "TornSolution",

@@ -17,21 +17,19 @@ from petsc4py import PETSc
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.certificate import Certificate
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.dual.active_set import ActiveSetStep
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.outer import ContactData, History, Outcome
+from fenics_tfeti.feti.resultants import Resultant, resultants
 from fenics_tfeti.feti.setup import DualSetup
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.qp import OuterIteration
 
 __all__ = ["Report", "build_report", "peak_memory"]
-
-Vector = NDArray[np.float64]
 
 
 def peak_memory(comm: MPI.Intracomm) -> int:
@@ -72,6 +70,18 @@ class Report:
         1/2 u'Ku - f'u [J].
     contact_force : list of float
         Sum of the normal forces for each contact [N].
+    contact_forces : list of list of float
+        For each contact the sum of the forces on the slave as a vector [N].
+    load : Resultant
+        Force and moment of the load.
+    reactions : list of Resultant
+        For each Dirichlet condition the force and moment that the support exerts. Of several
+        conditions for one displacement the last one counts.
+    springs : Resultant
+        Force and moment that elastic supports in the bilinear form exert.
+    equilibrium : float
+        The sum of the forces of load, supports, springs and obstacles, relative to the largest sum
+        of magnitudes of nodal forces among them.
     free_motions : list of str
         Rigid motions that the solution leaves undetermined; their smallest amount was taken.
     certificate : Certificate
@@ -105,6 +115,11 @@ class Report:
     peak_memory_bytes: int
     energy: float
     contact_force: list[float]
+    contact_forces: list[list[float]]
+    load: Resultant
+    reactions: list[Resultant]
+    springs: Resultant
+    equilibrium: float
     free_motions: list[str]
     certificate: Certificate
     dual_tolerance: float
@@ -157,6 +172,7 @@ def build_report(
     slowest = {name: comm.allreduce(time, MPI.MAX) for name, time in timer.seconds.items()}
     explicit, classes = comm.allreduce(setup.F.explicit), comm.allreduce(len(setup.local.classes))
     products = history.products
+    sums = resultants(system, setup.F, setup.local.kernels, data.load, candidate.multipliers)
     return Report(
         unknowns={
             "primal": system.gdim * constraints.nodes,
@@ -184,7 +200,12 @@ def build_report(
         seconds={**slowest, "total": sum(slowest.values())},
         peak_memory_bytes=peak_memory(comm),
         energy=candidate.energy,
-        contact_force=_contact_forces(system, setup, force),
+        contact_force=sums.normal_forces,
+        contact_forces=sums.contact_forces,
+        load=sums.load,
+        reactions=sums.reactions,
+        springs=sums.springs,
+        equilibrium=sums.equilibrium,
         free_motions=[
             "; ".join(
                 describe_body_motion(
@@ -206,18 +227,6 @@ def build_report(
         history=history.outer,
         faces=history.faces,
     )
-
-
-def _contact_forces(system: TornSystem, setup: DualSetup, force: Vector) -> list[float]:
-    """Return the sum of the normal forces of each contact [N]."""
-    constraints, comm = setup.constraints, system.comm
-    contacts = len(system.contact_names) or int(
-        comm.allreduce(int(constraints.contact.max(initial=-1)), MPI.MAX) + 1
-    )
-    owned = constraints.owned_inequalities
-    sums = np.bincount(constraints.contact[:owned], weights=force[:owned], minlength=contacts)
-    total: list[float] = comm.allreduce(sums).tolist()
-    return total
 
 
 def _versions() -> dict[str, str]:

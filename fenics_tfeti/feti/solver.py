@@ -24,6 +24,7 @@ from fenics_tfeti.feti.outer import (
     iterate_until_certified,
 )
 from fenics_tfeti.feti.report import Report, build_report
+from fenics_tfeti.feti.resultants import normal_forces
 from fenics_tfeti.feti.setup import (
     DualSetup,
     LocalSetup,
@@ -256,13 +257,10 @@ class TornSolver:
         return solution
 
     def _solution(self, outcome: Outcome, report: Report) -> TornSolution:
-        constraints, multipliers = self.setup.constraints, outcome.candidate.multipliers
+        multipliers = outcome.candidate.multipliers
         ends = np.cumsum([s.size for s in self.system.subdomains])
         recovered = outcome.candidate.recovered
-        force = np.zeros(multipliers.size)
-        force[constraints.inequality] = constraints.scale * multipliers[constraints.inequality]
-        own = constraints.own_rows
-        normal_force = np.where(own < 0, 0.0, force[own]) if own.size else force[:0]
+        normal_force = normal_forces(self.setup.constraints, multipliers)
         return TornSolution(
             _split(recovered.displacement, ends),
             _split(recovered.torn, ends),

@@ -75,15 +75,22 @@ class Prescribed:
         Global node numbers and components.
     values : (k,) array
         [m].
+    condition : (k,) integer array, optional
+        Number of the Dirichlet condition that each is from, for the reactions; 0 by default. Of
+        several conditions for one displacement the one with the largest number counts.
     """
 
     nodes: Numbers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     components: Numbers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     values: Vector = field(default_factory=lambda: np.zeros(0))
+    condition: Numbers | None = None
 
     def __post_init__(self) -> None:
         """Convert lists and other types of numbers to arrays."""
         _convert(self, nodes=np.int64, components=np.int64, values=np.float64)
+        if self.condition is None:
+            _set(self, "condition", np.zeros(np.shape(self.nodes), dtype=np.int64))
+        _convert(self, condition=np.int64)
 
 
 @dataclass(frozen=True)
@@ -165,6 +172,8 @@ class TornSystem:
         Names of the contacts, by number.
     comm : MPI.Intracomm
         The ranks.
+    condition_names : sequence of str
+        Names of the Dirichlet conditions, by number.
     """
 
     subdomains: Sequence[Subdomain]
@@ -174,6 +183,7 @@ class TornSystem:
     body_names: Sequence[str] = ()
     contact_names: Sequence[str] = ()
     comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF)
+    condition_names: Sequence[str] = ()
 
     def body_name(self, body: int) -> str:
         """Return the name of a body."""

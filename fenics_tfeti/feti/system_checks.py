@@ -34,6 +34,8 @@ Vector = NDArray[np.float64]
 
 # the directory of nodes computes with numbers of up to twice this
 _LARGEST_NODE = 2**61
+# the report has an entry for each Dirichlet condition
+_MOST_CONDITIONS = 10**6
 # | |n| - 1 | of a unit normal
 _UNIT = 1e-6
 
@@ -101,6 +103,7 @@ def _check_parts(system: TornSystem) -> None:
         raise InputError(f"gdim: got {gdim!r}, expected 2 or 3")
     _check_names("body_names", system.body_names)
     _check_names("contact_names", system.contact_names)
+    _check_names("condition_names", system.condition_names)
     check_types(system)
     for number, subdomain in enumerate(system.subdomains):
         _check_subdomain(_name(system, number), subdomain, gdim)
@@ -232,7 +235,7 @@ def _check_nodes(name: str, nodes: Numbers) -> None:
         )
 
 
-def _check_range(what: str, numbers: Numbers, first: int, beyond: int) -> None:
+def _check_range(what: str, numbers: Any, first: int, beyond: int) -> None:
     wrong = np.flatnonzero((numbers < first) | (numbers >= beyond))
     if wrong.size:
         raise InputError(
@@ -328,8 +331,10 @@ def _check_prescribed(prescribed: Prescribed, gdim: int) -> None:
     shape = prescribed.nodes.shape
     _check_array("prescribed.components", prescribed.components, shape, np.int64)
     _check_array("prescribed.values", prescribed.values, shape, np.float64)
+    _check_array("prescribed.condition", prescribed.condition, shape, np.int64)
     _check_range("prescribed.nodes", prescribed.nodes, 0, _LARGEST_NODE)
     _check_range("prescribed.components", prescribed.components, 0, gdim)
+    _check_range("prescribed.condition", prescribed.condition, 0, _MOST_CONDITIONS)
     _check_finite("prescribed displacements", prescribed.values)
 
 

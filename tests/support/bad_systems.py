@@ -315,6 +315,21 @@ def prescribed_values_of_a_wrong_length(system):
     return prescribed(system, values=[0.0])
 
 
+@mistake("prescribed.condition", "(1,)", "expected (80,)")
+def prescribed_conditions_of_a_wrong_length(system):
+    return prescribed(system, condition=[0])
+
+
+@mistake("prescribed.condition", "not in [0, ", "-1")
+def negative_condition(system):
+    return prescribed(system, condition=changed(system.prescribed.condition, 0, -1))
+
+
+@mistake("condition_names", "str", "list of strings")
+def condition_names_that_are_one_string(system):
+    return dataclasses.replace(system, condition_names="clamped")
+
+
 @mistake("prescribed displacements", "NaN")
 def prescribed_value_nan(system):
     return prescribed(system, values=changed(system.prescribed.values, 0, np.nan))

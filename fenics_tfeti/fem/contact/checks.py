@@ -14,20 +14,25 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
+from dolfinx.fem import FunctionSpace
+
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import Contact, ContactPair, ContactPairing, RigidObstacle
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.search import Partners
 from fenics_tfeti.fem.contact.surfaces import MasterNodes, Surface
+from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, raise_where
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
+from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
 
 __all__ = [
     "check_arguments",
+    "check_depth",
     "check_different_nodes",
     "check_different_surfaces",
+    "check_facing",
     "check_not_crossed",
     "check_one_to_one",
     "check_partners",
@@ -195,6 +200,42 @@ def check_one_to_one(
     )
 
 
+def check_facing(
+    comm: MPI.Intracomm, slave: Surface, found: Mask, angle: Vector, name: str
+) -> None:
+    """Check that the slave's normals point against those of the partners.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks.
+    slave : Surface
+        The slave's surface.
+    found : (k,) bool array
+        Which of its nodes have a partner.
+    angle : (p,) array
+        Angles between their normals and the opposite of the partners' [degrees].
+    name : str
+        Name of the contact.
+
+    Raises
+    ------
+    InputError
+        With the number of nodes whose normals look the same way as the partners', and the first.
+    """
+    # a coarse mesh of a curved surface, or a normal that the user gave, may be off by a right angle
+    raise_where(
+        comm,
+        angle > 120.0,
+        slave.points[found],
+        lambda number, place: (
+            f"{name}: slave and master look the same way at {number} nodes, the first at {place}: "
+            "the outward normals of surfaces that touch point against each other. Is one of the "
+            "tags on the far side of its body?"
+        ),
+    )
+
+
 def check_not_crossed(
     comm: MPI.Intracomm,
     slave: Surface,
@@ -303,6 +344,82 @@ def check_different_surfaces(contacts: Sequence[Contact], comm: MPI.Intracomm) -
                     f"and master {sorted(tags)}: keep one of them"
                 )
             pairs[key] = number
+
+
+def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[ContactPairing]) -> None:
+    """Check that no slave node is deeper in its master than either body is thick. Collective.
+
+    So deep are surfaces that lie back to back, each on the far side of its body. The thickness is
+    that of the body's bounding box along the normal.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    bodies : Bodies
+        The bodies of its mesh.
+    pairings : sequence of ContactPairing
+        All contacts.
+
+    Raises
+    ------
+    InputError
+        With the contact, the number of such nodes and the first one.
+    """
+    comm = space.mesh.comm
+    inside = [(pairing.master >= 0) & (pairing.gap < 0.0) for pairing in pairings]
+    if not comm.allreduce(sum(int(mask.sum()) for mask in inside)):
+        return
+    size = _sizes_of_bodies(space, bodies)
+    index_map = space.dofmap.index_map
+    cells = _compat.cell_dofs(space)[: bodies.of_cell.size]
+    body = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int64)
+    body[cells] = bodies.of_cell[:, None]
+    nodes = np.unique(cells)
+    numbers = np.asarray(index_map.local_to_global(nodes.astype(np.int32)), dtype=np.int64)
+    directory = Directory(comm, numbers)
+    at_home = np.zeros(directory.keys.size, dtype=np.int64)
+    keys, values = directory.collect(numbers, body[nodes])
+    at_home[directory.position(keys)] = values
+    for pairing, mask in zip(pairings, inside, strict=True):
+        normal = np.abs(pairing.normal[mask])
+        ends = (pairing.slave[mask], pairing.master[mask])
+        thickness = [
+            np.sum(normal * size[directory.lookup(end, at_home)[1]], axis=1) for end in ends
+        ]
+        _raise_too_deep(comm, pairing, mask, np.minimum(*thickness))
+
+
+def _sizes_of_bodies(space: FunctionSpace, bodies: Bodies) -> Vector:
+    """Return the edges of the bodies' bounding boxes, (bodies, gdim)."""
+    comm, gdim = space.mesh.comm, space.mesh.geometry.dim
+    cells = _compat.geometry_cells(space.mesh)[: bodies.of_cell.size]
+    corners = space.mesh.geometry.x[cells, :gdim]
+    low = np.full((len(bodies.names), gdim), np.inf)
+    high = -low
+    np.minimum.at(low, bodies.of_cell, corners.min(axis=1, initial=np.inf))
+    np.maximum.at(high, bodies.of_cell, corners.max(axis=1, initial=-np.inf))
+    comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)
+    comm.Allreduce(MPI.IN_PLACE, high, MPI.MAX)
+    size: Vector = high - low
+    return size
+
+
+def _raise_too_deep(
+    comm: MPI.Intracomm, pairing: ContactPairing, inside: Mask, thickness: Vector
+) -> None:
+    gap = pairing.gap[inside]
+    deepest = comm.allreduce(float((-gap).max(initial=0.0)), MPI.MAX)
+    raise_where(
+        comm,
+        -gap > thickness,
+        pairing.coordinates[inside, : pairing.normal.shape[1]],
+        lambda number, place: (
+            f"{pairing.name}: {number} slave nodes are deeper in the master than one of the bodies "
+            f"is thick, by up to {deepest:.3g}, the first at {place}. Surfaces that touch face "
+            "each other: is one of the tags on the far side of its body?"
+        ),
+    )
 
 
 def check_different_nodes(

@@ -92,9 +92,8 @@ class RigidObstacle:
     obstacle : callable
         x -> (gap, normal) for points x of shape (3, n): the distance (n,) to the obstacle [m] and
         the unit normal (gdim, n) that points from the obstacle to the body. Or x -> gap alone, the
-        distance along the surface's own outward normal. An infinite gap means that there is no
-        obstacle at the point. `Plane`, `Sphere` and `Cylinder` are such
-        callables.
+        distance along the surface's own outward normal. Where there is no obstacle, the gap is
+        +inf and the normal is not used. `Plane`, `Sphere` and `Cylinder` are such callables.
     name : str
         For messages and the report.
     """
@@ -131,7 +130,7 @@ class ContactPairing:
     normal : (k, gdim) array
         Outward unit normals of the slave.
     gap : (k,) array
-        (chi(x) - x)'n (11.7) [m].
+        (chi(x) - x)'n (11.7) [m]; infinite where there is no obstacle.
     area : (k,) array
         Area of the surface (length in 2D) that belongs to the node [m^2 or m]; in a partial contact
         that of the facets whose nodes all have partners, where the node has such facets.
@@ -165,7 +164,7 @@ class ContactResult:
     coordinates : (k, 3) array
         [m].
     gap : (k,) array
-        Gap in the undeformed state [m].
+        Gap in the undeformed state [m]; infinite where there is no obstacle.
     normal : (k, gdim) array
         Outward unit normals of the slave.
     normal_force : (k,) array

@@ -48,7 +48,8 @@ class DeformedContact:
     normal : (k, gdim) array
         Outward unit normals of the slave in the deformed state.
     gap : (k,) array
-        Bound c of the row (u_slave - u_partner)'n <= c, in terms of the total displacement [m].
+        Bound c of the row (u_slave - u_partner)'n <= c, in terms of the total displacement [m];
+        infinite where there is no obstacle.
     distance : (k,) array
         Distance of the deformed slave node from the deformed master or the obstacle, along the
         normal; negative inside [m].

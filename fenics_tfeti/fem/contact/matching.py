@@ -14,6 +14,7 @@ from fenics_tfeti.fem.contact.checks import (
     check_arguments,
     check_different_nodes,
     check_different_surfaces,
+    check_facing,
     check_not_crossed,
     check_one_to_one,
     check_partners,
@@ -113,8 +114,8 @@ def match_contact(
     Raises
     ------
     InputError
-        Tags on no facet or on interior ones, slave nodes without a partner, shared nodes, pairs
-        that cross or are not one to one, wrong normals.
+        Tags on no facet or on interior ones, slave nodes without a partner, shared nodes, surfaces
+        that look the same way, pairs that cross or are not one to one, wrong normals.
     """
     name = contact_name(contact, number)
     if isinstance(contact, RigidObstacle):
@@ -180,13 +181,14 @@ def _match_pair(boundary: MeshBoundary, name: str, contact: ContactPair) -> Cont
     check_one_to_one(comm, slave, master, partners, found, contact.partial, name)
 
     at = partners.master[found]
+    angle = angles_between(slave.normal[found], -master.normal[at])
+    check_facing(comm, slave, found, angle, name)
     partner = master.points[at]
     covered = _covered_facets(boundary, slave, found, partner, name)
     area = _area_with_partners(boundary, slave, covered) if contact.partial else slave.area
     normal = slave.normal[found]
     gap = _without_rounding(np.sum((partner - slave.points[found]) * normal, axis=1), slave)
     distance = _without_rounding(partners.distance[found], slave)
-    angle = angles_between(normal, -master.normal[at])
     relative = distance / slave.size[found]
     return ContactPairing(
         name,

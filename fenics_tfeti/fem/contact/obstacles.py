@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem.messages import raise_where
-from fenics_tfeti.fem.tolerances import NO_DIRECTION, UNIT_LENGTH
+from fenics_tfeti.fem.tolerances import NO_DIRECTION, NO_OBSTACLE, UNIT_LENGTH
 from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively
 
@@ -69,7 +69,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class Sphere:
-    """A rigid ball (in 2D a disc), or with `hollow` its complement.
+    """A rigid ball (in 2D a disc), or with `hollow` the space around it.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Sphere:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A rigid cylinder of infinite length, or with `hollow` its complement.
+    """A rigid cylinder of infinite length, or with `hollow` the space around it.
 
     In 2D use `Sphere`, which is a disc there.
 
@@ -194,29 +194,28 @@ def gap_and_normal(
     Returns
     -------
     gap, outward : (k,) array, (k, gdim) array
-        Distances [m], infinite where there is no obstacle, and the obstacle's unit normals, which
-        point towards the body.
+        Distances [m] and the obstacle's unit normals, which point towards the body. Where there is
+        no obstacle, the distance is infinite and the normal the opposite of the body's.
 
     Raises
     ------
     InputError
-        Wrong shapes, NaN, normals that are not of unit length, an exception of the function; an
-        obstacle whose normals all point away from the body.
+        Wrong shapes, NaN or -inf, normals that are not of unit length, an exception of the
+        function; an obstacle whose normals all point away from the body.
     """
     gdim = normal.shape[1]
     with raise_collectively(comm):
         gap, outward = _evaluate_obstacle(obstacle, points, normal, name)
-    nowhere = gap == np.inf
-    # without an obstacle there the normal has no meaning
-    outward = np.where(nowhere[:, None], -normal, outward)
+    nothing = gap >= NO_OBSTACLE
+    gap = np.where(nothing, np.inf, gap)
+    outward = np.where(nothing[:, None], -normal, outward)
     raise_where(
         comm,
-        ~((np.isfinite(gap) | nowhere) & np.isfinite(outward).all(axis=1)),
+        ~((np.isfinite(gap) | nothing) & np.isfinite(outward).all(axis=1)),
         points[:, :gdim],
         lambda number, place: (
-            f"{name}: the obstacle's gap is NaN or -inf, or its normal NaN or infinite, at "
-            f"{number} points, the first at {place}. Where there is no obstacle, return the gap "
-            "+inf"
+            f"{name}: the obstacle's gap or normal is NaN or infinite at {number} points, the "
+            f"first at {place}. Only the gap may be +inf, where there is no obstacle"
         ),
     )
     length = np.linalg.norm(outward, axis=1)
@@ -229,11 +228,11 @@ def gap_and_normal(
             f"points, the first at {place}. Divide it by its length"
         ),
     )
-    opposite = ~nowhere & (np.sum(outward * normal, axis=1) < 0.0)
-    near, facing = (comm.allreduce(int(np.count_nonzero(x))) for x in (~nowhere, opposite))
-    if near and not facing:
+    facing = np.sum(outward * normal, axis=1) < 0.0
+    there, faced = comm.allreduce(np.array([(~nothing).sum(), (facing & ~nothing).sum()])).tolist()
+    if there and not faced:
         raise InputError(
-            f"{name}: the obstacle's normal points away from the body at all {near} nodes. It has "
+            f"{name}: the obstacle's normal points away from the body at all {there} nodes. It has "
             "to point out of the obstacle, towards the body: change its sign (for a Sphere or "
             "Cylinder around the body, hollow=True)"
         )

@@ -34,7 +34,8 @@ def pairing_summary(
     name : str
         Name of the contact.
     gap, angle : (k,) arrays
-        Gaps [m], and angles between the slave's normals and the opposite of the master's [degrees].
+        Gaps [m], infinite where there is no obstacle, and angles between the slave's normals and
+        the opposite of the master's [degrees].
     total : int
         Number of slave nodes that this rank owns, with and without partner.
     distance, relative : (k,) arrays, optional
@@ -44,13 +45,14 @@ def pairing_summary(
     Returns
     -------
     dict
-        An entry of `Report.pairing`.
+        An entry of `Report.pairing`; its numbers are None where there is no pair.
     """
-    gap = gap[np.isfinite(gap)]
-    pairs = comm.allreduce(gap.size)
+    there = np.isfinite(gap)
+    pairs = comm.allreduce(int(there.sum()))
 
-    def largest(values: Vector) -> float:
-        return float(comm.allreduce(float(values.max(initial=-np.inf)), MPI.MAX))
+    def largest(values: Vector, sign: float = 1.0) -> float | None:
+        most = comm.allreduce(float((sign * values[there]).max(initial=-np.inf)), MPI.MAX)
+        return 0.0 + sign * most if pairs else None
 
     return {
         "contact": name,
@@ -59,7 +61,7 @@ def pairing_summary(
         "largest_distance": None if distance is None else largest(distance),
         "largest_relative_distance": None if relative is None else largest(relative),
         "largest_angle": largest(angle),
-        "smallest_gap": 0.0 - largest(-gap),
+        "smallest_gap": largest(gap, -1.0),
         "largest_gap": largest(gap),
     }
 

@@ -93,6 +93,11 @@ def _tag_of_cell(domain: Mesh, cell_tags: Any | None) -> Numbers:
     if cell_tags is None:
         return tags
     with raise_collectively(domain.comm):
+        if not (hasattr(cell_tags, "indices") and hasattr(cell_tags, "dim")):
+            raise InputError(
+                f"cell_tags is a {type(cell_tags).__name__}; the mesh tags of the cells are "
+                "expected, as returned by dolfinx.mesh.meshtags"
+            )
         if cell_tags.dim != domain.topology.dim:
             raise InputError(
                 f"cell_tags are on entities of dimension {cell_tags.dim}, cells have dimension "

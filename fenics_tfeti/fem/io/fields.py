@@ -169,14 +169,15 @@ def displacement_space(mesh: Mesh) -> FunctionSpace:
 
 
 def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> list[Function]:
-    """Return the contact results as fields that are zero outside of slave nodes. Collective.
+    """Return the contact results as fields, zero where there is no contact. Collective.
 
     Parameters
     ----------
     space : FunctionSpace
         The displacement's space.
     contacts : sequence of ContactResult
-        Results of `ContactProblem`. Where a node is in several contacts, their values are added.
+        Results of `ContactProblem`. Where a node is in several contacts, their values are added;
+        infinite gaps, where there is no obstacle, are left out.
 
     Returns
     -------
@@ -196,7 +197,7 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
         nodes = contact.nodes - first
         at = to_scalar[nodes]
         pressure.x.array[at] += contact.pressure
-        gap.x.array[at] += contact.gap
+        gap.x.array[at] += np.where(np.isfinite(contact.gap), contact.gap, 0.0)
         components = block * nodes[:, None] + np.arange(block)
         force.x.array[components] -= contact.normal_force[:, None] * contact.normal
     for field in (pressure, gap, force):

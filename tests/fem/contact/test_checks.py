@@ -10,7 +10,10 @@ import scenes
 from scenes import MASTER, SLAVE, at
 from strips import bend, matched, strips
 
-from fenics_tfeti import ContactPair, InputError, Plane, RigidObstacle
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem, InputError, Plane, RigidObstacle
 from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.surfaces import MeshBoundary
 from fenics_tfeti.io import Box, boxes, tag_facets
@@ -105,3 +108,13 @@ def test_tolerance_that_is_not_a_positive_number(tolerance):
     V, tags = strips()
     with pytest.raises(InputError, match="a positive number is expected"):
         matched(V, ContactPair(tags, SLAVE, MASTER, tolerance=tolerance))
+
+
+def test_interference_fit_is_no_mistake():
+    """Two strips of 1 m that overlap by 0.3 m, more than the depth of an element."""
+    V, tags = strips((4, 8), (4, 8), gap=-0.3)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    a = scenes.elasticity(u, v, fem.Constant(V.mesh, 1.0))
+    zero = fem.Constant(V.mesh, 0.0)
+    problem = ContactProblem(a, zero * v[0] * ufl.dx, contacts=[ContactPair(tags, SLAVE, MASTER)])
+    assert problem.system.contacts.gap == pytest.approx(-0.3)

@@ -8,13 +8,14 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import GROUND, pressed_block
+from scenes import GROUND, at, pressed_block
 
 from fenics_tfeti import Cylinder, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact import obstacles
 from fenics_tfeti.fem.contact.matching import match_contact
 from fenics_tfeti.fem.contact.surfaces import MeshBoundary
+from fenics_tfeti.io import contact_fields, tag_facets
 
 X = np.array([[3.0, 0.0], [4.0, -10.0], [0.0, 0.0]])
 
@@ -166,3 +167,67 @@ def test_pairing_of_an_obstacle():
         "smallest_gap": 0.5,
         "largest_gap": 0.5,
     }
+
+
+HALF, WHOLE = 31, 32
+
+
+def pressed_on_a_punch(obstacle, tag, comm=MPI.COMM_SELF, options=None):
+    """Solve a block of 1 m pushed down by 0.01 mm on a flat punch below its left half."""
+    scene = pressed_block(comm, "quadrilateral", 8, approach=1e-5)
+    below = [(HALF, lambda x: np.isclose(x[1], 0.0) & (x[0] < 0.5 + 1e-9)), (WHOLE, at(1, 0.0))]
+    tags = tag_facets(scene.mesh, below[:1] if tag == HALF else below[1:])
+    problem = scene.problem(contacts=[RigidObstacle(tags, tag, obstacle)], options=options)
+    return problem, problem.solve()
+
+
+def punch(far):
+    def gap_and_normal(x):
+        # no normal where there is no obstacle
+        there = x[0] < 0.5 + 1e-9
+        normal = np.array([0.0 * x[0], np.where(there | (far < np.inf), 1.0, np.nan)])
+        return np.where(there, x[1], far), normal
+
+    return gap_and_normal
+
+
+@pytest.mark.parametrize("far", [np.inf, 1e10, 1e300, 1.0])
+@pytest.mark.parametrize("method", ["active_set", "smalbe"])
+def test_far_away_is_no_obstacle(far, method):
+    options = {"rtol": 1e-8, "method": method}
+    exact, u = pressed_on_a_punch(Plane((0, 0), (0, 1)), HALF, options=options)
+    problem, uh = pressed_on_a_punch(punch(far), WHOLE, options=options)
+    force = exact.report.contact_force[0]
+    assert force > 0.5e-5 * 2.1e11 / 2
+    np.testing.assert_allclose(problem.report.contact_force, force, rtol=1e-7)
+    np.testing.assert_allclose(uh.x.array, u.x.array, atol=1e-7 * 1e-5)
+    assert problem.report.converged
+
+
+def test_report_of_an_obstacle_that_is_not_everywhere(tmp_path):
+    problem, _ = pressed_on_a_punch(punch(np.inf), WHOLE)
+    (entry,) = problem.report.pairing
+    assert (entry["pairs"], entry["unmatched"]) == (5, 4)
+    assert (entry["smallest_gap"], entry["largest_gap"]) == (0.0, 0.0)
+    assert "inf" not in problem.report.pairing_table()
+    problem.report.to_json(tmp_path / "report.json")
+    assert "Infinity" not in (tmp_path / "report.json").read_text()
+    gap = contact_fields(problem.space, problem.contact)[2]
+    assert np.isfinite(gap.x.array).all()
+
+
+def test_obstacle_that_is_nowhere():
+    scene = pressed_block(MPI.COMM_SELF, "quadrilateral", 2)
+    contact = RigidObstacle(scene.facet_tags, GROUND, lambda x: np.full(x.shape[1], np.inf))
+    problem = scene.problem(contacts=[contact])
+    problem.solve()
+    assert problem.report.contact_force == [0.0]
+    assert problem.report.pairing[0]["largest_gap"] is None
+    assert "-" in problem.report.pairing_table()
+
+
+def test_punch_with_exact_non_penetration():
+    options = {"non_penetration": "exact", "rtol": 1e-8}
+    exact, u = pressed_on_a_punch(Plane((0, 0), (0, 1)), HALF, options=options)
+    _, uh = pressed_on_a_punch(lambda x: np.where(x[0] < 0.6, x[1], np.inf), WHOLE, options=options)
+    np.testing.assert_allclose(uh.x.array, u.x.array, atol=1e-6 * 1e-5)

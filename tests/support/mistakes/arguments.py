@@ -63,3 +63,8 @@ def coarse_with_other_contacts(comm):
 def coarse_with_another_method(comm):
     coarse = beams(comm).problem()
     beams(comm).problem(options={"method": "smalbe"}).solve(coarse=coarse)
+
+
+@mistake("cell_tags", "list", "meshtags")
+def cell_tags_that_are_a_list(comm):
+    beams(comm).problem(cell_tags=[1, 2])

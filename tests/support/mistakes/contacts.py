@@ -6,7 +6,11 @@ import numpy as np
 import scenes
 from scenes import MASTER, SLAVE
 
-from fenics_tfeti import ContactPair, RigidObstacle, Sphere
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem, RigidObstacle, Sphere
+from fenics_tfeti.io import Box, boxes, tag_facets
 from mistakes.catalogue import beams, mistake
 
 
@@ -67,6 +71,24 @@ def obstacle_returns_nan(comm):
     scene.problem(contacts=contacts).solve()
 
 
+@mistake("contact 0", "gap", r"\+inf", "where there is no obstacle")
+def obstacle_returns_minus_infinity(comm):
+    scene = beams(comm)
+    contacts = [RigidObstacle(scene.facet_tags, SLAVE, lambda x: np.full(x.shape[1], -np.inf))]
+    scene.problem(contacts=contacts).solve()
+
+
+@mistake("contact 0", "normal is NaN", "5 points")
+def obstacle_returns_a_gap_but_nan_for_the_normal(comm):
+    scene = beams(comm)
+
+    def ground(x):
+        return x[1], np.full((2, x.shape[1]), np.nan)
+
+    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=ground)]
+    scene.problem(contacts=contacts).solve()
+
+
 @mistake("obstacle", "shape", r"\(5,\) and \(2, 5\)")
 def obstacle_returns_a_wrong_shape(comm):
     scene = beams(comm)
@@ -116,3 +138,77 @@ def obstacle_on_the_wrong_side(comm):
     plane = scenes.Plane((0.0, 1.0), (0.0, -1.0))
     contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=plane)]
     scene.problem(contacts=contacts).solve()
+
+
+LOWER_FACE, UPPER_FACE = 41, 42
+
+
+def plates(comm, slave, master):
+    """Lay a plate on another, 4 m wide and 0.5 m thick each, and pair two of their faces."""
+    parts = [Box((0, 0), (4, 0.5), (8, 2)), Box((0, 0.5), (4, 1.0), (8, 2))]
+    tagged = boxes(comm, parts, "quadrilateral")
+    (slave_body, slave_side), (master_body, master_side) = slave, master
+    marks = [
+        (LOWER_FACE, scenes.at(1, slave_side), slave_body),
+        (UPPER_FACE, scenes.at(1, master_side), master_body),
+        (scenes.CLAMPED, scenes.at(0, 0.0)),
+    ]
+    tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
+    V = scenes.vector_space(tagged.mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    load = fem.Constant(tagged.mesh, -1.0)
+    a = scenes.elasticity(u, v, fem.Constant(tagged.mesh, scenes.YOUNG))
+    bcs = [scenes.fixed(V, tags, scenes.CLAMPED, None)]
+    contacts = [ContactPair(tags, slave=LOWER_FACE, master=UPPER_FACE)]
+    ContactProblem(a, load * v[1] * ufl.dx, bcs, contacts, tagged.cell_tags).solve()
+
+
+@mistake("contact 0", "same way", "9 nodes", "far side")
+def surfaces_that_look_the_same_way(comm):
+    plates(comm, (1, 0.5), (2, 1.0))
+
+
+@mistake("contact 0", "9 slave nodes", "thick", "up to 1,", "far side")
+def surfaces_that_lie_back_to_back(comm):
+    plates(comm, (2, 1.0), (1, 0.0))
+
+
+@mistake("contact 0", "slave", "'top'", "integer")
+def tag_that_is_a_name(comm):
+    scene = beams(comm)
+    scene.problem(contacts=[ContactPair(scene.facet_tags, slave="top", master=MASTER)])
+
+
+@mistake("contact 0", "master", r"\[6\]", "integer", "join them")
+def several_tags(comm):
+    scene = beams(comm)
+    scene.problem(contacts=[ContactPair(scene.facet_tags, slave=SLAVE, master=[MASTER])])
+
+
+@mistake("contact 0", "facet_tags", "ndarray", "meshtags")
+def facet_tags_that_are_an_array(comm):
+    scene = beams(comm)
+    scene.problem(contacts=[ContactPair(np.zeros(3), slave=SLAVE, master=MASTER)])
+
+
+@mistake("contact 0", "tuple", "ContactPair or a RigidObstacle")
+def contact_of_a_wrong_type(comm):
+    beams(comm).problem(contacts=[(SLAVE, MASTER)])
+
+
+@mistake("contacts is a int", "list of ContactPair")
+def contacts_that_are_a_number(comm):
+    beams(comm).problem(contacts=SLAVE)
+
+
+@mistake("contact 1", "str", "ContactPair")
+def wrong_contact_before_a_later_step(comm):
+    problem = beams(comm).problem()
+    problem.contacts.append("floor")
+    problem.solve()
+
+
+@mistake("contact 0", "obstacle is a float", "Plane")
+def obstacle_that_is_no_function(comm):
+    scene = beams(comm)
+    scene.problem(contacts=[RigidObstacle(scene.facet_tags, SLAVE, 0.0)])

@@ -7,7 +7,7 @@ import scenes
 from scenes import ROLLER, YOUNG
 
 import ufl
-from dolfinx import fem
+from dolfinx import fem, mesh
 
 from fenics_tfeti import ContactProblem
 from mistakes.catalogue import beams, mistake
@@ -94,3 +94,39 @@ def forms_on_two_meshes(comm):
     scene, other = beams(comm), beams(comm)
     scene.L = other.L
     scene.problem().solve()
+
+
+@mistake("form a", "compiled", "without dolfinx.fem.form")
+def compiled_stiffness(comm):
+    scene = beams(comm)
+    scene.a = fem.form(scene.a)
+    scene.problem()
+
+
+@mistake("form L", "compiled", "without dolfinx.fem.form")
+def compiled_load(comm):
+    scene = beams(comm)
+    scene.L = fem.form(scene.L)
+    scene.problem()
+
+
+@mistake("form L", "float", "form of UFL")
+def load_that_is_a_number(comm):
+    scene = beams(comm)
+    scene.L = 3.0
+    scene.problem()
+
+
+@mistake("form a", "NoneType", "form of UFL")
+def no_stiffness(comm):
+    scene = beams(comm)
+    scene.a = None
+    scene.problem()
+
+
+@mistake("interval", "two or three dimensions")
+def mesh_of_one_dimension(comm):
+    bar = mesh.create_unit_interval(comm, 4)
+    V = scenes.scalar_space(bar)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    ContactProblem(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, 0)

@@ -51,3 +51,13 @@ def tips_over_the_edge_of_its_support(comm):
 def nothing_is_fixed(comm):
     scene = beams(comm)
     scene.problem(bcs=[]).solve()
+
+
+@mistake("Dirichlet condition 0", "float", "dirichletbc")
+def condition_that_is_a_number(comm):
+    beams(comm).problem(bcs=[0.0])
+
+
+@mistake("bcs is a float", "list of Dirichlet conditions")
+def conditions_that_are_a_number(comm):
+    beams(comm).problem(bcs=0.0)

@@ -1,0 +1,149 @@
+"""Arguments of `ContactProblem` as users give them: forms, lists, tags; what is meant, or an error.
+
+They are the same on all ranks, and so are the errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+import ufl
+from dolfinx.fem import Constant
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.contact import Contact, ContactPair, RigidObstacle, contact_name
+
+__all__ = ["given_conditions", "given_contacts", "given_forms"]
+
+
+def given_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
+    """Return the forms; no load, as L = 0, is a form that vanishes.
+
+    Raises
+    ------
+    InputError
+        For what is no form of UFL, such as a compiled one.
+    """
+    _check_form(a, "the bilinear form a")
+    if _is_zero(L):
+        return a, _no_load(a)
+    _check_form(L, "the linear form L")
+    return a, L
+
+
+def given_conditions(bcs: Any) -> list[Any]:
+    """Return the Dirichlet conditions as a list: none for None, one for a single condition.
+
+    Raises
+    ------
+    InputError
+        With the first thing that is no Dirichlet condition.
+    """
+    conditions = _listed(bcs, _is_condition, "bcs", "Dirichlet conditions")
+    for number, bc in enumerate(conditions):
+        if not _is_condition(bc):
+            raise InputError(
+                f"Dirichlet condition {number} is a {type(bc).__name__}; a condition as returned "
+                "by dolfinx.fem.dirichletbc is expected"
+            )
+    return conditions
+
+
+def given_contacts(contacts: Any) -> list[Contact]:
+    """Return the contacts as a list: none for None, one for a single contact.
+
+    Raises
+    ------
+    InputError
+        With the first thing that is no contact, or a contact's tags or obstacle that are none.
+    """
+    found = _listed(contacts, _is_contact, "contacts", "ContactPair or RigidObstacle")
+    for number, contact in enumerate(found):
+        if not _is_contact(contact):
+            raise InputError(
+                f"contact {number} is a {type(contact).__name__}; a ContactPair or a RigidObstacle "
+                "is expected"
+            )
+        _check_contact(contact, contact_name(contact, number))
+    return found
+
+
+def _is_condition(thing: Any) -> bool:
+    return hasattr(thing, "function_space") and hasattr(_compat.cpp_object(thing), "dof_indices")
+
+
+def _is_contact(thing: Any) -> bool:
+    return isinstance(thing, ContactPair | RigidObstacle)
+
+
+def _listed(given: Any, is_one: Any, argument: str, expected: str) -> list[Any]:
+    if given is None:
+        return []
+    if is_one(given):
+        return [given]
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise InputError(
+            f"{argument} is a {type(given).__name__}; a list of {expected} is expected"
+        )
+    return list(given)
+
+
+def _check_form(form: Any, what: str) -> None:
+    if isinstance(form, ufl.Form):
+        return
+    if hasattr(_compat.cpp_object(form), "function_spaces"):
+        raise InputError(
+            f"{what} is compiled: pass the form of UFL itself, without dolfinx.fem.form, since it "
+            "is assembled on the subdomains"
+        )
+    raise InputError(
+        f"{what} is a {type(form).__name__}; a form of UFL is expected, such as "
+        "ufl.inner(f, v) * ufl.dx"
+    )
+
+
+def _is_zero(L: Any) -> bool:
+    """Tell whether a load vanishes: 0, a form without integrals, or the zero form of new UFL."""
+    if isinstance(L, bool | np.bool_):
+        return False
+    if isinstance(L, int | float | np.number):
+        return bool(L == 0)
+    zero = getattr(ufl, "ZeroBaseForm", None)
+    if zero is not None and isinstance(L, zero):
+        return True
+    return isinstance(L, ufl.Form) and L.empty()
+
+
+def _no_load(a: ufl.Form) -> ufl.Form:
+    """Return a linear form that vanishes, on the test function of a."""
+    if len(a.arguments()) != 2:
+        return ufl.Form([])
+    v = a.arguments()[0]
+    mesh = v.ufl_function_space().mesh
+    return ufl.inner(Constant(mesh, np.zeros(v.ufl_shape)), v) * ufl.dx(domain=mesh)
+
+
+def _check_contact(contact: Contact, name: str) -> None:
+    tags = contact.facet_tags
+    if not (hasattr(tags, "find") and hasattr(tags, "dim")):
+        raise InputError(
+            f"{name}: facet_tags is a {type(tags).__name__}; the mesh tags of the facets are "
+            "expected, as returned by dolfinx.mesh.meshtags"
+        )
+    for role in ("slave", "master") if isinstance(contact, ContactPair) else ("slave",):
+        tag = getattr(contact, role)
+        if isinstance(tag, bool) or not isinstance(tag, int | np.integer):
+            raise InputError(
+                f"{name}: the tag of the {role} is {tag!r}; an integer is expected, one of the "
+                f"values of facet_tags. Surfaces have numbers, not names; to use several tags, "
+                "join them under one"
+            )
+    if isinstance(contact, RigidObstacle) and not callable(contact.obstacle):
+        raise InputError(
+            f"{name}: the obstacle is a {type(contact.obstacle).__name__}; a function of x that "
+            "returns (gap, normal) or the gap is expected, such as Plane(point, normal)"
+        )

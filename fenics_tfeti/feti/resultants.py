@@ -1,0 +1,237 @@
+"""Resultants: forces and moments of loads, supports, springs and contacts, from B'lambda.
+
+The torn displacement fulfils Ku_t = f - B'lambda. At a prescribed component, -B'lambda summed over
+the copies of the node is what holds the node: the force of the support, and that of contacts, whose
+rows have no entry at prescribed components. Gluing rows add nothing to the sum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.dual.operator import DualOperator
+from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.parallel import Directory
+
+__all__ = ["Resultant", "Resultants", "normal_forces", "resultants"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Resultant:
+    """The sum of forces and of their moments.
+
+    Attributes
+    ----------
+    name : str
+        What exerts the forces.
+    force : list of float
+        gdim components [N]; [N/m] in 2D.
+    moment : list of float
+        About the origin, in the undeformed state: three components [N m], in 2D the one out of the
+        plane [N].
+    """
+
+    name: str
+    force: list[float]
+    moment: list[float]
+
+
+@dataclass(frozen=True)
+class Resultants:
+    """The resultants of a solution; equal on all ranks.
+
+    Attributes
+    ----------
+    load : Resultant
+        Of f.
+    reactions : list of Resultant
+        What the support exerts, for each Dirichlet condition. Of several conditions for one
+        displacement the last one counts.
+    springs : Resultant
+        What elastic supports in the stiffness exert.
+    normal_forces : list of float
+        For each contact the sum of the normal forces [N].
+    contact_forces : list of list of float
+        For each contact the force on the slave, gdim components [N].
+    equilibrium : float
+        The sum of all forces from outside (load, reactions, springs and obstacles), relative to the
+        largest sum of magnitudes of nodal forces of loads, supports and obstacles.
+    """
+
+    load: Resultant
+    reactions: list[Resultant]
+    springs: Resultant
+    normal_forces: list[float]
+    contact_forces: list[list[float]]
+    equilibrium: float
+
+
+@dataclass(frozen=True)
+class _NodalForces:
+    """Forces (k, gdim) at points (k, gdim), each on one rank only."""
+
+    points: Vector
+    forces: Vector
+
+    def sums(self) -> Vector:
+        """Return the sums of forces, of moments, and of the magnitudes of forces."""
+        moment = _moments(self.points, self.forces).sum(axis=0)
+        return np.concatenate([self.forces.sum(axis=0), moment, [_size(self.forces)]])
+
+
+def normal_forces(constraints: Constraints, multipliers: Vector) -> Vector:
+    """Return the normal force of each contact row that this rank gave [N].
+
+    It is zero for rows that are no rows of B: far away, decided by prescribed displacements, or
+    implied by others.
+    """
+    force = np.zeros(multipliers.size)
+    force[constraints.inequality] = constraints.scale * multipliers[constraints.inequality]
+    own = constraints.own_rows
+    return np.where(own < 0, 0.0, force[own]) if own.size else force[:0]
+
+
+def resultants(
+    system: TornSystem,
+    F: DualOperator,
+    kernels: Sequence[Vector],
+    load: Vector,
+    multipliers: Vector,
+) -> Resultants:
+    """Sum up the forces of a solution over all ranks. Collective.
+
+    Parameters
+    ----------
+    system : TornSystem
+        Subdomains, prescribed displacements and contact rows.
+    F : DualOperator
+        For B'.
+    kernels : sequence of (n_i, k_i) arrays
+        R_i of this rank's subdomains: one that cannot move rigidly has springs.
+    load : (n,) array
+        f of this rank's subdomains [N].
+    multipliers : (m,) array
+        lambda.
+    """
+    gdim, comm, rows = system.gdim, system.comm, system.contacts
+    x = np.concatenate([np.zeros((0, gdim)), *(s.coordinates for s in system.subdomains)])
+    loads = load.reshape(-1, gdim)
+    held = -F.constraint_forces(multipliers).reshape(-1, gdim)
+    normal = normal_forces(F.constraints, multipliers)
+    on_slave = -normal[:, None] * rows.normal
+
+    sprung = _with_springs(system, kernels)
+    # the other forces on a subdomain with springs, f - B'lambda = K u_t, balance theirs
+    springs = _NodalForces(x[sprung], -(loads + held)[sprung])
+    reactions = _reactions(system, x, held, on_slave)
+    outside = [_NodalForces(x, loads), springs, *reactions]
+    sums = comm.allreduce(np.array([forces.sums() for forces in outside]))
+
+    contacts = max(
+        len(system.contact_names), comm.allreduce(int(rows.contact.max(initial=-1)), MPI.MAX) + 1
+    )
+    of_contact = np.zeros((contacts, gdim + 1))
+    np.add.at(of_contact, rows.contact, np.column_stack([on_slave, normal]))
+    of_contact = comm.allreduce(of_contact)
+    of_obstacles = on_slave[rows.master < 0]
+    obstacles = comm.allreduce(np.append(of_obstacles.sum(axis=0), _size(of_obstacles)))
+
+    largest = max(sums[0, -1], sums[2:, -1].sum(), obstacles[-1])
+    missing = float(np.linalg.norm(sums[:, :gdim].sum(axis=0) + obstacles[:gdim]))
+    names = ["load", "springs", *_condition_names(system, len(reactions))]
+    load_sum, spring_sum, *supports = (
+        Resultant(name, row[:gdim].tolist(), row[gdim:-1].tolist())
+        for name, row in zip(names, sums, strict=True)
+    )
+    return Resultants(
+        load_sum,
+        supports,
+        spring_sum,
+        of_contact[:, gdim].tolist(),
+        of_contact[:, :gdim].tolist(),
+        missing / largest if largest > 0.0 else 0.0,
+    )
+
+
+def _size(forces: Vector) -> float:
+    return float(np.linalg.norm(forces, axis=1).sum())
+
+
+def _condition_names(system: TornSystem, conditions: int) -> list[str]:
+    unnamed = range(len(system.condition_names), conditions)
+    return [*system.condition_names, *(f"Dirichlet condition {i}" for i in unnamed)]
+
+
+def _moments(points: Vector, forces: Vector) -> Vector:
+    """Return the moments (k, 3) of forces about the origin, or (k, 1) in two dimensions."""
+    if points.shape[1] == 3:
+        return np.cross(points, forces)
+    return (points[:, 0] * forces[:, 1] - points[:, 1] * forces[:, 0])[:, None]
+
+
+def _with_springs(system: TornSystem, kernels: Sequence[Vector]) -> NDArray[np.bool_]:
+    """Tell which torn nodes are in subdomains that cannot move rigidly in all directions."""
+    rigid = {2: 3, 3: 6}[system.gdim]
+    return np.concatenate(
+        [
+            np.zeros(0, dtype=bool),
+            *(
+                np.full(subdomain.nodes.size, kernel.shape[1] < rigid)
+                for subdomain, kernel in zip(system.subdomains, kernels, strict=True)
+            ),
+        ]
+    )
+
+
+def _reactions(system: TornSystem, x: Vector, held: Vector, on_slave: Vector) -> list[_NodalForces]:
+    """Return for each Dirichlet condition the forces at prescribed components. Collective.
+
+    Each node's forces are summed on its home rank, from all its copies and contact rows.
+    """
+    comm, gdim, given = system.comm, system.gdim, system.prescribed
+    number = np.asarray(given.condition, dtype=np.int64)
+    conditions = max(
+        len(system.condition_names), comm.allreduce(int(number.max(initial=-1)), MPI.MAX) + 1
+    )
+    directory = Directory(comm, np.unique(given.nodes))
+    shape = (directory.keys.size, gdim)
+    nodes, components, number = directory.collect(given.nodes, given.components, number)
+    condition = np.full(shape, -1, dtype=np.int64)
+    np.maximum.at(condition, (directory.position(nodes), components), number)
+
+    nodes = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in system.subdomains)])
+    loaded = held.any(axis=1)
+    points, reaction = np.zeros(shape), np.zeros(shape)
+    at, where, force = directory.collect(nodes[loaded], x[loaded], held[loaded])
+    at, (where, force) = _known(directory, at, where, force)
+    points[at] = where
+    np.add.at(reaction, at, force)
+
+    # a contact force on a prescribed component is in the multiplier of the support
+    rows, pressed = system.contacts, on_slave.any(axis=1)
+    deformable = pressed & (rows.master >= 0)
+    ends = np.concatenate([rows.slave[pressed], rows.master[deformable]])
+    of_contact = np.concatenate([on_slave[pressed], -on_slave[deformable]])
+    at, (force,) = _known(directory, *directory.collect(ends, of_contact))
+    np.subtract.at(reaction, at, force)
+    return [
+        _NodalForces(points, np.where(condition == i, reaction, 0.0)) for i in range(conditions)
+    ]
+
+
+def _known(
+    directory: Directory, nodes: Numbers, *columns: Vector
+) -> tuple[Numbers, tuple[Vector, ...]]:
+    """Return the positions at home of the nodes that the directory has, and their columns."""
+    at = directory.position(nodes)
+    return at[at >= 0], tuple(column[at >= 0] for column in columns)
