@@ -33,7 +33,7 @@ from fenics_tfeti.feti.local.congruence import apply_by_class, times_rows
 from fenics_tfeti.feti.recovery import Recovered
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import HARDLY_DEFORMED, UNDEFORMED
-from fenics_tfeti.parallel import Directory
+from fenics_tfeti.parallel import Directory, concatenate_buffers
 
 __all__ = ["BodyError", "Certificate", "GroupError", "PrimalProblem", "RowBodies"]
 
@@ -143,8 +143,8 @@ class RowBodies:
 
     Attributes
     ----------
-    bodies : int
-        Number of bodies over all ranks.
+    bodies, contacts : int
+        Numbers of bodies and of contacts over all ranks.
     of_subdomain : (subdomains,) integer array
         The body of each of this rank's subdomains.
     first, last : (i,) integer arrays
@@ -152,6 +152,7 @@ class RowBodies:
     """
 
     bodies: int
+    contacts: int
     of_subdomain: Numbers
     first: Numbers
     last: Numbers
@@ -170,12 +171,14 @@ class RowBodies:
         last = np.full(directory.keys.size, -1, dtype=np.int64)
         np.minimum.at(first, directory.position(keys), bodies)
         np.maximum.at(last, directory.position(keys), bodies)
-        return RowBodies(count, of_subdomain, *directory.lookup(numbers, first, last)[1:])
+        contacts = system.comm.allreduce(int(constraints.contact.max(initial=-1)), MPI.MAX) + 1
+        first, last = directory.lookup(numbers, first, last)[1:]
+        return RowBodies(count, contacts, of_subdomain, first, last)
 
     def groups(self, comm: MPI.Intracomm, closed: Mask) -> Numbers:
         """Return the group of each body, given the contact rows that are closed. Collective."""
         pairs = np.unique(np.stack([self.first[closed], self.last[closed]]), axis=1)
-        first, last = np.concatenate(comm.allgather(pairs), axis=1)
+        first, last = concatenate_buffers(comm, *pairs)
         graph = sp.coo_matrix(
             (np.ones(first.size), (first, last)), shape=(self.bodies, self.bodies)
         )
@@ -344,8 +347,7 @@ class PrimalProblem:
         rows = constraints.inequality
         jump = (self.F.jumps(recovered.displacement) - self.c)[rows] / constraints.scale
         force = multipliers[rows] * constraints.scale
-        contacts = self._comm.allreduce(int(constraints.contact.max(initial=-1)), MPI.MAX) + 1
-        largest = np.zeros(contacts)
+        largest = np.zeros(bodies.contacts)
         np.maximum.at(largest, constraints.contact, force)
         self._comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
         scale = np.maximum(deformation[bodies.first], deformation[bodies.last])
@@ -365,7 +367,9 @@ class PrimalProblem:
     def energy(self, recovered: Recovered) -> float:
         """Return 1/2 u'Ku - f'u [J]."""
         u = recovered.displacement
-        return float(self._comm.allreduce(float(u @ (0.5 * self.internal_forces(u) - self.load))))
+        part = u @ (0.5 * self.internal_forces(u) - self.load)
+        space = self.F.constraints.layout.space
+        return float(space.sum_over_ranks(np.array([part]))[0])
 
 
 @dataclass(frozen=True)

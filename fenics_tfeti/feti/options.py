@@ -26,8 +26,8 @@ class Options:
     Attributes
     ----------
     rtol : float
-        Relative tolerance: eps of the dual stopping test (11.47) and the limit of every number of
-        the certificate.
+        Relative error of the displacement in the energy norm, of the whole and of each body, and
+        the limit of every other number of the certificate.
     method : {"active_set", "smalbe"}
         Primal-dual active set method, continued by SMALBE-M over MPRGP where it cycles; or SMALBE-M
         over MPRGP alone.
