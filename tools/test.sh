@@ -4,11 +4,14 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 venv=$1
 python=$venv/bin/python
+# One thread per process and rank.
+export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 echo "== $venv: doctests"
 "$python" -m pytest -q --doctest-modules fenics_tfeti/qp fenics_tfeti/feti
 echo "== $venv: serial tests"
-"$python" -m pytest tests -m "not heavy"
+# A file is run by one process, since its tests share what they have solved.
+"$python" -m pytest tests --ignore=tests/mpi -m "not heavy" -n auto --maxprocesses=4 --dist=loadfile
 
 # The mpirun must belong to the MPI library that mpi4py loads: the environment's own, or Debian's.
 mpirun=$venv/bin/mpiexec
@@ -20,8 +23,8 @@ if "$mpirun" --version | grep -q "Open MPI"; then
     options=(--oversubscribe)
     export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
 fi
-# One thread per rank. A hang that neither pytest_ranks nor pytest-timeout ends, timeout does.
-export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools${PYTHONPATH:+:$PYTHONPATH}
+# A hang that neither pytest_ranks nor pytest-timeout ends, timeout does.
+export PYTHONPATH=tools${PYTHONPATH:+:$PYTHONPATH}
 for ranks in 2 3; do
     echo "== $venv: MPI tests on $ranks ranks"
     timeout --kill-after=20 "${MPI_TIMEOUT:-1200}" "$mpirun" "${options[@]}" -n "$ranks" \
