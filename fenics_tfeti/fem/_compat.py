@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ import dolfinx
 import dolfinx.fem.petsc
 import ufl
 from dolfinx import cpp, fem, mesh
+from ufl.algorithms import extract_coefficients
 
 from fenics_tfeti.fem.reference_cells import reference_cell
 
@@ -52,6 +53,25 @@ def quiet_compiler() -> Iterator[None]:
         yield
     finally:
         root.removeFilter(_is_no_command_line)
+
+
+@contextmanager
+def identifiers_as_names(functions: Iterable[Any]) -> Iterator[None]:
+    """Give functions names that are identifiers while code is generated from them.
+
+    - 0.5.2 makes names in C of a function's name, which may have spaces;
+    - 0.9 and 0.11 do not use it.
+
+    Does not dispatch: the names are restored.
+    """
+    names = [(w, w.name) for w in functions if not w.name.isidentifier()]
+    for number, (w, _) in enumerate(names):
+        w.name = f"renamed_{number}"
+    try:
+        yield
+    finally:
+        for w, name in names:
+            w.name = name
 
 
 def _is_no_command_line(record: logging.LogRecord) -> bool:
@@ -304,7 +324,7 @@ class CompiledForm:
         self._form = form
         self._new = hasattr(fem, "create_form")
         compile_form = fem.compile_form if self._new else dolfinx.jit.ffcx_jit
-        with quiet_compiler():
+        with quiet_compiler(), identifiers_as_names(form.coefficients()):
             self._compiled = compile_form(comm, form)
 
     def bind(
@@ -556,7 +576,7 @@ def interpolate_expression(expression: Any, function: Any) -> None:
     """
     points = function.function_space.element.interpolation_points
     points = points() if callable(points) else points
-    with quiet_compiler():
+    with quiet_compiler(), identifiers_as_names(extract_coefficients(expression)):
         compiled = fem.Expression(expression, points)
     function.interpolate(compiled)
 

@@ -40,7 +40,7 @@ def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Fu
     Returns
     -------
     dolfinx.fem.Function
-        Constant on each cell [Pa], named "von Mises stress".
+        Constant on each cell [Pa], named "von_mises_stress".
 
     Raises
     ------
@@ -67,7 +67,7 @@ def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Fu
         )
     deviator = stress - ufl.tr(stress) / 3 * ufl.Identity(3)
     constants = _compat.lagrange_space(mesh, 0, discontinuous=True)
-    result = Function(constants, name="von Mises stress")
+    result = Function(constants, name="von_mises_stress")
     _compat.interpolate_expression(ufl.sqrt(3 / 2 * ufl.inner(deviator, deviator)), result)
     return result
 
@@ -182,12 +182,13 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
     Returns
     -------
     list of Function
-        "contact pressure" [Pa], "contact force" [N] (normal, times the outward normal) and
-        "initial gap" [m].
+        "contact_pressure" [Pa], "contact_force" [N] (normal, times the outward normal) and
+        "initial_gap" [m]. Some versions of dolfinx compile no form of a field whose name has
+        spaces.
     """
     scalar = _compat.lagrange_space(space.mesh, 1)
-    pressure, gap = Function(scalar, name="contact pressure"), Function(scalar, name="initial gap")
-    force = Function(space, name="contact force")
+    pressure, gap = Function(scalar, name="contact_pressure"), Function(scalar, name="initial_gap")
+    force = Function(space, name="contact_force")
     block = space.dofmap.index_map_bs
     # both spaces have one (blocked) degree of freedom for each vertex, in the same order by cells
     to_scalar = np.empty(len(force.x.array) // block, dtype=np.int32)

@@ -114,7 +114,8 @@ def draw_deformed(
         if view is not None:
             if scale is None:
                 scale = _round_scale(view)
-            name = label or (colour.name if colour is not None else "displacement")
+            field = colour.name if colour is not None else "displacement"
+            name = label or field.replace("_", " ")
             data = {
                 **vars(view),
                 "colours": view.colours / _IN_SI[unit],

@@ -10,13 +10,14 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from scenes import elasticity, pressed_block
 
 import dolfinx
 import ufl
 from dolfinx import fem
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.io import Box, boxes, von_mises, write_fields
+from fenics_tfeti.io import Box, boxes, contact_fields, von_mises, write_fields
 
 GDIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
 
@@ -79,7 +80,7 @@ def test_von_mises_stress_is_one_number_for_each_cell():
     mesh = unit_mesh("hexahedron")
     x = ufl.SpatialCoordinate(mesh)
     result = von_mises(mesh, x[0] * ufl.diag(ufl.as_vector([1.0, 0.0, 0.0])))
-    assert result.name == "von Mises stress"
+    assert result.name == "von_mises_stress"
     assert sorted(result.x.array) == pytest.approx([1 / 4, 3 / 4])  # at the centres
 
 
@@ -170,3 +171,33 @@ def test_folder_that_is_a_file_is_an_error(fields, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OSError, match="file"):
         write_fields(tmp_path / "file" / "a.pvd", fields)
+
+
+def test_fields_may_be_used_in_forms():
+    scene = pressed_block(MPI.COMM_SELF, "quadrilateral")
+    problem = scene.problem()
+    problem.solve()
+    mesh = scene.mesh
+    stress = von_mises(mesh, fem.Constant(mesh, np.diag([3.0, 0.0, 0.0])))
+    pressure, force, gap = contact_fields(scene.V, problem.contact)
+    for field in (stress, pressure, force[1], gap):
+        assert np.isfinite(fem.assemble_scalar(fem.form(field * ufl.ds(domain=mesh))))
+    assert [w.name for w in (stress, pressure, force, gap)] == [
+        "von_mises_stress",
+        "contact_pressure",
+        "contact_force",
+        "initial_gap",
+    ]
+
+
+def test_fields_of_the_user_may_have_spaces_in_their_names():
+    scene = pressed_block(MPI.COMM_SELF, "quadrilateral")
+    young = fem.Function(space(scene.mesh, "DG", 0), name="Young's modulus")
+    young.x.array[:] = 2.1e11
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    scene.a = elasticity(u, v, young)
+    problem = scene.problem()
+    problem.solve()
+    np.testing.assert_allclose(problem.report.contact_force, scene.total_forces, rtol=1e-8)
+    assert von_mises(scene.mesh, young * ufl.Identity(3)).x.array == pytest.approx(0.0, abs=1e-3)
+    assert young.name == "Young's modulus"
