@@ -271,7 +271,7 @@ class _Condensed:
         ).astype(np.int64)
 
     def unresisted_motion(self) -> str:
-        """Tell whether the load does work on a motion that no support, spring or contact resists."""
+        """Tell whether the load does work on a motion that nothing resists."""
         for bodies, rows in self._components():
             alphas = self._alphas(bodies)
             if not alphas.size:
@@ -337,7 +337,7 @@ class _Programme:
         self.A[np.abs(self.A) < _TRACE] = 0.0
 
     def response(self, d: Vector, e: Vector, active: Mask) -> Vector:
-        """Return how w follows a change of d and e (of the whole problem) with these active rows."""
+        """Return how w follows a change of d and e (of the whole problem) with active rows."""
         at = np.flatnonzero(active)
         change = self.basis.T @ e[self.alphas] / self.length
         right = np.append((self.scale * d[self.rows])[at], -change)

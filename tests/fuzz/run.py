@@ -30,7 +30,7 @@ def _worker(arguments: argparse.Namespace) -> None:
     from cases import solve_case
 
     comm = MPI.COMM_WORLD
-    out = open(arguments.output, "a") if comm.rank == 0 else None
+    out = open(arguments.output, "a") if comm.rank == 0 else None  # noqa: SIM115
     for seed in range(
         arguments.first, arguments.first + arguments.n * arguments.stride, arguments.stride
     ):
@@ -85,7 +85,7 @@ class _Workers:
             command,
             env=environment,
             stdout=subprocess.DEVNULL,
-            stderr=open(self.errors, "ab"),
+            stderr=open(self.errors, "ab"),  # noqa: SIM115
             start_new_session=True,
         )
         self._heard = time.monotonic()

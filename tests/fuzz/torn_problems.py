@@ -99,7 +99,7 @@ def torn_system(problem: TornProblem, comm: MPI.Comm, seed: int) -> tuple[TornSy
 
 @dataclass
 class _Draw:
-    """What is known while a problem is drawn; lengths in units of a cell, stiffness of Young's 1."""
+    """State of a problem being drawn; lengths in units of a cell, stiffness of Young's 1."""
 
     rng: Generator
     gdim: int
