@@ -37,7 +37,7 @@ def test_right_system_passes():
     check_system(column_on(MPI.COMM_SELF))
 
 
-@pytest.mark.parametrize("comm", [None, MPI.COMM_NULL, "world"], ids=str)
+@pytest.mark.parametrize("comm", [None, MPI.COMM_NULL, "world"], ids=["none", "null", "text"])
 def test_communicator(comm):
     with pytest.raises(InputError, match="comm: got .*intracommunicator"):
         TornSystem([], Prescribed(), ContactRows.none(3), 3, comm=comm)
