@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import ast
 import graphlib
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from new_process import run_python
 
 PACKAGE = Path(__file__).parent.parent / "fenics_tfeti"
 FINITE_ELEMENTS = {"dolfinx", "ufl", "basix", "ffcx"}
@@ -137,15 +137,8 @@ def test_only_the_adapter_asks_for_versions(module):
             assert words not in text
 
 
-def python(code: str) -> str:
-    """Run code in a new process; return what it prints."""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 def test_feti_needs_no_finite_element_library():
-    printed = python(
+    printed = run_python(
         "import sys\n"
         f"for missing in {FINITE_ELEMENTS}: sys.modules[missing] = None\n"
         "import fenics_tfeti.feti\n"
@@ -156,7 +149,7 @@ def test_feti_needs_no_finite_element_library():
 
 
 def test_qp_needs_neither_mpi_nor_petsc():
-    python(
+    run_python(
         "import sys\n"
         f"for missing in {FINITE_ELEMENTS | {'mpi4py', 'petsc4py'}}: sys.modules[missing] = None\n"
         "import fenics_tfeti.qp"
@@ -173,4 +166,4 @@ def test_qp_needs_neither_mpi_nor_petsc():
 )
 def test_package_may_be_the_first_import(first):
     """Of the wheels, mpi4py has to be imported before petsc4py and dolfinx."""
-    python(first)
+    run_python(first)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
+from new_process import run_python
 
 import fenics_tfeti.fem.io
 import fenics_tfeti.io
@@ -16,13 +15,11 @@ def test_names_are_those_of_fem_io():
 
 
 def test_import_of_the_package_does_not_load_dolfinx():
-    code = "import sys, fenics_tfeti; assert 'dolfinx' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)
+    run_python("import sys, fenics_tfeti; assert 'dolfinx' not in sys.modules")
 
 
 def test_import_of_io_loads_no_optional_library():
-    code = (
+    run_python(
         "import sys, fenics_tfeti.io\n"
         "assert not {'gmsh', 'pyvista', 'matplotlib'} & set(sys.modules)"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)

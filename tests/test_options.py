@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
+from new_process import run_python
 
 SOLVE = """
 from mpi4py import MPI
@@ -17,33 +14,20 @@ print(problem.report.converged, problem.options.solver.rtol, problem.options.sol
 """
 
 
-def run(code: str, *arguments: str) -> str:
-    """Run code where the tests' modules can be found; return what it prints."""
-    done = subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        capture_output=True,
-        text=True,
-        cwd=Path(__file__).parent / "support",
-        timeout=100,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
-
-
 @pytest.mark.parametrize("change", ["sys.argv = []", "del sys.argv", "sys.argv = ['']"])
 def test_script_without_a_command_line(change):
     """Programs that embed Python may have none; dolfinx 0.5 itself wants one at its import."""
-    assert run(f"import sys, mpi4py.MPI, dolfinx; {change}\n{SOLVE}") == "True 1e-05 1.0"
+    assert run_python(f"import sys, mpi4py.MPI, dolfinx; {change}\n{SOLVE}") == "True 1e-05 1.0"
 
 
 def test_arguments_that_are_not_ours_are_left_alone():
-    assert run(SOLVE, "-n", "4", "--rtol", "2") == "True 1e-05 1.0"
+    assert run_python(SOLVE, "-n", "4", "--rtol", "2") == "True 1e-05 1.0"
 
 
 def test_command_line_comes_before_the_script():
-    assert run(SOLVE, "-tfeti_rtol", "1e-4", "-tfeti_smalbe_rho", "2") == "True 0.0001 2.0"
+    assert run_python(SOLVE, "-tfeti_rtol", "1e-4", "-tfeti_smalbe_rho", "2") == "True 0.0001 2.0"
 
 
 def test_modules_that_were_started_with_the_command_line_do_not_count_it_twice():
     start = "import sys, mpi4py.MPI, petsc4py; petsc4py.init(['name', *sys.argv[1:]])"
-    assert run(f"{start}\n{SOLVE}", "-tfeti_rtol", "1e-4") == "True 0.0001 1.0"
+    assert run_python(f"{start}\n{SOLVE}", "-tfeti_rtol", "1e-4") == "True 0.0001 1.0"
