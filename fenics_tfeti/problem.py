@@ -300,8 +300,11 @@ class ContactProblem:
                     for contact, match in zip(self.contacts, matched, strict=True)
                 ]
             products = self.report.products["total"]
-            passes.append(geometry_pass(deformed, self.contact, uh, products))
-            self.report = replace(self.report, passes=passes)
+            seconds = self._timer.slowest(self.space.mesh.comm)
+            new_pass = geometry_pass(deformed, self.contact, uh, products)
+            spent = seconds["total"] - sum(earlier.seconds for earlier in passes)
+            passes.append(replace(new_pass, seconds=spent))
+            self.report = replace(self.report, passes=passes, seconds=seconds)
             matched = self._moved = [
                 replace(match, master=new.master, normal=new.normal, gap=new.gap)
                 for match, new in zip(matched, deformed, strict=True)
