@@ -32,7 +32,7 @@ from fenics_tfeti.fem.contact.transfer import check_same_contacts, expected_cont
 from fenics_tfeti.fem.decomposition.assembly import prepare_forms, same_values
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.decomposition.partition import given_subdomains, split_into_subdomains
-from fenics_tfeti.fem.decomposition.parts import number_parts
+from fenics_tfeti.fem.decomposition.parts import Part, number_parts
 from fenics_tfeti.fem.displacement import (
     displacement_function,
     prescribed_values,
@@ -144,8 +144,10 @@ class ContactProblem:
                 cells = split_into_subdomains(self.space, bodies, size, partitioner)
             else:
                 cells = given_subdomains(self.space.mesh, bodies, subdomains)
-            self._parts = number_parts(self.space, cells, [bodies.of_cell[c[0]] for c in cells])
+            self._cells = cells
+            self._parts = self._numbered_parts()
         self._body_names = bodies.names
+        self._x = self.space.mesh.geometry.x.copy()
         self._values = self._forms.values()
         self.system = self._torn_system(self._assemble(), prescribed)
         self._solved_before = False
@@ -156,7 +158,8 @@ class ContactProblem:
         For load steps, change the values of constants and functions in `L` and in the Dirichlet
         conditions, or the entries of ``contacts`` (obstacles are evaluated anew in any case), and
         solve again: what did not change is reused, and the iterations start from the last contact
-        forces. Changed data of `a` are noticed too, and cost a new assembly and factorisation.
+        forces. Changed data of `a` and moved nodes (``mesh.geometry.x``) are noticed too, and cost
+        a new assembly and factorisation.
 
         Parameters
         ----------
@@ -262,15 +265,34 @@ class ContactProblem:
         """Take in what changed since the last solve, or since the problem was set up."""
         with raise_collectively(self.space.mesh.comm):
             self.bcs, self.contacts = given_conditions(self.bcs), given_contacts(self.contacts)
+        moved = self._take_moved_mesh()
         prescribed = prescribed_values(self.space, self.bcs)
         self._match_contacts()
         before, self._values = self._values, self._forms.values()
         comm, torn = self.space.mesh.comm, self.system.subdomains
-        if not same_values(before.bilinear, self._values.bilinear, comm):
+        if moved or not same_values(before.bilinear, self._values.bilinear, comm):
             torn = self._assemble()
         elif not same_values(before.linear, self._values.linear, comm):
             torn = self._assemble(torn)
         self.system = self._torn_system(torn, prescribed)
+
+    def _numbered_parts(self) -> list[Part]:
+        bodies = [self._bodies.of_cell[cells[0]] for cells in self._cells]
+        return number_parts(self.space, self._cells, bodies)
+
+    def _take_moved_mesh(self) -> bool:
+        """Tell whether nodes were moved since the last solve; then nothing found on them holds."""
+        domain = self.space.mesh
+        if same_values([self._x], [domain.geometry.x], domain.comm):
+            return False
+        self._x = domain.geometry.x.copy()
+        check_mesh(domain, self._bodies, self.contacts)
+        with self._timer.phase("contact search"):
+            self._boundary = MeshBoundary.of(self.space)
+        self._searched, self._matched, self._moved = [], [], []
+        with self._timer.phase("partition"):
+            self._parts = self._numbered_parts()
+        return True
 
     def _solve_linearised(
         self, matched: Sequence[ContactPairing], coarse: ContactProblem | None = None
@@ -300,8 +322,11 @@ class ContactProblem:
                     for contact, match in zip(self.contacts, matched, strict=True)
                 ]
             products = self.report.products["total"]
-            passes.append(geometry_pass(deformed, self.contact, uh, products))
-            self.report = replace(self.report, passes=passes)
+            seconds = self._timer.slowest(self.space.mesh.comm)
+            new_pass = geometry_pass(deformed, self.contact, uh, products)
+            spent = seconds["total"] - sum(earlier.seconds for earlier in passes)
+            passes.append(replace(new_pass, seconds=spent))
+            self.report = replace(self.report, passes=passes, seconds=seconds)
             matched = self._moved = [
                 replace(match, master=new.master, normal=new.normal, gap=new.gap)
                 for match, new in zip(matched, deformed, strict=True)

@@ -19,8 +19,8 @@ class ContactReport(Report):
     Attributes
     ----------
     passes : list of GeometryPass
-        One entry for each solution with exact non-penetration; products, seconds and history of the
-        report are those of the last one.
+        One entry for each solution with exact non-penetration; products and history of the report
+        are those of the last one, its seconds those of all passes.
     pairing : list of dict
         For each contact its name, the numbers of ``pairs`` and ``unmatched`` slave nodes,
         ``largest_distance`` [m] (what the tolerance limits; None for obstacles) and

@@ -6,8 +6,8 @@ import json
 import os
 import resource
 import sys
-import tempfile
-from dataclasses import asdict, dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from fenics_tfeti.feti.resultants import Resultant, resultants
 from fenics_tfeti.feti.setup import DualSetup
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.timer import Timer
+from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.qp import OuterIteration
 
 __all__ = ["Report", "build_report", "peak_memory"]
@@ -102,6 +103,8 @@ class Report:
         One entry for each outer iteration.
     faces : list of ActiveSetStep
         One entry for each face of the primal-dual active set method.
+    comm : MPI.Intracomm
+        The ranks of the problem, of which rank 0 writes files.
     """
 
     unknowns: dict[str, int]
@@ -130,29 +133,52 @@ class Report:
     options: dict[str, Any]
     history: list[OuterIteration]
     faces: list[ActiveSetStep]
+    comm: MPI.Intracomm | None = field(
+        default_factory=lambda: MPI.COMM_SELF, repr=False, compare=False
+    )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as nested dictionaries."""
-        return asdict(self)
+        # a communicator cannot be copied
+        whole = asdict(replace(self, comm=None))
+        del whole["comm"]
+        return whole
 
     def to_json(self, path: str | os.PathLike[str]) -> None:
-        """Write the report as JSON; on rank 0 under MPI, and never half a file.
+        """Write the report as JSON, and never half a file. Collective; rank 0 of `comm` writes.
 
         Parameters
         ----------
         path : path-like
             File to write or replace.
+
+        Raises
+        ------
+        OSError
+            On all ranks, if rank 0 cannot write the file.
         """
-        if MPI.COMM_WORLD.rank != 0:
+        if self.comm is None:
+            _write_whole(Path(path), json.dumps(self.to_dict(), indent=2))
             return
-        target = Path(path)
-        with tempfile.NamedTemporaryFile(
-            "w", dir=target.parent, prefix=target.name, suffix=".part", delete=False
-        ) as file:
-            json.dump(self.to_dict(), file, indent=2)
-            file.write("\n")
-        Path(file.name).chmod(0o644)
-        Path(file.name).replace(target)
+        with raise_collectively(self.comm):
+            if self.comm.rank == 0:
+                _write_whole(Path(path), json.dumps(self.to_dict(), indent=2))
+
+
+def _write_whole(target: Path, text: str) -> None:
+    """Write a file under another name beside the target, then replace the target."""
+    part = target.with_name(f"{target.name}.{os.getpid()}.part")
+    try:
+        with part.open("x") as file:
+            file.write(text + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(target)
+    except OSError as error:
+        with suppress(OSError):
+            part.unlink()
+        reason = error.strerror or str(error)
+        raise OSError(error.errno, f"the report cannot be written: {reason}", str(target)) from None
 
 
 def build_report(
@@ -169,7 +195,6 @@ def build_report(
     constraints, comm, candidate = setup.constraints, system.comm, outcome.candidate
     owned = constraints.owned_inequalities
     force = constraints.scale * candidate.multipliers[constraints.inequality]
-    slowest = {name: comm.allreduce(time, MPI.MAX) for name, time in timer.seconds.items()}
     explicit, classes = comm.allreduce(setup.F.explicit), comm.allreduce(len(setup.local.classes))
     products = history.products
     sums = resultants(system, setup.F, setup.local.kernels, data.load, candidate.multipliers)
@@ -197,7 +222,7 @@ def build_report(
             "norm": setup.norm.products - history.norm_products_before,
             "preconditioner": products.preconditioner,
         },
-        seconds={**slowest, "total": sum(slowest.values())},
+        seconds=timer.slowest(comm),
         peak_memory_bytes=peak_memory(comm),
         energy=candidate.energy,
         contact_force=sums.normal_forces,
@@ -226,6 +251,7 @@ def build_report(
         options=asdict(options),
         history=history.outer,
         faces=history.faces,
+        comm=comm,
     )
 
 

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+from mpi4py import MPI
+
 __all__ = ["Timer"]
 
 
@@ -30,3 +32,8 @@ class Timer:
             yield
         finally:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+    def slowest(self, comm: MPI.Intracomm) -> dict[str, float]:
+        """Return the slowest rank's time of each phase, and their ``total`` [s]. Collective."""
+        seconds = {name: comm.allreduce(time, MPI.MAX) for name, time in self.seconds.items()}
+        return {**seconds, "total": sum(seconds.values())}

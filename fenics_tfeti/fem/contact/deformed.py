@@ -128,12 +128,16 @@ class GeometryPass:
         The larger of both, relative to the largest displacement.
     products : int
         Applications of F in the solution.
+    seconds : float
+        Wall time of the pass, summed over its phases, each the slowest rank's [s]; the first pass
+        has the set-up too.
     """
 
     penetration: float
     separation: float
     error: float
     products: int
+    seconds: float = 0.0
 
 
 def geometry_pass(

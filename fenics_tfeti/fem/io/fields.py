@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
+import tempfile
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -90,22 +94,62 @@ def write_fields(path: str | os.PathLike[str], functions: Sequence[Function]) ->
     InputError
         If a field or a name is wrong; then nothing is written.
     OSError
-        If the folder cannot be created.
+        On all ranks, if the files cannot be written; then files that exist are left as they are.
     """
     path = Path(path)
     if not functions:
         raise InputError("there are no fields to write: pass at least one function")
     comm = functions[0].function_space.mesh.comm
+    folder: Path | None = None
     with raise_collectively(comm):
         _check_fields(path, functions)
         if comm.rank == 0:
-            path.parent.mkdir(parents=True, exist_ok=True)
-    with VTKFile(comm, str(path), "w") as file:
-        file.write_function(list(functions), 0.0)
-    comm.barrier()
-    with raise_collectively(comm):
+            with _named(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                folder = Path(tempfile.mkdtemp(prefix=f".{path.stem}.", dir=path.parent))
+    folder = comm.bcast(folder)
+    try:
+        # the writer waits for rank 0 forever, or writes half a file in silence
+        _write(folder / path.name, functions)
+        comm.barrier()
+        with raise_collectively(comm):
+            if comm.rank == 0:
+                with _named(path):
+                    _take_files(folder, path)
+    finally:
+        comm.barrier()
         if comm.rank == 0:
-            _compat.list_pieces_once(path.with_name(f"{path.stem}000000.pvtu"))
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _write(path: Path, functions: Sequence[Function]) -> None:
+    """Write the files; when the writer is deleted, at the end, it writes the collection again."""
+    with VTKFile(functions[0].function_space.mesh.comm, str(path), "w") as file:
+        file.write_function(list(functions), 0.0)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Name the file that was asked for in an error of the file system."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OSError(error.errno, f"fields cannot be written: {reason}", str(path)) from None
+
+
+def _take_files(folder: Path, path: Path) -> None:
+    """Move the files of all ranks to where they belong, the collection last, if all are whole."""
+    written = sorted(folder.iterdir(), key=lambda file: (file.suffix == ".pvd", file.name))
+    for file in written:
+        with file.open("rb") as content:
+            content.seek(max(0, file.stat().st_size - 64))
+            if not content.read().rstrip().endswith(b"</VTKFile>"):
+                raise OSError(errno.ENOSPC, "a file is incomplete: is the disk full?")
+    _compat.list_pieces_once(folder / f"{path.stem}000000.pvtu")
+    for file in written:
+        file.chmod(0o644)
+        file.replace(path.with_name(file.name))
 
 
 def field_degree(function: Function) -> int:
