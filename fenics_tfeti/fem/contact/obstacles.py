@@ -214,8 +214,9 @@ def gap_and_normal(
         ~((np.isfinite(gap) | nothing) & np.isfinite(outward).all(axis=1)),
         points[:, :gdim],
         lambda number, place: (
-            f"{name}: the obstacle's gap or normal is NaN or infinite at {number} points, the "
-            f"first at {place}. Only the gap may be +inf, where there is no obstacle"
+            f"{name}: the obstacle's gap is NaN or -inf, or its normal is NaN or infinite, at "
+            f"{number} points, the first at {place}. Only the gap may be +inf, where there is no "
+            "obstacle"
         ),
     )
     length = np.linalg.norm(outward, axis=1)
