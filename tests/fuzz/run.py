@@ -30,6 +30,8 @@ def _worker(arguments: argparse.Namespace) -> None:
     from cases import solve_case
 
     comm = MPI.COMM_WORLD
+    # the ranks compare notes on a communicator of their own: no message of the package gets there
+    notes = comm.Dup()
     out = open(arguments.output, "a") if comm.rank == 0 else None  # noqa: SIM115
     for seed in range(
         arguments.first, arguments.first + arguments.n * arguments.stride, arguments.stride
@@ -38,7 +40,7 @@ def _worker(arguments: argparse.Namespace) -> None:
             print(json.dumps({"begin": seed}), file=out, flush=True)
         faulthandler.dump_traceback_later(0.8 * arguments.timeout)
         start = time.monotonic()
-        outcome = solve_case(arguments.level, seed, comm)
+        outcome = solve_case(arguments.level, seed, comm, notes)
         faulthandler.cancel_dump_traceback_later()
         if out:
             line = {
@@ -100,14 +102,12 @@ class _Workers:
                 self.results.append(line)
                 self.next, self.left = line["seed"] + self.stride, self.left - 1
         if self.left == 0:
-            self.process.wait()
+            self._end()
             return False
         silent = time.monotonic() - self._heard > self.arguments.timeout
         if not ended and not silent:
             return True
-        if not ended:
-            os.killpg(self.process.pid, signal.SIGKILL)
-            self.process.wait()
+        self._end()
         kind = "traceback" if ended else "hang"
         tail = self.errors.read_text(errors="replace")[-3000:]
         self.results.append(
@@ -117,6 +117,15 @@ class _Workers:
         if self.left:
             self.start()
         return self.left > 0
+
+    def _end(self) -> None:
+        """Wait for the process, which is about to end or is to be ended."""
+        assert self.process is not None
+        try:
+            self.process.wait(timeout=10.0 if self.left == 0 else 0.0)
+        except subprocess.TimeoutExpired:
+            os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait()
 
     def _lines(self) -> list[dict[str, Any]]:
         if not self.path.exists():
