@@ -10,7 +10,7 @@ import pytest
 import scipy.linalg
 from torn import column
 
-from fenics_tfeti.feti import Options, TornSolver, TornSystem
+from fenics_tfeti.feti import Options, Prescribed, TornSolver, TornSystem
 
 
 def scaled(system: TornSystem, body: int, factor: float) -> TornSystem:
@@ -157,11 +157,10 @@ def test_bodies_that_do_not_touch_are_groups_of_their_own():
     system = bent(load=(0, 0, 0.0))
     top = system.subdomains[-1]
     high = top.nodes[np.isclose(top.coordinates[:, 2], 3)]
-    lifted = replace(
-        system.prescribed,
-        nodes=np.append(system.prescribed.nodes, high),
-        components=np.append(system.prescribed.components, np.full(high.size, 2)),
-        values=np.append(system.prescribed.values, np.full(high.size, 5.0)),
+    lifted = Prescribed(
+        np.append(system.prescribed.nodes, high),
+        np.append(system.prescribed.components, np.full(high.size, 2)),
+        np.append(system.prescribed.values, np.full(high.size, 5.0)),
     )
     certificate = TornSolver(replace(system, prescribed=lifted)).solve().report.certificate
     assert [group.bodies for group in certificate.groups] == [["lower"], ["upper"]]
@@ -174,11 +173,10 @@ def test_body_at_rest_beside_a_loaded_one_needs_nothing():
         for s in system.subdomains[:2]
     ]
     bottom = far[0].nodes[np.isclose(far[0].coordinates[:, 2], 50.0)]
-    held = replace(
-        system.prescribed,
-        nodes=np.concatenate([system.prescribed.nodes, np.repeat(bottom, 3)]),
-        components=np.concatenate([system.prescribed.components, np.tile([0, 1, 2], bottom.size)]),
-        values=np.append(system.prescribed.values, np.zeros(3 * bottom.size)),
+    held = Prescribed(
+        np.concatenate([system.prescribed.nodes, np.repeat(bottom, 3)]),
+        np.concatenate([system.prescribed.components, np.tile([0, 1, 2], bottom.size)]),
+        np.append(system.prescribed.values, np.zeros(3 * bottom.size)),
     )
     both = replace(system, subdomains=[*system.subdomains, *far], prescribed=held)
     certificate = TornSolver(both, Options(rtol=1e-9)).solve().report.certificate
