@@ -61,6 +61,8 @@ class GluedProblem:
         Infinite where there is no condition.
     contact : (m,) integer array
         Number of the contact of each row.
+    gap_rounding : (m,) array
+        Rounding errors that the gaps carry, as differences of coordinates do.
     """
 
     coordinates: Vector
@@ -73,6 +75,7 @@ class GluedProblem:
     rows: sp.csr_matrix
     gap: Vector
     contact: Numbers
+    gap_rounding: Vector
 
     @property
     def gdim(self) -> int:

@@ -458,6 +458,10 @@ def _outward(problem: MeshProblem, axis: int, side: int) -> Vector:
     return side * np.eye(problem.gdim)[axis]
 
 
+def _radius(problem: MeshProblem) -> float:
+    return 50.0 * float(problem.edges.max())
+
+
 def ground_function(problem: MeshProblem, ground: Ground) -> Any:
     """Return the obstacle as a function of points, or one of the package's."""
     gdim, out = problem.gdim, _outward(problem, ground.axis, ground.side)
@@ -469,8 +473,7 @@ def ground_function(problem: MeshProblem, ground: Ground) -> Any:
     if ground.kind == "plane":
         return Plane(point, -out)
     if ground.kind == "sphere":
-        radius = 50.0 * float(problem.edges.max())
-        return Sphere(point + radius * out, radius)
+        return Sphere(point + _radius(problem) * out, _radius(problem))
 
     def rough(x: Vector) -> tuple[Vector, Vector]:
         place = (x[:gdim].T - problem.lower[ground.box]) / problem.edges
@@ -607,6 +610,7 @@ def glue(problem: MeshProblem) -> GluedProblem:
         rows,
         gap,
         contact,
+        gap_rounding=_gap_rounding(problem, coordinates, contact),
     )
 
 
@@ -630,6 +634,16 @@ def _spring_rows(problem: MeshProblem, posed: _Posed, order: Numbers) -> Springs
         )
         stiffness.append(values[kept])
     return Springs(sp.vstack(rows, format="csr"), np.concatenate(stiffness))
+
+
+def _gap_rounding(problem: MeshProblem, x: Vector, contact: Numbers) -> Vector:
+    """Return the rounding errors of gaps: those of coordinates, for spheres of the radius."""
+    sizes = [np.abs(x).max()] * len(problem.joints)
+    sizes += [
+        np.abs(x).max() + np.abs(g.moved).max() + (_radius(problem) if g.kind == "sphere" else 0.0)
+        for g in problem.grounds
+    ]
+    return 4.0 * np.finfo(float).eps * np.array([0.0, *sizes])[contact + 1]
 
 
 def _rows(problem: MeshProblem, x: Vector) -> tuple[sp.csr_matrix, Vector, Numbers]:

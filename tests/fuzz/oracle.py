@@ -113,7 +113,8 @@ def _infeasibility(problem: GluedProblem) -> str:
     C = rows[:, free].toarray()
     known = rows @ u
     bound = problem.gap[finite] - known
-    size = abs(problem.gap[finite]) + abs(rows) @ abs(u)
+    # conditions are compared to twelve digits of what they are made of, and of what that is made of
+    size = abs(problem.gap[finite]) + abs(rows) @ abs(u) + problem.gap_rounding[finite] / _EPS
     blocks, block = connected_components((C != 0.0) @ (C != 0.0).T, directed=False)
     for b in range(blocks):
         at = np.flatnonzero(block == b)
@@ -653,6 +654,7 @@ def _noise(whole: _Condensed, u: Vector, w: Vector, active: Mask) -> Vector:
     rows = problem.rows[whole.finite]
     lengths = np.zeros(w.size)
     lengths[:m] = abs(rows) @ np.abs(u) + np.abs(problem.gap[whole.finite]) * (w[:m] > 0.0)
+    lengths[:m] += problem.gap_rounding[whole.finite] / _EPS
     parts = [
         _Programme(whole, rows, whole._alphas(bodies))
         for bodies, rows in whole._components()

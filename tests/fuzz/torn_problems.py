@@ -553,7 +553,17 @@ def _in_units(
     )
     contact = np.array(rows.contact, dtype=np.int64)
     glued = GluedProblem(
-        coordinates, body, elastic.tocsr(), springs, whole_load, fixed, values, C, gap, contact
+        coordinates,
+        body,
+        elastic.tocsr(),
+        springs,
+        whole_load,
+        fixed,
+        values,
+        C,
+        gap,
+        contact,
+        gap_rounding=np.zeros(gap.size),
     )
     slave, master = np.array(rows.slave, dtype=np.int64), np.array(rows.master, dtype=np.int64)
     contacts = ContactRows(
