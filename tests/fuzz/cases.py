@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
 from mpi4py import MPI
 
 import numpy as np
 import oracle
 from glued import GluedProblem
+from mutations import mutated
 from numpy.typing import NDArray
-from outcome import Found, Outcome, agree, attempt, compare
+from outcome import Found, Outcome, agree, attempt, compare, compare_refused
 from torn_problems import TornProblem, draw_torn, torn_system
 
 from fenics_tfeti.feti import TornSolver, parse_options
@@ -18,33 +23,69 @@ __all__ = ["solve_case", "tell_case"]
 Vector = NDArray[np.float64]
 
 
+# part of the torn systems that are wrong on purpose
+MUTATED = 0.05
+
+
+@dataclass(frozen=True)
+class _Case:
+    """A case and what the package made of it.
+
+    Attributes
+    ----------
+    found : Found
+        The package's answer.
+    glue : callable
+        Returns the glued problem.
+    rtol : float
+        Of the options.
+    story : list of str
+        What was drawn.
+    mutation : str
+        What was made wrong on purpose.
+    """
+
+    found: Found
+    glue: Callable[[], GluedProblem]
+    rtol: float
+    story: list[str]
+    mutation: str = ""
+
+    def outcome(self) -> Outcome:
+        """Compare with the oracle."""
+        if self.mutation:
+            return compare_refused(self.mutation, self.found)
+        problem = self.glue()
+        return compare(problem, oracle.solve(problem), self.found, self.rtol)
+
+
 def solve_case(level: str, seed: int, comm: MPI.Comm, notes: MPI.Comm) -> Outcome:
     """Solve the case of a seed on all ranks of a communicator; the outcome is that of rank 0.
 
     `notes` is another communicator of the same ranks, for what they tell each other in the end.
     """
-    found, glued, rtol, _ = _solve(level, seed, comm)
-    differ = agree(notes, found)
+    case = _solve(level, seed, comm)
+    differ = agree(notes, case.found)
     if differ:
         return Outcome("ranks differ", differ)
-    if comm.rank > 0:
-        return Outcome("")
-    problem = glued()
-    return compare(problem, oracle.solve(problem), found, rtol)
+    return case.outcome() if comm.rank == 0 else Outcome("")
 
 
-def _solve(level: str, seed: int, comm: MPI.Comm):
-    """Return what the package found, how to get the glued problem, rtol and the story."""
+def _solve(level: str, seed: int, comm: MPI.Comm) -> _Case:
     if level == "feti":
         problem = draw_torn(seed)
+        rng = np.random.default_rng([seed, 3])
+        if rng.random() < MUTATED:
+            problem = mutated(problem, rng)
         found = attempt(lambda: _solve_torn(problem, comm, seed))
-        return found, lambda: problem.glued, problem.options["rtol"], problem.story
+        rtol = problem.options["rtol"]
+        return _Case(found, lambda: problem.glued, rtol, problem.story, problem.mutation)
     # dolfinx is not needed for the other level
     from mesh_problems import draw_mesh, glue
 
     meshed = draw_mesh(seed)
     found = attempt(lambda: _solve_mesh(meshed, comm))
-    return found, lambda: glue(meshed), meshed.options["rtol"], meshed.story
+    return _Case(found, lambda: glue(meshed), meshed.options["rtol"], meshed.story)
 
 
 def _solve_torn(problem: TornProblem, comm: MPI.Comm, seed: int) -> Found:
@@ -70,7 +111,7 @@ def _solve_torn(problem: TornProblem, comm: MPI.Comm, seed: int) -> Found:
     return _found(sums / counts, jump, force, solution.report)
 
 
-def _solve_mesh(problem, comm: MPI.Comm) -> Found:
+def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
     from mesh_problems import contact_places, node_numbers, pose
 
     contact_problem, posed = pose(problem, comm)
@@ -93,23 +134,24 @@ def _solve_mesh(problem, comm: MPI.Comm) -> Found:
     return _found(u.ravel(), np.zeros(len(u)), forces, contact_problem.report)
 
 
-def _found(u: Vector, jump: Vector, force: Vector, report) -> Found:
+def _found(u: Vector, jump: Vector, force: Vector, report: Any) -> Found:
     products = report.products["total"]
     return Found(u, jump, force, report.contact_force, report.energy, products)
 
 
 def tell_case(level: str, seed: int) -> None:
     """Print the case of a seed and both solutions."""
-    found, glued, rtol, story = _solve(level, seed, MPI.COMM_SELF)
-    problem = glued()
-    print("\n".join(story))
-    answer = oracle.solve(problem)
-    print(f"oracle: {answer.verdict} {answer.why}")
-    if found.error is not None:
-        print(found.trace)
-    if answer.verdict == "solution":
-        _tell_solutions(problem, answer, found)
-    outcome = compare(problem, answer, found, rtol)
+    case = _solve(level, seed, MPI.COMM_SELF)
+    print("\n".join(case.story))
+    if case.found.error is not None:
+        print(case.found.trace)
+    if not case.mutation:
+        problem = case.glue()
+        answer = oracle.solve(problem)
+        print(f"oracle: {answer.verdict} {answer.why}")
+        if answer.verdict == "solution":
+            _tell_solutions(problem, answer, case.found)
+    outcome = case.outcome()
     print(f"{outcome.kind}: {outcome.detail}\n{outcome.numbers}")
 
 

@@ -13,11 +13,17 @@ from glued import GluedProblem
 from numpy.typing import NDArray
 from oracle import Answer
 
-from fenics_tfeti.errors import ContactError, InputError, NotConverged, UnresistedMotion
+from fenics_tfeti.errors import (
+    ContactError,
+    FactorizationError,
+    InputError,
+    NotConverged,
+    UnresistedMotion,
+)
 
 Vector = NDArray[np.float64]
 
-__all__ = ["CLASSES", "Found", "Outcome", "compare", "attempt"]
+__all__ = ["CLASSES", "Found", "Outcome", "agree", "attempt", "compare", "compare_refused"]
 
 # classes of outcomes; those after the first four are failures
 CLASSES = (
@@ -111,6 +117,19 @@ def compare(problem: GluedProblem, answer: Answer, found: Found, rtol: float) ->
     if error is not None:
         return Outcome("false error", said)
     return _compare_solution(problem, answer, found, rtol)
+
+
+def compare_refused(mutation: str, found: Found) -> Outcome:
+    """Return the class of the outcome for data that are wrong on purpose."""
+    error = found.error
+    if error is None:
+        return Outcome("wrong", f"accepted: {mutation}")
+    said = f"{mutation}: {type(error).__name__}: {error}"
+    if not isinstance(error, ContactError):
+        return Outcome("traceback", f"{said}\n{found.trace}")
+    refused = isinstance(error, InputError | FactorizationError)
+    right = refused and not isinstance(error, UnresistedMotion)
+    return Outcome("right error" if right else "false error", said)
 
 
 def _compare_error(answer: Answer, error: Exception | None, said: str) -> Outcome:
