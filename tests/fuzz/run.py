@@ -110,6 +110,7 @@ class _Workers:
         self._end()
         kind = "traceback" if ended else "hang"
         tail = self.errors.read_text(errors="replace")[-3000:]
+        tail = f"the process ended with {self.process.returncode}: {tail}" if ended else tail
         self.results.append(
             {"seed": self.next, "kind": kind, "detail": tail, "numbers": {}, "seconds": 0.0}
         )
