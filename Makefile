@@ -1,9 +1,12 @@
 # `make env` prepares all that the other targets need; each of them runs it first.
 PY := .venv/bin/python
 SPHINXOPTS ?= -W --keep-going
+N ?= 1000
+RANKS ?= 1
+FIRST ?= 0
 
 .DEFAULT_GOAL := help
-.PHONY: help env env-wheel demo demos test test-wheel test-debian13 doctest verify check format docs clean
+.PHONY: help env env-wheel demo demos test test-wheel test-debian13 fuzz doctest verify check format docs clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  \1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -28,6 +31,9 @@ test-wheel: env-wheel  ## the same tests with the dolfinx wheel
 
 test-debian13:  ## the same tests in Debian 13 (dolfinx 0.9), which debootstrap makes; needs root
 	@tools/debian13.sh make test
+
+fuzz: env  ## N random problems on RANKS ranks, from seed FIRST, against an independent solver
+	$(PY) tests/fuzz/run.py -n $(N) --ranks $(RANKS) --first $(FIRST)
 
 doctest: env  ## the examples in the docstrings
 	$(PY) -m pytest -q --doctest-modules fenics_tfeti/qp fenics_tfeti/feti

@@ -187,7 +187,12 @@ def main() -> int:
     parser.add_argument("-n", type=int, default=200, help="number of cases")
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--seed", type=int, help="one case, told in full")
-    parser.add_argument("--level", choices=["feti", "mesh"], default="feti")
+    parser.add_argument(
+        "--level",
+        choices=["feti", "mesh", "both"],
+        default="both",
+        help="torn systems, problems of dolfinx, or every fifth seed the latter",
+    )
     parser.add_argument("--ranks", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--timeout", type=float, default=60.0, help="seconds for one case")
