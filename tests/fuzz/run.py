@@ -36,6 +36,8 @@ def _worker(arguments: argparse.Namespace) -> None:
     for seed in range(
         arguments.first, arguments.first + arguments.n * arguments.stride, arguments.stride
     ):
+        if not _is_alive(arguments.parent):
+            break
         if out:
             print(json.dumps({"begin": seed}), file=out, flush=True)
         faulthandler.dump_traceback_later(0.8 * arguments.timeout)
@@ -51,6 +53,14 @@ def _worker(arguments: argparse.Namespace) -> None:
                 "seconds": time.monotonic() - start,
             }
             print(json.dumps(line), file=out, flush=True)
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
 
 
 class _Workers:
@@ -73,6 +83,7 @@ class _Workers:
         command = [sys.executable, str(HERE / "run.py"), "--worker", "--level", a.level]
         command += ["--first", str(self.next), "-n", str(self.left), "--stride", str(self.stride)]
         command += ["--timeout", str(a.timeout), "--output", str(self.path)]
+        command += ["--parent", str(os.getpid())]
         if a.ranks > 1:
             command = [*_mpirun(), "-n", str(a.ranks), *command]
         environment = {
@@ -200,6 +211,7 @@ def main() -> int:
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--stride", type=int, default=1, help=argparse.SUPPRESS)
     parser.add_argument("--output", help=argparse.SUPPRESS)
+    parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.worker:
         _worker(arguments)
@@ -211,6 +223,9 @@ def main() -> int:
 
         tell_case(arguments.level, arguments.seed)
         return 0
+    # whoever ends this process means its workers too
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: sys.exit("ended by a signal"))
     start = time.monotonic()
     results = run(arguments)
     if arguments.json:
