@@ -111,7 +111,7 @@ def compare(problem: GluedProblem, answer: Answer, found: Found, rtol: float) ->
         return _compare_error(answer, error, said)
     if isinstance(error, NotConverged):
         needs = _attainable(answer)
-        if 0.1 * rtol < needs < 1.0:
+        if rtol < needs < 1.0:
             return Outcome("limit of rounding", f"{said}; rounding alone makes {needs:.1e}")
         return Outcome("no convergence", said)
     if error is not None:
