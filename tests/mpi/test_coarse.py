@@ -50,7 +50,8 @@ def column_solver(kind: str) -> TornSolver:
 def test_same_displacement(scene):
     one, other = (solved(scene, kind)[0] for kind in KINDS)
     size = comm.allreduce(np.abs(one).max(initial=0.0), MPI.MAX)
-    np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-12 * size)
+    # rounding of another factor, amplified by the iterations
+    np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-9 * size)
 
 
 @pytest.mark.parametrize("scene", SCENES)
