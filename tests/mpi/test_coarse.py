@@ -36,7 +36,9 @@ def dealt(system: TornSystem) -> TornSystem:
 
 @lru_cache(maxsize=None)
 def solved(scene: str, kind: str) -> tuple[Scene, dict]:
-    options = {"rtol": 1e-8, "subdomain_size": 150, "coarse_solver": kind}
+    # conjugate gradients lose orthogonality to converged modes, and then multiply rounding (on the
+    # stack by five a step): at 1e-6 it is far below the tolerance, from 1e-8 on it costs steps
+    options = {"rtol": 1e-6, "subdomain_size": 150, "coarse_solver": kind}
     problem = SCENES[scene]().problem(options=options)
     return problem.solve().x.array, problem.report
 
@@ -50,8 +52,7 @@ def column_solver(kind: str) -> TornSolver:
 def test_same_displacement(scene):
     one, other = (solved(scene, kind)[0] for kind in KINDS)
     size = comm.allreduce(np.abs(one).max(initial=0.0), MPI.MAX)
-    # rounding of another factor, amplified by the iterations
-    np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-9 * size)
+    np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-8 * size)
 
 
 @pytest.mark.parametrize("scene", SCENES)
