@@ -17,10 +17,10 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.redundancy import diagonal_blocks
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.tolerances import PARALLEL
@@ -252,11 +252,8 @@ def close_with_gram(
     ([1.0, 0.0], [True, False])
     """
     R, y = closed | pressing, np.zeros(jump.size)
-    blocks, block = connected_components(W, directed=False)
-    order = np.argsort(block, kind="stable")
-    for members in np.split(order, np.cumsum(np.bincount(block, minlength=blocks))[:-1]):
-        dense = W[members][:, members].toarray()
-        y[members], R[members] = _close_block(dense, jump[members], R[members])
+    for members, block in diagonal_blocks(W):
+        y[members], R[members] = _close_block(block, jump[members], R[members])
     return y, R
 
 

@@ -8,6 +8,7 @@ dropped: with it the multipliers would not be unique.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -194,13 +195,36 @@ def _check_room(rows: _Rows, gram: sp.coo_matrix, node: Numbers, row: Numbers) -
 
 def _dependent(gram: sp.csr_matrix) -> int:
     """Return the rank deficiency of a block diagonal Gram matrix."""
-    blocks, block = connected_components(gram, directed=False)
-    sizes = np.bincount(block, minlength=blocks)
+    return sum(
+        int(np.count_nonzero(np.linalg.eigvalsh(block) <= PARALLEL))
+        for members, block in diagonal_blocks(gram)
+        if members.size > 1
+    )
+
+
+def diagonal_blocks(W: sp.csr_matrix) -> Iterator[tuple[Numbers, Vector]]:
+    """Yield the rows of each diagonal block of a symmetric matrix, and the dense block.
+
+    Parameters
+    ----------
+    W : (k, k) scipy.sparse.csr_matrix
+        A matrix that is block diagonal up to the order of its rows.
+
+    Examples
+    --------
+    >>> import numpy as np, scipy.sparse as sp
+    >>> W = sp.csr_matrix(np.array([[1.0, 0.0, 0.5], [0.0, 2.0, 0.0], [0.5, 0.0, 1.0]]))
+    >>> [(rows.tolist(), block.tolist()) for rows, block in diagonal_blocks(W)]
+    [([0, 2], [[1.0, 0.5], [0.5, 1.0]]), ([1], [[2.0]])]
+    """
+    blocks, block = connected_components(W, directed=False)
     order = np.argsort(block, kind="stable")
+    sizes = np.bincount(block, minlength=blocks)
+    sorted_W = W[order][:, order].tocoo()
     ends = np.cumsum(sizes)
-    deficiency = 0
-    for b in np.flatnonzero(sizes > 1):
-        members = order[ends[b] - sizes[b] : ends[b]]
-        dense = gram[members][:, members].toarray()
-        deficiency += int(np.count_nonzero(np.linalg.eigvalsh(dense) <= PARALLEL))
-    return deficiency
+    entries = np.searchsorted(sorted_W.row, np.append(0, ends))
+    for b, (size, end) in enumerate(zip(sizes, ends, strict=True)):
+        own, start = slice(entries[b], entries[b + 1]), end - size
+        dense = np.zeros((size, size))
+        dense[sorted_W.row[own] - start, sorted_W.col[own] - start] = sorted_W.data[own]
+        yield order[start:end], dense
