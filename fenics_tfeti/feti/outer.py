@@ -338,7 +338,7 @@ class _Loop:
     primal : PrimalProblem
         The primal problem (11.21).
     d : (m,) array
-        d~ = BK^+(f - B'lambda~) - c of (11.40).
+        d_0 = BK^+(f - B'lambda~) - c, printed d in (11.39).
     scale : float
         An energy norm as large as the solution's, or larger [sqrt(J)].
     rounding : float
@@ -365,7 +365,7 @@ class _Loop:
         history: History,
         body_names: Sequence[str],
     ) -> _Loop:
-        """Compute d~ and the scale: the energy norms of u_t at lambda~ and of its jumps."""
+        """Compute d_0 and the scale: the energy norms of u_t at lambda~ and of its jumps."""
         F, layout = setup.F, setup.constraints.layout
         primal = PrimalProblem(
             setup.local.stiffness,

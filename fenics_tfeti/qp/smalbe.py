@@ -1,4 +1,7 @@
-"""SMALBE-M: semimonotonic augmented Lagrangians for bounds and equalities (algorithm 9.2)."""
+"""SMALBE-M: semimonotonic augmented Lagrangians for bounds and equalities (algorithm 9.2).
+
+For problems of the form (11.43), as (11.40) is; steps and tests as in theorem 11.2.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """SMALBE-M on the dual problem with projector preconditioning, (11.40).
 
-    minimise 1/2 x'(PFP + rho Q)x - x'Pd~  subject to  Gx = o,  x_I >= -lambda~_I,
+    minimise 1/2 x'(PFP + rho Q)x - x'Pd_0  subject to  Gx = o,  x_I >= -lambda~_I,
 
-with lambda = lambda~ + x, the feasible lambda~ of (11.37) and d~ = d - F lambda~. F is scaled by
+with lambda = lambda~ + x, the feasible lambda~ of (11.37) and d_0 = d - F lambda~. F is scaled by
 ||PFP||, so that ||PFP + rho Q|| = max(1, rho).
 """
 
@@ -52,7 +52,7 @@ def solve_by_smalbe(
     problem : DualProblem
         (11.36), with an upper bound of ||PFP|| as its norm.
     feasible, d : (m,) array
-        lambda~ and d~.
+        lambda~ and d_0.
     start : SMALBEState
         First x, and the equality multipliers' part of the gradient [m].
     rtol, norm_b : float

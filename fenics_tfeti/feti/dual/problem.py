@@ -1,4 +1,8 @@
-"""The dual problem (11.36), with F, G and e neither scaled nor orthonormalised as in (11.30)."""
+"""The dual problem (11.36), with F, G and e neither scaled nor orthonormalised as in (11.30).
+
+Its d is printed d~ in (11.36). The d printed in (11.39), after the transformation to Gx = o, is
+called d_0 = d - F lambda~ here.
+"""
 
 from __future__ import annotations
 
