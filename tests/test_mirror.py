@@ -21,7 +21,6 @@ ELSEWHERE = {
     "feti/dual/pcpg.py": "tests/feti/dual/test_active_set.py",
     "feti/dual/problem.py": "data only",
     "feti/options.py": "tests/test_options.py, tests/test_errors.py",
-    "feti/outer.py": "tests/feti/test_solver.py",
     "feti/report.py": "tests/feti/test_solver.py",
     "feti/setup.py": "tests/feti/test_solver.py",
     "feti/system_checks.py": "tests/feti/test_system.py",

@@ -29,8 +29,8 @@ class Options:
         Relative error of the displacement in the energy norm, of the whole and of each body, and
         the limit of every other number of the certificate.
     method : {"active_set", "smalbe"}
-        Primal-dual active set method, continued by SMALBE-M over MPRGP where it cycles; or SMALBE-M
-        over MPRGP alone.
+        The primal-dual active set method first, continued by SMALBE-M over MPRGP where it cycles;
+        or SMALBE-M first, continued by the active set method where it is slow.
     preconditioner : {"lumped", "dirichlet", "none"}
         Preconditioner in the face.
     scaling : {"stiffness", "multiplicity"}
@@ -49,6 +49,8 @@ class Options:
         gradient relative to ||b|| in SMALBE-M, theorem 11.2.
     smalbe_max_it : int
         Limit on the outer iterations of SMALBE-M.
+    smalbe_patience : int
+        Outer iterations in a row that do not halve ||Gx||, after which SMALBE-M counts as slow.
     mprgp_gamma, mprgp_alpha : float
         Proportioning constant Gamma of MPRGP, and its fixed step length relative to 1 / ||A||, in
         (0, 2).
@@ -72,6 +74,7 @@ class Options:
     smalbe_beta: float = 0.5
     smalbe_eta: float = 0.1
     smalbe_max_it: int = 1000
+    smalbe_patience: int = 20
     mprgp_gamma: float = 1.0
     mprgp_alpha: float = 1.9
     mprgp_expansion: Expansion = "projected_cg"
@@ -81,7 +84,7 @@ class Options:
         """Check the ranges of numbers."""
         for name in ("rtol", "smalbe_beta"):
             check_range(self, name, 0.0, 1.0)
-        for name in ("max_products", "smalbe_max_it"):
+        for name in ("max_products", "smalbe_max_it", "smalbe_patience"):
             check_range(self, name, 0, float("inf"))
         for name in ("smalbe_rho", "smalbe_M0", "mprgp_gamma"):
             check_range(self, name, 0.0, float("inf"))

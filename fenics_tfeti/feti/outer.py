@@ -1,7 +1,8 @@
 """The outer loop: from the set-up to multipliers and displacements with a certificate.
 
 repeat
-lambda   by the primal-dual active set method, or by SMALBE-M on (11.40)
+lambda   by the primal-dual active set method, or by SMALBE-M on (11.40): each continues where the
+         other makes no progress
 u        by recovery (11.29)
 stop     when the certificate of u and lambda holds
 eps      is reduced by what the certificate lacks
@@ -207,6 +208,7 @@ class _Stage:
     state: DualState
     solved: bool
     reason: str = ""
+    slow: bool = False
     iterate: PCPGIterate | None = None
 
 
@@ -270,16 +272,13 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
     if forces is not None:
         return loop.at_rest(forces)
     stage = _Stage(loop.first_state(start), solved=False)
-    use_active_set = options.method == "active_set"
+    by_active_set = options.method == "active_set"
     limit, tolerance = max(options.rtol, ROUNDING), options.rtol * loop.scale
     progress = _Progress()
     while True:
         tolerance = max(tolerance, loop.rounding)
-        if use_active_set:
-            stage = loop.active_set(stage, tolerance)
-            use_active_set = stage.solved
-        if not use_active_set:
-            stage = loop.smalbe(stage.state, tolerance)
+        stage = loop.minimise(stage, tolerance, by_active_set)
+        by_active_set = stage.iterate is not None
         candidate = loop.recover(stage.state)
         worst = candidate.certificate.worst
         if worst <= limit:
@@ -404,6 +403,23 @@ class _Loop:
         # where nothing moves, other multipliers would leave displacements of rounding size
         return none if start is None or self.scale == 0.0 else start
 
+    def minimise(self, stage: _Stage, tolerance: float, by_active_set: bool) -> _Stage:
+        """Solve the dual problem: by one method, and where it makes no progress by both in turn."""
+        if by_active_set:
+            stage = self.active_set(stage, tolerance)
+            if stage.solved:
+                return stage
+        patience = self.options.smalbe_patience
+        while True:
+            stage = self.smalbe(stage.state, tolerance, patience)
+            if not stage.slow:
+                return stage
+            # the face that SMALBE-M has found; if it is not the last one, SMALBE-M goes on
+            on_faces = self.active_set(stage, tolerance)
+            if on_faces.solved:
+                return on_faces
+            patience *= 2
+
     def active_set(self, stage: _Stage, tolerance: float) -> _Stage:
         """Run the primal-dual active set method on (11.36)."""
         start, active = self._first_face(stage)
@@ -421,7 +437,7 @@ class _Loop:
         state = DualState(result.multipliers, result.coarse_gradient)
         return _Stage(state, result.solved, iterate=result.iterate)
 
-    def smalbe(self, state: DualState, tolerance: float) -> _Stage:
+    def smalbe(self, state: DualState, tolerance: float, patience: int) -> _Stage:
         """Run SMALBE-M on (11.40)."""
         before, feasible = len(self.history.outer), self.data.feasible
         problem = self._problem(LANCZOS_STEPS)
@@ -436,6 +452,7 @@ class _Loop:
                     norm_b=self.scale * np.sqrt(problem.norm),
                     options=self.options,
                     outer_so_far=before,
+                    patience=patience,
                     products=self.history.products,
                     monitor=lambda line: self._log_outer(line, before),
                 )
@@ -457,6 +474,7 @@ class _Loop:
             DualState(np.where(cancelled, 0.0, multipliers), result.state.q),
             result.converged,
             limits.get(result.reason, result.reason),
+            slow=result.reason == "slow",
         )
 
     def recover(self, state: DualState) -> Candidate:

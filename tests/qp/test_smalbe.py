@@ -230,3 +230,13 @@ def test_membranes(dual, minimum, project, rtol, error, expansion):
     result = solve(problem, rtol, expansion=expansion)
     assert result.converged
     assert dual.cost(result.state.x) == pytest.approx(minimum, rel=error)
+
+
+def test_slow_outer_iterations_end():
+    """With a small penalty ||Gx|| decreases little: the iterate is returned, to continue from."""
+    problem, rtol = random_problem(1, 12, equalities=3), 1e-6
+    rho = 1e-2 * problem.norm
+    slow = solve(problem, rtol, rho=rho, patience=5)
+    assert (slow.reason, slow.converged) == ("slow", False)
+    more = solve(problem, rtol, rho=rho, patience=5000, max_it=5000, start=slow.state)
+    assert more.converged

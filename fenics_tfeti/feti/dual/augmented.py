@@ -42,6 +42,7 @@ def solve_by_smalbe(
     norm_b: float,
     options: Options,
     outer_so_far: int,
+    patience: int,
     products: Products,
     monitor: Callable[[OuterIteration], None],
 ) -> SMALBEResult:
@@ -61,6 +62,8 @@ def solve_by_smalbe(
         Parameters of SMALBE-M and MPRGP.
     outer_so_far : int
         Outer iterations of earlier calls.
+    patience : int
+        Outer iterations in a row that may fail to halve ||Gx||.
     products : Products
         Counter to add to.
     monitor : callable
@@ -78,7 +81,7 @@ def solve_by_smalbe(
         Bounds(rows, -feasible[rows]),
         replace(start, q=start.q / norm),
         norm_b=norm_b / norm,
-        options=_smalbe_options(options, rtol, outer_so_far),
+        options=_smalbe_options(options, rtol, outer_so_far, patience),
         space=problem.space,
         precondition=_augmented_preconditioner(problem, options.smalbe_rho),
         products=products,
@@ -118,7 +121,9 @@ def _augmented_preconditioner(
     return apply
 
 
-def _smalbe_options(options: Options, rtol: float, outer_so_far: int) -> SMALBEOptions:
+def _smalbe_options(
+    options: Options, rtol: float, outer_so_far: int, patience: int
+) -> SMALBEOptions:
     inner = MPRGPOptions(
         Gamma=options.mprgp_gamma,
         step_length=options.mprgp_alpha / max(1.0, options.smalbe_rho),
@@ -132,5 +137,6 @@ def _smalbe_options(options: Options, rtol: float, outer_so_far: int) -> SMALBEO
         beta=options.smalbe_beta,
         eta=options.smalbe_eta,
         max_it=max(1, options.smalbe_max_it - outer_so_far),
+        patience=patience,
         inner=inner,
     )
