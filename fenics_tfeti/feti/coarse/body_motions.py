@@ -22,12 +22,10 @@ Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# what rounding leaves of rigid motions of a body in its gluing rows, and how much the rounding of
-# coordinates far from the origin adds
+# what rounding leaves of rigid motions of a body in its gluing rows and outside its kernels, and how
+# much the rounding of coordinates far from the origin adds
 _TRACE = 1e-13
 _OFFSET = 16 * 2.0**-52
-# part of a motion outside the kernels that is rounding
-_INSIDE = 1e-12
 # ||B R z||^2 below which the eigenvectors of the Gram matrix are not accurate enough
 _SQUARED = 1e-8
 # each pass reduces their error by a factor of 1e-5 or less
@@ -49,7 +47,7 @@ class BodyMotions:
     moved : (m, modes * bodies) scipy.sparse.csr_matrix
         What the motions do to the rows of B that this rank holds; traces of rounding are removed.
     supports : (modes * bodies, modes * bodies) array
-        Gram matrix by which elastic supports resist that take motions out of the kernel of K.
+        E: ||E z|| is the part of a motion outside the kernel of K, which elastic supports resist.
     rounding : float
         What rounding may leave in `moved`.
     """
@@ -81,7 +79,8 @@ class BodyMotions:
             Orthonormal z.
         """
         B = self.moved[np.flatnonzero(rows[:owned])]
-        gram = sum_over_ranks((B.T @ B).toarray()) + self.supports
+        E = self.supports
+        gram = sum_over_ranks((B.T @ B).toarray()) + E.T @ E
         values, vectors = np.linalg.eigh(gram)
         weak = values <= _SQUARED
         z, others = vectors[:, weak], vectors[:, ~weak]
@@ -89,10 +88,10 @@ class BodyMotions:
             return np.zeros(0), z
         # eigenvectors of the Gram matrix have errors of 1e-16 / _SQUARED; here B is not squared
         for _ in range(_PASSES):
-            product = sum_over_ranks(B.T @ (B @ z)) + self.supports @ z
+            product = sum_over_ranks(B.T @ (B @ z)) + E.T @ (E @ z)
             z = np.linalg.qr(z - others @ ((others.T @ product) / values[~weak][:, None]))[0]
-        Bz = B @ z
-        values, vectors = np.linalg.eigh(sum_over_ranks(Bz.T @ Bz) + z.T @ self.supports @ z)
+        Bz, Ez = B @ z, E @ z
+        values, vectors = np.linalg.eigh(sum_over_ranks(Bz.T @ Bz) + Ez.T @ Ez)
         return np.sqrt(np.maximum(values, 0.0)), z @ vectors
 
 
@@ -128,7 +127,7 @@ def body_motions(
 def _motions_and_supports(
     system: TornSystem, kernels: Sequence[Vector]
 ) -> tuple[sp.csr_matrix, Vector, float]:
-    """Return T, the Gram matrix of motions outside the kernel, and the largest |x| / body size."""
+    """Return T, E of `BodyMotions`, and the largest |x| / body size."""
     comm = system.comm
     gdim = system.gdim
     bodies = comm.allreduce(max((s.body + 1 for s in system.subdomains), default=0), MPI.MAX)
@@ -143,9 +142,12 @@ def _motions_and_supports(
         inside = R.T @ raw
         blocks.append((body, inside))
         gram[body] += raw.T @ raw / nodes[body]
-        outside[body] += (raw.T @ raw - inside.T @ inside) / nodes[body]
+        # not squared: what resists little would be lost to rounding
+        rest = (raw - R @ inside) / np.sqrt(nodes[body])
+        outside[body] = np.linalg.qr(np.vstack([outside[body], rest]), mode="r")
         distance = max(distance, float(np.abs(subdomain.coordinates).max()) / sizes[body])
-    gram, outside = comm.allreduce(gram), comm.allreduce(outside)
+    gram, outside = comm.allreduce(gram), np.concatenate(comm.allgather(outside), axis=1)
+    outside = np.array([np.linalg.qr(e, mode="r") for e in outside])
 
     # motions of each body that are orthonormal over its torn nodes, in the mean
     inverse = [np.linalg.inv(np.linalg.cholesky(g)).T if g.any() else g for g in gram]
@@ -157,8 +159,8 @@ def _motions_and_supports(
         shape = (len(inside), modes * bodies)
         rows.append(sp.csr_matrix((data, columns, indptr), shape=shape))
     basis = sp.vstack(comm.allgather(sp.vstack(rows, format="csr")), format="csr")
-    scaled = [t.T @ e @ t for t, e in zip(inverse, outside, strict=True)]
-    scaled = [np.where(np.abs(e) > _INSIDE, e, 0.0) for e in scaled]
+    scaled = [e @ t for t, e in zip(inverse, outside, strict=True)]
+    scaled = [np.where(np.abs(e) > _TRACE, e, 0.0) for e in scaled]
     supports = block_diag(*scaled) if bodies else np.zeros((0, 0))
     return basis, supports, float(comm.allreduce(distance, MPI.MAX))
 
