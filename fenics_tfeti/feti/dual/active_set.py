@@ -62,7 +62,7 @@ class ActiveSetResult:
         Q(Fl - d) + G'a with the rigid motions a: the equalities' part of the gradient.
     solved : bool
         Whether the energy of the residual and the signs are within the tolerance; if not, the set
-        has occurred before or a limit was met.
+        has occurred before, a limit was met, or the residual is rounding.
     iterate : PCPGIterate
         The last iterate on the last face, to continue to a smaller tolerance.
     """
@@ -132,7 +132,13 @@ def primal_dual_active_set(
         solved = exact and iterate.violation <= negligible
         cycles = exact and any(_counts(problem, following != s)[0] == 0 for s in previous_sets)
         progress.update(iterate.violation)
-        if solved or cycles or progress.stagnates or products.total >= max_products:
+        if (
+            solved
+            or cycles
+            or iterate.at_limit
+            or progress.stagnates
+            or products.total >= max_products
+        ):
             return _result(problem, iterate, solved)
         if exact:
             previous_sets.append(face.active)

@@ -32,6 +32,8 @@ Mask = NDArray[np.bool_]
 # r'z above this multiple of its smallest value: the residual is rounding, and the recurrences of
 # conjugate gradients amplify it (r'z of a regular problem may rise by its condition number)
 _DIVERGED = 1e6
+# steps, and multiples of all steps before, that may fail to halve r'z: then it is rounding, too
+_PATIENCE, _PATIENCE_FACTOR = 200, 3
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,8 @@ class PCPGIterate:
         r'z, the squared energy of the residual [J]; infinite while z is not known.
     step_lengths : tuple of float
         Step lengths of the conjugate gradients.
+    at_limit : bool
+        Whether the residual is rounding: more steps do not reduce it.
     """
 
     active: Mask
@@ -88,11 +92,12 @@ class PCPGIterate:
     step_lengths: tuple[float, ...]
     preconditioned: Vector | None = None
     rz: float = np.inf
+    at_limit: bool = False
 
     @property
     def energy(self) -> float:
         """sqrt(r'z) [sqrt(J)]."""
-        return float(np.sqrt(self.rz))
+        return float(np.sqrt(self.rz)) if self.residual > 0.0 else 0.0
 
     @property
     def step_length(self) -> float:
@@ -139,13 +144,14 @@ def pcpg(
     Returns
     -------
     PCPGIterate
-        The last iterate.
+        The last iterate; where rounding ends the iterations the one with the smallest energy, up to
+        a factor of two.
     """
     iterate = start if resume and isinstance(start, PCPGIterate) else None
     if iterate is None:
         iterate = _first_iterate(problem, face, start, products)
     test_below, best = 0.5 * iterate.residual, iterate
-    while products.total < max_products:
+    while iterate.residual > 0.0 and products.total < max_products:
         if iterate.residual <= test_below:
             if iterate.residual <= sign_factor * iterate.violation:
                 return iterate
@@ -153,14 +159,19 @@ def pcpg(
         iterate = _with_preconditioned_residual(problem, face, iterate, products)
         if iterate.energy <= tolerance:
             return iterate
-        if iterate.rz > _DIVERGED * best.rz:
-            return best
-        best = iterate if iterate.rz < best.rz else best
-        following = _step(problem, face, iterate, products)
+        best = iterate if iterate.rz <= 0.5 * best.rz else best
+        following = None if _is_rounding(iterate, best) else _step(problem, face, iterate, products)
         if following is None:
-            return iterate
+            return replace(best, at_limit=True)
         iterate = following
     return iterate
+
+
+def _is_rounding(iterate: PCPGIterate, best: PCPGIterate) -> bool:
+    """Tell whether r'z has risen, or has not been halved, for so long that it is rounding."""
+    steps = len(best.step_lengths)
+    waited = len(iterate.step_lengths) - steps
+    return waited > max(_PATIENCE, _PATIENCE_FACTOR * steps) or iterate.rz > _DIVERGED * best.rz
 
 
 def _step(
