@@ -22,7 +22,7 @@ Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# what rounding leaves of rigid motions of a body in its gluing rows and outside its kernels, and how
+# what rounding leaves of rigid motions of a body in gluing rows and outside the kernels, and how
 # much the rounding of coordinates far from the origin adds
 _TRACE = 1e-13
 _OFFSET = 16 * 2.0**-52
