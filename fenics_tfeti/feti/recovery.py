@@ -259,7 +259,8 @@ def close_with_gram(
 
 def _close_block(W: Vector, jump: Vector, R: Mask) -> tuple[Vector, Mask]:
     """Close the rows R of one block, and add rows that this penetrates until there is none."""
-    negligible = 1e-14 * float(np.abs(jump).max(initial=0.0))
+    # of what is closed: gaps of other rows may be far
+    negligible = 1e-14 * float(np.where(R, np.abs(jump), jump).max(initial=0.0))
     while True:
         y, at = np.zeros(R.size), np.flatnonzero(R)
         y[at] = np.linalg.lstsq(W[np.ix_(at, at)], jump[at], rcond=PARALLEL)[0]

@@ -159,8 +159,9 @@ class DualSetup:
         precondition = None
         if options.preconditioner != "none":
             with raise_collectively(system.comm):
+                kernels = [local.kernels[congruent.first] for congruent in local.classes]
                 precondition = interface_operator(
-                    options.preconditioner, F, local.stiffness, package
+                    options.preconditioner, F, local.stiffness, kernels, package
                 )
         constraints = coarse_space.constraints
         return DualSetup(
