@@ -257,7 +257,8 @@ def iterate_until_certified(
         far = data.c[rows] > longest if longest > 0.0 else np.zeros(rows.size, dtype=bool)
         c = data.c.copy()
         c[rows] = np.where(far, longest, data.c[rows])
-        loop = _Loop.begin(setup, replace(data, c=c), feasible, options, timer, history, body_names)
+        near = replace(data, c=c)
+        loop = _Loop.begin(setup, near, far, feasible, options, timer, history, body_names)
         outcome = _iterate(loop, start)
         closed = bool((outcome.candidate.recovered.closed & far).any())
         if not comm.allreduce(closed, MPI.LOR):
@@ -358,6 +359,7 @@ class _Loop:
     def begin(
         setup: DualSetup,
         data: ContactData,
+        far: Mask,
         feasible: _FeasibleState,
         options: Options,
         timer: Timer,
@@ -376,7 +378,7 @@ class _Loop:
             setup.local.unit,
         )
         d = feasible.jumps - data.c
-        jumps = _energy_of_jumps(setup, data, d, timer, history)
+        jumps = _energy_of_jumps(setup, data, far, d, timer, history)
         scale = float(np.sqrt(max(feasible.strain, jumps)))
         # jumps that have to be closed, with prescribed displacements and penetrated gaps
         rows, closing = setup.constraints.inequality, data.c.copy()
@@ -531,14 +533,15 @@ class _Loop:
 
 
 def _energy_of_jumps(
-    setup: DualSetup, data: ContactData, d: Vector, timer: Timer, history: History
+    setup: DualSetup, data: ContactData, far: Mask, d: Vector, timer: Timer, history: History
 ) -> float:
     """Return r'Mr of the jumps r = B u_t - c at lambda~ that have to be closed [J].
 
-    These are the jumps on the face of lambda~, and on other contact rows the penetrations.
+    These are the jumps on the face of lambda~, and on other contact rows the penetrations. Rows
+    with a far gap are expected to stay open, whatever lambda~ is there.
     """
     layout, rows = setup.constraints.layout, setup.constraints.inequality
-    pressing = data.feasible[rows] > 0.0
+    pressing = (data.feasible[rows] > 0.0) & ~far
     face = Projector.build(setup.projector.coarse_space, pressing)
     r = face.remove_rigid_motion(layout.owned_part(d), d)[0]
     r[rows] = np.where(pressing, r[rows], np.maximum(r[rows], 0.0))
