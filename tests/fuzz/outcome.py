@@ -47,6 +47,9 @@ FACTOR = 10.0
 OF_GROUP, OF_ALL, AT_REST = 1e-3, 1e-6, 1e-8
 # rounding errors of the package are this much larger than those of one operation on the data
 ROUNDINGS = 1e2
+# part of the energy norms of motions and loads below which strains count as none: ten times what the
+# package says, since its norms are not these
+UNDEFORMED = 1e6 * 2.0**-52
 
 
 @dataclass(frozen=True)
@@ -149,17 +152,9 @@ def _compare_error(answer: Answer, error: Exception | None, said: str) -> Outcom
 
 def _scales(answer: Answer) -> Vector:
     """Return the energy norm that the error of each body is compared with."""
-    groups = np.zeros(answer.group.max() + 1)
-    np.add.at(groups, answer.group, answer.energy)
-    return np.sqrt(
-        np.maximum.reduce(
-            [
-                answer.energy,
-                OF_GROUP**2 * groups[answer.group],
-                np.full(answer.energy.size, OF_ALL**2 * groups.sum()),
-            ]
-        )
-    )
+    energy = answer.energy
+    of_all = np.full(energy.size, OF_ALL**2 * energy.sum())
+    return np.sqrt(np.maximum.reduce([energy, OF_GROUP**2 * _of_groups(answer, energy), of_all]))
 
 
 def _attainable(answer: Answer) -> float:
@@ -174,6 +169,10 @@ def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol:
     assert u is not None
     if not np.isfinite(u).all():
         return Outcome("wrong", "displacements are not finite")
+    rounded_gap = ROUNDINGS * float(problem.gap_rounding.max(initial=0.0))
+    if 0.0 < np.abs(answer.displacement).max(initial=0.0) <= rounded_gap:
+        largest = np.array([np.abs(u).max()])
+        return _outcome({"displacement by a rounded gap": _worst(largest, rounded_gap)})
     scale, floor = _scales(answer), ROUNDINGS * answer.noise
     if np.any(answer.error > 0.3 * FACTOR * rtol * scale + floor):
         worst = float(np.max(answer.error / np.maximum(scale, 1e-300)))
@@ -198,7 +197,13 @@ def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol:
     stiffness = np.array(
         [abs(K[at][:, at]).max() for at in map(problem.unknowns, range(problem.bodies))]
     )
-    floor = floor + 1e-15 * np.sqrt(stiffness) * size.max() + _rounding_of_load(problem, K)
+    motion, load = np.sqrt(stiffness) * size.max(), _energy_of_load(problem, K)
+    floor = floor + 1e-15 * motion + 1e-12 * load
+    # the package calls strains rounding up to this part of motions and loads
+    still = np.sqrt(_of_groups(answer, answer.energy)) <= ROUNDINGS * np.sqrt(
+        _of_groups(answer, answer.noise**2)
+    )
+    floor = floor + np.where(still, UNDEFORMED * (motion + load), 0.0)
     ratio = {"error": _worst(np.sqrt(errors), FACTOR * rtol * scale + floor)}
 
     # local lengths: of the bodies that a row joins, without their rigid motions
@@ -223,11 +228,15 @@ def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol:
     exact_energy = float(0.5 * answer.energy.sum() - problem.load @ answer.displacement)
     absolute = np.abs(answer.displacement)
     noise = 1e-12 * float(np.abs(problem.load) @ absolute)
-    noise += 1e-13 * float(absolute @ abs(K) @ absolute) + _rounding_of_load(problem, K) ** 2
+    noise += 1e-13 * float(absolute @ abs(K) @ absolute) + (1e-12 * load) ** 2
     ratio["energy"] = _worst(
         np.array([abs(found.energy - exact_energy)]),
         np.array([FACTOR * rtol * max(abs(exact_energy), 0.5 * answer.energy.sum()) + noise]),
     )
+    return _outcome(ratio)
+
+
+def _outcome(ratio: dict[str, float]) -> Outcome:
     bad = {name: value for name, value in ratio.items() if value > 1.0}
     if not bad:
         return Outcome("right", "", ratio)
@@ -235,9 +244,17 @@ def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol:
     return Outcome("wrong", f"times what is allowed: {words}", ratio)
 
 
-def _rounding_of_load(problem: GluedProblem, K: Any) -> float:
-    """Return what rounding leaves of a load that supports and contacts take up, in energy."""
-    return 1e-12 * float(np.sqrt(np.sum(problem.load**2 / K.diagonal())))
+def _energy_of_load(problem: GluedProblem, K: Any) -> float:
+    """Return the energy norm of what the load does to each unknown alone."""
+    return float(np.sqrt(np.sum(problem.load**2 / K.diagonal())))
+
+
+def _of_groups(answer: Answer, values: Vector) -> Vector:
+    """Return the sums over the groups, for each body of a group."""
+    sums = np.zeros(answer.group.max() + 1)
+    np.add.at(sums, answer.group, values)
+    each: Vector = sums[answer.group]
+    return each
 
 
 def _rigid_part(problem: GluedProblem, body: int, u: Vector) -> Vector:
