@@ -47,8 +47,8 @@ FACTOR = 10.0
 OF_GROUP, OF_ALL, AT_REST = 1e-3, 1e-6, 1e-8
 # rounding errors of the package are this much larger than those of one operation on the data
 ROUNDINGS = 1e2
-# part of the energy norms of motions and loads below which strains count as none: ten times what the
-# package says, since its norms are not these
+# part of the energy norms of motions and loads below which strains count as none: ten times that of
+# the package, whose norms are others
 UNDEFORMED = 1e6 * 2.0**-52
 
 
