@@ -32,6 +32,8 @@ __all__ = ["Recovered", "balance_multipliers", "forces_at_rest", "recover_displa
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+# what rounding leaves of a unit motion in a contact row that it does not move
+_TRACE = 1e-13
 # rounding of a load that equality rows take, relative to the largest nodal load of a rank
 _SHARED_OUT = 1e-15
 
@@ -280,6 +282,10 @@ def _smallest_without_penetration(active: Projector, gap: Vector) -> Vector:
     inactive = np.flatnonzero(~active.rows[owned])
     contact = constraints.contact[inactive]
     closing = np.asarray(active.coarse_space.contact[:, inactive].T @ active.free)
+    lengths = constraints.row_lengths[owned[inactive]]
+    # rounding is no way to open a gap
+    moved = np.abs(closing).max(axis=1, initial=0.0) > _TRACE * lengths
+    inactive, contact, closing = inactive[moved], contact[moved], closing[moved]
     gap = gap[owned[inactive]]
     z = np.zeros(active.free.shape[1])
     conditions, limits = np.zeros((0, z.size)), np.zeros(0)

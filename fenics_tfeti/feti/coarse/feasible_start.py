@@ -21,12 +21,15 @@ from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.feti.tolerances import NO_WORK
+from fenics_tfeti.feti.tolerances import NO_WORK, UNRESISTED
 from fenics_tfeti.qp import least_norm_nonnegative
 
 __all__ = ["check_load", "feasible_start", "least_norm_nonnegative"]
 
 Vector = NDArray[np.float64]
+
+# ||B R z|| of equality rows below which contact takes the load first
+_SOFTLY = 3e-2
 
 
 def check_load(
@@ -85,9 +88,11 @@ def feasible_start(
     constraints = coarse_space.constraints
     supports = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
     start = np.zeros(constraints.size)
-    if supports.free_bodies.shape[1]:
-        for group in _groups(system, coarse_space, supports.free_bodies, e):
-            start += _contact_forces(system, kernels, coarse_space, group)
+    # soft supports would be stretched far by what contact can carry
+    free, weak = coarse_space.weakly_resisted(constraints.equality, _SOFTLY)
+    if free.shape[1] + weak.shape[1]:
+        for group in _groups(system, coarse_space, np.hstack([free, weak]), e):
+            start += _contact_forces(system, kernels, coarse_space, group, free)
     # (11.38) for what the contact forces leave
     left = supports.without_free_motions(e - coarse_space.restrict(start))
     return start + supports.least_norm(left)
@@ -147,9 +152,17 @@ def _orthonormal(columns: Vector) -> Vector:
 
 
 def _contact_forces(
-    system: TornSystem, kernels: Sequence[Vector], coarse_space: CoarseSpace, group: _Group
+    system: TornSystem,
+    kernels: Sequence[Vector],
+    coarse_space: CoarseSpace,
+    group: _Group,
+    free: Vector,
 ) -> Vector:
-    """Return least-norm nonnegative contact multipliers that balance the load on a group."""
+    """Return the contact multipliers of least-norm ones that balance the load on a group.
+
+    Forces of equality rows take part where they resist the motions weakly. Of motions `free` of
+    them contact has to take the whole load.
+    """
     constraints = coarse_space.constraints
     multipliers = np.zeros(constraints.size)
     if np.linalg.norm(group.work) <= NO_WORK * group.force:
@@ -158,11 +171,25 @@ def _contact_forces(
     owned = constraints.inequality[: constraints.owned_inequalities]
     columns = coarse_space.comm.allgather(coarse_space.moved_rows(group.motions)[owned].T)
     first = sum(part.shape[1] for part in columns[: coarse_space.comm.rank])
-    forces, residual = least_norm_nonnegative(np.concatenate(columns, axis=1), group.work)
-    if np.linalg.norm(residual) > NO_WORK * group.force:
-        _raise_unresisted(system, kernels, coarse_space, group.motions @ residual)
+    weakly = _weak_columns(coarse_space, group.motions)
+    forces, residual = least_norm_nonnegative(
+        np.concatenate([*columns, weakly, -weakly], axis=1), group.work
+    )
+    unresisted = free @ (free.T @ (group.motions @ residual))
+    if np.linalg.norm(unresisted) > NO_WORK * group.force:
+        _raise_unresisted(system, kernels, coarse_space, unresisted)
     multipliers[owned] = forces[first : first + owned.size]
     return constraints.layout.sum(multipliers)
+
+
+def _weak_columns(coarse_space: CoarseSpace, motions: Vector) -> Vector:
+    """Return what equality rows do to the motions: as few columns as there are motions."""
+    constraints = coarse_space.constraints
+    owned = np.flatnonzero(constraints.equality[: constraints.layout.owned])
+    rows = np.linalg.qr(coarse_space.moved_rows(motions)[owned], mode="r")
+    whole = np.concatenate(coarse_space.comm.allgather(rows))
+    columns = np.transpose(np.linalg.qr(whole, mode="r"))
+    return columns[:, np.abs(columns).max(axis=0, initial=0.0) > UNRESISTED]
 
 
 def _raise_unresisted(

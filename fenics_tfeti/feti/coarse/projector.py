@@ -94,8 +94,7 @@ class Projector:
         gram = coarse_space.equality + layout.rows((contact[layout.own] @ contact.T).tocsr())
         pinned = np.column_stack([free, coarse_space.coarse_motions(weak)])
         if pinned.shape[1]:
-            # without any row the matrix is zero
-            stiffness = layout.largest_diagonal(gram) or 1.0
+            stiffness = max(layout.largest_diagonal(gram), coarse_space.rounding_of_gram)
             # pinned so firmly that what resists a weak motion is rounding beside it
             firmly = _FIRMLY if weak.shape[1] else 1.0
             gram = layout.add_to_diagonal(gram, _pinned_unknowns(pinned), firmly * stiffness)

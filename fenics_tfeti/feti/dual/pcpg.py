@@ -92,7 +92,7 @@ class PCPGIterate:
     @property
     def energy(self) -> float:
         """sqrt(r'z) [sqrt(J)]."""
-        return float(np.sqrt(self.rz))
+        return float(np.sqrt(max(self.rz, 0.0)))
 
     @property
     def step_length(self) -> float:
