@@ -8,8 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
-__all__ = ["least_distance", "least_norm_nonnegative", "nonnegative_least_squares"]
+__all__ = [
+    "least_distance",
+    "least_norm_nonnegative",
+    "least_norm_partly_nonnegative",
+    "nonnegative_least_squares",
+]
 
 Vector = NDArray[np.float64]
 
@@ -21,6 +27,10 @@ _ROUNDING = 1e-15
 _NEWTON = 1e-11
 # 1 / sqrt(1 + z'z), z in units of the largest violation, below which no z fulfils the conditions
 _NO_SOLUTION = 1e-12
+# length of a combination of rows, relative to the longest, that is rounding, and what rounding
+# leaves of a column in it
+_UNRESISTED_ROW = 1e-14
+_TRACE = 1e-14
 
 
 def nonnegative_least_squares(A: Vector, b: Vector) -> Vector:
@@ -166,6 +176,84 @@ def _newton(C: Vector, d: Vector) -> Vector | None:
         while value(y + length * p) > limit + 1e-4 * length * slope and length > 1e-12:
             length *= 0.5
         y = y + length * p
+    return None
+
+
+def least_norm_partly_nonnegative(C: Vector, E: Vector, d: Vector) -> tuple[Vector, Vector]:
+    """Minimise 1/2 ||x||^2 + 1/2 ||p||^2 subject to Cx + Ep = d and x >= o, where E is small.
+
+    As `least_norm_nonnegative`, but with the columns of E free of signs. Where they are small the
+    dual variables are as large as 1 / ||E||^2. So the rows are combined such that those of (C, E)
+    are orthonormal: what only E resists is separated from what C resists.
+
+    Parameters
+    ----------
+    C : (r, n) array
+        Few rows.
+    E : (r, q) array
+        Columns of any size.
+    d : (r,) array
+        Right-hand side.
+
+    Returns
+    -------
+    x : (n,) array
+        The solution without p; if there is none, x of a minimiser of ||Cx + Ep - d||.
+    residual : (r,) array
+        d - Cx - Ep.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> C, E = np.array([[1.0], [-1.0]]), 1e-6 * np.identity(2)
+    >>> x, residual = least_norm_partly_nonnegative(C, E, np.array([2.0, 1.0]))
+    >>> x.round(6).tolist(), bool(np.abs(residual).max() < 1e-9)
+    ([0.5], True)
+    """
+    whole = np.hstack([C, E])
+    U, lengths, _ = np.linalg.svd(whole, full_matrices=False)
+    kept = lengths > _UNRESISTED_ROW * lengths.max(initial=0.0)
+    U, lengths = U[:, kept], lengths[kept]
+    columns = U.T @ whole
+    columns[np.abs(columns) <= _TRACE * np.abs(columns).max(axis=0, initial=0.0)] = 0.0
+    columns /= lengths[:, None]
+    found = _newton_partly(columns[:, : C.shape[1]], columns[:, C.shape[1] :], U.T @ d / lengths)
+    if found is None:
+        signed = nonnegative_least_squares(np.hstack([whole, -E]), d)
+        n, q = C.shape[1], E.shape[1]
+        found = signed[:n], signed[n : n + q] - signed[n + q :]
+    return found[0], d - C @ found[0] - E @ found[1]
+
+
+def _newton_partly(C: Vector, E: Vector, d: Vector) -> tuple[Vector, Vector] | None:
+    """Return x = max(C'y, o) and p = E'y with Cx + Ep = d, for (C, E) with orthonormal rows."""
+    y, scale = np.zeros(d.size), float(np.linalg.norm(d))
+    if scale == 0.0:
+        return np.zeros(C.shape[1]), np.zeros(E.shape[1])
+
+    def value(y: Vector) -> float:
+        free = E.T @ y
+        return float(0.5 * np.sum(np.maximum(C.T @ y, 0.0) ** 2) + 0.5 * free @ free - d @ y)
+
+    for step in range(100):
+        x, p = np.maximum(C.T @ y, 0.0), E.T @ y
+        gradient = C @ x + E @ p - d
+        size = float(np.linalg.norm(gradient)) / scale
+        if not np.isfinite(size):
+            return None
+        if size <= _NEWTON:
+            return x, p
+        support = C[:, x > 0.0] if step else C
+        # damped where neither the support nor E resists; QR keeps the accuracy that HH' would lose
+        damping = np.sqrt(min(1e-3, size) * np.finfo(float).eps)
+        rows = np.vstack([support.T, E.T, damping * np.identity(d.size)])
+        R = np.linalg.qr(rows, mode="r")
+        direction = -solve_triangular(R, solve_triangular(R, gradient, trans="T"))
+        slope, length = float(gradient @ direction), 1.0
+        limit = value(y) + 1e-12 * abs(value(y))
+        while value(y + length * direction) > limit + 1e-4 * length * slope and length > 1e-12:
+            length *= 0.5
+        y = y + length * direction
     return None
 
 

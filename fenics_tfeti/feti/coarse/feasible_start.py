@@ -22,7 +22,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import NO_WORK, UNRESISTED
-from fenics_tfeti.qp import least_norm_nonnegative
+from fenics_tfeti.qp import least_norm_nonnegative, least_norm_partly_nonnegative
 
 __all__ = ["check_load", "feasible_start", "least_norm_nonnegative"]
 
@@ -171,10 +171,11 @@ def _contact_forces(
     owned = constraints.inequality[: constraints.owned_inequalities]
     columns = coarse_space.comm.allgather(coarse_space.moved_rows(group.motions)[owned].T)
     first = sum(part.shape[1] for part in columns[: coarse_space.comm.rank])
-    weakly = _weak_columns(coarse_space, group.motions)
-    forces, residual = least_norm_nonnegative(
-        np.concatenate([*columns, weakly, -weakly], axis=1), group.work
-    )
+    contact, weakly = np.concatenate(columns, axis=1), _weak_columns(coarse_space, group.motions)
+    if weakly.shape[1]:
+        forces, residual = least_norm_partly_nonnegative(contact, weakly, group.work)
+    else:
+        forces, residual = least_norm_nonnegative(contact, group.work)
     unresisted = free @ (free.T @ (group.motions @ residual))
     if np.linalg.norm(unresisted) > NO_WORK * group.force:
         _raise_unresisted(system, kernels, coarse_space, unresisted)

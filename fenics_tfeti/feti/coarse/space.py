@@ -135,11 +135,11 @@ class CoarseSpace:
         return self.layout.size
 
     @property
-    def rounding_of_gram(self) -> float:
-        """What rounding may leave on the diagonal of GG' where no row resists anything."""
+    def longest_row(self) -> float:
+        """Largest length of a row of B."""
         longest = np.array([self.constraints.row_lengths.max(initial=0.0)])
         self.comm.Allreduce(MPI.IN_PLACE, longest, MPI.MAX)
-        return float(np.finfo(float).eps * longest[0] ** 2) or 1.0
+        return float(longest[0])
 
     @property
     def comm(self) -> MPI.Intracomm:

@@ -32,6 +32,8 @@ Mask = NDArray[np.bool_]
 # r'z above this multiple of its smallest value: the residual is rounding, and the recurrences of
 # conjugate gradients amplify it (r'z of a regular problem may rise by its condition number)
 _DIVERGED = 1e6
+# p'Fp relative to r'z, about 1 with a good preconditioner, that is rounding: P leaves nothing of F
+_NO_CURVATURE = 64 * 2.0**-52
 
 
 @dataclass(frozen=True)
@@ -174,7 +176,7 @@ def _step(
     p = z + rz / iterate.rz_of_direction * iterate.direction
     # 3. product: PFp on the face, off it what the gaps change by; p'Fp
     change, curvature = face.projector.remove_rigid_motion(_product(problem, p, products), p)
-    if curvature <= 0.0:
+    if curvature <= _NO_CURVATURE * rz:
         return None
     # 4. step: l += alpha p, g += alpha PFp with alpha = r'z / p'Fp
     alpha = rz / curvature
