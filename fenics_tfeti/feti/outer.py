@@ -219,6 +219,7 @@ class _Stage:
     state: DualState
     solved: bool
     reason: str = ""
+    stalled: bool = False
     iterate: PCPGIterate | None = None
 
 
@@ -296,6 +297,9 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
         worst = candidate.certificate.worst
         if worst <= limit:
             return Outcome(candidate, stage.state, True, "converged", tolerance)
+        if stage.stalled:
+            stage = _Stage(loop.state_of(candidate), solved=False)
+            continue
         if not stage.solved:
             return Outcome(candidate, stage.state, False, stage.reason, tolerance)
         progress.update(candidate.certificate, tolerance, loop.history.products.total - before)
@@ -469,7 +473,18 @@ class _Loop:
             DualState(np.where(cancelled, 0.0, multipliers), result.state.q),
             result.converged,
             limits.get(result.reason, result.reason),
+            result.reason == "stalled",
         )
+
+    def state_of(self, candidate: Candidate) -> DualState:
+        """Return the multipliers and the rigid motions of a candidate as a state.
+
+        With them SMALBE-M continues where its own update of mu, rho Gx, is too small for motions
+        that only weak rows resist.
+        """
+        setup = self.setup
+        gradient = self.data.c - setup.F.jumps(candidate.recovered.torn)
+        return DualState(candidate.multipliers, setup.projector.Q(gradient))
 
     def recover(self, state: DualState) -> Candidate:
         """Recover displacements, and measure how well they and lambda solve (11.21)."""

@@ -176,7 +176,7 @@ class TornSolver:
         )
         e = coarse_space.coarse_load(load)
         check_load(system, local.kernels, projector, e)
-        feasible = feasible_start(system, local.kernels, coarse_space, e)
+        feasible = feasible_start(system, local.kernels, coarse_space, e, c, local.unit)
         return ContactData(load, c, e, feasible)
 
     def _first_state(

@@ -179,8 +179,10 @@ def _newton(C: Vector, d: Vector) -> Vector | None:
     return None
 
 
-def least_norm_partly_nonnegative(C: Vector, E: Vector, d: Vector) -> tuple[Vector, Vector]:
-    """Minimise 1/2 ||x||^2 + 1/2 ||p||^2 subject to Cx + Ep = d and x >= o, where E is small.
+def least_norm_partly_nonnegative(
+    C: Vector, E: Vector, d: Vector, g: Vector
+) -> tuple[Vector, Vector]:
+    """Minimise 1/2 ||x||^2 + 1/2 ||p||^2 + g'x subject to Cx + Ep = d and x >= o, where E is small.
 
     As `least_norm_nonnegative`, but with the columns of E free of signs. Where they are small the
     dual variables are as large as 1 / ||E||^2. So the rows are combined such that those of (C, E)
@@ -194,6 +196,8 @@ def least_norm_partly_nonnegative(C: Vector, E: Vector, d: Vector) -> tuple[Vect
         Columns of any size.
     d : (r,) array
         Right-hand side.
+    g : (n,) array
+        Linear term.
 
     Returns
     -------
@@ -206,7 +210,7 @@ def least_norm_partly_nonnegative(C: Vector, E: Vector, d: Vector) -> tuple[Vect
     --------
     >>> import numpy as np
     >>> C, E = np.array([[1.0], [-1.0]]), 1e-6 * np.identity(2)
-    >>> x, residual = least_norm_partly_nonnegative(C, E, np.array([2.0, 1.0]))
+    >>> x, residual = least_norm_partly_nonnegative(C, E, np.array([2.0, 1.0]), np.zeros(1))
     >>> x.round(6).tolist(), bool(np.abs(residual).max() < 1e-9)
     ([0.5], True)
     """
@@ -217,26 +221,30 @@ def least_norm_partly_nonnegative(C: Vector, E: Vector, d: Vector) -> tuple[Vect
     columns = U.T @ whole
     columns[np.abs(columns) <= _TRACE * np.abs(columns).max(axis=0, initial=0.0)] = 0.0
     columns /= lengths[:, None]
-    found = _newton_partly(columns[:, : C.shape[1]], columns[:, C.shape[1] :], U.T @ d / lengths)
+    n = C.shape[1]
+    found = _newton_partly(columns[:, :n], columns[:, n:], U.T @ d / lengths, g)
     if found is None:
         signed = nonnegative_least_squares(np.hstack([whole, -E]), d)
-        n, q = C.shape[1], E.shape[1]
+        q = E.shape[1]
         found = signed[:n], signed[n : n + q] - signed[n + q :]
     return found[0], d - C @ found[0] - E @ found[1]
 
 
-def _newton_partly(C: Vector, E: Vector, d: Vector) -> tuple[Vector, Vector] | None:
-    """Return x = max(C'y, o) and p = E'y with Cx + Ep = d, for (C, E) with orthonormal rows."""
+def _newton_partly(
+    C: Vector, E: Vector, d: Vector, g: Vector
+) -> tuple[Vector, Vector] | None:
+    """Return x = max(C'y - g, o) and p = E'y with Cx + Ep = d; rows of (C, E) are orthonormal."""
     y, scale = np.zeros(d.size), float(np.linalg.norm(d))
     if scale == 0.0:
         return np.zeros(C.shape[1]), np.zeros(E.shape[1])
 
     def value(y: Vector) -> float:
         free = E.T @ y
-        return float(0.5 * np.sum(np.maximum(C.T @ y, 0.0) ** 2) + 0.5 * free @ free - d @ y)
+        pressed = np.maximum(C.T @ y - g, 0.0)
+        return float(0.5 * (pressed @ pressed + free @ free) - d @ y)
 
     for step in range(100):
-        x, p = np.maximum(C.T @ y, 0.0), E.T @ y
+        x, p = np.maximum(C.T @ y - g, 0.0), E.T @ y
         gradient = C @ x + E @ p - d
         size = float(np.linalg.norm(gradient)) / scale
         if not np.isfinite(size):

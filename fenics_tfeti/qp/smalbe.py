@@ -19,7 +19,7 @@ from fenics_tfeti.qp.space import Space
 __all__ = ["OuterIteration", "SMALBEOptions", "SMALBEResult", "SMALBEState", "smalbe"]
 
 Vector = NDArray[np.float64]
-Reason = Literal["converged", "max_it", "max_products"]
+Reason = Literal["converged", "max_it", "max_products", "stalled"]
 
 # lower limit of the inner tolerance, relative to that of the final test: below it the increase of
 # the Lagrangian is rounding, and M would be reduced without need
@@ -44,6 +44,8 @@ class SMALBEOptions:
         Upper limit of the inner gradient, relative to ||b||, in (0, 1].
     max_it : int
         Limit on outer iterations.
+    patience : int or None
+        End where that many outer iterations have not halved ||Gx||; by default never.
     inner : MPRGPOptions
         Parameters of the inner solver; its ``max_products`` limits the sum over all calls.
     """
@@ -54,6 +56,7 @@ class SMALBEOptions:
     beta: float = 0.5
     eta: float = 0.1
     max_it: int = 200
+    patience: int | None = None
     inner: MPRGPOptions = field(default_factory=MPRGPOptions)
 
 
@@ -114,8 +117,8 @@ class SMALBEResult:
         Gradient of the augmented Lagrangian at x.
     converged : bool
         Whether (11.47) holds.
-    reason : {"converged", "max_it", "max_products"}
-        The stopping test held, or the limit that ended the iterations.
+    reason : {"converged", "max_it", "max_products", "stalled"}
+        The stopping test held, the limit that ended the iterations, or ||Gx|| did not decrease.
     history : list of OuterIteration
         One entry for each outer iteration.
     """
@@ -200,7 +203,7 @@ def smalbe(
     M = options.M0 if start.M is None else start.M
     gradient = _first_gradient(hessian, b, x, q, space, products)
     history: list[OuterIteration] = []
-    previous_lagrangian = -np.inf
+    previous_lagrangian, best, best_at = -np.inf, np.inf, 0
     for k in range(options.max_it):
 
         def balanced(split: Split, M: float = M) -> bool:  # (11.46)
@@ -239,6 +242,10 @@ def smalbe(
             return SMALBEResult(
                 SMALBEState(x, q, M), inner.gradient, solved(split), reason, history
             )
+        if split.constraint_norm <= 0.5 * best:
+            best, best_at = split.constraint_norm, k
+        if options.patience is not None and k - best_at >= options.patience:
+            return SMALBEResult(SMALBEState(x, q, M), inner.gradient, False, "stalled", history)
         # Step 3: mu += rho Gx, with q = G'mu; the Lagrangian is that of the mu of Step 1,
         # L(x, mu, rho) = 1/2 x'(g - b + q)
         lagrangian = 0.5 * space.dots((x, inner.gradient - b + q))[0]

@@ -46,8 +46,8 @@ class BodyMotions:
         T: R T z moves each body rigidly, z in units of motion.
     moved : (m, modes * bodies) scipy.sparse.csr_matrix
         What the motions do to the rows of B that this rank holds; traces of rounding are removed.
-    supports : (modes * bodies, modes * bodies) array
-        Gram matrix by which elastic supports resist that take motions out of the kernel of K.
+    supports : (s, modes * bodies) array
+        Rows by which elastic supports resist that take motions out of the kernel of K.
     rounding : float
         What rounding may leave in `moved`.
     """
@@ -86,18 +86,19 @@ class BodyMotions:
             Orthonormal z.
         """
         B = self.moved[np.flatnonzero(rows[:owned])]
-        gram = sum_over_ranks((B.T @ B).toarray()) + self.supports
+        S = self.supports
+        gram = sum_over_ranks((B.T @ B).toarray()) + S.T @ S
         values, vectors = np.linalg.eigh(gram)
         weak = values <= below**2
         z, others = vectors[:, weak], vectors[:, ~weak]
         if not z.shape[1]:
             return np.zeros(0), z
-        # eigenvectors of the Gram matrix have errors of 1e-16 / below^2; here B is not squared
+        # eigenvectors of the Gram matrix have errors of 1e-16 / below^2; here B and S are not squared
         for _ in range(_PASSES):
-            product = sum_over_ranks(B.T @ (B @ z)) + self.supports @ z
+            product = sum_over_ranks(B.T @ (B @ z)) + S.T @ (S @ z)
             z = np.linalg.qr(z - others @ ((others.T @ product) / values[~weak][:, None]))[0]
-        Bz = B @ z
-        values, vectors = np.linalg.eigh(sum_over_ranks(Bz.T @ Bz) + z.T @ self.supports @ z)
+        Bz, Sz = B @ z, S @ z
+        values, vectors = np.linalg.eigh(sum_over_ranks(Bz.T @ Bz) + Sz.T @ Sz)
         return np.sqrt(np.maximum(values, 0.0)), z @ vectors
 
 
@@ -133,7 +134,7 @@ def body_motions(
 def _motions_and_supports(
     system: TornSystem, kernels: Sequence[Vector]
 ) -> tuple[sp.csr_matrix, Vector, float]:
-    """Return T, the Gram matrix of motions outside the kernel, and the largest |x| / body size."""
+    """Return T, S of motions outside the kernel, and the largest |x| / body size."""
     comm = system.comm
     gdim = system.gdim
     bodies = comm.allreduce(max((s.body + 1 for s in system.subdomains), default=0), MPI.MAX)
@@ -165,8 +166,16 @@ def _motions_and_supports(
     basis = sp.vstack(comm.allgather(sp.vstack(rows, format="csr")), format="csr")
     scaled = [t.T @ e @ t for t, e in zip(inverse, outside, strict=True)]
     scaled = [np.where(np.abs(e) > _INSIDE, e, 0.0) for e in scaled]
-    supports = block_diag(*scaled) if bodies else np.zeros((0, 0))
+    supports = block_diag(*map(_root, scaled)) if bodies else np.zeros((0, 0))
     return basis, supports, float(comm.allreduce(distance, MPI.MAX))
+
+
+def _root(gram: Vector) -> Vector:
+    """Return S with S'S = gram; what S resists is not lost to the rounding of the Gram matrix."""
+    values, vectors = np.linalg.eigh(gram)
+    resisting = values > _INSIDE
+    root: Vector = np.sqrt(values[resisting])[:, None] * vectors[:, resisting].T
+    return root
 
 
 def _centres_and_sizes(system: TornSystem, bodies: int) -> tuple[Vector, Vector, Vector]:

@@ -22,6 +22,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import NO_WORK, UNRESISTED
+from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.qp import least_norm_nonnegative, least_norm_partly_nonnegative
 
 __all__ = ["check_load", "feasible_start", "least_norm_nonnegative"]
@@ -60,9 +61,17 @@ def check_load(
 
 
 def feasible_start(
-    system: TornSystem, kernels: Sequence[Vector], coarse_space: CoarseSpace, e: Vector
+    system: TornSystem,
+    kernels: Sequence[Vector],
+    coarse_space: CoarseSpace,
+    e: Vector,
+    c: Vector,
+    unit: float,
 ) -> Vector:
     """Return lambda~ with G lambda~ = e and lambda~_I >= o.
+
+    Where equality rows resist motions weakly, as soft springs do, contact and springs share the
+    load as they do between rigid bodies: F is replaced by 1 / unit.
 
     Parameters
     ----------
@@ -74,6 +83,10 @@ def feasible_start(
         G.
     e : (coarse,) array
         R'f.
+    c : (m,) array
+        Right-hand sides of the constraints.
+    unit : float
+        The stiffness that a weight of 1 stands for [N/m].
 
     Returns
     -------
@@ -91,8 +104,12 @@ def feasible_start(
     # soft supports would be stretched far by what contact can carry
     free, weak = coarse_space.weakly_resisted(constraints.equality, _SOFTLY)
     if free.shape[1] + weak.shape[1]:
+        prescribed = coarse_space.prolong(
+            supports.without_free_motions(supports.coefficients(c))
+        )
+        gaps = unit * (c - prescribed)[constraints.inequality]
         for group in _groups(system, coarse_space, np.hstack([free, weak]), e):
-            start += _contact_forces(system, kernels, coarse_space, group, free)
+            start += _contact_forces(system, kernels, coarse_space, group, free, gaps)
     # (11.38) for what the contact forces leave
     left = supports.without_free_motions(e - coarse_space.restrict(start))
     return start + supports.least_norm(left)
@@ -157,11 +174,13 @@ def _contact_forces(
     coarse_space: CoarseSpace,
     group: _Group,
     free: Vector,
+    gaps: Vector,
 ) -> Vector:
     """Return the contact multipliers of least-norm ones that balance the load on a group.
 
-    Forces of equality rows take part where they resist the motions weakly. Of motions `free` of
-    them contact has to take the whole load.
+    Forces of equality rows take part where they resist the motions weakly, and then `gaps`, times
+    stiffness, have to be closed before contacts press. Of motions `free` of them contact has to
+    take the whole load.
     """
     constraints = coarse_space.constraints
     multipliers = np.zeros(constraints.size)
@@ -169,11 +188,15 @@ def _contact_forces(
         return multipliers
     # the ranks' columns side by side: as many as contact rows, not as unknowns
     owned = constraints.inequality[: constraints.owned_inequalities]
-    columns = coarse_space.comm.allgather(coarse_space.moved_rows(group.motions)[owned].T)
+    moved, gaps = coarse_space.moved_rows(group.motions)[owned].T, gaps[: owned.size]
+    far = ~np.isfinite(gaps)
+    moved[:, far], gaps = 0.0, np.where(far, 0.0, gaps)
+    columns = coarse_space.comm.allgather(moved)
     first = sum(part.shape[1] for part in columns[: coarse_space.comm.rank])
     contact, weakly = np.concatenate(columns, axis=1), _weak_columns(coarse_space, group.motions)
     if weakly.shape[1]:
-        forces, residual = least_norm_partly_nonnegative(contact, weakly, group.work)
+        whole = concatenate_ranks(coarse_space.comm, gaps)
+        forces, residual = least_norm_partly_nonnegative(contact, weakly, group.work, whole)
     else:
         forces, residual = least_norm_nonnegative(contact, group.work)
     unresisted = free @ (free.T @ (group.motions @ residual))

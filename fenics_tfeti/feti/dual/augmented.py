@@ -31,6 +31,10 @@ __all__ = ["augmented_hessian", "solve_by_smalbe"]
 
 Vector = NDArray[np.float64]
 
+# outer iterations that have to halve ||Gx||: where rows that resist a motion well leave the face
+# and weak ones stay, mu converges slowly
+_PATIENCE = 15
+
 
 def solve_by_smalbe(
     problem: DualProblem,
@@ -132,5 +136,6 @@ def _smalbe_options(options: Options, rtol: float, outer_so_far: int) -> SMALBEO
         beta=options.smalbe_beta,
         eta=options.smalbe_eta,
         max_it=max(1, options.smalbe_max_it - outer_so_far),
+        patience=_PATIENCE,
         inner=inner,
     )
