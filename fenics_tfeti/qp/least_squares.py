@@ -29,7 +29,7 @@ _NEWTON = 1e-11
 _NO_SOLUTION = 1e-12
 # length of a combination of rows, relative to the longest, that is rounding, and what rounding
 # leaves of a column in it
-_UNRESISTED_ROW = 1e-14
+_UNRESISTED_ROW = 1e-13
 _TRACE = 1e-14
 
 
@@ -215,28 +215,54 @@ def least_norm_partly_nonnegative(
     ([0.5], True)
     """
     whole = np.hstack([C, E])
+    if not d.any():
+        return np.zeros(C.shape[1]), d.copy()
     U, lengths, _ = np.linalg.svd(whole, full_matrices=False)
     kept = lengths > _UNRESISTED_ROW * lengths.max(initial=0.0)
     U, lengths = U[:, kept], lengths[kept]
     columns = U.T @ whole
     columns[np.abs(columns) <= _TRACE * np.abs(columns).max(axis=0, initial=0.0)] = 0.0
     columns /= lengths[:, None]
-    n = C.shape[1]
-    found = _newton_partly(columns[:, :n], columns[:, n:], U.T @ d / lengths, g)
+    n, sums = C.shape[1], U.T @ d
+    x, p = _newton_partly(columns[:, :n], columns[:, n:], sums / lengths, g)
+    found = _balanced(lengths[:, None] * columns, np.append(x, p), n, sums)
     if found is None:
-        signed = nonnegative_least_squares(np.hstack([whole, -E]), d)
-        q = E.shape[1]
-        found = signed[:n], signed[n : n + q] - signed[n + q :]
-    return found[0], d - C @ found[0] - E @ found[1]
+        # no solution, or one that rounding hides: the basic solution decides
+        signed = nonnegative_least_squares(np.hstack([columns, -columns[:, n:]]), sums / lengths)
+        found = np.append(signed[:n], signed[n : whole.shape[1]] - signed[whole.shape[1] :])
+    return found[:n], d - whole @ found
 
 
-def _newton_partly(
-    C: Vector, E: Vector, d: Vector, g: Vector
-) -> tuple[Vector, Vector] | None:
-    """Return x = max(C'y - g, o) and p = E'y with Cx + Ep = d; rows of (C, E) are orthonormal."""
+def _balanced(A: Vector, x: Vector, n: int, d: Vector) -> Vector | None:
+    """Return the nearest x with Ax = d, the first n components nonnegative and zero where they are.
+
+    None if there is none near.
+    """
+    bounded = np.arange(x.size) < n
+    if not np.isfinite(x).all():
+        return None
+    while True:
+        missing, free = d - A @ x, (x > 0.0) | ~bounded
+        size = float(np.linalg.norm(missing))
+        if size <= _NEWTON * np.linalg.norm(d):
+            return x
+        x = x.copy()
+        x[free] += np.linalg.lstsq(A[:, free], missing, rcond=None)[0]
+        negative = bounded & (x < 0.0)
+        x[negative] = 0.0
+        if not negative.any():
+            return x if np.linalg.norm(d - A @ x) <= _NEWTON * np.linalg.norm(d) else None
+
+
+def _newton_partly(C: Vector, E: Vector, d: Vector, g: Vector) -> tuple[Vector, Vector]:
+    """Return x = max(C'y - g, o) and p = E'y with Cx + Ep = d but for rounding.
+
+    The rows of (C, E) are orthonormal. Without a solution, x and p of the last step.
+    """
+    # damped where E does not resist
+    left, resisted, _ = np.linalg.svd(E)
+    free_rows = left[:, np.count_nonzero(resisted > _UNRESISTED_ROW) :].T
     y, scale = np.zeros(d.size), float(np.linalg.norm(d))
-    if scale == 0.0:
-        return np.zeros(C.shape[1]), np.zeros(E.shape[1])
 
     def value(y: Vector) -> float:
         free = E.T @ y
@@ -246,23 +272,20 @@ def _newton_partly(
     for step in range(100):
         x, p = np.maximum(C.T @ y - g, 0.0), E.T @ y
         gradient = C @ x + E @ p - d
-        size = float(np.linalg.norm(gradient)) / scale
-        if not np.isfinite(size):
-            return None
-        if size <= _NEWTON:
-            return x, p
+        size = float(np.linalg.norm(gradient))
+        if size <= _NEWTON * scale or not np.isfinite(size):
+            break
         support = C[:, x > 0.0] if step else C
-        # damped where neither the support nor E resists; QR keeps the accuracy that HH' would lose
-        damping = np.sqrt(min(1e-3, size) * np.finfo(float).eps)
-        rows = np.vstack([support.T, E.T, damping * np.identity(d.size)])
-        R = np.linalg.qr(rows, mode="r")
+        damping = np.sqrt(min(1e-3, size / scale) / d.size)
+        # QR of the factors of the Hessian keeps the accuracy that their product would lose
+        R = np.linalg.qr(np.vstack([support.T, E.T, damping * free_rows]), mode="r")
         direction = -solve_triangular(R, solve_triangular(R, gradient, trans="T"))
         slope, length = float(gradient @ direction), 1.0
         limit = value(y) + 1e-12 * abs(value(y))
         while value(y + length * direction) > limit + 1e-4 * length * slope and length > 1e-12:
             length *= 0.5
         y = y + length * direction
-    return None
+    return x, p
 
 
 def least_distance(A: Vector, b: Vector) -> Vector:
