@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.certificate import Certificate, PrimalProblem
+from fenics_tfeti.feti.coarse.feasible_start import softly_supported
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.active_set import ActiveSetStep, primal_dual_active_set
 from fenics_tfeti.feti.dual.augmented import solve_by_smalbe
@@ -282,8 +283,10 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
     forces = forces_at_rest(loop.setup.F, loop.data.load, loop.data.c)
     if forces is not None:
         return loop.at_rest(forces)
-    stage = _Stage(loop.first_state(start), solved=False)
     use_active_set = options.method == "active_set"
+    stage = _Stage(loop.first_state(start), solved=False)
+    if start is None and not use_active_set and loop.rests_softly():
+        stage = _Stage(loop.feasible_state(), solved=False)
     limit, tolerance = max(options.rtol, ROUNDING), options.rtol * loop.scale
     progress = _Progress()
     while True:
@@ -475,6 +478,15 @@ class _Loop:
             limits.get(result.reason, result.reason),
             result.reason == "stalled",
         )
+
+    def rests_softly(self) -> bool:
+        """Whether equality rows resist some motion of a body softly."""
+        return bool(softly_supported(self.setup.projector.coarse_space)[1].shape[1])
+
+    def feasible_state(self) -> DualState:
+        """Return lambda~ and its rigid motions, which take SMALBE-M long where rows are weak."""
+        feasible = DualState(self.data.feasible, np.zeros_like(self.d))
+        return self.state_of(self.recover(feasible))
 
     def state_of(self, candidate: Candidate) -> DualState:
         """Return the multipliers and the rigid motions of a candidate as a state.
