@@ -48,6 +48,9 @@ Mask = NDArray[np.bool_]
 # of gaps against forces
 LANCZOS_STEPS = 15
 _ROUGH_LANCZOS_STEPS = 3
+# outer iterations that have to halve ||Gx||: where rows that resist a motion well leave the face and
+# weak ones stay, mu converges slowly
+_PATIENCE = 15
 # a contact force below this part of the two numbers that it is the sum of is rounding
 _CANCELLED = 1e-13
 # rounding errors, in units of the last place, that add up in the jumps
@@ -284,9 +287,10 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
     if forces is not None:
         return loop.at_rest(forces)
     use_active_set = options.method == "active_set"
-    stage = _Stage(loop.first_state(start), solved=False)
-    if start is None and not use_active_set and loop.rests_softly():
+    stage, softly = _Stage(loop.first_state(start), solved=False), loop.rests_softly()
+    if start is None and not use_active_set and softly:
         stage = _Stage(loop.feasible_state(), solved=False)
+    stalled_at = np.inf if softly else 0.0
     limit, tolerance = max(options.rtol, ROUNDING), options.rtol * loop.scale
     progress = _Progress()
     while True:
@@ -295,13 +299,16 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
             stage = loop.active_set(stage, tolerance)
             use_active_set = stage.solved
         if not use_active_set:
-            stage = loop.smalbe(stage.state, tolerance)
+            stage = loop.smalbe(stage.state, tolerance, _PATIENCE if stalled_at > 0.0 else None)
         candidate = loop.recover(stage.state)
         worst = candidate.certificate.worst
         if worst <= limit:
             return Outcome(candidate, stage.state, True, "converged", tolerance)
         if stage.stalled:
-            stage = _Stage(loop.state_of(candidate), solved=False)
+            # as long as the rigid motions of the recovery help
+            helps = candidate.certificate.bound <= 0.5 * stalled_at
+            stalled_at = candidate.certificate.bound if helps else 0.0
+            stage = _Stage(loop.state_of(candidate) if helps else stage.state, solved=False)
             continue
         if not stage.solved:
             return Outcome(candidate, stage.state, False, stage.reason, tolerance)
@@ -440,8 +447,8 @@ class _Loop:
         state = DualState(result.multipliers, result.coarse_gradient)
         return _Stage(state, result.solved, iterate=result.iterate)
 
-    def smalbe(self, state: DualState, tolerance: float) -> _Stage:
-        """Run SMALBE-M on (11.40)."""
+    def smalbe(self, state: DualState, tolerance: float, patience: int | None) -> _Stage:
+        """Run SMALBE-M on (11.40); with patience it may end because ||Gx|| does not decrease."""
         before, feasible = len(self.history.outer), self.data.feasible
         problem = self._problem(LANCZOS_STEPS)
         try:
@@ -455,6 +462,7 @@ class _Loop:
                     norm_b=self.scale * np.sqrt(problem.norm),
                     options=self.options,
                     outer_so_far=before,
+                    patience=patience,
                     products=self.history.products,
                     monitor=lambda line: self._log_outer(line, before),
                 )

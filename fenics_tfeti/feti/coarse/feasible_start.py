@@ -158,7 +158,10 @@ def _groups(system: TornSystem, coarse_space: CoarseSpace, free: Vector, e: Vect
     found = []
     for g in range(int(group.max(initial=-1)) + 1):
         inside = np.repeat(group == g, modes)
-        motions = _orthonormal(np.where(inside[:, None], free, 0.0))
+        # of these rows alone: rounding would add work of the other groups' loads
+        basis = _orthonormal(free[inside])
+        motions = np.zeros((inside.size, basis.shape[1]))
+        motions[inside] = basis
         if motions.shape[1]:
             found.append(_Group(motions, motions.T @ work, float(force[group == g].sum())))
     return found
@@ -194,8 +197,9 @@ def _contact_forces(
     # the ranks' columns side by side: as many as contact rows, not as unknowns
     owned = constraints.inequality[: constraints.owned_inequalities]
     moved, gaps = coarse_space.moved_rows(group.motions)[owned].T, gaps[: owned.size]
-    far = ~np.isfinite(gaps)
-    moved[:, far], gaps = 0.0, np.where(far, 0.0, gaps)
+    # rows of other groups, and those that cannot close, take no part
+    apart = ~np.isfinite(gaps) | ~moved.any(axis=0)
+    moved[:, apart], gaps = 0.0, np.where(apart, 0.0, gaps)
     columns = coarse_space.comm.allgather(moved)
     first = sum(part.shape[1] for part in columns[: coarse_space.comm.rank])
     contact, weakly = np.concatenate(columns, axis=1), _weak_columns(coarse_space, group.motions)

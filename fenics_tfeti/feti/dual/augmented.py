@@ -31,10 +31,6 @@ __all__ = ["augmented_hessian", "solve_by_smalbe"]
 
 Vector = NDArray[np.float64]
 
-# outer iterations that have to halve ||Gx||: where rows that resist a motion well leave the face
-# and weak ones stay, mu converges slowly
-_PATIENCE = 15
-
 
 def solve_by_smalbe(
     problem: DualProblem,
@@ -46,6 +42,7 @@ def solve_by_smalbe(
     norm_b: float,
     options: Options,
     outer_so_far: int,
+    patience: int | None,
     products: Products,
     monitor: Callable[[OuterIteration], None],
 ) -> SMALBEResult:
@@ -65,6 +62,8 @@ def solve_by_smalbe(
         Parameters of SMALBE-M and MPRGP.
     outer_so_far : int
         Outer iterations of earlier calls.
+    patience : int or None
+        Outer iterations in which ||Gx|| has to halve; None for any number.
     products : Products
         Counter to add to.
     monitor : callable
@@ -82,7 +81,7 @@ def solve_by_smalbe(
         Bounds(rows, -feasible[rows]),
         replace(start, q=start.q / norm),
         norm_b=norm_b / norm,
-        options=_smalbe_options(options, rtol, outer_so_far),
+        options=_smalbe_options(options, rtol, outer_so_far, patience),
         space=problem.space,
         precondition=_augmented_preconditioner(problem, options.smalbe_rho),
         products=products,
@@ -122,7 +121,9 @@ def _augmented_preconditioner(
     return apply
 
 
-def _smalbe_options(options: Options, rtol: float, outer_so_far: int) -> SMALBEOptions:
+def _smalbe_options(
+    options: Options, rtol: float, outer_so_far: int, patience: int | None
+) -> SMALBEOptions:
     inner = MPRGPOptions(
         Gamma=options.mprgp_gamma,
         step_length=options.mprgp_alpha / max(1.0, options.smalbe_rho),
@@ -136,6 +137,6 @@ def _smalbe_options(options: Options, rtol: float, outer_so_far: int) -> SMALBEO
         beta=options.smalbe_beta,
         eta=options.smalbe_eta,
         max_it=max(1, options.smalbe_max_it - outer_so_far),
-        patience=_PATIENCE,
+        patience=patience,
         inner=inner,
     )
