@@ -9,6 +9,9 @@ minus the dual value of lambda is
 the last term zero where the contacts that press are closed. As J(u) >= J(u*) >= D(lambda), the
 error of u in the energy norm is at most ||u - u_t||_K (Prager and Synge, on the discrete problem).
 
+Soft elastic supports are a part of K, with their ground as unknowns that equality rows hold
+(`local.elastic_supports`): u is on y = o, u_t moves the ground a little, and the bound is the same.
+
 Bodies that do not press on each other decouple: the same holds for each *group* of bodies that are
 connected by closed contacts. The share of a single body in ||u - u_t||_K is an estimate of its
 error.
@@ -158,11 +161,21 @@ class RowBodies:
     last: Numbers
 
     @staticmethod
-    def build(system: TornSystem, constraints: Constraints) -> RowBodies:
-        """Find the bodies of the contact rows. Collective."""
+    def build(system: TornSystem, constraints: Constraints, ends: Numbers) -> RowBodies:
+        """Find the bodies of the contact rows. Collective.
+
+        Parameters
+        ----------
+        system : TornSystem
+            For the body of each subdomain.
+        constraints : Constraints
+            B.
+        ends : (subdomains + 1,) integer array
+            First torn unknown of each subdomain, and the end of the last.
+        """
         of_subdomain = np.array([s.body for s in system.subdomains], dtype=np.int64)
         count = system.comm.allreduce(int(of_subdomain.max(initial=-1)), MPI.MAX) + 1
-        of_unknown = np.repeat(of_subdomain, [s.size for s in system.subdomains])
+        of_unknown = np.repeat(of_subdomain, np.diff(ends))
         rows = constraints.matrix[constraints.inequality].tocoo()
         numbers = constraints.layout.numbers[constraints.inequality]
         directory = Directory(system.comm, numbers)

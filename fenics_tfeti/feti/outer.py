@@ -187,9 +187,21 @@ class _Progress:
     at: float = np.inf
     tolerance: float = np.inf
 
-    def update(self, certificate: Certificate, tolerance: float) -> None:
-        """Compare a certificate with the smallest numbers so far."""
+    def update(self, certificate: Certificate, tolerance: float, products: int) -> None:
+        """Compare a certificate with the smallest numbers so far.
+
+        Parameters
+        ----------
+        certificate : Certificate
+            That of the last pass.
+        tolerance : float
+            Its tolerance.
+        products : int
+            Products that it took; without any, the tolerance has only come down to the iterate.
+        """
         self.tolerance = tolerance
+        if not products:
+            self.at = tolerance
         if certificate.bound <= 0.5 * self.bound or certificate.worst <= 0.5 * self.worst:
             self.bound = min(self.bound, certificate.bound)
             self.worst = min(self.worst, certificate.worst)
@@ -277,7 +289,7 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
     limit, tolerance = max(options.rtol, ROUNDING), options.rtol * loop.scale
     progress = _Progress()
     while True:
-        tolerance = max(tolerance, loop.rounding)
+        tolerance, before = max(tolerance, loop.rounding), loop.history.products.total
         stage = loop.minimise(stage, tolerance, by_active_set)
         by_active_set = stage.iterate is not None
         candidate = loop.recover(stage.state)
@@ -286,7 +298,7 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
             return Outcome(candidate, stage.state, True, "converged", tolerance)
         if not stage.solved:
             return Outcome(candidate, stage.state, False, stage.reason, tolerance)
-        progress.update(candidate.certificate, tolerance)
+        progress.update(candidate.certificate, tolerance, loop.history.products.total - before)
         if progress.stagnates or tolerance <= loop.rounding:
             reason = (
                 f"the error of the displacement is {worst:.1e}, and more iterations do not reduce "

@@ -32,8 +32,14 @@ __all__ = ["Recovered", "balance_multipliers", "forces_at_rest", "recover_displa
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+# what rounding leaves of a unit motion in a contact row that it does not move
+_TRACE = 1e-13
 # rounding of a load that equality rows take, relative to the largest nodal load of a rank
 _SHARED_OUT = 1e-15
+# rounding of the jumps that rigid motions make, relative to the largest
+_LAST_PLACES = 16 * 2.0**-52
+# limit on the changes of the rows that determine the rigid motions
+_NEWTON_STEPS = 20
 
 
 @dataclass(frozen=True)
@@ -104,8 +110,8 @@ def recover_displacement(
     """Return u_t of (11.29), and the nearest displacement on which the constraints hold.
 
     alpha makes the equality rows and the rows with a force hold in the least squares sense (end of
-    sec. 11.6); where these leave motions free, it is the one of smallest norm that penetrates
-    nothing.
+    sec. 11.6). Where these leave motions free, it is the one of smallest norm that penetrates
+    nothing; where they resist motions weakly, what is penetrated takes part in the least squares.
 
     Parameters
     ----------
@@ -126,7 +132,7 @@ def recover_displacement(
     strained = F.generalized_inverse(
         forces - coarse_space.rigid_motion(coarse_space.coarse_load(forces))
     )
-    alpha = face.coefficients(c - F.jumps(strained))
+    face, alpha = _motions(face, c - F.jumps(strained))
     # K^+ leaves some of the free motions in u
     present = alpha + coarse_space.coarse_load(strained)
     alpha -= face.free @ (face.free.T @ present)
@@ -139,6 +145,31 @@ def recover_displacement(
         torn += coarse_space.rigid_motion(face.free @ away)
     displacement, closed = close_constraints(F, c, torn, multipliers[rows] > 0.0)
     return Recovered(strained, torn, displacement, closed)
+
+
+def _motions(face: Projector, jumps: Vector) -> tuple[Projector, Vector]:
+    """Return alpha with B R alpha = jumps in the least squares sense, and the face of its rows.
+
+    Rows that resist weakly turn a small error of the multipliers into a large motion; the contact
+    rows that it penetrates limit it. They join the least squares, and leave them where they would
+    pull: the semismooth Newton method for the sum of squares of jumps and penetrations.
+    """
+    coarse_space = face.coarse_space
+    rows, layout = coarse_space.constraints.inequality, coarse_space.constraints.layout
+    alpha, pressing = face.coefficients(jumps), face.rows[rows]
+    for _ in range(_NEWTON_STEPS):
+        if face.weak is None:
+            break
+        moved = coarse_space.prolong(alpha)
+        largest = float(max(np.abs(moved).max(initial=0.0), np.abs(jumps).max(initial=0.0)))
+        negligible = _LAST_PLACES * layout.comm.allreduce(largest, MPI.MAX)
+        penetration, joined = (moved - jumps)[rows], face.rows[rows]
+        active = pressing | (penetration > np.where(joined, -negligible, negligible))
+        if not layout.space.sums(float(np.count_nonzero(active != joined)))[0]:
+            break
+        face = Projector.build(coarse_space, active)
+        alpha = face.coefficients(jumps)
+    return face, alpha
 
 
 def forces_at_rest(F: DualOperator, load: Vector, c: Vector) -> Vector | None:
@@ -281,6 +312,10 @@ def _smallest_without_penetration(active: Projector, gap: Vector) -> Vector:
     inactive = np.flatnonzero(~active.rows[owned])
     contact = constraints.contact[inactive]
     closing = np.asarray(active.coarse_space.contact[:, inactive].T @ active.free)
+    lengths = constraints.row_lengths[owned[inactive]]
+    # rounding is no way to open a gap
+    moved = np.abs(closing).max(axis=1, initial=0.0) > _TRACE * lengths
+    inactive, contact, closing = inactive[moved], contact[moved], closing[moved]
     gap = gap[owned[inactive]]
     z = np.zeros(active.free.shape[1])
     conditions, limits = np.zeros((0, z.size)), np.zeros(0)

@@ -197,7 +197,10 @@ def build_report(
     force = constraints.scale * candidate.multipliers[constraints.inequality]
     explicit, classes = comm.allreduce(setup.F.explicit), comm.allreduce(len(setup.local.classes))
     products = history.products
-    sums = resultants(system, setup.F, setup.local.kernels, data.load, candidate.multipliers)
+    local = setup.local
+    sums = resultants(
+        system, setup.F, local.kernels, local.unknowns, data.load, candidate.multipliers
+    )
     return Report(
         unknowns={
             "primal": system.gdim * constraints.nodes,

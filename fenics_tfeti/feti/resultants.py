@@ -15,6 +15,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
+from fenics_tfeti.feti.constraints.ground import TornUnknowns
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.system import TornSystem
@@ -105,6 +106,7 @@ def resultants(
     system: TornSystem,
     F: DualOperator,
     kernels: Sequence[Vector],
+    unknowns: TornUnknowns,
     load: Vector,
     multipliers: Vector,
 ) -> Resultants:
@@ -118,6 +120,8 @@ def resultants(
         For B'.
     kernels : sequence of (n_i, k_i) arrays
         R_i of this rank's subdomains: one that cannot move rigidly has springs.
+    unknowns : TornUnknowns
+        Displacements and the ground of soft springs.
     load : (n,) array
         f of this rank's subdomains [N].
     multipliers : (m,) array
@@ -125,12 +129,12 @@ def resultants(
     """
     gdim, comm, rows = system.gdim, system.comm, system.contacts
     x = np.concatenate([np.zeros((0, gdim)), *(s.coordinates for s in system.subdomains)])
-    loads = load.reshape(-1, gdim)
-    held = -F.constraint_forces(multipliers).reshape(-1, gdim)
+    loads = load[unknowns.displacements].reshape(-1, gdim)
+    held = -F.constraint_forces(multipliers)[unknowns.displacements].reshape(-1, gdim)
     normal = normal_forces(F.constraints, multipliers)
     on_slave = -normal[:, None] * rows.normal
 
-    sprung = _with_springs(system, kernels)
+    sprung = _with_springs(system, kernels, unknowns)
     # the other forces on a subdomain with springs, f - B'lambda = K u_t, balance theirs
     springs = _NodalForces(x[sprung], -(loads + held)[sprung])
     reactions = _reactions(system, x, held, on_slave)
@@ -179,15 +183,19 @@ def _moments(points: Vector, forces: Vector) -> Vector:
     return (points[:, 0] * forces[:, 1] - points[:, 1] * forces[:, 0])[:, None]
 
 
-def _with_springs(system: TornSystem, kernels: Sequence[Vector]) -> NDArray[np.bool_]:
-    """Tell which torn nodes are in subdomains that cannot move rigidly in all directions."""
+def _with_springs(
+    system: TornSystem, kernels: Sequence[Vector], unknowns: TornUnknowns
+) -> NDArray[np.bool_]:
+    """Tell which torn nodes are in subdomains that cannot move freely in all directions."""
     rigid = {2: 3, 3: 6}[system.gdim]
     return np.concatenate(
         [
             np.zeros(0, dtype=bool),
             *(
-                np.full(subdomain.nodes.size, kernel.shape[1] < rigid)
-                for subdomain, kernel in zip(system.subdomains, kernels, strict=True)
+                np.full(subdomain.nodes.size, kernel.shape[1] - grounds < rigid)
+                for subdomain, kernel, grounds in zip(
+                    system.subdomains, kernels, unknowns.grounds, strict=True
+                )
             ),
         ]
     )

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.feti.certificate import RowBodies
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.ground import TornUnknowns
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.constraints.scaling import node_weights, stiffness_of_weight
@@ -24,8 +25,8 @@ from fenics_tfeti.feti.dual.operator import DualOperator, ProjectedNorm
 from fenics_tfeti.feti.dual.preconditioner import interface_operator
 from fenics_tfeti.feti.local.cholesky import choose_package
 from fenics_tfeti.feti.local.congruence import CongruenceClass, find_congruence_classes
+from fenics_tfeti.feti.local.elastic_supports import set_free
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
-from fenics_tfeti.feti.local.rigid_body_modes import kernel
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.system_checks import check_types
@@ -44,6 +45,8 @@ class LocalSetup:
     ----------
     weights : (torn nodes of this rank,) array
         Weights of the copies of nodes, D in B D^{-1} B' = I.
+    unknowns : TornUnknowns
+        Displacements, and the ground of soft elastic supports.
     classes : list of CongruenceClass
         Classes of congruent subdomains.
     kernels : list of (n_i, k_i) arrays
@@ -55,6 +58,7 @@ class LocalSetup:
     """
 
     weights: Vector
+    unknowns: TornUnknowns
     classes: list[CongruenceClass]
     kernels: list[Vector]
     stiffness: list[sp.csr_matrix]
@@ -66,14 +70,24 @@ class LocalSetup:
         subdomains = system.subdomains
         weights = node_weights(system, options.scaling)
         classes = find_congruence_classes(subdomains)
+        floating = [set_free(subdomains[congruent.first]) for congruent in classes]
         kernels = [np.zeros((0, 0))] * len(subdomains)
-        for congruent in classes:
-            shared = kernel(subdomains[congruent.first])
+        grounds = np.zeros(len(subdomains), dtype=np.int64)
+        for congruent, free in zip(classes, floating, strict=True):
+            grounds[congruent.members] = free.grounds
             for member in congruent.members:
-                kernels[member] = shared
-        stiffness = [subdomains[congruent.first].stiffness for congruent in classes]
+                kernels[member] = free.kernel
+        sizes = np.array([s.size for s in subdomains], dtype=np.int64)
+        unknowns = TornUnknowns(sizes, grounds)
+        if grounds.any():
+            ends = unknowns.ends
+            classes = [
+                CongruenceClass(c.members, ends[c.members], f.kernel.shape[0])
+                for c, f in zip(classes, floating, strict=True)
+            ]
         unit = stiffness_of_weight(system, options.scaling)
-        return LocalSetup(weights, classes, kernels, stiffness, unit)
+        stiffness = [free.stiffness for free in floating]
+        return LocalSetup(weights, unknowns, classes, kernels, stiffness, unit)
 
 
 def has_same_stiffness(one: TornSystem, other: TornSystem) -> bool:
@@ -106,9 +120,12 @@ def factor_subdomains(
     with raise_collectively(system.comm):
         return [
             GeneralizedInverse(
-                system.subdomains[congruent.first], local.kernels[congruent.first], package
+                system.subdomains[congruent.first],
+                local.kernels[congruent.first],
+                package,
+                stiffness=K,
             )
-            for congruent in local.classes
+            for congruent, K in zip(local.classes, local.stiffness, strict=True)
         ]
 
 
@@ -170,8 +187,8 @@ class DualSetup:
             projector,
             F,
             precondition,
-            ProjectedNorm(F, projector),
-            RowBodies.build(system, constraints),
+            ProjectedNorm(F, projector, 1.0 / local.unit),
+            RowBodies.build(system, constraints, local.unknowns.ends),
         )
 
 

@@ -11,6 +11,7 @@ from fenics_tfeti.errors import InputError, NotConverged
 from fenics_tfeti.feti.coarse.feasible_start import check_load, feasible_start
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.feasibility import check_conditions
+from fenics_tfeti.feti.constraints.ground import hold_ground
 from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
@@ -150,6 +151,7 @@ class TornSolver:
             local = known.local if known else LocalSetup.build(system, options)
             constraints, c = build_constraints(system, local.weights)
             check_conditions(system, constraints, c)
+            constraints, c = hold_ground(constraints, c, local.unknowns)
             same_B = known if known and constraints.same_rows(known.constraints) else None
         with phase("coarse problem"):
             projector = (
@@ -169,10 +171,12 @@ class TornSolver:
     def _data(self, local: LocalSetup, projector: Projector, c: Vector) -> ContactData:
         """Return loads and right-hand sides, after checking that the load can be balanced."""
         system, coarse_space = self.system, projector.coarse_space
-        load = np.concatenate([np.zeros(0), *(s.load for s in system.subdomains)])
+        load = local.unknowns.with_ground(
+            np.concatenate([np.zeros(0), *(s.load for s in system.subdomains)])
+        )
         e = coarse_space.coarse_load(load)
         check_load(system, local.kernels, projector, e)
-        feasible = feasible_start(system, local.kernels, coarse_space, e)
+        feasible = feasible_start(system, local.kernels, coarse_space, e, c, local.unit)
         return ContactData(load, c, e, feasible)
 
     def _first_state(
@@ -258,22 +262,17 @@ class TornSolver:
 
     def _solution(self, outcome: Outcome, report: Report) -> TornSolution:
         multipliers = outcome.candidate.multipliers
-        ends = np.cumsum([s.size for s in self.system.subdomains])
+        unknowns = self.setup.local.unknowns
         recovered = outcome.candidate.recovered
         normal_force = normal_forces(self.setup.constraints, multipliers)
         return TornSolution(
-            _split(recovered.displacement, ends),
-            _split(recovered.torn, ends),
+            unknowns.split(recovered.displacement),
+            unknowns.split(recovered.torn),
             normal_force,
             normal_force > 0.0,
             multipliers,
             report,
         )
-
-
-def _split(torn: Vector, ends: NDArray[np.int64]) -> list[Vector]:
-    """Return the parts of a torn vector; none on a rank without subdomains."""
-    return np.split(torn, ends)[:-1]
 
 
 def _check_guess(guess: ContactGuess | None, system: TornSystem, options: Options) -> None:

@@ -14,6 +14,7 @@ __all__ = [
     "ROUNDED_POSITION",
     "ROUNDING",
     "SAME_VALUE",
+    "SOFT_SUPPORT",
     "SYMMETRIC",
     "UNDEFORMED",
     "UNRESISTED",
@@ -29,8 +30,10 @@ ROUNDED_POSITION = 16 * 2.0**-52
 ROUNDED_GAP = 1e-12
 # |K - K'| relative to |K|
 SYMMETRIC = 1e-9
-# energy of a rigid mode below which K is singular for it, relative to the largest stiffness
-ZERO_ENERGY = 1e-9
+# energy of a rigid mode relative to the largest stiffness: what rounding leaves of none, and below
+# which a support is soft
+ZERO_ENERGY = 8 * 2.0**-52
+SOFT_SUPPORT = 1e-3
 # ||B R xi|| below which no constraint resists a rigid motion, relative to its root mean square
 # displacement, for rows of unit length
 UNRESISTED = 1e-9

@@ -8,6 +8,7 @@ from fenics_tfeti.qp.feasible_set import Bounds
 from fenics_tfeti.qp.least_squares import (
     least_distance,
     least_norm_nonnegative,
+    least_norm_partly_nonnegative,
     nonnegative_least_squares,
 )
 from fenics_tfeti.qp.mprgp import MPRGPOptions, MPRGPResult, Products, Unbounded, mprgp
@@ -29,6 +30,7 @@ __all__ = [
     "lanczos_upper_bound",
     "least_distance",
     "least_norm_nonnegative",
+    "least_norm_partly_nonnegative",
     "mprgp",
     "nonnegative_least_squares",
     "smalbe",

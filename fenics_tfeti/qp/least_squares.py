@@ -8,8 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
-__all__ = ["least_distance", "least_norm_nonnegative", "nonnegative_least_squares"]
+__all__ = [
+    "least_distance",
+    "least_norm_nonnegative",
+    "least_norm_partly_nonnegative",
+    "nonnegative_least_squares",
+]
 
 Vector = NDArray[np.float64]
 
@@ -21,6 +27,10 @@ _ROUNDING = 1e-15
 _NEWTON = 1e-11
 # 1 / sqrt(1 + z'z), z in units of the largest violation, below which no z fulfils the conditions
 _NO_SOLUTION = 1e-12
+# length of a combination of rows, relative to the longest, that is rounding, and what rounding
+# leaves of a column in it
+_UNRESISTED_ROW = 1e-13
+_TRACE = 1e-14
 
 
 def nonnegative_least_squares(A: Vector, b: Vector) -> Vector:
@@ -167,6 +177,115 @@ def _newton(C: Vector, d: Vector) -> Vector | None:
             length *= 0.5
         y = y + length * p
     return None
+
+
+def least_norm_partly_nonnegative(
+    C: Vector, E: Vector, d: Vector, g: Vector
+) -> tuple[Vector, Vector]:
+    """Minimise 1/2 ||x||^2 + 1/2 ||p||^2 + g'x subject to Cx + Ep = d and x >= o, where E is small.
+
+    As `least_norm_nonnegative`, but with the columns of E free of signs. Where they are small the
+    dual variables are as large as 1 / ||E||^2. So the rows are combined such that those of (C, E)
+    are orthonormal: what only E resists is separated from what C resists.
+
+    Parameters
+    ----------
+    C : (r, n) array
+        Few rows.
+    E : (r, q) array
+        Columns of any size.
+    d : (r,) array
+        Right-hand side.
+    g : (n,) array
+        Linear term.
+
+    Returns
+    -------
+    x : (n,) array
+        The solution without p; if there is none, x of a minimiser of ||Cx + Ep - d||.
+    residual : (r,) array
+        d - Cx - Ep.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> C, E = np.array([[1.0], [-1.0]]), 1e-6 * np.identity(2)
+    >>> x, residual = least_norm_partly_nonnegative(C, E, np.array([2.0, 1.0]), np.zeros(1))
+    >>> x.round(6).tolist(), bool(np.abs(residual).max() < 1e-9)
+    ([0.5], True)
+    """
+    whole = np.hstack([C, E])
+    if not d.any():
+        return np.zeros(C.shape[1]), d.copy()
+    U, lengths, _ = np.linalg.svd(whole, full_matrices=False)
+    kept = lengths > _UNRESISTED_ROW * lengths.max(initial=0.0)
+    U, lengths = U[:, kept], lengths[kept]
+    columns = U.T @ whole
+    columns[np.abs(columns) <= _TRACE * np.abs(columns).max(axis=0, initial=0.0)] = 0.0
+    columns /= lengths[:, None]
+    n, sums = C.shape[1], U.T @ d
+    x, p = _newton_partly(columns[:, :n], columns[:, n:], sums / lengths, g)
+    found = _balanced(lengths[:, None] * columns, np.append(x, p), n, sums)
+    if found is None:
+        # no solution, or one that rounding hides: the basic solution decides
+        signed = nonnegative_least_squares(np.hstack([columns, -columns[:, n:]]), sums / lengths)
+        found = np.append(signed[:n], signed[n : whole.shape[1]] - signed[whole.shape[1] :])
+    return found[:n], d - whole @ found
+
+
+def _balanced(A: Vector, x: Vector, n: int, d: Vector) -> Vector | None:
+    """Return the nearest x with Ax = d, the first n components nonnegative and zero where they are.
+
+    None if there is none near.
+    """
+    bounded = np.arange(x.size) < n
+    if not np.isfinite(x).all():
+        return None
+    while True:
+        missing, free = d - A @ x, (x > 0.0) | ~bounded
+        size = float(np.linalg.norm(missing))
+        if size <= _NEWTON * np.linalg.norm(d):
+            return x
+        x = x.copy()
+        x[free] += np.linalg.lstsq(A[:, free], missing, rcond=None)[0]
+        negative = bounded & (x < 0.0)
+        x[negative] = 0.0
+        if not negative.any():
+            return x if np.linalg.norm(d - A @ x) <= _NEWTON * np.linalg.norm(d) else None
+
+
+def _newton_partly(C: Vector, E: Vector, d: Vector, g: Vector) -> tuple[Vector, Vector]:
+    """Return x = max(C'y - g, o) and p = E'y with Cx + Ep = d but for rounding.
+
+    The rows of (C, E) are orthonormal. Without a solution, x and p of the last step.
+    """
+    # damped where E does not resist
+    left, resisted, _ = np.linalg.svd(E)
+    free_rows = left[:, np.count_nonzero(resisted > _UNRESISTED_ROW) :].T
+    y, scale = np.zeros(d.size), float(np.linalg.norm(d))
+
+    def value(y: Vector) -> float:
+        free = E.T @ y
+        pressed = np.maximum(C.T @ y - g, 0.0)
+        return float(0.5 * (pressed @ pressed + free @ free) - d @ y)
+
+    for step in range(100):
+        x, p = np.maximum(C.T @ y - g, 0.0), E.T @ y
+        gradient = C @ x + E @ p - d
+        size = float(np.linalg.norm(gradient))
+        if size <= _NEWTON * scale or not np.isfinite(size):
+            break
+        support = C[:, x > 0.0] if step else C
+        damping = np.sqrt(min(1e-3, size / scale) / d.size)
+        # QR of the factors of the Hessian keeps the accuracy that their product would lose
+        R = np.linalg.qr(np.vstack([support.T, E.T, damping * free_rows]), mode="r")
+        direction = -solve_triangular(R, solve_triangular(R, gradient, trans="T"))
+        slope, length = float(gradient @ direction), 1.0
+        limit = value(y) + 1e-12 * abs(value(y))
+        while value(y + length * direction) > limit + 1e-4 * length * slope and length > 1e-12:
+            length *= 0.5
+        y = y + length * direction
+    return x, p
 
 
 def least_distance(A: Vector, b: Vector) -> Vector:

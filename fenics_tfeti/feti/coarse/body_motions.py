@@ -26,8 +26,6 @@ Mask = NDArray[np.bool_]
 # much the rounding of coordinates far from the origin adds
 _TRACE = 1e-13
 _OFFSET = 16 * 2.0**-52
-# ||B R z||^2 below which the eigenvectors of the Gram matrix are not accurate enough
-_SQUARED = 1e-8
 # each pass reduces their error by a factor of 1e-5 or less
 _PASSES = 3
 
@@ -58,7 +56,11 @@ class BodyMotions:
     rounding: float
 
     def resistance(
-        self, rows: Mask, owned: int, sum_over_ranks: Callable[[Vector], Vector]
+        self,
+        rows: Mask,
+        owned: int,
+        sum_over_ranks: Callable[[Vector], Vector],
+        below: float = 1e-4,
     ) -> tuple[Vector, Vector]:
         """Return motions that some rows resist weakly or not at all.
 
@@ -70,11 +72,14 @@ class BodyMotions:
             How many rows, the first ones, this rank owns.
         sum_over_ranks : callable
             Sums arrays over the ranks.
+        below : float
+            Largest resistance that counts as weak; by default, below which the eigenvectors of the
+            Gram matrix are not accurate enough.
 
         Returns
         -------
         resistance : (k,) array
-            ||B R z|| of each motion, at most 1e-4.
+            ||B R z|| of each motion, at most `below`.
         motions : (modes * bodies, k) array
             Orthonormal z.
         """
@@ -82,11 +87,11 @@ class BodyMotions:
         E = self.supports
         gram = sum_over_ranks((B.T @ B).toarray()) + E.T @ E
         values, vectors = np.linalg.eigh(gram)
-        weak = values <= _SQUARED
+        weak = values <= below**2
         z, others = vectors[:, weak], vectors[:, ~weak]
         if not z.shape[1]:
             return np.zeros(0), z
-        # eigenvectors of the Gram matrix have errors of 1e-16 / _SQUARED; here B is not squared
+        # eigenvectors of the Gram matrix have errors of 1e-16 / below^2; here B and S are not squared
         for _ in range(_PASSES):
             product = sum_over_ranks(B.T @ (B @ z)) + E.T @ (E @ z)
             z = np.linalg.qr(z - others @ ((others.T @ product) / values[~weak][:, None]))[0]
@@ -139,11 +144,12 @@ def _motions_and_supports(
     for subdomain, R in zip(system.subdomains, kernels, strict=True):
         body = subdomain.body
         raw = raw_modes((subdomain.coordinates - centres[body]) / sizes[body], np.zeros(gdim))
-        inside = R.T @ raw
+        # without the rows of the ground of soft supports
+        inside = R[: subdomain.size].T @ raw
         blocks.append((body, inside))
         gram[body] += raw.T @ raw / nodes[body]
         # not squared: what resists little would be lost to rounding
-        rest = (raw - R @ inside) / np.sqrt(nodes[body])
+        rest = (raw - R[: subdomain.size] @ inside) / np.sqrt(nodes[body])
         outside[body] = np.linalg.qr(np.vstack([outside[body], rest]), mode="r")
         distance = max(distance, float(np.abs(subdomain.coordinates).max()) / sizes[body])
     gram, outside = comm.allreduce(gram), np.concatenate(comm.allgather(outside), axis=1)
@@ -204,7 +210,7 @@ def describe_body_motion(
     ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
     parts: dict[int, tuple[float, str]] = {}
     for i, (subdomain, R) in enumerate(zip(system.subdomains, kernels, strict=True)):
-        displacement = R @ own_motion[ends[i] : ends[i + 1]]
+        displacement = R[: subdomain.size] @ own_motion[ends[i] : ends[i + 1]]
         size = float(np.abs(displacement).max(initial=0.0))
         if size > parts.get(subdomain.body, (0.0, ""))[0]:
             words = describe_motion(subdomain.coordinates, displacement, either_way)

@@ -21,12 +21,16 @@ from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.feti.tolerances import NO_WORK
-from fenics_tfeti.qp import least_norm_nonnegative
+from fenics_tfeti.feti.tolerances import NO_WORK, UNRESISTED
+from fenics_tfeti.parallel import concatenate_ranks
+from fenics_tfeti.qp import least_norm_nonnegative, least_norm_partly_nonnegative
 
-__all__ = ["check_load", "feasible_start", "least_norm_nonnegative"]
+__all__ = ["check_load", "feasible_start", "least_norm_nonnegative", "softly_supported"]
 
 Vector = NDArray[np.float64]
+
+# ||B R z|| of equality rows below which contact takes the load first
+_SOFTLY = 3e-2
 
 
 def check_load(
@@ -57,9 +61,17 @@ def check_load(
 
 
 def feasible_start(
-    system: TornSystem, kernels: Sequence[Vector], coarse_space: CoarseSpace, e: Vector
+    system: TornSystem,
+    kernels: Sequence[Vector],
+    coarse_space: CoarseSpace,
+    e: Vector,
+    c: Vector,
+    unit: float,
 ) -> Vector:
     """Return lambda~ with G lambda~ = e and lambda~_I >= o.
+
+    Where equality rows resist motions weakly, as soft springs do, contact and springs share the
+    load as they do between rigid bodies: F is replaced by 1 / unit.
 
     Parameters
     ----------
@@ -71,6 +83,10 @@ def feasible_start(
         G.
     e : (coarse,) array
         R'f.
+    c : (m,) array
+        Right-hand sides of the constraints.
+    unit : float
+        The stiffness that a weight of 1 stands for [N/m].
 
     Returns
     -------
@@ -85,12 +101,21 @@ def feasible_start(
     constraints = coarse_space.constraints
     supports = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
     start = np.zeros(constraints.size)
-    if supports.free_bodies.shape[1]:
-        for group in _groups(system, coarse_space, supports.free_bodies, e):
-            start += _contact_forces(system, kernels, coarse_space, group)
+    # soft supports would be stretched far by what contact can carry
+    free, weak = softly_supported(coarse_space)
+    if free.shape[1] + weak.shape[1]:
+        prescribed = coarse_space.prolong(supports.without_free_motions(supports.coefficients(c)))
+        gaps = unit * (c - prescribed)[constraints.inequality]
+        for group in _groups(system, coarse_space, np.hstack([free, weak]), e):
+            start += _contact_forces(system, kernels, coarse_space, group, free, gaps)
     # (11.38) for what the contact forces leave
     left = supports.without_free_motions(e - coarse_space.restrict(start))
     return start + supports.least_norm(left)
+
+
+def softly_supported(coarse_space: CoarseSpace) -> tuple[Vector, Vector]:
+    """Return the motions of bodies that equality rows resist not at all, and softly: (z, z)."""
+    return coarse_space.weakly_resisted(coarse_space.constraints.equality, _SOFTLY)
 
 
 @dataclass(frozen=True)
@@ -131,7 +156,10 @@ def _groups(system: TornSystem, coarse_space: CoarseSpace, free: Vector, e: Vect
     found = []
     for g in range(int(group.max(initial=-1)) + 1):
         inside = np.repeat(group == g, modes)
-        motions = _orthonormal(np.where(inside[:, None], free, 0.0))
+        # of these rows alone: rounding would add work of the other groups' loads
+        basis = _orthonormal(free[inside])
+        motions = np.zeros((inside.size, basis.shape[1]))
+        motions[inside] = basis
         if motions.shape[1]:
             found.append(_Group(motions, motions.T @ work, float(force[group == g].sum())))
     return found
@@ -147,22 +175,52 @@ def _orthonormal(columns: Vector) -> Vector:
 
 
 def _contact_forces(
-    system: TornSystem, kernels: Sequence[Vector], coarse_space: CoarseSpace, group: _Group
+    system: TornSystem,
+    kernels: Sequence[Vector],
+    coarse_space: CoarseSpace,
+    group: _Group,
+    free: Vector,
+    gaps: Vector,
 ) -> Vector:
-    """Return least-norm nonnegative contact multipliers that balance the load on a group."""
+    """Return the contact multipliers of least-norm ones that balance the load on a group.
+
+    Forces of equality rows take part where they resist the motions weakly, and then `gaps`, times
+    stiffness, have to be closed before contacts press. Of motions `free` of them contact has to
+    take the whole load.
+    """
     constraints = coarse_space.constraints
     multipliers = np.zeros(constraints.size)
     if np.linalg.norm(group.work) <= NO_WORK * group.force:
         return multipliers
     # the ranks' columns side by side: as many as contact rows, not as unknowns
     owned = constraints.inequality[: constraints.owned_inequalities]
-    columns = coarse_space.comm.allgather(coarse_space.moved_rows(group.motions)[owned].T)
+    moved, gaps = coarse_space.moved_rows(group.motions)[owned].T, gaps[: owned.size]
+    # rows of other groups, and those that cannot close, take no part
+    apart = ~np.isfinite(gaps) | ~moved.any(axis=0)
+    moved[:, apart], gaps = 0.0, np.where(apart, 0.0, gaps)
+    columns = coarse_space.comm.allgather(moved)
     first = sum(part.shape[1] for part in columns[: coarse_space.comm.rank])
-    forces, residual = least_norm_nonnegative(np.concatenate(columns, axis=1), group.work)
-    if np.linalg.norm(residual) > NO_WORK * group.force:
-        _raise_unresisted(system, kernels, coarse_space, group.motions @ residual)
+    contact, weakly = np.concatenate(columns, axis=1), _weak_columns(coarse_space, group.motions)
+    if weakly.shape[1]:
+        whole = concatenate_ranks(coarse_space.comm, gaps)
+        forces, residual = least_norm_partly_nonnegative(contact, weakly, group.work, whole)
+    else:
+        forces, residual = least_norm_nonnegative(contact, group.work)
+    unresisted = free @ (free.T @ (group.motions @ residual))
+    if np.linalg.norm(unresisted) > NO_WORK * group.force:
+        _raise_unresisted(system, kernels, coarse_space, unresisted)
     multipliers[owned] = forces[first : first + owned.size]
     return constraints.layout.sum(multipliers)
+
+
+def _weak_columns(coarse_space: CoarseSpace, motions: Vector) -> Vector:
+    """Return what equality rows do to the motions: as few columns as there are motions."""
+    constraints = coarse_space.constraints
+    owned = np.flatnonzero(constraints.equality[: constraints.layout.owned])
+    rows = np.linalg.qr(coarse_space.moved_rows(motions)[owned], mode="r")
+    whole = np.concatenate(coarse_space.comm.allgather(rows))
+    columns = np.transpose(np.linalg.qr(whole, mode="r"))
+    return columns[:, np.abs(columns).max(axis=0, initial=0.0) > UNRESISTED]
 
 
 def _raise_unresisted(

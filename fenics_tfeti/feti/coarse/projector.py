@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.linalg import qr
 
@@ -94,11 +95,9 @@ class Projector:
         gram = coarse_space.equality + layout.rows((contact[layout.own] @ contact.T).tocsr())
         pinned = np.column_stack([free, coarse_space.coarse_motions(weak)])
         if pinned.shape[1]:
-            # without any row the matrix is zero
-            stiffness = layout.largest_diagonal(gram) or 1.0
-            # pinned so firmly that what resists a weak motion is rounding beside it
-            firmly = _FIRMLY if weak.shape[1] else 1.0
-            gram = layout.add_to_diagonal(gram, _pinned_unknowns(pinned), firmly * stiffness)
+            gram = layout.add_to_diagonal(
+                gram, _pinned_unknowns(pinned), _pin(coarse_space, gram, bool(weak.shape[1]))
+            )
         factor = layout.factor(gram) if layout.size else None
         projector = Projector(coarse_space, rows, free, z, factor)
         return projector._with_weak_motions(weak) if weak.shape[1] else projector
@@ -254,6 +253,18 @@ class Projector:
 
     def _sum(self, part: Vector) -> Vector:
         return self.coarse_space.constraints.layout.sum(part)
+
+
+def _pin(coarse_space: CoarseSpace, gram: sp.csr_matrix, weak: bool) -> float:
+    """Return what to add to the diagonal of GG' for a motion that is pinned.
+
+    Weak motions are pinned so firmly that what resists them is rounding beside it. That is
+    relative to rows that resist fully: perhaps no row of GG' does.
+    """
+    largest, row = coarse_space.layout.largest_diagonal(gram), coarse_space.longest_row**2
+    if weak:
+        return _FIRMLY * max(largest, row)
+    return float(max(largest, np.finfo(float).eps * row)) or 1.0
 
 
 def _pinned_unknowns(free: Vector) -> Numbers:

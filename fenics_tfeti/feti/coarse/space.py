@@ -135,6 +135,13 @@ class CoarseSpace:
         return self.layout.size
 
     @property
+    def longest_row(self) -> float:
+        """Largest length of a row of B."""
+        longest = np.array([self.constraints.row_lengths.max(initial=0.0)])
+        self.comm.Allreduce(MPI.IN_PLACE, longest, MPI.MAX)
+        return float(longest[0])
+
+    @property
     def comm(self) -> MPI.Intracomm:
         """The ranks."""
         return self.constraints.layout.comm
@@ -193,23 +200,26 @@ class CoarseSpace:
         places: Numbers = self.ends[congruent.members][:, None] + np.arange(modes)
         return places
 
-    def weakly_resisted(self, rows: Mask) -> tuple[Vector, Vector]:
+    def weakly_resisted(self, rows: Mask, below: float = 1e-4) -> tuple[Vector, Vector]:
         """Return the rigid motions of bodies that some rows resist not at all, and weakly.
 
         Parameters
         ----------
         rows : (m,) bool array
             The rows of B.
+        below : float
+            Largest resistance that counts as weak; by default those which, squared in GG', would be
+            lost to rounding.
 
         Returns
         -------
         free, weak : (modes * bodies, k) array
-            Orthonormal motions z, see `BodyMotions`: those without resistance, and those whose
-            resistance, squared in GG', would be lost to rounding.
+            Orthonormal motions z, see `BodyMotions`: those without resistance, and those with a
+            weak one.
         """
         space = self.constraints.layout.space
         owned = self.constraints.layout.owned
-        resistance, z = self.bodies.resistance(rows, owned, space.sum_over_ranks)
+        resistance, z = self.bodies.resistance(rows, owned, space.sum_over_ranks, below)
         unresisted = resistance <= max(UNRESISTED, self.bodies.rounding)
         return z[:, unresisted], z[:, ~unresisted]
 

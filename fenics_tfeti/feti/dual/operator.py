@@ -194,6 +194,8 @@ class ProjectedNorm:
         The operator.
     projector : Projector
         P.
+    flexibility : float
+        Size of F without P, roughly [m/N]: where P leaves nothing, its rounding is the bound.
 
     Attributes
     ----------
@@ -201,8 +203,9 @@ class ProjectedNorm:
         Products with F that the estimates took.
     """
 
-    def __init__(self, F: DualOperator, projector: Projector) -> None:
+    def __init__(self, F: DualOperator, projector: Projector, flexibility: float) -> None:
         self._F, self._projector = F, projector
+        self._least = float(np.finfo(float).eps) * flexibility
         self._steps, self._value = 0, 0.0
         self.products = 0
 
@@ -210,12 +213,13 @@ class ProjectedNorm:
         """Return the bound by at least that many Lanczos steps [m/N]."""
         if self._steps < steps:
             layout = self._F.constraints.layout
-            self._value = lanczos_upper_bound(
+            value = lanczos_upper_bound(
                 lambda x: self._projector.P_of_sum(self._F.part(x), x)[0],
                 self._projector.P(seeded_vector(layout.numbers)),
                 steps,
                 layout.space,
             )
+            self._value = max(value, self._least)
             self._steps = steps
             self.products += steps
         return self._value

@@ -34,6 +34,8 @@ Mask = NDArray[np.bool_]
 _DIVERGED = 1e6
 # steps, and multiples of all steps before, that may fail to halve r'z: then it is rounding, too
 _PATIENCE, _PATIENCE_FACTOR = 200, 3
+# p'Fp relative to r'z, about 1 with a good preconditioner, that is rounding: P leaves nothing of F
+_NO_CURVATURE = 64 * 2.0**-52
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ class PCPGIterate:
     @property
     def energy(self) -> float:
         """sqrt(r'z) [sqrt(J)]."""
-        return float(np.sqrt(self.rz)) if self.residual > 0.0 else 0.0
+        return float(np.sqrt(max(self.rz, 0.0))) if self.residual > 0.0 else 0.0
 
     @property
     def step_length(self) -> float:
@@ -185,7 +187,7 @@ def _step(
     p = z + rz / iterate.rz_of_direction * iterate.direction
     # 3. product: PFp on the face, off it what the gaps change by; p'Fp
     change, curvature = face.projector.remove_rigid_motion(_product(problem, p, products), p)
-    if curvature <= 0.0:
+    if curvature <= _NO_CURVATURE * rz:
         return None
     # 4. step: l += alpha p, g += alpha PFp with alpha = r'z / p'Fp
     alpha = rz / curvature

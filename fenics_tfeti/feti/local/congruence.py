@@ -13,7 +13,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from fenics_tfeti.feti.local.rigid_body_modes import rigid_body_modes
 from fenics_tfeti.feti.system import Subdomain
+from fenics_tfeti.feti.tolerances import ZERO_ENERGY
 
 __all__ = ["CongruenceClass", "apply_by_class", "find_congruence_classes", "times_rows"]
 
@@ -116,7 +118,13 @@ def _same(one: Subdomain, other: Subdomain) -> bool:
             return False
         if not (np.array_equal(K.indptr, L.indptr) and np.array_equal(K.indices, L.indices)):
             return False
-        if np.abs(K.data - L.data).max(initial=0.0) > _SAME * np.abs(L.data).max(initial=0.0):
+        difference, largest = K.data - L.data, np.abs(L.data).max(initial=0.0)
+        if np.abs(difference).max(initial=0.0) > _SAME * largest:
+            return False
+        # a soft elastic support changes no entry by more, but the energies of rigid motions
+        change = sp.csr_matrix((difference, K.indices, K.indptr), shape=K.shape)
+        R = rigid_body_modes(one.coordinates)
+        if np.abs(R.T @ (change @ R)).max(initial=0.0) > ZERO_ENERGY * largest:
             return False
     offset = one.coordinates - other.coordinates
     offset -= offset[:1]

@@ -64,6 +64,8 @@ class GeneralizedInverse:
         "cholmod" or "mumps".
     number : int
         M, the number of fixing nodes.
+    stiffness : (n, n) scipy.sparse.csr_matrix, optional
+        K_i with unknowns beyond those of the nodes; by default that of the subdomain.
 
     Raises
     ------
@@ -77,11 +79,13 @@ class GeneralizedInverse:
         R: Vector,
         package: str,
         number: int = 8,
+        stiffness: sp.csr_matrix | None = None,
     ) -> None:
-        K, gdim = subdomain.stiffness, subdomain.coordinates.shape[1]
-        self.size = subdomain.size
+        gdim = subdomain.coordinates.shape[1]
+        K = subdomain.stiffness if stiffness is None else stiffness
+        self.size = K.shape[0]
         try:
-            nodes = fixing_nodes(K, subdomain.coordinates, number)
+            nodes = fixing_nodes(subdomain.stiffness, subdomain.coordinates, number)
             fixed = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
             self._factor = SparseCholesky(regularized_stiffness(K, R, fixed), package)
         except FactorizationError as error:

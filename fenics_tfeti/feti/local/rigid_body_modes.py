@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.system import Subdomain
-from fenics_tfeti.feti.tolerances import ZERO_ENERGY
+from fenics_tfeti.feti.tolerances import SOFT_SUPPORT, ZERO_ENERGY
 
-__all__ = ["describe_motion", "kernel", "rigid_body_modes"]
+__all__ = ["describe_motion", "kernel", "low_energy_modes", "rigid_body_modes"]
 
 Vector = NDArray[np.float64]
 
@@ -71,10 +71,39 @@ def rigid_body_modes(coordinates: Vector) -> Vector:
     return basis
 
 
-def kernel(subdomain: Subdomain) -> Vector:
-    """Return an orthonormal basis of the kernel of K_i: its rigid body modes without energy.
+def low_energy_modes(subdomain: Subdomain) -> tuple[Vector, Vector]:
+    """Return the rigid body modes of a subdomain that K_i resists softly or not at all.
 
-    An elastic support (a term u.v ds in the form) takes some or all of them out of the kernel.
+    An elastic support (a term u.v ds in the form) resists some or all of them. Modes that it
+    resists firmly are left out.
+
+    Parameters
+    ----------
+    subdomain : Subdomain
+        Stiffness and coordinates.
+
+    Returns
+    -------
+    R : (n, k) array
+        With R'R = I, k <= 6 (3 in 2D).
+    energies : (k,) array
+        R'KR is the diagonal matrix of these; 0 for modes in the kernel [N/m].
+    """
+    R = rigid_body_modes(subdomain.coordinates)
+    stiffness = abs(subdomain.stiffness).max()
+    gram, rounding = R.T @ (subdomain.stiffness @ R), ZERO_ENERGY * stiffness
+    # rounding would couple motions along a soft support with others that it leaves free
+    energies, vectors = np.linalg.eigh(np.where(np.abs(gram) > rounding, gram, 0.0))
+    if energies.max(initial=0.0) <= rounding:
+        return R, np.zeros(energies.size)
+    low = energies <= SOFT_SUPPORT * stiffness
+    return R @ vectors[:, low], np.where(energies > rounding, energies, 0.0)[low]
+
+
+def kernel(subdomain: Subdomain) -> Vector:
+    """Return an orthonormal basis of the rigid body modes that K_i resists softly or not at all.
+
+    Without soft elastic supports it is the kernel of K_i.
 
     Parameters
     ----------
@@ -86,14 +115,7 @@ def kernel(subdomain: Subdomain) -> Vector:
     (n, k) array
         R_i with R_i'R_i = I, k <= 6 (3 in 2D).
     """
-    R = rigid_body_modes(subdomain.coordinates)
-    KR = subdomain.stiffness @ R
-    threshold = ZERO_ENERGY * abs(subdomain.stiffness).max()
-    if np.abs(KR).max() <= threshold:
-        return R
-    energies, vectors = np.linalg.eigh(R.T @ KR)
-    free: Vector = R @ vectors[:, energies <= threshold]
-    return free
+    return low_energy_modes(subdomain)[0]
 
 
 def describe_motion(coordinates: Vector, displacement: Vector, either_way: bool = False) -> str:

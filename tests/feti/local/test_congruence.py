@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from springs import on_springs
 from torn import column, cube
 
 from fenics_tfeti.feti import Options, TornSolver
@@ -31,6 +32,10 @@ def test_a_softer_cube_stands_alone(size):
     soft = cube(2)
     soft = changed(soft, stiffness=soft.stiffness * (1.0 - 10 * size if size < 0.1 else size))
     assert members([cube(2), soft, cube(2)]) == [[0, 2], [1]]
+
+
+def test_a_soft_spring_is_enough():
+    assert members([cube(2), on_springs(cube(2), 0.0, 1e-13), cube(2)]) == [[0, 2], [1]]
 
 
 def test_an_entry_that_differs_is_enough():

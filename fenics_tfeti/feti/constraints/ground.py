@@ -1,0 +1,123 @@
+"""The rows that hold the ground of soft elastic supports: y = o (`local.elastic_supports`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from mpi4py import MPI
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.constraints.dual_layout import DualLayout
+from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.parallel import first_of_rank
+
+__all__ = ["TornUnknowns", "hold_ground"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class TornUnknowns:
+    """The torn unknowns of this rank: each subdomain's displacements, and after them its ground.
+
+    Attributes
+    ----------
+    sizes : (subdomains,) integer array
+        Number of displacements of each subdomain.
+    grounds : (subdomains,) integer array
+        Number of its unknowns of the ground.
+    """
+
+    sizes: Numbers
+    grounds: Numbers
+
+    @property
+    def ends(self) -> Numbers:
+        """First unknown of each subdomain, and the end of the last."""
+        ends: Numbers = np.concatenate([[0], np.cumsum(self.sizes + self.grounds)])
+        return ends.astype(np.int64)
+
+    @property
+    def displacements(self) -> Numbers:
+        """Positions of the displacements among all unknowns."""
+        shift = np.cumsum(self.grounds) - self.grounds
+        return np.arange(int(self.sizes.sum()), dtype=np.int64) + np.repeat(shift, self.sizes)
+
+    def with_ground(self, displacements: Vector) -> Vector:
+        """Return a vector of displacements, or of forces on them, with zeros for the ground."""
+        torn = np.zeros(int(self.ends[-1]))
+        torn[self.displacements] = displacements
+        return torn
+
+    def split(self, torn: Vector) -> list[Vector]:
+        """Return the displacements of each subdomain."""
+        starts = self.ends[:-1]
+        return [torn[start : start + n] for start, n in zip(starts, self.sizes, strict=True)]
+
+
+def hold_ground(
+    constraints: Constraints, c: Vector, unknowns: TornUnknowns
+) -> tuple[Constraints, Vector]:
+    """Add an equality row y = 0 for each unknown of the ground. Collective.
+
+    Parameters
+    ----------
+    constraints : Constraints
+        B on the displacements.
+    c : (m,) array
+        Right-hand sides.
+    unknowns : TornUnknowns
+        Where the unknowns of the ground are.
+
+    Returns
+    -------
+    Constraints
+        B with the columns and rows of the ground; the same object where no rank has any.
+    (m,) array
+        c.
+    """
+    layout, new = constraints.layout, int(unknowns.grounds.sum())
+    before, total = first_of_rank(layout.comm, new)
+    if not total:
+        return constraints, c
+    last = layout.comm.allreduce(int(layout.numbers.max(initial=-1)), MPI.MAX)
+    numbers = np.append(layout.numbers, last + 1 + before + np.arange(new))
+
+    # nobody else holds the new rows, which follow the owned ones
+    def moved(rows: Numbers) -> Numbers:
+        places: Numbers = np.where(rows >= layout.owned, rows + new, rows)
+        return places
+
+    displacements = unknowns.displacements
+    ground = np.setdiff1d(np.arange(unknowns.ends[-1]), displacements)
+    weights = np.ones(int(unknowns.ends[-1]))
+    weights[displacements] = constraints.weights
+    weights[ground] = _mean_weights(constraints.weights, unknowns)
+    old, held = constraints.matrix.tocoo(), layout.owned + np.arange(new)
+    rows = np.concatenate([moved(old.row), held])
+    columns = np.concatenate([displacements[old.col], ground])
+    values = np.concatenate([old.data, np.sqrt(weights[ground])])
+    shape = numbers.size, weights.size
+    coupling = replace(constraints.coupling, rows=moved(constraints.coupling.rows))
+    extended = replace(
+        constraints,
+        matrix=sp.csr_matrix((values, (rows, columns)), shape),
+        layout=DualLayout(layout.comm, numbers),
+        inequality=moved(constraints.inequality),
+        own_rows=moved(constraints.own_rows),
+        weights=weights,
+        coupling=coupling,
+    )
+    return extended, np.insert(c, layout.owned, np.zeros(new))
+
+
+def _mean_weights(weights: Vector, unknowns: TornUnknowns) -> Vector:
+    """Return the mean weight of its subdomain for each unknown of the ground."""
+    of_subdomain = np.repeat(np.arange(unknowns.sizes.size), unknowns.sizes)
+    sums = np.bincount(of_subdomain, weights=weights, minlength=unknowns.sizes.size)
+    return np.repeat(sums / np.maximum(unknowns.sizes, 1), unknowns.grounds)

@@ -1,0 +1,83 @@
+"""Soft elastic supports: the ground that holds a subdomain becomes a part of it.
+
+A support that is soft beside the subdomain leaves rigid body modes R_s of small energy,
+R_s'KR_s = diag(s). Such modes belong into the coarse space: with them outside, K^+ and F are as
+large as 1 / s. So the ground is set free too. It gets an unknown y_j for each soft mode, and moves
+along with it by q_j = y_j sqrt(tau / s_j). The supports are strained by the difference,
+
+    1/2 (u - R_s q)'K(u - R_s q) = 1/2 [u; y]' [ K, -V; -V', tau I ] [u; y],
+
+with V = K R_s diag(tau / s)^(1/2). This stiffness is positive semidefinite, and its kernel is known
+exactly: rigid motions of the subdomain with its ground. An equality row for each y_j, y_j = 0,
+holds the ground (`constraints.ground`); its multiplier is the force of the support in that mode.
+With y = o the energy is that of K, so the solution is that of the given problem, and Total FETI
+applies to the subdomain with its ground as to any other.
+
+The scale of y makes the flexibility of its row 1 / tau for every s, as for the nodes of the
+subdomain where tau is a diagonal entry of K.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.local.rigid_body_modes import low_energy_modes
+from fenics_tfeti.feti.system import Subdomain
+
+__all__ = ["FloatingSubdomain", "set_free"]
+
+Vector = NDArray[np.float64]
+
+# K R_s relative to |K| |R_s|: what rounding leaves at nodes without a support
+_ROUNDING = 1e-14
+
+
+@dataclass(frozen=True)
+class FloatingSubdomain:
+    """A subdomain, with the ground of its soft supports.
+
+    Attributes
+    ----------
+    stiffness : (n + g, n + g) scipy.sparse.csr_matrix
+        K_i, with the g unknowns of the ground last; K_i itself where g = 0 [N/m].
+    kernel : (n + g, k) array
+        R_i; the part of the n displacements is orthonormal.
+    grounds : int
+        g.
+    """
+
+    stiffness: sp.csr_matrix
+    kernel: Vector
+    grounds: int
+
+
+def set_free(subdomain: Subdomain) -> FloatingSubdomain:
+    """Return a subdomain with the ground of its soft supports as unknowns.
+
+    Parameters
+    ----------
+    subdomain : Subdomain
+        Stiffness and coordinates.
+    """
+    K = subdomain.stiffness
+    R, energies = low_energy_modes(subdomain)
+    soft = np.flatnonzero(energies)
+    if not soft.size:
+        return FloatingSubdomain(K, R, 0)
+    tau = float(K.diagonal().mean())
+    V = sp.csr_matrix(-_forces_of_supports(K, R[:, soft]) * np.sqrt(tau / energies[soft]))
+    stiffness = sp.bmat([[K, V], [V.T, tau * sp.identity(soft.size)]], format="csr")
+    stiffness.sort_indices()
+    follow = np.zeros((soft.size, R.shape[1]))
+    follow[np.arange(soft.size), soft] = np.sqrt(energies[soft] / tau)
+    return FloatingSubdomain(stiffness, np.vstack([R, follow]), int(soft.size))
+
+
+def _forces_of_supports(K: sp.csr_matrix, R: Vector) -> Vector:
+    """Return KR without what rounding leaves where no support is."""
+    KR = K @ R
+    return np.where(np.abs(KR) > _ROUNDING * (abs(K) @ np.abs(R)), KR, 0.0)

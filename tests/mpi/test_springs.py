@@ -1,0 +1,42 @@
+"""Bodies on soft springs: any number of ranks finds what one finds."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from springs import glued_column, pressed_column
+
+from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver
+
+COMM = MPI.COMM_WORLD
+
+
+def distribute(system):
+    """Return a system with the subdomains dealt out to the ranks, contacts on the first."""
+    contacts = system.contacts if COMM.rank == 0 else ContactRows.none(3)
+    return dataclasses.replace(
+        system,
+        subdomains=system.subdomains[COMM.rank :: COMM.size],
+        prescribed=system.prescribed if COMM.rank == 0 else Prescribed(),
+        contacts=contacts,
+        comm=COMM,
+    )
+
+
+@pytest.mark.parametrize("stiffness", [1e-12, 1e-8, 1e-4])
+@pytest.mark.parametrize("problem", [lambda s: glued_column(s, 3), pressed_column])
+def test_same_as_on_one_rank(problem, stiffness):
+    system = dataclasses.replace(problem(stiffness), comm=MPI.COMM_SELF)
+    options = Options(rtol=1e-8)
+    alone = TornSolver(system, options).solve()
+    found = TornSolver(distribute(system), options).solve()
+    assert found.report.certificate.worst <= 1e-8
+    largest = max(np.abs(u).max() for u in alone.displacements)
+    mine = alone.displacements[COMM.rank :: COMM.size]
+    for u, expected in zip(found.displacements, mine, strict=True):
+        np.testing.assert_allclose(u, expected, atol=1e-6 * largest)
+    assert abs(found.report.products["total"] - alone.report.products["total"]) <= 1
