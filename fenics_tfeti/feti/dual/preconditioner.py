@@ -98,7 +98,7 @@ def _held_interior(
     These do no work on K_ib u, so that any generalized inverse of K_ii gives the same reactions.
     """
     K_ii = K[interior][:, interior].tocsr()
-    left = null_space(R[local], rcond=_NOT_MOVED)
+    left = null_space(R[local], rcond=_NOT_MOVED) if R.shape[1] else R
     if not left.shape[1]:
         return K_ii
     N = R[interior] @ left
