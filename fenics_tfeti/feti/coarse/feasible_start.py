@@ -30,7 +30,7 @@ __all__ = ["check_load", "feasible_start", "least_norm_nonnegative", "softly_sup
 Vector = NDArray[np.float64]
 
 # ||B R z|| of equality rows below which contact takes the load first
-_SOFTLY = 3e-2
+_SOFTLY = 0.1
 
 
 def check_load(
