@@ -48,8 +48,8 @@ Mask = NDArray[np.bool_]
 # of gaps against forces
 LANCZOS_STEPS = 15
 _ROUGH_LANCZOS_STEPS = 3
-# outer iterations that have to halve ||Gx||: where rows that resist a motion well leave the face and
-# weak ones stay, mu converges slowly
+# outer iterations that have to halve ||Gx||: where rows that resist a motion well leave the face
+# and weak ones stay, mu converges slowly
 _PATIENCE = 15
 # a contact force below this part of the two numbers that it is the sum of is rounding
 _CANCELLED = 1e-13

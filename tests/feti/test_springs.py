@@ -6,8 +6,8 @@ stiffness of the glued bodies and lambda its smallest eigenvalue, s for springs 
 - `rtol` bounds the error e in the energy norm, so ||e||^2 <= rtol^2 u'Ku / lambda. Closed contact
   rows only add to lambda.
 - Where springs are added to K, and where the copies of a node are, entries are rounded: |dK| <= 2
-  eps |K|. As ||du|| <= ||K^{-1} dK u||, that is 2 eps || |K| || ||u|| / lambda. For springs of 1e-13
-  it is a tenth of u: the rest of their stiffness is not in K.
+  eps |K|. As ||du|| <= ||K^{-1} dK u||, that is 2 eps || |K| || ||u|| / lambda. For springs of
+  1e-13 it is a tenth of u: the rest of their stiffness is not in K.
 """
 
 from __future__ import annotations
@@ -64,9 +64,7 @@ def assert_solves(system, solution, rtol):
     closed, gap = solution.active, system.contacts.gap
     active = C[closed]
     zero = np.zeros((len(active), len(active)))
-    x = solve_refined(
-        np.block([[K, active.T], [active, zero]]), np.concatenate([f, gap[closed]])
-    )
+    x = solve_refined(np.block([[K, active.T], [active, zero]]), np.concatenate([f, gap[closed]]))
     u, force = x[: f.size], x[f.size :]
     assert (force >= 0.0).all()
     assert (C[~closed] @ u <= gap[~closed] + 16 * EPS * np.abs(u).max()).all()

@@ -9,7 +9,7 @@ import pytest
 import quadprog
 from qp_problems import Problem, membranes, random_problem
 
-from fenics_tfeti.qp import MPRGPOptions, Products, SMALBEOptions, smalbe
+from fenics_tfeti.qp import Bounds, MPRGPOptions, Products, SMALBEOptions, smalbe
 from fenics_tfeti.qp.smalbe import SMALBEState
 
 both_expansions = pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
@@ -230,3 +230,23 @@ def test_membranes(dual, minimum, project, rtol, error, expansion):
     result = solve(problem, rtol, expansion=expansion)
     assert result.converged
     assert dual.cost(result.state.x) == pytest.approx(minimum, rel=error)
+
+
+def test_patience_ends_where_the_constraint_does_not_decrease():
+    """With x_1 at its bound, x_1 + 1e-4 x_2 = 0 needs mu = 1e4, and mu grows by 1e-4 each time."""
+    G = np.array([[1.0, 1e-4]]) / np.hypot(1.0, 1e-4)
+    Q = G.T @ G
+    P = np.identity(2) - Q
+    b = P @ np.array([0.0, 1.0])
+    result = smalbe(
+        lambda x: (P @ x + Q @ x, Q @ x),
+        b,
+        Bounds(np.array([0]), np.zeros(1)),
+        SMALBEState(np.zeros(2), np.zeros(2)),
+        options=SMALBEOptions(
+            rtol=1e-9, patience=5, inner=MPRGPOptions(step_length=1.9, max_products=1000)
+        ),
+    )
+    assert result.reason == "stalled"
+    assert not result.converged
+    assert len(result.history) < 100

@@ -93,7 +93,7 @@ class BodyMotions:
         z, others = vectors[:, weak], vectors[:, ~weak]
         if not z.shape[1]:
             return np.zeros(0), z
-        # eigenvectors of the Gram matrix have errors of 1e-16 / below^2; here B and S are not squared
+        # eigenvectors of the Gram matrix have errors of 1e-16 / below^2; here nothing is squared
         for _ in range(_PASSES):
             product = sum_over_ranks(B.T @ (B @ z)) + S.T @ (S @ z)
             z = np.linalg.qr(z - others @ ((others.T @ product) / values[~weak][:, None]))[0]

@@ -104,9 +104,7 @@ def feasible_start(
     # soft supports would be stretched far by what contact can carry
     free, weak = softly_supported(coarse_space)
     if free.shape[1] + weak.shape[1]:
-        prescribed = coarse_space.prolong(
-            supports.without_free_motions(supports.coefficients(c))
-        )
+        prescribed = coarse_space.prolong(supports.without_free_motions(supports.coefficients(c)))
         gaps = unit * (c - prescribed)[constraints.inequality]
         for group in _groups(system, coarse_space, np.hstack([free, weak]), e):
             start += _contact_forces(system, kernels, coarse_space, group, free, gaps)

@@ -261,10 +261,11 @@ def _pin(coarse_space: CoarseSpace, gram: sp.csr_matrix, weak: bool) -> float:
     Weak motions are pinned so firmly that what resists them is rounding beside it. That is
     relative to rows that resist fully: perhaps no row of GG' does.
     """
-    largest, row = coarse_space.layout.largest_diagonal(gram), coarse_space.longest_row**2
+    largest = float(coarse_space.layout.largest_diagonal(gram))
+    row = coarse_space.longest_row**2
     if weak:
         return _FIRMLY * max(largest, row)
-    return max(largest, np.finfo(float).eps * row) or 1.0
+    return max(largest, float(np.finfo(float).eps) * row) or 1.0
 
 
 def _pinned_unknowns(free: Vector) -> Numbers:
