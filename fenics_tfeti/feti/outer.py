@@ -180,12 +180,15 @@ class _Progress:
         The smallest so far: the bound of the error, and the largest number of the certificate.
     at, tolerance : float
         Tolerances when one of them last halved, and of the last pass.
+    failures : int
+        Passes with products since then.
     """
 
     bound: float = np.inf
     worst: float = np.inf
     at: float = np.inf
     tolerance: float = np.inf
+    failures: int = 0
 
     def update(self, certificate: Certificate, tolerance: float, products: int) -> None:
         """Compare a certificate with the smallest numbers so far.
@@ -200,17 +203,16 @@ class _Progress:
             Products that it took; without any, the tolerance has only come down to the iterate.
         """
         self.tolerance = tolerance
-        if not products:
-            self.at = tolerance
+        self.failures += products > 0
         if certificate.bound <= 0.5 * self.bound or certificate.worst <= 0.5 * self.worst:
             self.bound = min(self.bound, certificate.bound)
             self.worst = min(self.worst, certificate.worst)
-            self.at = tolerance
+            self.at, self.failures = tolerance, 0
 
     @property
     def stagnates(self) -> bool:
-        """Whether a hundredfold smaller tolerance has not halved either of them."""
-        return self.tolerance <= 1e-2 * self.at
+        """Whether three passes to a hundredfold smaller tolerance have not halved either of them."""
+        return self.failures >= 3 and self.tolerance <= 1e-2 * self.at
 
 
 @dataclass(frozen=True)

@@ -27,11 +27,13 @@ def distribute(system):
     )
 
 
-@pytest.mark.parametrize("stiffness", [1e-12, 1e-8, 1e-4])
+@pytest.mark.parametrize("method", ["active_set", "smalbe"])
+@pytest.mark.parametrize("stiffness", [1e-13, 1e-10, 1e-6, 1e-3])
 @pytest.mark.parametrize("problem", [lambda s: glued_column(s, 3), pressed_column])
-def test_same_as_on_one_rank(problem, stiffness):
+def test_same_as_on_one_rank(problem, stiffness, method):
+    """K is the same to the last bit, so that only the tolerance and other sums remain."""
     system = dataclasses.replace(problem(stiffness), comm=MPI.COMM_SELF)
-    options = Options(rtol=1e-8)
+    options = Options(rtol=1e-8, method=method)
     alone = TornSolver(system, options).solve()
     found = TornSolver(distribute(system), options).solve()
     assert found.report.certificate.worst <= 1e-8
@@ -39,4 +41,4 @@ def test_same_as_on_one_rank(problem, stiffness):
     mine = alone.displacements[COMM.rank :: COMM.size]
     for u, expected in zip(found.displacements, mine, strict=True):
         np.testing.assert_allclose(u, expected, atol=1e-6 * largest)
-    assert abs(found.report.products["total"] - alone.report.products["total"]) <= 1
+    assert abs(found.report.products["total"] - alone.report.products["total"]) <= 2

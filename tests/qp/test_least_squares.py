@@ -7,10 +7,12 @@ import pytest
 from daqp import solve as daqp_solve
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import nnls
 
 from fenics_tfeti.qp.least_squares import (
     least_distance,
     least_norm_nonnegative,
+    least_norm_partly_nonnegative,
     nonnegative_least_squares,
 )
 
@@ -92,3 +94,48 @@ def test_a_row_of_no_length_is_a_condition_on_b(b):
 def test_columns_of_no_length_get_nothing_to_do(A):
     x = nonnegative_least_squares(A, np.array([0.0, 0.0, -1.0]))
     assert x.tolist() == [0.0] * A.shape[1]
+
+
+def two_bodies(seed, size):
+    """Return columns that press two bodies apart, small columns, load and gaps."""
+    rng = np.random.default_rng(seed)
+    pair = rng.normal(size=(6, 40))
+    C, E = np.vstack([pair, -pair]), size * np.diag(rng.uniform(0.5, 2.0, size=12))
+    return C, E, rng.normal(size=12), rng.exponential(size=40)
+
+
+@pytest.mark.parametrize("size", [1e-2, 1e-4, 3e-7])
+@pytest.mark.parametrize("seed", range(4))
+def test_small_columns_share_with_nonnegative_ones(seed, size):
+    """Compared with NNLS for x alone, p = E^{-1}(d - Cx): 1/2 ||x + g||^2 + 1/2 ||p||^2."""
+    C, E, d, g = two_bodies(seed, size)
+    x, residual = least_norm_partly_nonnegative(C, E, d, g)
+    A = np.vstack([np.identity(40), np.linalg.solve(E, C)])
+    expected = nnls(A, np.append(-g, np.linalg.solve(E, d)), maxiter=10_000)[0]
+    assert (x >= 0.0).all()
+    assert np.linalg.norm(residual) <= 1e-10 * np.linalg.norm(d)
+
+    def value(x):
+        p = np.linalg.solve(E, d - C @ x)
+        return 0.5 * (x @ x + p @ p) + g @ x
+
+    # what the bodies exchange is known to 1e-16 / size^2 only, but p^2 is flat there
+    assert value(x) <= value(expected) * (1.0 + 1e-8)
+
+
+def test_a_wide_gap_leaves_the_load_to_the_small_columns():
+    C, E = np.array([[1.0], [-1.0]]), 1e-3 * np.identity(2)
+    load = np.array([1.0, 0.0])
+    assert least_norm_partly_nonnegative(C, E, load, np.zeros(1))[0] == pytest.approx(0.5, 1e-5)
+    # apart by less than p / E = 1e6, and by more
+    assert least_norm_partly_nonnegative(C, E, load, np.array([5e5]))[0] == pytest.approx(
+        0.25, 1e-5
+    )
+    assert least_norm_partly_nonnegative(C, E, load, np.array([2e6]))[0].tolist() == [0.0]
+
+
+def test_what_no_column_resists_is_left():
+    C, E, d = np.array([[1.0], [0.0]]), np.array([[0.0], [0.0]]), np.array([-1.0, 0.0])
+    x, residual = least_norm_partly_nonnegative(C, E, d, np.zeros(1))
+    assert x.tolist() == [0.0]
+    np.testing.assert_array_equal(residual, d)

@@ -9,7 +9,7 @@ import pytest
 import quadprog
 from qp_problems import Problem, membranes, random_problem
 
-from fenics_tfeti.qp import MPRGPOptions, Products, SMALBEOptions, smalbe
+from fenics_tfeti.qp import Bounds, MPRGPOptions, Products, SMALBEOptions, smalbe
 from fenics_tfeti.qp.smalbe import SMALBEState
 
 both_expansions = pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
@@ -232,11 +232,21 @@ def test_membranes(dual, minimum, project, rtol, error, expansion):
     assert dual.cost(result.state.x) == pytest.approx(minimum, rel=error)
 
 
-def test_slow_outer_iterations_end():
-    """With a small penalty ||Gx|| decreases little: the iterate is returned, to continue from."""
-    problem, rtol = random_problem(1, 12, equalities=3), 1e-6
-    rho = 1e-2 * problem.norm
-    slow = solve(problem, rtol, rho=rho, patience=5)
-    assert (slow.reason, slow.converged) == ("slow", False)
-    more = solve(problem, rtol, rho=rho, patience=5000, max_it=5000, start=slow.state)
-    assert more.converged
+def test_patience_ends_where_the_constraint_does_not_decrease():
+    """With x_1 at its bound, x_1 + 1e-4 x_2 = 0 needs mu = 1e4, and mu grows by 1e-4 each time."""
+    G = np.array([[1.0, 1e-4]]) / np.hypot(1.0, 1e-4)
+    Q = G.T @ G
+    P = np.identity(2) - Q
+    b = P @ np.array([0.0, 1.0])
+    result = smalbe(
+        lambda x: (P @ x + Q @ x, Q @ x),
+        b,
+        Bounds(np.array([0]), np.zeros(1)),
+        SMALBEState(np.zeros(2), np.zeros(2)),
+        options=SMALBEOptions(
+            rtol=1e-9, patience=5, inner=MPRGPOptions(step_length=1.9, max_products=1000)
+        ),
+    )
+    assert result.reason == "slow"
+    assert not result.converged
+    assert len(result.history) < 100

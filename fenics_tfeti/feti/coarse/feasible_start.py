@@ -25,12 +25,12 @@ from fenics_tfeti.feti.tolerances import NO_WORK, UNRESISTED
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.qp import least_norm_nonnegative, least_norm_partly_nonnegative
 
-__all__ = ["check_load", "feasible_start", "least_norm_nonnegative", "softly_supported"]
+__all__ = ["check_load", "feasible_start", "least_norm_nonnegative"]
 
 Vector = NDArray[np.float64]
 
 # ||B R z|| of equality rows below which contact takes the load first
-_SOFTLY = 3e-2
+_SOFTLY = 0.1
 
 
 def check_load(
@@ -102,7 +102,7 @@ def feasible_start(
     supports = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
     start = np.zeros(constraints.size)
     # soft supports would be stretched far by what contact can carry
-    free, weak = softly_supported(coarse_space)
+    free, weak = _softly_supported(coarse_space)
     if free.shape[1] + weak.shape[1]:
         prescribed = coarse_space.prolong(supports.without_free_motions(supports.coefficients(c)))
         gaps = unit * (c - prescribed)[constraints.inequality]
@@ -113,7 +113,7 @@ def feasible_start(
     return start + supports.least_norm(left)
 
 
-def softly_supported(coarse_space: CoarseSpace) -> tuple[Vector, Vector]:
+def _softly_supported(coarse_space: CoarseSpace) -> tuple[Vector, Vector]:
     """Return the motions of bodies that equality rows resist not at all, and softly: (z, z)."""
     return coarse_space.weakly_resisted(coarse_space.constraints.equality, _SOFTLY)
 
