@@ -211,7 +211,7 @@ class _Progress:
 
     @property
     def stagnates(self) -> bool:
-        """Whether three passes to a hundredfold smaller tolerance have not halved either of them."""
+        """Whether three passes, to a hundredth of the tolerance, have halved neither of them."""
         return self.failures >= 3 and self.tolerance <= 1e-2 * self.at
 
 
