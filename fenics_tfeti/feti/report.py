@@ -70,7 +70,9 @@ class Report:
     energy : float
         1/2 u'Ku - f'u [J].
     contact_force : list of float
-        Sum of the normal forces for each contact [N].
+        Sum of the normal forces for each contact [N]; [N/m] in plane problems. In axisymmetric
+        ones all forces are those of the whole body if the forms have the factor 2 pi r, and those
+        of one radian if they have r.
     contact_forces : list of list of float
         For each contact the sum of the forces on the slave as a vector [N].
     load : Resultant
@@ -79,7 +81,8 @@ class Report:
         For each Dirichlet condition the force and moment that the support exerts. Of several
         conditions for one displacement the last one counts.
     springs : Resultant
-        Force and moment that elastic supports in the bilinear form exert.
+        Force and moment that elastic supports in the bilinear form exert; in axisymmetric forms
+        the radial force of the hoop stress too.
     equilibrium : float
         The sum of the forces of load, supports, springs and obstacles, relative to the largest sum
         of magnitudes of nodal forces among them.
