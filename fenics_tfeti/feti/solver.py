@@ -128,25 +128,26 @@ class TornSolver:
         previous: TornSolver | None = None,
         guess: ContactGuess | None = None,
     ) -> None:
+        _check_arguments(system, options)
         self.system = system
         self.options = options or Options()
         self.timer = timer or Timer()
         with raise_collectively(system.comm):
             package = choose_factor(self.options)
-            _check_guess(guess, system, self.options)
-        self.setup, self.data, self.reused = self._set_up(package, previous)
+        self.setup, self.data, self.reused = self._set_up(package, previous, guess)
         self._norm_products = self.setup.norm.products
         self._start = self._first_state(previous, guess)
 
     def _set_up(
-        self, package: str, previous: TornSolver | None
+        self, package: str, previous: TornSolver | None, guess: ContactGuess | None
     ) -> tuple[DualSetup, ContactData, list[str]]:
-        """Build the operators, or take over those of the previous solver."""
+        """Check all data; build the operators, or take over those of the previous solver."""
         system, options, phase = self.system, self.options, self.timer.phase
         same_K = previous is not None and has_same_stiffness(system, previous.system)
         known = previous.setup if previous is not None and same_K else None
         with phase("constraints"):
             check_system(system, stiffness=known is None)
+            _check_guess(guess, system, options)
             local = known.local if known else LocalSetup.build(system, options)
             constraints, c = build_constraints(system, local.weights)
             check_conditions(system, constraints, c)
@@ -276,12 +277,31 @@ def _split(torn: Vector, ends: NDArray[np.int64]) -> list[Vector]:
     return np.split(torn, ends)[:-1]
 
 
-def _check_guess(guess: ContactGuess | None, system: TornSystem, options: Options) -> None:
-    if guess is None:
-        return
-    check_guess(guess, system.contacts.slave.size)
-    if options.method != "active_set":
+def _check_arguments(system: TornSystem, options: Options | None) -> None:
+    """Check types that no communicator is needed for; they are the same on all ranks."""
+    if not isinstance(system, TornSystem):
+        raise InputError(f"system: got {type(system).__name__}, expected a TornSystem")
+    if options is not None and not isinstance(options, Options):
         raise InputError(
-            f"a guess of the contact is the start of method='active_set'; with {options.method!r} "
-            "leave it out"
+            f"options: got {type(options).__name__}, expected Options; parse_options makes them "
+            "from a mapping"
         )
+
+
+def _check_guess(guess: ContactGuess | None, system: TornSystem, options: Options) -> None:
+    """Check that all ranks or none give a guess, each for its contact rows. Collective."""
+    given = system.comm.allgather(guess is not None)
+    if not any(given):
+        return
+    with raise_collectively(system.comm):
+        if guess is None:
+            raise InputError(
+                "guess: this rank gives none, others do; a rank without contact rows gives a "
+                "ContactGuess of empty arrays"
+            )
+        check_guess(guess, system.contacts.slave.size)
+        if options.method != "active_set":
+            raise InputError(
+                "a guess of the contact is the start of method='active_set'; with "
+                f"{options.method!r} leave it out"
+            )
