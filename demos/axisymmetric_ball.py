@@ -105,9 +105,8 @@ inner = p > 0.3 * p.max()
 slope, intercept = np.polyfit(radii[inner] ** 2, p[inner] ** 2, 1)
 a_fit, p0_fit = np.sqrt(-intercept / slope), np.sqrt(intercept)
 if comm.rank == 0:
-    print(
-        f"{problem.report.unknowns['primal']} unknowns, {problem.report.products['total']} products"
-    )
+    report = problem.report
+    print(f"{report.unknowns['primal']} unknowns, {report.products['total']} products")
     print(f"F  = {F:8.3f} N,   given {force:8.3f}")
     print(f"a  = {1e3 * a_fit:8.4f} mm,  Hertz {1e3 * a:8.4f}  {a_fit / a - 1:+.2%}")
     print(f"p0 = {1e-6 * p0_fit:8.3f} MPa, Hertz {1e-6 * p0:8.3f}  {p0_fit / p0 - 1:+.2%}")

@@ -47,8 +47,8 @@ class Report:
     ----------
     unknowns : dict
         Numbers of ``primal``, ``torn`` and ``dual`` unknowns, of ``inequalities``, ``active`` ones,
-        of the ``coarse`` problem, of contact rows dropped as ``redundant``, and of others that
-        depend linearly on the rest (``dependent``).
+        of the ``coarse`` problem, of contact rows dropped as ``redundant``, of others that depend
+        linearly on the rest (``dependent``), and of those dropped for their ``infinite_gaps``.
     reused : list of str
         What was reused from the last solve; ``contact guess`` if one was given.
     subdomains : int
@@ -150,6 +150,8 @@ class Report:
     def to_json(self, path: str | os.PathLike[str]) -> None:
         """Write the report as JSON, and never half a file. Collective; rank 0 of `comm` writes.
 
+        Infinite numbers and NaN, which JSON does not have, are written as null.
+
         Parameters
         ----------
         path : path-like
@@ -161,11 +163,25 @@ class Report:
             On all ranks, if rank 0 cannot write the file.
         """
         if self.comm is None:
-            _write_whole(Path(path), json.dumps(self.to_dict(), indent=2))
+            _write_whole(Path(path), self._json())
             return
         with raise_collectively(self.comm):
             if self.comm.rank == 0:
-                _write_whole(Path(path), json.dumps(self.to_dict(), indent=2))
+                _write_whole(Path(path), self._json())
+
+    def _json(self) -> str:
+        return json.dumps(_without_nan(self.to_dict()), indent=2, allow_nan=False)
+
+
+def _without_nan(value: Any) -> Any:
+    """Replace infinite numbers and NaN in nested containers by None."""
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    if isinstance(value, dict):
+        return {key: _without_nan(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(entry) for entry in value]
+    return value
 
 
 def _write_whole(target: Path, text: str) -> None:
@@ -211,6 +227,7 @@ def build_report(
             "coarse": setup.projector.coarse_space.size,
             "redundant": constraints.redundant,
             "dependent": constraints.dependent,
+            "infinite_gaps": constraints.infinite_gaps,
         },
         reused=reused,
         subdomains=comm.allreduce(len(system.subdomains)),
