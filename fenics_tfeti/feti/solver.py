@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,6 +135,7 @@ class TornSolver:
         with raise_collectively(system.comm):
             package = choose_factor(self.options)
         self.setup, self.data, self.reused = self._set_up(package, previous, guess)
+        self._constraints = self.setup.constraints
         self._norm_products = self.setup.norm.products
         self._start = self._first_state(previous, guess)
 
@@ -183,7 +184,7 @@ class TornSolver:
         state: DualState | None = None
         if previous is not None and previous._start is not None:
             last, constraints = previous._start, self.setup.constraints
-            if constraints.same_numbering(previous.setup.constraints):
+            if constraints.same_numbering(previous._constraints):
                 coarse_gradient = self.setup.projector.Q(last.coarse_gradient)
                 state = DualState(last.multipliers, coarse_gradient)
                 self.reused.append("multipliers")
@@ -213,6 +214,16 @@ class TornSolver:
         """Return the dual problem (11.36), to solve it by another method. Collective."""
         return dual_problem(self.setup, self.data, self.setup.norm(LANCZOS_STEPS))
 
+    def release(self) -> None:
+        """Free the factors and the stiffness matrices of this solver, which cannot solve then.
+
+        As `previous` of another solver it passes on its last multipliers. Without this call, both
+        sets of factors are in memory while the other solver is made.
+        """
+        self.system = replace(self.system, subdomains=[])
+        if hasattr(self, "setup"):
+            del self.setup
+
     def solve(self) -> TornSolution:
         """Solve the dual problem (11.36) and recover the displacement (11.29).
 
@@ -223,9 +234,13 @@ class TornSolver:
 
         Raises
         ------
+        InputError
+            If the solver was released.
         NotConverged
             At a limit on iterations, unless the options ask for the last iterate.
         """
+        if not hasattr(self, "setup"):
+            raise InputError("the solver was released, and can only be the previous one of another")
         history = History(norm_products_before=self._norm_products)
         outcome = iterate_until_certified(
             self.setup,

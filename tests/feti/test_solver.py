@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import weakref
 
 import numpy as np
 import pytest
@@ -131,3 +132,22 @@ def test_numbers_that_json_does_not_have_are_null(tmp_path):
     assert read["options"]["rtol"] is None
     assert read["reason"] == report.reason
     assert np.isnan(wrong.to_dict()["energy"])
+
+
+def test_released_solver_passes_on_its_multipliers():
+    """Factors and matrices are gone; the next solver starts where the last one ended."""
+    system = column(n=3, load=(0, 0, -1.0))
+    stiffer = [dataclasses.replace(s, stiffness=2.0 * s.stiffness) for s in system.subdomains]
+    after = dataclasses.replace(system, subdomains=stiffer)
+    first = TornSolver(system, Options(rtol=1e-8))
+    first.solve()
+    kept = TornSolver(after, Options(rtol=1e-8), previous=first)
+    factors = [weakref.ref(inverse) for inverse in first.setup.F.inverses]
+    first.release()
+    assert [factor() for factor in factors] == [None] * len(factors)
+    with pytest.raises(InputError, match="released"):
+        first.solve()
+    second = TornSolver(after, Options(rtol=1e-8), previous=first)
+    assert second.reused == kept.reused == ["multipliers"]
+    np.testing.assert_array_equal(second.solve().normal_force, kept.solve().normal_force)
+    first.release()
