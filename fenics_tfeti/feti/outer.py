@@ -180,16 +180,23 @@ class _Progress:
         The smallest so far: the bound of the error, and the largest number of the certificate.
     at, tolerance : float
         Tolerances when one of them last halved, and of the last pass.
+    last : tuple of float
+        The two numbers of the last pass.
     """
 
     bound: float = np.inf
     worst: float = np.inf
     at: float = np.inf
     tolerance: float = np.inf
+    last: tuple[float, float] = (np.inf, np.inf)
 
     def update(self, certificate: Certificate, tolerance: float) -> None:
         """Compare a certificate with the smallest numbers so far."""
         self.tolerance = tolerance
+        last, self.last = self.last, (certificate.bound, certificate.worst)
+        if last == self.last:
+            # the iterate was below this tolerance already, and nothing was done
+            self.at = tolerance
         if certificate.bound <= 0.5 * self.bound or certificate.worst <= 0.5 * self.worst:
             self.bound = min(self.bound, certificate.bound)
             self.worst = min(self.worst, certificate.worst)
