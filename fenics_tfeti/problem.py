@@ -63,7 +63,8 @@ class ContactProblem:
     a, L : ufl.Form
         Bilinear and linear form on one space of Lagrange elements of degree 1 with a component for
         each dimension, with integrals over cells (``dx``) and the boundary (``ds``). SI units are
-        meant in what follows; any consistent ones will do. ``L = 0`` is no load.
+        meant in what follows; any consistent ones will do. ``L = 0`` is no load. Where the forms
+        multiply ``ds`` by a weight, as axisymmetric ones do, the contacts need it as well.
     bcs : sequence of dolfinx.fem.DirichletBC, one of them, or None
         Prescribed displacements, on the space or its components, of any value.
     contacts : sequence of ContactPair or RigidObstacle, one of them, or None
@@ -150,6 +151,7 @@ class ContactProblem:
         self._x = self.space.mesh.geometry.x.copy()
         self._values = self._forms.values()
         self.system = self._torn_system(self._assemble(), prescribed)
+        self._stale = False
         self._solved_before = False
 
     def solve(self, coarse: ContactProblem | None = None) -> Function:
@@ -268,13 +270,24 @@ class ContactProblem:
         moved = self._take_moved_mesh()
         prescribed = prescribed_values(self.space, self.bcs)
         self._match_contacts()
-        before, self._values = self._values, self._forms.values()
-        comm, torn = self.space.mesh.comm, self.system.subdomains
-        if moved or not same_values(before.bilinear, self._values.bilinear, comm):
+        before, now = self._values, self._forms.values()
+        comm = self.space.mesh.comm
+        if moved or self._stale or not same_values(before.bilinear, now.bilinear, comm):
+            self._release()
             torn = self._assemble()
-        elif not same_values(before.linear, self._values.linear, comm):
-            torn = self._assemble(torn)
+        elif not same_values(before.linear, now.linear, comm):
+            torn = self._assemble(self.system.subdomains)
+        else:
+            torn = list(self.system.subdomains)
+        self._values, self._stale = now, False
         self.system = self._torn_system(torn, prescribed)
+
+    def _release(self) -> None:
+        """Free the last stiffness matrices and factors, before others take their place."""
+        self._stale = True
+        self.system = replace(self.system, subdomains=[])
+        if self._solver is not None:
+            self._solver.release()
 
     def _numbered_parts(self) -> list[Part]:
         bodies = [self._bodies.of_cell[cells[0]] for cells in self._cells]
@@ -285,13 +298,15 @@ class ContactProblem:
         domain = self.space.mesh
         if same_values([self._x], [domain.geometry.x], domain.comm):
             return False
-        self._x = domain.geometry.x.copy()
+        self._stale = True
         check_mesh(domain, self._bodies, self.contacts)
         with self._timer.phase("contact search"):
             self._boundary = MeshBoundary.of(self.space)
         self._searched, self._matched, self._moved = [], [], []
         with self._timer.phase("partition"):
             self._parts = self._numbered_parts()
+        # last: after an error above, the nodes count as moved in the next solve too
+        self._x = domain.geometry.x.copy()
         return True
 
     def _solve_linearised(

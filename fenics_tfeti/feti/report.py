@@ -47,8 +47,8 @@ class Report:
     ----------
     unknowns : dict
         Numbers of ``primal``, ``torn`` and ``dual`` unknowns, of ``inequalities``, ``active`` ones,
-        of the ``coarse`` problem, of contact rows dropped as ``redundant``, and of others that
-        depend linearly on the rest (``dependent``).
+        of the ``coarse`` problem, of contact rows dropped as ``redundant``, of others that depend
+        linearly on the rest (``dependent``), and of those dropped for their ``infinite_gaps``.
     reused : list of str
         What was reused from the last solve; ``contact guess`` if one was given.
     subdomains : int
@@ -70,7 +70,9 @@ class Report:
     energy : float
         1/2 u'Ku - f'u [J].
     contact_force : list of float
-        Sum of the normal forces for each contact [N].
+        Sum of the normal forces for each contact [N]; [N/m] in plane problems. In axisymmetric
+        ones all forces are those of the whole body if the forms have the factor 2 pi r, and those
+        of one radian if they have r.
     contact_forces : list of list of float
         For each contact the sum of the forces on the slave as a vector [N].
     load : Resultant
@@ -79,7 +81,8 @@ class Report:
         For each Dirichlet condition the force and moment that the support exerts. Of several
         conditions for one displacement the last one counts.
     springs : Resultant
-        Force and moment that elastic supports in the bilinear form exert.
+        Force and moment that elastic supports in the bilinear form exert; in axisymmetric forms
+        the radial force of the hoop stress too.
     equilibrium : float
         The sum of the forces of load, supports, springs and obstacles, relative to the largest sum
         of magnitudes of nodal forces among them.
@@ -147,6 +150,8 @@ class Report:
     def to_json(self, path: str | os.PathLike[str]) -> None:
         """Write the report as JSON, and never half a file. Collective; rank 0 of `comm` writes.
 
+        Infinite numbers and NaN, which JSON does not have, are written as null.
+
         Parameters
         ----------
         path : path-like
@@ -158,11 +163,25 @@ class Report:
             On all ranks, if rank 0 cannot write the file.
         """
         if self.comm is None:
-            _write_whole(Path(path), json.dumps(self.to_dict(), indent=2))
+            _write_whole(Path(path), self._json())
             return
         with raise_collectively(self.comm):
             if self.comm.rank == 0:
-                _write_whole(Path(path), json.dumps(self.to_dict(), indent=2))
+                _write_whole(Path(path), self._json())
+
+    def _json(self) -> str:
+        return json.dumps(_without_nan(self.to_dict()), indent=2, allow_nan=False)
+
+
+def _without_nan(value: Any) -> Any:
+    """Replace infinite numbers and NaN in nested containers by None."""
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    if isinstance(value, dict):
+        return {key: _without_nan(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(entry) for entry in value]
+    return value
 
 
 def _write_whole(target: Path, text: str) -> None:
@@ -211,6 +230,7 @@ def build_report(
             "coarse": setup.projector.coarse_space.size,
             "redundant": constraints.redundant,
             "dependent": constraints.dependent,
+            "infinite_gaps": constraints.infinite_gaps,
         },
         reused=reused,
         subdomains=comm.allreduce(len(system.subdomains)),

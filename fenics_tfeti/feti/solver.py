@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,25 +129,27 @@ class TornSolver:
         previous: TornSolver | None = None,
         guess: ContactGuess | None = None,
     ) -> None:
+        _check_arguments(system, options)
         self.system = system
         self.options = options or Options()
         self.timer = timer or Timer()
         with raise_collectively(system.comm):
             package = choose_factor(self.options)
-            _check_guess(guess, system, self.options)
-        self.setup, self.data, self.reused = self._set_up(package, previous)
+        self.setup, self.data, self.reused = self._set_up(package, previous, guess)
+        self._constraints = self.setup.constraints
         self._norm_products = self.setup.norm.products
         self._start = self._first_state(previous, guess)
 
     def _set_up(
-        self, package: str, previous: TornSolver | None
+        self, package: str, previous: TornSolver | None, guess: ContactGuess | None
     ) -> tuple[DualSetup, ContactData, list[str]]:
-        """Build the operators, or take over those of the previous solver."""
+        """Check all data; build the operators, or take over those of the previous solver."""
         system, options, phase = self.system, self.options, self.timer.phase
         same_K = previous is not None and has_same_stiffness(system, previous.system)
         known = previous.setup if previous is not None and same_K else None
         with phase("constraints"):
             check_system(system, stiffness=known is None)
+            _check_guess(guess, system, options)
             local = known.local if known else LocalSetup.build(system, options)
             constraints, c = build_constraints(system, local.weights)
             check_conditions(system, constraints, c)
@@ -186,7 +188,7 @@ class TornSolver:
         state: DualState | None = None
         if previous is not None and previous._start is not None:
             last, constraints = previous._start, self.setup.constraints
-            if constraints.same_numbering(previous.setup.constraints):
+            if constraints.same_numbering(previous._constraints):
                 coarse_gradient = self.setup.projector.Q(last.coarse_gradient)
                 state = DualState(last.multipliers, coarse_gradient)
                 self.reused.append("multipliers")
@@ -216,6 +218,16 @@ class TornSolver:
         """Return the dual problem (11.36), to solve it by another method. Collective."""
         return dual_problem(self.setup, self.data, self.setup.norm(LANCZOS_STEPS))
 
+    def release(self) -> None:
+        """Free the factors and the stiffness matrices of this solver, which cannot solve then.
+
+        As `previous` of another solver it passes on its last multipliers. Without this call, both
+        sets of factors are in memory while the other solver is made.
+        """
+        self.system = replace(self.system, subdomains=[])
+        if hasattr(self, "setup"):
+            del self.setup
+
     def solve(self) -> TornSolution:
         """Solve the dual problem (11.36) and recover the displacement (11.29).
 
@@ -226,9 +238,13 @@ class TornSolver:
 
         Raises
         ------
+        InputError
+            If the solver was released.
         NotConverged
             At a limit on iterations, unless the options ask for the last iterate.
         """
+        if not hasattr(self, "setup"):
+            raise InputError("the solver was released, and can only be the previous one of another")
         history = History(norm_products_before=self._norm_products)
         outcome = iterate_until_certified(
             self.setup,
@@ -275,12 +291,31 @@ class TornSolver:
         )
 
 
-def _check_guess(guess: ContactGuess | None, system: TornSystem, options: Options) -> None:
-    if guess is None:
-        return
-    check_guess(guess, system.contacts.slave.size)
-    if options.method != "active_set":
+def _check_arguments(system: TornSystem, options: Options | None) -> None:
+    """Check types that no communicator is needed for; they are the same on all ranks."""
+    if not isinstance(system, TornSystem):
+        raise InputError(f"system: got {type(system).__name__}, expected a TornSystem")
+    if options is not None and not isinstance(options, Options):
         raise InputError(
-            f"a guess of the contact is the start of method='active_set'; with {options.method!r} "
-            "leave it out"
+            f"options: got {type(options).__name__}, expected Options; parse_options makes them "
+            "from a mapping"
         )
+
+
+def _check_guess(guess: ContactGuess | None, system: TornSystem, options: Options) -> None:
+    """Check that all ranks or none give a guess, each for its contact rows. Collective."""
+    given = system.comm.allgather(guess is not None)
+    if not any(given):
+        return
+    with raise_collectively(system.comm):
+        if guess is None:
+            raise InputError(
+                "guess: this rank gives none, others do; a rank without contact rows gives a "
+                "ContactGuess of empty arrays"
+            )
+        check_guess(guess, system.contacts.slave.size)
+        if options.method != "active_set":
+            raise InputError(
+                "a guess of the contact is the start of method='active_set'; with "
+                f"{options.method!r} leave it out"
+            )

@@ -90,6 +90,8 @@ def check_guess(guess: ContactGuess, rows: int) -> None:
     InputError
         On this rank.
     """
+    if not isinstance(guess, ContactGuess):
+        raise InputError(f"guess: got {_kind(guess)}, expected a ContactGuess")
     for what, values in (("normal_force", guess.normal_force), ("gap", guess.gap)):
         _check_array(f"{what} of the contact guess", values, (rows,), np.float64)
     _check_finite("normal_force of the contact guess", guess.normal_force)

@@ -37,6 +37,13 @@ def test_hertz_cylinder(demo):
     assert demo["errors"]["groove"] == pytest.approx((0.0, 0.0), abs=0.008)
 
 
+def test_axisymmetric_ball(demo):
+    """Radius and largest pressure of the contact area by Hertz's formulas; statics."""
+    assert demo["F"] == pytest.approx(demo["force"], rel=1e-9)
+    assert demo["a_fit"] == pytest.approx(demo["a"], rel=0.005)
+    assert demo["p0_fit"] == pytest.approx(demo["p0"], rel=0.01)
+
+
 def test_flat_punch(demo):
     """The pressure up to 3/4 of the radius, and the force of the circular punch."""
     assert demo["errors"]["strip"] < 0.006

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import weakref
 
 import numpy as np
 import pytest
@@ -105,3 +107,47 @@ def test_limit():
 def test_unknown_option():
     with pytest.raises(InputError, match="'rtol'"):
         parse_options({"rtoll": 1e-4})
+
+
+def test_numbers_that_json_does_not_have_are_null(tmp_path):
+    """Not the words Infinity and NaN, which other readers of JSON refuse."""
+    report = TornSolver(column()).solve().report
+    certificate = dataclasses.replace(report.certificate, penetration=np.inf)
+    wrong = dataclasses.replace(
+        report,
+        energy=np.nan,
+        contact_force=[-np.inf, 1.0],
+        certificate=certificate,
+        options={**report.options, "rtol": np.float64(np.nan)},
+    )
+    wrong.to_json(tmp_path / "report.json")
+
+    def refuse(word):
+        raise AssertionError(word)
+
+    read = json.loads((tmp_path / "report.json").read_text(), parse_constant=refuse)
+    assert read["energy"] is None
+    assert read["contact_force"] == [None, 1.0]
+    assert read["certificate"]["penetration"] is None
+    assert read["options"]["rtol"] is None
+    assert read["reason"] == report.reason
+    assert np.isnan(wrong.to_dict()["energy"])
+
+
+def test_released_solver_passes_on_its_multipliers():
+    """Factors and matrices are gone; the next solver starts where the last one ended."""
+    system = column(n=3, load=(0, 0, -1.0))
+    stiffer = [dataclasses.replace(s, stiffness=2.0 * s.stiffness) for s in system.subdomains]
+    after = dataclasses.replace(system, subdomains=stiffer)
+    first = TornSolver(system, Options(rtol=1e-8))
+    first.solve()
+    kept = TornSolver(after, Options(rtol=1e-8), previous=first)
+    factors = [weakref.ref(inverse) for inverse in first.setup.F.inverses]
+    first.release()
+    assert [factor() for factor in factors] == [None] * len(factors)
+    with pytest.raises(InputError, match="released"):
+        first.solve()
+    second = TornSolver(after, Options(rtol=1e-8), previous=first)
+    assert second.reused == kept.reused == ["multipliers"]
+    np.testing.assert_array_equal(second.solve().normal_force, kept.solve().normal_force)
+    first.release()

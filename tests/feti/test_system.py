@@ -237,3 +237,23 @@ def test_wrong_guess(force, gap, message):
 
 def test_gaps_of_a_guess_may_be_infinite():
     check_guess(ContactGuess(np.zeros(2), np.array([0.0, np.inf])), 2)
+
+
+def test_guess_of_a_wrong_type():
+    with pytest.raises(InputError, match="guess: got str, expected a ContactGuess"):
+        TornSolver(column(), guess="all closed")
+
+
+@pytest.mark.parametrize("contacts", [None, np.zeros(3)], ids=["none", "array"])
+def test_system_is_checked_before_the_guess(contacts):
+    system = dataclasses.replace(column(), contacts=contacts)
+    guess = ContactGuess(np.zeros(2), np.zeros(2))
+    with pytest.raises(InputError, match="contacts: got .* expected ContactRows"):
+        TornSolver(system, guess=guess)
+
+
+def test_arguments_of_wrong_types():
+    with pytest.raises(InputError, match="system: got NoneType, expected a TornSystem"):
+        TornSolver(None)
+    with pytest.raises(InputError, match="options: got dict, .* parse_options"):
+        TornSolver(column(), {"rtol": 1e-3})

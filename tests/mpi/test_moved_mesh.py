@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import scenes
 
+from fenics_tfeti import ContactError, InputError
+
 comm = MPI.COMM_WORLD
 
 
@@ -37,3 +39,36 @@ def test_moved_nodes_are_noticed(make):
     assert largest_difference(uh, exact) < 1e-6 * size
     problem.solve()
     assert "factors" in problem.report.reused
+
+
+def test_wrong_moves_are_errors_until_they_are_undone():
+    """Also in the second solve, which would otherwise go on with what was computed before."""
+    scene = scenes.two_beams(comm, "quadrilateral")
+    problem = scene.problem(options={"rtol": 1e-9})
+    before = problem.solve().copy()
+    x = scene.mesh.geometry.x
+    right = x.copy()
+    x[:, 1] = np.minimum(x[:, 1], 1.5)
+    for _ in range(2):
+        with pytest.raises(InputError, match="cells without area"):
+            problem.solve()
+    x[:] = right
+    uh = problem.solve()
+    size = comm.allreduce(float(np.abs(before.x.array).max(initial=0.0)), MPI.MAX)
+    assert largest_difference(uh, before) < 1e-6 * size
+
+
+def test_values_after_an_error_are_noticed():
+    """A stiffness that cannot be factored leaves nothing behind that a later solve could use."""
+    scene = scenes.two_beams(comm, "quadrilateral")
+    problem = scene.problem(options={"rtol": 1e-9})
+    before = problem.solve().copy()
+    young = float(scene.kept[0].value)
+    scene.kept[0].value = -young
+    for _ in range(2):
+        with pytest.raises(ContactError):
+            problem.solve()
+    scene.kept[0].value = young
+    uh = problem.solve()
+    size = comm.allreduce(float(np.abs(before.x.array).max(initial=0.0)), MPI.MAX)
+    assert largest_difference(uh, before) < 1e-6 * size

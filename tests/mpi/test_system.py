@@ -6,11 +6,12 @@ import dataclasses
 
 from mpi4py import MPI
 
+import numpy as np
 import pytest
 from bad_systems import MISTAKES, column_on
 
 from fenics_tfeti import InputError
-from fenics_tfeti.feti import ContactRows, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti import ContactGuess, ContactRows, Prescribed, TornSolver, TornSystem
 from fenics_tfeti.feti.system_checks import check_system
 
 comm = MPI.COMM_WORLD
@@ -58,4 +59,16 @@ def test_rank_without_subdomains():
     system = column_on(MPI.COMM_SELF)
     if comm.rank > 0:
         system = TornSystem([], Prescribed(), ContactRows.none(3), 3)
-    check_system(dataclasses.replace(system, comm=comm))
+    system = dataclasses.replace(system, comm=comm)
+    check_system(system)
+    solution = TornSolver(system).solve()
+    assert len(solution.displacements) == len(solution.torn_displacements) == len(system.subdomains)
+
+
+@several_ranks
+def test_guess_of_one_rank():
+    system = column_on(comm)
+    rows = system.contacts.slave.size
+    guess = ContactGuess(np.zeros(rows), np.zeros(rows)) if LAST else None
+    with pytest.raises(InputError, match="guess: this rank gives none, others do"):
+        TornSolver(system, guess=guess)

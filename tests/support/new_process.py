@@ -7,14 +7,14 @@ import sys
 from pathlib import Path
 
 
-def run_python(code: str, *arguments: str) -> str:
+def run_python(code: str, *arguments: str, timeout: int = 100) -> str:
     """Run code where the modules of tests/support can be imported; return what it prints."""
     done = subprocess.run(
         [sys.executable, "-c", code, *arguments],
         capture_output=True,
         text=True,
         cwd=Path(__file__).parent,
-        timeout=100,
+        timeout=timeout,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()

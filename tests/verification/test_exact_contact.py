@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from mpi4py import MPI
 
 import numpy as np
@@ -12,6 +14,7 @@ from stepped_blocks import two_blocks
 import ufl
 from dolfinx import fem
 
+import fenics_tfeti.problem as problem_module
 from fenics_tfeti import ContactProblem, NotConverged, Plane, RigidObstacle, Sphere
 from fenics_tfeti.io import Box, boxes, tag_facets
 
@@ -81,6 +84,32 @@ def test_forces_are_along_the_deformed_normals():
     inward /= np.linalg.norm(inward, axis=1)[:, None]
     # distances are of second order in the angle
     np.testing.assert_allclose(contact.normal, inward, atol=np.sqrt(2 * 1e-7 * 0.3))
+
+
+def test_seconds_of_each_pass_and_of_all(monkeypatch):
+    """The measurement of the deformed surfaces is slowed down; the first solve has the set-up."""
+    measure, pause = problem_module.deformed_contact, 0.05
+
+    def slowly(*arguments):
+        time.sleep(pause)
+        return measure(*arguments)
+
+    monkeypatch.setattr(problem_module, "deformed_contact", slowly)
+    start = time.perf_counter()
+    problem = block_over_bump(OPTIONS, n=8)
+    for step in range(2):
+        problem.solve()
+        wall, start = time.perf_counter() - start, time.perf_counter()
+        seconds, passes = problem.report.seconds, problem.report.passes
+        assert all(one.seconds >= pause for one in passes)
+        assert sum(one.seconds for one in passes) == pytest.approx(seconds["total"], rel=1e-12)
+        phases = [value for name, value in seconds.items() if name != "total"]
+        assert sum(phases) == pytest.approx(seconds["total"], rel=1e-12)
+        assert seconds["deformed surfaces"] >= pause * len(passes)
+        assert 0.5 * wall <= seconds["total"] <= wall
+        assert ("partition" in seconds) == (step == 0)
+        # no pass has the time of another one
+        assert passes[-1].seconds < seconds["total"] - (len(passes) - 1) * pause + 1e-9
 
 
 def test_passes_converge_and_reuse_what_stays():

@@ -11,6 +11,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.obstacles import Obstacle
 from fenics_tfeti.fem.contact.surfaces import GivenNormal, Surface
 from fenics_tfeti.parallel import concatenate_ranks
@@ -65,6 +66,10 @@ class ContactPair:
     partial : bool
         Whether slave nodes without partner, and nodes that belong to slave and master, stay free
         instead of being an error. The report has their number.
+    measure_weight : UFL expression or number, optional
+        Factor of ``ds`` in the forms, by which nodal forces become pressures: ``2 * pi * r`` or
+        ``r``, with ``r = SpatialCoordinate(mesh)[0]``, in axisymmetric forms, the thickness in
+        forms of a thin sheet. By default 1.
     """
 
     facet_tags: Any
@@ -77,6 +82,7 @@ class ContactPair:
     pairs: tuple[ArrayLike, ArrayLike] | None = None
     normal: GivenNormal = None
     partial: bool = False
+    measure_weight: Any = None
 
 
 @dataclass(frozen=True)
@@ -96,12 +102,15 @@ class RigidObstacle:
         +inf and the normal is not used. `Plane`, `Sphere` and `Cylinder` are such callables.
     name : str
         For messages and the report.
+    measure_weight : UFL expression or number, optional
+        Factor of ``ds`` in the forms, see `ContactPair`. By default 1.
     """
 
     facet_tags: Any
     slave: int
     obstacle: Obstacle
     name: str = ""
+    measure_weight: Any = None
 
 
 Contact = ContactPair | RigidObstacle
@@ -133,11 +142,16 @@ class ContactPairing:
         (chi(x) - x)'n (11.7) [m]; infinite where there is no obstacle.
     area : (k,) array
         Area of the surface (length in 2D) that belongs to the node [m^2 or m]; in a partial contact
-        that of the facets whose nodes all have partners, where the node has such facets.
+        that of the facets whose nodes all have partners, where the node has such facets. It is
+        multiplied by the contact's `measure_weight`.
     summary : dict
         The contact's entry of `Report.pairing`.
     surface : Surface
         All of the slave's surface.
+    covered : (f,) bool array
+        Which of the surface's facets have partners at all nodes.
+    weighted_form : CompiledForm or None
+        The form of the areas with the weight; None without one.
     """
 
     name: str
@@ -149,6 +163,8 @@ class ContactPairing:
     area: Vector
     summary: dict[str, Any]
     surface: Surface
+    covered: NDArray[np.bool_]
+    weighted_form: _compat.CompiledForm | None
 
 
 @dataclass(frozen=True)
@@ -168,9 +184,11 @@ class ContactResult:
     normal : (k, gdim) array
         Outward unit normals of the slave.
     normal_force : (k,) array
-        [N]; [N/m] in 2D.
+        [N]; [N/m] in plane problems; in axisymmetric ones [N] if the forms have the factor
+        2 pi r, [N/rad] if they have r.
     pressure : (k,) array
-        Normal force over the area that belongs to the node [Pa].
+        Normal force over the area that belongs to the node, which has the contact's
+        `measure_weight` [Pa].
     active : (k,) bool array
         Whether the normal force is positive.
     comm : MPI.Intracomm

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from mpi4py import MPI
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact import search
 from fenics_tfeti.fem.contact.checks import (
     check_arguments,
@@ -27,6 +29,7 @@ from fenics_tfeti.fem.contact.contact import (
     RigidObstacle,
     contact_name,
 )
+from fenics_tfeti.fem.contact.measure_weight import check_weighted_areas, given_weight
 from fenics_tfeti.fem.contact.obstacles import gap_and_normal
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
 from fenics_tfeti.fem.contact.surfaces import (
@@ -103,8 +106,8 @@ def match_contact(
     number : int
         Its number, for a name.
     earlier : ContactPairing, optional
-        An earlier result for this contact: that of a pair is returned as it is, of an obstacle's
-        the surface is used again.
+        An earlier result for this contact: of a pair's all is used again but the areas with a
+        weight, which may have changed; of an obstacle's the surface.
 
     Returns
     -------
@@ -115,12 +118,19 @@ def match_contact(
     ------
     InputError
         Tags on no facet or on interior ones, slave nodes without a partner, shared nodes, surfaces
-        that look the same way, pairs that cross or are not one to one, wrong normals.
+        that look the same way, pairs that cross or are not one to one, wrong normals; a weight of
+        the measure that is no scalar expression on the mesh or not positive.
     """
     name = contact_name(contact, number)
     if isinstance(contact, RigidObstacle):
         return _match_obstacle(boundary, name, contact, earlier)
-    return earlier or _match_pair(boundary, name, contact)
+    if earlier is None:
+        return _match_pair(boundary, name, contact)
+    if earlier.weighted_form is None:
+        return earlier
+    surface = earlier.surface
+    area = _areas(boundary, surface, earlier.covered, earlier.weighted_form, name)
+    return replace(earlier, area=area[np.searchsorted(surface.nodes, earlier.slave)])
 
 
 def contact_rows(pairings: Sequence[ContactPairing], gdim: int) -> ContactRows:
@@ -145,6 +155,8 @@ def _match_obstacle(
         if earlier
         else tagged_surface(boundary, contact.facet_tags, contact.slave, f"slave of {name}")
     )
+    form = earlier.weighted_form if earlier else _weighted_form(boundary, contact, name)
+    covered = np.ones(slave.facets.size, dtype=bool)
     gap, outward = gap_and_normal(comm, contact.obstacle, slave.coordinates, slave.normal, name)
     gap = _without_rounding(gap, slave)
     normal = -outward  # u'n <= gap with n pointing into the obstacle
@@ -156,9 +168,11 @@ def _match_obstacle(
         slave.coordinates,
         normal,
         gap,
-        slave.area,
+        _areas(boundary, slave, covered, form, name),
         pairing_summary(comm, name, gap, angle, slave.nodes.size),
         slave,
+        covered,
+        form,
     )
 
 
@@ -185,7 +199,8 @@ def _match_pair(boundary: MeshBoundary, name: str, contact: ContactPair) -> Cont
     check_facing(comm, slave, found, angle, name)
     partner = master.points[at]
     covered = _covered_facets(boundary, slave, found, partner, name)
-    area = _area_with_partners(boundary, slave, covered) if contact.partial else slave.area
+    form = _weighted_form(boundary, contact, name)
+    area = _areas(boundary, slave, covered, form, name)
     normal = slave.normal[found]
     gap = _without_rounding(np.sum((partner - slave.points[found]) * normal, axis=1), slave)
     distance = _without_rounding(partners.distance[found], slave)
@@ -200,6 +215,8 @@ def _match_pair(boundary: MeshBoundary, name: str, contact: ContactPair) -> Cont
         area[found],
         pairing_summary(comm, name, gap, angle, slave.nodes.size, distance, relative),
         slave,
+        covered,
+        form,
     )
 
 
@@ -243,10 +260,32 @@ def _covered_facets(
     return covered
 
 
-def _area_with_partners(boundary: MeshBoundary, slave: Surface, covered: Mask) -> Vector:
+def _weighted_form(
+    boundary: MeshBoundary, contact: Contact, name: str
+) -> _compat.CompiledForm | None:
+    """Return the form of the areas with the contact's weight; None without one. Collective."""
+    domain = boundary.space.mesh
+    with raise_collectively(domain.comm):
+        weight = given_weight(domain, contact.measure_weight, name)
+    return None if weight is None else boundary.form_with_weight(weight)
+
+
+def _areas(
+    boundary: MeshBoundary,
+    slave: Surface,
+    covered: Mask,
+    form: _compat.CompiledForm | None,
+    name: str,
+) -> Vector:
     """Return the area of each node on covered facets, or all of its area where it has none."""
-    area = area_of_facets(boundary, slave, covered)
-    return np.where(area > RELATIVE_ROUNDING * slave.area, area, slave.area)
+    comm, area = boundary.space.mesh.comm, slave.area
+    if form is not None:
+        area = area_of_facets(boundary, slave, np.ones_like(covered), form)
+        check_weighted_areas(comm, area, slave.area, slave.points, f"slave of {name}")
+    if comm.allreduce(bool(covered.all()), MPI.LAND):
+        return area
+    of_covered = area_of_facets(boundary, slave, covered, form)
+    return np.where(of_covered > RELATIVE_ROUNDING * area, of_covered, area)
 
 
 def _without_rounding(lengths: Vector, slave: Surface) -> Vector:

@@ -80,19 +80,30 @@ class MeshBoundary:
         node_of_row = np.full(domain.geometry.x.shape[0], -1, dtype=np.int32)
         # cells of degree 1 list nodes and vertices in the same order
         node_of_row[_compat.geometry_cells(domain)] = _compat.cell_dofs(space)
-        normal = ufl.inner(ufl.FacetNormal(domain), ufl.TestFunction(space))
-        form = _compat.CompiledForm(normal * ufl.Measure("ds", domain=domain)(1), domain.comm)
+        form = _normal_form(space)
         coordinates = space.tabulate_dof_coordinates()
         return MeshBoundary(space, coordinates, node_of_row, exterior, rows, form)
 
-    def weighted_normals(self, facets: Indices) -> Vector:
+    def form_with_weight(self, weight: Any) -> _compat.CompiledForm:
+        """Compile `normal_form` with a weight of ds. Collective."""
+        return _normal_form(self.space, weight)
+
+    def integrate(self, form: _compat.CompiledForm, facets: Indices) -> Vector:
         """Integrate the normal times each node's shape function over facets: (nodes, gdim).
 
         The length of the integral is the area that turns a uniform pressure into the node's force.
         """
-        bound = self.normal_form.bind([self.space], {}, {1: self.rows[facets]})
+        bound = form.bind([self.space], {}, {1: self.rows[facets]})
         values = _compat.assemble_distributed(bound)
         return values.reshape(-1, self.space.dofmap.index_map_bs)
+
+
+def _normal_form(space: FunctionSpace, weight: Any = 1) -> _compat.CompiledForm:
+    """Compile the normal times each node's shape function and a weight. Collective."""
+    domain = space.mesh
+    normal = ufl.inner(ufl.FacetNormal(domain), ufl.TestFunction(space))
+    ds = ufl.Measure("ds", domain=domain)
+    return _compat.CompiledForm(weight * normal * ds(1), domain.comm)
 
 
 @dataclass(frozen=True)
@@ -110,7 +121,8 @@ class Surface:
     normal : (k, gdim) array
         Outward unit normals.
     area : (k,) array
-        Area (length in 2D) that turns a uniform pressure into the node's normal force [m^2 or m].
+        Area (length in 2D) that turns a uniform pressure into the node's normal force [m^2 or m],
+        without the weight of the measure.
     size : (k,) array
         Mean edge length of the smallest of the facets at the node [m].
     facets : (f,) integer array
@@ -206,7 +218,7 @@ def tagged_surface(
     nodes = np.sort(nodes[nodes < space.dofmap.index_map.size_local])
     coordinates = boundary.coordinates[nodes]
     extent = domain.comm.allreduce(float(np.abs(coordinates).max(initial=0.0)), MPI.MAX)
-    weighted = boundary.weighted_normals(facets)[nodes]
+    weighted = boundary.integrate(boundary.normal_form, facets)[nodes]
     to_global = space.dofmap.index_map.local_to_global
     rows = facet_vertices(domain, facets)
     vertices = boundary.node_of_row[rows]
@@ -262,8 +274,13 @@ def values_on_facets(space: FunctionSpace, surface: Surface, values: Vector) -> 
     return at
 
 
-def area_of_facets(boundary: MeshBoundary, surface: Surface, chosen: NDArray[np.bool_]) -> Vector:
-    """Return the share of each node's area that belongs to chosen facets.
+def area_of_facets(
+    boundary: MeshBoundary,
+    surface: Surface,
+    chosen: NDArray[np.bool_],
+    form: _compat.CompiledForm | None = None,
+) -> Vector:
+    """Return the share of each node's area that belongs to chosen facets. Collective.
 
     Parameters
     ----------
@@ -273,13 +290,16 @@ def area_of_facets(boundary: MeshBoundary, surface: Surface, chosen: NDArray[np.
         The surface.
     chosen : (f,) bool array
         Which of this rank's facets count.
+    form : CompiledForm, optional
+        That of `MeshBoundary.form_with_weight`; by default without weight.
 
     Returns
     -------
     (k,) array
-        [m^2 or m].
+        [m^2 or m], times the weight.
     """
-    weighted = boundary.weighted_normals(surface.facets[chosen])[surface.local]
+    facets = surface.facets[chosen]
+    weighted = boundary.integrate(form or boundary.normal_form, facets)[surface.local]
     area: Vector = np.sum(weighted * surface.normal, axis=1)
     return area
 

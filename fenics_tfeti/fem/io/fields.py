@@ -220,15 +220,15 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
     space : FunctionSpace
         The displacement's space.
     contacts : sequence of ContactResult
-        Results of `ContactProblem`. Where a node is in several contacts, their values are added;
-        infinite gaps, where there is no obstacle, are left out.
+        Results of `ContactProblem`. Where a node is in several contacts, their values are added,
+        of gaps the finite ones.
 
     Returns
     -------
     list of Function
         "contact_pressure" [Pa], "contact_force" [N] (normal, times the outward normal) and
-        "initial_gap" [m]. Some versions of dolfinx compile no form of a field whose name has
-        spaces.
+        "initial_gap" [m], which is NaN where a contact has no obstacle: where its only gaps are
+        infinite. Some versions of dolfinx compile no form of a field whose name has spaces.
     """
     scalar = _compat.lagrange_space(space.mesh, 1)
     pressure, gap = Function(scalar, name="contact_pressure"), Function(scalar, name="initial_gap")
@@ -238,13 +238,17 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
     to_scalar = np.empty(len(force.x.array) // block, dtype=np.int32)
     to_scalar[_compat.cell_dofs(space)] = _compat.cell_dofs(scalar)
     first = space.dofmap.index_map.local_range[0]
+    finite, infinite = (np.zeros(len(gap.x.array), dtype=bool) for _ in range(2))
     for contact in contacts:
         nodes = contact.nodes - first
         at = to_scalar[nodes]
         pressure.x.array[at] += contact.pressure
-        gap.x.array[at] += np.where(np.isfinite(contact.gap), contact.gap, 0.0)
+        there = np.isfinite(contact.gap)
+        gap.x.array[at[there]] += contact.gap[there]
+        finite[at[there]], infinite[at[~there]] = True, True
         components = block * nodes[:, None] + np.arange(block)
         force.x.array[components] -= contact.normal_force[:, None] * contact.normal
+    gap.x.array[infinite & ~finite] = np.nan
     for field in (pressure, gap, force):
         field.x.scatter_forward()
     return [pressure, force, gap]

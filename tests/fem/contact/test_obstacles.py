@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+from xml.etree import ElementTree
 
 from mpi4py import MPI
 
@@ -15,7 +16,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact import obstacles
 from fenics_tfeti.fem.contact.matching import match_contact
 from fenics_tfeti.fem.contact.surfaces import MeshBoundary
-from fenics_tfeti.io import contact_fields, tag_facets
+from fenics_tfeti.io import contact_fields, tag_facets, write_fields
 
 X = np.array([[3.0, 0.0], [4.0, -10.0], [0.0, 0.0]])
 
@@ -209,11 +210,39 @@ def test_report_of_an_obstacle_that_is_not_everywhere(tmp_path):
     (entry,) = problem.report.pairing
     assert (entry["pairs"], entry["unmatched"]) == (5, 4)
     assert (entry["smallest_gap"], entry["largest_gap"]) == (0.0, 0.0)
+    assert problem.report.unknowns["infinite_gaps"] == 4
     assert "inf" not in problem.report.pairing_table()
     problem.report.to_json(tmp_path / "report.json")
     assert "Infinity" not in (tmp_path / "report.json").read_text()
-    gap = contact_fields(problem.space, problem.contact)[2]
-    assert np.isfinite(gap.x.array).all()
+
+
+def test_files_of_an_obstacle_that_is_not_everywhere(tmp_path):
+    """NaN in the gap where there is none: ParaView draws nothing there; never infinity."""
+    problem, _ = pressed_on_a_punch(punch(np.inf), WHOLE)
+    fields = contact_fields(problem.space, problem.contact)
+    gap = fields[2]
+    x = gap.function_space.tabulate_dof_coordinates()
+    nowhere = np.isclose(x[:, 1], 0.0) & (x[:, 0] > 0.5 + 1e-9)
+    np.testing.assert_array_equal(np.isnan(gap.x.array), nowhere)
+    assert not np.isinf(gap.x.array).any()
+    write_fields(tmp_path / "contact.pvd", fields)
+    (file,) = tmp_path.glob("*.vtu")
+    (written,) = ElementTree.parse(file).getroot().iterfind(".//DataArray[@Name='initial_gap']")
+    values = np.array(written.text.split(), dtype=float)
+    assert np.count_nonzero(np.isnan(values)) == 4
+    assert not np.isinf(values).any()
+
+
+def test_gap_of_a_node_with_two_obstacles_is_that_of_the_finite_one():
+    scene = pressed_block(MPI.COMM_SELF, "quadrilateral", 2)
+    nowhere = RigidObstacle(scene.facet_tags, GROUND, lambda x: np.full(x.shape[1], np.inf))
+    plane = RigidObstacle(scene.facet_tags, GROUND, lambda x: x[1] + 0.25)
+    for contacts in ([nowhere, plane], [plane, nowhere]):
+        problem = scene.problem(contacts=contacts)
+        problem.solve()
+        gap = contact_fields(problem.space, problem.contact)[2]
+        height = gap.function_space.tabulate_dof_coordinates()[:, 1]
+        np.testing.assert_allclose(gap.x.array, np.where(height < 1e-9, 0.25, 0.0), rtol=1e-14)
 
 
 def test_obstacle_that_is_nowhere():

@@ -212,3 +212,64 @@ def wrong_contact_before_a_later_step(comm):
 def obstacle_that_is_no_function(comm):
     scene = beams(comm)
     scene.problem(contacts=[RigidObstacle(scene.facet_tags, SLAVE, 0.0)])
+
+
+def weighted(comm, weight):
+    """Pose the beams, whose nodes have x >= 0, with a weight of the contact's surface measure."""
+    scene = beams(comm)
+    given = weight(scene) if callable(weight) else weight
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", measure_weight=given)
+    scene.problem(contacts=[pair])
+
+
+def radius(scene):
+    return ufl.SpatialCoordinate(scene.mesh)[0]
+
+
+@mistake("slave of joint", "measure_weight", "negative or zero", "5 nodes", r"\(1, 1\)", "radius")
+def weight_that_is_negative(comm):
+    weighted(comm, lambda scene: -2 * ufl.pi * radius(scene))
+
+
+@mistake("slave of joint", "measure_weight", "negative or zero", "2 nodes", r"\(1, 1\)")
+def weight_that_is_negative_somewhere(comm):
+    weighted(comm, lambda scene: radius(scene) - 1.4)
+
+
+@mistake("slave of joint", "measure_weight", "negative or zero", "5 nodes")
+def weight_that_is_zero(comm):
+    weighted(comm, 0.0)
+
+
+@mistake("slave of joint", "measure_weight", "NaN or infinite", "5 nodes", r"\(1, 1\)")
+def weight_that_is_nan(comm):
+    weighted(comm, lambda scene: fem.Constant(scene.mesh, np.nan))
+
+
+@mistake("joint", "measure_weight", r"shape \(2,\)", "scalar")
+def weight_that_is_a_vector(comm):
+    weighted(comm, lambda scene: ufl.SpatialCoordinate(scene.mesh))
+
+
+@mistake("joint", "measure_weight", "another mesh")
+def weight_on_another_mesh(comm):
+    other = beams(comm)
+    weighted(comm, lambda scene: radius(scene) * radius(other))
+
+
+@mistake("joint", "measure_weight", "test or trial function")
+def weight_with_a_test_function(comm):
+    weighted(comm, lambda scene: ufl.TestFunction(scene.V)[0])
+
+
+@mistake("joint", "measure_weight is a str", "expression of UFL")
+def weight_that_is_a_text(comm):
+    weighted(comm, "2 pi r")
+
+
+@mistake("contact 0", "measure_weight", "negative or zero", "slave", "axis")
+def weight_of_an_obstacle_that_is_negative(comm):
+    scene = beams(comm)
+    ground = scenes.Plane((0.0, 0.0), (0.0, 1.0))
+    obstacle = RigidObstacle(scene.facet_tags, SLAVE, ground, measure_weight=-radius(scene))
+    scene.problem(contacts=[obstacle])

@@ -1,0 +1,125 @@
+"""Hertz's ball once more, in the plane of its meridian.
+
+# Axisymmetric ball
+
+The ball of `demos/hertz_ball.py`, and its load, do not change around the axis. The displacement in
+cylindrical coordinates (r, z) is a function of r and z, and the mesh that of a quarter of a circle:
+
+    epsilon = [[u_r,r, (u_r,z + u_z,r) / 2, 0], [.., u_z,z, 0], [0, 0, u_r / r]],
+
+and all integrals have the factor 2 pi r. Forces are then those of the whole ball. (With the factor
+r they are forces per radian.)
+
+Nodal forces become pressures by the integrals of the shape functions over the surface, so that the
+contact has to know the factor as well: it is the contact's `measure_weight`.
+
+This demo illustrates how to
+
+- write an axisymmetric problem;
+- give the weight of the surface measure to a contact.
+
+Run it by `python demos/axisymmetric_ball.py`, or on several processes by
+`mpirun -n 2 python demos/axisymmetric_ball.py`; it writes a picture into `results/`. The mesh, the
+same as that of `demos/hertz_cylinder.py`, comes from `meshes/half_balls.py`. All units are SI.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactProblem, Plane, RigidObstacle
+from fenics_tfeti.io import displacement_space, draw_profile, read_msh
+
+here = Path(__file__).parent
+comm = MPI.COMM_WORLD
+
+# ## Data
+#
+# A hard plastic. Hertz's formula gives a = 3 mm for this force.
+
+R, E, nu = 0.05, 2e9, 0.3
+E_star = E / (1 - nu**2)
+force = 4 / 3 * E_star * 3e-3**3 / R
+
+meridian = read_msh(here.parent / "meshes" / "hertz_cylinder.msh", comm, gdim=2)
+mesh, facet_tags, tags = meridian.mesh, meridian.facet_tags, meridian.names
+
+# ## The axisymmetric forms
+
+r = ufl.SpatialCoordinate(mesh)[0]
+weight = 2 * ufl.pi * r
+mu = fem.Constant(mesh, E / (2 * (1 + nu)))
+lmbda = fem.Constant(mesh, E * nu / ((1 + nu) * (1 - 2 * nu)))
+traction = fem.Constant(mesh, -force / (np.pi * R**2))
+
+
+def epsilon(u):
+    """Return the small strain, the third direction being that of the circumference."""
+    e = ufl.sym(ufl.grad(u))
+    return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, u[0] / r]])
+
+
+def sigma(u):
+    """Return the stress [Pa]."""
+    return lmbda * ufl.tr(epsilon(u)) * ufl.Identity(3) + 2 * mu * epsilon(u)
+
+
+V = displacement_space(mesh)
+u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
+a_form = ufl.inner(sigma(u), epsilon(v)) * weight * ufl.dx
+L_form = traction * v[1] * weight * ds(tags["flat"])
+
+# On the axis the radial displacement is zero.
+
+axis = fem.locate_dofs_topological(V.sub(0), 1, facet_tags.find(tags["symmetry_x"]))
+bcs = [fem.dirichletbc(0.0, axis, V.sub(0))]
+
+contact = RigidObstacle(
+    facet_tags,
+    slave=tags["contact"],
+    obstacle=Plane(point=(0, 0), normal=(0, 1)),
+    measure_weight=weight,
+)
+problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=[contact])
+problem.solve()
+
+# ## Comparison with Hertz
+#
+# By Hertz's formula, p^2 is a linear function of r^2. A straight line through the nodes with more
+# than 30 % of the largest pressure gives a and p0.
+
+nodes = problem.contact[0].gather()
+radii, p = nodes.coordinates[:, 0], nodes.pressure
+F = problem.report.contact_force[0]
+a = (3 * F * R / (4 * E_star)) ** (1 / 3)
+p0 = 3 * F / (2 * np.pi * a**2)
+inner = p > 0.3 * p.max()
+slope, intercept = np.polyfit(radii[inner] ** 2, p[inner] ** 2, 1)
+a_fit, p0_fit = np.sqrt(-intercept / slope), np.sqrt(intercept)
+if comm.rank == 0:
+    report = problem.report
+    print(f"{report.unknowns['primal']} unknowns, {report.products['total']} products")
+    print(f"F  = {F:8.3f} N,   given {force:8.3f}")
+    print(f"a  = {1e3 * a_fit:8.4f} mm,  Hertz {1e3 * a:8.4f}  {a_fit / a - 1:+.2%}")
+    print(f"p0 = {1e-6 * p0_fit:8.3f} MPa, Hertz {1e-6 * p0:8.3f}  {p0_fit / p0 - 1:+.2%}")
+
+line = np.linspace(0, a, 400)
+draw_profile(
+    Path("results") / "axisymmetric_ball_pressure.png",
+    {
+        "nodes": (1e3 * radii, 1e-6 * p, "o"),
+        "Hertz": (1e3 * line, 1e-6 * p0 * np.sqrt(1 - (line / a) ** 2), "-"),
+    },
+    xlabel="distance from the axis [mm]",
+    ylabel="normal pressure [MPa]",
+    title="Ball on a rigid plane, computed in the plane of a meridian",
+    comm=comm,
+)

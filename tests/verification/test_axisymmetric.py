@@ -1,0 +1,141 @@
+"""Axisymmetric forms: pressures by formulas, with the factors 2 pi r and r of the measures."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import scenes
+from scenes import GROUND, LOADED, MASTER, SIDE_X, SIDE_Y, SLAVE, at
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle
+from fenics_tfeti.io import Box, boxes, tag_facets
+
+CELLS = ["triangle", "quadrilateral"]
+YOUNG, POISSON = 2e9, 0.3
+
+
+def radius(mesh):
+    return ufl.SpatialCoordinate(mesh)[0]
+
+
+def whole(mesh):
+    """The forms integrate over the circumference."""
+    return 2 * ufl.pi * radius(mesh)
+
+
+def elasticity(u, v, young, weight):
+    """Return the bilinear form in the plane of a meridian."""
+    r = radius(u.ufl_function_space().mesh)
+    mu, lmbda = young / 2 / (1 + POISSON), young * POISSON / (1 + POISSON) / (1 - 2 * POISSON)
+
+    def epsilon(w):
+        e = ufl.sym(ufl.grad(w))
+        return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, w[0] / r]])
+
+    stress = lmbda * ufl.tr(epsilon(u)) * ufl.Identity(3) + 2 * mu * epsilon(u)
+    return ufl.inner(stress, epsilon(v)) * weight * ufl.dx
+
+
+def pressed_cylinder(cell, weight):
+    """Press the end of a full cylinder, R = 0.5 m, H = 1 m, onto a plane by 1 mm."""
+    tagged = boxes(MPI.COMM_SELF, [Box((0, 0), (0.5, 1), (4, 6))], cell)
+    mesh = tagged.mesh
+    tags = tag_facets(mesh, [(GROUND, at(1, 0.0)), (LOADED, at(1, 1.0)), (SIDE_X, at(0, 0.0))])
+    V = scenes.vector_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    factor = weight(mesh)
+    bcs = [scenes.fixed(V, tags, SIDE_X, 0), scenes.fixed(V, tags, LOADED, 1, -1e-3)]
+    ground = RigidObstacle(tags, GROUND, Plane((0, 0), (0, 1)), measure_weight=factor)
+    options = {"rtol": 1e-10}
+    problem = ContactProblem(elasticity(u, v, YOUNG, factor), 0, bcs, ground, options=options)
+    problem.solve()
+    return problem
+
+
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("weight", [whole, radius])
+def test_uniform_pressure_on_the_end_of_a_cylinder(cell, weight):
+    """The stress is uniaxial and the displacement linear: exact on any mesh."""
+    pressure = pressed_cylinder(cell, weight).contact[0].pressure
+    np.testing.assert_allclose(pressure, YOUNG * 1e-3, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("weight", "angle"), [(whole, 2 * np.pi), (radius, 1.0)])
+def test_forces_are_of_the_whole_body_or_per_radian(weight, angle):
+    report = pressed_cylinder("quadrilateral", weight).report
+    exact = angle * 0.5 * 0.5**2 * YOUNG * 1e-3
+    assert report.contact_force == pytest.approx([exact], rel=1e-9)
+    assert report.reactions[1].force[1] == pytest.approx(-exact, rel=1e-9)
+
+
+A, B, C = 0.1, 0.2, 0.3  # radii of two tubes, one in the other [m]
+INSIDE = 1e6  # pressure in the inner tube [Pa]
+STIFFER = 3.0  # the outer tube
+
+
+def lame(a, b, inside, outside, r, young):
+    """Return the radial displacement of a tube under pressure in plane strain."""
+    uniform = (inside * a**2 - outside * b**2) / (b**2 - a**2)
+    rest = (inside - outside) * a**2 * b**2 / (b**2 - a**2)
+    return (1 + POISSON) / young * ((1 - 2 * POISSON) * uniform * r + rest / r)
+
+
+def pressure_between_tubes():
+    """Return the contact pressure by Lame: both tubes have the same displacement at r = B."""
+
+    def mismatch(q):
+        inner = lame(A, B, INSIDE, q, B, YOUNG)
+        return inner - lame(B, C, q, 0.0, B, STIFFER * YOUNG)
+
+    return mismatch(0.0) / (mismatch(0.0) - mismatch(1.0))
+
+
+def tubes(cell, n, weight=whole, outer_is_slave=False):
+    """Two tubes, the inner one under pressure, between planes that keep their length."""
+    parts = [Box((A, 0), (B, 0.1), (n, n)), Box((B, 0), (C, 0.1), (n, n))]
+    tagged = boxes(MPI.COMM_SELF, parts, cell)
+    mesh = tagged.mesh
+    roles = (MASTER, SLAVE) if outer_is_slave else (SLAVE, MASTER)
+    marks = [(roles[0], at(0, B), 1), (roles[1], at(0, B), 2), (LOADED, at(0, A))]
+    marks += [(SIDE_Y, lambda x: np.isclose(x[1], 0.0) | np.isclose(x[1], 0.1))]
+    tags = tag_facets(mesh, marks, tagged.cell_tags)
+    V = scenes.vector_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    young = fem.Function(scenes.scalar_space(mesh, "DG", 0))
+    young.interpolate(lambda x: YOUNG * np.where(x[0] < B, 1.0, STIFFER))
+    factor, inside = weight(mesh), fem.Constant(mesh, INSIDE)
+    L = inside * v[0] * factor * ufl.Measure("ds", domain=mesh, subdomain_data=tags)(LOADED)
+    pair = ContactPair(tags, SLAVE, MASTER, measure_weight=factor)
+    bcs = [scenes.fixed(V, tags, SIDE_Y, 1)]
+    problem = ContactProblem(elasticity(u, v, young, factor), L, bcs, pair, tagged.cell_tags)
+    problem.solve()
+    return problem
+
+
+@pytest.mark.parametrize("outer_is_slave", [False, True], ids=["inner slave", "outer slave"])
+@pytest.mark.parametrize("weight", [whole, radius])
+def test_tubes_by_lame(weight, outer_is_slave):
+    pressure = tubes("quadrilateral", 16, weight, outer_is_slave).contact[0].pressure
+    np.testing.assert_allclose(pressure, pressure_between_tubes(), rtol=1e-3)
+
+
+@pytest.mark.parametrize(("cell", "ratio"), [("triangle", 0.5), ("quadrilateral", 0.25)])
+def test_pressure_between_tubes_converges(cell, ratio):
+    """With the order 1 of the stress; on rectangles, which lie symmetrically, with the order 2."""
+    exact = pressure_between_tubes()
+    solved = (tubes(cell, n).contact[0].pressure for n in (8, 16))
+    coarse, fine = (np.abs(pressure - exact).max() for pressure in solved)
+    assert fine <= 1.1 * ratio * coarse
+
+
+def test_hoop_stress_carries_the_radial_load():
+    """By the equilibrium of half a tube; the report has it among the springs."""
+    report = tubes("quadrilateral", 4).report
+    assert report.load.force == pytest.approx([2 * np.pi * A * 0.1 * INSIDE, 0.0])
+    assert report.springs.force[0] == pytest.approx(-report.load.force[0], rel=1e-9)
+    assert report.equilibrium < 1e-9

@@ -1,0 +1,127 @@
+"""Memory: solve after solve in a process of its own, and the peak of a solve with new materials."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from new_process import run_python
+
+MEASURE = """
+import ctypes, gc, json, resource, sys
+from mpi4py import MPI
+import scenes, ufl
+
+def resident_bytes():
+    # free memory that the C library keeps would hide small leaks, or look like some
+    gc.collect()
+    ctypes.CDLL(None).malloc_trim(0)
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * resource.getpagesize()
+"""
+
+GROWTH = (
+    MEASURE
+    + """
+kind, method, n, warm_up, solves = sys.argv[1], sys.argv[2], *map(int, sys.argv[3:])
+scene = scenes.two_beams(MPI.COMM_SELF, "hexahedron", n, gap=1e-3)
+young, traction = scene.kept
+options = {"method": method, "rtol": 1e-3, "subdomain_size": 100 * n}
+obstacle = scenes.Ball((2.5, 0.5, -10.0), 10.0)
+height = [0.0]
+
+def ground(x):
+    gap, normal = obstacle(x)
+    return gap + height[0], normal
+
+def posed():
+    from fenics_tfeti import RigidObstacle
+    on_ground = RigidObstacle(scene.facet_tags, scenes.SLAVE, ground)
+    contacts = [*scene.package_contacts(), on_ground]
+    return scene.problem(contacts=contacts, options=options)
+
+problem = posed()
+
+def solve(step):
+    global problem
+    factor = 1.0 + 0.01 * (step % 7)
+    if kind == "loads and gaps":
+        traction.value, height[0] = -scenes.TRACTION * factor, 1e-4 * (step % 5)
+    elif kind == "stiffness":
+        young.value = scenes.YOUNG * factor
+    else:
+        problem = posed()
+    problem.solve()
+
+for step in range(warm_up):
+    solve(step)
+before = resident_bytes()
+for step in range(solves):
+    solve(step)
+print(json.dumps([before, resident_bytes(), problem.report.subdomains]))
+"""
+)
+
+KINDS = ["loads and gaps", "stiffness", "new problem"]
+
+
+def growth(kind: str, method: str, n: int, warm_up: int, timeout: int) -> float:
+    """Return by how much 100 solves make the process larger, relative to its size."""
+    arguments = (kind, method, str(n), str(warm_up), "100")
+    printed = run_python(GROWTH, *arguments, timeout=timeout)
+    before, after, subdomains = json.loads(printed.splitlines()[-1])
+    assert subdomains > 1
+    return after / before - 1.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("method", ["active_set", pytest.param("smalbe", marks=pytest.mark.heavy)])
+def test_hundred_solves(kind, method):
+    assert growth(kind, method, n=3, warm_up=30, timeout=100) < 0.01
+
+
+@pytest.mark.heavy
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("method", ["active_set", "smalbe"])
+def test_hundred_large_solves(kind, method):
+    assert growth(kind, method, n=8, warm_up=60, timeout=1200) < 0.01
+
+
+PEAK = (
+    MEASURE
+    + """
+scene = scenes.two_beams(MPI.COMM_SELF, "tetrahedron", int(sys.argv[1]))
+u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+# not translation invariant: no subdomains share their stiffness
+young = scene.kept[0] * (1.0 + 0.01 * ufl.SpatialCoordinate(scene.mesh)[0])
+scene.a = scenes.elasticity(u, v, young)
+
+def peak_of(action):
+    before = resident_bytes()
+    with open("/proc/self/clear_refs", "w") as file:
+        file.write("5")  # forget the peak so far
+    action()
+    with open("/proc/self/status") as file:
+        (peak,) = (line.split()[1] for line in file if line.startswith("VmHWM"))
+    return 1024 * int(peak) - before
+
+def pose():
+    global problem
+    problem = scene.problem()
+    problem.solve()
+
+peaks = [peak_of(pose)]
+for _ in range(2):
+    scene.kept[0].value *= 1.1
+    peaks.append(peak_of(problem.solve))
+print(json.dumps(peaks))
+"""
+)
+
+
+def test_changed_stiffness_takes_the_place_of_the_last_one():
+    """Two sets of factors at once would double what a problem takes."""
+    first, *changed = json.loads(run_python(PEAK, "10").splitlines()[-1])
+    assert first > 20e6
+    assert max(changed) < 0.4 * first
