@@ -181,7 +181,10 @@ class _Progress:
     at, tolerance : float
         Tolerances when one of them last halved, and of the last pass.
     failures : int
-        Passes with products since then.
+        Passes since then that changed the certificate: one that changes nothing has only brought
+        the tolerance down to the iterate.
+    last : tuple of float
+        The two numbers of the last pass.
     """
 
     bound: float = np.inf
@@ -189,21 +192,13 @@ class _Progress:
     at: float = np.inf
     tolerance: float = np.inf
     failures: int = 0
+    last: tuple[float, float] = (np.inf, np.inf)
 
-    def update(self, certificate: Certificate, tolerance: float, products: int) -> None:
-        """Compare a certificate with the smallest numbers so far.
-
-        Parameters
-        ----------
-        certificate : Certificate
-            That of the last pass.
-        tolerance : float
-            Its tolerance.
-        products : int
-            Products that it took; without any, the tolerance has only come down to the iterate.
-        """
+    def update(self, certificate: Certificate, tolerance: float) -> None:
+        """Compare a certificate with the smallest numbers so far."""
         self.tolerance = tolerance
-        self.failures += products > 0
+        last, self.last = self.last, (certificate.bound, certificate.worst)
+        self.failures += self.last != last
         if certificate.bound <= 0.5 * self.bound or certificate.worst <= 0.5 * self.worst:
             self.bound = min(self.bound, certificate.bound)
             self.worst = min(self.worst, certificate.worst)
@@ -291,7 +286,7 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
     limit, tolerance = max(options.rtol, ROUNDING), options.rtol * loop.scale
     progress = _Progress()
     while True:
-        tolerance, before = max(tolerance, loop.rounding), loop.history.products.total
+        tolerance = max(tolerance, loop.rounding)
         stage = loop.minimise(stage, tolerance, by_active_set)
         by_active_set = stage.iterate is not None
         candidate = loop.recover(stage.state)
@@ -300,7 +295,7 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
             return Outcome(candidate, stage.state, True, "converged", tolerance)
         if not stage.solved:
             return Outcome(candidate, stage.state, False, stage.reason, tolerance)
-        progress.update(candidate.certificate, tolerance, loop.history.products.total - before)
+        progress.update(candidate.certificate, tolerance)
         if progress.stagnates or tolerance <= loop.rounding:
             reason = (
                 f"the error of the displacement is {worst:.1e}, and more iterations do not reduce "
