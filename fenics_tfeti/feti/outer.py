@@ -181,7 +181,9 @@ class _Progress:
     at, tolerance : float
         Tolerances when one of them last halved, and of the last pass.
     failures : int
-        Passes with products since then.
+        Passes since then that changed the iterate.
+    last : tuple of float
+        The two numbers of the last pass.
     """
 
     bound: float = np.inf
@@ -189,6 +191,7 @@ class _Progress:
     at: float = np.inf
     tolerance: float = np.inf
     failures: int = 0
+    last: tuple[float, float] = (np.inf, np.inf)
 
     def update(self, certificate: Certificate, tolerance: float, products: int) -> None:
         """Compare a certificate with the smallest numbers so far.
@@ -200,10 +203,15 @@ class _Progress:
         tolerance : float
             Its tolerance.
         products : int
-            Products that it took; without any, the tolerance has only come down to the iterate.
+            Products that it took.
         """
         self.tolerance = tolerance
-        self.failures += products > 0
+        last, self.last = self.last, (certificate.bound, certificate.worst)
+        if products == 0 or last == self.last:
+            # the tolerance has only come down to the iterate; SMALBE-M takes a product to see that
+            self.at = tolerance
+        else:
+            self.failures += 1
         if certificate.bound <= 0.5 * self.bound or certificate.worst <= 0.5 * self.worst:
             self.bound = min(self.bound, certificate.bound)
             self.worst = min(self.worst, certificate.worst)
