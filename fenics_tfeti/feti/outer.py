@@ -198,7 +198,10 @@ class _Progress:
         """Compare a certificate with the smallest numbers so far."""
         self.tolerance = tolerance
         last, self.last = self.last, (certificate.bound, certificate.worst)
-        self.failures += self.last != last
+        if self.last == last:
+            self.at = tolerance
+        else:
+            self.failures += 1
         if certificate.bound <= 0.5 * self.bound or certificate.worst <= 0.5 * self.worst:
             self.bound = min(self.bound, certificate.bound)
             self.worst = min(self.worst, certificate.worst)
