@@ -135,6 +135,11 @@ class Certificate:
         }
 
     @property
+    def energy_norm(self) -> float:
+        """||u||_K [sqrt(J)]."""
+        return float(np.sqrt(sum(group.energy_norm**2 for group in self.groups)))
+
+    @property
     def worst(self) -> float:
         """The largest of all numbers."""
         return max(self.numbers().values())

@@ -52,6 +52,8 @@ _ROUGH_LANCZOS_STEPS = 3
 _CANCELLED = 1e-13
 # rounding errors, in units of the last place, that add up in the jumps
 _ROUNDING_ERRORS = 64
+# limit on the passes of the outer loop; most solutions take one to three
+_PASSES = 50
 # gaps farther than this many times the largest jump of displacements are shortened
 _FAR = 1e6
 
@@ -185,6 +187,8 @@ class _Progress:
         the tolerance down to the iterate.
     last : tuple of float
         The two numbers of the last pass.
+    passes : int
+        All passes.
     """
 
     bound: float = np.inf
@@ -193,10 +197,12 @@ class _Progress:
     tolerance: float = np.inf
     failures: int = 0
     last: tuple[float, float] = (np.inf, np.inf)
+    passes: int = 0
 
     def update(self, certificate: Certificate, tolerance: float) -> None:
         """Compare a certificate with the smallest numbers so far."""
         self.tolerance = tolerance
+        self.passes += 1
         last, self.last = self.last, (certificate.bound, certificate.worst)
         if self.last == last:
             self.at = tolerance
@@ -210,7 +216,8 @@ class _Progress:
     @property
     def stagnates(self) -> bool:
         """Whether three passes, to a hundredth of the tolerance, have halved neither of them."""
-        return self.failures >= 3 and self.tolerance <= 1e-2 * self.at
+        failed = self.failures >= 3 and self.tolerance <= 1e-2 * self.at
+        return failed or self.passes >= _PASSES
 
 
 @dataclass(frozen=True)
@@ -287,9 +294,10 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
     stage = _Stage(loop.first_state(start), solved=False)
     by_active_set = options.method == "active_set"
     limit, tolerance = max(options.rtol, ROUNDING), options.rtol * loop.scale
+    rounding = loop.rounding_at(loop.scale)
     progress = _Progress()
     while True:
-        tolerance = max(tolerance, loop.rounding)
+        tolerance = max(tolerance, rounding)
         stage = loop.minimise(stage, tolerance, by_active_set)
         by_active_set = stage.iterate is not None
         candidate = loop.recover(stage.state)
@@ -299,7 +307,8 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
         if not stage.solved:
             return Outcome(candidate, stage.state, False, stage.reason, tolerance)
         progress.update(candidate.certificate, tolerance)
-        if progress.stagnates or tolerance <= loop.rounding:
+        rounding = min(rounding, loop.rounding_at(candidate.certificate.energy_norm))
+        if progress.stagnates or tolerance <= rounding:
             reason = (
                 f"the error of the displacement is {worst:.1e}, and more iterations do not reduce "
                 "it: the accuracy is at the limit of rounding"
@@ -353,8 +362,8 @@ class _Loop:
         d_0 = BK^+(f - B'lambda~) - c, printed d in (11.39).
     scale : float
         An energy norm as large as the solution's, or larger [sqrt(J)].
-    rounding : float
-        Energy norm of what rounding leaves in the jumps of displacements [sqrt(J)].
+    closing : float
+        Energy norm of rigid motions that close the prescribed jumps [sqrt(J)].
     """
 
     setup: DualSetup
@@ -365,7 +374,7 @@ class _Loop:
     primal: PrimalProblem
     d: Vector
     scale: float
-    rounding: float
+    closing: float
 
     @staticmethod
     def begin(
@@ -395,9 +404,12 @@ class _Loop:
         # jumps that have to be closed, with prescribed displacements and penetrated gaps
         rows, closing = setup.constraints.inequality, data.c.copy()
         closing[rows] = np.minimum(closing[rows], 0.0)
-        largest = np.sqrt(setup.local.unit) * layout.space.norm(closing)
-        rounding = float(_ROUNDING_ERRORS * np.finfo(float).eps * (scale + largest))
-        return _Loop(setup, data, options, timer, history, primal, d, scale, rounding)
+        rigid = float(np.sqrt(setup.local.unit) * layout.space.norm(closing))
+        return _Loop(setup, data, options, timer, history, primal, d, scale, rigid)
+
+    def rounding_at(self, energy_norm: float) -> float:
+        """Return the energy norm of what rounding leaves in jumps of displacements [sqrt(J)]."""
+        return float(_ROUNDING_ERRORS * np.finfo(float).eps * (energy_norm + self.closing))
 
     def at_rest(self, multipliers: Vector) -> Outcome:
         """Return u = o, with multipliers that balance the load."""

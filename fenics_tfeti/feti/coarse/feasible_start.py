@@ -194,7 +194,7 @@ def _contact_forces(
         return multipliers
     # the ranks' columns side by side: as many as contact rows, not as unknowns
     owned = constraints.inequality[: constraints.owned_inequalities]
-    moved, gaps = coarse_space.moved_rows(group.motions)[owned].T, gaps[: owned.size]
+    moved, gaps = _moved_rows(coarse_space, group.motions)[owned].T, gaps[: owned.size]
     # rows of other groups, and those that cannot close, take no part
     apart = ~np.isfinite(gaps) | ~moved.any(axis=0)
     moved[:, apart], gaps = 0.0, np.where(apart, 0.0, gaps)
@@ -213,11 +213,19 @@ def _contact_forces(
     return constraints.layout.sum(multipliers)
 
 
+def _moved_rows(coarse_space: CoarseSpace, motions: Vector) -> Vector:
+    """Return B R T z without what rounding leaves where parts of a motion cancel."""
+    moved, lengths = coarse_space.moved_rows(motions), coarse_space.constraints.row_lengths
+    traces = np.abs(moved) <= coarse_space.bodies.rounding * lengths[:, None]
+    without: Vector = np.where(traces, 0.0, moved)
+    return without
+
+
 def _weak_columns(coarse_space: CoarseSpace, motions: Vector) -> Vector:
     """Return what equality rows do to the motions: as few columns as there are motions."""
     constraints = coarse_space.constraints
     owned = np.flatnonzero(constraints.equality[: constraints.layout.owned])
-    rows = np.linalg.qr(coarse_space.moved_rows(motions)[owned], mode="r")
+    rows = np.linalg.qr(_moved_rows(coarse_space, motions)[owned], mode="r")
     whole = np.concatenate(coarse_space.comm.allgather(rows))
     columns = np.transpose(np.linalg.qr(whole, mode="r"))
     return columns[:, np.abs(columns).max(axis=0, initial=0.0) > UNRESISTED]
