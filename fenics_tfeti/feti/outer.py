@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.certificate import Certificate, PrimalProblem
+from fenics_tfeti.feti.coarse.prescribed_motion import prescribed_motion
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.active_set import ActiveSetStep, primal_dual_active_set
 from fenics_tfeti.feti.dual.augmented import solve_by_smalbe
@@ -242,6 +243,8 @@ def iterate_until_certified(
 ) -> Outcome:
     """Solve the dual problem to tolerances that decrease until the certificate holds.
 
+    Rigid motions that supports prescribe are taken out, and put back in the end.
+
     Gaps that are far from closing are shortened: all contact rows share the projector, so a gap out
     of all proportion would swamp the others by rounding. As long as no row with a shortened gap
     closes, the solution is the same; if one does, the gaps are lengthened.
@@ -269,6 +272,9 @@ def iterate_until_certified(
         The last candidate, and whether it is certified.
     """
     with timer.phase("iterations"):
+        coarse_space = setup.projector.coarse_space
+        motion = prescribed_motion(coarse_space, data.c)
+        data = replace(data, c=data.c - coarse_space.prolong(motion))
         feasible = _FeasibleState.of(setup, data)
     rows, comm = setup.constraints.inequality, setup.constraints.layout.comm
     longest = _FAR * feasible.largest_jump
@@ -281,8 +287,19 @@ def iterate_until_certified(
         outcome = _iterate(loop, start)
         closed = bool((outcome.candidate.recovered.closed & far).any())
         if not comm.allreduce(closed, MPI.LOR):
-            return outcome
+            candidate = _moved(outcome.candidate, data, coarse_space.rigid_motion(motion))
+            return replace(outcome, candidate=candidate)
         longest, start = _FAR * longest, outcome.state
+
+
+def _moved(candidate: Candidate, data: ContactData, motion: Vector) -> Candidate:
+    """Return a candidate with a rigid motion added to its displacements. Collective."""
+    recovered, comm = candidate.recovered, candidate.face.coarse_space.comm
+    moved = replace(
+        recovered, torn=recovered.torn + motion, displacement=recovered.displacement + motion
+    )
+    work = float(comm.allreduce(float(data.load @ motion)))
+    return replace(candidate, recovered=moved, energy=candidate.energy - work)
 
 
 def _iterate(loop: _Loop, start: DualState | None) -> Outcome:

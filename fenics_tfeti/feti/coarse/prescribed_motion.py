@@ -1,0 +1,54 @@
+"""The rigid motions that supports prescribe, taken out of the right-hand sides.
+
+A body may be moved much farther than it deforms. With c = B R a + c' the problem for c' has the
+same multipliers, and the displacement u' + R a: what rounding leaves of R a is then no part of the
+jumps that the iterations close, of this body or of others.
+"""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.space import CoarseSpace
+
+__all__ = ["prescribed_motion"]
+
+Vector = NDArray[np.float64]
+
+# size of a rigid motion relative to the prescribed displacements: larger ones come from rows that
+# hardly resist them
+_LARGEST = 10.0
+
+
+def prescribed_motion(coarse_space: CoarseSpace, c: Vector) -> Vector:
+    """Return the coarse vector of the rigid motions next to the prescribed displacements.
+
+    Parameters
+    ----------
+    coarse_space : CoarseSpace
+        G.
+    c : (m,) array
+        Right-hand sides of the constraints; those of equality rows are used.
+
+    Returns
+    -------
+    (coarse,) array
+        a with B_E R a = c_E in the least squares sense; zero where nothing is prescribed, or where
+        R a would be out of proportion to it. Collective.
+    """
+    constraints, comm = coarse_space.constraints, coarse_space.comm
+    prescribed = np.where(constraints.equality, c, 0.0)
+    largest = abs(constraints.matrix).max(axis=1).toarray().ravel()
+    sizes = np.divide(np.abs(prescribed), largest, out=np.zeros_like(c), where=largest > 0.0)
+    size = comm.allreduce(float(sizes.max(initial=0.0)), MPI.MAX)
+    none = np.zeros(coarse_space.size)
+    if size == 0.0:
+        return none
+    supports = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
+    a: Vector = supports.without_free_motions(supports.coefficients(prescribed))
+    moved = float(np.abs(coarse_space.rigid_motion(a)).max(initial=0.0))
+    return a if comm.allreduce(moved, MPI.MAX) <= _LARGEST * size else none
