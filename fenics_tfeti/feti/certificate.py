@@ -44,6 +44,9 @@ Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
+# rounding of motions that were taken out of the data, relative to that of motions in the iterations
+_ROUNDED_ONCE = 1e-3
+
 
 @dataclass(frozen=True)
 class BodyError:
@@ -216,6 +219,8 @@ class PrimalProblem:
         f [N].
     c : (m,) array
         Right-hand sides of the constraints.
+    removed : (m,) array
+        What prescribed motions were in c: its rounding is in c still.
     F : DualOperator
         For B.
     row_bodies : RowBodies
@@ -229,6 +234,7 @@ class PrimalProblem:
     stiffness: list[sp.csr_matrix]
     load: Vector
     c: Vector
+    removed: Vector
     F: DualOperator
     row_bodies: RowBodies
     body_names: Sequence[str]
@@ -334,7 +340,8 @@ class PrimalProblem:
         rows = constraints.inequality
         closing[rows] = np.where(recovered.closed, closing[rows], np.minimum(closing[rows], 0.0))
         space = constraints.layout.space
-        motions2 = self.unit * space.dots((closing, closing))[0]
+        closed2, removed2 = space.dots((closing, closing), (self.removed, self.removed))
+        motions2 = self.unit * (closed2 + _ROUNDED_ONCE**2 * removed2)
         rounding2[:] = np.finfo(float).eps ** 2 * (rounding2.sum() + motions2)
         return _BodyMeasures(
             error2, energy2, residual2, force2, rounding2, self._deformation(recovered.strained)

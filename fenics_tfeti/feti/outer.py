@@ -73,12 +73,15 @@ class ContactData:
         R'f.
     feasible : (m,) array
         lambda~ with G lambda~ = e and lambda~_I >= o.
+    removed : (m,) array or float
+        B R a of prescribed motions that were taken out of c.
     """
 
     load: Vector
     c: Vector
     e: Vector
     feasible: Vector
+    removed: Vector | float = 0.0
 
 
 @dataclass(frozen=True)
@@ -274,7 +277,8 @@ def iterate_until_certified(
     with timer.phase("iterations"):
         coarse_space = setup.projector.coarse_space
         motion = prescribed_motion(coarse_space, data.c)
-        data = replace(data, c=data.c - coarse_space.prolong(motion))
+        removed = coarse_space.prolong(motion)
+        data = replace(data, c=data.c - removed, removed=removed)
         feasible = _FeasibleState.of(setup, data)
     rows, comm = setup.constraints.inequality, setup.constraints.layout.comm
     longest = _FAR * feasible.largest_jump
@@ -311,7 +315,7 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
     stage = _Stage(loop.first_state(start), solved=False)
     by_active_set = options.method == "active_set"
     limit, tolerance = max(options.rtol, ROUNDING), options.rtol * loop.scale
-    rounding = loop.rounding_at(loop.scale)
+    rounding, changed_method = loop.rounding_at(loop.scale), False
     progress = _Progress()
     while True:
         tolerance = max(tolerance, rounding)
@@ -325,7 +329,11 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
             return Outcome(candidate, stage.state, False, stage.reason, tolerance)
         progress.update(candidate.certificate, tolerance)
         rounding = min(rounding, loop.rounding_at(candidate.certificate.energy_norm))
-        if progress.stagnates or tolerance <= rounding:
+        limited = progress.stagnates or tolerance <= rounding
+        if limited and not by_active_set and not changed_method:
+            by_active_set = changed_method = True
+            progress = _Progress()
+        elif limited:
             reason = (
                 f"the error of the displacement is {worst:.1e}, and more iterations do not reduce "
                 "it: the accuracy is at the limit of rounding"
@@ -410,6 +418,7 @@ class _Loop:
             setup.local.stiffness,
             data.load,
             data.c,
+            np.broadcast_to(data.removed, data.c.shape),
             F,
             setup.row_bodies,
             body_names,

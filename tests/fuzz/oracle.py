@@ -638,7 +638,9 @@ def _measured(whole: _Condensed, w: Vector, alpha: Vector, active: Mask) -> Answ
         here = whole.touched[:m, b] & whole.movable[:m]
         residual[b] += float(np.linalg.norm(wrong[here]))
 
-    pressing = whole.touched[:m][force > 0.0].astype(float)
+    # bodies that touch without force belong together, too
+    touching = (force > 0.0) | (np.abs(opening) <= 1e-12 * np.abs(u).max(initial=0.0))
+    pressing = whole.touched[:m][touching].astype(float)
     group = connected_components(pressing.T @ pressing, directed=False)[1]
     every = np.zeros(problem.gap.size)
     every[finite] = force

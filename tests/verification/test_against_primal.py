@@ -119,7 +119,8 @@ def test_active_nodes_are_those_that_press(name):
 @every_scene
 def test_energy(name):
     _, problem, _, reference = solved(name)
-    assert problem.report.energy == pytest.approx(reference.energy, rel=1e-8, abs=1e-9)
+    # abs: rounding of the reference, where a block is moved without strains
+    assert problem.report.energy == pytest.approx(reference.energy, rel=1e-8, abs=1e-8)
 
 
 @every_scene

@@ -12,19 +12,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from mpi4py import MPI
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.redundancy import diagonal_blocks
 from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
-from fenics_tfeti.feti.tolerances import NO_WORK
+from fenics_tfeti.feti.tolerances import NO_WORK, PARALLEL
 from fenics_tfeti.qp import Products
 
 __all__ = ["ActiveSetResult", "ActiveSetStep", "primal_dual_active_set"]
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+# part of the gaps of dependent rows that is rounding
+_CONSISTENT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -142,7 +148,8 @@ def primal_dual_active_set(
             return _result(problem, iterate, solved)
         if exact:
             previous_sets.append(face.active)
-        active, resume = following, changed == 0
+        resume = changed == 0
+        active = without_dependent_rows(problem, following, iterate.multipliers)
 
 
 @dataclass
@@ -185,6 +192,63 @@ def _counts(problem: DualProblem, *masks: Mask) -> list[int]:
     owned = problem.constraints.owned_inequalities
     part = np.array([float(np.count_nonzero(mask[:owned])) for mask in masks])
     return [int(n) for n in problem.space.sums(*part)]
+
+
+def without_dependent_rows(problem: DualProblem, active: Mask, multipliers: Vector) -> Mask:
+    """Return a set without rows that depend on others of it and cannot be closed with them.
+
+    At a node with more contacts than dimensions some combination y of rows vanishes, B'y = o. F
+    does not see it, and c'y is the cost of moving along it: that is done, as in the simplex method,
+    until the first force vanishes; its row leaves.
+
+    Parameters
+    ----------
+    problem : DualProblem
+        The dual problem.
+    active : (i,) bool array
+        The set.
+    multipliers : (m,) array
+        lambda; negative forces count as zero.
+
+    Returns
+    -------
+    (i,) bool array
+        A subset. Collective.
+    """
+    constraints, coupling = problem.constraints, problem.constraints.coupling
+    if not constraints.dependent:
+        return active
+    among_inequalities = np.searchsorted(constraints.inequality, coupling.rows)
+    owned = coupling.rows < constraints.layout.owned
+    gathered = np.zeros((3, coupling.numbers.size))
+    own = active[among_inequalities], multipliers[coupling.rows], problem.c[coupling.rows]
+    gathered[:, coupling.positions[owned]] = np.stack(own)[:, owned]
+    constraints.layout.comm.Allreduce(MPI.IN_PLACE, gathered)
+    chosen = gathered[0] > 0.0
+    for members, W in diagonal_blocks(coupling.gram):
+        force, gap = np.maximum(gathered[1][members], 0.0), gathered[2][members]
+        chosen[members] = _independent(W, chosen[members], force, gap)
+    active = active.copy()
+    active[among_inequalities] = chosen[coupling.positions]
+    return active
+
+
+def _independent(W: Vector, chosen: Mask, force: Vector, gap: Vector) -> Mask:
+    """Return the rows of one block that can be closed together."""
+    chosen = chosen.copy()
+    while chosen.sum() > 1:
+        at = np.flatnonzero(chosen)
+        values, vectors = np.linalg.eigh(W[np.ix_(at, at)])
+        null = vectors[:, values <= PARALLEL]
+        y = -null @ (null.T @ gap[at])
+        falling = y < -_CONSISTENT * np.abs(y).max(initial=0.0)
+        consistent = np.abs(y).max(initial=0.0) <= _CONSISTENT * np.abs(gap[at]).max()
+        if consistent or not falling.any():
+            break
+        way = force[at[falling]] / -y[falling]
+        force[at] = np.maximum(force[at] + way.min() * y, 0.0)
+        chosen[at[falling][np.argmin(way)]] = False
+    return chosen
 
 
 def close_first_gaps(problem: DualProblem, active: Mask, gap: Vector) -> Face:

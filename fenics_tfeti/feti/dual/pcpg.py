@@ -31,7 +31,7 @@ Mask = NDArray[np.bool_]
 
 # r'z above this multiple of its smallest value: the residual is rounding, and the recurrences of
 # conjugate gradients amplify it (r'z of a regular problem may rise by its condition number)
-_DIVERGED = 1e6
+_DIVERGED = 1e12
 # steps, and multiples of all steps before, that may fail to halve r'z: then it is rounding, too
 _PATIENCE, _PATIENCE_FACTOR = 200, 3
 # p'Fp relative to r'z, about 1 with a good preconditioner, that is rounding: P leaves nothing of F

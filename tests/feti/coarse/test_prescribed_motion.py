@@ -1,0 +1,63 @@
+"""Rigid motions that supports prescribe: out of c, and back in the displacement."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from torn import column, cube
+
+from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti.coarse.prescribed_motion import prescribed_motion
+
+SHIFT = np.array([3.0, -2.0, 1.0])
+
+
+def shifted(size: float) -> TornSystem:
+    """Return a loaded column, all of one body, whose supports are moved by the same translation."""
+    system = column(contact=False, load=(0, 0, -1.0))
+    old = system.prescribed
+    return replace(
+        system, prescribed=replace(old, values=old.values + size * SHIFT[old.components])
+    )
+
+
+def motion(system: TornSystem) -> np.ndarray:
+    solver = TornSolver(system)
+    coarse_space = solver.setup.projector.coarse_space
+    return coarse_space.rigid_motion(prescribed_motion(coarse_space, solver.data.c))
+
+
+def test_translation_of_the_supports():
+    found = motion(shifted(1e3)).reshape(-1, 3)
+    np.testing.assert_allclose(found, np.tile(1e3 * SHIFT, (len(found), 1)), rtol=1e-12)
+
+
+def test_nothing_prescribed():
+    assert not motion(shifted(0.0)).any()
+
+
+def test_motion_out_of_proportion_is_none():
+    """The rotation of a tall tower that tilts its foot by 1 moves its top by 20."""
+    tower = [cube(1, (0, 0, k)) for k in range(20)]
+    foot = tower[0].nodes[tower[0].coordinates[:, 2] == 0]
+    y = tower[0].coordinates[tower[0].coordinates[:, 2] == 0, 1]
+    prescribed = Prescribed(
+        np.repeat(foot, 3),
+        np.tile([0, 1, 2], foot.size),
+        np.column_stack([0 * y, 0 * y, y]).ravel(),
+    )
+    assert not motion(TornSystem(tower, prescribed, ContactRows.none(3), 3)).any()
+
+
+@pytest.mark.parametrize("method", ["active_set", "smalbe"])
+@pytest.mark.parametrize("size", [1.0, 1e4, 1e8])
+def test_a_motion_of_any_size_changes_nothing_else(method, size):
+    options = Options(rtol=1e-6, method=method)
+    here, there = (TornSolver(shifted(s), options).solve() for s in (0.0, size))
+    # c is rounded to the size of the motion; the deformation is about 1
+    accuracy = 2e-6 + 64 * np.finfo(float).eps * size
+    for u, moved in zip(here.displacements, there.displacements, strict=True):
+        np.testing.assert_allclose(moved, u + np.tile(size * SHIFT, len(u) // 3), atol=accuracy)
+    assert there.report.products["total"] <= here.report.products["total"] + 1

@@ -1,0 +1,29 @@
+"""Some random problems, in a process of their own so that a hang or a crash is an outcome too."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+RUN = Path(__file__).with_name("run.py")
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(("level", "count"), [("feti", 160), ("mesh", 40)])
+def test_random_problems(level, count, tmp_path):
+    results = tmp_path / "results.jsonl"
+    command = [sys.executable, str(RUN), "-n", str(count), "--level", level, "--jobs", "1"]
+    ended = subprocess.run(
+        [*command, "--json", str(results)], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, f"{' '.join(command)}\n{ended.stdout}\n{ended.stderr}"
+    kinds = [json.loads(line)["kind"] for line in results.read_text().splitlines()]
+    assert len(kinds) == count
+    # the oracle has to be sure, and the problems are not all of one kind
+    assert kinds.count("skipped") <= 0.05 * count
+    assert kinds.count("right") >= 0.4 * count
+    assert kinds.count("right error") >= 0.05 * count

@@ -1,0 +1,25 @@
+"""Some random torn systems on several ranks; `make fuzz RANKS=2` runs many."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import pytest
+from cases import solve_case
+
+FINE = ("right", "right error", "limit of rounding", "skipped")
+
+
+@pytest.fixture(scope="module")
+def notes():
+    """The communicator on which the ranks compare what they found."""
+    comm = MPI.COMM_WORLD.Dup()
+    yield comm
+    comm.Free()
+
+
+@pytest.mark.parametrize("seed", range(0, 40, 2))
+def test_random_problem(seed, notes):
+    comm = MPI.COMM_WORLD
+    outcome = notes.bcast(solve_case("feti", seed, comm, notes))
+    assert outcome.kind in FINE, f"seed {seed}: {outcome.kind}: {outcome.detail}"
