@@ -42,7 +42,8 @@ def prescribed_motion(coarse_space: CoarseSpace, c: Vector) -> Vector:
     """
     constraints, comm = coarse_space.constraints, coarse_space.comm
     prescribed = np.where(constraints.equality, c, 0.0)
-    largest = abs(constraints.matrix).max(axis=1).toarray().ravel()
+    entries, largest = constraints.matrix.tocoo(), np.zeros(constraints.size)
+    np.maximum.at(largest, entries.row, np.abs(entries.data))
     sizes = np.divide(np.abs(prescribed), largest, out=np.zeros_like(c), where=largest > 0.0)
     size = comm.allreduce(float(sizes.max(initial=0.0)), MPI.MAX)
     none = np.zeros(coarse_space.size)
