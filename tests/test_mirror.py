@@ -23,6 +23,7 @@ ELSEWHERE = {
     "feti/options.py": "tests/test_options.py, tests/test_errors.py",
     "feti/report.py": "tests/feti/test_solver.py",
     "feti/setup.py": "tests/feti/test_solver.py",
+    "feti/states.py": "data only",
     "feti/system_checks.py": "tests/feti/test_system.py",
     "feti/tolerances.py": "constants only",
     "problem.py": "tests/verification, tests/mpi and tests/demos solve whole problems",

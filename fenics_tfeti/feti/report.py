@@ -22,9 +22,9 @@ from fenics_tfeti.feti.certificate import Certificate
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.dual.active_set import ActiveSetStep
 from fenics_tfeti.feti.options import Options
-from fenics_tfeti.feti.outer import ContactData, History, Outcome
 from fenics_tfeti.feti.resultants import Resultant, resultants
 from fenics_tfeti.feti.setup import DualSetup
+from fenics_tfeti.feti.states import ContactData, History, Outcome
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively

@@ -23,16 +23,18 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.constraints.scaling import node_weights, stiffness_of_weight
 from fenics_tfeti.feti.dual.operator import DualOperator, ProjectedNorm
 from fenics_tfeti.feti.dual.preconditioner import interface_operator
+from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.local.cholesky import choose_package
 from fenics_tfeti.feti.local.congruence import CongruenceClass, find_congruence_classes
 from fenics_tfeti.feti.local.elastic_supports import set_free
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 from fenics_tfeti.feti.options import Options
+from fenics_tfeti.feti.states import ContactData
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.system_checks import check_types
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["DualSetup", "LocalSetup", "choose_factor", "factor_subdomains"]
+__all__ = ["DualSetup", "LocalSetup", "choose_factor", "dual_problem", "factor_subdomains"]
 
 Vector = NDArray[np.float64]
 
@@ -190,6 +192,19 @@ class DualSetup:
             ProjectedNorm(F, projector, 1.0 / local.unit),
             RowBodies.build(system, constraints, local.unknowns.ends),
         )
+
+
+def dual_problem(setup: DualSetup, data: ContactData, norm: float) -> DualProblem:
+    """Return (11.36); its d takes one application of K^+."""
+    return DualProblem(
+        setup.F.part,
+        setup.F.load(data.load, data.c),
+        data.e,
+        data.c,
+        setup.projector,
+        norm,
+        setup.precondition,
+    )
 
 
 def build_projector(

@@ -15,15 +15,7 @@ from fenics_tfeti.feti.constraints.ground import hold_ground
 from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
-from fenics_tfeti.feti.outer import (
-    LANCZOS_STEPS,
-    ContactData,
-    DualState,
-    History,
-    Outcome,
-    dual_problem,
-    iterate_until_certified,
-)
+from fenics_tfeti.feti.outer import LANCZOS_STEPS, iterate_until_certified
 from fenics_tfeti.feti.report import Report, build_report
 from fenics_tfeti.feti.resultants import normal_forces
 from fenics_tfeti.feti.setup import (
@@ -31,9 +23,11 @@ from fenics_tfeti.feti.setup import (
     LocalSetup,
     build_projector,
     choose_factor,
+    dual_problem,
     factor_subdomains,
     has_same_stiffness,
 )
+from fenics_tfeti.feti.states import ContactData, DualState, History, Outcome
 from fenics_tfeti.feti.system import ContactGuess, TornSystem
 from fenics_tfeti.feti.system_checks import check_guess, check_system
 from fenics_tfeti.feti.timer import Timer
