@@ -8,7 +8,7 @@ import weakref
 
 import numpy as np
 import pytest
-from torn import column, cube
+from torn import column, cube, glued
 
 from fenics_tfeti import InputError, NotConverged, UnresistedMotion
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, parse_options
@@ -16,14 +16,7 @@ from fenics_tfeti.feti import ContactRows, Options, TornSolver, parse_options
 
 def glued_solution(system):
     """Solve the glued, linear problem by dense algebra; return the torn displacements."""
-    nodes = np.unique(np.concatenate([s.nodes for s in system.subdomains]))
-    K, f = np.zeros((3 * nodes.size,) * 2), np.zeros(3 * nodes.size)
-    places = []
-    for s in system.subdomains:
-        at = (3 * np.searchsorted(nodes, s.nodes)[:, None] + np.arange(3)).ravel()
-        K[np.ix_(at, at)] += s.stiffness.toarray()
-        f[at] += s.load
-        places.append(at)
+    K, f, nodes, places = glued(system)
     fixed = 3 * np.searchsorted(nodes, system.prescribed.nodes) + system.prescribed.components
     free = np.setdiff1d(np.arange(f.size), fixed)
     u = np.zeros_like(f)

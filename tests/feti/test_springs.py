@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 from springs import glued_column, pressed_column, standing_cube
+from torn import glued
 
 from fenics_tfeti.feti import Options, TornSolver
 
@@ -29,14 +30,7 @@ all_springs = pytest.mark.parametrize("stiffness", SOFT + STIFF)
 
 def assembled(system):
     """Return dense K, f of the glued bodies, C of the contacts, and where torn unknowns are."""
-    nodes = np.unique(np.concatenate([s.nodes for s in system.subdomains]))
-    K, f = np.zeros((3 * nodes.size,) * 2), np.zeros(3 * nodes.size)
-    places = []
-    for s in system.subdomains:
-        at = (3 * np.searchsorted(nodes, s.nodes)[:, None] + np.arange(3)).ravel()
-        K[np.ix_(at, at)] += s.stiffness.toarray()
-        f[at] += s.load
-        places.append(at)
+    K, f, nodes, places = glued(system)
     contacts = system.contacts
     C = np.zeros((contacts.slave.size, f.size))
     for row, (slave, master, normal) in enumerate(

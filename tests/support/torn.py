@@ -87,3 +87,16 @@ def column(n: int = 3, height: int = 2, contact: bool = True, load=(0, 0, -1.0))
             np.zeros(k, dtype=np.int64),
         )
     return TornSystem([*lower, upper], fixed, rows, 3, ["lower", "upper"], ["joint"])
+
+
+def glued(system: TornSystem) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
+    """Return dense K and f of the glued bodies, their nodes, and where each torn unknown is."""
+    nodes = np.unique(np.concatenate([s.nodes for s in system.subdomains]))
+    K, f = np.zeros((3 * nodes.size,) * 2), np.zeros(3 * nodes.size)
+    places = []
+    for s in system.subdomains:
+        at = (3 * np.searchsorted(nodes, s.nodes)[:, None] + np.arange(3)).ravel()
+        K[np.ix_(at, at)] += s.stiffness.toarray()
+        f[at] += s.load
+        places.append(at)
+    return K, f, nodes, places
