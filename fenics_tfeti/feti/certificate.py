@@ -30,6 +30,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.local.congruence import apply_by_class, times_rows
@@ -229,6 +230,8 @@ class PrimalProblem:
         Names of the bodies.
     unit : float
         The stiffness that a weight of 1 stands for [N/m].
+    displacements : integer array
+        Which torn unknowns are displacements; the others are of the ground of elastic supports.
     """
 
     stiffness: list[sp.csr_matrix]
@@ -239,13 +242,14 @@ class PrimalProblem:
     row_bodies: RowBodies
     body_names: Sequence[str]
     unit: float
+    displacements: Numbers
 
     def internal_forces(self, u: Vector) -> Vector:
         """Return Ku."""
         operators = [partial(times_rows, K) for K in self.stiffness]
         return apply_by_class(self.F.interface.classes, operators, u)
 
-    def certify(self, recovered: Recovered, multipliers: Vector) -> Certificate:
+    def certify(self, recovered: Recovered, multipliers: Vector, face: Projector) -> Certificate:
         """Measure how well displacements and multipliers solve the primal problem. Collective.
 
         Parameters
@@ -253,9 +257,11 @@ class PrimalProblem:
         recovered : Recovered
             Displacements.
         multipliers : (m,) array
-            lambda, with lambda_I >= o and G lambda = e.
+            lambda, with lambda_I >= o, and G lambda = e but for motions that the face leaves free.
+        face : Projector
+            That of the equality rows and the contact rows with a force.
         """
-        measures = self._body_measures(recovered, multipliers)
+        measures = self._body_measures(recovered, multipliers, face)
         group = self.row_bodies.groups(self._comm, recovered.closed)
         groups, bodies = self._errors(measures, group)
         bound, norm = np.sqrt([measures.error2.sum(), measures.energy2.sum()]).tolist()
@@ -309,7 +315,9 @@ class PrimalProblem:
     def _name(self, body: int) -> str:
         return self.body_names[body] if body < len(self.body_names) else f"body {body}"
 
-    def _body_measures(self, recovered: Recovered, multipliers: Vector) -> _BodyMeasures:
+    def _body_measures(
+        self, recovered: Recovered, multipliers: Vector, face: Projector
+    ) -> _BodyMeasures:
         """Return energies, forces and sizes of each body; two products with K."""
         constraint_forces = self.F.constraint_forces(multipliers)
         forces = self.load - constraint_forces
@@ -318,12 +326,14 @@ class PrimalProblem:
         for congruent, K in zip(self.F.interface.classes, self.stiffness, strict=True):
             congruent.put(diagonal, np.tile(K.diagonal(), (congruent.members.size, 1)))
         applied = self.load**2 + constraint_forces**2
+        solid = np.zeros(forces.size)
+        solid[self.displacements] = 1.0
         by_unknown = np.stack(
             [
                 difference * self.internal_forces(difference),
                 recovered.strained * forces,
-                (self.internal_forces(recovered.strained) - forces) ** 2,
-                applied,
+                solid * (self.internal_forces(recovered.strained) - forces) ** 2,
+                solid * applied,
                 applied / diagonal,
             ]
         )
@@ -334,6 +344,10 @@ class PrimalProblem:
             np.add.at(sums.T, self.row_bodies.of_subdomain, by_subdomain.T)
         self._comm.Allreduce(MPI.IN_PLACE, sums)
         error2, energy2, residual2, force2, rounding2 = np.maximum(sums, 0.0)
+        # where G lambda = e does not hold, there is no bound
+        coarse_space = face.coarse_space
+        unbalanced = face.unresisted(coarse_space.coarse_load(self.load)) != 0.0
+        error2[coarse_space.bodies.of_coarse[unbalanced]] = np.inf
         # of forces, and of the rigid motions that close jumps; the coarse problem spreads rounding
         # errors over all bodies
         constraints, closing = self.F.constraints, self.c.copy()
@@ -404,7 +418,7 @@ class _BodyMeasures:
     error2: Vector  # ||u - u_t||_K^2 [J]
     energy2: Vector  # ||u_t||_K^2 [J]
     residual2: Vector  # ||Ku_t - f + B'lambda||^2 [N^2]
-    force2: Vector  # ||f||^2 + ||B'lambda||^2 [N^2]
+    force2: Vector  # ||f||^2 + ||B'lambda||^2 on displacements [N^2]
     rounding2: Vector  # what rounding may leave in an energy, the same for all bodies [J]
     deformation: Vector  # largest displacement without rigid motions of subdomains [m]
 

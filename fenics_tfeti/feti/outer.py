@@ -167,9 +167,14 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
             by_active_set = changed_method = True
             progress = Progress()
         elif limited:
+            found = (
+                f"the error of the displacement is {worst:.1e}"
+                if np.isfinite(worst)
+                else "the contact forces do not balance the load"
+            )
             reason = (
-                f"the error of the displacement is {worst:.1e}, and more iterations do not reduce "
-                "it: the accuracy is at the limit of rounding"
+                f"{found}, and more iterations do not change that: the accuracy is at the limit of "
+                "rounding"
             )
             return Outcome(candidate, stage.state, False, reason, tolerance)
         tolerance *= min(max(0.5 * limit / worst, 1e-3), 0.5)
@@ -221,6 +226,7 @@ class _Loop:
             setup.row_bodies,
             body_names,
             setup.local.unit,
+            setup.local.unknowns.displacements,
         )
         scale = EnergyScale.of(setup, data, feasible, far, timer, history)
         return _Loop(setup, data, options, timer, history, primal, feasible.jumps - data.c, scale)
@@ -232,7 +238,7 @@ class _Loop:
         with self.timer.phase("recovery"):
             face = Projector.build(setup.projector.coarse_space, active)
             recovered = Recovered(none, none, none, active)
-            certificate = self.primal.certify(recovered, multipliers)
+            certificate = self.primal.certify(recovered, multipliers, face)
         candidate = Candidate(recovered, multipliers, certificate, 0.0, face)
         state = DualState(multipliers, np.zeros_like(multipliers))
         return Outcome(candidate, state, True, "converged", 0.0)
@@ -327,7 +333,7 @@ class _Loop:
             coarse_space = setup.projector.coarse_space
             multipliers, face = balance_multipliers(coarse_space, data.e, multipliers)
             recovered = recover_displacement(setup.F, face, data.load, data.c, multipliers)
-            certificate = self.primal.certify(recovered, multipliers)
+            certificate = self.primal.certify(recovered, multipliers, face)
             energy = self.primal.energy(recovered)
         return Candidate(recovered, multipliers, certificate, energy, face)
 

@@ -60,7 +60,7 @@ def lanczos_upper_bound(
         diagonal.append(space.dots((w, v))[0])
         w -= diagonal[-1] * v
         residual = space.norm(w)
-        if residual <= 1e-14 * max(diagonal):
+        if residual <= 1e-14 * max(map(abs, diagonal)):
             residual = 0.0
             break
         off_diagonal.append(residual)

@@ -216,7 +216,7 @@ def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol:
     exact_opening = problem.gap - problem.rows @ answer.displacement
     opening = problem.gap - problem.rows @ u
     penetration = np.where(finite, np.minimum(exact_opening, 0.0) - opening, 0.0)
-    allowed = allowed + 1e-12 * np.where(finite, np.abs(problem.gap), 0.0)
+    allowed = allowed + 1e-12 * np.where(finite, np.abs(problem.gap), 0.0) + problem.gap_rounding
     ratio["penetration"] = _worst(np.maximum(penetration, 0.0), allowed)
     jump = np.array([found.jump[problem.body == b].max() for b in range(problem.bodies)])
     ratio["gluing"] = _worst(jump, tolerance)
@@ -286,14 +286,15 @@ def _force_ratio(problem: GluedProblem, answer: Answer, found: Found, rtol: floa
     """
     if not problem.gap.size:
         return 0.0
-    acting = np.zeros(answer.group.max() + 1)
+    acting, largest = np.zeros(answer.group.max() + 1), np.abs(answer.displacement).max()
     for b in range(problem.bodies):
         at = problem.unknowns(b)
         exact = answer.displacement[at]
         K = problem.elastic[at][:, at]
         local = exact - _rigid_part(problem, b, exact)
         here = FACTOR * rtol * np.abs(K @ local).sum() + 1e-14 * (abs(K) @ np.abs(exact)).sum()
-        acting[answer.group[b]] += here
+        # and what rounding of the largest motion may strain
+        acting[answer.group[b]] += here + 1e-13 * abs(K).max() * largest
     # what rounding makes of the forces on other bodies
     allowed_body = acting[answer.group] + 1e-12 * acting.sum() / (FACTOR * rtol)
     difference = found.force - answer.force

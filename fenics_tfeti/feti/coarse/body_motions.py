@@ -55,6 +55,13 @@ class BodyMotions:
     supports: Vector
     rounding: float
 
+    @property
+    def of_coarse(self) -> NDArray[np.int64]:
+        """The body of each coarse unknown."""
+        modes = self.basis.nnz // max(self.basis.shape[0], 1)
+        body: NDArray[np.int64] = self.basis.indices[::modes].astype(np.int64) // max(modes, 1)
+        return body
+
     def resistance(
         self,
         rows: Mask,

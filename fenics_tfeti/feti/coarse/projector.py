@@ -15,6 +15,7 @@ from scipy.linalg import qr
 
 from fenics_tfeti.feti.coarse.factor import CoarseFactor
 from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.tolerances import NO_WORK
 
 __all__ = ["Projector"]
 
@@ -25,6 +26,8 @@ Mask = NDArray[np.bool_]
 
 # factor on the diagonal of GG' for pinned motions that are weakly resisted
 _FIRMLY = 1e8
+# work of the load on a free motion, relative to the load of all bodies, that is rounding
+_CARRIED = 1e-14
 
 
 @dataclass(frozen=True)
@@ -132,6 +135,27 @@ class Projector:
     def without_free_motions(self, coarse: Vector) -> Vector:
         """Return a coarse vector without its part in the motions that the rows do not resist."""
         part: Vector = coarse - self.free @ (self.free.T @ coarse)
+        return part
+
+    def unresisted(self, e: Vector) -> Vector:
+        """Return the part of a coarse load that does work on motions that the rows do not resist.
+
+        It is zero for bodies where it is rounding of their own load.
+
+        Parameters
+        ----------
+        e : (coarse,) array
+            R'f.
+        """
+        part: Vector = self.free @ (self.free.T @ e)
+        if not part.any():
+            return part
+        body = self.coarse_space.bodies.of_coarse
+        work, load = (np.sqrt(np.bincount(body, x**2)) for x in (part, e))
+        # free motions are known up to rounding, which is carried from one body to another
+        free = np.sqrt(np.bincount(body, np.sum(self.free**2, axis=1)))
+        negligible = work <= NO_WORK * load + _CARRIED * free * np.linalg.norm(e)
+        part[negligible[body]] = 0.0
         return part
 
     def coefficients(self, x: Vector) -> Vector:

@@ -272,14 +272,13 @@ def close_first_gaps(problem: DualProblem, active: Mask, gap: Vector) -> Face:
         The set with the rows that closed, and its projector.
     """
     coarse_space = problem.coarse_space
-    scale = float(np.linalg.norm(problem.e))
     gap = np.maximum(gap, 0.0)
     while True:
         projector = Projector.build(coarse_space, active)
-        work = projector.free.T @ problem.e
-        if np.linalg.norm(work) <= NO_WORK * scale:
+        work = projector.unresisted(problem.e)
+        if not work.any():
             return Face(active, projector)
-        speed = coarse_space.contact.T @ (projector.free @ work)
+        speed = coarse_space.contact.T @ work
         closing = ~active & (speed > NO_WORK * np.linalg.norm(work))
         way = np.divide(gap, speed, out=np.full(gap.size, np.inf), where=closing)
         first = problem.space.dots_and_min(value=float(way.min(initial=np.inf)))[0]
