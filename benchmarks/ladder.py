@@ -128,7 +128,7 @@ def contact(per_metre: int) -> ContactRows:
     shifted = range(per_metre, 2 * per_metre + 1)
     master = face(shifted, edge, range(per_metre, per_metre + 1), LOWER, per_metre)
     down = np.tile([0.0, 0.0, -1.0], (slave.size, 1))
-    return ContactRows(slave, master, down, np.zeros(slave.size), np.zeros_like(slave))
+    return ContactRows.node_to_node(slave, master, down, np.zeros(slave.size), np.zeros_like(slave))
 
 
 def solve(m: int, n: int, options: Options, softer: bool) -> dict[str, object]:

@@ -132,12 +132,13 @@ def resultants(
     loads = load[unknowns.displacements].reshape(-1, gdim)
     held = -F.constraint_forces(multipliers)[unknowns.displacements].reshape(-1, gdim)
     normal = normal_forces(F.constraints, multipliers)
-    on_slave = -normal[:, None] * rows.normal
+    on_nodes = -(normal / rows.length)[rows.row][:, None] * rows.coefficients
+    on_slave = on_nodes[rows.offsets[:-1]]
 
     sprung = _with_springs(system, kernels, unknowns)
     # the other forces on a subdomain with springs, f - B'lambda = K u_t, balance theirs
     springs = _NodalForces(x[sprung], -(loads + held)[sprung])
-    reactions = _reactions(system, x, held, on_slave)
+    reactions = _reactions(system, x, held, on_nodes)
     outside = [_NodalForces(x, loads), springs, *reactions]
     sums = comm.allreduce(np.array([forces.sums() for forces in outside]))
 
@@ -147,7 +148,9 @@ def resultants(
     of_contact = np.zeros((contacts, gdim + 1))
     np.add.at(of_contact, rows.contact, np.column_stack([on_slave, normal]))
     of_contact = comm.allreduce(of_contact)
-    of_obstacles = on_slave[rows.master < 0]
+    # what a row exerts in all is a force from outside: that of an obstacle
+    of_obstacles = np.zeros_like(on_slave)
+    np.add.at(of_obstacles, rows.row, on_nodes)
     obstacles = comm.allreduce(np.append(of_obstacles.sum(axis=0), _size(of_obstacles)))
 
     largest = max(sums[0, -1], sums[2:, -1].sum(), obstacles[-1])
@@ -201,10 +204,11 @@ def _with_springs(
     )
 
 
-def _reactions(system: TornSystem, x: Vector, held: Vector, on_slave: Vector) -> list[_NodalForces]:
+def _reactions(system: TornSystem, x: Vector, held: Vector, on_nodes: Vector) -> list[_NodalForces]:
     """Return for each Dirichlet condition the forces at prescribed components. Collective.
 
-    Each node's forces are summed on its home rank, from all its copies and contact rows.
+    Each node's forces are summed on its home rank, from all its copies and the terms of contact
+    rows, which exert `on_nodes`.
     """
     comm, gdim, given = system.comm, system.gdim, system.prescribed
     number = np.asarray(given.condition, dtype=np.int64)
@@ -226,11 +230,9 @@ def _reactions(system: TornSystem, x: Vector, held: Vector, on_slave: Vector) ->
     np.add.at(reaction, at, force)
 
     # a contact force on a prescribed component is in the multiplier of the support
-    rows, pressed = system.contacts, on_slave.any(axis=1)
-    deformable = pressed & (rows.master >= 0)
-    ends = np.concatenate([rows.slave[pressed], rows.master[deformable]])
-    of_contact = np.concatenate([on_slave[pressed], -on_slave[deformable]])
-    at, (force,) = _known(directory, *directory.collect(ends, of_contact))
+    pressed = on_nodes.any(axis=1)
+    ends = system.contacts.nodes[pressed]
+    at, (force,) = _known(directory, *directory.collect(ends, on_nodes[pressed]))
     np.subtract.at(reaction, at, force)
     return [
         _NodalForces(points, np.where(condition == i, reaction, 0.0)) for i in range(conditions)

@@ -307,7 +307,7 @@ def _check_guess(guess: ContactGuess | None, system: TornSystem, options: Option
                 "guess: this rank gives none, others do; a rank without contact rows gives a "
                 "ContactGuess of empty arrays"
             )
-        check_guess(guess, system.contacts.slave.size)
+        check_guess(guess, system.contacts.size)
         if options.method != "active_set":
             raise InputError(
                 "a guess of the contact is the start of method='active_set'; with "

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fenics_tfeti.errors import InputError
 
@@ -95,38 +95,154 @@ class Prescribed:
 
 @dataclass(frozen=True)
 class ContactRows:
-    """Linearised non-penetration (u_slave - u_master)'n <= gap, (11.1), (11.7).
+    """Conditions sum_k c_k'u(node_k) <= gap: linearised non-penetration (11.1), (11.7).
+
+    The first term of each row is the slave node's. Its coefficient has the direction of the row's
+    unit normal n, outward from the slave's body, and any length D > 0: the area that belongs to the
+    node in a mortar row, 1 where a node touches a node or an obstacle. The other terms are those of
+    the master's nodes. The gap is in the same unit, so gap / D is a distance, and D times the
+    multiplier of the row is the nodal normal force.
 
     Attributes
     ----------
-    slave : (k,) integer array
-        Global node numbers.
-    master : (k,) integer array
-        Global node numbers; -1 for a rigid obstacle.
-    normal : (k, gdim) array
-        Unit normals n, outward from the slave's body.
-    gap : (k,) array
-        [m]; infinite where there is nothing to touch: such a row is left out.
-    contact : (k,) integer array
+    offsets : (rows + 1,) integer array
+        The terms of row i are those from ``offsets[i]`` up to, without, ``offsets[i + 1]``; each
+        row has one at least.
+    nodes : (terms,) integer array
+        Global node numbers, distinct within a row.
+    coefficients : (terms, gdim) array
+        c_k.
+    gap : (rows,) array
+        [m] times the unit of the coefficients; infinite where there is nothing to touch: such a row
+        is left out.
+    contact : (rows,) integer array
         Number of the contact that the row belongs to, for the sums of forces.
+
+    Examples
+    --------
+    Node 0 over the middle of an edge between the nodes 1 and 2, with a gap of 0.1 m.
+
+    >>> rows = ContactRows(
+    ...     offsets=[0, 3],
+    ...     nodes=[0, 1, 2],
+    ...     coefficients=[[0.0, -2.0], [0.0, 1.0], [0.0, 1.0]],
+    ...     gap=[0.2],
+    ...     contact=[0],
+    ... )
+    >>> rows.slave.tolist(), rows.normal.tolist(), (rows.gap / rows.length).tolist()
+    ([0], [[0.0, -1.0]], [0.1])
     """
 
-    slave: Numbers
-    master: Numbers
-    normal: Vector
+    offsets: Numbers
+    nodes: Numbers
+    coefficients: Vector
     gap: Vector
     contact: Numbers
 
     def __post_init__(self) -> None:
         """Convert lists and other types of numbers to arrays."""
-        _convert(self, slave=np.int64, master=np.int64, contact=np.int64)
-        _convert(self, normal=np.float64, gap=np.float64)
+        _convert(self, offsets=np.int64, nodes=np.int64, contact=np.int64)
+        _convert(self, coefficients=np.float64, gap=np.float64)
 
     @staticmethod
     def none(gdim: int) -> ContactRows:
         """Return no rows."""
         empty = np.zeros(0, dtype=np.int64)
-        return ContactRows(empty, empty, np.zeros((0, gdim)), np.zeros(0), empty)
+        start = np.zeros(1, dtype=np.int64)
+        return ContactRows(start, empty, np.zeros((0, gdim)), np.zeros(0), empty)
+
+    @staticmethod
+    def node_to_node(
+        slave: ArrayLike,
+        master: ArrayLike,
+        normal: ArrayLike,
+        gap: ArrayLike,
+        contact: ArrayLike,
+    ) -> ContactRows:
+        """Return the conditions (u_slave - u_master)'n <= gap of pairs of nodes.
+
+        Parameters
+        ----------
+        slave : (k,) integers
+            Global node numbers.
+        master : (k,) integers
+            Global node numbers; -1 for a rigid obstacle.
+        normal : (k, gdim) array-like
+            Normals n, outward from the slave's body; they are divided by their lengths.
+        gap : (k,) array-like
+            [m].
+        contact : (k,) integers
+            Number of the contact of each row.
+
+        Raises
+        ------
+        InputError
+            On this rank, if the shapes do not fit.
+        """
+        n, one, other = np.asarray(normal, dtype=np.float64), np.asarray(slave), np.asarray(master)
+        if n.ndim != 2 or (len(n),) != one.shape or (len(n),) != other.shape:
+            raise InputError(
+                f"contact rows from node to node: got slaves of shape {one.shape}, masters of "
+                f"shape {other.shape} and normals of shape {n.shape}, expected (k,), (k,) and "
+                "(k, gdim). Give one of each for every row"
+            )
+        ends = np.column_stack([one, other])
+        lengths = np.linalg.norm(n, axis=1, keepdims=True)
+        n = n / np.where(lengths > 0.0, lengths, 1.0)
+        there = ends != -1
+        there[:, 0] = True
+        offsets = np.append(0, np.cumsum(there.sum(axis=1)))
+        coefficients = np.stack([n, -n], axis=1)[there]
+        return ContactRows(offsets, ends[there], coefficients, np.asarray(gap), np.asarray(contact))
+
+    @staticmethod
+    def concatenate(parts: Sequence[ContactRows]) -> ContactRows:
+        """Return the rows of all parts, one part after the other."""
+        terms = np.concatenate([np.diff(part.offsets) for part in parts])
+        return ContactRows(
+            np.append(0, np.cumsum(terms)),
+            np.concatenate([part.nodes for part in parts]),
+            np.concatenate([part.coefficients for part in parts]),
+            np.concatenate([part.gap for part in parts]),
+            np.concatenate([part.contact for part in parts]),
+        )
+
+    def chosen(self, rows: Numbers) -> ContactRows:
+        """Return the rows at some positions."""
+        terms = np.diff(self.offsets)[rows]
+        offsets = np.append(0, np.cumsum(terms))
+        at = np.repeat(self.offsets[rows] - offsets[:-1], terms) + np.arange(offsets[-1])
+        return ContactRows(
+            offsets, self.nodes[at], self.coefficients[at], self.gap[rows], self.contact[rows]
+        )
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        return int(self.gap.size)
+
+    @property
+    def row(self) -> Numbers:
+        """The row of each term, (terms,)."""
+        return np.repeat(np.arange(self.size), np.diff(self.offsets))
+
+    @property
+    def slave(self) -> Numbers:
+        """The slave node of each row, (rows,)."""
+        nodes: Numbers = self.nodes[self.offsets[:-1]]
+        return nodes
+
+    @property
+    def length(self) -> Vector:
+        """The length D of the slave node's coefficient in each row, (rows,)."""
+        lengths: Vector = np.linalg.norm(self.coefficients[self.offsets[:-1]], axis=1)
+        return lengths
+
+    @property
+    def normal(self) -> Vector:
+        """The unit normal of each row, (rows, gdim)."""
+        normals: Vector = self.coefficients[self.offsets[:-1]] / self.length[:, None]
+        return normals
 
 
 @dataclass(frozen=True)

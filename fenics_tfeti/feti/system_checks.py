@@ -36,8 +36,8 @@ Vector = NDArray[np.float64]
 _LARGEST_NODE = 2**61
 # the report has an entry for each Dirichlet condition
 _MOST_CONDITIONS = 10**6
-# | |n| - 1 | of a unit normal
-_UNIT = 1e-6
+# length of the slave's coefficient, relative to the longest one of its row, that is none
+_NO_LENGTH = 1e-12
 
 
 def check_system(system: TornSystem, stiffness: bool = True) -> None:
@@ -120,7 +120,7 @@ def _check_parts(system: TornSystem) -> None:
             f"contacts: got {_kind(system.contacts)}, expected ContactRows; ContactRows.none(gdim) "
             "for no contact"
         )
-    _check_contacts(system.contacts, gdim)
+    _check_contacts(system.contacts, gdim, system.contact_names)
 
 
 def _check_matrices(system: TornSystem) -> None:
@@ -340,31 +340,82 @@ def _check_prescribed(prescribed: Prescribed, gdim: int) -> None:
     _check_finite("prescribed displacements", prescribed.values)
 
 
-def _check_contacts(contacts: ContactRows, gdim: int) -> None:
-    _check_array("contacts.slave", contacts.slave, (None,), np.int64)
-    k = contacts.slave.size
-    _check_array("contacts.master", contacts.master, (k,), np.int64)
-    _check_array("contacts.normal", contacts.normal, (k, gdim), np.float64)
-    _check_array("contacts.gap", contacts.gap, (k,), np.float64)
+def _check_contacts(contacts: ContactRows, gdim: int, names: Sequence[str]) -> None:
+    _check_array("contacts.gap", contacts.gap, (None,), np.float64)
+    k = contacts.size
     _check_array("contacts.contact", contacts.contact, (k,), np.int64)
-    _check_range("contacts.slave", contacts.slave, 0, _LARGEST_NODE)
-    _check_range("contacts.master (-1 for a rigid obstacle)", contacts.master, -1, _LARGEST_NODE)
     _check_range("contacts.contact", contacts.contact, 0, np.iinfo(np.int64).max)
-    same = np.flatnonzero(contacts.slave == contacts.master)
-    if same.size:
-        raise InputError(
-            f"contacts: {same.size} rows have the same node as slave and master, the first is row "
-            f"{same[0]} with node {contacts.slave[same[0]]}. Leave them out"
-        )
     _check_gaps("contacts.gap", contacts.gap)
-    _check_finite("contacts.normal", contacts.normal)
-    lengths = np.linalg.norm(contacts.normal, axis=1)
-    wrong = np.flatnonzero(np.abs(lengths - 1.0) > _UNIT)
-    if wrong.size:
+    _check_array("contacts.nodes", contacts.nodes, (None,), np.int64)
+    _check_array("contacts.offsets", contacts.offsets, (k + 1,), np.int64)
+    _check_offsets(contacts, names)
+    _check_range("contacts.nodes", contacts.nodes, 0, _LARGEST_NODE)
+    _check_distinct_nodes(contacts, names)
+    shape = contacts.nodes.size, gdim
+    _check_array("contacts.coefficients", contacts.coefficients, shape, np.float64)
+    _check_finite("contacts.coefficients", contacts.coefficients)
+    _check_first_coefficients(contacts, names)
+
+
+def _check_offsets(contacts: ContactRows, names: Sequence[str]) -> None:
+    """Check that the terms of the rows follow each other, and that every row has some."""
+    offsets, terms = contacts.offsets, contacts.nodes.size
+    if offsets[0] != 0 or offsets[-1] != terms:
         raise InputError(
-            f"contacts.normal: {wrong.size} normals are not of unit length, the first at slave "
-            f"node {contacts.slave[wrong[0]]} with length {lengths[wrong[0]]:.3e}. Divide by it"
+            f"contacts.offsets: from {offsets[0]} to {offsets[-1]}, but there are {terms} nodes. "
+            f"The first has to be 0 and the last {terms}"
         )
+    counts = np.diff(offsets)
+    wrong = np.flatnonzero(counts < 0)
+    if wrong.size:
+        k = wrong[0]
+        raise InputError(
+            f"contacts.offsets: not ascending, from {offsets[k]} to {offsets[k + 1]} in "
+            f"{_row(contacts, k, names)}. Offsets are positions in contacts.nodes"
+        )
+    empty = np.flatnonzero(counts == 0)
+    if empty.size:
+        raise InputError(
+            f"contacts.offsets: {empty.size} rows have no terms, the first is "
+            f"{_row(contacts, empty[0], names)}. Leave them out"
+        )
+
+
+def _check_distinct_nodes(contacts: ContactRows, names: Sequence[str]) -> None:
+    """Check that no row names a node twice."""
+    order = np.lexsort((contacts.nodes, contacts.row))
+    row, node = contacts.row[order], contacts.nodes[order]
+    twice = order[1:][(row[1:] == row[:-1]) & (node[1:] == node[:-1])]
+    if twice.size:
+        k = int(contacts.row[twice].min())
+        first = contacts.nodes[twice[contacts.row[twice] == k]][0]
+        raise InputError(
+            f"contacts.nodes: {np.unique(contacts.row[twice]).size} rows name a node twice, the "
+            f"first is {_row(contacts, k, names)} with node {first}. Add up the "
+            "coefficients, or leave out rows whose slave is its own master"
+        )
+
+
+def _check_first_coefficients(contacts: ContactRows, names: Sequence[str]) -> None:
+    """Check that every row has a normal: the direction of its first coefficient."""
+    largest = np.zeros(contacts.size)
+    lengths = np.linalg.norm(contacts.coefficients, axis=1)
+    np.maximum.at(largest, contacts.row, lengths)
+    vanishing = np.flatnonzero(contacts.length <= _NO_LENGTH * largest)
+    if vanishing.size:
+        k = vanishing[0]
+        raise InputError(
+            f"contacts.coefficients: the first coefficient of {vanishing.size} rows vanishes, the "
+            f"first is {_row(contacts, k, names)} at slave node {contacts.slave[k]} with lengths "
+            f"of {contacts.length[k]:.3e} and up to {largest[k]:.3e} of the other nodes. The first "
+            "term is that of the slave's node, along the normal; leave rows without it out"
+        )
+
+
+def _row(contacts: ContactRows, row: int, names: Sequence[str]) -> str:
+    """Name a row by its position and its contact."""
+    contact = int(contacts.contact[row])
+    return f"row {row} ({names[contact] if contact < len(names) else f'contact {contact}'})"
 
 
 def _name(system: TornSystem, number: int) -> str:

@@ -36,7 +36,7 @@ def two_blocks(overlap: float):
     side = first.nodes[first.coordinates[:, 0] == 1]
     ground = np.concatenate(bottom)
     wall = first.nodes[first.coordinates[:, 0] == 0]
-    rows = ContactRows(
+    rows = ContactRows.node_to_node(
         np.concatenate([ground, side]),
         np.concatenate([np.full(ground.size, -1), side + 10**9]),
         np.concatenate([np.tile([0, 0, -1.0], (ground.size, 1)), np.tile([1.0, 0, 0], (9, 1))]),

@@ -72,7 +72,7 @@ def test_contact_force_on_a_prescribed_component():
         values=np.concatenate([system.prescribed.values, nothing]),
         condition=np.concatenate([np.where(top, 1, 0), 0 * slave + 2]),
     )
-    rows = ContactRows(slave, 0 * slave - 1, normal, nothing, 0 * slave)
+    rows = ContactRows.node_to_node(slave, 0 * slave - 1, normal, nothing, 0 * slave)
     report = solve(dataclasses.replace(system, prescribed=held, contacts=rows))
     # 0.8 / 0.6 of the weight is the force across
     np.testing.assert_allclose(report.contact_forces, [[-2.25, 0.0, 3.0]], atol=1e-8)

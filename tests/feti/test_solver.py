@@ -77,7 +77,7 @@ def test_motion_without_load_is_reported_and_left_small():
     block = cube(2, load=(0, 0, -1.0))
     bottom = block.nodes[block.coordinates[:, 2] == 0]
     k = bottom.size
-    rows = ContactRows(
+    rows = ContactRows.node_to_node(
         bottom,
         np.full(k, -1),
         np.tile([0.0, 0.0, -1.0], (k, 1)),

@@ -32,13 +32,9 @@ def assembled(system):
     """Return dense K, f of the glued bodies, C of the contacts, and where torn unknowns are."""
     K, f, nodes, places = glued(system)
     contacts = system.contacts
-    C = np.zeros((contacts.slave.size, f.size))
-    for row, (slave, master, normal) in enumerate(
-        zip(contacts.slave, contacts.master, contacts.normal, strict=True)
-    ):
-        C[row, 3 * np.searchsorted(nodes, slave) + np.arange(3)] += normal
-        if master >= 0:
-            C[row, 3 * np.searchsorted(nodes, master) + np.arange(3)] -= normal
+    C = np.zeros((contacts.size, f.size))
+    columns = 3 * np.searchsorted(nodes, contacts.nodes)[:, None] + np.arange(3)
+    C[contacts.row[:, None], columns] = contacts.coefficients
     return K, f, C, np.concatenate(places)
 
 

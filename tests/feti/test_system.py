@@ -67,9 +67,9 @@ def as_lists(system: TornSystem) -> TornSystem:
             [0] * system.prescribed.values.size,
         ),
         ContactRows(
-            system.contacts.slave.tolist(),
-            system.contacts.master.astype(np.int32),
-            system.contacts.normal.tolist(),
+            system.contacts.offsets.tolist(),
+            system.contacts.nodes.astype(np.int32),
+            system.contacts.coefficients.tolist(),
             system.contacts.gap.astype(np.float32),
             [0] * system.contacts.gap.size,
         ),
@@ -193,17 +193,12 @@ def test_infinite_gaps_bear_no_force():
     system = column()
     rows = system.contacts
     expected = TornSolver(system, Options(rtol=1e-8)).solve()
-    far = ContactRows(
+    far = ContactRows.node_to_node(
         rows.slave, -np.ones_like(rows.slave), rows.normal, rows.gap + np.inf, rows.contact
     )
-    both = ContactRows(
-        *(
-            np.concatenate([getattr(part, field.name) for part in (rows, far)])
-            for field in dataclasses.fields(ContactRows)
-        )
-    )
+    both = ContactRows.concatenate([rows, far])
     found = TornSolver(dataclasses.replace(system, contacts=both), Options(rtol=1e-8)).solve()
-    k = rows.slave.size
+    k = rows.size
     np.testing.assert_allclose(found.normal_force[:k], expected.normal_force, rtol=1e-10)
     assert not found.normal_force[k:].any()
     assert not found.active[k:].any()
@@ -218,7 +213,7 @@ def test_name_of_a_body():
 def test_no_contact_rows():
     none = ContactRows.none(2)
     assert none.normal.shape == (0, 2)
-    assert none.slave.size == none.master.size == none.gap.size == none.contact.size == 0
+    assert none.slave.size == none.nodes.size == none.gap.size == none.contact.size == 0
 
 
 @pytest.mark.parametrize(

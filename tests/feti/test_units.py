@@ -100,8 +100,27 @@ def test_a_loose_cube_without_load_stays_where_it_is():
     body = cube(2)
     bottom = body.nodes[body.coordinates[:, 2] == 0]
     k = bottom.size
-    rows = ContactRows(
+    rows = ContactRows.node_to_node(
         bottom, np.full(k, -1), np.tile([0.0, 0, -1.0], (k, 1)), np.zeros(k), np.zeros(k, dtype=int)
     )
     solution = TornSolver(TornSystem([body], Prescribed(), rows, 3)).solve()
     assert not solution.displacements[0].any()
+
+
+@METHODS
+def test_lengths_of_contact_rows_do_not_matter(method):
+    """Forces are in newtons and gaps in metres, whatever the lengths of the coefficients."""
+    system, options = column_with_gap(), Options(rtol=1e-8, method=method)
+    rows = system.contacts
+    length = 10.0 ** np.random.default_rng(0).uniform(-6.0, 6.0, rows.size)
+    scaled = dataclasses.replace(
+        rows, coefficients=length[rows.row][:, None] * rows.coefficients, gap=length * rows.gap
+    )
+    expected = TornSolver(system, options).solve()
+    found = TornSolver(dataclasses.replace(system, contacts=scaled), options).solve()
+    np.testing.assert_allclose(found.normal_force, expected.normal_force, rtol=1e-7, atol=1e-9)
+    assert found.report.products == expected.report.products
+    for name in ("contact_force", "contact_forces", "equilibrium"):
+        np.testing.assert_allclose(
+            getattr(found.report, name), getattr(expected.report, name), rtol=1e-8, atol=1e-10
+        )

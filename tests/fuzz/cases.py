@@ -104,7 +104,7 @@ def _solve_torn(problem: TornProblem, comm: MPI.Comm, seed: int) -> Found:
         sums[at] += u
         counts[at] += 1
         low[at], high[at] = np.minimum(low[at], u), np.maximum(high[at], u)
-    force = np.zeros(problem.contacts.slave.size)
+    force = np.zeros(problem.contacts.size)
     force[rows] = solution.normal_force
     sums, counts, force = (comm.allreduce(x) for x in (sums, counts, force))
     comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)

@@ -167,33 +167,39 @@ def gap_is_minus_infinity(problem: TornProblem, rng: Generator) -> TornProblem:
 
 
 @_register
-def normal_is_not_of_unit_length(problem: TornProblem, rng: Generator) -> TornProblem:
-    return _in_rows(problem, rng, "normal", 3.0)
+def coefficient_of_a_slave_vanishes(problem: TornProblem, rng: Generator) -> TornProblem:
+    changed = problem.contacts.coefficients.copy()
+    changed[problem.contacts.offsets[_row(problem, rng)]] = 0.0
+    return replace(problem, contacts=replace(problem.contacts, coefficients=changed))
 
 
 @_register
-def normal_is_nan(problem: TornProblem, rng: Generator) -> TornProblem:
-    return _in_rows(problem, rng, "normal", np.nan)
+def coefficient_is_nan(problem: TornProblem, rng: Generator) -> TornProblem:
+    return _in_rows(problem, rng, "coefficients", np.nan)
 
 
 @_register
-def slave_is_negative(problem: TornProblem, rng: Generator) -> TornProblem:
-    return _in_rows(problem, rng, "slave", -1)
+def node_of_a_row_is_negative(problem: TornProblem, rng: Generator) -> TornProblem:
+    return _in_rows(problem, rng, "nodes", -1)
 
 
 @_register
-def slave_is_unknown(problem: TornProblem, rng: Generator) -> TornProblem:
-    return _in_rows(problem, rng, "slave", int(problem.numbers.max()) + 5)
+def node_of_a_row_is_unknown(problem: TornProblem, rng: Generator) -> TornProblem:
+    return _in_rows(problem, rng, "nodes", int(problem.numbers.max()) + 5)
 
 
 @_register
-def master_is_unknown(problem: TornProblem, rng: Generator) -> TornProblem:
-    return _in_rows(problem, rng, "master", int(problem.numbers.max()) + 5)
-
-
-@_register
-def master_is_minus_two(problem: TornProblem, rng: Generator) -> TornProblem:
-    return _in_rows(problem, rng, "master", -2)
+def row_has_no_term(problem: TornProblem, rng: Generator) -> TornProblem:
+    rows, k = problem.contacts, _row(problem, rng)
+    without = np.delete(np.arange(rows.size), k)
+    shortened = rows.chosen(without)
+    changed = replace(
+        rows,
+        offsets=np.insert(shortened.offsets, k, shortened.offsets[k]),
+        nodes=shortened.nodes,
+        coefficients=shortened.coefficients,
+    )
+    return replace(problem, contacts=changed)
 
 
 @_register
@@ -202,8 +208,17 @@ def contact_is_negative(problem: TornProblem, rng: Generator) -> TornProblem:
 
 
 @_register
-def node_is_its_own_master(problem: TornProblem, rng: Generator) -> TornProblem:
-    k = int(rng.integers(problem.contacts.slave.size)) if problem.contacts.slave.size else 0
-    master = problem.contacts.master.copy()
-    master[k] = problem.contacts.slave[k]
-    return replace(problem, contacts=replace(problem.contacts, master=master))
+def node_is_twice_in_a_row(problem: TornProblem, rng: Generator) -> TornProblem:
+    rows = problem.contacts
+    paired = np.flatnonzero(np.diff(rows.offsets) > 1)
+    k = paired[int(rng.integers(paired.size)) if paired.size else 0]
+    nodes = rows.nodes.copy()
+    nodes[rows.offsets[k] + 1] = nodes[rows.offsets[k]]
+    return replace(problem, contacts=replace(rows, nodes=nodes))
+
+
+def _row(problem: TornProblem, rng: Generator) -> int:
+    """Return one of the contact rows; IndexError if there is none."""
+    if not problem.contacts.size:
+        raise IndexError
+    return int(rng.integers(problem.contacts.size))

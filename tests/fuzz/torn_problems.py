@@ -73,15 +73,12 @@ def torn_system(problem: TornProblem, comm: MPI.Comm, seed: int) -> tuple[TornSy
     """Distribute a problem over the ranks at random; also return the contact rows given here."""
     rng = np.random.default_rng([seed, 7])
     owner = rng.integers(comm.size, size=len(problem.subdomains))
-    giver = rng.integers(comm.size, size=problem.contacts.slave.size)
+    giver = rng.integers(comm.size, size=problem.contacts.size)
     speaker = rng.integers(comm.size, size=problem.prescribed.nodes.size)
     twice = rng.random(problem.prescribed.nodes.size) < 0.2
     rows = np.flatnonzero(giver == comm.rank)
     said = np.flatnonzero((speaker == comm.rank) | twice)
-    contacts = ContactRows(
-        *(getattr(problem.contacts, name)[rows] for name in ("slave", "master", "normal", "gap")),
-        problem.contacts.contact[rows],
-    )
+    contacts = problem.contacts.chosen(rows)
     prescribed = Prescribed(
         problem.prescribed.nodes[said],
         problem.prescribed.components[said],
@@ -566,7 +563,7 @@ def _in_units(
         gap_rounding=np.zeros(gap.size),
     )
     slave, master = np.array(rows.slave, dtype=np.int64), np.array(rows.master, dtype=np.int64)
-    contacts = ContactRows(
+    contacts = ContactRows.node_to_node(
         numbers[slave],
         np.where(master >= 0, numbers[master.clip(min=0)], -1),
         np.array(rows.normal).reshape(-1, gdim),

@@ -32,7 +32,7 @@ def system(ranks: MPI.Comm) -> TornSystem:
     prescribed, contacts = Prescribed(), ContactRows.none(3)
     if ranks.rank == 0:
         prescribed = Prescribed(np.array([CENTRE]), np.array([0]), np.array([0.5]))
-        contacts = ContactRows(
+        contacts = ContactRows.node_to_node(
             np.array([CENTRE]),
             np.array([OTHER]),
             np.array([[0.6, 0.0, 0.8]]),
@@ -55,8 +55,9 @@ def coupled_system(ranks: MPI.Comm) -> TornSystem:
     ]
     slave, master, normal = zip(*rows, strict=True)
     mine = slice(ranks.rank, None, ranks.size)
-    slave, master, normal = np.array(slave)[mine], np.array(master)[mine], np.array(normal)[mine]
-    contacts = ContactRows(slave, master, normal, np.full(slave.size, 0.1), np.zeros_like(slave))
+    k = len(slave)
+    every = ContactRows.node_to_node(slave, master, normal, np.full(k, 0.1), np.zeros(k, dtype=int))
+    contacts = every.chosen(np.arange(k)[mine])
     return dataclasses.replace(system(ranks), prescribed=Prescribed(), contacts=contacts)
 
 

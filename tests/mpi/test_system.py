@@ -68,7 +68,7 @@ def test_rank_without_subdomains():
 @several_ranks
 def test_guess_of_one_rank():
     system = column_on(comm)
-    rows = system.contacts.slave.size
+    rows = system.contacts.size
     guess = ContactGuess(np.zeros(rows), np.zeros(rows)) if LAST else None
     with pytest.raises(InputError, match="guess: this rank gives none, others do"):
         TornSolver(system, guess=guess)

@@ -343,45 +343,72 @@ def no_prescribed_displacements(system):
 # -- contact rows ----------------------------------------------------------------------------------
 
 
-@mistake("contacts.slave", "-1", "position 0")
-def slave_that_is_negative(system):
-    return contacts(system, slave=changed(system.contacts.slave, 0, -1))
+@mistake("contacts.nodes", "1 of 32", "-1", "position 0")
+def row_with_a_negative_node(system):
+    return contacts(system, nodes=changed(system.contacts.nodes, 0, -1))
 
 
-@mistake("contacts.master", "-2", "-1 for a rigid obstacle")
-def master_that_is_negative(system):
-    return contacts(system, master=changed(system.contacts.master, 0, -2))
-
-
-@mistake("contacts", "1 rows", "same node as slave and master", "row 2")
-def slave_that_is_its_own_master(system):
-    rows = system.contacts
-    return contacts(system, master=changed(rows.master, 2, rows.slave[2]))
+@mistake("contacts.nodes", "2 rows name a node twice", "row 2 (joint)", "Add up")
+def rows_with_a_node_twice(system):
+    nodes = system.contacts.nodes.copy()
+    nodes[[5, 9]] = nodes[[4, 8]]
+    return contacts(system, nodes=nodes)
 
 
 @mistake("node 777", "no subdomain")
-def slave_of_no_subdomain(system):
-    return contacts(system, slave=changed(system.contacts.slave, 0, 777))
+def row_with_a_node_of_no_subdomain(system):
+    return contacts(system, nodes=changed(system.contacts.nodes, 0, 777))
 
 
-@mistake("contacts.master", "(15,)", "expected (16,)")
-def masters_of_a_wrong_length(system):
-    return contacts(system, master=system.contacts.master[1:])
+@mistake("contacts.nodes", "(32, 1)", "expected (k,)")
+def nodes_in_a_column(system):
+    return contacts(system, nodes=system.contacts.nodes[:, None])
 
 
-@mistake("contacts.normal", "(3,)", "expected (16, 3)")
-def one_normal_for_all(system):
-    return contacts(system, normal=[0.0, 0.0, -1.0])
+@mistake("contacts.nodes", "float64", "integers")
+def nodes_of_rows_that_are_no_integers(system):
+    return contacts(system, nodes=system.contacts.nodes + 0.5)
 
 
-@mistake("contacts.normal", "1 normals", "unit length", "2.000e+00")
-def normal_that_is_too_long(system):
-    return contacts(system, normal=changed(system.contacts.normal, 4, [0.0, 0.0, 2.0]))
+@mistake("contacts.offsets", "from 0 to 32", "31 nodes")
+def nodes_of_a_wrong_length(system):
+    return contacts(system, nodes=system.contacts.nodes[1:])
 
 
-@mistake("contacts.normal", "NaN")
-def normal_with_nan(system):
-    return contacts(system, normal=changed(system.contacts.normal, 4, np.nan))
+@mistake("contacts.offsets", "from 1 to 32", "first has to be 0")
+def offsets_that_begin_with_one(system):
+    return contacts(system, offsets=changed(system.contacts.offsets, 0, 1))
+
+
+@mistake("contacts.offsets", "(16,)", "expected (17,)")
+def offsets_without_the_end(system):
+    return contacts(system, offsets=system.contacts.offsets[:-1])
+
+
+@mistake("contacts.offsets", "not ascending", "from 8 to 6", "row 4 (joint)", "positions")
+def offsets_that_descend(system):
+    return contacts(system, offsets=changed(system.contacts.offsets, 5, 6))
+
+
+@mistake("contacts.offsets", "1 rows have no terms", "row 5 (joint)", "Leave them out")
+def row_without_terms(system):
+    return contacts(system, offsets=changed(system.contacts.offsets, 6, 10))
+
+
+@mistake("contacts.coefficients", "(3,)", "expected (32, 3)")
+def one_coefficient_for_all(system):
+    return contacts(system, coefficients=[0.0, 0.0, -1.0])
+
+
+@mistake("contacts.coefficients", "first coefficient of 1 rows vanishes", "row 4 (joint)", "normal")
+def slave_without_coefficient(system):
+    values = changed(system.contacts.coefficients, 8, [0.0, 0.0, 1e-13])
+    return contacts(system, coefficients=values)
+
+
+@mistake("contacts.coefficients", "NaN")
+def coefficient_with_nan(system):
+    return contacts(system, coefficients=changed(system.contacts.coefficients, 4, np.nan))
 
 
 @mistake("contacts.gap", "1 of 16", "NaN or -inf", "+inf")

@@ -43,7 +43,7 @@ def standing_cube(stiffness: float) -> TornSystem:
     block = cube(2, load=(0.0, 0.0, -1.0))
     foot = block.nodes[block.coordinates[:, 2] == 0.0]
     k = foot.size
-    floor = ContactRows(
+    floor = ContactRows.node_to_node(
         foot,
         np.full(k, -1),
         np.tile([0.0, 0.0, -1.0], (k, 1)),

@@ -79,7 +79,7 @@ def column(n: int = 3, height: int = 2, contact: bool = True, load=(0, 0, -1.0))
     if contact:
         slave = upper.nodes[np.isclose(upper.coordinates[:, 2], height)]
         k = slave.size
-        rows = ContactRows(
+        rows = ContactRows.node_to_node(
             slave,
             slave - second,
             np.tile([0.0, 0.0, -1.0], (k, 1)),

@@ -137,7 +137,7 @@ def contact_rows(pairings: Sequence[ContactPairing], gdim: int) -> ContactRows:
     """Return the contact conditions of all contacts, one contact after the other."""
     if not pairings:
         return ContactRows.none(gdim)
-    return ContactRows(
+    return ContactRows.node_to_node(
         slave=np.concatenate([p.slave for p in pairings]),
         master=np.concatenate([p.master for p in pairings]),
         normal=np.concatenate([p.normal for p in pairings]),

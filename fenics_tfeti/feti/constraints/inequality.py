@@ -1,8 +1,10 @@
 """Inequality rows: contact conditions between weighted means of the copies of nodes.
 
 A condition is a sum over nodes, sum_k c_k'u(node_k) <= gap: two nodes with coefficients n and -n,
-or one node with n for a rigid obstacle. Its row takes the weighted mean of the copies of each node.
-On glued displacements that is the row of the chapter, and it is orthogonal to every contrast.
+one node with n for a rigid obstacle, a slave node and some master nodes. It is divided by the
+length of its first coefficient, so that gaps are distances and multipliers forces. Its row takes
+the weighted mean of the copies of each node. On glued displacements that is the row of the chapter,
+and it is orthogonal to every contrast.
 """
 
 from __future__ import annotations
@@ -26,8 +28,9 @@ Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# a unit normal whose free part is shorter than this is a rounded normal of a prescribed direction
-_NEGLIGIBLE_NORMAL = 1e-10
+# a row whose free part, relative to all of it, is shorter than this is the rounding of one that
+# prescribed displacements decide
+_NEGLIGIBLE_ROW = 1e-10
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class InequalityRows:
     contact : (r,) integer array
         Number of the contact.
     scale : (r,) array
-        Factor of the row that makes B D^{-1} B' = 1.
+        Factor that makes B D^{-1} B' = 1 of the condition whose first coefficient has length 1.
     rhs : (r,) array
         Right-hand side, scaled.
     kept : (contact rows of this rank,) bool array
@@ -67,7 +70,7 @@ class InequalityRows:
 
 @dataclass(frozen=True)
 class _Terms:
-    """The terms c_k'u(node_k) of this rank's contact conditions.
+    """The terms c_k'u(node_k) of this rank's contact conditions, the first ones of unit length.
 
     Attributes
     ----------
@@ -77,6 +80,8 @@ class _Terms:
         Global node number.
     coefficients : (t, gdim) array
         c_k of the components without prescribed displacement, 0 for the others.
+    length2 : (t,) array
+        c_k'c_k with the components of prescribed displacements.
     weight : (t,) array
         Sum of the weights of the node's copies.
     known : (t,) array
@@ -88,6 +93,7 @@ class _Terms:
     row: Numbers
     node: Numbers
     coefficients: Vector
+    length2: Vector
     weight: Vector
     known: Vector
     size: Vector
@@ -107,15 +113,18 @@ def inequality_rows(
     contacts = system.contacts
     terms = _terms(system, directory, table)
     # prescribed displacements go to the right-hand side: the row stays orthogonal to their rows
-    gap, tolerance = contacts.gap.copy(), np.abs(contacts.gap)
+    gap = contacts.gap / contacts.length
+    tolerance = np.abs(gap)
     np.subtract.at(gap, terms.row, terms.known)
     np.add.at(tolerance, terms.row, terms.size)
     tolerance = SAME_VALUE * tolerance + ROUNDED_GAP * largest_coordinate(system)
 
-    squares, norm2 = np.zeros(gap.size), np.zeros(gap.size)
-    np.add.at(squares, terms.row, np.sum(terms.coefficients**2, axis=1))
-    np.add.at(norm2, terms.row, np.sum(terms.coefficients**2, axis=1) / terms.weight)
-    finite, free = np.isfinite(contacts.gap), squares > _NEGLIGIBLE_NORMAL**2
+    squares, norm2, free2 = np.zeros(gap.size), np.zeros(gap.size), np.zeros(gap.size)
+    lengths2 = np.sum(terms.coefficients**2, axis=1)
+    np.add.at(squares, terms.row, terms.length2)
+    np.add.at(free2, terms.row, lengths2)
+    np.add.at(norm2, terms.row, lengths2 / terms.weight)
+    finite, free = np.isfinite(gap), free2 > _NEGLIGIBLE_ROW**2 * squares
     with raise_collectively(system.comm):
         _check_decided_rows(contacts, gap, tolerance, finite & ~free)
     kept = finite & free
@@ -144,12 +153,10 @@ def inequality_rows(
 
 
 def _terms(system: TornSystem, directory: Directory, table: NodeTable) -> _Terms:
-    """Return the terms of this rank's contact rows, n of the slave and -n of the master."""
+    """Return the terms of this rank's contact rows. Collective."""
     contacts = system.contacts
-    deformable = np.flatnonzero(contacts.master >= 0)
-    row = np.concatenate([np.arange(contacts.slave.size), deformable])
-    node = np.concatenate([contacts.slave, contacts.master[deformable]])
-    coefficients = np.concatenate([contacts.normal, -contacts.normal[deformable]])
+    row, node = contacts.row, contacts.nodes
+    coefficients = contacts.coefficients / contacts.length[row][:, None]
     found = table.lookup(directory, node)
     with raise_collectively(system.comm):
         _check_known(node, found.multiplicity)
@@ -158,6 +165,7 @@ def _terms(system: TornSystem, directory: Directory, table: NodeTable) -> _Terms
         row,
         node,
         np.where(found.prescribed, 0.0, coefficients),
+        np.sum(coefficients**2, axis=1),
         found.weight,
         known.sum(axis=1),
         np.abs(known).sum(axis=1),
@@ -212,8 +220,9 @@ def _check_decided_rows(
     violated = np.flatnonzero(decided & (gap < -tolerance))
     if violated.size:
         k = violated[0]
+        given = contacts.gap[k] / contacts.length[k]
         raise InputError(
             f"prescribed displacements violate {violated.size} contact conditions: at slave node "
-            f"{contacts.slave[k]} they close the gap of {contacts.gap[k]:g} m by "
-            f"{contacts.gap[k] - gap[k]:g} m. Prescribe less, or take the nodes out of the contact"
+            f"{contacts.slave[k]} they close the gap of {given:g} m by {given - gap[k]:g} m. "
+            "Prescribe less, or take the nodes out of the contact"
         )

@@ -21,7 +21,8 @@ def block(load, normals_of, n: int = 2, size: float = 1.0, force: float = 1.0) -
     k = len(nodes)
     unit = np.array(normals, float)
     unit /= np.linalg.norm(unit, axis=1)[:, None]
-    rows = ContactRows(np.array(nodes), np.full(k, -1), unit, np.zeros(k), np.zeros(k, dtype=int))
+    none = np.zeros(k, dtype=int)
+    rows = ContactRows.node_to_node(nodes, none - 1, unit, np.zeros(k), none)
     body = type(body)(
         body.stiffness * (force / size), body.load * force, body.coordinates * size, body.nodes, 0
     )
@@ -75,7 +76,7 @@ def test_a_small_load_beside_a_large_one_is_noticed():
     bottom = light.nodes[light.coordinates[:, 2] == 0]
     k = bottom.size
     first = systems[0].contacts
-    rows = ContactRows(
+    rows = ContactRows.node_to_node(
         np.concatenate([first.slave, bottom]),
         np.full(first.slave.size + k, -1),
         np.concatenate([first.normal, np.tile([0.0, 0.0, -1.0], (k, 1))]),

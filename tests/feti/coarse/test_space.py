@@ -39,7 +39,7 @@ def test_coarse_load_and_rigid_motion():
 )
 def test_motions_that_equalities_and_some_contact_rows_leave_free(active, motions):
     """The upper cube may sink and tilt about two axes: its kernel of G' by an SVD."""
-    contact_nodes = SOLVER.system.contacts.slave.size
+    contact_nodes = SOLVER.system.contacts.size
     rows = np.isin(np.arange(contact_nodes), active)
     free = Projector.build(SPACE, rows).free
     assert free.shape == (SPACE.size, motions)

@@ -19,8 +19,7 @@ def conditions(*rows) -> ContactRows:
     """Make rows (normal, gap) of a node against rigid obstacles."""
     normal, gap = zip(*rows, strict=True)
     k = len(rows)
-    unit = np.array(normal, float) / np.linalg.norm(normal, axis=1)[:, None]
-    return ContactRows(np.full(k, NODE), np.full(k, -1), unit, np.array(gap, float), np.arange(k))
+    return ContactRows.node_to_node(np.full(k, NODE), np.full(k, -1), normal, gap, np.arange(k))
 
 
 def held_cubes(contacts: ContactRows, z: float | None = None) -> TornSystem:

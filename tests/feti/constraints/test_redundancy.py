@@ -20,9 +20,7 @@ X, Y, Z = np.eye(3)
 def conditions(*rows) -> ContactRows:
     """Make rows (slave, master, normal, gap)."""
     slave, master, normal, gap = zip(*rows, strict=True)
-    numbers = np.arange(len(rows))
-    unit = np.array(normal, float) / np.linalg.norm(normal, axis=1)[:, None]
-    return ContactRows(np.array(slave), np.array(master), unit, np.array(gap, float), numbers)
+    return ContactRows.node_to_node(slave, master, normal, gap, np.arange(len(rows)))
 
 
 def two_cubes(contacts, prescribed=None) -> TornSystem:

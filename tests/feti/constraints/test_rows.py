@@ -20,8 +20,7 @@ def eight_cubes(**parts) -> TornSystem:
 
 
 def one_row(slave: int, normal, gap: float = 0.0) -> ContactRows:
-    ints = np.array([slave]), np.array([-1])
-    return ContactRows(*ints, np.array([normal], float), np.array([gap]), np.array([0]))
+    return ContactRows.node_to_node([slave], [-1], [normal], [gap], [0])
 
 
 CENTRE = 2 * 1000 * 1000 + 2 * 1000 + 2  # the node that all eight cubes share
@@ -158,7 +157,7 @@ def both_sides(values, gap: float, size: float = 1.0) -> TornSystem:
     """Return the column with one pair of nodes prescribed in the direction of the normal."""
     system = column()
     contacts = system.contacts
-    nodes = np.array([contacts.slave[0], contacts.master[0]])
+    nodes = contacts.nodes[:2]
     prescribed = Prescribed(nodes, np.array([2, 2]), np.array(values))
     cubes = [dataclasses.replace(s, coordinates=size * s.coordinates) for s in system.subdomains]
     contacts = dataclasses.replace(contacts, gap=np.full(contacts.gap.size, gap))

@@ -41,9 +41,8 @@ def springs(F: np.ndarray, d: np.ndarray) -> TornSystem:
     force = np.column_stack([np.zeros(k), np.linalg.solve(F, d)]).ravel()
     block = Subdomain(sp.csr_matrix(K), force, points.astype(float), numbers, 0)
     up, none = np.tile([0.0, 1.0], (k, 1)), np.full(k, -1)
-    return TornSystem(
-        [block], Prescribed(), ContactRows(numbers, none, up, np.zeros(k), 0 * numbers), 2
-    )
+    rows = ContactRows.node_to_node(numbers, none, up, np.zeros(k), 0 * numbers)
+    return TornSystem([block], Prescribed(), rows, 2)
 
 
 def faces(solver: TornSolver) -> list[int]:
