@@ -230,8 +230,6 @@ class PrimalProblem:
         Names of the bodies.
     unit : float
         The stiffness that a weight of 1 stands for [N/m].
-    displacements : integer array
-        Which torn unknowns are displacements; the others are of the ground of elastic supports.
     """
 
     stiffness: list[sp.csr_matrix]
@@ -242,7 +240,6 @@ class PrimalProblem:
     row_bodies: RowBodies
     body_names: Sequence[str]
     unit: float
-    displacements: Numbers
 
     def internal_forces(self, u: Vector) -> Vector:
         """Return Ku."""
@@ -326,14 +323,12 @@ class PrimalProblem:
         for congruent, K in zip(self.F.interface.classes, self.stiffness, strict=True):
             congruent.put(diagonal, np.tile(K.diagonal(), (congruent.members.size, 1)))
         applied = self.load**2 + constraint_forces**2
-        solid = np.zeros(forces.size)
-        solid[self.displacements] = 1.0
         by_unknown = np.stack(
             [
                 difference * self.internal_forces(difference),
                 recovered.strained * forces,
-                solid * (self.internal_forces(recovered.strained) - forces) ** 2,
-                solid * applied,
+                (self.internal_forces(recovered.strained) - forces) ** 2,
+                applied,
                 applied / diagonal,
             ]
         )
@@ -346,7 +341,8 @@ class PrimalProblem:
         error2, energy2, residual2, force2, rounding2 = np.maximum(sums, 0.0)
         # where G lambda = e does not hold, there is no bound
         coarse_space = face.coarse_space
-        unbalanced = face.unresisted(coarse_space.coarse_load(self.load)) != 0.0
+        size = coarse_space.coarse_load_size(self.load)
+        unbalanced = face.unresisted(coarse_space.coarse_load(self.load), size) != 0.0
         error2[coarse_space.bodies.of_coarse[unbalanced]] = np.inf
         # of forces, and of the rigid motions that close jumps; the coarse problem spreads rounding
         # errors over all bodies
@@ -418,7 +414,7 @@ class _BodyMeasures:
     error2: Vector  # ||u - u_t||_K^2 [J]
     energy2: Vector  # ||u_t||_K^2 [J]
     residual2: Vector  # ||Ku_t - f + B'lambda||^2 [N^2]
-    force2: Vector  # ||f||^2 + ||B'lambda||^2 on displacements [N^2]
+    force2: Vector  # ||f||^2 + ||B'lambda||^2 [N^2]
     rounding2: Vector  # what rounding may leave in an energy, the same for all bodies [J]
     deformation: Vector  # largest displacement without rigid motions of subdomains [m]
 

@@ -66,6 +66,12 @@ class _Stage:
     slow: bool = False
     iterate: PCPGIterate | None = None
 
+    def started_anew(self) -> _Stage:
+        """Return the stage without residuals, in whose recurrences rounding has added up."""
+        if self.iterate is None:
+            return self
+        return replace(self, state=replace(self.state, active=self.iterate.active), iterate=None)
+
 
 def iterate_until_certified(
     setup: DualSetup,
@@ -177,6 +183,8 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
                 "rounding"
             )
             return Outcome(candidate, stage.state, False, reason, tolerance)
+        if progress.failures:
+            stage = stage.started_anew()
         tolerance *= min(max(0.5 * limit / worst, 1e-3), 0.5)
 
 
@@ -226,7 +234,6 @@ class _Loop:
             setup.row_bodies,
             body_names,
             setup.local.unit,
-            setup.local.unknowns.displacements,
         )
         scale = EnergyScale.of(setup, data, feasible, far, timer, history)
         return _Loop(setup, data, options, timer, history, primal, feasible.jumps - data.c, scale)

@@ -132,7 +132,8 @@ def recover_displacement(
     strained = F.generalized_inverse(
         forces - coarse_space.rigid_motion(coarse_space.coarse_load(forces))
     )
-    face, alpha = _motions(face, c - F.jumps(strained))
+    pressing = face
+    face, alpha = _motions(pressing, c - F.jumps(strained))
     # K^+ leaves some of the free motions in u
     present = alpha + coarse_space.coarse_load(strained)
     alpha -= face.free @ (face.free.T @ present)
@@ -140,9 +141,9 @@ def recover_displacement(
     # once more for what rounding has left, without the free motions
     rest = face.without_free_motions(face.coefficients(c - F.jumps(torn)))
     torn += coarse_space.rigid_motion(rest)
-    if face.free.shape[1]:
-        away = _smallest_without_penetration(face, c - F.jumps(torn))
-        torn += coarse_space.rigid_motion(face.free @ away)
+    if pressing.free.shape[1]:
+        away = _smallest_without_penetration(pressing, c - F.jumps(torn))
+        torn += coarse_space.rigid_motion(pressing.free @ away)
     displacement, closed = close_constraints(F, c, torn, multipliers[rows] > 0.0)
     return Recovered(strained, torn, displacement, closed)
 

@@ -200,6 +200,7 @@ def dual_problem(setup: DualSetup, data: ContactData, norm: float) -> DualProble
         setup.F.part,
         setup.F.load(data.load, data.c),
         data.e,
+        data.e_size,
         data.c,
         setup.projector,
         norm,

@@ -173,7 +173,7 @@ class TornSolver:
         e = coarse_space.coarse_load(load)
         check_load(system, local.kernels, projector, e)
         feasible = feasible_start(system, local.kernels, coarse_space, e, c, local.unit)
-        return ContactData(load, c, e, feasible)
+        return ContactData(load, c, e, coarse_space.coarse_load_size(load), feasible)
 
     def _first_state(
         self, previous: TornSolver | None, guess: ContactGuess | None

@@ -31,6 +31,8 @@ class ContactData:
         Right-hand sides of the constraints.
     e : (coarse,) array
         R'f.
+    e_size : (coarse,) array
+        |R|'|f|, which the rounding of e is relative to.
     feasible : (m,) array
         lambda~ with G lambda~ = e and lambda~_I >= o.
     removed : (m,) array or float
@@ -40,6 +42,7 @@ class ContactData:
     load: Vector
     c: Vector
     e: Vector
+    e_size: Vector
     feasible: Vector
     removed: Vector | float = 0.0
 

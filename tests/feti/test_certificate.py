@@ -11,6 +11,8 @@ import scipy.linalg
 from torn import column
 
 from fenics_tfeti.feti import Options, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti.certificate import PrimalProblem
+from fenics_tfeti.feti.recovery import balance_multipliers, recover_displacement
 
 
 def scaled(system: TornSystem, body: int, factor: float) -> TornSystem:
@@ -52,6 +54,21 @@ ACCURACY = {"stiff on soft": 1e-7}
 
 def stiffness(system: TornSystem) -> np.ndarray:
     return scipy.linalg.block_diag(*(s.stiffness.toarray() for s in system.subdomains))
+
+
+def primal_problem(solver: TornSolver) -> PrimalProblem:
+    """Return the primal problem of a solver."""
+    setup, data = solver.setup, solver.data
+    return PrimalProblem(
+        setup.local.stiffness,
+        data.load,
+        data.c,
+        np.zeros_like(data.c),
+        setup.F,
+        setup.row_bodies,
+        solver.system.body_names,
+        setup.local.unit,
+    )
 
 
 @cache
@@ -182,3 +199,19 @@ def test_body_at_rest_beside_a_loaded_one_needs_nothing():
     certificate = TornSolver(both, Options(rtol=1e-9)).solve().report.certificate
     assert certificate.groups[1].error == 0.0
     assert certificate.bodies[2].error == 0.0
+
+
+def test_no_bound_where_contact_forces_do_not_balance_the_load():
+    """Without them the dual value is minus infinity, however little u_t is torn."""
+    solver = TornSolver(column(n=2, load=(0, 0, -1.0)))
+    solution = solver.solve()
+    constraints, coarse_space = solver.setup.constraints, solver.setup.projector.coarse_space
+    multipliers = solution.multipliers.copy()
+    multipliers[constraints.inequality] = 0.0
+    problem = primal_problem(solver)
+    multipliers, face = balance_multipliers(coarse_space, solver.data.e, multipliers)
+    data = solver.data
+    recovered = recover_displacement(solver.setup.F, face, data.load, data.c, multipliers)
+    certificate = problem.certify(recovered, multipliers, face)
+    assert [body.error for body in certificate.bodies][1] == np.inf
+    assert certificate.bound == np.inf

@@ -114,7 +114,7 @@ def compare(problem: GluedProblem, answer: Answer, found: Found, rtol: float) ->
         return _compare_error(answer, error, said)
     if isinstance(error, NotConverged):
         needs = _attainable(answer)
-        if rtol < needs < 1.0:
+        if rtol < needs < np.inf:
             return Outcome("limit of rounding", f"{said}; rounding alone makes {needs:.1e}")
         return Outcome("no convergence", said)
     if error is not None:

@@ -137,7 +137,7 @@ class Projector:
         part: Vector = coarse - self.free @ (self.free.T @ coarse)
         return part
 
-    def unresisted(self, e: Vector) -> Vector:
+    def unresisted(self, e: Vector, size: Vector) -> Vector:
         """Return the part of a coarse load that does work on motions that the rows do not resist.
 
         It is zero for bodies where it is rounding of their own load.
@@ -146,15 +146,17 @@ class Projector:
         ----------
         e : (coarse,) array
             R'f.
+        size : (coarse,) array
+            |R|'|f|.
         """
         part: Vector = self.free @ (self.free.T @ e)
         if not part.any():
             return part
         body = self.coarse_space.bodies.of_coarse
-        work, load = (np.sqrt(np.bincount(body, x**2)) for x in (part, e))
+        work, load = (np.sqrt(np.bincount(body, x**2)) for x in (part, size))
         # free motions are known up to rounding, which is carried from one body to another
         free = np.sqrt(np.bincount(body, np.sum(self.free**2, axis=1)))
-        negligible = work <= NO_WORK * load + _CARRIED * free * np.linalg.norm(e)
+        negligible = work <= NO_WORK * load + _CARRIED * free * np.linalg.norm(size)
         part[negligible[body]] = 0.0
         return part
 

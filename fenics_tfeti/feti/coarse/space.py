@@ -177,9 +177,16 @@ class CoarseSpace:
 
     def coarse_load(self, forces: Vector) -> Vector:
         """Return R'f, the coarse load of forces on the torn unknowns; one gathering."""
+        return self._restricted(forces, self.kernels)
+
+    def coarse_load_size(self, forces: Vector) -> Vector:
+        """Return |R|'|f|, which the rounding of R'f is relative to; one gathering."""
+        return self._restricted(np.abs(forces), [np.abs(R) for R in self.kernels])
+
+    def _restricted(self, forces: Vector, kernels: Sequence[Vector]) -> Vector:
         part = np.empty(int(self.ends[-1]))
         for congruent in self.interface.classes:
-            part[self._places(congruent)] = congruent.rows(forces) @ self.kernels[congruent.first]
+            part[self._places(congruent)] = congruent.rows(forces) @ kernels[congruent.first]
         return self.layout.gather(part)
 
     def rigid_motion(self, coarse: Vector) -> Vector:

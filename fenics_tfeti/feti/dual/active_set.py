@@ -2,9 +2,12 @@
 
 Each step takes the active contact rows as equalities and drops the others, and solves that linear
 problem by PCPG with the projector of these rows. The signs of forces and gaps give the next active
-set. The method alone may cycle; it then stops, and SMALBE-M continues from its last iterate.
+set. The method alone may cycle: then one row changes at a time, the last one with a wrong sign,
+until fewer signs are wrong than before. For definite problems that ends (Murty's rule); where it
+takes too long, SMALBE-M continues from the last iterate.
 
-After Hintermueller, Ito, Kunisch, SIAM J. Optim. 13 (2002) 865-888.
+After Hintermueller, Ito, Kunisch, SIAM J. Optim. 13 (2002) 865-888, and Judice, Pires, Comput.
+Oper. Res. 21 (1994) 587-596.
 """
 
 from __future__ import annotations
@@ -29,6 +32,8 @@ __all__ = ["ActiveSetResult", "ActiveSetStep", "primal_dual_active_set"]
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+# limit on changes of one row
+_SINGLE_STEPS = 100
 # part of the gaps of dependent rows that is rounding
 _CONSISTENT = 1e-9
 
@@ -114,7 +119,7 @@ def primal_dual_active_set(
         The solution, or the last iterate.
     """
     rows = problem.constraints.inequality
-    progress, previous_sets = _Progress(), list[Mask]()
+    progress, pivots, previous_sets = _Progress(), _SinglePivots(), list[Mask]()
     gap, resume = problem.c[rows], isinstance(start, PCPGIterate)
     # the violation of signs in units of energy: F ~ ||PFP|| at worst
     negligible = tolerance * np.sqrt(problem.norm)
@@ -125,7 +130,7 @@ def primal_dual_active_set(
             face,
             start,
             tolerance=tolerance,
-            sign_factor=progress.sign_factor,
+            sign_factor=0.0 if pivots.active else progress.sign_factor,
             max_products=max_products,
             products=products,
             resume=resume,
@@ -138,18 +143,49 @@ def primal_dual_active_set(
         solved = exact and iterate.violation <= negligible
         cycles = exact and any(_counts(problem, following != s)[0] == 0 for s in previous_sets)
         progress.update(iterate.violation)
+        stuck = cycles or progress.stagnates
         if (
             solved
-            or cycles
             or iterate.at_limit
-            or progress.stagnates
             or products.total >= max_products
+            or not pivots.update(changed, stuck)
         ):
             return _result(problem, iterate, solved)
-        if exact:
+        if pivots.active:
+            following = _change_last(problem, face.active, following)
+            progress, previous_sets = _Progress(), []
+        elif exact:
             previous_sets.append(face.active)
         resume = changed == 0
         active = without_dependent_rows(problem, following, iterate.multipliers)
+
+
+@dataclass
+class _SinglePivots:
+    """When one row changes at a time: from a cycle on, until fewer signs are wrong than ever.
+
+    Attributes
+    ----------
+    active : bool
+        Whether one row changes.
+    fewest : int
+        Smallest number of wrong signs at the beginning and the end of such changes.
+    steps : int
+        Changes of one row.
+    """
+
+    active: bool = False
+    fewest: int = np.iinfo(np.int64).max
+    steps: int = 0
+
+    def update(self, changed: int, stuck: bool) -> bool:
+        """Take in the number of wrong signs, and whether it is stuck; tell whether it goes on."""
+        if self.active and changed < self.fewest:
+            self.active, self.fewest = False, changed
+        elif stuck and not self.active and changed:
+            self.active, self.fewest = True, min(self.fewest, changed)
+        self.steps += self.active
+        return self.steps <= _SINGLE_STEPS and (self.active or not stuck)
 
 
 @dataclass
@@ -192,6 +228,15 @@ def _counts(problem: DualProblem, *masks: Mask) -> list[int]:
     owned = problem.constraints.owned_inequalities
     part = np.array([float(np.count_nonzero(mask[:owned])) for mask in masks])
     return [int(n) for n in problem.space.sums(*part)]
+
+
+def _change_last(problem: DualProblem, active: Mask, following: Mask) -> Mask:
+    """Return the set in which only the row with the largest number is that of the following set."""
+    layout, rows = problem.constraints.layout, problem.constraints.inequality
+    numbers = layout.numbers[rows]
+    last = int(numbers[following != active].max(initial=-1))
+    one: Mask = active ^ (numbers == layout.comm.allreduce(last, MPI.MAX))
+    return one
 
 
 def without_dependent_rows(problem: DualProblem, active: Mask, multipliers: Vector) -> Mask:
@@ -275,7 +320,7 @@ def close_first_gaps(problem: DualProblem, active: Mask, gap: Vector) -> Face:
     gap = np.maximum(gap, 0.0)
     while True:
         projector = Projector.build(coarse_space, active)
-        work = projector.unresisted(problem.e)
+        work = projector.unresisted(problem.e, problem.e_size)
         if not work.any():
             return Face(active, projector)
         speed = coarse_space.contact.T @ work

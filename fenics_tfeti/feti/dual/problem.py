@@ -34,6 +34,8 @@ class DualProblem:
         BK^+f - c.
     e : (coarse,) array
         R'f of all subdomains.
+    e_size : (coarse,) array
+        |R|'|f|, which the rounding of e is relative to.
     c : (m,) array
         Right-hand sides of the constraints: prescribed displacements and gaps, scaled as the rows.
     projector : Projector
@@ -47,6 +49,7 @@ class DualProblem:
     F: Callable[[Vector], Vector]
     d: Vector
     e: Vector
+    e_size: Vector
     c: Vector
     projector: Projector
     norm: float

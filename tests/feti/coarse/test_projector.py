@@ -94,3 +94,15 @@ def test_subdomain_without_rigid_modes():
     np.testing.assert_array_equal(projector.P(x), x)
     np.testing.assert_array_equal(projector.part_of_Q(x)[1], 0.0)
     assert projector.P_of_sum(x, x)[1] == x @ x
+
+
+def test_load_on_motions_that_no_row_resists():
+    """Without contact rows the upper cube may rise; the lower body is held."""
+    projector, lower = on_face("none")[0], SOLVER.system.subdomains[0].size
+    for at, unresisted in ((slice(lower), False), (slice(-lower, None), True)):
+        load = np.zeros_like(SOLVER.data.load)
+        load[at][2::3] = 1.0
+        e, size = SPACE.coarse_load(load), SPACE.coarse_load_size(load)
+        assert projector.unresisted(e, size).any() == unresisted
+        # rounding of a load is none
+        assert not projector.unresisted(e, 1e16 * size).any()
