@@ -58,8 +58,8 @@ class BodyMotions:
     @property
     def of_coarse(self) -> NDArray[np.int64]:
         """The body of each coarse unknown."""
-        modes = self.basis.nnz // max(self.basis.shape[0], 1)
-        body: NDArray[np.int64] = self.basis.indices[::modes].astype(np.int64) // max(modes, 1)
+        first = self.basis.indices[self.basis.indptr[:-1]]
+        body: NDArray[np.int64] = first.astype(np.int64) // np.diff(self.basis.indptr)
         return body
 
     def resistance(
