@@ -16,7 +16,7 @@ ELSEWHERE = {
     "feti/body_checks.py": "tests/feti/test_system.py",
     "feti/constraints/entries.py": "tests/feti/constraints/test_rows.py",
     "feti/constraints/equality.py": "tests/feti/constraints/test_rows.py",
-    "feti/constraints/inequality.py": "tests/feti/constraints/test_rows.py",
+    "feti/constraints/conditions.py": "tests/feti/constraints/test_rows.py",
     "feti/constraints/nodes.py": "tests/feti/constraints/test_rows.py",
     "feti/dual/pcpg.py": "tests/feti/dual/test_active_set.py",
     "feti/dual/problem.py": "data only",

@@ -13,8 +13,8 @@ Soft elastic supports are a part of K, with their ground as unknowns that equali
 (`local.elastic_supports`): u is on y = o, u_t moves the ground a little, and the bound is the same.
 
 Bodies that do not press on each other decouple: the same holds for each *group* of bodies that are
-connected by closed contacts. The share of a single body in ||u - u_t||_K is an estimate of its
-error.
+connected by closed contacts or tied. The share of a single body in ||u - u_t||_K is an estimate of
+its error.
 """
 
 from __future__ import annotations
@@ -108,8 +108,8 @@ class Certificate:
     equilibrium : float
         Largest ||Ku_t - f + B'lambda|| of a body, relative to its forces.
     penetration : float
-        Largest violation of (u_slave - u_master)'n <= gap, relative to the deformation of the
-        bodies that touch there.
+        Largest violation of (u_slave - u_master)'n <= gap, in rows whose first coefficient has
+        length 1, relative to the deformation of the bodies that touch there.
     smallest_force : float
         Smallest contact force, relative to the largest of the same contact; negative numbers pull.
     complementarity : float
@@ -151,7 +151,7 @@ class Certificate:
 
 @dataclass(frozen=True)
 class RowBodies:
-    """The bodies that the contact rows connect.
+    """The bodies that contact and tied rows connect.
 
     Attributes
     ----------
@@ -159,19 +159,23 @@ class RowBodies:
         Numbers of bodies and of contacts over all ranks.
     of_subdomain : (subdomains,) integer array
         The body of each of this rank's subdomains.
-    first, last : (i,) integer arrays
-        Lowest and highest body of each inequality row; the same for an obstacle.
+    row, body : (p,) integer arrays
+        The bodies of each inequality row that this rank holds, (row, body) in ascending order; all
+        bodies of a row, whichever rank has them.
+    tied : (2, q) integer array
+        Pairs of bodies that tied rows of this rank connect.
     """
 
     bodies: int
     contacts: int
     of_subdomain: Numbers
-    first: Numbers
-    last: Numbers
+    row: Numbers
+    body: Numbers
+    tied: Numbers
 
     @staticmethod
     def build(system: TornSystem, constraints: Constraints, ends: Numbers) -> RowBodies:
-        """Find the bodies of the contact rows. Collective.
+        """Find the bodies of contact and tied rows. Collective.
 
         Parameters
         ----------
@@ -185,27 +189,49 @@ class RowBodies:
         of_subdomain = np.array([s.body for s in system.subdomains], dtype=np.int64)
         count = system.comm.allreduce(int(of_subdomain.max(initial=-1)), MPI.MAX) + 1
         of_unknown = np.repeat(of_subdomain, np.diff(ends))
-        rows = constraints.matrix[constraints.inequality].tocoo()
-        numbers = constraints.layout.numbers[constraints.inequality]
-        directory = Directory(system.comm, numbers)
-        keys, bodies = directory.collect(numbers[rows.row], of_unknown[rows.col])
-        first = np.full(directory.keys.size, count, dtype=np.int64)
-        last = np.full(directory.keys.size, -1, dtype=np.int64)
-        np.minimum.at(first, directory.position(keys), bodies)
-        np.maximum.at(last, directory.position(keys), bodies)
+        row, body = _bodies_of_rows(constraints, constraints.inequality, of_unknown)
+        pairs = _pairs(*_bodies_of_rows(constraints, constraints.tied.rows, of_unknown))
         contacts = system.comm.allreduce(int(constraints.contact.max(initial=-1)), MPI.MAX) + 1
-        first, last = directory.lookup(numbers, first, last)[1:]
-        return RowBodies(count, contacts, of_subdomain, first, last)
+        return RowBodies(count, contacts, of_subdomain, row, body, pairs)
 
     def groups(self, comm: MPI.Intracomm, closed: Mask) -> Numbers:
         """Return the group of each body, given the contact rows that are closed. Collective."""
-        pairs = np.unique(np.stack([self.first[closed], self.last[closed]]), axis=1)
+        chosen = closed[self.row]
+        pairs = np.hstack([_pairs(self.row[chosen], self.body[chosen]), self.tied])
         first, last = concatenate_buffers(comm, *pairs)
         graph = sp.coo_matrix(
             (np.ones(first.size), (first, last)), shape=(self.bodies, self.bodies)
         )
         group: Numbers = connected_components(graph, directed=False)[1].astype(np.int64)
         return group
+
+    def largest(self, of_body: Vector, rows: int) -> Vector:
+        """Return the largest value among the bodies of each inequality row, of `rows` rows."""
+        largest = np.zeros(rows)
+        np.maximum.at(largest, self.row, of_body[self.body])
+        return largest
+
+
+def _bodies_of_rows(
+    constraints: Constraints, rows: Numbers, of_unknown: Numbers
+) -> tuple[Numbers, Numbers]:
+    """Return the positions in `rows`, ascending, and the bodies of each, of all ranks."""
+    numbers = constraints.layout.numbers[rows]
+    entries = constraints.matrix[rows].tocoo()
+    own = np.unique(np.stack([numbers[entries.row], of_unknown[entries.col]]), axis=1)
+    directory = Directory(constraints.layout.comm, numbers)
+    number, body = np.unique(np.stack(directory.forward(*own)), axis=1)
+    order = np.argsort(numbers, kind="stable")
+    row = order[np.searchsorted(numbers[order], number)]
+    by_row = np.lexsort((body, row))
+    return row[by_row], body[by_row]
+
+
+def _pairs(row: Numbers, body: Numbers) -> Numbers:
+    """Return the distinct pairs (2, q) of the first body of a row and each of its bodies."""
+    first = body[np.searchsorted(row, row)]
+    pairs: Numbers = np.unique(np.stack([first, body]), axis=1)
+    return pairs
 
 
 @dataclass(frozen=True)
@@ -385,7 +411,7 @@ class PrimalProblem:
         largest = np.zeros(bodies.contacts)
         np.maximum.at(largest, constraints.contact, force)
         self._comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
-        scale = np.maximum(deformation[bodies.first], deformation[bodies.last])
+        scale = bodies.largest(deformation, rows.size)
         scale = np.where(scale > 0.0, scale, np.inf)
         relative = force / np.where(largest > 0.0, largest, 1.0)[constraints.contact]
         numbers = np.array(

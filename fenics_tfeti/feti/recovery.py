@@ -15,15 +15,13 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
-from fenics_tfeti.feti.constraints.redundancy import diagonal_blocks
+from fenics_tfeti.feti.constraints.coupling import Coupling
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
-from fenics_tfeti.feti.tolerances import PARALLEL
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.qp import least_distance
 
@@ -193,9 +191,12 @@ def forces_at_rest(F: DualOperator, load: Vector, c: Vector) -> Vector | None:
     (m,) array or None
         lambda; None if something moves, on all ranks alike.
     """
-    constraints = F.constraints
-    # as B_E D^{-1} B_E' = I
+    constraints, coupling = F.constraints, F.constraints.coupling
+    # as B_E D^{-1} B_E' = blockdiag(I, W_EE)
     forces = np.where(constraints.equality, F.jumps(load / constraints.weights), 0.0)
+    if coupling.tied.any():
+        of_tied = coupling.inverse(coupling.tied).solve(coupling.gather(forces)[0])
+        forces[coupling.rows] = of_tied[coupling.positions]
     left = np.abs(load - F.constraint_forces(forces))
     rest = (
         not c[constraints.equality].any()
@@ -211,8 +212,8 @@ def close_constraints(
     """Return the nearest displacement on which the constraints hold, and the rows closed for that.
 
     u = u_t - D^{-1} B_R' W_R^{-1} (B_R u_t - c_R), with R the equality rows, the contact rows that
-    press and those that u_t penetrates. B_R D^{-1} B_R' = W_R is the identity but for contact rows
-    that share a node.
+    press and those that u_t penetrates. B_R D^{-1} B_R' = W_R is the identity but for contact and
+    tied rows that share a node.
 
     Parameters
     ----------
@@ -238,65 +239,42 @@ def close_constraints(
 def _close_coupled_rows(
     constraints: Constraints, jump: Vector, correction: Vector, pressing: Mask, closed: Mask
 ) -> Mask:
-    """Replace the correction of contact rows that share a node by W_R^{-1} (B_R u_t - c_R).
+    """Replace the correction of the coupled rows by W_R^{-1} (B_R u_t - c_R).
 
-    Rows that closing others would penetrate are added to R. The coupled rows are few, and every
-    rank computes all of them.
+    Rows that closing others would penetrate are added to R. Every rank computes all coupled rows.
     """
     coupling = constraints.coupling
     if not coupling.numbers.size:
         return closed
-    rows, places = coupling.rows, coupling.positions
-    among_inequalities = np.searchsorted(constraints.inequality, rows)
-    owned = rows < constraints.layout.owned
-    gathered = np.zeros((3, coupling.numbers.size))
-    gathered[0, places[owned]] = jump[rows[owned]]
-    gathered[1, places[owned]] = pressing[among_inequalities[owned]]
-    gathered[2, places[owned]] = closed[among_inequalities[owned]]
-    constraints.layout.comm.Allreduce(MPI.IN_PLACE, gathered)
-    y, R = close_with_gram(coupling.gram, gathered[0], gathered[1] > 0, gathered[2] > 0)
-    correction[rows] = y[places]
+    jumps, on_rows = coupling.gather(jump, constraints.on_inequalities(pressing | closed))
+    y, R = close_with_gram(coupling, jumps, on_rows > 0.0)
+    correction[coupling.rows] = y[coupling.positions]
     closed = closed.copy()
-    closed[among_inequalities] = R[places]
+    contact = ~coupling.tied[coupling.positions]
+    at = np.searchsorted(constraints.inequality, coupling.rows[contact])
+    closed[at] = R[coupling.positions[contact]]
     return closed
 
 
-def close_with_gram(
-    W: sp.csr_matrix, jump: Vector, pressing: Mask, closed: Mask
-) -> tuple[Vector, Mask]:
-    """Return y = W_R^+ jump_R, zero outside R, and the R >= `closed` with W y >= jump outside it.
+def close_with_gram(coupling: Coupling, jump: Vector, closed: Mask) -> tuple[Vector, Mask]:
+    """Return y = W_R^+ jump_R, zero outside R, and R, with W y >= jump on the rows outside it.
 
     Parameters
     ----------
-    W : (k, k) scipy.sparse.csr_matrix
-        Gram matrix B D^{-1} B' of some contact rows: blocks of rows that share nodes.
-    jump : (k,) array
+    coupling : Coupling
+        W = B D^{-1} B' of the coupled rows.
+    jump : (w,) array
         B u_t - c; positive where penetrated.
-    pressing, closed : (k,) bool arrays
-        Rows that have to be closed, and first R.
-
-    Examples
-    --------
-    >>> import numpy as np, scipy.sparse as sp
-    >>> W, pressing = sp.identity(2, format="csr"), np.array([True, False])
-    >>> y, R = close_with_gram(W, np.array([1.0, -1.0]), pressing, pressing)
-    >>> y.tolist(), R.tolist()
-    ([1.0, 0.0], [True, False])
+    closed : (w,) bool array
+        First R, beside the tied rows.
     """
-    R, y = closed | pressing, np.zeros(jump.size)
-    for members, block in diagonal_blocks(W):
-        y[members], R[members] = _close_block(block, jump[members], R[members])
-    return y, R
-
-
-def _close_block(W: Vector, jump: Vector, R: Mask) -> tuple[Vector, Mask]:
-    """Close the rows R of one block, and add rows that this penetrates until there is none."""
-    # of what is closed: gaps of other rows may be far
-    negligible = 1e-14 * float(np.where(R, np.abs(jump), jump).max(initial=0.0))
+    W, R, block = coupling.gram, closed | coupling.tied, coupling.block
+    # of what is closed, in each block of W: gaps of other rows may be far
+    negligible = np.zeros(block.max() + 1)
+    np.maximum.at(negligible, block, np.where(R, np.abs(jump), np.maximum(jump, 0.0)))
     while True:
-        y, at = np.zeros(R.size), np.flatnonzero(R)
-        y[at] = np.linalg.lstsq(W[np.ix_(at, at)], jump[at], rcond=PARALLEL)[0]
-        penetrated = ~R & (jump - W @ y > negligible)
+        y = coupling.inverse(R).solve(jump)
+        penetrated = ~R & (jump - W @ y > 1e-14 * negligible[block])
         if not penetrated.any():
             return y, R
         R = R | penetrated

@@ -47,8 +47,9 @@ class Report:
     ----------
     unknowns : dict
         Numbers of ``primal``, ``torn`` and ``dual`` unknowns, of ``inequalities``, ``active`` ones,
-        of the ``coarse`` problem, of contact rows dropped as ``redundant``, of others that depend
-        linearly on the rest (``dependent``), and of those dropped for their ``infinite_gaps``.
+        of ``tied`` rows, of the ``coarse`` problem, of contact and tied rows dropped as
+        ``redundant``, of others that depend linearly on the rest (``dependent``), and of those
+        dropped for their ``infinite_gaps``.
     reused : list of str
         What was reused from the last solve; ``contact guess`` if one was given.
     subdomains : int
@@ -70,11 +71,14 @@ class Report:
     energy : float
         1/2 u'Ku - f'u [J].
     contact_force : list of float
-        Sum of the normal forces for each contact [N]; [N/m] in plane problems. In axisymmetric
-        ones all forces are those of the whole body if the forms have the factor 2 pi r, and those
-        of one radian if they have r.
+        Sum of the normal forces for each contact [N]; [N/m] in plane problems; zero for tied pairs.
+        In axisymmetric ones all forces are those of the whole body if the forms have the factor
+        2 pi r, and those of one radian if they have r.
     contact_forces : list of list of float
-        For each contact the sum of the forces on the slave as a vector [N].
+        For each contact and tied pair the sum of the forces on the slave as a vector [N].
+    on_slaves, on_masters : list of Resultant
+        For each contact and tied pair force and moment on the slave, and on the master, which for
+        rigid obstacles is not counted.
     load : Resultant
         Force and moment of the load.
     reactions : list of Resultant
@@ -122,6 +126,8 @@ class Report:
     energy: float
     contact_force: list[float]
     contact_forces: list[list[float]]
+    on_slaves: list[Resultant]
+    on_masters: list[Resultant]
     load: Resultant
     reactions: list[Resultant]
     springs: Resultant
@@ -227,6 +233,7 @@ def build_report(
             "dual": constraints.layout.size,
             "inequalities": comm.allreduce(owned),
             "active": comm.allreduce(int(np.count_nonzero(force[:owned] > 0.0))),
+            "tied": comm.allreduce(constraints.owned_tied),
             "coarse": setup.projector.coarse_space.size,
             "redundant": constraints.redundant,
             "dependent": constraints.dependent,
@@ -249,7 +256,9 @@ def build_report(
         peak_memory_bytes=peak_memory(comm),
         energy=candidate.energy,
         contact_force=sums.normal_forces,
-        contact_forces=sums.contact_forces,
+        contact_forces=[side.force for side in sums.on_slaves],
+        on_slaves=sums.on_slaves,
+        on_masters=sums.on_masters,
         load=sums.load,
         reactions=sums.reactions,
         springs=sums.springs,

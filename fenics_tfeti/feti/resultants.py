@@ -1,5 +1,7 @@
 """Resultants: forces and moments of loads, supports, springs and contacts, from B'lambda.
 
+A row sum_k c_k'u(node_k) exerts -lambda c_k on its nodes.
+
 The torn displacement fulfils Ku_t = f - B'lambda. At a prescribed component, -B'lambda summed over
 the copies of the node is what holds the node: the force of the support, and that of contacts, whose
 rows have no entry at prescribed components. Gluing rows add nothing to the sum.
@@ -18,10 +20,10 @@ from numpy.typing import NDArray
 from fenics_tfeti.feti.constraints.ground import TornUnknowns
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
-from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.feti.system import ContactRows, TornSystem
 from fenics_tfeti.parallel import Directory
 
-__all__ = ["Resultant", "Resultants", "normal_forces", "resultants"]
+__all__ = ["Resultant", "Resultants", "normal_forces", "resultants", "tied_forces"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -61,9 +63,10 @@ class Resultants:
     springs : Resultant
         What elastic supports in the stiffness exert.
     normal_forces : list of float
-        For each contact the sum of the normal forces [N].
-    contact_forces : list of list of float
-        For each contact the force on the slave, gdim components [N].
+        For each contact the sum of the normal forces [N]; zero for tied pairs.
+    on_slaves, on_masters : list of Resultant
+        For each contact and tied pair the forces on the slave's nodes, the first of their rows, and
+        on those of the master; none on rigid obstacles.
     equilibrium : float
         The sum of all forces from outside (load, reactions, springs and obstacles), relative to the
         largest sum of magnitudes of nodal forces of loads, supports and obstacles.
@@ -73,7 +76,8 @@ class Resultants:
     reactions: list[Resultant]
     springs: Resultant
     normal_forces: list[float]
-    contact_forces: list[list[float]]
+    on_slaves: list[Resultant]
+    on_masters: list[Resultant]
     equilibrium: float
 
 
@@ -96,9 +100,24 @@ def normal_forces(constraints: Constraints, multipliers: Vector) -> Vector:
     It is zero for rows that are no rows of B: far away, decided by prescribed displacements, or
     implied by others.
     """
+    rows = constraints.inequality
+    return _given(multipliers, rows, constraints.scale, constraints.own_rows)
+
+
+def tied_forces(constraints: Constraints, multipliers: Vector) -> Vector:
+    """Return the force of each tied row that this rank gave [N].
+
+    It acts on the slave against the direction of the row's first coefficient. It is zero for rows
+    that are no rows of B: decided by prescribed displacements, or implied by others.
+    """
+    tied = constraints.tied
+    return _given(multipliers, tied.rows, tied.scale, tied.own_rows)
+
+
+def _given(multipliers: Vector, rows: Numbers, scale: Vector, own: Numbers) -> Vector:
+    """Return the multipliers of the rows that this rank gave, times their scale."""
     force = np.zeros(multipliers.size)
-    force[constraints.inequality] = constraints.scale * multipliers[constraints.inequality]
-    own = constraints.own_rows
+    force[rows] = scale * multipliers[rows]
     return np.where(own < 0, 0.0, force[own]) if own.size else force[:0]
 
 
@@ -127,29 +146,31 @@ def resultants(
     multipliers : (m,) array
         lambda.
     """
-    gdim, comm, rows = system.gdim, system.comm, system.contacts
+    gdim, comm = system.gdim, system.comm
+    rows = ContactRows.concatenate([system.contacts, system.tied])
     x = np.concatenate([np.zeros((0, gdim)), *(s.coordinates for s in system.subdomains)])
     loads = load[unknowns.displacements].reshape(-1, gdim)
     held = -F.constraint_forces(multipliers)[unknowns.displacements].reshape(-1, gdim)
     normal = normal_forces(F.constraints, multipliers)
-    on_nodes = -(normal / rows.length)[rows.row][:, None] * rows.coefficients
-    on_slave = on_nodes[rows.offsets[:-1]]
+    force = np.append(normal, tied_forces(F.constraints, multipliers))
+    on_nodes = -(force / rows.length)[rows.row][:, None] * rows.coefficients
 
     sprung = _with_springs(system, kernels, unknowns)
     # the other forces on a subdomain with springs, f - B'lambda = K u_t, balance theirs
     springs = _NodalForces(x[sprung], -(loads + held)[sprung])
-    reactions = _reactions(system, x, held, on_nodes)
+    reactions = _reactions(system, x, held, rows.nodes, on_nodes)
     outside = [_NodalForces(x, loads), springs, *reactions]
     sums = comm.allreduce(np.array([forces.sums() for forces in outside]))
 
     contacts = max(
         len(system.contact_names), comm.allreduce(int(rows.contact.max(initial=-1)), MPI.MAX) + 1
     )
-    of_contact = np.zeros((contacts, gdim + 1))
-    np.add.at(of_contact, rows.contact, np.column_stack([on_slave, normal]))
-    of_contact = comm.allreduce(of_contact)
+    normal_sums = np.bincount(system.contacts.contact, weights=normal, minlength=contacts)
+    at = _points(system, x, F, unknowns, rows.nodes)
+    of_contact = _of_contacts(rows, at, on_nodes, contacts)
+    normal_sums, of_contact = comm.allreduce(normal_sums), comm.allreduce(of_contact)
     # what a row exerts in all is a force from outside: that of an obstacle
-    of_obstacles = np.zeros_like(on_slave)
+    of_obstacles = np.zeros((rows.size, gdim))
     np.add.at(of_obstacles, rows.row, on_nodes)
     obstacles = comm.allreduce(np.append(of_obstacles.sum(axis=0), _size(of_obstacles)))
 
@@ -160,14 +181,49 @@ def resultants(
         Resultant(name, row[:gdim].tolist(), row[gdim:-1].tolist())
         for name, row in zip(names, sums, strict=True)
     )
+    on_slaves, on_masters = (
+        [
+            Resultant(system.contact_name(i), row[:gdim].tolist(), row[gdim:].tolist())
+            for i, row in enumerate(side)
+        ]
+        for side in of_contact
+    )
     return Resultants(
         load_sum,
         supports,
         spring_sum,
-        of_contact[:, gdim].tolist(),
-        of_contact[:, :gdim].tolist(),
+        normal_sums.tolist(),
+        on_slaves,
+        on_masters,
         missing / largest if largest > 0.0 else 0.0,
     )
+
+
+def _of_contacts(rows: ContactRows, x: Vector, on_nodes: Vector, contacts: int) -> Vector:
+    """Return the sums of forces and moments on slaves and on masters, (2, contacts, ...)."""
+    on_master = np.ones(rows.nodes.size, dtype=np.int64)
+    on_master[rows.offsets[:-1]] = 0
+    both = np.column_stack([on_nodes, _moments(x, on_nodes)])
+    sums = np.zeros((2, contacts, both.shape[1]))
+    np.add.at(sums, (on_master, rows.contact[rows.row]), both)
+    return sums
+
+
+def _points(
+    system: TornSystem, x: Vector, F: DualOperator, unknowns: TornUnknowns, nodes: Numbers
+) -> Vector:
+    """Return the coordinates of any nodes that B acts on. Collective."""
+    gdim = system.gdim
+    touched = np.zeros(int(unknowns.ends[-1]), dtype=bool)
+    touched[F.interface.columns] = True
+    here = touched[unknowns.displacements].reshape(-1, gdim).any(axis=1)
+    of_copies = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in system.subdomains)])
+    directory = Directory(system.comm, np.unique(nodes))
+    table = np.zeros((directory.keys.size, gdim))
+    at, (points,) = _known(directory, *directory.collect(of_copies[here], x[here]))
+    table[at] = points
+    found: Vector = directory.lookup(nodes, table)[1]
+    return found
 
 
 def _size(forces: Vector) -> float:
@@ -204,11 +260,13 @@ def _with_springs(
     )
 
 
-def _reactions(system: TornSystem, x: Vector, held: Vector, on_nodes: Vector) -> list[_NodalForces]:
+def _reactions(
+    system: TornSystem, x: Vector, held: Vector, ends: Numbers, on_ends: Vector
+) -> list[_NodalForces]:
     """Return for each Dirichlet condition the forces at prescribed components. Collective.
 
     Each node's forces are summed on its home rank, from all its copies and the terms of contact
-    rows, which exert `on_nodes`.
+    and tied rows, which exert `on_ends` at the nodes `ends`.
     """
     comm, gdim, given = system.comm, system.gdim, system.prescribed
     number = np.asarray(given.condition, dtype=np.int64)
@@ -230,9 +288,8 @@ def _reactions(system: TornSystem, x: Vector, held: Vector, on_nodes: Vector) ->
     np.add.at(reaction, at, force)
 
     # a contact force on a prescribed component is in the multiplier of the support
-    pressed = on_nodes.any(axis=1)
-    ends = system.contacts.nodes[pressed]
-    at, (force,) = _known(directory, *directory.collect(ends, on_nodes[pressed]))
+    pressed = on_ends.any(axis=1)
+    at, (force,) = _known(directory, *directory.collect(ends[pressed], on_ends[pressed]))
     np.subtract.at(reaction, at, force)
     return [
         _NodalForces(points, np.where(condition == i, reaction, 0.0)) for i in range(conditions)

@@ -120,10 +120,11 @@ def _energy_of_jumps(
     face = Projector.build(setup.projector.coarse_space, pressing)
     r = face.remove_rigid_motion(layout.owned_part(d), d)[0]
     r[rows] = np.where(pressing, r[rows], np.maximum(r[rows], 0.0))
-    if setup.precondition is None:
+    if setup.preconditioner is None:
         with timer.phase("norm"):
             norm = setup.norm(ROUGH_LANCZOS_STEPS)
         return layout.space.dots((r, r))[0] / (norm or 1.0)
     history.products.preconditioner += 1
-    part = np.array([r @ setup.precondition(r)])
+    precondition = setup.preconditioner.on_face(r[rows] != 0.0)
+    part = np.array([r @ precondition(r)])
     return float(layout.space.sum_over_ranks(part)[0])

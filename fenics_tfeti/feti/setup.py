@@ -5,7 +5,7 @@ Both are built once and reused as long as K, or K and B, stay the same.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -22,7 +22,7 @@ from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.constraints.scaling import node_weights, stiffness_of_weight
 from fenics_tfeti.feti.dual.operator import DualOperator, ProjectedNorm
-from fenics_tfeti.feti.dual.preconditioner import interface_operator
+from fenics_tfeti.feti.dual.preconditioner import Preconditioner, interface_operator
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.local.cholesky import choose_package
 from fenics_tfeti.feti.local.congruence import CongruenceClass, find_congruence_classes
@@ -145,8 +145,8 @@ class DualSetup:
         P and Q of all rows.
     F : DualOperator
         F = BK^+B'.
-    precondition : callable or None
-        x -> this rank's part of B_D S B_D'x.
+    preconditioner : Preconditioner or None
+        B_D S B_D' on faces.
     norm : ProjectedNorm
         ||PFP||.
     row_bodies : RowBodies
@@ -157,7 +157,7 @@ class DualSetup:
     constraints: Constraints
     projector: Projector
     F: DualOperator
-    precondition: Callable[[Vector], Vector] | None
+    preconditioner: Preconditioner | None
     norm: ProjectedNorm
     row_bodies: RowBodies
 
@@ -175,20 +175,21 @@ class DualSetup:
         F = DualOperator.build(
             coarse_space.constraints, coarse_space.interface, inverses, options.dual_operator
         )
-        precondition = None
+        preconditioner = None
         if options.preconditioner != "none":
             with raise_collectively(system.comm):
                 kernels = [local.kernels[congruent.first] for congruent in local.classes]
-                precondition = interface_operator(
+                apply = interface_operator(
                     options.preconditioner, F, local.stiffness, kernels, package
                 )
+                preconditioner = Preconditioner(apply, coarse_space.constraints)
         constraints = coarse_space.constraints
         return DualSetup(
             local,
             constraints,
             projector,
             F,
-            precondition,
+            preconditioner,
             ProjectedNorm(F, projector, 1.0 / local.unit),
             RowBodies.build(system, constraints, local.unknowns.ends),
         )
@@ -204,7 +205,7 @@ def dual_problem(setup: DualSetup, data: ContactData, norm: float) -> DualProble
         data.c,
         setup.projector,
         norm,
-        setup.precondition,
+        setup.preconditioner,
     )
 
 

@@ -17,7 +17,7 @@ from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.outer import LANCZOS_STEPS, iterate_until_certified
 from fenics_tfeti.feti.report import Report, build_report
-from fenics_tfeti.feti.resultants import normal_forces
+from fenics_tfeti.feti.resultants import normal_forces, tied_forces
 from fenics_tfeti.feti.setup import (
     DualSetup,
     LocalSetup,
@@ -57,6 +57,9 @@ class TornSolution:
         Nodal normal force of each contact row that this rank gave [N].
     active : (contact rows of this rank,) bool array
         Whether the row is active.
+    tied_force : (tied rows of this rank,) array
+        Force of each tied row that this rank gave, on the slave against the direction of the row's
+        first coefficient [N].
     multipliers : (m,) array
         lambda, as far as this rank holds it.
     report : Report
@@ -67,6 +70,7 @@ class TornSolution:
     torn_displacements: list[Vector]
     normal_force: Vector
     active: NDArray[np.bool_]
+    tied_force: Vector
     multipliers: Vector
     report: Report
 
@@ -280,6 +284,7 @@ class TornSolver:
             unknowns.split(recovered.torn),
             normal_force,
             normal_force > 0.0,
+            tied_forces(self.setup.constraints, multipliers),
             multipliers,
             report,
         )

@@ -290,6 +290,10 @@ class TornSystem:
         The ranks.
     condition_names : sequence of str
         Names of the Dirichlet conditions, by number.
+    tied : ContactRows, optional
+        The same rows as equalities sum_k c_k'u(node_k) = gap: surfaces that stay together. A slave
+        node has as many rows as components; the direction of a row's first coefficient is any, its
+        length the node's area. Contacts and tied pairs are numbered together. None by default.
     """
 
     subdomains: Sequence[Subdomain]
@@ -300,11 +304,17 @@ class TornSystem:
     contact_names: Sequence[str] = ()
     comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF)
     condition_names: Sequence[str] = ()
+    tied: ContactRows = field(default_factory=lambda: ContactRows.none(0))
 
     def body_name(self, body: int) -> str:
         """Return the name of a body."""
         known = isinstance(body, int | np.integer) and 0 <= body < len(self.body_names)
         return self.body_names[body] if known else f"body {body}"
+
+    def contact_name(self, contact: int) -> str:
+        """Return the name of a contact or tied pair."""
+        names = self.contact_names
+        return names[contact] if contact < len(names) else f"contact {contact}"
 
     def __post_init__(self) -> None:
         """Check the communicator, without which no error reaches the other ranks.
@@ -317,6 +327,9 @@ class TornSystem:
         if not isinstance(self.comm, MPI.Intracomm) or self.comm == MPI.COMM_NULL:
             raise InputError(f"comm: got {self.comm!r}, expected an intracommunicator of mpi4py")
         _set(self, "gdim", _integer(self.gdim))
+        if isinstance(self.tied, ContactRows) and np.shape(self.tied.coefficients) == (0, 0):
+            # the default
+            _set(self, "tied", ContactRows.none(self.gdim if isinstance(self.gdim, int) else 0))
 
 
 def _convert(part: Any, **dtypes: type[np.generic]) -> None:

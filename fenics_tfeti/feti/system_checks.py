@@ -120,7 +120,15 @@ def _check_parts(system: TornSystem) -> None:
             f"contacts: got {_kind(system.contacts)}, expected ContactRows; ContactRows.none(gdim) "
             "for no contact"
         )
-    _check_contacts(system.contacts, gdim, system.contact_names)
+    _check_rows("contacts", system.contacts, gdim, system.contact_names)
+    _check_gaps("contacts.gap", system.contacts.gap)
+    if not isinstance(system.tied, ContactRows):
+        raise InputError(
+            f"tied: got {_kind(system.tied)}, expected ContactRows; leave it out where nothing is "
+            "tied"
+        )
+    _check_rows("tied", system.tied, gdim, system.contact_names)
+    _check_finite("tied.gap", system.tied.gap, "Leave rows out where there is nothing to tie to")
 
 
 def _check_matrices(system: TornSystem) -> None:
@@ -135,7 +143,7 @@ def _check_matrices(system: TornSystem) -> None:
 def _check_numbering(system: TornSystem) -> None:
     """Check what takes the numbers of all ranks. Collective."""
     bodies = np.unique(np.array([s.body for s in system.subdomains], dtype=np.int64))
-    contact = system.contacts.contact
+    contact = np.append(system.contacts.contact, system.tied.contact)
     own = (system.gdim, bodies, int(contact.max(initial=-1)), contact.size)
     gdims, lists, largest, rows = zip(*system.comm.allgather(own), strict=True)
     if len(set(gdims)) > 1:
@@ -156,8 +164,9 @@ def _check_numbering(system: TornSystem) -> None:
     limit = max(sum(rows), len(system.contact_names))
     if max(largest) >= limit:
         raise InputError(
-            f"contacts.contact: contact number {max(largest)} with {sum(rows)} contact rows and "
-            f"{len(system.contact_names)} contact_names. Number the contacts 0, 1, ..."
+            f"contacts.contact and tied.contact: contact number {max(largest)} with {sum(rows)} "
+            f"contact rows and tied rows, and {len(system.contact_names)} contact_names. Number "
+            "the contacts 0, 1, ..."
         )
 
 
@@ -340,29 +349,29 @@ def _check_prescribed(prescribed: Prescribed, gdim: int) -> None:
     _check_finite("prescribed displacements", prescribed.values)
 
 
-def _check_contacts(contacts: ContactRows, gdim: int, names: Sequence[str]) -> None:
-    _check_array("contacts.gap", contacts.gap, (None,), np.float64)
-    k = contacts.size
-    _check_array("contacts.contact", contacts.contact, (k,), np.int64)
-    _check_range("contacts.contact", contacts.contact, 0, np.iinfo(np.int64).max)
-    _check_gaps("contacts.gap", contacts.gap)
-    _check_array("contacts.nodes", contacts.nodes, (None,), np.int64)
-    _check_array("contacts.offsets", contacts.offsets, (k + 1,), np.int64)
-    _check_offsets(contacts, names)
-    _check_range("contacts.nodes", contacts.nodes, 0, _LARGEST_NODE)
-    _check_distinct_nodes(contacts, names)
-    shape = contacts.nodes.size, gdim
-    _check_array("contacts.coefficients", contacts.coefficients, shape, np.float64)
-    _check_finite("contacts.coefficients", contacts.coefficients)
-    _check_first_coefficients(contacts, names)
+def _check_rows(what: str, rows: ContactRows, gdim: int, names: Sequence[str]) -> None:
+    """Check contact or tied rows, whose field of the system is `what`."""
+    _check_array(f"{what}.gap", rows.gap, (None,), np.float64)
+    k = rows.size
+    _check_array(f"{what}.contact", rows.contact, (k,), np.int64)
+    _check_range(f"{what}.contact", rows.contact, 0, np.iinfo(np.int64).max)
+    _check_array(f"{what}.nodes", rows.nodes, (None,), np.int64)
+    _check_array(f"{what}.offsets", rows.offsets, (k + 1,), np.int64)
+    _check_offsets(what, rows, names)
+    _check_range(f"{what}.nodes", rows.nodes, 0, _LARGEST_NODE)
+    _check_distinct_nodes(what, rows, names)
+    shape = rows.nodes.size, gdim
+    _check_array(f"{what}.coefficients", rows.coefficients, shape, np.float64)
+    _check_finite(f"{what}.coefficients", rows.coefficients)
+    _check_first_coefficients(what, rows, names)
 
 
-def _check_offsets(contacts: ContactRows, names: Sequence[str]) -> None:
+def _check_offsets(what: str, rows: ContactRows, names: Sequence[str]) -> None:
     """Check that the terms of the rows follow each other, and that every row has some."""
-    offsets, terms = contacts.offsets, contacts.nodes.size
+    offsets, terms = rows.offsets, rows.nodes.size
     if offsets[0] != 0 or offsets[-1] != terms:
         raise InputError(
-            f"contacts.offsets: from {offsets[0]} to {offsets[-1]}, but there are {terms} nodes. "
+            f"{what}.offsets: from {offsets[0]} to {offsets[-1]}, but there are {terms} nodes. "
             f"The first has to be 0 and the last {terms}"
         )
     counts = np.diff(offsets)
@@ -370,51 +379,51 @@ def _check_offsets(contacts: ContactRows, names: Sequence[str]) -> None:
     if wrong.size:
         k = wrong[0]
         raise InputError(
-            f"contacts.offsets: not ascending, from {offsets[k]} to {offsets[k + 1]} in "
-            f"{_row(contacts, k, names)}. Offsets are positions in contacts.nodes"
+            f"{what}.offsets: not ascending, from {offsets[k]} to {offsets[k + 1]} in "
+            f"{_row(rows, k, names)}. Offsets are positions in {what}.nodes"
         )
     empty = np.flatnonzero(counts == 0)
     if empty.size:
         raise InputError(
-            f"contacts.offsets: {empty.size} rows have no terms, the first is "
-            f"{_row(contacts, empty[0], names)}. Leave them out"
+            f"{what}.offsets: {empty.size} rows have no terms, the first is "
+            f"{_row(rows, empty[0], names)}. Leave them out"
         )
 
 
-def _check_distinct_nodes(contacts: ContactRows, names: Sequence[str]) -> None:
+def _check_distinct_nodes(what: str, rows: ContactRows, names: Sequence[str]) -> None:
     """Check that no row names a node twice."""
-    order = np.lexsort((contacts.nodes, contacts.row))
-    row, node = contacts.row[order], contacts.nodes[order]
+    order = np.lexsort((rows.nodes, rows.row))
+    row, node = rows.row[order], rows.nodes[order]
     twice = order[1:][(row[1:] == row[:-1]) & (node[1:] == node[:-1])]
     if twice.size:
-        k = int(contacts.row[twice].min())
-        first = contacts.nodes[twice[contacts.row[twice] == k]][0]
+        k = int(rows.row[twice].min())
+        first = rows.nodes[twice[rows.row[twice] == k]][0]
         raise InputError(
-            f"contacts.nodes: {np.unique(contacts.row[twice]).size} rows name a node twice, the "
-            f"first is {_row(contacts, k, names)} with node {first}. Add up the "
+            f"{what}.nodes: {np.unique(rows.row[twice]).size} rows name a node twice, the "
+            f"first is {_row(rows, k, names)} with node {first}. Add up the "
             "coefficients, or leave out rows whose slave is its own master"
         )
 
 
-def _check_first_coefficients(contacts: ContactRows, names: Sequence[str]) -> None:
+def _check_first_coefficients(what: str, rows: ContactRows, names: Sequence[str]) -> None:
     """Check that every row has a normal: the direction of its first coefficient."""
-    largest = np.zeros(contacts.size)
-    lengths = np.linalg.norm(contacts.coefficients, axis=1)
-    np.maximum.at(largest, contacts.row, lengths)
-    vanishing = np.flatnonzero(contacts.length <= _NO_LENGTH * largest)
+    largest = np.zeros(rows.size)
+    lengths = np.linalg.norm(rows.coefficients, axis=1)
+    np.maximum.at(largest, rows.row, lengths)
+    vanishing = np.flatnonzero(rows.length <= _NO_LENGTH * largest)
     if vanishing.size:
         k = vanishing[0]
         raise InputError(
-            f"contacts.coefficients: the first coefficient of {vanishing.size} rows vanishes, the "
-            f"first is {_row(contacts, k, names)} at slave node {contacts.slave[k]} with lengths "
-            f"of {contacts.length[k]:.3e} and up to {largest[k]:.3e} of the other nodes. The first "
+            f"{what}.coefficients: the first coefficient of {vanishing.size} rows vanishes, the "
+            f"first is {_row(rows, k, names)} at slave node {rows.slave[k]} with lengths "
+            f"of {rows.length[k]:.3e} and up to {largest[k]:.3e} of the other nodes. The first "
             "term is that of the slave's node, along the normal; leave rows without it out"
         )
 
 
-def _row(contacts: ContactRows, row: int, names: Sequence[str]) -> str:
+def _row(rows: ContactRows, row: int, names: Sequence[str]) -> str:
     """Name a row by its position and its contact."""
-    contact = int(contacts.contact[row])
+    contact = int(rows.contact[row])
     return f"row {row} ({names[contact] if contact < len(names) else f'contact {contact}'})"
 
 

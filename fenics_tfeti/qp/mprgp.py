@@ -15,6 +15,7 @@ from fenics_tfeti.qp.space import Space
 __all__ = ["Hessian", "MPRGPOptions", "MPRGPResult", "Products", "Unbounded", "mprgp"]
 
 Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
 Hessian = Callable[[Vector], tuple[Vector, Vector | None]]
 Expansion = Literal["standard", "projected_cg"]
 
@@ -104,7 +105,7 @@ def mprgp(
     options: MPRGPOptions | None = None,
     space: Space | None = None,
     gradient: tuple[Vector, Vector | None] | None = None,
-    precondition: Callable[[Vector], Vector] | None = None,
+    precondition: Callable[[Vector, Numbers], Vector] | None = None,
     products: Products | None = None,
 ) -> MPRGPResult:
     """Minimise 1/2 x'Ax - b'x subject to lower bounds by MPRGP (algorithm 8.2).
@@ -129,7 +130,8 @@ def mprgp(
     gradient : (array, array or None), optional
         Ax - b and Qx at a feasible x, where known: saves the first product.
     precondition : callable, optional
-        phi -> M^{-1} phi, used in the face: its components at active bounds are set to zero.
+        phi, on_bounds -> M^{-1} phi in the face, with the indices of the active bounds; components
+        there are set to zero afterwards.
     products : Products, optional
         Counter to add to.
 
@@ -188,7 +190,7 @@ class _Iteration:
     bounds: Bounds
     options: MPRGPOptions
     space: Space
-    precondition: Callable[[Vector], Vector] | None
+    precondition: Callable[[Vector, Numbers], Vector] | None
     products: Products
     x: Vector = field(init=False)
     g: Vector = field(init=False)
@@ -330,6 +332,7 @@ class _Iteration:
         if self.precondition is None:
             return self.split.free
         self.products.preconditioner += 1
-        z = self.precondition(self.split.free)
-        z[self.bounds.indices[self.bounds.active(self.x)]] = 0.0
+        on_bounds = self.bounds.indices[self.bounds.active(self.x)]
+        z = self.precondition(self.split.free, on_bounds)
+        z[on_bounds] = 0.0
         return z

@@ -19,6 +19,7 @@ from fenics_tfeti.qp.space import Space
 __all__ = ["OuterIteration", "SMALBEOptions", "SMALBEResult", "SMALBEState", "smalbe"]
 
 Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
 Reason = Literal["converged", "slow", "max_it", "max_products"]
 
 # lower limit of the inner tolerance, relative to that of the final test: below it the increase of
@@ -140,7 +141,7 @@ def smalbe(
     norm_b: float | None = None,
     options: SMALBEOptions | None = None,
     space: Space | None = None,
-    precondition: Callable[[Vector], Vector] | None = None,
+    precondition: Callable[[Vector, Numbers], Vector] | None = None,
     products: Products | None = None,
     monitor: Callable[[OuterIteration], None] | None = None,
 ) -> SMALBEResult:

@@ -215,7 +215,7 @@ def test_preconditioner_changes_the_way_but_not_the_solution(expansion):
     inverse = np.linalg.inv(problem.A)
     plain, preconditioned, applied = Products(), Products(), []
 
-    def precondition(phi):
+    def precondition(phi, _):
         applied.append(phi)
         return inverse @ phi
 
@@ -231,7 +231,7 @@ def test_preconditioner_changes_the_way_but_not_the_solution(expansion):
 def test_exact_preconditioner_without_active_bounds_takes_one_step():
     problem, products = random_problem(8, bounded=0.0, condition=1e4), Products()
     inverse = np.linalg.inv(problem.A)
-    solve(problem, rtol=1e-9, products=products, precondition=lambda phi: inverse @ phi)
+    solve(problem, rtol=1e-9, products=products, precondition=lambda phi, _: inverse @ phi)
     assert products.total == 2
 
 

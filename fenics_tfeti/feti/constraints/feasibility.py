@@ -1,15 +1,14 @@
-"""Contact conditions that contradict each other although no two of them are opposite.
+"""Contact and tied conditions that contradict each other although no two of them are parallel.
 
 Elastic bodies can fulfil any conditions whose rows are linearly independent. Rows that share nodes
 may depend on each other: three walls around one node, say. By Farkas' lemma such conditions have no
-common solution if there are forces lambda >= o with B'lambda = o and c'lambda < 0.
+common solution if there are forces lambda with lambda_I >= o, B'lambda = o and c'lambda < 0.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.rows import Constraints
@@ -25,7 +24,7 @@ Numbers = NDArray[np.int64]
 
 
 def check_conditions(system: TornSystem, constraints: Constraints, c: Vector) -> None:
-    """Check that the contact conditions and the prescribed displacements have a common solution.
+    """Check that all conditions and the prescribed displacements have a common solution.
 
     Parameters
     ----------
@@ -42,20 +41,18 @@ def check_conditions(system: TornSystem, constraints: Constraints, c: Vector) ->
         On all ranks, naming the contacts and the slave nodes.
     """
     coupling = constraints.coupling
-    if not constraints.dependent:
+    if not coupling.groups:
         return
-    # the coupled rows are few: every rank has all of them
-    gaps = np.zeros(coupling.numbers.size)
-    owned = coupling.rows < constraints.layout.owned
-    gaps[coupling.positions[owned]] = c[coupling.rows[owned]]
-    gaps = system.comm.allreduce(gaps)
-    gram = coupling.gram.tocsr()
-    blocks, block = connected_components(gram, directed=False)
-    for b in range(blocks):
-        members = np.flatnonzero(block == b)
-        found = contradiction(gram[members][:, members].toarray(), gaps[members])
+    (gaps,) = coupling.gather(c)
+    for members in coupling.groups:
+        # a tied row is two conditions
+        tied = np.flatnonzero(coupling.tied[members])
+        both = np.append(np.arange(members.size), tied)
+        sign = np.append(np.ones(members.size), -np.ones(tied.size))
+        W = coupling.gram[members][:, members].toarray()[np.ix_(both, both)]
+        found = contradiction(sign[:, None] * W * sign, sign * gaps[members[both]])
         if found.size:
-            _raise(system, constraints, coupling.numbers[members[found]])
+            _raise(system, constraints, coupling.numbers[members[np.unique(both[found])]])
 
 
 def contradiction(W: Vector, gaps: Vector) -> Numbers:
@@ -98,17 +95,21 @@ def contradiction(W: Vector, gaps: Vector) -> Numbers:
 
 def _raise(system: TornSystem, constraints: Constraints, numbers: Numbers) -> None:
     """Raise the error; rows are named by the ranks that gave them."""
-    contacts, own = system.contacts, constraints.own_rows
-    given = np.flatnonzero(own >= 0)
-    mine = given[np.isin(constraints.layout.numbers[own[given]], numbers)]
-    nodes = np.unique(concatenate_ranks(system.comm, contacts.slave[mine]))
-    which = np.unique(concatenate_ranks(system.comm, contacts.contact[mine]))
-    names = [
-        system.contact_names[i] if i < len(system.contact_names) else f"contact {i}" for i in which
-    ]
+    nodes, which = [], []
+    for rows, own in (
+        (system.contacts, constraints.own_rows),
+        (system.tied, constraints.tied.own_rows),
+    ):
+        given = np.flatnonzero(own >= 0)
+        mine = given[np.isin(constraints.layout.numbers[own[given]], numbers)]
+        nodes.append(rows.slave[mine])
+        which.append(rows.contact[mine])
+    slaves = np.unique(concatenate_ranks(system.comm, np.concatenate(nodes)))
+    contacts = np.unique(concatenate_ranks(system.comm, np.concatenate(which)))
+    names = [system.contact_name(i) for i in contacts]
     raise InputError(
-        f"contact conditions and prescribed displacements contradict each other: {numbers.size} "
-        f"conditions of {', '.join(names)} at the slave nodes {nodes[:6].tolist()} (global "
-        "numbers) leave no place for these nodes. Check gaps and normals, make more room, or take "
-        "the nodes out of one of the contacts"
+        "contact or tied conditions and prescribed displacements contradict each other: "
+        f"{numbers.size} conditions of {', '.join(names)} at the slave nodes "
+        f"{slaves[:6].tolist()} (global numbers) leave no place for these nodes. Check gaps and "
+        "normals, make more room, or take the nodes out of one of the contacts"
     )

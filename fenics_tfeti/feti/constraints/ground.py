@@ -104,6 +104,8 @@ def hold_ground(
     values = np.concatenate([old.data, np.sqrt(weights[ground])])
     shape = numbers.size, weights.size
     coupling = replace(constraints.coupling, rows=moved(constraints.coupling.rows))
+    tied = constraints.tied
+    tied = replace(tied, rows=moved(tied.rows), own_rows=moved(tied.own_rows))
     extended = replace(
         constraints,
         matrix=sp.csr_matrix((values, (rows, columns)), shape),
@@ -111,6 +113,7 @@ def hold_ground(
         inequality=moved(constraints.inequality),
         own_rows=moved(constraints.own_rows),
         weights=weights,
+        tied=tied,
         coupling=coupling,
     )
     return extended, np.insert(c, layout.owned, np.zeros(new))

@@ -2,13 +2,13 @@
 
 Each condition of a node that is in several contacts is a row of its own. The rows that remain need
 not be orthogonal to each other: their Gram matrix W is the part of B D^{-1} B' = blockdiag(I, W)
-that differs from the identity. A row that a parallel row with the same or a smaller gap implies is
-dropped: with it the multipliers would not be unique.
+that differs from the identity. A contact row that a parallel row with the same or a smaller gap
+implies is dropped: with it the multipliers would not be unique. So is a row that a tied row
+decides, parallel or opposite to it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -31,20 +31,22 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class ContactConditions:
-    """The contact rows that this rank gives, in coordinates where B D^{-1} B' is a dot product.
+    """The contact and tied rows of this rank, in coordinates where B D^{-1} B' is a dot product.
 
     Attributes
     ----------
     row : (t,) integer array
-        Contact row of this rank that each term belongs to; rows without a term are not examined.
+        Row of this rank that each term belongs to; rows without a term are not examined.
     node : (t,) integer array
         Global node number of the term.
     coefficients : (t, gdim) array
         Row of B times D^{-1/2} at the node; those of a row have length 1 together.
     rhs : (k,) array
-        Right-hand sides of this rank's contact rows, in the same scale.
+        Right-hand sides of this rank's rows, in the same scale.
     tolerance : (k,) array
         Rounding of the right-hand sides.
+    tied : (k,) bool array
+        Which rows are equalities.
     """
 
     row: Numbers
@@ -52,6 +54,7 @@ class ContactConditions:
     coefficients: Vector
     rhs: Vector
     tolerance: Vector
+    tied: Mask
 
 
 @dataclass(frozen=True)
@@ -61,11 +64,9 @@ class Redundancy:
     Attributes
     ----------
     dropped : (k,) bool array
-        Rows of this rank that a parallel row with the same or a smaller gap implies.
+        Rows of this rank that a parallel row with the same or a smaller gap implies, or a tied one.
     dropped_total : int
         Their number over all ranks.
-    dependent : int
-        How many of the other rows depend linearly on the rest, over all ranks.
     coupled : (k,) bool array
         Rows of this rank, none of them dropped, that are not orthogonal to all others.
     gram : (w, w) scipy.sparse.csr_matrix
@@ -74,7 +75,6 @@ class Redundancy:
 
     dropped: Mask
     dropped_total: int
-    dependent: int
     coupled: Mask
     gram: sp.csr_matrix
 
@@ -82,10 +82,10 @@ class Redundancy:
 def find_redundant(
     conditions: ContactConditions, directory: Directory, comm: MPI.Intracomm
 ) -> Redundancy:
-    """Find contact rows that other contact rows imply.
+    """Find rows that other rows imply, and those that are not orthogonal to all others.
 
-    Rows that share a node are gathered on all ranks: their number grows with the edges between
-    contact surfaces, not with the surfaces.
+    Rows that share a node are gathered on all ranks. Of node to node contact their number grows
+    with the edges between contact surfaces; of mortars they are all rows.
 
     Parameters
     ----------
@@ -99,12 +99,13 @@ def find_redundant(
     Returns
     -------
     Redundancy
-        Rows to drop, and how many depend on others.
+        Rows to drop, and the Gram matrix of the coupled ones.
 
     Raises
     ------
     InputError
-        On all ranks, if two opposite conditions exclude each other.
+        On all ranks, if two opposite conditions exclude each other, or a tied row contradicts a
+        parallel one.
     """
     first = first_of_rank(comm, conditions.rhs.size)[0]
     number = first + np.arange(conditions.rhs.size, dtype=np.int64)
@@ -114,7 +115,7 @@ def find_redundant(
     rows = _Rows(
         *(
             concatenate_ranks(comm, column[chosen])
-            for column in (number, conditions.rhs, conditions.tolerance)
+            for column in (number, conditions.rhs, conditions.tolerance, conditions.tied)
         )
     )
     taken = np.isin(row, number[chosen])
@@ -123,18 +124,17 @@ def find_redundant(
         for column in (conditions.node, row, conditions.coefficients)
     )
     dropped, coupled, gram = _examine(rows, node, row, coefficients)
-    return Redundancy(
-        np.isin(number, dropped), dropped.size, _dependent(gram), np.isin(number, coupled), gram
-    )
+    return Redundancy(np.isin(number, dropped), dropped.size, np.isin(number, coupled), gram)
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rows of all ranks that share a node with others: number (ascending), rhs, tolerance."""
+    """Rows of all ranks that share a node with others, by ascending number."""
 
     number: Numbers
     rhs: Vector
     tolerance: Vector
+    tied: Mask
 
 
 def _in_several_rows(directory: Directory, node: Numbers, row: Numbers) -> Mask:
@@ -161,14 +161,17 @@ def _examine(
     )
     gram = (C @ C.T).tocoo()
     _check_room(rows, gram, node, row)
+    _check_tied(rows, gram, node, row)
 
-    parallel = gram.data > 1.0 - PARALLEL
+    # a tied row decides those that are opposite to it, too
+    cosine = np.where(rows.tied[gram.row] | rows.tied[gram.col], np.abs(gram.data), gram.data)
+    parallel = cosine > 1.0 - PARALLEL
     alike = sp.coo_matrix(
         (gram.data[parallel], (gram.row[parallel], gram.col[parallel])), gram.shape
     )
     group = connected_components(alike, directed=False)[1]
-    # the smallest right-hand side of each group stays, the first of equal ones
-    order = np.lexsort((rows.number, rows.rhs, group))
+    # a tied row of each group stays, or the smallest right-hand side, the first of equal ones
+    order = np.lexsort((rows.number, rows.rhs, ~rows.tied, group))
     stays = np.sort(order[np.unique(group[order], return_index=True)[1]])
     dropped = np.delete(rows.number, stays)
 
@@ -181,6 +184,7 @@ def _examine(
 def _check_room(rows: _Rows, gram: sp.coo_matrix, node: Numbers, row: Numbers) -> None:
     """Check that opposite conditions leave room; the data are the same on all ranks."""
     opposite = gram.data < -(1.0 - PARALLEL)
+    opposite &= ~(rows.tied[gram.row] | rows.tied[gram.col])
     i, j = gram.row[opposite], gram.col[opposite]
     tolerance = rows.tolerance[i] + rows.tolerance[j]
     excluded = np.flatnonzero(rows.rhs[i] + rows.rhs[j] < -tolerance)
@@ -193,38 +197,17 @@ def _check_room(rows: _Rows, gram: sp.coo_matrix, node: Numbers, row: Numbers) -
         )
 
 
-def _dependent(gram: sp.csr_matrix) -> int:
-    """Return the rank deficiency of a block diagonal Gram matrix."""
-    return sum(
-        int(np.count_nonzero(np.linalg.eigvalsh(block) <= PARALLEL))
-        for members, block in diagonal_blocks(gram)
-        if members.size > 1
-    )
-
-
-def diagonal_blocks(W: sp.csr_matrix) -> Iterator[tuple[Numbers, Vector]]:
-    """Yield the rows of each diagonal block of a symmetric matrix, and the dense block.
-
-    Parameters
-    ----------
-    W : (k, k) scipy.sparse.csr_matrix
-        A matrix that is block diagonal up to the order of its rows.
-
-    Examples
-    --------
-    >>> import numpy as np, scipy.sparse as sp
-    >>> W = sp.csr_matrix(np.array([[1.0, 0.0, 0.5], [0.0, 2.0, 0.0], [0.5, 0.0, 1.0]]))
-    >>> [(rows.tolist(), block.tolist()) for rows, block in diagonal_blocks(W)]
-    [([0, 2], [[1.0, 0.5], [0.5, 1.0]]), ([1], [[2.0]])]
-    """
-    blocks, block = connected_components(W, directed=False)
-    order = np.argsort(block, kind="stable")
-    sizes = np.bincount(block, minlength=blocks)
-    sorted_W = W[order][:, order].tocoo()
-    ends = np.cumsum(sizes)
-    entries = np.searchsorted(sorted_W.row, np.append(0, ends))
-    for b, (size, end) in enumerate(zip(sizes, ends, strict=True)):
-        own, start = slice(entries[b], entries[b + 1]), end - size
-        dense = np.zeros((size, size))
-        dense[sorted_W.row[own] - start, sorted_W.col[own] - start] = sorted_W.data[own]
-        yield order[start:end], dense
+def _check_tied(rows: _Rows, gram: sp.coo_matrix, node: Numbers, row: Numbers) -> None:
+    """Check that tied rows agree with rows parallel or opposite to them."""
+    alike = rows.tied[gram.row] & (np.abs(gram.data) > 1.0 - PARALLEL)
+    i, j = gram.row[alike], gram.col[alike]
+    excess = np.sign(gram.data[alike]) * rows.rhs[i] - rows.rhs[j]
+    violated = np.where(rows.tied[j], np.abs(excess), excess)
+    wrong = np.flatnonzero(violated > rows.tolerance[i] + rows.tolerance[j])
+    if wrong.size:
+        first = node[row == rows.number[i[wrong[0]]]].tolist()
+        raise InputError(
+            f"{np.unique(i[wrong]).size} tied conditions contradict other conditions of the same "
+            f"nodes, the first at the nodes {first} (global numbers). Tie each surface once, and "
+            "take tied nodes out of contacts that leave them no room"
+        )

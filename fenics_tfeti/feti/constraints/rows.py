@@ -1,8 +1,8 @@
 """Constraint rows B = [B_E; B_I] with B D^{-1} B' = blockdiag(I, W) (sec. 11.5, remark 11.1).
 
 D holds a weight for each copy of a node; with weights of 1 this is (11.22). Rows follow from global
-node numbers and weights alone: gluing and Dirichlet rows by `equality`, contact rows by
-`inequality`. W differs from the identity only for contact rows that share a node (`redundancy`).
+node numbers and weights alone: gluing and Dirichlet rows by `equality`, contact and tied rows by
+`conditions`. W differs from the identity only for those that share a node (`coupling`).
 """
 
 from __future__ import annotations
@@ -16,44 +16,42 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from fenics_tfeti.feti.constraints.conditions import ConditionRows, condition_rows
+from fenics_tfeti.feti.constraints.coupling import Coupling
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.constraints.entries import Entries
 from fenics_tfeti.feti.constraints.equality import equality_rows
-from fenics_tfeti.feti.constraints.inequality import InequalityRows, inequality_rows
 from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
 
-__all__ = ["Constraints", "Coupling", "build_constraints"]
+__all__ = ["Constraints", "TiedRows", "build_constraints"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Coupling:
-    """Contact rows that are not orthogonal to all others: W in B D^{-1} B' = blockdiag(I, W).
-
-    They share a node with other contact rows. All other rows, and rows of different blocks of W,
-    are orthonormal.
+class TiedRows:
+    """The equality rows of tied surfaces that this rank holds.
 
     Attributes
     ----------
-    numbers : (w,) integer array
-        Global numbers of the coupled rows, ascending; the same on all ranks.
-    gram : (w, w) scipy.sparse.csr_matrix
-        W in this order, with a diagonal of 1; the same on all ranks. Singular if rows depend
-        linearly on others (`Constraints.dependent`).
-    rows : (h,) integer array
-        Local positions of the coupled rows that this rank holds.
-    positions : (h,) integer array
-        Their positions in `numbers`.
+    rows : (t,) integer array
+        Their local positions, ascending.
+    contact : (t,) integer array
+        Number of the contact that each of them belongs to.
+    scale : (t,) array
+        Factor of each, as that of contact rows.
+    own_rows : (tied rows of this rank,) integer array
+        Local position of each tied row that this rank gave; -1 where prescribed displacements alone
+        decide it, or another row implies it.
     """
 
-    numbers: Numbers
-    gram: sp.csr_matrix
     rows: Numbers
-    positions: Numbers
+    contact: Numbers
+    scale: Vector
+    own_rows: Numbers
 
 
 @dataclass(frozen=True)
@@ -80,13 +78,14 @@ class Constraints:
         Diagonal of D for this rank's torn displacements.
     nodes : int
         Number of distinct nodes over all ranks.
-    redundant, dependent : int
-        Number of contact rows dropped because others imply them, and of remaining rows that depend
-        linearly on others (their forces are not unique; displacements and resultants are).
+    redundant : int
+        Number of contact and tied rows dropped because others imply them.
     infinite_gaps : int
         Number of contact rows dropped because their gap is infinite.
+    tied : TiedRows
+        The equality rows of tied surfaces.
     coupling : Coupling
-        Contact rows that are not orthogonal to all others.
+        Contact and tied rows that are not orthogonal to all others.
     """
 
     matrix: sp.csr_matrix
@@ -98,14 +97,22 @@ class Constraints:
     weights: Vector
     nodes: int
     redundant: int
-    dependent: int
     infinite_gaps: int
+    tied: TiedRows
     coupling: Coupling
 
     @property
     def size(self) -> int:
         """Number of rows that this rank holds."""
         return int(self.matrix.shape[0])
+
+    @property
+    def dependent(self) -> int:
+        """Number of contact and tied rows that depend linearly on others.
+
+        Their forces are not unique; displacements and resultants are.
+        """
+        return self.coupling.dependent
 
     @property
     def equality(self) -> NDArray[np.bool_]:
@@ -122,9 +129,12 @@ class Constraints:
 
     def same_numbering(self, other: Constraints) -> bool:
         """Tell, with one answer on all ranks, whether both number the same rows alike."""
-        same = np.array_equal(self.layout.numbers, other.layout.numbers) and np.array_equal(
-            self.own_rows, other.own_rows
+        pairs = (
+            (self.layout.numbers, other.layout.numbers),
+            (self.own_rows, other.own_rows),
+            (self.tied.own_rows, other.tied.own_rows),
         )
+        same = all(np.array_equal(*pair) for pair in pairs)
         return bool(self.layout.comm.allreduce(same, MPI.LAND))
 
     def same_rows(self, other: Constraints) -> bool:
@@ -133,13 +143,25 @@ class Constraints:
             self.matrix.shape == other.matrix.shape
             and (self.matrix != other.matrix).nnz == 0
             and np.array_equal(self.contact, other.contact)
+            and np.array_equal(self.tied.contact, other.tied.contact)
         )
         return self.same_numbering(other) and bool(self.layout.comm.allreduce(same, MPI.LAND))
+
+    def on_inequalities(self, values: Vector | NDArray[np.bool_]) -> Vector:
+        """Return a vector (m,) with values (i,) on the inequality rows, zero elsewhere."""
+        x = np.zeros(self.size)
+        x[self.inequality] = values
+        return x
 
     @property
     def owned_inequalities(self) -> int:
         """Number of inequality rows that this rank owns; they come first."""
         return int(np.searchsorted(self.inequality, self.layout.owned))
+
+    @property
+    def owned_tied(self) -> int:
+        """Number of tied rows that this rank owns; they come first."""
+        return int(np.searchsorted(self.tied.rows, self.layout.owned))
 
 
 def build_constraints(
@@ -165,7 +187,7 @@ def build_constraints(
     ------
     InputError
         On all ranks: contradictory prescribed displacements, a constraint on a node of no
-        subdomain, a contact row that prescribed displacements violate, contact rows that exclude
+        subdomain, a contact or tied row that prescribed displacements violate, rows that exclude
         each other.
     """
     copies = Copies.build(system, weights)
@@ -174,45 +196,51 @@ def build_constraints(
     local = table.lookup(directory, copies.nodes)
     equality = equality_rows(directory, copies, local, system.gdim, system.comm.rank)
     equality_total = first_of_rank(system.comm, table.equality_rows())[1]
-    inequality = inequality_rows(system, directory, copies, table, equality_total)
+    conditions = condition_rows(system, directory, copies, table, equality_total)
 
-    entries = Entries.concatenate([equality.entries, inequality.entries])
+    entries = Entries.concatenate([equality.entries, conditions.entries])
     layout = DualLayout(
-        system.comm, np.unique(np.concatenate([equality.entries.rows, inequality.number]))
+        system.comm, np.unique(np.concatenate([equality.entries.rows, conditions.number]))
     )
     shape = layout.numbers.size, sum(subdomain.size for subdomain in system.subdomains)
     matrix = sp.csr_matrix((entries.values, (layout.local(entries.rows), entries.columns)), shape)
-    at = layout.local(inequality.number)
+    at = layout.local(conditions.number)
     c = np.zeros(layout.numbers.size)
     c[layout.local(equality.prescribed)] = equality.values
-    c[at] = inequality.rhs
+    c[at] = conditions.rhs
 
-    kept = inequality.kept
+    kept = conditions.kept
     own_rows = np.full(kept.size, -1, dtype=np.int64)
     own_rows[kept] = at[: np.count_nonzero(kept)]
     # each row once
     rows, first = np.unique(at, return_index=True)
+    tied = conditions.tied[first]
+    contact, scale = conditions.contact[first], conditions.scale[first]
     constraints = Constraints(
         matrix,
         layout,
-        inequality=rows,
-        contact=inequality.contact[first],
-        scale=inequality.scale[first],
-        own_rows=own_rows,
+        inequality=rows[~tied],
+        contact=contact[~tied],
+        scale=scale[~tied],
+        own_rows=own_rows[~conditions.given_tied],
         weights=np.repeat(copies.weight, system.gdim),
         nodes=first_of_rank(system.comm, directory.keys.size)[1],
-        redundant=inequality.redundancy.dropped_total,
-        dependent=inequality.redundancy.dependent,
-        infinite_gaps=inequality.infinite_gaps,
-        coupling=_coupling(layout, inequality),
+        redundant=conditions.redundancy.dropped_total,
+        infinite_gaps=conditions.infinite_gaps,
+        tied=TiedRows(rows[tied], contact[tied], scale[tied], own_rows[conditions.given_tied]),
+        coupling=_coupling(layout, conditions),
     )
     return constraints, c
 
 
-def _coupling(layout: DualLayout, inequality: InequalityRows) -> Coupling:
+def _coupling(layout: DualLayout, conditions: ConditionRows) -> Coupling:
     """Find the coupled rows' numbers and those that this rank holds. Collective."""
-    kept, redundancy = inequality.kept, inequality.redundancy
-    own = inequality.number[: np.count_nonzero(kept)][redundancy.coupled[kept]]
-    numbers = concatenate_ranks(layout.comm, own)
+    kept, redundancy = conditions.kept, conditions.redundancy
+    own = redundancy.coupled[kept]
+    numbers = concatenate_ranks(layout.comm, conditions.number[: own.size][own])
+    tied = concatenate_ranks(layout.comm, conditions.given_tied[kept][own])
     positions = np.flatnonzero(np.isin(numbers, layout.numbers))
-    return Coupling(numbers, redundancy.gram, layout.local(numbers[positions]), positions)
+    rows = layout.local(numbers[positions])
+    return Coupling(
+        numbers, redundancy.gram, tied, rows, positions, rows < layout.owned, layout.comm
+    )

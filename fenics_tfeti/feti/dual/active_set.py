@@ -15,16 +15,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from mpi4py import MPI
-
 import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.constraints.redundancy import diagonal_blocks
+from fenics_tfeti.feti.constraints.coupling import null_space
 from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
-from fenics_tfeti.feti.tolerances import NO_WORK, PARALLEL
+from fenics_tfeti.feti.tolerances import NO_WORK
 from fenics_tfeti.qp import Products
 
 __all__ = ["ActiveSetResult", "ActiveSetStep", "primal_dual_active_set"]
@@ -261,37 +259,37 @@ def without_dependent_rows(problem: DualProblem, active: Mask, multipliers: Vect
         A subset. Collective.
     """
     constraints, coupling = problem.constraints, problem.constraints.coupling
-    if not constraints.dependent:
+    if not coupling.groups:
         return active
-    among_inequalities = np.searchsorted(constraints.inequality, coupling.rows)
-    owned = coupling.rows < constraints.layout.owned
-    gathered = np.zeros((3, coupling.numbers.size))
-    own = active[among_inequalities], multipliers[coupling.rows], problem.c[coupling.rows]
-    gathered[:, coupling.positions[owned]] = np.stack(own)[:, owned]
-    constraints.layout.comm.Allreduce(MPI.IN_PLACE, gathered)
-    chosen = gathered[0] > 0.0
-    for members, W in diagonal_blocks(coupling.gram):
-        force, gap = np.maximum(gathered[1][members], 0.0), gathered[2][members]
-        chosen[members] = _independent(W, chosen[members], force, gap)
+    on_rows = constraints.on_inequalities(active)
+    on_rows, forces, gaps = coupling.gather(on_rows, multipliers, problem.c)
+    chosen = (on_rows > 0.0) | coupling.tied
+    forces = np.maximum(forces, 0.0)
+    for members in coupling.groups:
+        W = coupling.gram[members][:, members].toarray()
+        chosen[members] = _independent(
+            W, chosen[members], forces[members], gaps[members], coupling.tied[members]
+        )
+    contact = ~coupling.tied[coupling.positions]
     active = active.copy()
-    active[among_inequalities] = chosen[coupling.positions]
+    at = np.searchsorted(constraints.inequality, coupling.rows[contact])
+    active[at] = chosen[coupling.positions[contact]]
     return active
 
 
-def _independent(W: Vector, chosen: Mask, force: Vector, gap: Vector) -> Mask:
-    """Return the rows of one block that can be closed together."""
+def _independent(W: Vector, chosen: Mask, force: Vector, gap: Vector, tied: Mask) -> Mask:
+    """Return the rows of one group that can be closed together; tied rows stay."""
     chosen = chosen.copy()
     while chosen.sum() > 1:
         at = np.flatnonzero(chosen)
-        values, vectors = np.linalg.eigh(W[np.ix_(at, at)])
-        null = vectors[:, values <= PARALLEL]
+        null = null_space(W[np.ix_(at, at)])
         y = -null @ (null.T @ gap[at])
-        falling = y < -_CONSISTENT * np.abs(y).max(initial=0.0)
+        falling = ~tied[at] & (y < -_CONSISTENT * np.abs(y).max(initial=0.0))
         consistent = np.abs(y).max(initial=0.0) <= _CONSISTENT * np.abs(gap[at]).max()
         if consistent or not falling.any():
             break
         way = force[at[falling]] / -y[falling]
-        force[at] = np.maximum(force[at] + way.min() * y, 0.0)
+        force[at] = np.where(tied[at], force[at], np.maximum(force[at] + way.min() * y, 0.0))
         chosen[at[falling][np.argmin(way)]] = False
     return chosen
 
@@ -314,7 +312,7 @@ def close_first_gaps(problem: DualProblem, active: Mask, gap: Vector) -> Face:
     Returns
     -------
     Face
-        The set with the rows that closed, and its projector.
+        The set with the rows that closed, its projector and preconditioner.
     """
     coarse_space = problem.coarse_space
     gap = np.maximum(gap, 0.0)
@@ -322,13 +320,13 @@ def close_first_gaps(problem: DualProblem, active: Mask, gap: Vector) -> Face:
         projector = Projector.build(coarse_space, active)
         work = projector.unresisted(problem.e, problem.e_size)
         if not work.any():
-            return Face(active, projector)
+            return Face.build(problem, active, projector)
         speed = coarse_space.contact.T @ work
         closing = ~active & (speed > NO_WORK * np.linalg.norm(work))
         way = np.divide(gap, speed, out=np.full(gap.size, np.inf), where=closing)
         first = problem.space.dots_and_min(value=float(way.min(initial=np.inf)))[0]
         if not np.isfinite(first):
-            return Face(active, projector)
+            return Face.build(problem, active, projector)
         # rows that close at once, up to rounding, join together
         active = active | (way <= first * (1.0 + NO_WORK))
         gap = np.where(active, 0.0, np.maximum(gap - first * speed, 0.0))

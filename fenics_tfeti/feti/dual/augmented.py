@@ -30,6 +30,7 @@ from fenics_tfeti.qp import (
 __all__ = ["augmented_hessian", "solve_by_smalbe"]
 
 Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
 
 
 def solve_by_smalbe(
@@ -107,15 +108,19 @@ def augmented_hessian(
 
 def _augmented_preconditioner(
     problem: DualProblem, rho: float
-) -> Callable[[Vector], Vector] | None:
-    """Return M^{-1} = ||PFP|| P B_D S B_D' P + Q / rho, for the Hessian of (11.40)."""
-    precondition, projector = problem.precondition, problem.projector
-    if precondition is None:
+) -> Callable[[Vector, Numbers], Vector] | None:
+    """Return M^{-1} = ||PFP|| P B_D S B_D' P + Q / rho, for the Hessian of (11.40).
+
+    B_D is that of the rows whose multipliers are free.
+    """
+    preconditioner, projector = problem.preconditioner, problem.projector
+    if preconditioner is None:
         return None
 
-    def apply(x: Vector) -> Vector:
+    def apply(x: Vector, on_bounds: Numbers) -> Vector:
+        free = ~np.isin(problem.constraints.inequality, on_bounds)
         part, Qx = projector.part_of_Q(x)
-        y = projector.part_of_P(precondition(x - Qx))
+        y = projector.part_of_P(preconditioner.on_face(free)(x - Qx))
         return problem.constraints.layout.sum(problem.norm * y + part / rho)
 
     return apply

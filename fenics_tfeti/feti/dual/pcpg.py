@@ -8,13 +8,15 @@ with G and the projector P of the rows on the face. The gradient is kept on *all
 g = Fl - d + G'a with the rigid motions a of the face: where l = o it is the gap that is left, whose
 sign tells whether the face is the right one.
 
-With the lumped preconditioner M = B D^{-1} K D^{-1} B' the number r'Mr is the squared energy of
-D^{-1} B'r, the displacement that closes the jumps r: sqrt(r'z) bounds the error of the displacement
-in the energy norm, see `fenics_tfeti.feti.certificate`.
+With the lumped preconditioner M = B_D K B_D' the number r'Mr is the squared energy of B_D'r, with
+B_D = W^{-1} B D^{-1} of the rows on the face: the displacement that closes the jumps r. So
+sqrt(r'z) bounds the error of the displacement in the energy norm, see
+`fenics_tfeti.feti.certificate`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,10 +50,19 @@ class Face:
         The inequality rows on the face.
     projector : Projector
         P and Q of the equality rows and the active rows.
+    precondition : callable or None
+        x -> this rank's part of B_D S B_D'x on the face.
     """
 
     active: Mask
     projector: Projector
+    precondition: Callable[[Vector], Vector] | None
+
+    @staticmethod
+    def build(problem: DualProblem, active: Mask, projector: Projector) -> Face:
+        """Make the preconditioner of a face. Collective."""
+        kind = problem.preconditioner
+        return Face(active, projector, None if kind is None else kind.on_face(active))
 
 
 @dataclass(frozen=True)
@@ -202,7 +213,7 @@ def _with_preconditioned_residual(
     """Return the iterate with z = PMr and r'z of its residual r = -g on the face."""
     if iterate.preconditioned is not None:
         return iterate
-    z, rz = _precondition(problem, face, -face.projector.on_rows(iterate.gradient), products)
+    z, rz = _precondition(face, -face.projector.on_rows(iterate.gradient), products)
     if rz is None:
         # without preconditioner z = r in units of ||PFP||, so that r'z is an energy
         z, rz = z / problem.norm, iterate.residual**2 / problem.norm
@@ -218,7 +229,7 @@ def _first_iterate(
         return _iterate_at(problem, face, l, np.zeros_like(l), -problem.d, (), products)
     # from another face, with a preconditioned step by the residual there: no product of its own
     alpha, r = start.step_length, -face.projector.on_rows(start.gradient)
-    z, rz = _precondition(problem, face, face.projector.P(r), products)
+    z, rz = _precondition(face, face.projector.P(r), products)
     z = z / problem.norm if rz is None else z
     l = _nearest_on_face(problem, face, start.multipliers) + alpha * z
     if face.projector.free.shape[1]:
@@ -258,14 +269,12 @@ def _product(problem: DualProblem, x: Vector, products: Products) -> Vector:
     return problem.F(x)
 
 
-def _precondition(
-    problem: DualProblem, face: Face, r: Vector, products: Products
-) -> tuple[Vector, float | None]:
+def _precondition(face: Face, r: Vector, products: Products) -> tuple[Vector, float | None]:
     """Return z = PMr and r'z; None for the latter where it would cost a reduction."""
-    if problem.precondition is None:
+    if face.precondition is None:
         return r, None
     products.preconditioner += 1
-    return face.projector.P_of_sum(problem.precondition(r), r)
+    return face.projector.P_of_sum(face.precondition(r), r)
 
 
 def _norms(

@@ -1,8 +1,13 @@
-"""Lumped and Dirichlet preconditioners in the face (sec. 11.12)."""
+"""Lumped and Dirichlet preconditioners in the face (sec. 11.12).
+
+B_D S B_D' with B_D = (B_R D^{-1} B_R')^{-1} B_R D^{-1} of the rows R of the face: of all rows but
+the coupled ones this is B D^{-1}, of those W_RR^{-1} B D^{-1} (`constraints.coupling`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Literal
 
@@ -12,17 +17,68 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.linalg import null_space
 
+from fenics_tfeti.feti.constraints.coupling import GramInverse
+from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.local.cholesky import SparseCholesky
 from fenics_tfeti.feti.local.congruence import times_rows
 from fenics_tfeti.feti.local.generalized_inverse import regularized_stiffness
 
-__all__ = ["interface_operator"]
+__all__ = ["Preconditioner", "interface_operator"]
 
 Vector = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 # singular value of R on the interface, relative to the largest, that is rounding
 _NOT_MOVED = 1e-10
+
+
+@dataclass
+class Preconditioner:
+    """B_D S B_D' on the faces of a dual problem.
+
+    Attributes
+    ----------
+    apply : callable
+        x -> this rank's part of B D^{-1} S D^{-1} B'x, see `interface_operator`.
+    constraints : Constraints
+        B.
+    """
+
+    apply: Callable[[Vector], Vector]
+    constraints: Constraints
+    _inverse: GramInverse | None = field(init=False, repr=False, default=None)
+
+    def on_face(self, active: Mask) -> Callable[[Vector], Vector]:
+        """Return x -> this rank's part of B_D S B_D'x, x zero off the face. Collective.
+
+        Parameters
+        ----------
+        active : (i,) bool array
+            The contact rows on the face, beside all equality rows.
+        """
+        coupling = self.constraints.coupling
+        if not coupling.numbers.size:
+            return self.apply
+        (on_rows,) = coupling.gather(self.constraints.on_inequalities(active))
+        inverse = self._inverse_of((on_rows > 0.0) | coupling.tied)
+
+        def precondition(x: Vector) -> Vector:
+            x = x.copy()
+            x[coupling.rows] = inverse.solve(coupling.gather(x)[0])[coupling.positions]
+            part = self.apply(x)
+            closed = inverse.solve(coupling.sum(part))[coupling.positions]
+            # the sum over the ranks is known already: it is its owner's part
+            part[coupling.rows] = np.where(coupling.owned, closed, 0.0)
+            return part
+
+        return precondition
+
+    def _inverse_of(self, chosen: Mask) -> GramInverse:
+        """Factor W_RR, unless R is the same as last."""
+        if self._inverse is None or not np.array_equal(self._inverse.chosen, chosen):
+            self._inverse = self.constraints.coupling.inverse(chosen)
+        return self._inverse
 
 
 def interface_operator(
@@ -36,7 +92,6 @@ def interface_operator(
 
     Lumped takes K_bb, the interior held still; Dirichlet the Schur complement
     K_bb - K_bi K_ii^{-1} K_ib, the interior free to follow. The interface is what B has entries on.
-    As B D^{-1} B' = I, this is the scaled B_D S B_D' with B_D = (B D^{-1} B')^{-1} B D^{-1}.
 
     Parameters
     ----------

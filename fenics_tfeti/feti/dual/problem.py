@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.dual.preconditioner import Preconditioner
 from fenics_tfeti.qp import Space
 
 __all__ = ["DualProblem"]
@@ -42,8 +43,8 @@ class DualProblem:
         P and Q of all rows.
     norm : float
         ||PFP||, roughly: the scale of gaps against forces.
-    precondition : callable or None
-        x -> this rank's part of B_D S B_D'x.
+    preconditioner : Preconditioner or None
+        B_D S B_D' on faces.
     """
 
     F: Callable[[Vector], Vector]
@@ -53,7 +54,7 @@ class DualProblem:
     c: Vector
     projector: Projector
     norm: float
-    precondition: Callable[[Vector], Vector] | None
+    preconditioner: Preconditioner | None
 
     @property
     def coarse_space(self) -> CoarseSpace:

@@ -207,7 +207,7 @@ def test_dependent_rows_leave_a_set(seed):
     B /= np.linalg.norm(B, axis=1)[:, None]
     force, gap, chosen = rng.random(k), rng.standard_normal(k), rng.random(k) < 0.9
     force[~chosen] = 0.0
-    stays = _independent(B @ B.T, chosen, force, gap)
+    stays = _independent(B @ B.T, chosen, force, gap, np.zeros(k, dtype=bool))
     assert not (stays & ~chosen).any()
     work, left = force @ gap, force @ B
     x, missing = nnls(B[stays].T, left)
@@ -253,4 +253,5 @@ def test_light_body_beside_a_heavy_one_closes_its_gaps():
 def test_dependent_rows_that_close_together_stay():
     normals = np.array([[0.0, 1.0], [0.6, 0.8], [-0.6, 0.8]])
     every = np.ones(3, dtype=bool)
-    assert _independent(normals @ normals.T, every, np.ones(3), normals @ [0.3, -0.2]).all()
+    gap = normals @ [0.3, -0.2]
+    assert _independent(normals @ normals.T, every, np.ones(3), gap, ~every).all()

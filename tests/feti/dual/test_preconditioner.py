@@ -72,10 +72,10 @@ def test_scaled_stiffness_of_the_interfaces(make, kind, scaling):
     )
     D = np.linalg.inv(system.D)
     exact = system.B @ D @ S @ D @ system.B.T
-    apply = solver.setup.precondition
+    apply = solver.setup.preconditioner.apply
     found = np.stack([apply(unit) for unit in np.eye(len(system.B))], axis=1)
     np.testing.assert_allclose(found, exact, rtol=0.0, atol=1e-11 * np.abs(exact).max())
 
 
 def test_without_preconditioner():
-    assert TornSolver(column(), Options(preconditioner="none")).setup.precondition is None
+    assert TornSolver(column(), Options(preconditioner="none")).setup.preconditioner is None

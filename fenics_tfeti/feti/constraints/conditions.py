@@ -1,10 +1,10 @@
-"""Inequality rows: contact conditions between weighted means of the copies of nodes.
+"""Contact and tied rows: conditions between weighted means of the copies of nodes.
 
-A condition is a sum over nodes, sum_k c_k'u(node_k) <= gap: two nodes with coefficients n and -n,
-one node with n for a rigid obstacle, a slave node and some master nodes. It is divided by the
-length of its first coefficient, so that gaps are distances and multipliers forces. Its row takes
-the weighted mean of the copies of each node. On glued displacements that is the row of the chapter,
-and it is orthogonal to every contrast.
+A condition is a sum over nodes, sum_k c_k'u(node_k) <= gap, or = gap where surfaces are tied: two
+nodes with coefficients n and -n, one node with n for a rigid obstacle, a slave node and some master
+nodes. It is divided by the length of its first coefficient, so that gaps are distances and
+multipliers forces. Its row takes the weighted mean of the copies of each node. On glued
+displacements that is the row of the chapter, and it is orthogonal to every contrast.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fenics_tfeti.feti.system import ContactRows, TornSystem
 from fenics_tfeti.feti.tolerances import ROUNDED_GAP, SAME_VALUE
 from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
 
-__all__ = ["InequalityRows", "inequality_rows"]
+__all__ = ["ConditionRows", "condition_rows"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -34,8 +34,8 @@ _NEGLIGIBLE_ROW = 1e-10
 
 
 @dataclass(frozen=True)
-class InequalityRows:
-    """The inequality rows that this rank gives, or that have entries on it.
+class ConditionRows:
+    """The contact and tied rows that this rank gives, or that have entries on it.
 
     Attributes
     ----------
@@ -50,12 +50,16 @@ class InequalityRows:
         Factor that makes B D^{-1} B' = 1 of the condition whose first coefficient has length 1.
     rhs : (r,) array
         Right-hand side, scaled.
-    kept : (contact rows of this rank,) bool array
-        Contact rows that became rows of B.
+    tied : (r,) bool array
+        Whether it is an equality.
+    given_tied : (rows of this rank,) bool array
+        The same for the contact rows that this rank gives and, after them, its tied rows.
+    kept : (rows of this rank,) bool array
+        Those of them that became rows of B.
     infinite_gaps : int
         Number of contact rows with an infinite gap, over all ranks.
     redundancy : Redundancy
-        Contact rows that others imply, and rows that are not orthogonal.
+        Rows that others imply, and rows that are not orthogonal.
     """
 
     entries: Entries
@@ -63,6 +67,8 @@ class InequalityRows:
     contact: Numbers
     scale: Vector
     rhs: Vector
+    tied: Mask
+    given_tied: Mask
     kept: Mask
     infinite_gaps: int
     redundancy: Redundancy
@@ -70,12 +76,12 @@ class InequalityRows:
 
 @dataclass(frozen=True)
 class _Terms:
-    """The terms c_k'u(node_k) of this rank's contact conditions, the first ones of unit length.
+    """The terms c_k'u(node_k) of this rank's conditions, the first ones of unit length.
 
     Attributes
     ----------
     row : (t,) integer array
-        Contact row of this rank.
+        Row of this rank.
     node : (t,) integer array
         Global node number.
     coefficients : (t, gdim) array
@@ -99,10 +105,10 @@ class _Terms:
     size: Vector
 
 
-def inequality_rows(
+def condition_rows(
     system: TornSystem, directory: Directory, copies: Copies, table: NodeTable, first: int
-) -> InequalityRows:
-    """Return the contact rows with B D^{-1} B' = 1, numbered from `first`. Collective.
+) -> ConditionRows:
+    """Return contact and tied rows with B D^{-1} B' = 1, numbered from `first`. Collective.
 
     Raises
     ------
@@ -110,8 +116,9 @@ def inequality_rows(
         On all ranks, if a row names a node of no subdomain, prescribed displacements violate it, or
         two rows exclude each other.
     """
-    contacts = system.contacts
-    terms = _terms(system, directory, table)
+    contacts = ContactRows.concatenate([system.contacts, system.tied])
+    tied = np.arange(contacts.size) >= system.contacts.size
+    terms = _terms(system, contacts, directory, table)
     # prescribed displacements go to the right-hand side: the row stays orthogonal to their rows
     gap = contacts.gap / contacts.length
     tolerance = np.abs(gap)
@@ -126,11 +133,11 @@ def inequality_rows(
     np.add.at(norm2, terms.row, lengths2 / terms.weight)
     finite, free = np.isfinite(gap), free2 > _NEGLIGIBLE_ROW**2 * squares
     with raise_collectively(system.comm):
-        _check_decided_rows(contacts, gap, tolerance, finite & ~free)
+        _check_decided_rows(contacts, tied, gap, tolerance, finite & ~free)
     kept = finite & free
     scale = 1.0 / np.sqrt(np.where(kept, norm2, 1.0))
     redundancy = find_redundant(
-        _conditions(terms, kept, scale, gap, tolerance), directory, system.comm
+        _conditions(terms, kept, scale, gap, tolerance, tied), directory, system.comm
     )
     kept &= ~redundancy.dropped
 
@@ -141,20 +148,24 @@ def inequality_rows(
     row = terms.row[here]
     coefficients = (terms.coefficients / terms.weight[:, None])[here] * scale[row][:, None]
     # the holders of a row's nodes need the row
-    nodes, numbers, coefficients, *others = directory.forward(
-        terms.node[here], number[row], coefficients, contacts.contact[row], scale[row], rhs[row]
+    given = (number, contacts.contact, scale, rhs, tied)
+    nodes, coefficients, *held = directory.forward(
+        terms.node[here], coefficients, *(column[row] for column in given)
     )
-    given = (number, contacts.contact, scale, rhs)
-    needed = zip(given, (numbers, *others), strict=True)
-    number, contact, scale, rhs = (np.concatenate([own[kept], held]) for own, held in needed)
-    entries = _spread_over_copies(copies, nodes, numbers, coefficients)
+    entries = _spread_over_copies(copies, nodes, held[0], coefficients)
+    number, contact, scale, rhs, equality = (
+        np.concatenate([own[kept], others]) for own, others in zip(given, held, strict=True)
+    )
     infinite_gaps = int(system.comm.allreduce(int(np.count_nonzero(~finite))))
-    return InequalityRows(entries, number, contact, scale, rhs, kept, infinite_gaps, redundancy)
+    return ConditionRows(
+        entries, number, contact, scale, rhs, equality, tied, kept, infinite_gaps, redundancy
+    )
 
 
-def _terms(system: TornSystem, directory: Directory, table: NodeTable) -> _Terms:
-    """Return the terms of this rank's contact rows. Collective."""
-    contacts = system.contacts
+def _terms(
+    system: TornSystem, contacts: ContactRows, directory: Directory, table: NodeTable
+) -> _Terms:
+    """Return the terms of this rank's rows. Collective."""
     row, node = contacts.row, contacts.nodes
     coefficients = contacts.coefficients / contacts.length[row][:, None]
     found = table.lookup(directory, node)
@@ -173,7 +184,7 @@ def _terms(system: TornSystem, directory: Directory, table: NodeTable) -> _Terms
 
 
 def _conditions(
-    terms: _Terms, kept: Mask, scale: Vector, gap: Vector, tolerance: Vector
+    terms: _Terms, kept: Mask, scale: Vector, gap: Vector, tolerance: Vector, tied: Mask
 ) -> ContactConditions:
     """Return the kept rows in the coordinates D^{-1/2} of the nodes, where they have length 1."""
     chosen = kept[terms.row] & np.any(terms.coefficients != 0.0, axis=1)
@@ -185,6 +196,7 @@ def _conditions(
         terms.coefficients[chosen] * factor[:, None],
         scale * gap,
         scale * tolerance,
+        tied,
     )
 
 
@@ -210,19 +222,27 @@ def _spread_over_copies(
 def _check_known(nodes: Numbers, multiplicity: Numbers) -> None:
     unknown = nodes[multiplicity == 0]
     if unknown.size:
-        raise InputError(f"a contact row names node {unknown[0]}, which is in no subdomain")
+        raise InputError(f"a contact or tied row names node {unknown[0]}, which is in no subdomain")
 
 
 def _check_decided_rows(
-    contacts: ContactRows, gap: Vector, tolerance: Vector, decided: Mask
+    contacts: ContactRows, tied: Mask, gap: Vector, tolerance: Vector, decided: Mask
 ) -> None:
     """Check the rows that prescribed displacements alone decide."""
-    violated = np.flatnonzero(decided & (gap < -tolerance))
-    if violated.size:
-        k = violated[0]
-        given = contacts.gap[k] / contacts.length[k]
+    excess = np.where(tied, np.abs(gap), -gap)
+    violated = np.flatnonzero(decided & (excess > tolerance))
+    if not violated.size:
+        return
+    k = violated[0]
+    given = contacts.gap[k] / contacts.length[k]
+    if tied[k]:
         raise InputError(
-            f"prescribed displacements violate {violated.size} contact conditions: at slave node "
-            f"{contacts.slave[k]} they close the gap of {given:g} m by {given - gap[k]:g} m. "
-            "Prescribe less, or take the nodes out of the contact"
+            f"prescribed displacements contradict {np.count_nonzero(tied[violated])} tied "
+            f"conditions: at slave node {contacts.slave[k]} they leave a jump of {-gap[k]:g} m. "
+            "Prescribe the same displacements on both surfaces, or take the nodes out of the pair"
         )
+    raise InputError(
+        f"prescribed displacements violate {violated.size} contact conditions: at slave node "
+        f"{contacts.slave[k]} they close the gap of {given:g} m by {given - gap[k]:g} m. "
+        "Prescribe less, or take the nodes out of the contact"
+    )

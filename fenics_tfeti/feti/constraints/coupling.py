@@ -1,0 +1,242 @@
+"""W in B D^{-1} B' = blockdiag(I, W): rows that are not orthogonal to all others, and W_RR^+.
+
+All rows of a mortar share master nodes, so W is sparse and may have one large block for a pair of
+surfaces. Every rank has all of W, and factors the part W_RR of the rows R that are constraints of
+the problem at hand. Entries of the inverse of all of W are no inverse of W_RR.
+
+Rows may depend linearly on others: more contacts at a node than it has components, or more slave
+nodes with prescribed displacements than master nodes. The null vectors of W reach over few rows;
+these are found once, by small pivots of a factor of W, and treated by dense algebra.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from mpi4py import MPI
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.linalg import qr
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import SuperLU, splu
+
+from fenics_tfeti.feti.tolerances import PARALLEL
+
+__all__ = ["Coupling", "GramInverse", "dependent_groups", "null_space"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# pivot of a matrix with a diagonal of 1 below which its row may depend on the rows before, and what
+# is added to the diagonal so that no pivot vanishes
+_SMALL_PIVOT, _SHIFT = 1e-6, 1e-12
+# entry of a null vector, relative to 1, that is rounding
+_TRACE = 1e-9
+# columns that are solved for at once
+_COLUMNS = 64
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """Tied and contact rows that are not orthogonal to all others.
+
+    All other rows, and rows of different blocks of W, are orthonormal.
+
+    Attributes
+    ----------
+    numbers : (w,) integer array
+        Global numbers of the coupled rows, ascending; the same on all ranks.
+    gram : (w, w) scipy.sparse.csr_matrix
+        W in this order, with a diagonal of 1; the same on all ranks. Singular if rows depend
+        linearly on others.
+    tied : (w,) bool array
+        Which of them are equalities.
+    rows : (h,) integer array
+        Local positions of the coupled rows that this rank holds.
+    positions : (h,) integer array
+        Their positions in `numbers`.
+    owned : (h,) bool array
+        Which of them this rank owns.
+    comm : MPI.Intracomm
+        The ranks.
+    """
+
+    numbers: Numbers
+    gram: sp.csr_matrix
+    tied: Mask
+    rows: Numbers
+    positions: Numbers
+    owned: Mask
+    comm: MPI.Intracomm
+
+    @cached_property
+    def groups(self) -> list[Numbers]:
+        """Positions of rows that depend linearly on each other, group by group."""
+        return dependent_groups(self.gram)
+
+    @cached_property
+    def dependent(self) -> int:
+        """Rank deficiency of W."""
+        return sum(null_space(_block(self.gram, members)).shape[1] for members in self.groups)
+
+    @cached_property
+    def block(self) -> Numbers:
+        """The diagonal block of W that each row belongs to, (w,)."""
+        blocks: Numbers = connected_components(self.gram, directed=False)[1].astype(np.int64)
+        return blocks
+
+    def gather(self, *local: Vector) -> Vector:
+        """Return the coupled rows of vectors (m,), (k, w), the same on all ranks. Collective."""
+        owned = self.rows[self.owned]
+        whole = np.zeros((len(local), self.numbers.size))
+        whole[:, self.positions[self.owned]] = np.stack([x[owned] for x in local])
+        self._sum_over_ranks(whole)
+        return whole
+
+    def sum(self, part: Vector) -> Vector:
+        """Return the coupled rows (w,) of the sum of the ranks' parts (m,). Collective."""
+        whole = np.zeros(self.numbers.size)
+        whole[self.positions] = part[self.rows]
+        self._sum_over_ranks(whole)
+        return whole
+
+    def _sum_over_ranks(self, whole: Vector) -> None:
+        if self.comm.size > 1:
+            self.comm.Allreduce(MPI.IN_PLACE, whole)
+
+    def inverse(self, chosen: Mask) -> GramInverse:
+        """Return W_RR^+ of the chosen rows (w,)."""
+        return GramInverse.build(self.gram, chosen, self.groups)
+
+
+@dataclass(frozen=True)
+class GramInverse:
+    """W_RR^+ = (I - N N') W_RR^- (I - N N'), with W_RR^- of independent rows and null vectors N.
+
+    Attributes
+    ----------
+    chosen : (w,) bool array
+        R.
+    independent : (r,) integer array
+        Positions of rows on which all others of R depend.
+    null : (w, k) scipy.sparse.csr_matrix
+        N: an orthonormal basis of the kernel of W_RR.
+    """
+
+    chosen: Mask
+    independent: Numbers
+    null: sp.csr_matrix
+    _factor: SuperLU | None = field(repr=False)
+
+    @staticmethod
+    def build(W: sp.csr_matrix, chosen: Mask, groups: Sequence[Numbers] = ()) -> GramInverse:
+        """Factor W_RR.
+
+        Parameters
+        ----------
+        W : (w, w) scipy.sparse.csr_matrix
+            Symmetric positive semidefinite, with a diagonal of 1.
+        chosen : (w,) bool array
+            R.
+        groups : sequence of integer arrays
+            `dependent_groups` of W.
+
+        Examples
+        --------
+        >>> W = sp.csr_matrix(np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]))
+        >>> inverse = GramInverse.build(W, np.array([True] * 3), dependent_groups(W))
+        >>> inverse.solve(np.array([1.0, 1.0, 2.0])).round(12).tolist()
+        [0.5, 0.5, 2.0]
+        """
+        independent, columns = chosen.copy(), [sp.csc_matrix((chosen.size, 0))]
+        for members in groups:
+            own = members[chosen[members]]
+            null = null_space(_block(W, own))
+            if null.shape[1]:
+                # rows without which the others are independent
+                pivots = qr(null.T, mode="r", pivoting=True)[1][: null.shape[1]]
+                independent[own[pivots]] = False
+                at = np.repeat(own, null.shape[1]), np.tile(np.arange(null.shape[1]), own.size)
+                columns.append(sp.csc_matrix((null.ravel(), at), (chosen.size, null.shape[1])))
+        rows = np.flatnonzero(independent)
+        factor = _factor(W[rows][:, rows]) if rows.size else None
+        return GramInverse(chosen, rows, sp.hstack(columns, format="csr"), factor)
+
+    def solve(self, b: Vector) -> Vector:
+        """Return W_RR^+ b_R as a vector (w,), zero outside R."""
+        y = np.zeros(self.chosen.size)
+        if self._factor is not None:
+            b = self._without_null(np.where(self.chosen, b, 0.0))
+            y[self.independent] = self._factor.solve(b[self.independent])
+            y = self._without_null(y)
+        return y
+
+    def _without_null(self, x: Vector) -> Vector:
+        if not self.null.shape[1]:
+            return x
+        part: Vector = x - self.null @ (self.null.T @ x)
+        return part
+
+
+def dependent_groups(W: sp.csr_matrix) -> list[Numbers]:
+    """Return groups of rows that contain the null vectors of W: each has some, and all have all.
+
+    Parameters
+    ----------
+    W : (w, w) scipy.sparse.csr_matrix
+        Symmetric positive semidefinite, with a diagonal of 1.
+
+    Examples
+    --------
+    >>> W = np.identity(4)
+    >>> W[1, 3] = W[3, 1] = 1.0
+    >>> [rows.tolist() for rows in dependent_groups(sp.csr_matrix(W))]
+    [[1, 3]]
+    """
+    w = W.shape[0]
+    if w == 0:
+        return []
+    factor = _factor(W + _SHIFT * sp.identity(w, format="csr"))
+    small = factor.U.diagonal()[factor.perm_r] <= _SMALL_PIVOT
+    candidates, others = np.flatnonzero(small), np.flatnonzero(~small)
+    if not candidates.size:
+        return []
+    # a null vector n of W is -W_II^{-1} W_ID n_D on the independent rows I
+    reached = small.copy()
+    if others.size:
+        factor = _factor(W[others][:, others])
+        right = W[others][:, candidates]
+        for start in range(0, candidates.size, _COLUMNS):
+            columns = factor.solve(right[:, start : start + _COLUMNS].toarray())
+            reached[others] |= np.abs(columns).max(axis=1) > _TRACE
+    rows = np.flatnonzero(reached)
+    count, group = connected_components(W[rows][:, rows], directed=False)
+    found = (rows[group == g] for g in range(count))
+    return [members for members in found if null_space(_block(W, members)).shape[1]]
+
+
+def null_space(W: Vector) -> Vector:
+    """Return an orthonormal basis (k, n) of the kernel of a Gram matrix (k, k) of unit rows."""
+    values, vectors = np.linalg.eigh(W)
+    basis: Vector = vectors[:, values <= PARALLEL]
+    return basis
+
+
+def _block(W: sp.csr_matrix, members: Numbers) -> Vector:
+    block: Vector = W[members][:, members].toarray()
+    return block
+
+
+def _factor(W: sp.csr_matrix) -> SuperLU:
+    """Factor a symmetric positive definite matrix, with pivots on its diagonal."""
+    return splu(
+        W.tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
