@@ -15,6 +15,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from mpi4py import MPI
+
 import numpy as np
 from numpy.typing import NDArray
 
