@@ -30,7 +30,12 @@ ELSEWHERE = {
     "report.py": "tests/fem/contact/test_pairing_summary.py reads it from a solved problem",
 }
 # Tests of what several modules do together.
-TOGETHER = {"feti/test_springs.py", "feti/test_units.py", "feti/coarse/test_motions.py"}
+TOGETHER = {
+    "feti/test_sparse_rows.py",
+    "feti/test_springs.py",
+    "feti/test_units.py",
+    "feti/coarse/test_motions.py",
+}
 
 MODULES = sorted(
     path.relative_to(PACKAGE) for path in PACKAGE.rglob("*.py") if not path.name.startswith("_")

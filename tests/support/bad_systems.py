@@ -436,6 +436,52 @@ def no_contact_rows(system):
     return dataclasses.replace(system, contacts=None)
 
 
+# -- tied rows -------------------------------------------------------------------------------------
+
+
+def tied(system: TornSystem, **fields: Any) -> TornSystem:
+    """Tie the nodes of the contact along x, with some fields of the rows changed."""
+    rows = dataclasses.replace(system.contacts, coefficients=system.contacts.coefficients[:, ::-1])
+    return dataclasses.replace(system, tied=dataclasses.replace(rows, **fields))
+
+
+@mistake("tied.gap", "1 of 16", "NaN or infinite", "nothing to tie to")
+def tied_row_with_an_infinite_gap(system):
+    return tied(system, gap=changed(system.contacts.gap, 4, np.inf))
+
+
+@mistake("tied.nodes", "1 rows name a node twice", "row 2 (joint)")
+def tied_row_with_a_node_twice(system):
+    nodes = system.contacts.nodes
+    return tied(system, nodes=changed(nodes, 5, nodes[4]))
+
+
+@mistake("tied.coefficients", "first coefficient of 1 rows vanishes", "row 0 (joint)")
+def tied_row_without_a_direction(system):
+    values = system.contacts.coefficients[:, ::-1]
+    return tied(system, coefficients=changed(values, 0, 0.0))
+
+
+@mistake("tied.offsets", "(16,)", "expected (17,)")
+def tied_offsets_without_the_end(system):
+    return tied(system, offsets=system.contacts.offsets[:-1])
+
+
+@mistake("tied.contact", "1000000000", "0, 1, ...")
+def tied_pair_with_a_number_that_is_too_large(system):
+    return tied(system, contact=changed(system.contacts.contact, 4, 10**9))
+
+
+@mistake("node 777", "no subdomain")
+def tied_node_of_no_subdomain(system):
+    return tied(system, nodes=changed(system.contacts.nodes, 0, 777))
+
+
+@mistake("tied", "NoneType", "ContactRows")
+def tied_rows_that_are_none(system):
+    return dataclasses.replace(system, tied=None)
+
+
 # -- the system ------------------------------------------------------------------------------------
 
 

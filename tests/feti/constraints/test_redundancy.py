@@ -81,6 +81,45 @@ def test_conditions_that_exclude_each_other():
         build_constraints(two_cubes(rows))
 
 
+def tied(contacts, ties) -> TornSystem:
+    return dataclasses.replace(two_cubes(contacts), tied=ties)
+
+
+@pytest.mark.parametrize(
+    ("normal", "gap", "message"),
+    [
+        (Z, 0.1, None),
+        (-Z, -0.1, None),
+        (Z, 0.3, None),
+        (-Z, 0.3, None),
+        (Z, 0.1 - 1e-9, "1 tied conditions contradict"),
+        (-Z, -0.1 - 1e-9, "1 tied conditions contradict"),
+    ],
+    ids=["equal", "opposite", "far", "opposite and far", "closer", "opposite and closer"],
+)
+def test_tied_row_decides_contact_rows_along_it(normal, gap, message):
+    contact = conditions((NODE, OTHER, normal, gap), (NODE, OTHER, X, 0.0))
+    tie = conditions((OTHER, NODE, -Z, 0.1))
+    if message:
+        with pytest.raises(InputError, match=rf"{message}.*{NODE}"):
+            build_constraints(tied(contact, tie))
+        return
+    constraints, _ = build_constraints(tied(contact, tie))
+    assert constraints.redundant == 1
+    assert (constraints.own_rows >= 0).tolist() == [False, True]
+    assert constraints.tied.own_rows[0] >= 0
+
+
+@pytest.mark.parametrize("gap", [0.1, -0.1])
+def test_surface_tied_twice(gap):
+    ties = conditions((NODE, OTHER, Z, 0.1), (OTHER, NODE, Z, gap))
+    if gap == -0.1:
+        assert build_constraints(tied(ContactRows.none(3), ties))[0].redundant == 1
+    else:
+        with pytest.raises(InputError, match="2 tied conditions contradict"):
+            build_constraints(tied(ContactRows.none(3), ties))
+
+
 @pytest.mark.parametrize("room", [-1e-9, -1e-10])
 def test_other_gaps_hide_no_conditions_that_exclude_each_other(room):
     rows = conditions((NODE, -1, Z, 0.0), (NODE, -1, -Z, room), (NODE, -1, X, 1e10))

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from sparse_rows import clamped, random_rows, two_blocks
 from torn import column, cube
 
 from fenics_tfeti import InputError
@@ -255,3 +256,47 @@ def test_order_of_subdomains_does_not_change_what_is_constrained():
         np.linalg.matrix_rank(build_constraints(s)[0].matrix.toarray()) for s in (system, turned)
     ]
     assert ranks[0] == ranks[1]
+
+
+def random_system(seed: int) -> TornSystem:
+    """Return two blocks with random rows, some of their nodes in several subdomains or held."""
+    rng, blocks = np.random.default_rng(seed), two_blocks(2, 2)
+    contacts, tied = random_rows(blocks, rng, 25), random_rows(blocks, rng, 10)
+    return TornSystem(blocks, clamped(blocks, (0, 1.0)), contacts, 3, tied=tied)
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+@pytest.mark.parametrize("seed", range(4))
+def test_gram_matrix_of_random_rows(seed, weighted):
+    """B D^{-1} B' is the identity but for W of contact and tied rows, of any length."""
+    system = random_system(seed)
+    weights = random_weights(system, seed) if weighted else None
+    constraints, _ = build_constraints(system, weights)
+    coupling, tied = constraints.coupling, constraints.tied
+    B = constraints.matrix.toarray() / np.sqrt(constraints.weights)
+    expected = np.eye(len(B))
+    expected[np.ix_(coupling.rows, coupling.rows)] = coupling.gram.toarray()
+    np.testing.assert_allclose(B @ B.T, expected, rtol=0.0, atol=1e-14)
+    assert np.isin(coupling.rows, np.append(constraints.inequality, tied.rows)).all()
+    np.testing.assert_array_equal(np.isin(coupling.rows, tied.rows), coupling.tied)
+    assert constraints.equality[tied.rows].all()
+
+
+def test_jumps_of_random_rows_are_distances():
+    """On glued displacements a jump divided by the scale is that of the unit row."""
+    system = random_system(0)
+    constraints, c = build_constraints(system)
+    rng = np.random.default_rng(1)
+    value = {node: rng.normal(size=3) for s in system.subdomains for node in s.nodes}
+    value |= {node: np.zeros(3) for node in system.prescribed.nodes}
+    u = np.concatenate([[value[n] for n in s.nodes] for s in system.subdomains]).ravel()
+    jump = constraints.matrix @ u
+    for rows, own, held, scale in (
+        (system.contacts, constraints.own_rows, constraints.inequality, constraints.scale),
+        (system.tied, constraints.tied.own_rows, constraints.tied.rows, constraints.tied.scale),
+    ):
+        terms = np.sum(rows.coefficients * [value[n] for n in rows.nodes], axis=1)
+        distance = np.add.reduceat(terms, rows.offsets[:-1]) / rows.length
+        at = np.searchsorted(held, own)
+        np.testing.assert_allclose(jump[own] / scale[at], distance, rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(c[own] / scale[at], rows.gap / rows.length, rtol=1e-12)

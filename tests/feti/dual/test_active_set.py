@@ -111,7 +111,7 @@ WHATEVER_THE_SIGNS = {"sign_factor": 0.0, "max_products": 10_000}
 def linear_products(solver: TornSolver, active: np.ndarray, tolerance: float) -> Products:
     """Count what the linear problem with these rows costs, from nothing."""
     problem = dual_problem(solver.setup, solver.data, solver.setup.norm(3))
-    face = Face(active, Projector.build(solver.setup.projector.coarse_space, active))
+    face = Face.build(problem, active, Projector.build(solver.setup.projector.coarse_space, active))
     products = Products()
     start = np.zeros_like(problem.d)
     pcpg(problem, face, start, tolerance=tolerance, **WHATEVER_THE_SIGNS, products=products)
@@ -185,7 +185,7 @@ def test_smaller_tolerance_goes_on_where_the_larger_one_ended():
     solver = TornSolver(system, options)
     active = solver.solve().multipliers[solver.setup.constraints.inequality] > 0.0
     problem, start = solver.dual_problem(), np.zeros(solver.setup.constraints.size)
-    face = Face(active, Projector.build(solver.setup.projector.coarse_space, active))
+    face = Face.build(problem, active, Projector.build(solver.setup.projector.coarse_space, active))
     once, twice = Products(), Products()
     scale = np.linalg.norm(solver.setup.projector.P(problem.d))
     coarse, fine = (

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import scipy.linalg
 from dense import DenseSystem
+from sparse_rows import clamped, interpolated, random_rows, two_blocks
 from torn import column
 
-from fenics_tfeti.feti import Options, Prescribed, TornSolver
+from fenics_tfeti.feti import Options, Prescribed, TornSolver, TornSystem
 
 
 def sliding_column():
@@ -75,6 +76,64 @@ def test_scaled_stiffness_of_the_interfaces(make, kind, scaling):
     apply = solver.setup.preconditioner.apply
     found = np.stack([apply(unit) for unit in np.eye(len(system.B))], axis=1)
     np.testing.assert_allclose(found, exact, rtol=0.0, atol=1e-11 * np.abs(exact).max())
+
+
+def preconditioned(solver: TornSolver, active: np.ndarray) -> np.ndarray:
+    """Return the preconditioner of a face as a matrix."""
+    apply = solver.setup.preconditioner.on_face(active)
+    return np.stack([apply(unit) for unit in np.eye(solver.setup.constraints.size)], axis=1)
+
+
+@pytest.mark.parametrize("kind", ["lumped", "dirichlet"])
+@pytest.mark.parametrize("seed", range(3))
+def test_scaling_of_coupled_rows_is_exact_on_every_face(seed, kind):
+    """B_D = (B_R D^{-1} B_R')^{-1} B_R D^{-1} of the rows R of the face."""
+    rng, blocks = np.random.default_rng(seed), two_blocks(2, 2)
+    contacts, tied = random_rows(blocks, rng, 15), random_rows(blocks, rng, 6)
+    held = clamped(blocks, (2, 0.0), (2, 2.0))
+    solver = TornSolver(
+        TornSystem(blocks, held, contacts, 3, tied=tied), Options(preconditioner=kind)
+    )
+    constraints, system = solver.setup.constraints, DenseSystem.of(solver)
+    active = rng.random(15) < 0.6
+    on_face = constraints.equality
+    on_face[constraints.inequality] = active
+    B = system.B[on_face]
+    D = np.linalg.inv(system.D)
+    B_D = np.linalg.solve(B @ D @ B.T, B @ D)
+    plain = solver.setup.preconditioner.apply
+    unscaled = np.stack([plain(unit) for unit in np.eye(len(system.B))], axis=1)
+    # S from B D^{-1} S D^{-1} B' of all rows, which span all interface unknowns in the range of B'
+    span = D @ system.B.T
+    left = np.linalg.pinv(span, rcond=1e-12)
+    S = left.T @ unscaled @ left
+    found = preconditioned(solver, active)[np.ix_(on_face, on_face)]
+    exact = B_D @ S @ B_D.T
+    np.testing.assert_allclose(found, exact, rtol=0.0, atol=1e-9 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize(("kind", "limit"), [("lumped", 3.0), ("dirichlet", 2.3)])
+@pytest.mark.parametrize(("stiffness", "without_W"), [(1e-2, 1.0), (1.0, 6.0), (1e2, 1e4)])
+def test_condition_number_of_meshes_that_do_not_match(stiffness, without_W, kind, limit):
+    """W keeps that of meshes that match (1.9); without it a fine and stiff slave makes it large."""
+    blocks = two_blocks(2, 3, stiffness=stiffness)
+    rows = interpolated(blocks, 2, np.array([0.0, 0.0, -1.0]))
+    system = TornSystem(blocks, clamped(blocks, (2, 0.0), (2, 2.0)), rows, 3)
+    solver = TornSolver(system, Options(preconditioner=kind))
+    dense = DenseSystem.of(solver)
+    P = dense.projector()
+    PFP = P @ dense.F @ P
+
+    def condition(M: np.ndarray) -> float:
+        values = np.linalg.eigvals(P @ M @ PFP).real
+        there = values > 1e-8 * values.max()
+        assert there.sum() == np.linalg.matrix_rank(PFP, tol=1e-10 * np.abs(PFP).max())
+        return values[there].max() / values[there].min()
+
+    plain = solver.setup.preconditioner.apply
+    unscaled = np.stack([plain(unit) for unit in np.eye(len(dense.B))], axis=1)
+    assert condition(preconditioned(solver, np.ones(rows.size, dtype=bool))) <= limit
+    assert condition(unscaled) >= without_W
 
 
 def test_without_preconditioner():

@@ -1,0 +1,218 @@
+"""Contact and tied rows between any nodes: against a dense solver of quadratic programmes."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from sparse_rows import SECOND, Dense, clamped, interpolated, plane, random_rows, two_blocks
+from torn import cube
+
+from fenics_tfeti import InputError, UnresistedMotion
+from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
+
+NONE = ContactRows.none(3)
+DOWN = np.array([0.0, 0.0, -1.0])
+both_methods = pytest.mark.parametrize("method", ["active_set", "smalbe"])
+
+
+def area(x: np.ndarray) -> np.ndarray:
+    """Return areas of nodes from 1e-6 to 1e6."""
+    return 10.0 ** (6.0 * np.sin(7.0 * x[:, 0] + 3.0 * x[:, 1]))
+
+
+def of_blocks(contacts=NONE, tied=NONE, prescribed=None, blocks=None) -> TornSystem:
+    blocks = blocks or two_blocks()
+    prescribed = prescribed or clamped(blocks, (2, 0.0), (2, 2.0))
+    names = ["lower", "upper"]
+    return TornSystem(blocks, prescribed, contacts, 3, names, ["joint", "glue"], tied=tied)
+
+
+def with_random_rows(seed: int, contacts: int, tied: int) -> TornSystem:
+    rng, blocks = np.random.default_rng(seed), two_blocks()
+    rows, ties = random_rows(blocks, rng, contacts), random_rows(blocks, rng, tied)
+    ties = dataclasses.replace(ties, contact=ties.contact + 1)
+    return of_blocks(rows, ties, blocks=blocks)
+
+
+def assert_solves(system: TornSystem, solution, rtol: float) -> None:
+    exact = Dense.solve(system)
+    difference = [u - v for u, v in zip(solution.displacements, exact.torn(), strict=True)]
+    assert exact.energy_norm(difference) <= 10.0 * rtol * exact.energy_norm(exact.torn())
+    u = np.zeros(exact.f.size)
+    for at, part in zip(exact.places, solution.displacements, strict=True):
+        u[at] = part
+    contacts, tied = system.contacts, system.tied
+    size = np.abs(u).max()
+    # nothing is penetrated, tied surfaces stay together, and closed contacts are closed
+    distance = (exact.C @ u - contacts.gap) / contacts.length
+    assert distance.max(initial=0.0) <= 1e-13 * size
+    assert np.abs(distance[solution.active]).max(initial=0.0) <= 1e-13 * size
+    assert np.abs((exact.T @ u - tied.gap) / tied.length).max(initial=0.0) <= 1e-13 * size
+    for found, multipliers, rows in (
+        (solution.normal_force, exact.contact, contacts),
+        (solution.tied_force, exact.tied, tied),
+    ):
+        force = multipliers * rows.length
+        limit = 100.0 * rtol * np.abs(force).max(initial=0.0)
+        np.testing.assert_allclose(found, force, rtol=0.0, atol=limit)
+
+
+@both_methods
+@pytest.mark.parametrize("preconditioner", ["none", "lumped", "dirichlet"])
+@pytest.mark.parametrize(("contacts", "tied"), [(20, 0), (20, 8), (0, 8), (60, 20)])
+@pytest.mark.parametrize("seed", range(3))
+def test_random_rows(seed, contacts, tied, preconditioner, method):
+    system = with_random_rows(seed, contacts, tied)
+    options = Options(rtol=1e-8, method=method, preconditioner=preconditioner)
+    solution = TornSolver(system, options).solve()
+    assert_solves(system, solution, 1e-8)
+    assert solution.report.unknowns["tied"] == tied
+    assert solution.report.equilibrium <= 1e-9
+
+
+@both_methods
+@pytest.mark.parametrize("meshes", [(2, 3), (2, 4), (4, 2)], ids=str)
+def test_body_that_is_tied_only(meshes, method):
+    """The tied rows hold it: nothing is undetermined, and both bodies are one group."""
+    blocks = two_blocks(*meshes)
+    tied = interpolated(blocks, meshes[0], np.eye(3), area)
+    system = of_blocks(tied=tied, prescribed=clamped(blocks, (2, 0.0)), blocks=blocks)
+    solution = TornSolver(system, Options(rtol=1e-8, method=method)).solve()
+    assert_solves(system, solution, 1e-8)
+    assert not solution.report.free_motions
+    assert [g.bodies for g in solution.report.certificate.groups] == [["lower", "upper"]]
+
+
+@both_methods
+@pytest.mark.parametrize("lower_is_slave", [False, True])
+@pytest.mark.parametrize("stiffness", [1e-3, 1.0, 1e3])
+def test_contact_of_meshes_that_do_not_match(stiffness, lower_is_slave, method):
+    blocks = two_blocks(2, 4, stiffness=stiffness)
+    normal, n = (-DOWN, 4) if lower_is_slave else (DOWN, 2)
+    rows = interpolated(blocks, n, normal, area, master_above=lower_is_slave)
+    system = of_blocks(rows, blocks=blocks)
+    solution = TornSolver(system, Options(rtol=1e-8, method=method)).solve()
+    assert solution.active.any()
+    assert_solves(system, solution, 1e-8)
+
+
+@both_methods
+def test_slave_nodes_that_supports_move(method):
+    """There are more of them than master nodes, so that their conditions depend on each other."""
+    blocks = two_blocks(2, 4)
+    nodes, _ = plane(blocks, 1, 1.0)
+    held = clamped(blocks, (2, 0.0), (2, 2.0))
+    moved = Prescribed(
+        np.append(held.nodes, nodes),
+        np.append(held.components, np.full(nodes.size, 2)),
+        np.append(held.values, np.full(nodes.size, -0.01)),
+    )
+    system = of_blocks(interpolated(blocks, 2, DOWN, area), prescribed=moved, blocks=blocks)
+    solution = TornSolver(system, Options(rtol=1e-8, method=method)).solve()
+    exact = Dense.solve(system)
+    difference = [u - v for u, v in zip(solution.displacements, exact.torn(), strict=True)]
+    assert exact.energy_norm(difference) <= 1e-7 * exact.energy_norm(exact.torn())
+    assert solution.report.unknowns["dependent"] == 45 - 15
+    total = exact.contact @ system.contacts.length
+    np.testing.assert_allclose(solution.report.contact_force[0], total, rtol=1e-6)
+
+
+def test_tied_forces_are_those_of_the_glued_mesh():
+    """Where the meshes match, tied rows are gluing rows: the same displacement and forces."""
+    blocks = two_blocks(2, 2)
+    fixed = clamped(blocks, (2, 0.0))
+    tied = interpolated(blocks, 2, np.eye(3), area)
+    apart = TornSolver(of_blocks(tied=tied, prescribed=fixed, blocks=blocks), Options(rtol=1e-9))
+    whole = [dataclasses.replace(s, nodes=s.nodes % SECOND, body=0) for s in blocks]
+    one = TornSolver(TornSystem(whole, fixed, NONE, 3), Options(rtol=1e-9)).solve()
+    two = apart.solve()
+    for found, expected in zip(two.displacements, one.displacements, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-7 * np.abs(expected).max())
+    # the weight of the upper blocks goes through the tied surface
+    np.testing.assert_allclose(two.report.contact_forces[0], [-0.2, 0.0, 2.0], atol=1e-7)
+    assert two.report.contact_force == [0.0, 0.0]
+
+
+def test_forces_and_moments_on_both_sides():
+    """They are equal and opposite, and those on the slave balance the load."""
+    blocks = two_blocks(2, 3)
+    tied = interpolated(blocks, 2, np.eye(3), area)
+    system = of_blocks(tied=tied, prescribed=clamped(blocks, (2, 0.0)), blocks=blocks)
+    report = TornSolver(system, Options(rtol=1e-9)).solve().report
+    slave, master = report.on_slaves[0], report.on_masters[0]
+    assert (slave.name, master.name) == ("joint", "joint")
+    for name in ("force", "moment"):
+        pushed, exerted = getattr(slave, name), getattr(master, name)
+        np.testing.assert_allclose(pushed, -np.array(exerted), rtol=0.0, atol=1e-12)
+        held = getattr(report.reactions[0], name)
+        np.testing.assert_allclose(exerted, -np.array(held), rtol=0.0, atol=1e-7)
+    np.testing.assert_allclose(slave.force, [-0.2, 0.0, 2.0], atol=1e-7)
+    np.testing.assert_allclose(slave.moment, -np.array(report.load.moment), atol=1e-7)
+
+
+def test_row_over_three_bodies_makes_them_one_group():
+    blocks = [cube(2, load=DOWN), cube(2, (1, 0, 0), 1, SECOND), cube(2, (2, 0, 0), 2, 2 * SECOND)]
+    one, *others = (s.nodes[-1] for s in blocks)
+    # the mean of the last bodies' nodes is pushed down by the first
+    rows = ContactRows([0, 3], [one, *others], [DOWN, -0.5 * DOWN, -0.5 * DOWN], [0.0], [0])
+    fixed = clamped(blocks, (2, 0.0))
+    system = TornSystem(blocks, fixed, rows, 3)
+    solution = TornSolver(system, Options(rtol=1e-8)).solve()
+    assert solution.active.all()
+    assert_solves(system, solution, 1e-8)
+    assert len(solution.report.certificate.groups) == 1
+
+
+def test_tied_rows_that_leave_a_motion_free():
+    """Ties along z alone hold no body against sliding."""
+    blocks = two_blocks(2, 3)
+    tied = interpolated(blocks, 2, DOWN)
+    system = of_blocks(tied=tied, prescribed=clamped(blocks, (2, 0.0)), blocks=blocks)
+    with pytest.raises(UnresistedMotion, match="upper: translation"):
+        TornSolver(system)
+
+
+def test_load_that_tied_nodes_share_out_moves_nothing():
+    blocks = two_blocks(2, 2, load=(0.0, 0.0, 0.0))
+    tied = interpolated(blocks, 2, np.eye(3), area)
+    push = np.zeros(blocks[0].load.size), np.zeros(blocks[2].load.size)
+    push[0][3 * 5 + 2], push[1][3 * 3 + 2] = 0.5, -0.5
+    assert blocks[0].nodes[5] == blocks[2].nodes[3] - SECOND
+    blocks[0] = dataclasses.replace(blocks[0], load=push[0])
+    blocks[2] = dataclasses.replace(blocks[2], load=push[1])
+    system = of_blocks(tied=tied, prescribed=clamped(blocks, (2, 0.0)), blocks=blocks)
+    solution = TornSolver(system, Options(rtol=1e-8)).solve()
+    assert not any(u.any() for u in solution.displacements)
+    np.testing.assert_allclose(np.abs(solution.tied_force).sum(), 0.5, rtol=1e-12)
+
+
+def test_prescribed_displacements_that_tear_tied_surfaces_apart():
+    blocks = two_blocks(2, 2)
+    tied = interpolated(blocks, 2, np.eye(3))
+    node = tied.nodes[:2]
+    held = clamped(blocks, (2, 0.0))
+    torn = Prescribed(
+        np.append(held.nodes, node),
+        np.append(held.components, [0, 0]),
+        np.append(held.values, [0.0, 0.1]),
+    )
+    system = of_blocks(tied=tied, prescribed=torn, blocks=blocks)
+    with pytest.raises(InputError, match=f"contradict 1 tied.*node {node[0]}.*jump of -?0.1 m"):
+        TornSolver(system)
+
+
+@both_methods
+def test_next_solver_reuses_the_set_up(method):
+    """Other gaps, the same rows; then other areas, with the same rows of B."""
+    options = Options(rtol=1e-8, method=method)
+    system = with_random_rows(0, 20, 8)
+    first = TornSolver(system, options)
+    first.solve()
+    wider = dataclasses.replace(
+        system, contacts=dataclasses.replace(system.contacts, gap=1.1 * system.contacts.gap)
+    )
+    second = TornSolver(wider, options, previous=first)
+    assert second.reused == ["factors", "coarse problem", "norm", "multipliers"]
+    assert_solves(wider, second.solve(), 1e-8)

@@ -1,0 +1,185 @@
+"""Blocks whose meshes do not match, with sparse contact and tied rows, and their dense solution."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import daqp
+import numpy as np
+from numpy.random import Generator
+from torn import cube, glued
+
+from fenics_tfeti.feti import ContactRows, Prescribed, Subdomain, TornSystem
+
+SECOND = 10**9
+LENGTHS = (-6.0, 6.0)
+
+
+def two_blocks(lower: int = 2, upper: int = 3, load=(0.1, 0.0, -1.0), stiffness: float = 1.0):
+    """Return the subdomains of two blocks of 2 x 1 x 1 cubes, one on the other."""
+    below = [cube(lower, (i, 0, 0)) for i in range(2)]
+    above = [cube(upper, (i, 0, 1), body=1, first=SECOND, load=load) for i in range(2)]
+    above = [dataclasses.replace(s, stiffness=stiffness * s.stiffness) for s in above]
+    return [*below, *above]
+
+
+def clamped(subdomains: list[Subdomain], *places: tuple[int, float]) -> Prescribed:
+    """Prescribe no displacement at x[axis] == value of the places."""
+    nodes = [s.nodes[np.isclose(s.coordinates[:, a], v)] for a, v in places for s in subdomains]
+    every = np.unique(np.concatenate(nodes))
+    return Prescribed(np.repeat(every, 3), np.tile([0, 1, 2], every.size), np.zeros(3 * every.size))
+
+
+def plane(subdomains: list[Subdomain], body: int, z: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nodes of a body on a plane, and their coordinates."""
+    own = [s for s in subdomains if s.body == body]
+    nodes = np.concatenate([s.nodes for s in own])
+    x = np.concatenate([s.coordinates for s in own])
+    nodes, first = np.unique(nodes, return_index=True)
+    on = np.isclose(x[first, 2], z)
+    return nodes[on], x[first][on]
+
+
+def interpolated(
+    subdomains: list[Subdomain], n_master: int, directions, area=None, master_above: bool = False
+) -> ContactRows:
+    """Return rows D d'(u(node) - interpolated master) = 0 of all nodes on the plane z = 1.
+
+    Parameters
+    ----------
+    n_master : int
+        Elements an edge of the master's cubes: a grid of bilinear facets.
+    directions : (k, 3) array
+        Directions d: a row for each at every node.
+    area : callable, optional
+        Node coordinates -> D; 1 by default.
+    master_above : bool
+        Whether the upper block is the master.
+    """
+    slave, x = plane(subdomains, int(not master_above), 1.0)
+    master, y = plane(subdomains, int(master_above), 1.0)
+    D = np.ones(slave.size) if area is None else area(x)
+    lattice = np.rint(y * n_master).astype(int)[:, :2]
+    number = {tuple(p): i for p, i in zip(lattice, master, strict=True)}
+    offsets, nodes, coefficients = [0], [], []
+    for k, place in enumerate(x[:, :2] * n_master):
+        corner = np.minimum(np.floor(place + 1e-9), [2 * n_master - 1, n_master - 1])
+        s, t = place - corner
+        along, across = (1 - s, s), (1 - t, t)
+        weights = {(i, j): along[i] * across[j] for i in (0, 1) for j in (0, 1)}
+        for d in np.atleast_2d(directions):
+            nodes.append(slave[k])
+            coefficients.append(D[k] * d)
+            for shift, weight in weights.items():
+                if weight > 1e-9:
+                    nodes.append(number[tuple((corner + shift).astype(int))])
+                    coefficients.append(-D[k] * weight * d)
+            offsets.append(len(nodes))
+    rows = len(offsets) - 1
+    return ContactRows(offsets, nodes, coefficients, np.zeros(rows), np.zeros(rows, dtype=int))
+
+
+def random_rows(
+    subdomains: list[Subdomain], rng: Generator, count: int, terms=(3, 9), lengths=LENGTHS
+) -> ContactRows:
+    """Return rows between random nodes on and near the plane z = 1, with any coefficients."""
+    if not count:
+        return ContactRows.none(3)
+    near = [s.nodes[np.abs(s.coordinates[:, 2] - 1.0) < 0.6] for s in subdomains]
+    nodes = np.unique(np.concatenate(near))
+    size = rng.integers(*terms, count)
+    chosen = np.concatenate([rng.choice(nodes, k, replace=False) for k in size])
+    length = 10.0 ** rng.uniform(*lengths, count)
+    coefficients = np.repeat(length, size)[:, None] * rng.normal(size=(chosen.size, 3))
+    gap = length * rng.uniform(-0.05, 0.2, count)
+    offsets = np.append(0, np.cumsum(size))
+    return ContactRows(offsets, chosen, coefficients, gap, np.zeros(count, dtype=int))
+
+
+def distributed(system: TornSystem, comm: MPI.Comm) -> TornSystem:
+    """Deal the subdomains and the rows out to the ranks in turn."""
+    mine = slice(comm.rank, None, comm.size)
+    contacts, tied = (
+        rows.chosen(np.arange(rows.size)[mine]) for rows in (system.contacts, system.tied)
+    )
+    prescribed = system.prescribed if comm.rank == comm.size - 1 else Prescribed()
+    return dataclasses.replace(
+        system,
+        subdomains=system.subdomains[mine],
+        prescribed=prescribed,
+        contacts=contacts,
+        tied=tied,
+        comm=comm,
+    )
+
+
+@dataclass(frozen=True)
+class Dense:
+    """The glued problem, and its solution by a dense active set method for quadratic programmes."""
+
+    K: np.ndarray
+    f: np.ndarray
+    C: np.ndarray
+    T: np.ndarray
+    nodes: np.ndarray
+    places: list[np.ndarray]
+    u: np.ndarray
+    contact: np.ndarray  # multipliers of the rows as given
+    tied: np.ndarray
+
+    @staticmethod
+    def solve(system: TornSystem) -> Dense:
+        """Solve a system on one rank whose Dirichlet conditions and tied rows hold all bodies."""
+        K, f, nodes, places = glued(system)
+        C, T = matrix(system.contacts, nodes), matrix(system.tied, nodes)
+        given = system.prescribed
+        fixed = 3 * np.searchsorted(nodes, given.nodes) + given.components
+        u = np.zeros(f.size)
+        u[fixed] = given.values
+        free = np.setdiff1d(np.arange(f.size), fixed)
+        A = np.vstack([C, T])
+        bound = np.append(system.contacts.gap, system.tied.gap) - A @ u
+        A = A[:, free]
+        lengths = np.linalg.norm(A, axis=1)
+        lengths[lengths == 0.0] = 1.0
+        A, upper = A / lengths[:, None], bound / lengths
+        is_tied = np.arange(len(A)) >= len(C)
+        # what the tied rows alone hold has stiffness as well; the solution is the same
+        stiff = K.diagonal().max() * A[is_tied].T
+        x, _, exitflag, info = daqp.solve(
+            np.ascontiguousarray(K[np.ix_(free, free)] + stiff @ A[is_tied]),
+            -(f - K @ u)[free] - stiff @ upper[is_tied],
+            np.ascontiguousarray(A),
+            np.minimum(upper, 1e30),
+            np.where(is_tied, upper, -1e30),
+            np.where(is_tied, 5, 0).astype(np.int32),
+            primal_tol=1e-12,
+            dual_tol=1e-12,
+            eps_prox=0.0,
+        )
+        assert exitflag == 1
+        u[free] = x
+        multipliers = np.asarray(info["lam"]) / lengths
+        return Dense(K, f, C, T, nodes, places, u, multipliers[: len(C)], multipliers[len(C) :])
+
+    def torn(self) -> list[np.ndarray]:
+        """Return the displacements of the subdomains."""
+        return [self.u[at] for at in self.places]
+
+    def energy_norm(self, displacements: list[np.ndarray]) -> float:
+        """Return the energy norm of torn displacements that are glued."""
+        u = np.zeros(self.f.size)
+        for at, part in zip(self.places, displacements, strict=True):
+            u[at] = part
+        return float(np.sqrt(max(0.0, u @ self.K @ u)))
+
+
+def matrix(rows: ContactRows, nodes: np.ndarray) -> np.ndarray:
+    """Return rows as a dense matrix of the glued unknowns."""
+    C = np.zeros((rows.size, 3 * nodes.size))
+    columns = 3 * np.searchsorted(nodes, rows.nodes)[:, None] + np.arange(3)
+    C[rows.row[:, None], columns] = rows.coefficients
+    return C
