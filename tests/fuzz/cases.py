@@ -91,7 +91,7 @@ def _solve(level: str, seed: int, comm: MPI.Comm) -> _Case:
 
 
 def _solve_torn(problem: TornProblem, comm: MPI.Comm, seed: int) -> Found:
-    system, rows = torn_system(problem, comm, seed)
+    system, rows, ties = torn_system(problem, comm, seed)
     solution = TornSolver(system, parse_options(problem.options)).solve()
     glued = problem.glued
     n, gdim = glued.load.size, glued.gdim
@@ -106,11 +106,13 @@ def _solve_torn(problem: TornProblem, comm: MPI.Comm, seed: int) -> Found:
         low[at], high[at] = np.minimum(low[at], u), np.maximum(high[at], u)
     force = np.zeros(problem.contacts.size)
     force[rows] = solution.normal_force
-    sums, counts, force = (comm.allreduce(x) for x in (sums, counts, force))
+    tied = np.zeros(problem.tied.size)
+    tied[ties] = solution.tied_force
+    sums, counts, force, tied = (comm.allreduce(x) for x in (sums, counts, force, tied))
     comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)
     comm.Allreduce(MPI.IN_PLACE, high, MPI.MAX)
     jump = (high - low).reshape(-1, gdim).max(axis=1)
-    return _found(sums / counts, jump, force, solution.report)
+    return _found(sums / counts, jump, force, solution.report, tied)
 
 
 def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
@@ -136,9 +138,12 @@ def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
     return _found(u.ravel(), np.zeros(len(u)), forces, contact_problem.report)
 
 
-def _found(u: Vector, jump: Vector, force: Vector, report: Any) -> Found:
-    products = report.products["total"]
-    return Found(u, jump, force, report.contact_force, report.energy, products)
+def _found(
+    u: Vector, jump: Vector, force: Vector, report: Any, tied: Vector | None = None
+) -> Found:
+    products, none = report.products["total"], np.zeros(0)
+    tied = none if tied is None else tied
+    return Found(u, jump, force, tied, report.contact_force, report.energy, products)
 
 
 def tell_case(level: str, seed: int) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
@@ -37,7 +37,7 @@ class Springs:
 
 @dataclass(frozen=True)
 class GluedProblem:
-    """min 1/2 u'(K + springs)u - f'u over u = value on the fixed unknowns, C u <= gap.
+    """min 1/2 u'(K + springs)u - f'u over u = value on the fixed unknowns, C u <= gap, T u = jump.
 
     Attributes
     ----------
@@ -63,6 +63,10 @@ class GluedProblem:
         Number of the contact of each row.
     gap_rounding : (m,) array
         Rounding errors that the gaps carry, as differences of coordinates do.
+    tied : (t, n) scipy.sparse.csr_matrix
+        T, first coefficients of unit length; none by default.
+    tied_jump : (t,) array
+        Its right-hand side.
     """
 
     coordinates: Vector
@@ -76,6 +80,13 @@ class GluedProblem:
     gap: Vector
     contact: Numbers
     gap_rounding: Vector
+    tied: sp.csr_matrix = field(default_factory=lambda: sp.csr_matrix((0, 0)))
+    tied_jump: Vector = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Give the default of T its columns."""
+        if self.tied.shape == (0, 0):
+            object.__setattr__(self, "tied", sp.csr_matrix((0, self.load.size)))
 
     @property
     def gdim(self) -> int:
@@ -102,8 +113,8 @@ class GluedProblem:
         """Tell for which rows no combination of others gives the same forces on free unknowns."""
         free = np.ones(self.load.size, dtype=bool)
         free[self.fixed] = False
-        C = self.rows[:, free].toarray()
-        C[~np.isfinite(self.gap)] = 0.0
+        C = sp.vstack([self.rows, self.tied]).tocsr()[:, free].toarray()
+        C[: self.gap.size][~np.isfinite(self.gap)] = 0.0
         lengths = np.linalg.norm(C, axis=1)
         C = C / np.maximum(lengths, 1e-300)[:, None]
         gram = C @ C.T
@@ -113,7 +124,7 @@ class GluedProblem:
             at = np.flatnonzero(block == b)
             if at.size > 1 and np.linalg.eigvalsh(gram[np.ix_(at, at)])[0] < 1e-8:
                 determined[at] = False
-        return determined
+        return determined[: self.gap.size]
 
 
 def rigid_modes(coordinates: Vector) -> Vector:

@@ -3,11 +3,11 @@
 The elastic deformation of each body is eliminated by dense factors; what remains are the contact
 forces, the spring forces and the rigid motions of bodies:
 
-    u = K^+(f - B'w) + N alpha,   B = [C; S],  w = (lambda, sigma),
+    u = K^+(f - B'w) + N alpha,   B = [C; S; T],  w = (lambda, sigma, tau),
 
     min 1/2 w' Phi w - d'w   subject to   A w = e,  lambda >= 0,
 
-with Phi = B K^+ B' + diag(0, 1/k), A = N'B', e = N'f. Every row is scaled by its own compliance, so
+with Phi = B K^+ B' + diag(0, 1/k, 0), A = N'B', e = N'f; T are tied rows. Every row is scaled by its own compliance, so
 stiff and soft bodies, springs of 1e-13 and gaps of 1e10 do not meet in one sum. An interior point
 method proposes the active set, a primal-dual active set method makes it exact, and the conditions
 of optimality are measured in the energy norm. Nothing is shared with the package.
@@ -20,6 +20,7 @@ from typing import Literal
 
 import numpy as np
 import scipy.linalg as la
+import scipy.sparse as sp
 from glued import GluedProblem, rigid_modes
 from numpy.typing import NDArray
 from scipy.optimize import linprog, nnls
@@ -58,6 +59,8 @@ class Answer:
         u, with the rigid motions that nothing determines chosen somehow.
     force : (m,) array
         lambda.
+    tied : (t,) array
+        tau.
     energy : (bodies,) array
         u'(K + springs)u of each body.
     group : (bodies,) integer array
@@ -72,6 +75,7 @@ class Answer:
     why: str = ""
     displacement: Vector = field(default_factory=lambda: np.zeros(0))
     force: Vector = field(default_factory=lambda: np.zeros(0))
+    tied: Vector = field(default_factory=lambda: np.zeros(0))
     energy: Vector = field(default_factory=lambda: np.zeros(0))
     group: Numbers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     noise: Vector = field(default_factory=lambda: np.zeros(0))
@@ -109,12 +113,15 @@ def _infeasibility(problem: GluedProblem) -> str:
     free = np.ones(u.size, dtype=bool)
     free[problem.fixed] = False
     finite = np.flatnonzero(np.isfinite(problem.gap))
-    rows = problem.rows[finite]
+    # a tied row is two conditions
+    rows = sp.vstack([problem.rows[finite], problem.tied, -problem.tied]).tocsr()
+    gap = np.concatenate([problem.gap[finite], problem.tied_jump, -problem.tied_jump])
+    rounding = np.append(problem.gap_rounding[finite], np.zeros(2 * problem.tied_jump.size))
     C = rows[:, free].toarray()
     known = rows @ u
-    bound = problem.gap[finite] - known
+    bound = gap - known
     # conditions are compared to twelve digits of what they are made of, and of what that is made of
-    size = abs(problem.gap[finite]) + abs(rows) @ abs(u) + problem.gap_rounding[finite] / _EPS
+    size = abs(gap) + abs(rows) @ abs(u) + rounding / _EPS
     blocks, block = connected_components((C != 0.0) @ (C != 0.0).T, directed=False)
     for b in range(blocks):
         at = np.flatnonzero(block == b)
@@ -228,11 +235,14 @@ class _Condensed:
         self.finite = np.flatnonzero(np.isfinite(problem.gap))
         self.m = self.finite.size
         springs = problem.springs
-        C, S = problem.rows[self.finite], springs.rows
-        rows, k = self.m + springs.stiffness.size, springs.stiffness
+        C, S = problem.rows[self.finite], sp.vstack([springs.rows, problem.tied]).tocsr()
+        rows, k = self.m + S.shape[0], springs.stiffness
+        # the end of the springs; tied rows follow
+        self.end = self.m + k.size
         Phi = np.zeros((rows, rows))
-        Phi[self.m :, self.m :] = np.diag(1.0 / k)
-        A, e, d = [], [], -np.append(problem.gap[self.finite], np.zeros(k.size))
+        Phi[self.m : self.end, self.m : self.end] = np.diag(1.0 / k)
+        jumps = np.append(np.zeros(k.size), problem.tied_jump)
+        A, e, d = [], [], -np.append(problem.gap[self.finite], jumps)
         self.B, self.f = [], []
         self.touched = np.zeros((rows, len(bodies)), dtype=bool)
         self.shift = np.zeros(rows)
@@ -622,12 +632,17 @@ def _measured(whole: _Condensed, w: Vector, alpha: Vector, active: Mask) -> Answ
             raise Unsure(f"forces of a body out of balance by {worst / size:.1e}")
 
     # springs, by the displacement itself
-    springs = problem.springs
+    springs, end = problem.springs, whole.end
     stretch = springs.rows @ u
     of_spring = problem.body_of_springs()
     np.add.at(energy, of_spring, springs.stiffness * stretch**2)
-    mismatch = np.sqrt(springs.stiffness) * (stretch - w[m:] / springs.stiffness)
-    np.add.at(residual, of_spring, np.abs(np.where(whole.movable[m:], mismatch, 0.0)))
+    mismatch = np.sqrt(springs.stiffness) * (stretch - w[m:end] / springs.stiffness)
+    np.add.at(residual, of_spring, np.abs(np.where(whole.movable[m:end], mismatch, 0.0)))
+
+    # tied rows
+    torn = np.abs(problem.tied @ u - problem.tied_jump) * whole.scale[end:]
+    for b in range(count):
+        residual[b] += float(np.linalg.norm(torn[whole.touched[end:, b] & whole.movable[end:]]))
 
     # contact rows
     finite = whole.finite
@@ -640,12 +655,13 @@ def _measured(whole: _Condensed, w: Vector, alpha: Vector, active: Mask) -> Answ
 
     # bodies that touch without force belong together, too
     touching = (force > 0.0) | (np.abs(opening) <= 1e-12 * np.abs(u).max(initial=0.0))
-    pressing = whole.touched[:m][touching].astype(float)
+    pressing = np.vstack([whole.touched[:m][touching], whole.touched[end:]]).astype(float)
     group = connected_components(pressing.T @ pressing, directed=False)[1]
     every = np.zeros(problem.gap.size)
     every[finite] = force
     noise = _noise(whole, u, w, active)
-    return Answer("solution", "", u, every, energy, group.astype(np.int64), noise, residual)
+    groups = group.astype(np.int64)
+    return Answer("solution", "", u, every, w[end:], energy, groups, noise, residual)
 
 
 def _noise(whole: _Condensed, u: Vector, w: Vector, active: Mask) -> Vector:
@@ -657,6 +673,7 @@ def _noise(whole: _Condensed, u: Vector, w: Vector, active: Mask) -> Vector:
     lengths = np.zeros(w.size)
     lengths[:m] = abs(rows) @ np.abs(u) + np.abs(problem.gap[whole.finite]) * (w[:m] > 0.0)
     lengths[:m] += problem.gap_rounding[whole.finite] / _EPS
+    lengths[whole.end :] = abs(problem.tied) @ np.abs(u) + np.abs(problem.tied_jump)
     parts = [
         _Programme(whole, rows, whole._alphas(bodies))
         for bodies, rows in whole._components()
@@ -677,7 +694,7 @@ def _noise(whole: _Condensed, u: Vector, w: Vector, active: Mask) -> Vector:
             dw[part.rows] = part.response(d, e, active[part.rows])
         for b, body in enumerate(whole.bodies):
             v = body.solve(own[b] - whole.B[b].T @ dw)
-            springs = np.flatnonzero(whole.touched[m:, b])
+            springs = np.flatnonzero(whole.touched[m : whole.end, b])
             soft = float(np.sum(dw[m:][springs] ** 2 / problem.springs.stiffness[springs]))
             found[b] = max(found[b], np.sqrt(max(0.0, float(v @ body.K @ v)) + soft))
     return found

@@ -64,6 +64,8 @@ class Found:
         Largest difference between copies of each node.
     force : (m,) array
         Normal forces by contact row.
+    tied : (t,) array
+        Forces by tied row.
     contact_force : list of float
         Sums, as reported.
     energy : float
@@ -77,6 +79,7 @@ class Found:
     displacement: Vector | None = None
     jump: Vector = field(default_factory=lambda: np.zeros(0))
     force: Vector = field(default_factory=lambda: np.zeros(0))
+    tied: Vector = field(default_factory=lambda: np.zeros(0))
     contact_force: list[float] = field(default_factory=list)
     energy: float = 0.0
     products: int = 0
@@ -209,7 +212,7 @@ def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol:
     # local lengths: of the bodies that a row joins, without their rigid motions
     reach = float(np.max(np.abs(problem.load) / K.diagonal()))
     rounding = 1e-12 * size + 1e-14 * size.max() + 1e-12 * reach
-    body_of_row = _bodies_of_rows(problem)
+    body_of_row = _bodies_of_rows(problem.rows, problem)
     tolerance = FACTOR * rtol * deformation + rounding
     finite = np.isfinite(problem.gap)
     allowed = np.array([tolerance[b].max(initial=0.0) for b in body_of_row])
@@ -218,6 +221,11 @@ def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol:
     penetration = np.where(finite, np.minimum(exact_opening, 0.0) - opening, 0.0)
     allowed = allowed + 1e-12 * np.where(finite, np.abs(problem.gap), 0.0) + problem.gap_rounding
     ratio["penetration"] = _worst(np.maximum(penetration, 0.0), allowed)
+    allowed = np.array(
+        [tolerance[b].max(initial=0.0) for b in _bodies_of_rows(problem.tied, problem)]
+    )
+    apart = np.abs(problem.tied @ u - problem.tied_jump)
+    ratio["tied"] = _worst(apart, allowed + 1e-12 * np.abs(problem.tied_jump))
     jump = np.array([found.jump[problem.body == b].max() for b in range(problem.bodies)])
     ratio["gluing"] = _worst(jump, tolerance)
     off = np.zeros(problem.bodies)
@@ -264,8 +272,7 @@ def _rigid_part(problem: GluedProblem, body: int, u: Vector) -> Vector:
     return R @ (R.T @ u)
 
 
-def _bodies_of_rows(problem: GluedProblem) -> list[NDArray[np.int64]]:
-    rows = problem.rows
+def _bodies_of_rows(rows: Any, problem: GluedProblem) -> list[NDArray[np.int64]]:
     return [
         np.unique(problem.body[rows.indices[rows.indptr[k] : rows.indptr[k + 1]] // problem.gdim])
         for k in range(rows.shape[0])
@@ -284,7 +291,7 @@ def _force_ratio(problem: GluedProblem, answer: Answer, found: Found, rtol: floa
     On each body that is the resultant on its free unknowns, and for each contact the sum, where no
     other conditions of its nodes leave the forces undetermined.
     """
-    if not problem.gap.size:
+    if not problem.gap.size + problem.tied_jump.size:
         return 0.0
     acting, largest = np.zeros(answer.group.max() + 1), np.abs(answer.displacement).max()
     for b in range(problem.bodies):
@@ -300,14 +307,15 @@ def _force_ratio(problem: GluedProblem, answer: Answer, found: Found, rtol: floa
     difference = found.force - answer.force
     free = np.ones(problem.load.size)
     free[problem.fixed] = 0.0
-    nodal = (free * (problem.rows.T @ difference)).reshape(-1, problem.gdim)
+    change = problem.rows.T @ difference + problem.tied.T @ (found.tied - answer.tied)
+    nodal = (free * change).reshape(-1, problem.gdim)
     resultant = np.zeros((problem.bodies, problem.gdim))
     np.add.at(resultant, problem.body, nodal)
     ratio = _worst(np.abs(resultant).max(axis=1), allowed_body)
 
     unique = problem.determined_rows()
     allowed_row = np.array(
-        [allowed_body[bodies].max(initial=0.0) for bodies in _bodies_of_rows(problem)]
+        [allowed_body[b].max(initial=0.0) for b in _bodies_of_rows(problem.rows, problem)]
     )
     for contact in np.unique(problem.contact):
         at = problem.contact == contact

@@ -46,18 +46,19 @@ def by_daqp(problem):
     u = np.zeros(f.size)
     u[problem.fixed] = problem.values
     near = np.isfinite(problem.gap)
-    C = problem.rows[near].toarray()
-    gap = problem.gap[near] - C @ u
+    C = np.vstack([problem.rows[near].toarray(), problem.tied.toarray()])
+    gap = np.append(problem.gap[near], problem.tied_jump) - C @ u
     load = f[free] - (H @ u)[free]
     size = max(np.abs(u).max(), np.abs(load).max(), 1e-300)
     bounds = np.minimum(gap / size, 1e30)
+    tied = np.arange(bounds.size) >= near.sum()
     x, _, exitflag, _ = daqp.solve(
         np.ascontiguousarray(H[np.ix_(free, free)]),
         -load / size,
         np.ascontiguousarray(C[:, free]),
         bounds,
-        np.full(bounds.size, -1e30),
-        np.zeros(bounds.size, dtype=np.int32),
+        np.where(tied, bounds, -1e30),
+        np.where(tied, 5, 0).astype(np.int32),
         primal_tol=1e-12,
         dual_tol=1e-12,
         eps_prox=0.0,
@@ -82,9 +83,8 @@ def exact(problem, answer):
     """Return what a perfect solver would return."""
     energy = 0.5 * answer.energy.sum() - problem.load @ answer.displacement
     sums = np.bincount(problem.contact, weights=answer.force).tolist()
-    return Found(
-        answer.displacement, np.zeros(len(problem.body)), answer.force, sums, float(energy)
-    )
+    jump = np.zeros(len(problem.body))
+    return Found(answer.displacement, jump, answer.force, answer.tied, sums, float(energy))
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +95,16 @@ def pressed():
         return problem.gap.size > 0 and not problem.springs.stiffness.size
 
     return next(pair for pair in solvable(5, suits) if pair[1].force.max(initial=0.0) > 0.0)
+
+
+def test_oracle_agrees_with_daqp_on_tied_bodies():
+    def suits(problem):
+        return problem.tied_jump.size > 0 and in_plain_units(problem)
+
+    for problem, answer in solvable(5, suits):
+        difference = by_daqp(problem) - answer.displacement
+        assert np.abs(difference).max() <= 1e-7 * np.abs(answer.displacement).max()
+        assert np.abs(answer.tied).max() > 0.0
 
 
 def test_exact_solution_is_right(pressed):

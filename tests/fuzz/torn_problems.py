@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -48,8 +48,10 @@ class TornProblem:
         As given, perhaps several times.
     contacts : ContactRows
         The contact rows, in the order of ``glued.rows``.
+    tied : ContactRows
+        The tied rows, in the order of ``glued.tied``.
     contact_names : list of str
-        Names of the contacts.
+        Names of contacts and tied pairs.
     options : dict
         Options of the solver.
     mutation : str
@@ -63,14 +65,17 @@ class TornProblem:
     glued: GluedProblem
     prescribed: Prescribed
     contacts: ContactRows
+    tied: ContactRows
     contact_names: list[str]
     options: dict[str, Any]
     mutation: str = ""
     story: list[str] = field(default_factory=list)
 
 
-def torn_system(problem: TornProblem, comm: MPI.Comm, seed: int) -> tuple[TornSystem, Numbers]:
-    """Distribute a problem over the ranks at random; also return the contact rows given here."""
+def torn_system(
+    problem: TornProblem, comm: MPI.Comm, seed: int
+) -> tuple[TornSystem, Numbers, Numbers]:
+    """Distribute a problem over the ranks at random; also return the rows given here."""
     rng = np.random.default_rng([seed, 7])
     owner = rng.integers(comm.size, size=len(problem.subdomains))
     giver = rng.integers(comm.size, size=problem.contacts.size)
@@ -87,8 +92,12 @@ def torn_system(problem: TornProblem, comm: MPI.Comm, seed: int) -> tuple[TornSy
     own = [s for s, rank in zip(problem.subdomains, owner, strict=True) if rank == comm.rank]
     gdim = problem.glued.gdim
     names = [f"block {b}" for b in range(problem.glued.bodies)]
-    system = TornSystem(own, prescribed, contacts, gdim, names, problem.contact_names, comm)
-    return system, rows
+    ties = np.flatnonzero(rng.integers(comm.size, size=problem.tied.size) == comm.rank)
+    tied = problem.tied.chosen(ties)
+    system = TornSystem(
+        own, prescribed, contacts, gdim, names, problem.contact_names, comm, tied=tied
+    )
+    return system, rows, ties
 
 
 # -- geometry --------------------------------------------------------------------------------------
@@ -108,6 +117,7 @@ class _Draw:
     strain: float
     young: dict[Place, float] = field(default_factory=dict)
     poisson: float = 0.3
+    metre: float = 1.0
     node: dict[tuple[int, Place], int] = field(default_factory=dict)
 
     def chance(self, probability: float) -> bool:
@@ -444,7 +454,119 @@ def draw_torn(seed: int) -> TornProblem:
     gap = gap + C @ shift
     for unknown in supports.value:
         supports.value[unknown] += float(shift[unknown])
-    return _in_units(draw, rows, supports, C, gap, f)
+    problem = _in_units(draw, rows, supports, C, gap, f)
+    for change in (_with_sparse_rows, _with_tied_rows):
+        problem = change(draw, problem, shift)
+    return _with_lengths(draw, problem)
+
+
+# -- rows between more than two nodes, drawn last --------------------------------------------------
+
+
+def _interpolations(draw: _Draw) -> list[tuple[int, Numbers, Vector]]:
+    """Return some nodes of one body, with other bodies' nodes and weights that add up to 1."""
+    rng, found = draw.rng, []
+    body = np.array([b for b, _ in draw.node])
+    slaves = np.flatnonzero(body == rng.integers(draw.bodies))
+    others = np.flatnonzero(body != body[slaves[0]])
+    if not others.size:
+        return found
+    if draw.chance(0.8):  # of one other body
+        others = others[body[others] == body[rng.choice(others)]]
+    places = np.array([p for _, p in draw.node], dtype=float)
+    near = np.argsort(np.linalg.norm(places[others] - places[slaves].mean(axis=0), axis=1))
+    few = others[near[: int(rng.integers(1, 12))]]
+    for slave in rng.choice(slaves, min(slaves.size, int(rng.integers(1, 10))), replace=False):
+        masters = rng.choice(few, min(few.size, int(rng.integers(1, 7))), replace=False)
+        weights = rng.random(masters.size) + 0.1
+        found.append((int(slave), masters, weights / weights.sum()))
+    return found
+
+
+def _sparse_rows(
+    draw: _Draw, terms: list[tuple[int, Numbers, Vector, Vector]]
+) -> tuple[sp.csr_matrix, ContactRows]:
+    """Return rows d'(u(slave) - sum_l weight_l u(master_l)) of glued unknowns, and as they are."""
+    gdim = draw.gdim
+    nodes = [np.append(slave, masters) for slave, masters, *_ in terms]
+    values = [np.append(1.0, -weights)[:, None] * d for _, _, weights, d in terms]
+    offsets = np.append(0, np.cumsum([len(n) for n in nodes])).astype(np.int64)
+    node = np.concatenate([np.zeros(0, dtype=np.int64), *nodes])
+    coefficients = np.concatenate([np.zeros((0, gdim)), *values])
+    columns = (gdim * node[:, None] + np.arange(gdim)).ravel()
+    shape = len(terms), gdim * len(draw.node)
+    matrix = sp.csr_matrix((coefficients.ravel(), columns, gdim * offsets), shape=shape)
+    zeros = np.zeros(len(terms))
+    return matrix, ContactRows(offsets, node, coefficients, zeros, zeros.astype(np.int64))
+
+
+def _as_given(problem: TornProblem, rows: ContactRows, gap: Vector, contact: int) -> ContactRows:
+    numbers = np.full(rows.size, contact, dtype=np.int64)
+    return replace(rows, nodes=problem.numbers[rows.nodes], gap=gap, contact=numbers)
+
+
+def _with_sparse_rows(draw: _Draw, problem: TornProblem, shift: Vector) -> TornProblem:
+    """Add contact conditions between one node and several others."""
+    rng = draw.rng
+    if not draw.chance(0.25):
+        return problem
+    normal = rng.normal(size=draw.gdim)
+    terms = []
+    for found in _interpolations(draw):
+        n = normal + 0.1 * rng.normal(size=draw.gdim)
+        terms.append((*found, n / np.linalg.norm(n)))
+    C, rows = _sparse_rows(draw, terms)
+    gap = (draw.strain * rng.uniform(-0.2, 1.0, rows.size) + C @ shift) * draw.metre
+    draw.story.append(f"{rows.size} contact rows between several nodes")
+    glued, number = problem.glued, len(problem.contact_names)
+    given = _as_given(problem, rows, gap, number)
+    return replace(
+        problem,
+        glued=replace(
+            glued,
+            rows=sp.vstack([glued.rows, C], format="csr"),
+            gap=np.append(glued.gap, gap),
+            contact=np.append(glued.contact, given.contact),
+            gap_rounding=np.append(glued.gap_rounding, np.zeros(rows.size)),
+        ),
+        contacts=ContactRows.concatenate([problem.contacts, given]),
+        contact_names=[*problem.contact_names, "sparse rows"],
+    )
+
+
+def _with_tied_rows(draw: _Draw, problem: TornProblem, shift: Vector) -> TornProblem:
+    """Tie nodes to means of other nodes, in all directions or in some."""
+    rng = draw.rng
+    if not draw.chance(0.25):
+        return problem
+    some = int(rng.integers(1, draw.gdim + 1)) if draw.chance(0.3) else draw.gdim
+    ways = np.linalg.qr(rng.normal(size=(draw.gdim, draw.gdim)))[0][:some]
+    terms = [(*found, way) for found in _interpolations(draw) for way in ways]
+    T, rows = _sparse_rows(draw, terms)
+    jump = draw.strain * rng.normal(size=rows.size) * draw.chance(0.3)
+    jump = (jump + T @ shift) * draw.metre
+    draw.story.append(f"{rows.size} tied rows, {some} at a node")
+    number = len(problem.contact_names)
+    return replace(
+        problem,
+        glued=replace(problem.glued, tied=T, tied_jump=jump),
+        tied=_as_given(problem, rows, jump, number),
+        contact_names=[*problem.contact_names, "tied nodes"],
+    )
+
+
+def _with_lengths(draw: _Draw, problem: TornProblem) -> TornProblem:
+    """Multiply rows by numbers of many sizes, which changes nothing."""
+    if not draw.chance(0.3):
+        return problem
+    draw.story.append("rows of many lengths")
+
+    def scaled(rows: ContactRows) -> ContactRows:
+        length = 10.0 ** draw.rng.uniform(-6.0, 6.0, rows.size)
+        coefficients = length[rows.row][:, None] * rows.coefficients
+        return replace(rows, coefficients=coefficients, gap=length * rows.gap)
+
+    return replace(problem, contacts=scaled(problem.contacts), tied=scaled(problem.tied))
 
 
 def _shifts(draw: _Draw, supports: _Supports) -> Vector:
@@ -488,6 +610,7 @@ def _in_units(
     modulus, metre = (10.0 ** rng.uniform(-6, 6), 10.0 ** rng.uniform(-6, 3))
     if draw.chance(0.3):
         modulus, metre = 1.0, 1.0
+    draw.metre = metre
     draw.story.append(f"modulus {modulus:.1e}, length {metre:.1e}, strain {draw.strain:.1e}")
     stiffness_unit, force_unit = modulus * metre ** (gdim - 2), modulus * metre ** (gdim - 1)
     gap = np.where(gap == FAR, FAR, gap * metre)
@@ -573,10 +696,17 @@ def _in_units(
     prescribed = Prescribed(numbers[fixed // gdim], fixed % gdim, values)
     options = _options(rng)
     draw.story.append(f"options {options}")
-    problem = TornProblem(
-        subdomains, numbers, glued, prescribed, contacts, rows.names, options, "", draw.story
+    return TornProblem(
+        subdomains,
+        numbers,
+        glued,
+        prescribed,
+        contacts,
+        ContactRows.none(gdim),
+        rows.names,
+        options,
+        story=draw.story,
     )
-    return problem
 
 
 def _options(rng: Generator) -> dict[str, Any]:
