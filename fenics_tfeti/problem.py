@@ -136,7 +136,7 @@ class ContactProblem:
             check_mesh(self.space.mesh, bodies, self.contacts)
         with self._timer.phase("contact search"):
             self._boundary = MeshBoundary.of(self.space)
-        self._match_contacts()
+        self._match_contacts(prescribed)
         with self._timer.phase("compilation"):
             self._forms = prepare_forms(self.space, a, L)
         with self._timer.phase("partition"):
@@ -236,12 +236,12 @@ class ContactProblem:
             )
             return expected_contact(solved, matched)
 
-    def _match_contacts(self) -> None:
+    def _match_contacts(self, prescribed: Prescribed) -> None:
         with self._timer.phase("contact search"):
             known = list(zip(self._searched, self._matched, strict=True))
             if [id(c) for c in self._searched] != [id(c) for c in self.contacts]:
                 self._moved = []
-            self._matched = match_contacts(self._boundary, self.contacts, known)
+            self._matched = match_contacts(self._boundary, self.contacts, known, prescribed)
             check_depth(self.space, self._bodies, self._matched)
             self._searched = list(self.contacts)
 
@@ -269,7 +269,7 @@ class ContactProblem:
             self.bcs, self.contacts = given_conditions(self.bcs), given_contacts(self.contacts)
         moved = self._take_moved_mesh()
         prescribed = prescribed_values(self.space, self.bcs)
-        self._match_contacts()
+        self._match_contacts(prescribed)
         before, now = self._values, self._forms.values()
         comm = self.space.mesh.comm
         if moved or self._stale or not same_values(before.bilinear, now.bilinear, comm):
@@ -326,6 +326,7 @@ class ContactProblem:
 
     def _solve_exactly(self, coarse: ContactProblem | None) -> Function:
         """Repeat with normals, gaps and partners of the deformed surfaces, sec. 11.1, 11.11.2."""
+        self._check_initial_gaps()
         passes = list[GeometryPass]()
         # where the last solution ended is nearer to the present one than the undeformed state
         matched = self._moved or self._matched
@@ -343,13 +344,22 @@ class ContactProblem:
             passes.append(replace(new_pass, seconds=spent))
             self.report = replace(self.report, passes=passes, seconds=seconds)
             matched = self._moved = [
-                replace(match, master=new.master, normal=new.normal, gap=new.gap)
-                for match, new in zip(matched, deformed, strict=True)
+                new.pairing(match) for match, new in zip(matched, deformed, strict=True)
             ]
             if passes[-1].error <= self.options.non_penetration_tolerance:
                 return uh
             if len(passes) == self.options.non_penetration_max_it:
                 return self._not_exact(uh, passes[-1])
+
+    def _check_initial_gaps(self) -> None:
+        with raise_collectively(self.space.mesh.comm):
+            for number, contact in enumerate(self.contacts):
+                if isinstance(contact, ContactPair) and contact.initial_gap != "geometric":
+                    raise InputError(
+                        f"{contact_name(contact, number)}: initial_gap={contact.initial_gap!r} "
+                        "replaces the gap of the mesh, but non_penetration='exact' measures gaps "
+                        "on the deformed mesh. Leave out one of them"
+                    )
 
     def _not_exact(self, uh: Function, last: GeometryPass) -> Function:
         reason = (
@@ -383,7 +393,7 @@ class ContactProblem:
         forces = np.split(solution.normal_force, ends)
         self.contact = [
             # the gap of the undeformed surfaces, with the normal that the force acts along
-            _contact_result(replace(match, gap=first.gap), force, self.space.mesh.comm)
+            _contact_result(_with_gap_of(match, first), force, self.space.mesh.comm)
             for match, first, force in zip(matched, self._matched, forces, strict=False)
         ]
         self._used = list(matched)
@@ -397,17 +407,28 @@ def _gives_normals(contact: Contact) -> bool:
     return isinstance(contact, ContactPair) and contact.normal is not None
 
 
+def _with_gap_of(match: ContactPairing, first: ContactPairing) -> ContactPairing:
+    """Return conditions with the gaps of others; infinite at nodes that these do not have."""
+    _, here, there = np.intersect1d(match.slave, first.slave, return_indices=True)
+    gap = np.full(match.slave.size, np.inf)
+    gap[here] = first.gap[there]
+    return replace(match, gap=gap)
+
+
 def _contact_result(
     matched: ContactPairing, force: NDArray[np.float64], comm: MPI.Intracomm
 ) -> ContactResult:
+    # of a pair of nodes all of the force, of a mortar condition that at the slave's node
+    pressure = force / (matched.area if matched.terms is None else matched.length)
     return ContactResult(
         matched.name,
         matched.slave,
         matched.coordinates,
         matched.gap,
         matched.normal,
-        normal_force=force,
-        pressure=force / matched.area,
+        normal_force=pressure * matched.area,
+        pressure=pressure,
         active=force > 0.0,
+        area=matched.area,
         comm=comm,
     )

@@ -161,7 +161,8 @@ def reference_coordinates(corners: Vector, x: Vector) -> Vector:
 
 def _bilinear_coordinates(corners: Vector, x: Vector) -> Vector:
     """Invert the bilinear map of convex quadrilaterals; quadratically convergent."""
-    steps, small = 25, 1e-14
+    # a step of this size leaves its square
+    steps, small = 25, 1e-8
     # x = a + b r + c s + d r s
     signs = np.array([[1, 1, 1, 1], [-1, 1, 1, -1], [-1, -1, 1, 1], [1, -1, 1, -1]])
     a, b, c, d = np.einsum("ai,kij->akj", 0.25 * signs, corners)[:, :, None, :]
