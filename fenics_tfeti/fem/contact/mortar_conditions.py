@@ -7,6 +7,7 @@ rank. The contributions of the facets are summed at the owners of the slave's no
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 
@@ -30,7 +31,13 @@ from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.surfaces import Surface, values_on_facets
 from fenics_tfeti.parallel import Directory
 
-__all__ = ["MortarConditions", "SlaveFacets", "mortar_conditions"]
+__all__ = [
+    "MortarConditions",
+    "SlaveFacets",
+    "cyclic_values",
+    "mortar_conditions",
+    "tied_conditions",
+]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -98,7 +105,9 @@ class SlaveFacets:
         )
 
 
-def cyclic_values(slave: Surface, oriented: NDArray[np.int32], values: Vector) -> Vector:
+def cyclic_values(
+    slave: Surface, oriented: NDArray[np.int32], values: NDArray[Any]
+) -> NDArray[Any]:
     """Return values at the corners of facets (f, v, ...) in the order of `cyclic_corners`."""
     corners = cyclic_corners(oriented)
     position = np.argmax(corners[:, :, None] == slave.vertices[:, None, :], axis=2)
@@ -169,6 +178,66 @@ def mortar_conditions(
     other = master.cyclic()
     integrals = integrate(slave.facets, other, slave.weight)
     has_row = _well_covered(comm, slave, integrals) & ~np.isin(slave.nodes, free)
+    return _conditions(comm, slave, owned, master, normals, integrals, has_row)
+
+
+def tied_conditions(
+    comm: MPI.Intracomm,
+    slave: SlaveFacets,
+    owned: Numbers,
+    master: DeformedSurface,
+    normals: Vector,
+    held: Mask,
+) -> list[MortarConditions]:
+    """Return the conditions for each component of surfaces that stay together. Collective.
+
+    Where a component is prescribed at a node of the slave, the node has no condition on it unless
+    the component is prescribed at all nodes of a facet: a condition would hold the master more than
+    the support does.
+
+    Parameters
+    ----------
+    comm, slave, owned, master, normals
+        As in `mortar_conditions`.
+    held : (f, v, gdim) bool array
+        Which components are prescribed at the corners of this rank's facets.
+
+    Returns
+    -------
+    list of MortarConditions
+        One for each component.
+    """
+    other = master.cyclic()
+    integrals = integrate(slave.facets, other, slave.weight)
+    well = _well_covered(comm, slave, integrals)
+    gdim = held.shape[2]
+    whole = np.broadcast_to(held.all(axis=1, keepdims=True), held.shape)
+    directory = Directory(comm, slave.nodes)
+    keys, flags = directory.collect(
+        slave.nodes[slave.facets.corners.ravel()],
+        np.concatenate([whole, held], axis=2).reshape(-1, 2 * gdim),
+    )
+    table = np.zeros((directory.keys.size, 2 * gdim), dtype=bool)
+    np.logical_or.at(table, directory.position(keys), flags)
+    flags = directory.lookup(slave.nodes, table)[1]
+    has_row = well[:, None] & (flags[:, :gdim] | ~flags[:, gdim:])
+    return [
+        _conditions(comm, slave, owned, master, normals, integrals, has_row[:, axis])
+        for axis in range(gdim)
+    ]
+
+
+def _conditions(
+    comm: MPI.Intracomm,
+    slave: SlaveFacets,
+    owned: Numbers,
+    master: DeformedSurface,
+    normals: Vector,
+    integrals: FacetIntegrals,
+    has_row: Mask,
+) -> MortarConditions:
+    """Sum up the conditions of some nodes at their owners. Collective."""
+    other = master.cyclic()
     matrices = mortar_matrices(integrals, slave.facets, other, has_row)
     to_owners = Directory(comm, owned)
     nodes, terms = _collect_terms(to_owners, slave.nodes, master.nodes, matrices)

@@ -27,7 +27,13 @@ from fenics_tfeti.fem.contact.symmetry_planes import normals_in_symmetry_planes
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["joined_displacements", "match_by_mortar", "match_deformed", "mean_over_terms"]
+__all__ = [
+    "joined_displacements",
+    "match_by_mortar",
+    "match_deformed",
+    "mean_over_terms",
+    "slave_facets",
+]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -76,7 +82,7 @@ def match_by_mortar(
     space = boundary.space
     comm, gdim = space.mesh.comm, slave.normal.shape[1]
     points = boundary.coordinates[:, :gdim]
-    facets = _slave_facets(space, contact, slave, points, name)
+    facets = slave_facets(space, contact, slave, points, name)
     check_folds(comm, facets, name)
     conditions = mortar_conditions(comm, facets, slave.nodes, master, master.normals(name), shared)
     check_covered(comm, conditions, slave, name)
@@ -136,7 +142,7 @@ def match_deformed(
     normal = surface.normal if contact.normal is not None else slave.normals(name)[here]
     deformed = replace(surface, normal=normal)
     points = space.tabulate_dof_coordinates()[:, :gdim] + displacement.x.array.reshape(-1, gdim)
-    facets = _slave_facets(space, contact, deformed, points, name)
+    facets = slave_facets(space, contact, deformed, points, name)
     shared = np.intersect1d(slave.nodes, master.nodes)
     conditions = mortar_conditions(
         comm, facets, surface.nodes, master, master.normals(name), shared
@@ -186,9 +192,29 @@ def _pairing(
     )
 
 
-def _slave_facets(
-    space: FunctionSpace, contact: ContactPair, slave: Surface, points: Vector, name: str
+def slave_facets(
+    space: FunctionSpace, contact: Any, slave: Surface, points: Vector, name: str
 ) -> SlaveFacets:
+    """Return this rank's facets of the slave, with normals and the weight of the measure.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    contact : ContactPair or TiedPair
+        The pair.
+    slave : Surface
+        Its slave's surface.
+    points : (nodes, gdim) array
+        All local nodes of the space, undeformed or deformed [m].
+    name : str
+        Name of the pair.
+
+    Raises
+    ------
+    InputError
+        A wrong weight of the measure.
+    """
     oriented = oriented_facets(space, contact.facet_tags, contact.slave)
     weight = _nodal_weight(space, contact.measure_weight, name)
     return SlaveFacets.of(space, slave, oriented, points, slave.normal, weight)
