@@ -26,6 +26,7 @@ _LAZY = {
     "Plane": "fenics_tfeti.fem.contact.obstacles",
     "RigidObstacle": "fenics_tfeti.fem.contact.contact",
     "Sphere": "fenics_tfeti.fem.contact.obstacles",
+    "TiedPair": "fenics_tfeti.fem.contact.tied",
 }
 
 __all__ = [
@@ -40,6 +41,7 @@ __all__ = [
     "Plane",
     "RigidObstacle",
     "Sphere",
+    "TiedPair",
     "UnresistedMotion",
 ]
 

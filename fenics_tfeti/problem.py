@@ -16,7 +16,7 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError, NotConverged
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.arguments import given_conditions, given_contacts, given_forms
+from fenics_tfeti.fem.arguments import given_conditions, given_contacts, given_forms, given_tied
 from fenics_tfeti.fem.contact.checks import check_depth
 from fenics_tfeti.fem.contact.contact import (
     Contact,
@@ -28,6 +28,7 @@ from fenics_tfeti.fem.contact.contact import (
 from fenics_tfeti.fem.contact.deformed import GeometryPass, deformed_contact, geometry_pass
 from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
 from fenics_tfeti.fem.contact.surfaces import MeshBoundary
+from fenics_tfeti.fem.contact.tied import TiedPair, TiedPairing, tie_pairs, tied_name, tied_rows
 from fenics_tfeti.fem.contact.transfer import check_same_contacts, expected_contact, gather_solved
 from fenics_tfeti.fem.decomposition.assembly import prepare_forms, same_values
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
@@ -69,6 +70,8 @@ class ContactProblem:
         Prescribed displacements, on the space or its components, of any value.
     contacts : sequence of ContactPair or RigidObstacle, one of them, or None
         What may touch.
+    tied : sequence of TiedPair, one of them, or None
+        Surfaces that stay together.
     cell_tags : MeshTags, optional
         A tag for every cell, where bodies are to be told apart by tags: each tag is one body, its
         cells connected through facets. Bodies that share facets are glued there. By default the
@@ -118,12 +121,15 @@ class ContactProblem:
         subdomains: Sequence[int] | None = None,
         options: Mapping[str, Any] | None = None,
         options_prefix: str = "tfeti_",
+        tied: Sequence[TiedPair] | TiedPair | None = (),
     ) -> None:
         self.options = contact_options(options, options_prefix)
         self._timer = Timer()
         a, L = given_forms(a, L)
         self.space = space_of_forms(a, L)
         self.bcs, self.contacts = given_conditions(bcs), given_contacts(contacts)
+        self.tied = given_tied(tied)
+        self._tied: list[tuple[TiedPair, TiedPairing]] = []
         self._searched: list[Contact] = []
         self._matched: list[ContactPairing] = []
         self._moved: list[ContactPairing] = []
@@ -136,7 +142,7 @@ class ContactProblem:
             check_mesh(self.space.mesh, bodies, self.contacts)
         with self._timer.phase("contact search"):
             self._boundary = MeshBoundary.of(self.space)
-        self._match_contacts()
+        self._match_contacts(prescribed)
         with self._timer.phase("compilation"):
             self._forms = prepare_forms(self.space, a, L)
         with self._timer.phase("partition"):
@@ -216,6 +222,7 @@ class ContactProblem:
                     f"{self.system.gdim}"
                 )
             names = [contact_name(c, i) for i, c in enumerate(self.contacts)]
+            names += [tied_name(pair, i) for i, pair in enumerate(self.tied)]
             check_same_contacts(coarse.system.contact_names, names)
             if self.options.solver.method != "active_set":
                 raise InputError(
@@ -236,14 +243,15 @@ class ContactProblem:
             )
             return expected_contact(solved, matched)
 
-    def _match_contacts(self) -> None:
+    def _match_contacts(self, prescribed: Prescribed) -> None:
         with self._timer.phase("contact search"):
             known = list(zip(self._searched, self._matched, strict=True))
             if [id(c) for c in self._searched] != [id(c) for c in self.contacts]:
                 self._moved = []
-            self._matched = match_contacts(self._boundary, self.contacts, known)
+            self._matched = match_contacts(self._boundary, self.contacts, known, prescribed)
             check_depth(self.space, self._bodies, self._matched)
             self._searched = list(self.contacts)
+            self._tied = tie_pairs(self._boundary, self.tied, self._tied, prescribed)
 
     def _assemble(self, known: Sequence[Subdomain] | None = None) -> list[Subdomain]:
         """Assemble the subdomains, or only the loads of known ones."""
@@ -258,18 +266,20 @@ class ContactProblem:
             contact_rows(self._matched, gdim),
             gdim,
             self._body_names,
-            [matched.name for matched in self._matched],
+            [*(matched.name for matched in self._matched), *(one.name for _, one in self._tied)],
             self.space.mesh.comm,
             [f"Dirichlet condition {i}" for i in range(len(self.bcs))],
+            tied_rows([one for _, one in self._tied], gdim, len(self._matched)),
         )
 
     def _refresh(self) -> None:
         """Take in what changed since the last solve, or since the problem was set up."""
         with raise_collectively(self.space.mesh.comm):
             self.bcs, self.contacts = given_conditions(self.bcs), given_contacts(self.contacts)
+            self.tied = given_tied(self.tied)
         moved = self._take_moved_mesh()
         prescribed = prescribed_values(self.space, self.bcs)
-        self._match_contacts()
+        self._match_contacts(prescribed)
         before, now = self._values, self._forms.values()
         comm = self.space.mesh.comm
         if moved or self._stale or not same_values(before.bilinear, now.bilinear, comm):
@@ -302,7 +312,7 @@ class ContactProblem:
         check_mesh(domain, self._bodies, self.contacts)
         with self._timer.phase("contact search"):
             self._boundary = MeshBoundary.of(self.space)
-        self._searched, self._matched, self._moved = [], [], []
+        self._searched, self._matched, self._moved, self._tied = [], [], [], []
         with self._timer.phase("partition"):
             self._parts = self._numbered_parts()
         # last: after an error above, the nodes count as moved in the next solve too
@@ -326,6 +336,7 @@ class ContactProblem:
 
     def _solve_exactly(self, coarse: ContactProblem | None) -> Function:
         """Repeat with normals, gaps and partners of the deformed surfaces, sec. 11.1, 11.11.2."""
+        self._check_initial_gaps()
         passes = list[GeometryPass]()
         # where the last solution ended is nearer to the present one than the undeformed state
         matched = self._moved or self._matched
@@ -343,13 +354,22 @@ class ContactProblem:
             passes.append(replace(new_pass, seconds=spent))
             self.report = replace(self.report, passes=passes, seconds=seconds)
             matched = self._moved = [
-                replace(match, master=new.master, normal=new.normal, gap=new.gap)
-                for match, new in zip(matched, deformed, strict=True)
+                new.pairing(match) for match, new in zip(matched, deformed, strict=True)
             ]
             if passes[-1].error <= self.options.non_penetration_tolerance:
                 return uh
             if len(passes) == self.options.non_penetration_max_it:
                 return self._not_exact(uh, passes[-1])
+
+    def _check_initial_gaps(self) -> None:
+        with raise_collectively(self.space.mesh.comm):
+            for number, contact in enumerate(self.contacts):
+                if isinstance(contact, ContactPair) and contact.initial_gap != "geometric":
+                    raise InputError(
+                        f"{contact_name(contact, number)}: initial_gap={contact.initial_gap!r} "
+                        "replaces the gap of the mesh, but non_penetration='exact' measures gaps "
+                        "on the deformed mesh. Leave out one of them"
+                    )
 
     def _not_exact(self, uh: Function, last: GeometryPass) -> Function:
         reason = (
@@ -371,6 +391,7 @@ class ContactProblem:
     def _take(self, solution: TornSolution, matched: Sequence[ContactPairing]) -> Function:
         versions = {**solution.report.versions, "dolfinx": _compat.version()}
         pairing = [match.summary for match in self._matched]
+        pairing += [one.summary for _, one in self._tied]
         self.report = ContactReport(
             **{
                 **vars(solution.report),
@@ -383,7 +404,7 @@ class ContactProblem:
         forces = np.split(solution.normal_force, ends)
         self.contact = [
             # the gap of the undeformed surfaces, with the normal that the force acts along
-            _contact_result(replace(match, gap=first.gap), force, self.space.mesh.comm)
+            _contact_result(_with_gap_of(match, first), force, self.space.mesh.comm)
             for match, first, force in zip(matched, self._matched, forces, strict=False)
         ]
         self._used = list(matched)
@@ -397,17 +418,28 @@ def _gives_normals(contact: Contact) -> bool:
     return isinstance(contact, ContactPair) and contact.normal is not None
 
 
+def _with_gap_of(match: ContactPairing, first: ContactPairing) -> ContactPairing:
+    """Return conditions with the gaps of others; infinite at nodes that these do not have."""
+    _, here, there = np.intersect1d(match.slave, first.slave, return_indices=True)
+    gap = np.full(match.slave.size, np.inf)
+    gap[here] = first.gap[there]
+    return replace(match, gap=gap)
+
+
 def _contact_result(
     matched: ContactPairing, force: NDArray[np.float64], comm: MPI.Intracomm
 ) -> ContactResult:
+    # of a pair of nodes all of the force, of a mortar condition that at the slave's node
+    pressure = force / (matched.area if matched.terms is None else matched.length)
     return ContactResult(
         matched.name,
         matched.slave,
         matched.coordinates,
         matched.gap,
         matched.normal,
-        normal_force=force,
-        pressure=force / matched.area,
+        normal_force=pressure * matched.area,
+        pressure=pressure,
         active=force > 0.0,
+        area=matched.area,
         comm=comm,
     )

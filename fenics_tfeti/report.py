@@ -22,11 +22,14 @@ class ContactReport(Report):
         One entry for each solution with exact non-penetration; products and history of the report
         are those of the last one, its seconds those of all passes.
     pairing : list of dict
-        For each contact its name, the numbers of ``pairs`` and ``unmatched`` slave nodes,
-        ``largest_distance`` [m] (what the tolerance limits; None for obstacles) and
+        For each contact its name, its ``discretisation`` ("node_to_node", "mortar" or
+        "obstacle"), the numbers of ``pairs`` (conditions) and ``unmatched`` slave nodes,
+        ``largest_distance`` [m] (what the tolerance limits; None but for pairs of nodes) and
         ``largest_relative_distance`` (to the size of the facets), ``largest_angle`` between the
-        slave's normal and the opposite of its partner's [degrees], ``smallest_gap`` and
-        ``largest_gap`` [m]. Nodes at which an obstacle's gap is infinite are unmatched.
+        slave's normal and the opposite of the master's [degrees], ``smallest_gap``,
+        ``largest_gap`` and ``mean_gap`` [m], of mortar conditions those of their means, and the
+        ``covered_area`` of the slave [m^2; m in 2D] (None for obstacles). Nodes at which an
+        obstacle's gap is infinite are unmatched.
     """
 
     passes: list[GeometryPass] = field(default_factory=list)
@@ -39,6 +42,7 @@ class ContactReport(Report):
 
 _COLUMNS = {
     "contact": "contact",
+    "discretisation": "discretisation",
     "pairs": "pairs",
     "unmatched": "unmatched",
     "largest_distance": "distance [m]",
@@ -46,6 +50,8 @@ _COLUMNS = {
     "largest_angle": "angle [deg]",
     "smallest_gap": "gap from [m]",
     "largest_gap": "to [m]",
+    "mean_gap": "mean [m]",
+    "covered_area": "area",
 }
 
 
@@ -64,11 +70,18 @@ def pairing_table(pairing: Sequence[Mapping[str, Any]]) -> str:
 
     Examples
     --------
-    >>> entry = {"contact": "joint", "pairs": 25, "unmatched": 0, "largest_distance": 1e-17}
-    >>> entry |= {"largest_relative_distance": 4e-17, "largest_angle": 0.0}
-    >>> print(pairing_table([entry | {"smallest_gap": 0.0, "largest_gap": 0.01}]))
-    contact  pairs  unmatched  distance [m]  of a facet  angle [deg]  gap from [m]  to [m]
-    joint       25          0         1e-17       4e-17            0             0    0.01
+    >>> entry = {"contact": "joint", "discretisation": "mortar", "pairs": 25, "unmatched": 0}
+    >>> entry |= {"largest_distance": None, "largest_relative_distance": None}
+    >>> entry |= {"largest_angle": 0.0, "smallest_gap": 0.0, "largest_gap": 0.01}
+    >>> table = pairing_table([entry | {"mean_gap": 0.002, "covered_area": 0.5}])
+    >>> for line in table.splitlines():
+    ...     print(line[:50])
+    contact  discretisation  pairs  unmatched  distanc
+    joint            mortar     25          0
+    >>> for line in table.splitlines():
+    ...     print(line[-41:])
+    gap from [m]  to [m]  mean [m]  area
+               0    0.01     0.002   0.5
     """
     rows = [list(_COLUMNS.values())]
     rows += [[_word(entry[key]) for key in _COLUMNS] for entry in pairing]

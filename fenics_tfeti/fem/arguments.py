@@ -5,7 +5,7 @@ They are the same on all ranks, and so are the errors.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,9 @@ from dolfinx.fem import Constant
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import Contact, ContactPair, RigidObstacle, contact_name
+from fenics_tfeti.fem.contact.tied import TiedPair, tied_name
 
-__all__ = ["given_conditions", "given_contacts", "given_forms"]
+__all__ = ["given_conditions", "given_contacts", "given_forms", "given_tied"]
 
 
 def given_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
@@ -69,6 +70,29 @@ def given_contacts(contacts: Any) -> list[Contact]:
                 "is expected"
             )
         _check_contact(contact, contact_name(contact, number))
+    return found
+
+
+def given_tied(pairs: Any) -> list[TiedPair]:
+    """Return the tied pairs, of one or of a list.
+
+    Parameters
+    ----------
+    pairs : sequence of TiedPair, one of them, or None
+        What the user gave.
+
+    Raises
+    ------
+    InputError
+        With the first thing that is no tied pair, or a pair's tags that are none.
+    """
+    found = _listed(pairs, lambda thing: isinstance(thing, TiedPair), "tied", "TiedPair")
+    for number, pair in enumerate(found):
+        if not isinstance(pair, TiedPair):
+            raise InputError(
+                f"tied pair {number} is a {type(pair).__name__}; a TiedPair is expected"
+            )
+        _check_tags(pair, ("slave", "master"), tied_name(pair, number))
     return found
 
 
@@ -128,22 +152,27 @@ def _no_load(a: ufl.Form) -> ufl.Form:
 
 
 def _check_contact(contact: Contact, name: str) -> None:
-    tags = contact.facet_tags
+    roles = ("slave", "master") if isinstance(contact, ContactPair) else ("slave",)
+    _check_tags(contact, roles, name)
+    if isinstance(contact, RigidObstacle) and not callable(contact.obstacle):
+        raise InputError(
+            f"{name}: the obstacle is a {type(contact.obstacle).__name__}; a function of x that "
+            "returns (gap, normal) or the gap is expected, such as Plane(point, normal)"
+        )
+
+
+def _check_tags(pair: Any, roles: Sequence[str], name: str) -> None:
+    tags = pair.facet_tags
     if not (hasattr(tags, "find") and hasattr(tags, "dim")):
         raise InputError(
             f"{name}: facet_tags is a {type(tags).__name__}; the mesh tags of the facets are "
             "expected, as returned by dolfinx.mesh.meshtags"
         )
-    for role in ("slave", "master") if isinstance(contact, ContactPair) else ("slave",):
-        tag = getattr(contact, role)
+    for role in roles:
+        tag = getattr(pair, role)
         if isinstance(tag, bool) or not isinstance(tag, int | np.integer):
             raise InputError(
                 f"{name}: the tag of the {role} is {tag!r}; an integer is expected, one of the "
                 f"values of facet_tags. Surfaces have numbers, not names; to use several tags, "
                 "join them under one"
             )
-    if isinstance(contact, RigidObstacle) and not callable(contact.obstacle):
-        raise InputError(
-            f"{name}: the obstacle is a {type(contact.obstacle).__name__}; a function of x that "
-            "returns (gap, normal) or the gap is expected, such as Plane(point, normal)"
-        )

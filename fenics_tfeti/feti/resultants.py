@@ -65,8 +65,8 @@ class Resultants:
     normal_forces : list of float
         For each contact the sum of the normal forces [N]; zero for tied pairs.
     on_slaves, on_masters : list of Resultant
-        For each contact and tied pair the forces on the slave's nodes, the first of their rows, and
-        on those of the master; none on rigid obstacles.
+        For each contact and tied pair the forces on the slave's nodes and on those of the
+        master; none on rigid obstacles.
     equilibrium : float
         The sum of all forces from outside (load, reactions, springs and obstacles), relative to the
         largest sum of magnitudes of nodal forces of loads, supports and obstacles.
@@ -154,6 +154,9 @@ def resultants(
     normal = normal_forces(F.constraints, multipliers)
     force = np.append(normal, tied_forces(F.constraints, multipliers))
     on_nodes = -(force / rows.length)[rows.row][:, None] * rows.coefficients
+    on_slave = np.zeros((rows.size, gdim))
+    np.add.at(on_slave, rows.row[rows.on_slave], on_nodes[rows.on_slave])
+    pressing = -np.sum(on_slave * rows.normal, axis=1)[: normal.size]
 
     sprung = _with_springs(system, kernels, unknowns)
     # the other forces on a subdomain with springs, f - B'lambda = K u_t, balance theirs
@@ -165,7 +168,7 @@ def resultants(
     contacts = max(
         len(system.contact_names), comm.allreduce(int(rows.contact.max(initial=-1)), MPI.MAX) + 1
     )
-    normal_sums = np.bincount(system.contacts.contact, weights=normal, minlength=contacts)
+    normal_sums = np.bincount(system.contacts.contact, weights=pressing, minlength=contacts)
     at = _points(system, x, F, unknowns, rows.nodes)
     of_contact = _of_contacts(rows, at, on_nodes, contacts)
     normal_sums, of_contact = comm.allreduce(normal_sums), comm.allreduce(of_contact)
@@ -201,8 +204,7 @@ def resultants(
 
 def _of_contacts(rows: ContactRows, x: Vector, on_nodes: Vector, contacts: int) -> Vector:
     """Return the sums of forces and moments on slaves and on masters, (2, contacts, ...)."""
-    on_master = np.ones(rows.nodes.size, dtype=np.int64)
-    on_master[rows.offsets[:-1]] = 0
+    on_master = (~rows.on_slave).astype(np.int64)
     both = np.column_stack([on_nodes, _moments(x, on_nodes)])
     sums = np.zeros((2, contacts, both.shape[1]))
     np.add.at(sums, (on_master, rows.contact[rows.row]), both)

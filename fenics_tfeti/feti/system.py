@@ -100,8 +100,9 @@ class ContactRows:
     The first term of each row is the slave node's. Its coefficient has the direction of the row's
     unit normal n, outward from the slave's body, and any length D > 0: the area that belongs to the
     node in a mortar row, 1 where a node touches a node or an obstacle. The other terms are those of
-    the master's nodes. The gap is in the same unit, so gap / D is a distance, and D times the
-    multiplier of the row is the nodal normal force.
+    the master's nodes, and of further nodes of the slave, which come before them. The gap is in the
+    same unit, so gap / D is a distance, and D times the multiplier of the row is the nodal normal
+    force.
 
     Attributes
     ----------
@@ -117,6 +118,9 @@ class ContactRows:
         is left out.
     contact : (rows,) integer array
         Number of the contact that the row belongs to, for the sums of forces.
+    slaves : (rows,) integer array, optional
+        How many of the row's terms, from the first on, are those of the slave's nodes, for the sums
+        of forces; by default 1.
 
     Examples
     --------
@@ -138,10 +142,13 @@ class ContactRows:
     coefficients: Vector
     gap: Vector
     contact: Numbers
+    slaves: Numbers | None = None
 
     def __post_init__(self) -> None:
         """Convert lists and other types of numbers to arrays."""
-        _convert(self, offsets=np.int64, nodes=np.int64, contact=np.int64)
+        if self.slaves is None:
+            _set(self, "slaves", np.ones(np.shape(self.gap), dtype=np.int64))
+        _convert(self, offsets=np.int64, nodes=np.int64, contact=np.int64, slaves=np.int64)
         _convert(self, coefficients=np.float64, gap=np.float64)
 
     @staticmethod
@@ -205,6 +212,7 @@ class ContactRows:
             np.concatenate([part.coefficients for part in parts]),
             np.concatenate([part.gap for part in parts]),
             np.concatenate([part.contact for part in parts]),
+            np.concatenate([np.asarray(part.slaves) for part in parts]),
         )
 
     def chosen(self, rows: Numbers) -> ContactRows:
@@ -213,7 +221,12 @@ class ContactRows:
         offsets = np.append(0, np.cumsum(terms))
         at = np.repeat(self.offsets[rows] - offsets[:-1], terms) + np.arange(offsets[-1])
         return ContactRows(
-            offsets, self.nodes[at], self.coefficients[at], self.gap[rows], self.contact[rows]
+            offsets,
+            self.nodes[at],
+            self.coefficients[at],
+            self.gap[rows],
+            self.contact[rows],
+            np.asarray(self.slaves)[rows],
         )
 
     @property
@@ -243,6 +256,13 @@ class ContactRows:
         """The unit normal of each row, (rows, gdim)."""
         normals: Vector = self.coefficients[self.offsets[:-1]] / self.length[:, None]
         return normals
+
+    @property
+    def on_slave(self) -> NDArray[np.bool_]:
+        """Whether each term is that of a slave node, (terms,)."""
+        position = np.arange(self.nodes.size) - self.offsets[:-1][self.row]
+        mask: NDArray[np.bool_] = position < np.asarray(self.slaves)[self.row]
+        return mask
 
 
 @dataclass(frozen=True)

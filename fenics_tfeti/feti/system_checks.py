@@ -358,6 +358,8 @@ def _check_rows(what: str, rows: ContactRows, gdim: int, names: Sequence[str]) -
     _check_array(f"{what}.nodes", rows.nodes, (None,), np.int64)
     _check_array(f"{what}.offsets", rows.offsets, (k + 1,), np.int64)
     _check_offsets(what, rows, names)
+    _check_array(f"{what}.slaves", rows.slaves, (k,), np.int64)
+    _check_slaves(what, rows, names)
     _check_range(f"{what}.nodes", rows.nodes, 0, _LARGEST_NODE)
     _check_distinct_nodes(what, rows, names)
     shape = rows.nodes.size, gdim
@@ -387,6 +389,18 @@ def _check_offsets(what: str, rows: ContactRows, names: Sequence[str]) -> None:
         raise InputError(
             f"{what}.offsets: {empty.size} rows have no terms, the first is "
             f"{_row(rows, empty[0], names)}. Leave them out"
+        )
+
+
+def _check_slaves(what: str, rows: ContactRows, names: Sequence[str]) -> None:
+    """Check that the slave's terms are the first ones of their row."""
+    slaves = np.asarray(rows.slaves)
+    wrong = np.flatnonzero((slaves < 1) | (slaves > np.diff(rows.offsets)))
+    if wrong.size:
+        k = wrong[0]
+        raise InputError(
+            f"{what}.slaves: {wrong.size} rows have other numbers than 1 to that of their terms, "
+            f"the first is {_row(rows, k, names)} with {slaves[k]}"
         )
 
 

@@ -365,6 +365,11 @@ def nodes_in_a_column(system):
     return contacts(system, nodes=system.contacts.nodes[:, None])
 
 
+@mistake("contacts.slaves", "1 rows", "row 0 (joint)", "with 9")
+def more_slave_terms_than_terms(system):
+    return contacts(system, slaves=changed(system.contacts.slaves, 0, 9))
+
+
 @mistake("contacts.nodes", "float64", "integers")
 def nodes_of_rows_that_are_no_integers(system):
     return contacts(system, nodes=system.contacts.nodes + 0.5)

@@ -36,16 +36,20 @@ class BoxTree:
         order = np.resize(np.arange(len(corners)), 2**depth * leaf)
         low, high = corners.min(axis=1), corners.max(axis=1)
         centre = 0.5 * (low + high)
-        self._low, self._high = [], []
         for level in range(depth + 1):
             order = order.reshape(2**level, -1)
-            self._low.append(low[order].min(axis=1))
-            self._high.append(high[order].max(axis=1))
             if level < depth:
-                axis = np.ptp(centre[order], axis=1).argmax(axis=1)
+                axis = (centre[order].max(axis=1) - centre[order].min(axis=1)).argmax(axis=1)
                 place = centre[order, axis[:, None]]
                 order = np.take_along_axis(order, place.argsort(axis=1), axis=1)
         self._leaves: Numbers = order.astype(np.int64)
+        # from the leaves up: the box of two halves is that around their boxes
+        self._low, self._high = [low[order].min(axis=1)], [high[order].max(axis=1)]
+        for _ in range(depth):
+            self._low.append(np.minimum(self._low[-1][::2], self._low[-1][1::2]))
+            self._high.append(np.maximum(self._high[-1][::2], self._high[-1][1::2]))
+        self._low.reverse()
+        self._high.reverse()
         self.size = float((self._high[0] - self._low[0]).max())
 
     def candidates(

@@ -19,6 +19,7 @@ from dolfinx.fem import FunctionSpace
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import Contact, ContactPair, ContactPairing, RigidObstacle
+from fenics_tfeti.fem.contact.initial_gap import check_initial_gap
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.search import Partners
 from fenics_tfeti.fem.contact.surfaces import MasterNodes, Surface
@@ -52,12 +53,23 @@ def check_arguments(contact: ContactPair, name: str) -> None:
     Raises
     ------
     InputError
-        Equal tags, several ways to find partners, a mapping that is not a function, a tolerance
-        that is not positive.
+        Equal tags, several ways to find partners or one for mortar conditions, a mapping that is
+        not a function, a tolerance that is not positive, an unknown discretisation or initial gap.
     """
     if contact.slave == contact.master:
         raise InputError(f"{name}: slave and master have the same tag {contact.slave}")
+    if contact.discretisation not in ("auto", "node_to_node", "mortar"):
+        raise InputError(
+            f"{name}: discretisation is {contact.discretisation!r}; 'auto', 'node_to_node' or "
+            "'mortar' is expected"
+        )
+    check_initial_gap(contact.initial_gap, name)
     ways = [way for way in ("direction", "mapping", "pairs") if getattr(contact, way) is not None]
+    if ways and contact.discretisation == "mortar":
+        raise InputError(
+            f"{name}: {' and '.join(ways)} tells how nodes find partners, but mortar conditions "
+            "are between surfaces. Leave it out, or take discretisation='node_to_node'"
+        )
     if len(ways) > 1:
         raise InputError(
             f"{name}: {' and '.join(ways)} are given; partners can be found in one way only"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal
 
 from mpi4py import MPI
 
@@ -21,6 +21,8 @@ __all__ = [
     "ContactPair",
     "ContactPairing",
     "ContactResult",
+    "InitialGap",
+    "MortarTerms",
     "RigidObstacle",
     "contact_name",
 ]
@@ -28,48 +30,63 @@ __all__ = [
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 VectorField = ArrayLike | Callable[[Vector], ArrayLike]
+InitialGap = Literal["geometric", "touching"] | float | Callable[[Vector], ArrayLike]
 
 
 @dataclass(frozen=True)
 class ContactPair:
     """Two tagged surfaces that may touch but not penetrate each other.
 
-    Each slave node is paired with one master node: the nearest one, unless `direction`, `mapping`
-    or `pairs` says how to find it. The meshes of the two surfaces have to match up to `tolerance`.
-    For meshes that do not match, make the finer surface, with elements about half as large, the
-    master, raise the tolerance to 0.8, and leave slave nodes that find no partner, beyond the edge
-    of the master, free by `partial`.
+    The meshes of the surfaces need not match, and each surface may extend beyond the other. Where
+    every facet of the slave has a facet of the master opposite it with the same nodes, conditions
+    are between pairs of nodes. Otherwise they are segment-based dual mortar conditions: one for
+    each slave node that the master covers, on weighted means of the displacements.
 
     Attributes
     ----------
     facet_tags : MeshTags
         Tags of facets.
     slave, master : int
-        Tag of the slave's and of the master's surface.
+        Tag of the slave's and of the master's surface. With mortar conditions the slave is better
+        the softer surface, and of equally stiff ones that with the larger facets.
     name : str
         For messages and the report.
+    discretisation : {"auto", "node_to_node", "mortar"}
+        "auto" takes pairs of nodes where the meshes match, or where `direction`, `mapping` or
+        `pairs` says how to find them, and mortar conditions otherwise. The choice is in the report.
+    initial_gap : "geometric", "touching", float or callable
+        The gap between the undeformed surfaces. By default it is that of the mesh. "touching" is
+        for two meshes of one curved surface, whose facets gape or overlap by their distances from
+        it: gaps up to that size are set to zero. A number or a function of x (3, n) that returns
+        (n,) replaces the gap at the slave's nodes by a clearance (> 0) or an interference (< 0)
+        [m], which the facets of curved surfaces would blur.
     tolerance : float
-        Largest distance of a master node from the place where the slave node looks for it, relative
-        to the edges of the slave's facets there. The distance is measured along the surface to the
-        nearest node, across the `direction`, from the image by `mapping`, or from the points of
-        `pairs` to the nodes.
+        Node to node: largest distance of a master node from the place where the slave node looks
+        for it, relative to the edges of the slave's facets there. The distance is measured along
+        the surface to the nearest node, across the `direction`, from the image by `mapping`, or
+        from the points of `pairs` to the nodes.
     direction : (gdim,) array-like or callable, optional
-        Partners are sought along this line, forwards and backwards, among the master nodes whose
-        normals point against the slave's. A callable gets x (3, n) [m] and returns (gdim, n).
+        Node to node: partners are sought along this line, forwards and backwards, among the master
+        nodes whose normals point against the slave's. A callable gets x (3, n) [m] and returns
+        (gdim, n).
     mapping : callable, optional
-        chi of sec. 11.1: x (3, n) -> (3, n), the expected place of each slave node's partner [m].
+        Node to node: chi of sec. 11.1: x (3, n) -> (3, n), the expected place of each slave node's
+        partner [m].
     pairs : (slave points, master points), optional
-        Arrays (k, 3) of coordinates [m], one row for each pair. The same on all ranks.
+        Node to node: arrays (k, 3) of coordinates [m], one row for each pair. The same on all
+        ranks.
     normal : (gdim,) array-like or callable, optional
         Outward normals of the slave, of any length; a callable gets x (3, n) and returns (gdim, n).
         By default the area-weighted average of the facets' normals at each node.
     partial : bool
-        Whether slave nodes without partner, and nodes that belong to slave and master, stay free
-        instead of being an error. The report has their number.
+        Whether nodes that belong to slave and master stay free instead of being an error; node to
+        node also slave nodes without partner, of which the report has the number. Mortar conditions
+        leave slave nodes that the master does not cover free in any case.
     measure_weight : UFL expression or number, optional
         Factor of ``ds`` in the forms, by which nodal forces become pressures: ``2 * pi * r`` or
         ``r``, with ``r = SpatialCoordinate(mesh)[0]``, in axisymmetric forms, the thickness in
-        forms of a thin sheet. By default 1.
+        forms of a thin sheet. By default 1. Mortar conditions integrate with it, linearly
+        interpolated between the nodes of a facet.
     """
 
     facet_tags: Any
@@ -83,6 +100,8 @@ class ContactPair:
     normal: GivenNormal = None
     partial: bool = False
     measure_weight: Any = None
+    discretisation: Literal["auto", "node_to_node", "mortar"] = "auto"
+    initial_gap: InitialGap = "geometric"
 
 
 @dataclass(frozen=True)
@@ -123,6 +142,44 @@ def contact_name(contact: Contact, number: int) -> str:
 
 
 @dataclass(frozen=True)
+class MortarTerms:
+    """The terms of mortar conditions: sums of displacements with scalar weights.
+
+    Attributes
+    ----------
+    offsets : (k + 1,) integer array
+        The terms of condition i are those from ``offsets[i]`` up to, without, ``offsets[i + 1]``.
+    nodes : (t,) integer array
+        Global nodes of the displacement's space: the slave node of the condition, further slave
+        nodes, master nodes.
+    weights : (t,) array
+        Integrals of the dual function times the node's shape function, negative on the master
+        [m^2 or m].
+    slaves : (k,) integer array
+        How many of the condition's terms, from the first on, are those of slave nodes.
+    """
+
+    offsets: Numbers
+    nodes: Numbers
+    weights: Vector
+    slaves: Numbers
+
+    @property
+    def row(self) -> Numbers:
+        """The condition of each term, (t,)."""
+        return np.repeat(np.arange(self.slaves.size), np.diff(self.offsets))
+
+    @property
+    def area(self) -> Vector:
+        """The sum of the slave's weights of each condition, (k,)."""
+        position = np.arange(self.nodes.size) - self.offsets[:-1][self.row]
+        weights = np.where(position < self.slaves[self.row], self.weights, 0.0)
+        area = np.zeros(self.slaves.size)
+        np.add.at(area, self.row, weights)
+        return area
+
+
+@dataclass(frozen=True)
 class ContactPairing:
     """The slave nodes that this rank owns and that have a contact condition.
 
@@ -133,17 +190,20 @@ class ContactPairing:
     slave : (k,) integer array
         Global nodes of the displacement's space.
     master : (k,) integer array
-        Their partners; -1 for an obstacle.
+        Their partners; -1 for an obstacle; of a mortar condition the master node with the largest
+        weight.
     coordinates : (k, 3) array
         Slave nodes [m].
     normal : (k, gdim) array
         Outward unit normals of the slave.
     gap : (k,) array
-        (chi(x) - x)'n (11.7) [m]; infinite where there is no obstacle.
+        (chi(x) - x)'n (11.7) [m]; infinite where there is no obstacle; of a mortar condition the
+        mean with its dual function.
     area : (k,) array
         Area of the surface (length in 2D) that belongs to the node [m^2 or m]; in a partial contact
-        that of the facets whose nodes all have partners, where the node has such facets. It is
-        multiplied by the contact's `measure_weight`.
+        that of the facets whose nodes all have partners, where the node has such facets; of a
+        mortar condition the integral of its dual function over the covered part. It is multiplied
+        by the contact's `measure_weight`.
     summary : dict
         The contact's entry of `Report.pairing`.
     surface : Surface
@@ -152,6 +212,10 @@ class ContactPairing:
         Which of the surface's facets have partners at all nodes.
     weighted_form : CompiledForm or None
         The form of the areas with the weight; None without one.
+    terms : MortarTerms, optional
+        The terms of mortar conditions; None for pairs of nodes and obstacles.
+    prescribed : (s, gdim) bool array, optional
+        Which components are prescribed at the surface's nodes, for mortar conditions.
     """
 
     name: str
@@ -165,6 +229,16 @@ class ContactPairing:
     surface: Surface
     covered: NDArray[np.bool_]
     weighted_form: _compat.CompiledForm | None
+    terms: MortarTerms | None = None
+    prescribed: NDArray[np.bool_] | None = None
+
+    @property
+    def length(self) -> Vector:
+        """Length of the slave node's coefficient in each condition: 1 from node to node."""
+        if self.terms is None:
+            return np.ones(self.slave.size)
+        lengths: Vector = self.terms.weights[self.terms.offsets[:-1]]
+        return lengths
 
 
 @dataclass(frozen=True)
@@ -180,7 +254,8 @@ class ContactResult:
     coordinates : (k, 3) array
         [m].
     gap : (k,) array
-        Gap in the undeformed state [m]; infinite where there is no obstacle.
+        Gap in the undeformed state [m]; infinite where there is no obstacle. With mortar conditions
+        the mean around the node.
     normal : (k, gdim) array
         Outward unit normals of the slave.
     normal_force : (k,) array
@@ -191,6 +266,9 @@ class ContactResult:
         `measure_weight` [Pa].
     active : (k,) bool array
         Whether the normal force is positive.
+    area : (k,) array
+        The area by which the normal force is divided [m^2; m in 2D]. With mortar conditions that of
+        the covered part of the surface around the node.
     comm : MPI.Intracomm
         The ranks.
     """
@@ -203,11 +281,12 @@ class ContactResult:
     normal_force: Vector
     pressure: Vector
     active: NDArray[np.bool_]
+    area: Vector
     comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF, repr=False)
 
     def gather(self) -> ContactResult:
         """Return the nodes of all ranks, by node number, on every rank. Collective."""
-        names = ("nodes", "coordinates", "gap", "normal", "normal_force", "pressure", "active")
+        names = [f.name for f in fields(self) if f.name not in ("name", "comm")]
         columns = [concatenate_ranks(self.comm, getattr(self, name)) for name in names]
         order = np.argsort(columns[0])
         whole: dict[str, Any] = {n: c[order] for n, c in zip(names, columns, strict=True)}

@@ -8,7 +8,7 @@ between their facets, and nodes that slid get new partners.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 
@@ -27,6 +27,7 @@ from fenics_tfeti.fem.contact.contact import (
     RigidObstacle,
 )
 from fenics_tfeti.fem.contact.deformed_surface import DeformedSurface, gather_surface
+from fenics_tfeti.fem.contact.mortar_pairing import match_deformed
 from fenics_tfeti.fem.contact.obstacles import gap_and_normal
 from fenics_tfeti.parallel import raise_collectively
 
@@ -56,6 +57,9 @@ class DeformedContact:
     penetration : (k,) array
         Depth of the deformed slave node in the deformed master body or in the obstacle; 0 outside
         [m].
+    mortar : ContactPairing, optional
+        New mortar conditions, whose nodes may be others than before; the other attributes are for
+        the slave nodes before.
     """
 
     master: Numbers
@@ -63,6 +67,13 @@ class DeformedContact:
     gap: Vector
     distance: Vector
     penetration: Vector
+    mortar: ContactPairing | None = None
+
+    def pairing(self, before: ContactPairing) -> ContactPairing:
+        """Return the conditions in the deformed state."""
+        if self.mortar is not None:
+            return self.mortar
+        return replace(before, master=self.master, normal=self.normal, gap=self.gap)
 
 
 def deformed_contact(
@@ -110,6 +121,8 @@ def deformed_contact(
     displacement.x.scatter_forward()
     if isinstance(contact, RigidObstacle):
         return _at_obstacle(space, contact, pairing, displacement)
+    if pairing.terms is not None:
+        return _by_mortar(space, contact, pairing, displacement)
     return _at_master(space, contact, pairing, displacement, keep_normal)
 
 
@@ -208,6 +221,22 @@ def _at_master(
         along + np.sum(relative * normal, axis=1),
         along,
         np.maximum(-signed, 0.0),
+    )
+
+
+def _by_mortar(
+    space: FunctionSpace, contact: ContactPair, pairing: ContactPairing, displacement: Function
+) -> DeformedContact:
+    slave = gather_surface(space, contact.facet_tags, contact.slave, displacement)
+    master = gather_surface(space, contact.facet_tags, contact.master, displacement)
+    new, distance = match_deformed(space, contact, pairing, slave, master, displacement)
+    surface = pairing.surface
+    # a node that slid off the master is as far from it as its facets are large
+    along = surface.size[np.searchsorted(surface.nodes, pairing.slave)].copy()
+    _, before, now = np.intersect1d(pairing.slave, new.slave, return_indices=True)
+    along[before] = distance[now]
+    return DeformedContact(
+        pairing.master, pairing.normal, pairing.gap, along, np.maximum(-along, 0.0), new
     )
 
 

@@ -13,12 +13,13 @@ from dolfinx.fem import Function, FunctionSpace
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.faceted_surface import FacetedSurface, facet_normals
+from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.reference_cells import reference_cell
 from fenics_tfeti.fem.tolerances import VANISHING_NORMAL
 from fenics_tfeti.fem.topology import cell_type, facet_vertices
 from fenics_tfeti.parallel import concatenate_ranks
 
-__all__ = ["DeformedSurface", "gather_surface"]
+__all__ = ["DeformedSurface", "cyclic_corners", "gather_surface", "oriented_facets"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -46,6 +47,10 @@ class DeformedSurface:
     points: Vector
     displacement: Vector
     facets: Numbers
+
+    def cyclic(self) -> Facets:
+        """Return the facets with their corners one after the other around each."""
+        return Facets(self.points, cyclic_corners(self.facets))
 
     def faceted(self) -> FacetedSurface:
         """Return the surface of segments or triangles, four for each quadrilateral."""
@@ -102,7 +107,7 @@ class DeformedSurface:
         if self.facets.shape[1] != 4:
             return self.facets
         centre = len(self.points) + np.arange(len(self.facets))
-        cycle = self.facets[:, reference_cell("quadrilateral").vtk_order]
+        cycle = cyclic_corners(self.facets)
         triangles = [
             np.column_stack([start, end, centre])
             for start, end in zip(cycle.T, np.roll(cycle, -1, axis=1).T, strict=True)
@@ -117,7 +122,7 @@ class DeformedSurface:
 
 
 def gather_surface(
-    space: FunctionSpace, facet_tags: Any, tag: int, displacement: Function
+    space: FunctionSpace, facet_tags: Any, tag: int, displacement: Function | None = None
 ) -> DeformedSurface:
     """Gather a deformed tagged surface from all ranks. Collective.
 
@@ -129,15 +134,17 @@ def gather_surface(
         Tags of facets.
     tag : int
         The surface's tag.
-    displacement : Function
-        On the space [m], with ghosts up to date.
+    displacement : Function, optional
+        On the space [m], with ghosts up to date; by default the surface is not deformed.
     """
     comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
-    facets = _oriented_facets(space, facet_tags, tag)
+    facets = oriented_facets(space, facet_tags, tag)
     local = np.unique(facets)
     numbers = np.asarray(space.dofmap.index_map.local_to_global(local), dtype=np.int64)
     points = space.tabulate_dof_coordinates()[local][:, :gdim]
-    moves = displacement.x.array.reshape(-1, gdim)[local]
+    moves = np.zeros_like(points)
+    if displacement is not None:
+        moves = displacement.x.array.reshape(-1, gdim)[local]
     rows = numbers[np.searchsorted(local, facets)]
     numbers, points, moves, rows = (
         concatenate_ranks(comm, column) for column in (numbers, points, moves, rows)
@@ -148,8 +155,12 @@ def gather_surface(
     )
 
 
-def _oriented_facets(space: FunctionSpace, facet_tags: Any, tag: int) -> NDArray[np.int32]:
-    """Return the local nodes of the facets that this rank owns, oriented outwards."""
+def oriented_facets(space: FunctionSpace, facet_tags: Any, tag: int) -> NDArray[np.int32]:
+    """Return the local nodes (f, v) of the facets that this rank owns, oriented outwards.
+
+    The facets are in the order of their numbers, as in `Surface`, the nodes of each in the order
+    that `DeformedSurface` has.
+    """
     domain, dim = space.mesh, space.mesh.topology.dim
     domain.topology.create_connectivity(dim - 1, dim)
     found = facet_tags.find(tag)
@@ -167,6 +178,12 @@ def _oriented_facets(space: FunctionSpace, facet_tags: Any, tag: int) -> NDArray
     reflected = rows[:, cell_type(domain).facet.reflected]
     oriented = np.where(inverted[:, None], reflected, rows)
     return np.asarray(node[oriented], dtype=np.int32)
+
+
+def cyclic_corners(facets: NDArray[Any]) -> NDArray[np.int64]:
+    """Return the corners of facets (f, v) in dolfinx's order one after the other around each."""
+    name = {2: "interval", 3: "triangle", 4: "quadrilateral"}[facets.shape[1]]
+    return facets[:, reference_cell(name).vtk_order].astype(np.int64)
 
 
 def _weighted_normals(corners: Vector) -> Vector:

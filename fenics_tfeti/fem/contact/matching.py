@@ -1,4 +1,4 @@
-"""Contact surfaces to pairs of nodes with normals and gaps (sec. 11.1, 11.5)."""
+"""Contact surfaces to contact conditions with normals and gaps (sec. 11.1, 11.5)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,11 @@ from fenics_tfeti.fem.contact.contact import (
     RigidObstacle,
     contact_name,
 )
+from fenics_tfeti.fem.contact.deformed_surface import gather_surface
+from fenics_tfeti.fem.contact.initial_gap import chord_heights, initial_gap
+from fenics_tfeti.fem.contact.matching_meshes import meshes_match
 from fenics_tfeti.fem.contact.measure_weight import check_weighted_areas, given_weight
+from fenics_tfeti.fem.contact.mortar_pairing import match_by_mortar
 from fenics_tfeti.fem.contact.obstacles import gap_and_normal
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
 from fenics_tfeti.fem.contact.surfaces import (
@@ -38,11 +42,13 @@ from fenics_tfeti.fem.contact.surfaces import (
     Surface,
     area_of_facets,
     gather_master,
+    largest_of_facets,
     tagged_surface,
     values_on_facets,
 )
+from fenics_tfeti.fem.contact.symmetry_planes import prescribed_components
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING
-from fenics_tfeti.feti.system import ContactRows
+from fenics_tfeti.feti.system import ContactRows, Prescribed
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 
 __all__ = ["contact_rows", "match_contact", "match_contacts"]
@@ -56,6 +62,7 @@ def match_contacts(
     boundary: MeshBoundary,
     contacts: Sequence[Contact],
     known: Sequence[tuple[Contact, ContactPairing]] = (),
+    prescribed: Prescribed | None = None,
 ) -> list[ContactPairing]:
     """Match the surfaces of all contacts, and check that no two contacts overlap. Collective.
 
@@ -67,6 +74,8 @@ def match_contacts(
         The contacts.
     known : sequence of (contact, pairing)
         Earlier results: pairs among them are not searched again, obstacles are evaluated again.
+    prescribed : Prescribed, optional
+        Prescribed displacements, of this rank's nodes: they tell planes of symmetry.
 
     Returns
     -------
@@ -83,7 +92,7 @@ def match_contacts(
     check_different_surfaces(contacts, comm)
     earlier = {id(contact): pairing for contact, pairing in known}
     pairings = [
-        match_contact(boundary, contact, i, earlier.get(id(contact)))
+        match_contact(boundary, contact, i, earlier.get(id(contact)), prescribed)
         for i, contact in enumerate(contacts)
     ]
     check_different_nodes(contacts, pairings, comm)
@@ -91,11 +100,15 @@ def match_contacts(
 
 
 def match_contact(
-    boundary: MeshBoundary, contact: Contact, number: int, earlier: ContactPairing | None = None
+    boundary: MeshBoundary,
+    contact: Contact,
+    number: int,
+    earlier: ContactPairing | None = None,
+    prescribed: Prescribed | None = None,
 ) -> ContactPairing:
     """Find the slave's nodes, normals, partners and gaps. Collective.
 
-    The master's surface nodes are gathered on all ranks: their number grows with the surface.
+    The master's surface is gathered on all ranks: its nodes, for mortar conditions its facets.
 
     Parameters
     ----------
@@ -106,8 +119,11 @@ def match_contact(
     number : int
         Its number, for a name.
     earlier : ContactPairing, optional
-        An earlier result for this contact: of a pair's all is used again but the areas with a
-        weight, which may have changed; of an obstacle's the surface.
+        An earlier result for this contact: of pairs of nodes all is used again but the areas with a
+        weight, which may have changed; mortar conditions if they have no weight and the same
+        components are prescribed; of an obstacle's the surface.
+    prescribed : Prescribed, optional
+        Prescribed displacements, of this rank's nodes.
 
     Returns
     -------
@@ -118,31 +134,64 @@ def match_contact(
     ------
     InputError
         Tags on no facet or on interior ones, slave nodes without a partner, shared nodes, surfaces
-        that look the same way, pairs that cross or are not one to one, wrong normals; a weight of
-        the measure that is no scalar expression on the mesh or not positive.
+        that look the same way or never meet, pairs that cross or are not one to one, wrong normals;
+        a weight of the measure that is no scalar expression on the mesh or not positive.
     """
     name = contact_name(contact, number)
     if isinstance(contact, RigidObstacle):
         return _match_obstacle(boundary, name, contact, earlier)
-    if earlier is None:
-        return _match_pair(boundary, name, contact)
+    given = Prescribed() if prescribed is None else prescribed
+    if earlier is None or not _still_holds(boundary.space.mesh.comm, contact, earlier, given):
+        return _match_pair(boundary, name, contact, given)
+    gap = _gap_again(boundary.space.mesh.comm, contact, earlier)
     if earlier.weighted_form is None:
-        return earlier
+        return earlier if gap is earlier.gap else replace(earlier, gap=gap)
     surface = earlier.surface
     area = _areas(boundary, surface, earlier.covered, earlier.weighted_form, name)
-    return replace(earlier, area=area[np.searchsorted(surface.nodes, earlier.slave)])
+    return replace(earlier, gap=gap, area=area[np.searchsorted(surface.nodes, earlier.slave)])
+
+
+def _still_holds(
+    comm: MPI.Intracomm, contact: ContactPair, earlier: ContactPairing, prescribed: Prescribed
+) -> bool:
+    """Tell whether the conditions of a pair found earlier hold with these supports. Collective."""
+    if earlier.prescribed is None:
+        return True
+    if contact.measure_weight is not None:
+        return False
+    now = prescribed_components(earlier.surface, prescribed)
+    return bool(comm.allreduce(np.array_equal(now, earlier.prescribed), MPI.LAND))
+
+
+def _gap_again(comm: MPI.Intracomm, contact: ContactPair, earlier: ContactPairing) -> Vector:
+    """Return the gaps of a pair; a function of the user may have changed. Collective."""
+    if not callable(contact.initial_gap):
+        return earlier.gap
+    nothing = np.zeros_like(earlier.gap)
+    points, name = earlier.coordinates, earlier.name
+    return initial_gap(comm, contact.initial_gap, earlier.gap, nothing, points, name)
 
 
 def contact_rows(pairings: Sequence[ContactPairing], gdim: int) -> ContactRows:
     """Return the contact conditions of all contacts, one contact after the other."""
     if not pairings:
         return ContactRows.none(gdim)
-    return ContactRows.node_to_node(
-        slave=np.concatenate([p.slave for p in pairings]),
-        master=np.concatenate([p.master for p in pairings]),
-        normal=np.concatenate([p.normal for p in pairings]),
-        gap=np.concatenate([p.gap for p in pairings]),
-        contact=np.repeat(np.arange(len(pairings)), [p.slave.size for p in pairings]),
+    return ContactRows.concatenate([_rows(p, number) for number, p in enumerate(pairings)])
+
+
+def _rows(pairing: ContactPairing, number: int) -> ContactRows:
+    terms, of_contact = pairing.terms, np.full(pairing.slave.size, number)
+    if terms is None:
+        return ContactRows.node_to_node(
+            pairing.slave, pairing.master, pairing.normal, pairing.gap, of_contact
+        )
+    return ContactRows(
+        terms.offsets,
+        terms.nodes,
+        terms.weights[:, None] * pairing.normal[terms.row],
+        pairing.gap * terms.area,
+        of_contact,
+        terms.slaves,
     )
 
 
@@ -169,22 +218,47 @@ def _match_obstacle(
         normal,
         gap,
         _areas(boundary, slave, covered, form, name),
-        pairing_summary(comm, name, gap, angle, slave.nodes.size),
+        pairing_summary(comm, name, "obstacle", gap, angle, slave.nodes.size, area=slave.area),
         slave,
         covered,
         form,
     )
 
 
-def _match_pair(boundary: MeshBoundary, name: str, contact: ContactPair) -> ContactPairing:
+def _match_pair(
+    boundary: MeshBoundary, name: str, contact: ContactPair, prescribed: Prescribed
+) -> ContactPairing:
     comm = boundary.space.mesh.comm
     with raise_collectively(comm):
         check_arguments(contact, name)
     tags = contact.facet_tags
     slave = tagged_surface(boundary, tags, contact.slave, f"slave of {name}", contact.normal)
     other = tagged_surface(boundary, tags, contact.master, f"master of {name}")
+    if _gives_partners(contact) or contact.discretisation == "node_to_node":
+        return _match_nodes(boundary, name, contact, slave, other)
+    master = gather_surface(boundary.space, tags, contact.master)
+    shared = _shared_nodes(comm, name, slave, master.nodes, contact.partial)
+    matching = contact.discretisation == "auto" and meshes_match(
+        boundary.space, slave, master, master.normals(name), contact.tolerance
+    )
+    if matching:
+        return _match_nodes(boundary, name, contact, slave, other)
+    held = prescribed_components(slave, prescribed)
+    return match_by_mortar(boundary, name, contact, slave, master, shared, held)
+
+
+def _gives_partners(contact: ContactPair) -> bool:
+    """Tell whether the user says how partners are found."""
+    ways = (contact.direction, contact.mapping, contact.pairs)
+    return any(way is not None for way in ways)
+
+
+def _match_nodes(
+    boundary: MeshBoundary, name: str, contact: ContactPair, slave: Surface, other: Surface
+) -> ContactPairing:
+    comm = boundary.space.mesh.comm
     master = gather_master(comm, other)
-    shared = _shared_nodes(comm, name, slave, master, contact.partial)
+    shared = _shared_nodes(comm, name, slave, master.nodes, contact.partial)
     master = master.without(shared)
 
     partners = _find_partners(comm, contact, slave, master, name)
@@ -203,30 +277,52 @@ def _match_pair(boundary: MeshBoundary, name: str, contact: ContactPair) -> Cont
     area = _areas(boundary, slave, covered, form, name)
     normal = slave.normal[found]
     gap = _without_rounding(np.sum((partner - slave.points[found]) * normal, axis=1), slave)
+    places = slave.coordinates[found]
+    # the nodes of both surfaces are on it, up to their chords
+    chord = 2.0 * _nodal_chords(boundary, slave)[found]
+    gap = initial_gap(comm, contact.initial_gap, gap, chord, places, name)
     distance = _without_rounding(partners.distance[found], slave)
     relative = distance / slave.size[found]
     return ContactPairing(
         name,
         slave.nodes[found],
         master.nodes[at],
-        slave.coordinates[found],
+        places,
         normal,
         gap,
         area[found],
-        pairing_summary(comm, name, gap, angle, slave.nodes.size, distance, relative),
+        pairing_summary(
+            comm,
+            name,
+            "node_to_node",
+            gap,
+            angle,
+            slave.nodes.size,
+            distance,
+            relative,
+            area[found],
+            float(slave.area[found].sum()),
+        ),
         slave,
         covered,
         form,
     )
 
 
+def _nodal_chords(boundary: MeshBoundary, slave: Surface) -> Vector:
+    """Return at each node the largest chord height of the slave's facets there. Collective."""
+    corners = boundary.coordinates[slave.vertices, : slave.points.shape[1]]
+    heights = chord_heights(corners, values_on_facets(boundary.space, slave, slave.normal))
+    return largest_of_facets(boundary.space, slave, heights)
+
+
 def _shared_nodes(
-    comm: MPI.Intracomm, name: str, slave: Surface, master: MasterNodes, partial: bool
+    comm: MPI.Intracomm, name: str, slave: Surface, master: Numbers, partial: bool
 ) -> Numbers:
     """Return the nodes, on all ranks, that are slave and master, such as the tip of a crack."""
-    at = np.isin(slave.nodes, master.nodes)
+    at = np.isin(slave.nodes, master)
     shared = concatenate_ranks(comm, slave.nodes[at])
-    some_left = shared.size < len(master.nodes)
+    some_left = shared.size < len(master)
     check_shared_nodes(comm, slave, at, partial and some_left, name)
     return shared
 

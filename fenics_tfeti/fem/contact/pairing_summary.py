@@ -14,16 +14,20 @@ from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
 __all__ = ["angles_between", "pairing_summary"]
 
 Vector = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 def pairing_summary(
     comm: MPI.Intracomm,
     name: str,
+    discretisation: str,
     gap: Vector,
     angle: Vector,
     total: int,
     distance: Vector | None = None,
     relative: Vector | None = None,
+    area: Vector | None = None,
+    covered_area: float | None = None,
 ) -> dict[str, Any]:
     """Summarise the pairing of a contact; the same on all ranks. Collective.
 
@@ -33,6 +37,8 @@ def pairing_summary(
         The ranks.
     name : str
         Name of the contact.
+    discretisation : str
+        "node_to_node", "mortar" or "obstacle".
     gap, angle : (k,) arrays
         Gaps [m], infinite where there is no obstacle, and angles between the slave's normals and
         the opposite of the master's [degrees].
@@ -40,7 +46,11 @@ def pairing_summary(
         Number of slave nodes that this rank owns, with and without partner.
     distance, relative : (k,) arrays, optional
         The distances that the tolerance limits [m], and the same relative to the size of the
-        facets; None for obstacles.
+        facets; None for obstacles and mortar conditions.
+    area : (k,) array, optional
+        Weights of the mean gap.
+    covered_area : float, optional
+        Area of this rank's facets that has a partner [m^2 or m].
 
     Returns
     -------
@@ -56,6 +66,7 @@ def pairing_summary(
 
     return {
         "contact": name,
+        "discretisation": discretisation,
         "pairs": pairs,
         "unmatched": comm.allreduce(total) - pairs,
         "largest_distance": None if distance is None else largest(distance),
@@ -63,7 +74,17 @@ def pairing_summary(
         "largest_angle": largest(angle),
         "smallest_gap": largest(gap, -1.0),
         "largest_gap": largest(gap),
+        "mean_gap": _mean(comm, gap, area, there),
+        "covered_area": None if covered_area is None else comm.allreduce(covered_area),
     }
+
+
+def _mean(comm: MPI.Intracomm, gap: Vector, area: Vector | None, there: Mask) -> float | None:
+    weights = np.ones_like(gap) if area is None else area
+    total, whole = comm.allreduce(
+        np.array([gap[there] @ weights[there], weights[there].sum()])
+    ).tolist()
+    return total / whole if whole > 0.0 else None
 
 
 def angles_between(first: Vector, second: Vector) -> Vector:

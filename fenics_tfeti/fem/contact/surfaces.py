@@ -31,6 +31,7 @@ __all__ = [
     "Surface",
     "area_of_facets",
     "gather_master",
+    "largest_of_facets",
     "tagged_surface",
     "values_on_facets",
 ]
@@ -272,6 +273,27 @@ def values_on_facets(space: FunctionSpace, surface: Surface, values: Vector) -> 
     carrier.x.scatter_forward()
     at: Vector = carrier.x.array.reshape(-1, gdim)[surface.vertices]
     return at
+
+
+def largest_of_facets(space: FunctionSpace, surface: Surface, values: Vector) -> Vector:
+    """Return at the nodes (k,) that this rank owns the largest value of their facets. Collective.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    surface : Surface
+        The surface.
+    values : (f,) array
+        For this rank's facets; not negative.
+    """
+    local = surface.vertices.ravel().astype(np.int32)
+    vertices = np.asarray(space.dofmap.index_map.local_to_global(local), dtype=np.int64)
+    owners = Directory(space.mesh.comm, surface.nodes)
+    at, values = owners.forward(vertices, np.repeat(values, surface.vertices.shape[1]))
+    largest = np.zeros(surface.nodes.size)
+    np.maximum.at(largest, np.searchsorted(surface.nodes, at), values)
+    return largest
 
 
 def area_of_facets(

@@ -18,6 +18,7 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import Contact, ContactPairing, ContactResult, RigidObstacle
 from fenics_tfeti.fem.contact.deformed_surface import DeformedSurface, gather_surface
+from fenics_tfeti.fem.contact.mortar_pairing import joined_displacements, mean_over_terms
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti.system import ContactGuess
 from fenics_tfeti.parallel import concatenate_ranks
@@ -85,18 +86,32 @@ def _gather_solved(
     space = displacement.function_space
     comm = space.mesh.comm
     slave = gather_surface(space, contact.facet_tags, contact.slave, displacement)
-    columns = (pairing.slave, pairing.master, pairing.normal, result.pressure)
-    nodes, master, normal, of_paired = (concatenate_ranks(comm, column) for column in columns)
-    at = np.searchsorted(slave.nodes, nodes)
-    relative = slave.displacement[at]
+    other = None
     if not isinstance(contact, RigidObstacle):
         other = gather_surface(space, contact.facet_tags, contact.master, displacement)
-        relative = relative - other.displacement[np.searchsorted(other.nodes, master)]
+    own = np.sum(_relative_displacement(pairing, slave, other) * pairing.normal, axis=1)
+    columns = (pairing.slave, result.pressure, own)
+    nodes, of_paired, of_approach = (concatenate_ranks(comm, column) for column in columns)
+    at = np.searchsorted(slave.nodes, nodes)
     n = slave.nodes.size
     paired, pressure, approach = np.zeros(n, dtype=bool), np.zeros(n), np.zeros(n)
     paired[at], pressure[at] = True, of_paired
-    approach[at] = np.sum(relative * normal, axis=1)
+    approach[at] = of_approach
     return SolvedContact(pairing.name, slave, paired, pressure, approach)
+
+
+def _relative_displacement(
+    pairing: ContactPairing, slave: DeformedSurface, master: DeformedSurface | None
+) -> Vector:
+    """Return u_slave - u_master (k, gdim) at this rank's conditions, of mortar ones the mean."""
+    at = np.searchsorted(slave.nodes, pairing.slave)
+    if master is None:
+        return slave.displacement[at]
+    if pairing.terms is not None:
+        return mean_over_terms(pairing.terms, *joined_displacements(slave, master))
+    partner = np.searchsorted(master.nodes, pairing.master)
+    relative: Vector = slave.displacement[at] - master.displacement[partner]
+    return relative
 
 
 def expected_contact(
@@ -130,7 +145,9 @@ def _transfer(solved: SolvedContact, pairing: ContactPairing) -> tuple[Vector, V
     weight, pressure, approach = solved.surface.interpolate(values, points).T
     near = weight > RELATIVE_ROUNDING
     weight = np.where(near, weight, 1.0)
-    force = np.where(near, pressure / weight * pairing.area, 0.0)
+    # a mortar condition's force is that at the slave's node
+    size = pairing.area if pairing.terms is None else pairing.length
+    force = np.where(near, pressure / weight * size, 0.0)
     return force, np.where(near, pairing.gap - approach / weight, np.inf)
 
 

@@ -26,7 +26,9 @@ def test_gathered_nodes_are_in_the_order_of_their_numbers():
     nodes = np.array([5, 2, 9])
     column = nodes.astype(float)
     vectors = np.column_stack([column, column])
-    result = ContactResult("a", nodes, vectors, column, vectors, column, column, column > 3.0)
+    result = ContactResult(
+        "a", nodes, vectors, column, vectors, column, column, column > 3.0, column
+    )
     whole = result.gather()
     assert whole.nodes.tolist() == [2, 5, 9]
     assert whole.pressure.tolist() == [2.0, 5.0, 9.0]

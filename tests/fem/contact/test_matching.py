@@ -162,13 +162,13 @@ def test_shared_nodes_of_a_partial_contact_stay_free():
     np.testing.assert_allclose(partner, x[:, ::-1], atol=1e-14)
     assert pairing.summary["pairs"] == 2 and pairing.summary["unmatched"] == 1
     with pytest.raises(InputError, match=r"share 1 nodes, the first at \(0, 0\).*partial=True"):
-        matched(V, ContactPair(tags, SLAVE, MASTER))
+        matched(V, ContactPair(tags, SLAVE, MASTER, discretisation="node_to_node"))
 
 
 def test_nodes_are_errors_where_the_contact_is_not_partial():
     _, tags, V = slab_on_two(MPI.COMM_SELF)
     with pytest.raises(InputError, match=r"8 of 13 slave nodes .*partial=True"):
-        matched(V, ContactPair(tags, SLAVE, MASTER))
+        matched(V, ContactPair(tags, SLAVE, MASTER, discretisation="node_to_node"))
 
 
 def test_known_pair_is_returned_as_it_is():

@@ -160,6 +160,7 @@ def test_gap_that_is_no_number(gap):
 def test_pairing_of_an_obstacle():
     assert matched(Plane((0, -0.5), (0, 1))).summary == {
         "contact": "contact 0 (obstacle)",
+        "discretisation": "obstacle",
         "pairs": 3,
         "unmatched": 0,
         "largest_distance": None,
@@ -167,6 +168,8 @@ def test_pairing_of_an_obstacle():
         "largest_angle": 0.0,
         "smallest_gap": 0.5,
         "largest_gap": 0.5,
+        "mean_gap": 0.5,
+        "covered_area": None,
     }
 
 

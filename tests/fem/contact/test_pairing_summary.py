@@ -24,6 +24,7 @@ def test_summary_of_a_tilted_slave():
     summary = matched(V, ContactPair(tags, SLAVE, MASTER, name="a", **mapping)).summary
     assert summary == {
         "contact": "a",
+        "discretisation": "node_to_node",
         "pairs": 5,
         "unmatched": 0,
         "largest_distance": pytest.approx(0.01),
@@ -31,6 +32,8 @@ def test_summary_of_a_tilted_slave():
         "largest_angle": pytest.approx(45.0),
         "smallest_gap": pytest.approx(0.1 / np.sqrt(2)),
         "largest_gap": pytest.approx(1.1 / np.sqrt(2)),
+        "mean_gap": pytest.approx(0.6 / np.sqrt(2)),
+        "covered_area": pytest.approx(np.sqrt(2)),
     }
 
 
@@ -42,8 +45,9 @@ def test_report_has_the_summary(tmp_path):
     written = json.loads((tmp_path / "report.json").read_text())["pairing"]
     assert written == problem.report.pairing
     head, line = problem.report.pairing_table().splitlines()
-    assert head.split()[:3] == ["contact", "pairs", "unmatched"]
-    assert line.split() == ["contact", "0", "(pair)", "4", "0", "0", "0", "0", "0", "0"]
+    assert head.split()[:3] == ["contact", "discretisation", "pairs"]
+    assert line == "contact 0 (pair)    node_to_node      4" + line[39:]
+    assert line.split()[-8:] == ["0"] * 7 + ["1"]
 
 
 @pytest.mark.parametrize("degrees", [0.0, 1e-7, 30.0, 90.0, 180.0])

@@ -20,6 +20,8 @@ from fenics_tfeti import ContactPair
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.io import Box, boxes, read_msh, tag_facets
 
+# where "auto" would take mortar conditions
+NODES = {"discretisation": "node_to_node"}
 CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
 
 
@@ -64,7 +66,7 @@ def test_direction_that_is_not_the_nearest():
     np.testing.assert_allclose(partner - x, np.tile([0.125, -0.25], (5, 1)), atol=1e-14)
     np.testing.assert_allclose(pairing.gap, 0.25)
     with pytest.raises(InputError, match="5 of 5 slave nodes"):
-        matched(V, ContactPair(tags, SLAVE, MASTER))
+        matched(V, ContactPair(tags, SLAVE, MASTER, **NODES))
 
 
 def radial(x):
@@ -143,10 +145,10 @@ def test_micrometres_give_the_pairs_of_metres(way):
         scene = scenes.two_beams(MPI.COMM_SELF, "triangle", 4, gap=0.1, metre=metre)
         slave = scene.V.mesh.geometry.x[:, 1] > 1.05 * metre
         bend(scene.V, lambda x, s=slave: s, lambda x, m=metre: x + [0.02 * m, 0, 0])
-        wide = ContactPair(scene.facet_tags, SLAVE, MASTER, tolerance=0.09)
+        wide = ContactPair(scene.facet_tags, SLAVE, MASTER, tolerance=0.09, **NODES)
         x = matched(scene.V, wide).coordinates
         arguments = {
-            "nearest": {},
+            "nearest": NODES,
             "direction": {"direction": (0.0, 1.0)},
             "direction at points": {"direction": lambda x: np.tile([[0.0], [1.0]], x.shape[1])},
             "mapping": {"mapping": lambda x, m=metre: x - [[0], [0.1 * m], [0]]},
@@ -169,7 +171,7 @@ def test_tolerance_is_relative_to_the_local_facets():
         return np.stack([places + 0.008 * (x[:, 1] > 1.05), x[:, 1], x[:, 2]], axis=1)
 
     bend(V, lambda x: np.ones(len(x), dtype=bool), grade)
-    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, partial=True))
+    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, partial=True, **NODES))
     assert sorted(np.round(pairing.coordinates[:, 0], 12)) == [0.158, 0.358, 1.008]
     assert pairing.summary["unmatched"] == 2
     assert pairing.summary["largest_relative_distance"] == pytest.approx(0.08)
@@ -208,8 +210,8 @@ def test_surfaces_that_nobody_meshed_alike():
     """17 slave nodes on 12 master nodes: a partial contact takes those near enough, no others."""
     V, tags = strips((11, 3), (16, 3), gap=0.05)
     with pytest.raises(InputError, match=r"15 of 17 slave nodes have no partner"):
-        matched(V, ContactPair(tags, SLAVE, MASTER, tolerance=1e-3))
-    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, tolerance=0.5, partial=True))
+        matched(V, ContactPair(tags, SLAVE, MASTER, tolerance=1e-3, **NODES))
+    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, tolerance=0.5, partial=True, **NODES))
     i, j = np.arange(17), np.arange(12)
     misses = np.abs(i[:, None] / 16 - j / 11).min(axis=1) * 16
     assert pairing.summary["pairs"] == np.sum(misses <= 0.5) == 12
@@ -219,7 +221,9 @@ def test_surfaces_that_nobody_meshed_alike():
     )
 
 
-@pytest.mark.parametrize("way", [{}, {"direction": (0.0, 0.0, 1.0)}], ids=["nearest", "direction"])
+@pytest.mark.parametrize(
+    "way", [NODES, {"direction": (0.0, 0.0, 1.0)}], ids=["nearest", "direction"]
+)
 def test_unstructured_faces_that_nobody_meshed_alike(tmp_path, way):
     """All slave nodes over the finer master find a node of it, those over its rim stay free."""
     gmsh = pytest.importorskip("gmsh")

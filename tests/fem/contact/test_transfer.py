@@ -36,6 +36,7 @@ def result_of(matched, pressure):
         pressure * matched.area,
         pressure,
         pressure > 0.0,
+        matched.area,
     )
 
 

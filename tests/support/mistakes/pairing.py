@@ -53,7 +53,9 @@ def non_matching(comm: MPI.Comm) -> scenes.Scene:
 
 @mistake("2 of 4 slave nodes", r"\(0\.333333, 1\) at distance 0\.0833", "toleran")
 def slave_nodes_without_partner(comm):
-    non_matching(comm).problem().solve()
+    scene = non_matching(comm)
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, discretisation="node_to_node")
+    scene.problem(contacts=[pair]).solve()
 
 
 def paired(comm: MPI.Comm, **arguments) -> None:
@@ -207,7 +209,8 @@ def partial_contact_without_any_pair(comm):
 def partial_contact_that_is_not_one_to_one(comm):
     """The master has 3 elements on the slave's 4."""
     scene = non_matching(comm)
-    pair = ContactPair(scene.facet_tags, MASTER, SLAVE, tolerance=1.0, partial=True)
+    nodes = {"discretisation": "node_to_node", "tolerance": 1.0, "partial": True}
+    pair = ContactPair(scene.facet_tags, MASTER, SLAVE, **nodes)
     scene.problem(contacts=[pair]).solve()
 
 

@@ -1,0 +1,132 @@
+"""Initial gaps other than those of the mesh: none between touching surfaces, or prescribed ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.user_data import evaluate
+from fenics_tfeti.parallel import raise_collectively
+
+__all__ = ["check_initial_gap", "chord_heights", "initial_gap"]
+
+Vector = NDArray[np.float64]
+
+
+def check_initial_gap(given: Any, name: str) -> None:
+    """Check the argument `initial_gap` of a pair.
+
+    Raises
+    ------
+    InputError
+        What is neither a known word, a finite number nor a function.
+    """
+    if callable(given) or (isinstance(given, str) and given in ("geometric", "touching")):
+        return
+    number = isinstance(given, int | float | np.number) and not isinstance(given, bool)
+    if number and np.isfinite(float(given)):
+        return
+    raise InputError(
+        f"{name}: initial_gap is {given!r}; 'geometric', 'touching', a number [m] or a function "
+        "x (3, n) -> (n,) is expected"
+    )
+
+
+def chord_heights(corners: Vector, normals: Vector) -> Vector:
+    """Return how far facets are from the curved surface through their nodes with these normals.
+
+    Between two nodes it is the height of a circle's segment, length times angle / 8. Inside a
+    triangle it is up to 4/3 of that between two of its corners, inside a quadrilateral that between
+    the ends of a diagonal.
+
+    Parameters
+    ----------
+    corners, normals : (f, v, gdim) arrays
+        Nodes of the facets [m] and unit normals there.
+
+    Returns
+    -------
+    (f,) array
+        [m].
+
+    Examples
+    --------
+    A chord of 0.2 m of a circle with radius 1 m.
+
+    >>> angle = np.array([-0.1, 0.1])
+    >>> ends = np.stack([np.sin(angle), np.cos(angle)], axis=1)[None]
+    >>> float(np.round(chord_heights(ends, ends)[0], 6)), float(np.round(1 - np.cos(0.1), 6))
+    (0.004983, 0.004996)
+    """
+    v = corners.shape[1]
+    heights = np.zeros(len(corners))
+    for i in range(v):
+        for j in range(i):
+            length = np.linalg.norm(corners[:, i] - corners[:, j], axis=1)
+            angle = np.linalg.norm(normals[:, i] - normals[:, j], axis=1)
+            heights = np.maximum(heights, length * angle / 8.0)
+    return heights * (4.0 / 3.0 if v == 3 else 1.0)
+
+
+def initial_gap(
+    comm: MPI.Intracomm, given: Any, gap: Vector, chord: Vector, points: Vector, name: str
+) -> Vector:
+    """Return the initial gaps of a contact's conditions. Collective.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks.
+    given : "geometric", "touching", float or callable
+        What the user gave, see `ContactPair`.
+    gap, chord : (k,) arrays
+        The gaps of the mesh, and the distances of its facets from the curved surfaces there [m].
+    points : (k, 3) array
+        The slave's nodes [m].
+    name : str
+        Name of the contact.
+
+    Raises
+    ------
+    InputError
+        Wrong shapes, NaN or infinite values, an exception of the user's function.
+    """
+    if isinstance(given, str):
+        # twice: the normals at a surface's border see half of the curvature
+        return np.where(np.abs(gap) <= 2.0 * chord, 0.0, gap) if given == "touching" else gap
+    if not callable(given):
+        return np.full_like(gap, float(given))
+    what = f"{name}: initial_gap"
+    with raise_collectively(comm):
+        values = _evaluate(given, points, what)
+    raise_where(
+        comm,
+        ~np.isfinite(values),
+        points,
+        lambda number, place: f"{what} is NaN or infinite at {number} points, the first at {place}",
+    )
+    return values
+
+
+def _evaluate(given: Any, points: Vector, what: str) -> Vector:
+    if not len(points):
+        # a user's function may fail for no points
+        return np.zeros(0)
+    try:
+        values = np.asarray(evaluate(given, points, what), dtype=float)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{what} has to return numbers, one for each point") from None
+    if values.shape != (len(points),):
+        raise InputError(
+            f"{what} returned shape {values.shape} for points of shape (3, {len(points)}); "
+            f"({len(points)},) is expected"
+        )
+    return values

@@ -1,0 +1,1 @@
+"""Segment-based dual mortar integrals between two faceted surfaces; NumPy and SciPy alone."""

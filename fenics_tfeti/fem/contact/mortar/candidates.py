@@ -1,0 +1,99 @@
+"""Pairs of slave and master facets that may lie over each other; no search distance is given."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from fenics_tfeti.fem.contact.box_tree import BoxTree
+from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes, highest, lowest
+
+__all__ = ["FACING", "MasterTree"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# Cosine between the normals of two facets, below which they face each other: 96 degrees.
+FACING = -0.1
+
+
+class MasterTree:
+    """The facets of a master's surface, to be found from the slave's.
+
+    Parameters
+    ----------
+    master : Facets
+        The surface.
+    """
+
+    def __init__(self, master: Facets) -> None:
+        x = master.coordinates()
+        self.facets, self.planes = master, Planes.of(x)
+        self._tree = BoxTree(x)
+        nodes = master.points[np.unique(master.corners)]
+        self._places = cKDTree(np.concatenate([nodes, self.planes.origin]))
+
+    def reach(self, slave: Facets, planes: Planes) -> Vector:
+        """Return how far before and behind each slave facet the master is looked for.
+
+        It is twice the facet's distance from the nodes and centres of the master, which suffices
+        where the surfaces are inclined to each other by up to 60 degrees, and its diameter more.
+
+        Parameters
+        ----------
+        slave : Facets
+            The slave's surface.
+        planes : Planes
+            The planes of its facets.
+
+        Returns
+        -------
+        (f,) array
+            [m].
+        """
+        slope = 2.0
+        nodes, at = np.unique(slave.corners, return_inverse=True)
+        distance = self._places.query(slave.points[nodes])[0]
+        farthest = distance[at.reshape(slave.corners.shape)].max(axis=1)
+        reach: Vector = slope * farthest + planes.diameter
+        return reach
+
+    def candidates(self, x: Vector, planes: Planes, reach: Vector) -> tuple[Numbers, Numbers]:
+        """Find the master facets that face slave facets and may lie before or behind them.
+
+        Parameters
+        ----------
+        x : (f, v, gdim) array
+            Corners of slave facets [m].
+        planes : Planes
+            Their planes.
+        reach : (f,) array
+            [m].
+
+        Returns
+        -------
+        slave, master : integer arrays
+            Pairs, in the order of the slave facets; each once.
+        """
+        frames = planes.project(np.arange(len(x)), x)
+        low, high = lowest(frames), highest(frames)
+        low[:, -1] -= reach
+        high[:, -1] += reach
+        # the box around the facet's prism along its normal
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        centre = planes.origin + np.einsum("fa,fad->fd", middle, planes.axes)
+        extent = np.einsum("fa,fad->fd", half, np.abs(planes.axes))
+        upper, lower = (centre + extent).T, (centre - extent).T
+
+        def meets(row: Numbers, box_low: Vector, box_high: Vector) -> Mask:
+            wanted = np.ones(row.size, dtype=bool)
+            for axis, (top, bottom) in enumerate(zip(upper, lower, strict=True)):
+                wanted &= (box_low[:, axis] <= top[row]) & (box_high[:, axis] >= bottom[row])
+            return wanted
+
+        slave, master = self._tree.candidates(len(x), meets)
+        faces = np.einsum("kd,kd->k", planes.normal[slave], self.planes.normal[master]) < FACING
+        pair = np.unique(slave[faces] * len(self.facets) + master[faces])
+        return pair // len(self.facets), pair % len(self.facets)

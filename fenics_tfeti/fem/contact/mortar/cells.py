@@ -1,0 +1,226 @@
+"""The cells of integration: where master facets lie over slave facets, in the slave's planes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from fenics_tfeti.fem.contact.faceted_surface import FacetedSurface
+from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
+from fenics_tfeti.fem.contact.mortar.clipping import clip_intervals, clip_polygons, fan_triangles
+from fenics_tfeti.fem.contact.mortar.facets import (
+    Facets,
+    Planes,
+    highest,
+    lowest,
+    reference_coordinates,
+    shape_functions,
+)
+
+__all__ = ["Cells", "covering_cells"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# Area of a cell, relative to its slave facet, that is rounding.
+_NO_AREA = 1e-12
+
+# Excess of the cells' areas over that of their slave facet, relative to it, above which the master
+# has several layers there.
+_SEVERAL_LAYERS = 1e-6
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Segments or triangles in the planes of slave facets.
+
+    Attributes
+    ----------
+    slave, master : (p,) integer arrays
+        Pairs of facets that lie over each other, in the order of the slave facets.
+    on_slave, on_master : (p, v, gdim - 1), (p, w, gdim - 1) arrays
+        The corners of both facets, projected on the plane [m].
+    height : (p, w) array
+        Heights of the master's corners above the plane, which is the gap there [m].
+    pair : (c,) integer array
+        The pair that each cell belongs to.
+    corners : (c, gdim, gdim - 1) array
+        The cell's corners in the plane [m].
+    area : (c,) array
+        The cell's area, length in 2D [m^2 or m].
+    """
+
+    slave: Numbers
+    master: Numbers
+    on_slave: Vector
+    on_master: Vector
+    height: Vector
+    pair: Numbers
+    corners: Vector
+    area: Vector
+
+    def pair_area(self) -> Vector:
+        """Return the area of the cells of each pair (p,)."""
+        return np.bincount(self.pair, self.area, self.slave.size).astype(np.float64, copy=False)
+
+    def centre(self) -> tuple[Vector, Vector]:
+        """Return the centroid (p, gdim - 1) of each pair's cells, and the gap (p,) there [m]."""
+        weighted = self.corners.mean(axis=1) * self.area[:, None]
+        middle: Vector = np.stack(
+            [np.bincount(self.pair, column, self.slave.size) for column in weighted.T], axis=1
+        )
+        middle = middle / self.pair_area()[:, None]
+        xi = reference_coordinates(self.on_master, middle[:, None])[:, 0]
+        shapes = shape_functions(xi, self.on_master.shape[1])
+        return middle, np.einsum("pw,pw->p", shapes, self.height)
+
+    def of_pairs(self, kept: Mask) -> Cells:
+        """Leave out pairs."""
+        new = np.cumsum(kept) - 1
+        own = kept[self.pair]
+        return Cells(
+            self.slave[kept],
+            self.master[kept],
+            self.on_slave[kept],
+            self.on_master[kept],
+            self.height[kept],
+            new[self.pair[own]],
+            self.corners[own],
+            self.area[own],
+        )
+
+
+def covering_cells(
+    slave: Facets, planes: Planes, chosen: Numbers, master: MasterTree, reach: Vector
+) -> Cells:
+    """Find the cells of some slave facets.
+
+    Of several layers of the master the nearest one counts. Facets behind the slave count only where
+    the slave is inside the master.
+
+    Parameters
+    ----------
+    slave : Facets
+        The slave's surface.
+    planes : Planes
+        The planes of its facets.
+    chosen : (k,) integer array
+        The facets, ascending.
+    master : MasterTree
+        The master's surface.
+    reach : (f,) array
+        How far the master is looked for, see `MasterTree.reach` [m].
+
+    Returns
+    -------
+    Cells
+        The areas of a facet's cells add up to that of the facet at most, up to rounding.
+    """
+    x = slave.coordinates(chosen)
+    own = Planes(*(column[chosen] for column in _columns(planes)))
+    at, other = master.candidates(x, own, reach[chosen])
+    on_slave = own.project(np.arange(len(x)), x)[at, :, :-1]
+    frames = own.project(at, master.facets.coordinates(other))
+    on_master = frames[..., :-1]
+    apart = (highest(on_slave) <= lowest(on_master)) | (highest(on_master) <= lowest(on_slave))
+    near = ~reduce(np.logical_or, apart.T)
+    at, other, frames = at[near], other[near], frames[near]
+    pair, corners, area = _intersections(on_master[near], on_slave[near])
+    cells = Cells(
+        chosen[at],
+        other,
+        on_slave[near],
+        frames[..., :-1],
+        frames[..., -1],
+        pair,
+        corners,
+        area,
+    )
+    cells = cells.of_pairs(cells.pair_area() > _NO_AREA * planes.area[cells.slave])
+    cells = _without_far_sides(cells, planes, master)
+    return _nearest_layers(cells, planes, master)
+
+
+def _columns(planes: Planes) -> tuple[Vector, Vector, Vector, Vector]:
+    return planes.origin, planes.axes, planes.area, planes.diameter
+
+
+def _intersections(master: Vector, slave: Vector) -> tuple[Numbers, Vector, Vector]:
+    """Return the cells of pairs of projected facets: the pair, the corners and the area of each."""
+    if master.shape[2] == 1:
+        ends = clip_intervals(master[..., 0], slave[..., 0])
+        return np.arange(len(ends)), ends[:, :, None], ends[:, 1] - ends[:, 0]
+    # facets that face the slave are clockwise in its plane
+    return fan_triangles(*clip_polygons(master[:, ::-1], slave))
+
+
+def _without_far_sides(cells: Cells, planes: Planes, master: MasterTree) -> Cells:
+    """Leave out master facets far behind the slave if the slave is not inside the master there.
+
+    Such are parts of the master on the other side of the slave's body.
+    """
+    size = np.maximum(planes.diameter[cells.slave], master.planes.diameter[cells.master])
+    if (cells.height >= -size[:, None]).all():
+        return cells
+    middle, gap = cells.centre()
+    behind = np.flatnonzero(gap < -size)
+    if not behind.size:
+        return cells
+    facet = cells.slave[behind]
+    in_plane = np.einsum("pa,pad->pd", middle[behind], planes.axes[facet, :-1])
+    signed = _simplices(master.facets).distance(planes.origin[facet] + in_plane).signed
+    kept = np.ones(cells.slave.size, dtype=bool)
+    kept[behind] = signed < 0.0
+    return cells.of_pairs(kept)
+
+
+def _simplices(surface: Facets) -> FacetedSurface:
+    corners = surface.corners
+    if corners.shape[1] == 4:
+        corners = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
+    return FacetedSurface(surface.points, corners)
+
+
+def _nearest_layers(cells: Cells, planes: Planes, master: MasterTree) -> Cells:
+    """Keep the nearest layer of the master where several lie over a slave facet.
+
+    A layer is what of the facet's pairs is connected through nodes of the master.
+    """
+    area = cells.pair_area()
+    total = np.bincount(cells.slave, area, len(planes.area))
+    several = total > (1.0 + _SEVERAL_LAYERS) * planes.area
+    pairs = np.flatnonzero(several[cells.slave])
+    if not pairs.size:
+        return cells
+    gap = np.abs(cells.centre()[1])
+    kept = np.ones(cells.slave.size, dtype=bool)
+    facet, area = cells.slave[pairs], area[pairs]
+    corners = master.facets.corners[cells.master[pairs]]
+    # nodes are distinct for each slave facet
+    keys = facet[:, None] * len(master.facets.points) + corners
+    _, node = np.unique(keys, return_inverse=True)
+    row = np.repeat(np.arange(pairs.size), corners.shape[1])
+    incidence = sp.csr_matrix((np.ones(row.size), (row, node.ravel())))
+    _, layer = connected_components(incidence @ incidence.T, directed=False)
+    of_layer = np.bincount(layer, area)
+    distance = np.bincount(layer, area * gap[pairs]) / of_layer
+    on = np.zeros(of_layer.size, dtype=np.int64)
+    on[layer] = facet
+    # layers beside each other, such as parts of the master with a slot between them, all count
+    order = np.lexsort((distance, on))
+    taken = np.zeros(of_layer.size, dtype=bool)
+    filled = np.zeros(len(planes.area))
+    for at in order:
+        covered = filled[on[at]]
+        most = (1.0 + _SEVERAL_LAYERS) * planes.area[on[at]]
+        if covered == 0.0 or covered + of_layer[at] <= most:
+            taken[at] = True
+            filled[on[at]] += of_layer[at]
+    kept[pairs] = taken[layer]
+    return cells.of_pairs(kept)

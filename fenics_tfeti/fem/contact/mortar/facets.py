@@ -1,0 +1,186 @@
+"""Oriented facets of one type: their planes, projections on planes, and shape functions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Facets", "Planes", "highest", "lowest", "reference_coordinates", "shape_functions"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Facets:
+    """A surface of segments (2D), triangles or bilinear quadrilaterals (3D), of one type.
+
+    Attributes
+    ----------
+    points : (n, gdim) array
+        Nodes [m].
+    corners : (f, v) integer array
+        The nodes of each facet, as rows of `points`, oriented outwards: seen along a segment, from
+        corner 0 to 1, its normal points to the right; seen from the tip of its normal, a triangle
+        or quadrilateral has its corners anticlockwise, one after the other around the facet.
+    """
+
+    points: Vector
+    corners: Numbers
+
+    def __len__(self) -> int:
+        """Return the number of facets."""
+        return len(self.corners)
+
+    def coordinates(self, chosen: Numbers | None = None) -> Vector:
+        """Return the coordinates (k, v, gdim) of the corners of all or of some facets (k,)."""
+        return self.points[self.corners if chosen is None else self.corners[chosen]]
+
+
+@dataclass(frozen=True)
+class Planes:
+    """The auxiliary plane of each facet (in 2D the line of the segment).
+
+    Attributes
+    ----------
+    origin : (f, gdim) array
+        Mean of the corners [m].
+    axes : (f, gdim, gdim) array
+        Unit vectors in rows: gdim - 1 in the plane, then the normal. Seen from the tip of the
+        normal, the corners in the plane are anticlockwise; in 2D the axis points from corner 0 to
+        corner 1.
+    area : (f,) array
+        Area of the facet's projection on the plane, length in 2D [m^2 or m].
+    diameter : (f,) array
+        Largest distance of two corners [m].
+    """
+
+    origin: Vector
+    axes: Vector
+    area: Vector
+    diameter: Vector
+
+    @staticmethod
+    def of(x: Vector) -> Planes:
+        """Find the planes of facets with the corners x (f, v, gdim)."""
+        v, gdim = x.shape[1:]
+        along = x[:, 1] - x[:, 0]
+        pairs = [(i, j) for i in range(v) for j in range(i)]
+        lengths = [np.linalg.norm(x[:, i] - x[:, j], axis=1) for i, j in pairs]
+        diameter: Vector = np.max(lengths, axis=0)
+        if gdim == 2:
+            area = diameter
+            first = along / area[:, None]
+            axes = np.stack([first, np.column_stack([first[:, 1], -first[:, 0]])], axis=1)
+            return Planes(x.mean(axis=1), axes, area, diameter)
+        # for a quadrilateral the cross product of its diagonals
+        one, other = (
+            (along, x[:, 2] - x[:, 0]) if v == 3 else (x[:, 2] - x[:, 0], x[:, 3] - x[:, 1])
+        )
+        normal = np.cross(one, other)
+        length = np.linalg.norm(normal, axis=1)
+        normal /= length[:, None]
+        first = along - np.sum(along * normal, axis=1)[:, None] * normal
+        first /= np.linalg.norm(first, axis=1)[:, None]
+        axes = np.stack([first, np.cross(normal, first), normal], axis=1)
+        return Planes(x.mean(axis=1), axes, 0.5 * length, diameter)
+
+    @property
+    def normal(self) -> Vector:
+        """Unit normals (f, gdim)."""
+        return self.axes[:, -1]
+
+    def project(self, facet: Numbers, x: Vector) -> Vector:
+        """Return x (k, v, gdim) in the frames of some facets (k,): plane axes, then the height."""
+        frame: Vector = np.matmul(x - self.origin[facet, None], self.axes[facet].transpose(0, 2, 1))
+        return frame
+
+
+def lowest(x: Vector) -> Vector:
+    """Return the minimum (k, d) of x (k, v, d) over the corners; faster than NumPy's for few."""
+    return reduce(np.minimum, np.moveaxis(x, 1, 0))
+
+
+def highest(x: Vector) -> Vector:
+    """Return the maximum (k, d) of x (k, v, d) over the corners."""
+    return reduce(np.maximum, np.moveaxis(x, 1, 0))
+
+
+def shape_functions(xi: Vector, v: int) -> Vector:
+    """Return the shape functions of segments, triangles or quadrilaterals.
+
+    Parameters
+    ----------
+    xi : (..., gdim - 1) array
+        Reference coordinates: in [0, 1] on segments and triangles, in [-1, 1] on quadrilaterals.
+    v : int
+        Number of corners.
+
+    Returns
+    -------
+    (..., v) array
+    """
+    if v < 4:
+        return np.concatenate([1.0 - xi.sum(axis=-1, keepdims=True), xi], axis=-1)
+    r, s = xi[..., 0], xi[..., 1]
+    return 0.25 * np.stack(
+        [(1 - r) * (1 - s), (1 + r) * (1 - s), (1 + r) * (1 + s), (1 - r) * (1 + s)], axis=-1
+    )
+
+
+def reference_coordinates(corners: Vector, x: Vector) -> Vector:
+    """Return the reference coordinates of points in facets of a plane.
+
+    Parameters
+    ----------
+    corners : (k, v, gdim - 1) array
+        Corners in the plane [m].
+    x : (k, q, gdim - 1) array
+        Points in or near each facet [m].
+
+    Returns
+    -------
+    (k, q, gdim - 1) array
+        Exact on segments and triangles, by Newton's method on quadrilaterals.
+    """
+    v = corners.shape[1]
+    if v == 4:
+        return _bilinear_coordinates(corners, x)
+    offset = x - corners[:, :1]
+    edges = corners[:, 1:] - corners[:, :1]
+    if v == 2:
+        return offset / edges
+    (ux, uy), (wx, wy) = edges[:, 0].T[..., None], edges[:, 1].T[..., None]
+    dx, dy = offset[..., 0], offset[..., 1]
+    det = ux * wy - uy * wx
+    return np.stack([(dx * wy - dy * wx) / det, (ux * dy - uy * dx) / det], axis=-1)
+
+
+def _bilinear_coordinates(corners: Vector, x: Vector) -> Vector:
+    """Invert the bilinear map of convex quadrilaterals; quadratically convergent."""
+    # a step of this size leaves its square
+    steps, small = 25, 1e-8
+    # x = a + b r + c s + d r s
+    signs = np.array([[1, 1, 1, 1], [-1, 1, 1, -1], [-1, -1, 1, 1], [1, -1, 1, -1]])
+    a, b, c, d = np.einsum("ai,kij->akj", 0.25 * signs, corners)[:, :, None, :]
+    xi = np.zeros_like(x)
+    for _ in range(steps):
+        r, s = xi[..., :1], xi[..., 1:]
+        rest = x - (a + b * r + c * s + d * r * s)
+        by_r, by_s = b + d * s, c + d * r
+        det = _cross(by_r, by_s)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = np.stack([_cross(rest, by_s), _cross(by_r, rest)], axis=-1) / det[..., None]
+        step = np.where(np.isfinite(step), step, 0.0)
+        xi += step
+        if np.abs(step).max(initial=0.0) < small:
+            break
+    return xi
+
+
+def _cross(one: Vector, other: Vector) -> Vector:
+    product: Vector = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
+    return product

@@ -1,0 +1,222 @@
+"""Integrals of the shape functions of two surfaces over the covered part of each slave facet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
+from fenics_tfeti.fem.contact.mortar.cells import Cells, covering_cells
+from fenics_tfeti.fem.contact.mortar.facets import (
+    Facets,
+    Planes,
+    reference_coordinates,
+    shape_functions,
+)
+from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
+
+__all__ = ["FacetIntegrals", "integrate"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+# Covered part of a slave facet, relative to its area, below which it is rounding.
+_NOT_COVERED = 1e-10
+
+# Slave facets that are treated at once, to bound the memory.
+_BLOCK = 2048
+
+
+@dataclass(frozen=True)
+class FacetIntegrals:
+    """Integrals over the covered part of slave facets, with the weight of the measure.
+
+    N are the shape functions of a slave facet, N^m those of a master facet over it.
+
+    Attributes
+    ----------
+    facet : (c,) integer array
+        The slave facets that are covered, ascending.
+    covered : (c,) array
+        Covered area of each, in its plane and without weight [m^2 or m].
+    share : (c, v) array
+        Integrals of N_j without weight [m^2 or m].
+    ones : (c, v) array
+        Integrals of N_j.
+    mass : (c, v, v) array
+        Integrals of N_i N_j.
+    gap : (c, v, gdim) array
+        Integrals of N_j times the vector from the slave to the master.
+    pair : (p,) integer array
+        Position in `facet` of each pair of a slave and a master facet.
+    master : (p,) integer array
+        The master facets.
+    coupling : (p, v, w) array
+        Integrals of N_j N^m_l.
+    """
+
+    facet: Numbers
+    covered: Vector
+    share: Vector
+    ones: Vector
+    mass: Vector
+    gap: Vector
+    pair: Numbers
+    master: Numbers
+    coupling: Vector
+
+
+def integrate(
+    slave: Facets, master: Facets, weight: NDArray[np.float64] | None = None
+) -> FacetIntegrals:
+    """Integrate over the parts of the slave's facets that the master covers.
+
+    Points of the two surfaces are opposite each other along the normal of the slave's facet. The
+    quadrature is exact for segments, triangles and parallelograms. Its error on other
+    quadrilaterals is about 1e-8 if they are distorted as much as meshes allow. Whatever the error,
+    the integrals of a facet are of the same points: constants and, on flat surfaces, linear
+    functions are reproduced.
+
+    Parameters
+    ----------
+    slave, master : Facets
+        The two surfaces, each of facets of one type.
+    weight : (f, v) array, optional
+        Weight of the measure at the corners of the slave's facets, linear between them; by default
+        1.
+
+    Returns
+    -------
+    FacetIntegrals
+        Without facets where the surfaces do not lie over each other.
+    """
+    v, w, gdim = slave.corners.shape[1], master.corners.shape[1], slave.points.shape[1]
+    parts = [_no_integrals(v, w, gdim)]
+    if len(slave) and len(master):
+        planes, tree = Planes.of(slave.coordinates()), MasterTree(master)
+        reach = tree.reach(slave, planes)
+        for first in range(0, len(slave), _BLOCK):
+            chosen = np.arange(first, min(first + _BLOCK, len(slave)))
+            cells = covering_cells(slave, planes, chosen, tree, reach)
+            parts.append(_integrate_cells(cells, slave, planes, master, weight))
+    return _join(parts)
+
+
+def _join(parts: Sequence[FacetIntegrals]) -> FacetIntegrals:
+    """Return the integrals of all parts, one part after the other."""
+    first = np.cumsum([0, *(part.facet.size for part in parts)])
+    columns: dict[str, Any] = {
+        column.name: np.concatenate([getattr(part, column.name) for part in parts])
+        for column in fields(FacetIntegrals)
+    }
+    columns["pair"] += np.repeat(first[:-1], [part.pair.size for part in parts])
+    return FacetIntegrals(**columns)
+
+
+def _no_integrals(v: int, w: int, gdim: int) -> FacetIntegrals:
+    numbers, values = np.zeros(0, dtype=np.int64), np.zeros(0)
+    return FacetIntegrals(
+        numbers,
+        values,
+        np.zeros((0, v)),
+        np.zeros((0, v)),
+        np.zeros((0, v, v)),
+        np.zeros((0, v, gdim)),
+        numbers,
+        numbers,
+        np.zeros((0, v, w)),
+    )
+
+
+def _integrate_cells(
+    cells: Cells, slave: Facets, planes: Planes, master: Facets, weight: Vector | None
+) -> FacetIntegrals:
+    area = np.bincount(cells.slave, cells.pair_area(), len(slave))
+    cells = cells.of_pairs(area[cells.slave] > _NOT_COVERED * planes.area[cells.slave])
+    facet, pair = np.unique(cells.slave, return_inverse=True)
+    places, factors = _quadrature(cells, weight is None)
+    at = cells.pair
+    x = np.einsum("qa,cad->cqd", places, cells.corners)
+    ours = shape_functions(reference_coordinates(cells.on_slave[at], x), cells.on_slave.shape[1])
+    theirs = shape_functions(
+        reference_coordinates(cells.on_master[at], x), cells.on_master.shape[1]
+    )
+    weights = cells.area[:, None] * factors
+    share = _sum(np.einsum("cqi,cq->ci", ours, weights), at, cells.slave.size)
+    if weight is not None:
+        weights = weights * np.einsum("cqi,ci->cq", ours, weight[cells.slave[at]])
+    weighted = (ours * weights[:, :, None]).transpose(0, 2, 1)
+    ones = _sum(weighted.sum(axis=2), at, cells.slave.size)
+    mass = _sum(np.matmul(weighted, ours), at, cells.slave.size)
+    coupling = _sum(np.matmul(weighted, theirs), at, cells.slave.size)
+    # relative to the plane's origin: rounding is that of the gap, not that of the coordinates
+    origin = planes.origin[cells.slave, None]
+    from_slave = np.matmul(mass, slave.coordinates(cells.slave) - origin)
+    gap = np.matmul(coupling, master.coordinates(cells.master) - origin) - from_slave
+    covered = _sum(cells.pair_area(), pair, facet.size)
+    return FacetIntegrals(
+        facet,
+        covered,
+        _sum(share, pair, facet.size),
+        _sum(ones, pair, facet.size),
+        _sum(mass, pair, facet.size),
+        _sum(gap, pair, facet.size),
+        pair,
+        cells.master,
+        coupling,
+    )
+
+
+def _quadrature(cells: Cells, unweighted: bool) -> tuple[Vector, Vector]:
+    """Return barycentric coordinates (q, gdim) and weights (q,) whose sum is 1."""
+    dim = cells.corners.shape[2]
+    if dim == 1:
+        root = np.sqrt(1.0 / 12.0)
+        return np.array([[0.5 + root, 0.5 - root], [0.5 - root, 0.5 + root]]), np.full(2, 0.5)
+    if unweighted and cells.on_slave.shape[1] == cells.on_master.shape[1] == 3:
+        return _symmetric((1.0 / 6.0,)), np.full(3, 1.0 / 3.0)
+    if _distorted(cells.on_slave) or _distorted(cells.on_master):
+        return _gauss_on_triangle()
+    # Strang and Fix, degree 4
+    near, far = 0.445948490915964886, 0.0915762135097707435
+    of_near, of_far = 0.223381589678011466, 0.109951743655321868
+    return _symmetric((near, far)), np.repeat([of_near, of_far], 3)
+
+
+def _distorted(corners: Vector) -> bool:
+    """Tell whether some facets are quadrilaterals whose shape functions are not polynomials."""
+    if corners.shape[1] < 4:
+        return False
+    skew = corners[:, 0] - corners[:, 1] + corners[:, 2] - corners[:, 3]
+    size = np.abs(corners).max(initial=0.0)
+    return bool(np.abs(skew).max(initial=0.0) > RELATIVE_ROUNDING * size)
+
+
+def _gauss_on_triangle() -> tuple[Vector, Vector]:
+    """Return 25 points, of Gauss on a square collapsed to a triangle, for rational functions."""
+    roots = np.array([0.538469310105683091, 0.906179845938663993])
+    near, far, middle = 0.478628670499366468, 0.236926885056189088, 128.0 / 225.0
+    x = 0.5 + 0.5 * np.concatenate([-roots[::-1], [0.0], roots])
+    w = 0.5 * np.array([far, near, middle, near, far])
+    first, along = (a.ravel() for a in np.meshgrid(x, x, indexing="ij"))
+    weights = 2.0 * np.outer(w * (1.0 - x), w).ravel()
+    second = (1.0 - first) * along
+    return np.stack([1.0 - first - second, first, second], axis=1), weights
+
+
+def _symmetric(ends: tuple[float, ...]) -> Vector:
+    """Return for each number a the points (1 - 2a, a, a) and their permutations."""
+    return np.concatenate([np.full((3, 3), a) + (1.0 - 3.0 * a) * np.eye(3) for a in ends])
+
+
+def _sum(values: Vector, at: Numbers, size: int) -> Vector:
+    """Sum rows by the ascending number that each belongs to; every number has a row."""
+    if not size:
+        return np.zeros((0, *values.shape[1:]))
+    first = np.searchsorted(at, np.arange(size))
+    total: Vector = np.add.reduceat(values, first, axis=0)
+    return total

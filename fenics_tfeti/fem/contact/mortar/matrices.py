@@ -1,0 +1,158 @@
+"""Dual shape functions, and the mortar matrices D and M with the gaps.
+
+The Lagrange multipliers are linear combinations of dual functions psi_k, one for each node of the
+slave: on each facet psi_j = sum_i A_ji N_i with A = diag(int N_j) (int N_i N_j)^-1, integrals over
+the covered part alone. There int psi_j N_i = 0 for i != j, and the psi_j of a facet add up to 1.
+
+Where only a narrow strip or a small corner of a facet is covered, the functions of its nodes would
+be fixed by next to nothing. A node whose facets are hardly covered therefore has no multiplier: its
+dual function is added, on each facet, to those of the facet's other nodes, in equal shares. The
+functions still add up to 1, so that rigid motions, linear functions and resultants stay exact; D
+has a few small entries beside its diagonal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
+from fenics_tfeti.fem.contact.mortar.integrals import FacetIntegrals
+
+__all__ = [
+    "HARDLY_COVERED",
+    "MortarMatrices",
+    "hardly_covered",
+    "mortar_matrices",
+    "node_areas",
+]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# Integral of a node's shape function over the covered part, relative to that over all of its
+# facets, below which the node has no multiplier: the smaller it is, the less exactly the solution
+# determines the pressure there, while its force is negligible.
+HARDLY_COVERED = 1e-2
+
+# Covered part of a facet, relative to its area, below which its dual functions are replaced by the
+# shape functions: a narrow strip may cross the facet anywhere.
+_NARROW = 1e-4
+
+
+@dataclass(frozen=True)
+class MortarMatrices:
+    """D, M and the gaps of a slave's surface with n nodes and a master's with m nodes.
+
+    With the displacements of both surfaces, the mean relative displacement at slave node k is
+    (sum_j D_kj u_j - sum_l M_kl u_l) / area_k.
+
+    Attributes
+    ----------
+    D : (n, n) scipy.sparse.csr_matrix
+        Integrals of psi_k N_j; diagonal but for nodes that are hardly covered [m^2 or m].
+    M : (n, m) scipy.sparse.csr_matrix
+        Integrals of psi_k N^m_l.
+    gap : (n, gdim) array
+        Integrals of psi_k times the vector from the slave to the master.
+    area : (n,) array
+        Integrals of psi_k, the sums of the rows of D and of M.
+    """
+
+    D: sp.csr_matrix
+    M: sp.csr_matrix
+    gap: Vector
+    area: Vector
+
+
+def mortar_matrices(
+    integrals: FacetIntegrals, slave: Facets, master: Facets, has_row: Mask
+) -> MortarMatrices:
+    """Assemble D, M and the gaps with dual functions.
+
+    Parameters
+    ----------
+    integrals : FacetIntegrals
+        Of the two surfaces.
+    slave, master : Facets
+        The surfaces.
+    has_row : (n,) bool array
+        Which nodes of the slave have a multiplier; the others get empty rows.
+
+    Returns
+    -------
+    MortarMatrices
+        What is covered of facets without any such node is left out.
+    """
+    corners = slave.corners[integrals.facet]
+    share = _shares(has_row[corners])
+    dual, diagonal = _dual_functions(integrals, _area(integrals, slave))
+    of_slave = np.matmul(share, diagonal)
+    dual = np.matmul(share, dual)
+    of_master = np.matmul(dual[integrals.pair], integrals.coupling)
+    gap = np.zeros((len(slave.points), slave.points.shape[1]))
+    np.add.at(gap, corners, np.matmul(dual, integrals.gap))
+    n, m = len(slave.points), len(master.points)
+    D = _assemble(of_slave, corners, corners, (n, n))
+    M = _assemble(of_master, corners[integrals.pair], master.corners[integrals.master], (n, m))
+    return MortarMatrices(D, M, gap, np.asarray(D.sum(axis=1)).ravel())
+
+
+def hardly_covered(integrals: FacetIntegrals, slave: Facets) -> Mask:
+    """Tell which nodes (n,) of a whole slave's surface are hardly covered, or not at all."""
+    whole, covered = node_areas(integrals, slave)
+    hardly: Mask = covered <= HARDLY_COVERED * whole
+    return hardly
+
+
+def node_areas(integrals: FacetIntegrals, slave: Facets) -> tuple[Vector, Vector]:
+    """Return the whole and the covered area (n,) of each slave node, without weight [m^2 or m]."""
+    n, v = len(slave.points), slave.corners.shape[1]
+    area = np.repeat(Planes.of(slave.coordinates()).area / v, v)
+    whole, covered = np.zeros((2, n))
+    np.add.at(whole, slave.corners.ravel(), area)
+    np.add.at(covered, slave.corners[integrals.facet], integrals.share)
+    return whole, covered
+
+
+def _shares(has_row: Mask) -> Vector:
+    """Return the shares (c, v, v) of the nodes with a row in the dual functions of all nodes."""
+    v = has_row.shape[1]
+    number = np.maximum(has_row.sum(axis=1), 1)
+    to_others = has_row[:, :, None] & ~has_row[:, None, :]
+    share: Vector = has_row[:, :, None] * np.eye(v) + to_others / number[:, None, None]
+    return share
+
+
+def _dual_functions(integrals: FacetIntegrals, area: Vector) -> tuple[Vector, Vector]:
+    """Return A (c, v, v) of psi_j = sum_i A_ji N_i, and the integrals of psi_j N_i."""
+    v = integrals.ones.shape[1]
+    narrow = integrals.covered <= _NARROW * area
+    dual = np.tile(np.eye(v), (narrow.size, 1, 1))
+    products = integrals.mass.copy()
+    ones = integrals.ones[~narrow]
+    # scaled to a unit diagonal: a strip along an edge leaves the opposite node little
+    root = np.sqrt(ones)
+    scaled = integrals.mass[~narrow] / (root[:, :, None] * root[:, None, :])
+    dual[~narrow] = root[:, :, None] * np.linalg.inv(scaled) / root[:, None, :]
+    products[~narrow] = ones[:, :, None] * np.eye(v)
+    return dual, products
+
+
+def _area(integrals: FacetIntegrals, slave: Facets) -> Vector:
+    return Planes.of(slave.coordinates(integrals.facet)).area
+
+
+def _assemble(
+    values: Vector, rows: Numbers, columns: Numbers, shape: tuple[int, int]
+) -> sp.csr_matrix:
+    """Sum blocks (c, v, w) of rows (c, v) and columns (c, w); without zeros."""
+    row = np.broadcast_to(rows[:, :, None], values.shape)
+    column = np.broadcast_to(columns[:, None, :], values.shape)
+    there = values != 0.0
+    matrix = sp.coo_matrix((values[there], (row[there], column[there])), shape=shape).tocsr()
+    return matrix

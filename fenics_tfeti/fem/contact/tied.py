@@ -1,0 +1,262 @@
+"""Surfaces that stay together: the mortar conditions of all components as equalities."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.contact import MortarTerms
+from fenics_tfeti.fem.contact.deformed_surface import gather_surface, oriented_facets
+from fenics_tfeti.fem.contact.mortar_checks import check_covered
+from fenics_tfeti.fem.contact.mortar_conditions import (
+    MortarConditions,
+    cyclic_values,
+    tied_conditions,
+)
+from fenics_tfeti.fem.contact.mortar_pairing import slave_facets
+from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
+from fenics_tfeti.fem.contact.surfaces import (
+    MeshBoundary,
+    Surface,
+    tagged_surface,
+    values_on_facets,
+)
+from fenics_tfeti.fem.contact.symmetry_planes import prescribed_components
+from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.feti.system import ContactRows, Prescribed
+from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
+
+__all__ = ["TiedPair", "TiedPairing", "tie", "tie_pairs", "tied_name", "tied_rows"]
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TiedPair:
+    """Two tagged surfaces that stay together where they face each other.
+
+    They may be meshed apart, as a coarse and a fine part of one body are: mortar conditions hold
+    their displacements together in the mean around each slave node, exactly for linear ones. What
+    one surface has beyond the other stays free.
+
+    Attributes
+    ----------
+    facet_tags : MeshTags
+        Tags of facets.
+    slave, master : int
+        Tag of the slave's and of the master's surface. The slave is better the surface with the
+        larger facets, of equal ones that of the softer body.
+    name : str
+        For messages and the report.
+    measure_weight : UFL expression or number, optional
+        Factor of ``ds`` in the forms, see `ContactPair`. By default 1.
+    """
+
+    facet_tags: Any
+    slave: int
+    master: int
+    name: str = ""
+    measure_weight: Any = None
+
+
+@dataclass(frozen=True)
+class TiedPairing:
+    """The conditions of a tied pair at the slave nodes that this rank owns.
+
+    Attributes
+    ----------
+    name : str
+        Name of the pair.
+    terms : list of MortarTerms
+        The conditions of each component.
+    summary : dict
+        The pair's entry of `Report.pairing`.
+    surface : Surface
+        The slave's surface.
+    prescribed : (s, gdim) bool array
+        Which components are prescribed at its nodes.
+    """
+
+    name: str
+    terms: list[MortarTerms]
+    summary: dict[str, Any]
+    surface: Surface
+    prescribed: NDArray[np.bool_]
+
+
+def tied_name(pair: TiedPair, number: int) -> str:
+    """Return a tied pair's name, by default from its number."""
+    return pair.name or f"tied pair {number}"
+
+
+def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescribed) -> TiedPairing:
+    """Find the conditions of a tied pair. Collective.
+
+    Parameters
+    ----------
+    boundary : MeshBoundary
+        Of the displacement's mesh.
+    pair : TiedPair
+        The pair.
+    number : int
+        Its number, for a name.
+    prescribed : Prescribed
+        Prescribed displacements, of this rank's nodes.
+
+    Raises
+    ------
+    InputError
+        Tags on no facet or on interior ones, equal tags, shared nodes, surfaces that do not face
+        each other anywhere or are apart.
+    """
+    space, name = boundary.space, tied_name(pair, number)
+    comm = space.mesh.comm
+    with raise_collectively(comm):
+        if pair.slave == pair.master:
+            raise InputError(f"{name}: slave and master have the same tag {pair.slave}")
+    slave = tagged_surface(boundary, pair.facet_tags, pair.slave, f"slave of {name}")
+    tagged_surface(boundary, pair.facet_tags, pair.master, f"master of {name}")
+    master = gather_surface(space, pair.facet_tags, pair.master)
+    _check_separate(comm, slave, master.nodes, name)
+    gdim = slave.normal.shape[1]
+    facets = slave_facets(space, pair, slave, boundary.coordinates[:, :gdim], name)
+    held = prescribed_components(slave, prescribed)
+    on_facets = values_on_facets(space, slave, held.astype(float)) > 0.5
+    oriented = oriented_facets(space, pair.facet_tags, pair.slave)
+    conditions = tied_conditions(
+        comm,
+        facets,
+        slave.nodes,
+        master,
+        master.normals(name),
+        cyclic_values(slave, oriented, on_facets),
+    )
+    first = conditions[0]
+    check_covered(comm, first, slave, name)
+    _check_together(comm, first, slave, name)
+    at = np.searchsorted(slave.nodes, first.slave)
+    gap = np.sum(first.gap * slave.normal[at], axis=1)
+    summary = pairing_summary(
+        comm,
+        name,
+        "tied",
+        gap,
+        first.angle,
+        slave.nodes.size,
+        area=first.area,
+        covered_area=first.covered_area,
+    )
+    return TiedPairing(name, [one.terms for one in conditions], summary, slave, held)
+
+
+def tie_pairs(
+    boundary: MeshBoundary,
+    pairs: Sequence[TiedPair],
+    known: Sequence[tuple[TiedPair, TiedPairing]],
+    prescribed: Prescribed,
+) -> list[tuple[TiedPair, TiedPairing]]:
+    """Find the conditions of all tied pairs. Collective.
+
+    Parameters
+    ----------
+    boundary : MeshBoundary
+        Of the displacement's mesh.
+    pairs : sequence of TiedPair
+        The pairs.
+    known : sequence of (pair, pairing)
+        Earlier results, which hold as long as the same components are prescribed.
+    prescribed : Prescribed
+        Prescribed displacements, of this rank's nodes.
+
+    Returns
+    -------
+    list of (pair, pairing)
+    """
+    comm = boundary.space.mesh.comm
+    earlier = {id(pair): pairing for pair, pairing in known}
+    found = []
+    for number, pair in enumerate(pairs):
+        pairing = earlier.get(id(pair))
+        if (
+            pairing is None
+            or pair.measure_weight is not None
+            or not _still_holds(comm, pairing, prescribed)
+        ):
+            pairing = tie(boundary, pair, number, prescribed)
+        found.append((pair, pairing))
+    return found
+
+
+def _still_holds(comm: MPI.Intracomm, pairing: TiedPairing, prescribed: Prescribed) -> bool:
+    same = np.array_equal(prescribed_components(pairing.surface, prescribed), pairing.prescribed)
+    return bool(comm.allreduce(same, MPI.LAND))
+
+
+def tied_rows(pairings: Sequence[TiedPairing], gdim: int, first: int) -> ContactRows:
+    """Return the conditions of all tied pairs, the components of a pair one after the other.
+
+    Parameters
+    ----------
+    pairings : sequence of TiedPairing
+        This rank's parts.
+    gdim : int
+        2 or 3.
+    first : int
+        Number of the first pair among contacts and tied pairs.
+    """
+    if not pairings:
+        return ContactRows.none(gdim)
+    return ContactRows.concatenate(
+        [
+            ContactRows(
+                terms.offsets,
+                terms.nodes,
+                terms.weights[:, None] * np.eye(gdim)[axis],
+                np.zeros(terms.slaves.size),
+                np.full(terms.slaves.size, first + number),
+                terms.slaves,
+            )
+            for number, pairing in enumerate(pairings)
+            for axis, terms in enumerate(pairing.terms)
+        ]
+    )
+
+
+def _check_separate(
+    comm: MPI.Intracomm, slave: Surface, master: NDArray[np.int64], name: str
+) -> None:
+    raise_where(
+        comm,
+        np.isin(slave.nodes, master),
+        slave.points,
+        lambda number, place: (
+            f"{name}: slave and master share {number} nodes, the first at {place}. Surfaces that "
+            "share nodes are one already: leave the pair out, or give each part nodes of its own"
+        ),
+    )
+
+
+def _check_together(
+    comm: MPI.Intracomm, conditions: MortarConditions, slave: Surface, name: str
+) -> None:
+    """Check that surfaces are no farther apart than facets are large: rotations would be held."""
+    at = np.searchsorted(slave.nodes, conditions.slave)
+    distance = np.linalg.norm(conditions.gap, axis=1)
+    largest = concatenate_ranks(comm, distance).max(initial=0.0)
+    raise_where(
+        comm,
+        distance > 0.5 * slave.size[at],
+        slave.points[at],
+        lambda number, place: (
+            f"{name}: the surfaces are apart, or overlap, by more than half a facet at {number} "
+            f"slave nodes, by up to {largest:.3g}, the first at {place}. Tie surfaces that lie on "
+            "each other"
+        ),
+    )

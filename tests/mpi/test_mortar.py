@@ -1,0 +1,98 @@
+"""Mortar conditions and their solutions are those of one process, on any number of ranks."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from mortar_blocks import LOADED, LOWER, PRESSURE, SUPPORTED, UPPER, Blocks, solved, uneven
+from scenes import YOUNG, elasticity, fixed, vector_space
+
+import ufl
+from dolfinx.fem import Constant
+
+from fenics_tfeti import ContactProblem, TiedPair
+from fenics_tfeti.io import tag_facets
+from fenics_tfeti.parallel import concatenate_ranks
+
+COMM = MPI.COMM_WORLD
+CASES = {
+    "triangle": Blocks("triangle", 6, 8, width=0.63),
+    "tetrahedron": Blocks("tetrahedron", 3, 4, width=0.63, jitter=0.2),
+    "hexahedron": Blocks("hexahedron", 3, 4, jitter=0.05),
+}
+every_case = pytest.mark.parametrize("cell", CASES)
+
+
+@every_case
+@pytest.mark.parametrize("slave", [LOWER, UPPER])
+def test_patch(cell, slave):
+    result = solved(CASES[cell], slave, COMM)
+    assert result.displacement < 1e-10
+    assert result.pressure < 1e-8
+
+
+def by_place(problem):
+    """Return the contact's fields, in the order of places, on every rank."""
+    contact = problem.contact[0].gather()
+    order = np.lexsort(np.round(contact.coordinates, 9).T)
+    names = ("coordinates", "gap", "normal", "normal_force", "pressure", "area")
+    return {name: getattr(contact, name)[order] for name in names}
+
+
+@every_case
+def test_uneven_load(cell):
+    """Curved upper block under half a load: gaps, normals and active sets vary."""
+    here, alone = uneven(CASES[cell], COMM), uneven(CASES[cell], MPI.COMM_SELF)
+    found, expected = by_place(here), by_place(alone)
+    assert 0 < np.count_nonzero(expected["pressure"]) < expected["pressure"].size
+    for name, values in expected.items():
+        scale = np.abs(values).max()
+        np.testing.assert_allclose(found[name], values, rtol=0.0, atol=1e-8 * scale, err_msg=name)
+    (entry,), (other,) = here.report.pairing, alone.report.pairing
+    assert entry["discretisation"] == other["discretisation"] == "mortar"
+    numbers = {key for key, value in other.items() if isinstance(value, int | float)}
+    assert {key: entry[key] for key in numbers} == pytest.approx(
+        {key: other[key] for key in numbers}, rel=1e-8, abs=1e-10
+    )
+
+
+def test_rows_are_at_the_owners_of_slave_nodes():
+    problem = uneven(CASES["triangle"], COMM)
+    first, last = problem.space.dofmap.index_map.local_range
+    nodes = problem.contact[0].nodes
+    assert ((nodes >= first) & (nodes < last)).all()
+    every = concatenate_ranks(COMM, nodes)
+    assert np.unique(every).size == every.size
+
+
+def pulled(comm):
+    """Two tied blocks under a load that grows with x."""
+    shape = CASES["tetrahedron"]
+    beams = shape.mesh(comm)
+    tags = tag_facets(beams.mesh, shape.markers(), beams.cell_tags)
+    V = vector_space(beams.mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    young, load = Constant(beams.mesh, YOUNG), Constant(beams.mesh, PRESSURE)
+    ds = ufl.Measure("ds", domain=beams.mesh, subdomain_data=tags)
+    problem = ContactProblem(
+        elasticity(u, v, young),
+        load * ufl.SpatialCoordinate(beams.mesh)[0] * v[2] * ds(LOADED),
+        bcs=[fixed(V, tags, SUPPORTED[2], None), fixed(V, tags, SUPPORTED[0], 0)],
+        tied=TiedPair(tags, LOWER, UPPER),
+        options={"rtol": 1e-11, "subdomain_size": 150},
+    )
+    x = problem.solve().x.array.reshape(-1, 3)[: V.dofmap.index_map.size_local]
+    place = V.tabulate_dof_coordinates()[: len(x)]
+    body = np.round(problem.report.contact_forces[0], 3)
+    return concatenate_ranks(comm, np.column_stack([place, x])), body
+
+
+def test_tied_blocks():
+    (here, force), (alone, expected) = pulled(COMM), pulled(MPI.COMM_SELF)
+    # the nodes of both blocks at one place differ: order by the displacements as well
+    order = [np.lexsort(np.round(rows / np.abs(rows).max(axis=0), 7).T) for rows in (here, alone)]
+    scale = np.abs(alone).max(axis=0)
+    np.testing.assert_allclose(here[order[0]] / scale, alone[order[1]] / scale, atol=1e-6)
+    np.testing.assert_allclose(force, expected, atol=1e-6 * np.abs(expected).max())

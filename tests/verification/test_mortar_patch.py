@@ -1,0 +1,72 @@
+"""Contact patch test on meshes that do not match: exact on any two meshes, also down to slivers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mortar_blocks import LOWER, PRESSURE, UPPER, Blocks, solved
+
+CASES = {
+    "same footprint, 1:1.4": {"lower": 5, "upper": 7},
+    "same footprint, 1:3": {"lower": 3, "upper": 9},
+    "overhang of the lower block": {"width": 0.63},
+    "overhang of the upper block": {"width": 1.27},
+    "inclined": {"slope": 0.3},
+    "graded": {"jitter": 0.3},
+}
+
+
+@pytest.mark.parametrize("slave", [LOWER, UPPER], ids=["lower", "upper"])
+@pytest.mark.parametrize("case", list(CASES))
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral", "tetrahedron", "hexahedron"])
+def test_uniform_pressure(cell, case, slave):
+    arguments = dict(CASES[case])
+    if cell == "hexahedron" and case == "graded":
+        # quadrilaterals that are no parallelograms have rational shape functions
+        arguments["jitter"] = 0.05
+    if cell in ("tetrahedron", "hexahedron") and "lower" not in arguments:
+        arguments.update(lower=3, upper=4)
+    result = solved(Blocks(cell, **arguments), slave)
+    assert result.displacement < 1e-10
+    assert result.pressure < 1e-8
+    check_resultants(result.problem, min(1.0, arguments.get("width", 1.0)))
+
+
+def check_resultants(problem, width):
+    """Forces on the two surfaces, and what supports bear, are equal to rounding."""
+    report = problem.report
+    gdim = problem.system.gdim
+    on_slave = np.array(report.contact_forces[0])
+    force = abs(on_slave[-1])
+    contact = problem.contact[0]
+    sums = contact.normal_force @ contact.normal
+    np.testing.assert_allclose(-sums, on_slave, atol=1e-12 * force)
+    rows = problem.system.contacts
+    # each condition is in equilibrium: what it exerts on the slave it takes from the master
+    total = np.zeros((rows.size, gdim))
+    np.add.at(total, rows.row, rows.coefficients)
+    assert np.abs(total).max() < 1e-13 * rows.length.max()
+    assert report.equilibrium < 1e-10
+    assert force == pytest.approx(PRESSURE * width ** (gdim - 1), rel=1e-10)
+
+
+@pytest.mark.parametrize("exponent", [1, 2, 3, 4, 5, 6, 7, 8])
+@pytest.mark.parametrize("cell", ["triangle", "tetrahedron", "hexahedron"])
+def test_border_beyond_a_line_of_nodes_by_a_sliver(cell, exponent):
+    """The upper block ends a little beyond a line of the lower block's nodes."""
+    n = 4 if cell == "triangle" else 3
+    width = 2.0 / n + 10.0**-exponent / n
+    result = solved(Blocks(cell, lower=n, upper=3, width=width), LOWER)
+    assert result.displacement < 1e-10
+    assert result.pressure < 1e-8
+
+
+def test_pairing_is_in_the_report():
+    problem = solved(Blocks("triangle", width=0.63), LOWER).problem
+    (entry,) = problem.report.pairing
+    assert entry["discretisation"] == "mortar"
+    assert entry["pairs"] + entry["unmatched"] == 6
+    assert entry["covered_area"] == pytest.approx(0.63)
+    assert entry["smallest_gap"] == entry["largest_gap"] == entry["mean_gap"] == 0.0
+    assert problem.contact[0].area.sum() == pytest.approx(0.63)
+    assert "mortar" in problem.report.pairing_table()
