@@ -116,9 +116,11 @@ def tied_forces(constraints: Constraints, multipliers: Vector) -> Vector:
 
 def _given(multipliers: Vector, rows: Numbers, scale: Vector, own: Numbers) -> Vector:
     """Return the multipliers of the rows that this rank gave, times their scale."""
-    force = np.zeros(multipliers.size)
+    # -1 is the last one, zero; a rank may give rows without holding a single row of B
+    force = np.zeros(multipliers.size + 1)
     force[rows] = scale * multipliers[rows]
-    return np.where(own < 0, 0.0, force[own]) if own.size else force[:0]
+    given: Vector = force[own]
+    return given
 
 
 def resultants(

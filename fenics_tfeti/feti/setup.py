@@ -46,7 +46,7 @@ class LocalSetup:
     Attributes
     ----------
     weights : (torn nodes of this rank,) array
-        Weights of the copies of nodes, D in B D^{-1} B' = I.
+        Weights of the copies of nodes, D in B D^{-1} B' = blockdiag(I, W).
     unknowns : TornUnknowns
         Displacements, and the ground of soft elastic supports.
     classes : list of CongruenceClass

@@ -135,14 +135,12 @@ def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
         of_node = dict(zip(nodes.tolist(), whole.normal_force.tolist(), strict=True))
         force.append([of_node[int(i)] for i in slave.nodes])
     forces = np.concatenate([np.zeros(0), *force])
-    return _found(u.ravel(), np.zeros(len(u)), forces, contact_problem.report)
+    none = np.zeros(0)
+    return _found(u.ravel(), np.zeros(len(u)), forces, contact_problem.report, none)
 
 
-def _found(
-    u: Vector, jump: Vector, force: Vector, report: Any, tied: Vector | None = None
-) -> Found:
-    products, none = report.products["total"], np.zeros(0)
-    tied = none if tied is None else tied
+def _found(u: Vector, jump: Vector, force: Vector, report: Any, tied: Vector) -> Found:
+    products = report.products["total"]
     return Found(u, jump, force, tied, report.contact_force, report.energy, products)
 
 

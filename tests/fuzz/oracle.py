@@ -7,11 +7,11 @@ forces, the spring forces and the rigid motions of bodies:
 
     min 1/2 w' Phi w - d'w   subject to   A w = e,  lambda >= 0,
 
-with Phi = B K^+ B' + diag(0, 1/k, 0), A = N'B', e = N'f; T are tied rows. Every row is scaled by
-its own compliance, so stiff and soft bodies, springs of 1e-13 and gaps of 1e10 do not meet in one
-sum. An interior point method proposes the active set, a primal-dual active set method makes it
-exact, and the conditions of optimality are measured in the energy norm. Nothing is shared with the
-package.
+with Phi = B K^+ B' + diag(0, 1/k, 0), A = N'B', e = N'f; S are springs, T tied rows. Every row is
+scaled by its own compliance, so stiff and soft bodies, springs of 1e-13 and gaps of 1e10 do not
+meet in one sum. An interior point method proposes the active set, a primal-dual active set method
+makes it exact, and the conditions of optimality are measured in the energy norm. Nothing is shared
+with the package.
 """
 
 from __future__ import annotations

@@ -221,9 +221,8 @@ def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol:
     penetration = np.where(finite, np.minimum(exact_opening, 0.0) - opening, 0.0)
     allowed = allowed + 1e-12 * np.where(finite, np.abs(problem.gap), 0.0) + problem.gap_rounding
     ratio["penetration"] = _worst(np.maximum(penetration, 0.0), allowed)
-    allowed = np.array(
-        [tolerance[b].max(initial=0.0) for b in _bodies_of_rows(problem.tied, problem)]
-    )
+    body_of_row = _bodies_of_rows(problem.tied, problem)
+    allowed = np.array([tolerance[b].max(initial=0.0) for b in body_of_row])
     apart = np.abs(problem.tied @ u - problem.tied_jump)
     ratio["tied"] = _worst(apart, allowed + 1e-12 * np.abs(problem.tied_jump))
     jump = np.array([found.jump[problem.body == b].max() for b in range(problem.bodies)])

@@ -9,6 +9,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from sparse_rows import clamped, distributed, interpolated, random_rows, two_blocks
+from torn import cube
 
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
 from fenics_tfeti.feti.constraints.rows import build_constraints
@@ -124,3 +125,21 @@ def test_rows_that_one_rank_gives_alone():
     report = TornSolver(share, Options(rtol=1e-8)).solve().report
     alone = TornSolver(system, Options(rtol=1e-8)).solve().report
     np.testing.assert_allclose(report.contact_force, alone.contact_force, rtol=1e-7)
+
+
+def test_rank_that_gives_far_rows_and_holds_none():
+    """One body on the first rank; the last one gives rows with infinite gaps."""
+    block = cube(2, load=(0.0, 0.0, -1.0))
+    nodes = block.nodes[block.coordinates[:, 2] == 1.0]
+    k = nodes.size
+    rows = ContactRows.node_to_node(
+        nodes, np.full(k, -1), np.tile([0, 0, 1.0], (k, 1)), np.full(k, np.inf), np.zeros(k, int)
+    )
+    last = COMM.rank == COMM.size - 1
+    held = clamped([block], (2, 0.0))
+    system = TornSystem(
+        [block] if COMM.rank == 0 else [], held, rows if last else NONE, 3, comm=COMM
+    )
+    solution = TornSolver(system, Options(rtol=1e-8)).solve()
+    assert not solution.normal_force.any()
+    np.testing.assert_allclose(solution.report.reactions[0].force, [0, 0, 1.0], atol=1e-8)

@@ -1,9 +1,10 @@
-"""Weights of the copies of a node: the D in B D^{-1} B' = I (sec. 11.12, scaling).
+"""Weights of the copies of a node: the D in B D^{-1} B' = blockdiag(I, W) (sec. 11.12, scaling).
 
 With weights of stiffness, F = BK^+B' measures K relative to D: a material that is a thousand times
 softer than its neighbour does not dominate F. The bounds of the dual problem stay as they are, as
 each contact row is multiplied by a positive number and only gluing rows are combined. In the
-preconditioner of sec. 11.12, B_D = (B D^{-1} B')^{-1} B D^{-1} is B D^{-1}.
+preconditioner of sec. 11.12, B_D = (B D^{-1} B')^{-1} B D^{-1} is B D^{-1} but for contact and tied
+rows that share nodes (`coupling`).
 """
 
 from __future__ import annotations
