@@ -11,7 +11,8 @@ from scenes import CLAMPED, LOADED, MASTER, ROLLER, SLAVE, YOUNG
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair
+from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti.fem import _compat
 from fenics_tfeti.io import Box, boxes, tag_facets
 from mistakes.catalogue import beams, mistake
 
@@ -231,3 +232,112 @@ def slave_nodes_with_the_same_master_in_two_contacts(comm):
         ContactPair(halves, LOADED, MASTER, name="two"),
     ]
     scene.problem(contacts=contacts).solve()
+
+
+# -- mortar conditions -------------------------------------------------------------------------
+
+
+def mortar(comm: MPI.Comm, **arguments) -> None:
+    """Solve for the blocks whose meshes do not match."""
+    scene = non_matching(comm)
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", **arguments)
+    scene.problem(contacts=[pair]).solve()
+
+
+@mistake("joint", "discretisation is 'nts'", "'mortar'")
+def unknown_discretisation(comm):
+    mortar(comm, discretisation="nts")
+
+
+@mistake("joint", "direction", "mortar conditions are between surfaces", "node_to_node")
+def mortar_conditions_along_a_direction(comm):
+    mortar(comm, discretisation="mortar", direction=(0.0, 1.0))
+
+
+@mistake("joint", "pairs", "mortar conditions are between surfaces")
+def mortar_conditions_of_pairs(comm):
+    mortar(comm, discretisation="mortar", pairs=(PLACES, PLACES))
+
+
+@mistake("joint", "initial_gap is 'close'", "'touching'")
+def unknown_initial_gap(comm):
+    mortar(comm, initial_gap="close")
+
+
+@mistake("joint: initial_gap", "NaN", "4 points")
+def initial_gap_that_is_nan(comm):
+    mortar(comm, initial_gap=lambda x: np.nan * x[0])
+
+
+@mistake("joint", "initial_gap='touching'", "non_penetration='exact'", "one of them")
+def initial_gap_and_exact_passes(comm):
+    scene = non_matching(comm)
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", initial_gap="touching")
+    scene.problem(contacts=[pair], options={"non_penetration": "exact"}).solve()
+
+
+def shifted(comm: MPI.Comm, shift: float) -> None:
+    """Solve after the upper block has moved along the contact."""
+    scene = non_matching(comm)
+    scene.mesh.geometry.x[nodes_of(scene.mesh, scene.cell_tags, 2), 0] += shift
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint")
+    scene.problem(contacts=[pair]).solve()
+
+
+def nodes_of(mesh, cell_tags, body: int) -> np.ndarray:
+    return np.unique(_compat.geometry_cells(mesh)[cell_tags.find(body)])
+
+
+@mistake("joint", "never meet", "far side")
+def surfaces_beside_each_other(comm):
+    """The upper block is beside the lower one: along the normals the surfaces never meet."""
+    shifted(comm, 3.0)
+
+
+@mistake("joint", "slivers of 1 slave facets", "too little", "meet at an edge")
+def surfaces_that_meet_in_a_sliver(comm):
+    shifted(comm, 1.0 - 1e-4)
+
+
+@mistake("joint", "deeper in the master", "far side")
+def surface_inside_the_other_body(comm):
+    """A small block within a large one, meshed apart."""
+    tagged = boxes(
+        comm, [Box((0, 0), (4, 4), (4, 4)), Box((1.1, 2), (2.4, 3), (3, 3))], "quadrilateral"
+    )
+    marks = [(CLAMPED, scenes.at(0, 0.0), 1), (MASTER, scenes.at(1, 0.0), 1)]
+    marks += [(SLAVE, scenes.at(1, 3.0), 2)]
+    tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
+    V = scenes.vector_space(tagged.mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    young = fem.Constant(tagged.mesh, YOUNG)
+    pair = ContactPair(tags, SLAVE, MASTER, name="joint")
+    bcs = [scenes.fixed(V, tags, CLAMPED, None)]
+    ContactProblem(scenes.elasticity(u, v, young), 0, bcs, pair).solve()
+
+
+@mistake("joint", "folded by more than 90 degrees", r"\(0\.5, 1\)", "two contacts")
+def slave_folded_by_more_than_a_right_angle(comm):
+    """Two sides of a wedge of 60 degrees are one slave surface."""
+    tagged = boxes(comm, [Box((0, 0), (1, 1), (4, 4)), Box((0, 1), (1, 2), (2, 1))], "triangle")
+    x = tagged.mesh.geometry.x
+    upper = nodes_of(tagged.mesh, tagged.cell_tags, 2)
+    low = upper[np.isclose(x[upper, 1], 1.0)]
+    rise = np.sqrt(3.0) * np.abs(x[low, 0] - 0.5)
+    tags = tag_facets(
+        tagged.mesh,
+        [
+            (CLAMPED, scenes.at(1, 0.0), 1),
+            (ROLLER, scenes.at(1, 2.0), 2),
+            (MASTER, scenes.at(1, 1.0), 1),
+            (SLAVE, scenes.at(1, 1.0), 2),
+        ],
+        tagged.cell_tags,
+    )
+    x[low, 1] += rise
+    V = scenes.vector_space(tagged.mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    young = fem.Constant(tagged.mesh, YOUNG)
+    bcs = [scenes.fixed(V, tags, tag, None) for tag in (CLAMPED, ROLLER)]
+    pair = ContactPair(tags, SLAVE, MASTER, name="joint")
+    ContactProblem(scenes.elasticity(u, v, young), 0, bcs, pair).solve()
