@@ -27,6 +27,7 @@ from fenics_tfeti.fem.contact.contact import (
 )
 from fenics_tfeti.fem.contact.deformed import GeometryPass, deformed_contact, geometry_pass
 from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
+from fenics_tfeti.fem.contact.roles import exchanged, roles_ratio, warn_of_roles
 from fenics_tfeti.fem.contact.surfaces import MeshBoundary
 from fenics_tfeti.fem.contact.tied import TiedPair, TiedPairing, tie_pairs, tied_name, tied_rows
 from fenics_tfeti.fem.contact.transfer import check_same_contacts, expected_contact, gather_solved
@@ -130,6 +131,10 @@ class ContactProblem:
         self.bcs, self.contacts = given_conditions(bcs), given_contacts(contacts)
         self.tied = given_tied(tied)
         self._tied: list[tuple[TiedPair, TiedPairing]] = []
+        # pairs whose roles were exchanged, by the identity of the user's
+        self._exchanged: dict[int, tuple[Contact, Contact]] = {}
+        # the pairs whose roles were judged, and (E / h) of the slave over that of the master
+        self._judged: list[tuple[Contact, float | None]] = []
         self._searched: list[Contact] = []
         self._matched: list[ContactPairing] = []
         self._moved: list[ContactPairing] = []
@@ -156,7 +161,9 @@ class ContactProblem:
         self._body_names = bodies.names
         self._x = self.space.mesh.geometry.x.copy()
         self._values = self._forms.values()
-        self.system = self._torn_system(self._assemble(), prescribed)
+        torn = self._assemble()
+        self._judge_roles(torn, prescribed)
+        self.system = self._torn_system(torn, prescribed)
         self._stale = False
         self._solved_before = False
 
@@ -245,13 +252,40 @@ class ContactProblem:
 
     def _match_contacts(self, prescribed: Prescribed) -> None:
         with self._timer.phase("contact search"):
+            contacts = [self._exchanged.get(id(c), (c, c))[1] for c in self.contacts]
             known = list(zip(self._searched, self._matched, strict=True))
-            if [id(c) for c in self._searched] != [id(c) for c in self.contacts]:
+            if [id(c) for c in self._searched] != [id(c) for c in contacts]:
                 self._moved = []
-            self._matched = match_contacts(self._boundary, self.contacts, known, prescribed)
+            self._matched = match_contacts(self._boundary, contacts, known, prescribed)
             check_depth(self.space, self._bodies, self._matched)
-            self._searched = list(self.contacts)
+            self._searched = contacts
             self._tied = tie_pairs(self._boundary, self.tied, self._tied, prescribed)
+
+    def _judge_roles(self, torn: Sequence[Subdomain], prescribed: Prescribed) -> None:
+        """Exchange slave and master of new pairs where that is better and wanted, or warn."""
+        comm, before = self.space.mesh.comm, len(self._exchanged)
+        known = {id(contact) for contact, _ in self._judged}
+        for contact, match in zip(self.contacts, self._matched, strict=True):
+            if id(contact) in known or not isinstance(contact, ContactPair):
+                continue
+            ratio = roles_ratio(comm, match, torn)
+            if ratio is not None and ratio > 1.0 and contact.roles == "auto":
+                self._exchanged[id(contact)] = (contact, exchanged(contact))
+                ratio = 1.0 / ratio
+            self._judged.append((contact, ratio))
+            with raise_collectively(comm):
+                if ratio is not None and comm.rank == 0:
+                    warn_of_roles(match.name, ratio)
+        if len(self._exchanged) > before:
+            self._match_contacts(prescribed)
+
+    def _pairing_entries(self) -> list[dict[str, Any]]:
+        ratios = {id(contact): ratio for contact, ratio in self._judged}
+        entries = [
+            {**match.summary, "roles_ratio": ratios.get(id(contact))}
+            for contact, match in zip(self.contacts, self._matched, strict=True)
+        ]
+        return entries + [pairing.summary for _, pairing in self._tied]
 
     def _assemble(self, known: Sequence[Subdomain] | None = None) -> list[Subdomain]:
         """Assemble the subdomains, or only the loads of known ones."""
@@ -290,6 +324,7 @@ class ContactProblem:
         else:
             torn = list(self.system.subdomains)
         self._values, self._stale = now, False
+        self._judge_roles(torn, prescribed)
         self.system = self._torn_system(torn, prescribed)
 
     def _release(self) -> None:
@@ -345,7 +380,7 @@ class ContactProblem:
             with self._timer.phase("deformed surfaces"):
                 deformed = [
                     deformed_contact(self.space, contact, match, uh, _gives_normals(contact))
-                    for contact, match in zip(self.contacts, matched, strict=True)
+                    for contact, match in zip(self._searched, matched, strict=True)
                 ]
             products = self.report.products["total"]
             seconds = self._timer.slowest(self.space.mesh.comm)
@@ -390,8 +425,7 @@ class ContactProblem:
 
     def _take(self, solution: TornSolution, matched: Sequence[ContactPairing]) -> Function:
         versions = {**solution.report.versions, "dolfinx": _compat.version()}
-        pairing = [match.summary for match in self._matched]
-        pairing += [one.summary for _, one in self._tied]
+        pairing = self._pairing_entries()
         self.report = ContactReport(
             **{
                 **vars(solution.report),

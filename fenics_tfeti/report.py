@@ -29,7 +29,9 @@ class ContactReport(Report):
         slave's normal and the opposite of the master's [degrees], ``smallest_gap``,
         ``largest_gap`` and ``mean_gap`` [m], of mortar conditions those of their means, and the
         ``covered_area`` of the slave [m^2; m in 2D] (None for obstacles). Nodes at which an
-        obstacle's gap is infinite are unmatched.
+        obstacle's gap is infinite are unmatched. Mortar conditions have the tags of ``slave`` and
+        ``master`` as well, and ``roles_ratio``, E / h of the slave over that of the master, which
+        is better below 20 (None for others).
     """
 
     passes: list[GeometryPass] = field(default_factory=list)

@@ -54,6 +54,10 @@ class ContactPair:
     discretisation : {"auto", "node_to_node", "mortar"}
         "auto" takes pairs of nodes where the meshes match, or where `direction`, `mapping` or
         `pairs` says how to find them, and mortar conditions otherwise. The choice is in the report.
+    roles : {"given", "auto"}
+        Whether `slave` and `master` are as given, or exchanged where mortar conditions are better
+        the other way round: the slave then is the surface with the smaller E / h, estimated from
+        the stiffness matrices when the problem is set up. Results and report show which it is.
     initial_gap : "geometric", "touching", float or callable
         The gap between the undeformed surfaces. By default it is that of the mesh. "touching" is
         for two meshes of one curved surface, whose facets gape or overlap by their distances from
@@ -102,6 +106,7 @@ class ContactPair:
     measure_weight: Any = None
     discretisation: Literal["auto", "node_to_node", "mortar"] = "auto"
     initial_gap: InitialGap = "geometric"
+    roles: Literal["given", "auto"] = "given"
 
 
 @dataclass(frozen=True)
@@ -216,6 +221,8 @@ class ContactPairing:
         The terms of mortar conditions; None for pairs of nodes and obstacles.
     prescribed : (s, gdim) bool array, optional
         Which components are prescribed at the surface's nodes, for mortar conditions.
+    master_surface : Surface, optional
+        The master's surface, for mortar conditions.
     """
 
     name: str
@@ -231,6 +238,7 @@ class ContactPairing:
     weighted_form: _compat.CompiledForm | None
     terms: MortarTerms | None = None
     prescribed: NDArray[np.bool_] | None = None
+    master_surface: Surface | None = None
 
     @property
     def length(self) -> Vector:

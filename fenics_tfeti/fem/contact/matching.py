@@ -244,7 +244,9 @@ def _match_pair(
     if matching:
         return _match_nodes(boundary, name, contact, slave, other)
     held = prescribed_components(slave, prescribed)
-    return match_by_mortar(boundary, name, contact, slave, master, shared, held)
+    pairing = match_by_mortar(boundary, name, contact, slave, master, shared, held)
+    summary = {**pairing.summary, "slave": contact.slave, "master": contact.master}
+    return replace(pairing, master_surface=other, summary=summary)
 
 
 def _gives_partners(contact: ContactPair) -> bool:

@@ -157,6 +157,7 @@ def match_deformed(
     relative = mean_over_terms(conditions.terms, *joined_displacements(slave, master))
     gap = distance + np.sum(relative * normal, axis=1)
     new = _pairing(name, conditions, surface, normal, gap, pairing.summary, prescribed)
+    new = replace(new, master_surface=pairing.master_surface)
     return new, distance
 
 

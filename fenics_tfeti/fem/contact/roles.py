@@ -1,0 +1,86 @@
+"""Which of two surfaces is better the slave of mortar conditions.
+
+The condition number of the rows is about 1 + E_s h_m / (E_m h_s), with Young's moduli E and sizes h
+of the facets of slave and master: the slave is better the surface with the smaller E / h. It is
+found from the stiffness matrices: their diagonal entries are about E h^(d - 2) in d dimensions.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.fem.contact.contact import ContactPair, ContactPairing
+from fenics_tfeti.fem.contact.surfaces import Surface
+from fenics_tfeti.feti.system import Subdomain
+from fenics_tfeti.parallel import concatenate_ranks
+
+__all__ = ["exchanged", "roles_ratio", "warn_of_roles"]
+
+# Estimated condition number of a pair's rows, above which the user is told.
+_LARGE = 20.0
+
+
+def roles_ratio(
+    comm: MPI.Intracomm, pairing: ContactPairing, subdomains: Sequence[Subdomain]
+) -> float | None:
+    """Return (E / h) of the slave over that of the master; None but for mortar conditions.
+
+    Collective.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks.
+    pairing : ContactPairing
+        The conditions.
+    subdomains : sequence of Subdomain
+        This rank's subdomains, with their stiffness.
+    """
+    if pairing.master_surface is None:
+        return None
+    slave, master = (
+        _modulus_over_size(comm, surface, subdomains)
+        for surface in (pairing.surface, pairing.master_surface)
+    )
+    return slave / master
+
+
+def exchanged(contact: ContactPair) -> ContactPair:
+    """Return a pair with slave and master exchanged."""
+    return replace(contact, slave=contact.master, master=contact.slave)
+
+
+def warn_of_roles(name: str, ratio: float) -> None:
+    """Warn if the slave is much the stiffer or finer surface."""
+    if 1.0 + ratio > _LARGE:
+        warnings.warn(
+            f"{name}: the slave is better the softer surface, or of equally stiff ones that with "
+            f"the larger facets. E / h of this one is {ratio:.0f} times that of the master, which "
+            "may cost iterations. Exchange slave and master, or set roles='auto'",
+            stacklevel=2,
+        )
+
+
+def _modulus_over_size(
+    comm: MPI.Intracomm, surface: Surface, subdomains: Sequence[Subdomain]
+) -> float:
+    gdim = surface.normal.shape[1]
+    nodes = np.sort(concatenate_ranks(comm, surface.nodes))
+    entries = sum(_diagonal_sum(subdomain, nodes, gdim) for subdomain in subdomains)
+    total, size = comm.allreduce(np.array([entries, surface.size.sum()])).tolist()
+    h = size / nodes.size
+    return float(total / (gdim * nodes.size) * h ** (1 - gdim))
+
+
+def _diagonal_sum(subdomain: Subdomain, nodes: NDArray[np.int64], gdim: int) -> float:
+    on_surface = np.isin(subdomain.nodes, nodes)
+    if not on_surface.any():
+        return 0.0
+    return float(subdomain.stiffness.diagonal().reshape(-1, gdim)[on_surface].sum())
