@@ -22,10 +22,10 @@ DRAWN = 5  # teeth of each gear, a quarter of the pinion's
 ADDENDUM, DEDENDUM, FILLET = MODULE, 1.25 * MODULE, 0.3 * MODULE
 BORE = 0.5  # relative to the pitch radius
 LINE_OF_CENTRES = np.radians(40.5)  # the cuts then are in the middle between two teeth
-COARSEST = 1.5e-3
+COARSEST, INSIDE = 0.7e-3, 1.5e-3  # the largest elements of the outline and within
 FINER = 0.75  # the wheel's elements at the contact, relative to the pinion's
-NEAR = 0.4e-3  # the uniform part of the mesh reaches so far from the pitch point
-GROWTH = 0.2  # of the elements' size with the distance
+NEAR = 0.45e-3  # the uniform part of the mesh reaches so far from the pitch point
+GROWTH = 0.3  # of the elements' size with the distance
 
 PITCH_POINT = 0.5 * MODULE * PINION * np.array([np.cos(LINE_OF_CENTRES), np.sin(LINE_OF_CENTRES)])
 
@@ -100,7 +100,7 @@ def toothed_side(teeth: int, first: float, touching: int) -> list[tuple[np.ndarr
 
 
 def gear(name: str, curves: list[tuple[np.ndarray, str]], finest: float) -> None:
-    """Mesh the outline of a gear: closed, counter-clockwise, each curve with its name or none."""
+    """Draw the outline of a gear: closed, counter-clockwise, each curve with its name or none."""
     geo = gmsh.model.geo
     points: list[int] = []
     groups: list[str] = []
@@ -115,8 +115,6 @@ def gear(name: str, curves: list[tuple[np.ndarray, str]], finest: float) -> None
     for group in sorted(set(groups) - {""}):
         chosen = [side for side, its in zip(sides, groups, strict=True) if its == group]
         gmsh.model.setPhysicalName(1, gmsh.model.addPhysicalGroup(1, chosen), group)
-    for side in sides:
-        gmsh.model.mesh.setTransfiniteCurve(side, 2)
 
 
 def sector(teeth: int, first: float, touching: int) -> list[tuple[np.ndarray, str]]:
@@ -147,12 +145,16 @@ def gear_teeth(output: Path, size: float = 0.03e-3) -> None:
         centre = PITCH_POINT * (1 + WHEEL / PINION)
         wheel = sector(WHEEL, first, DRAWN // 2)
         gear("wheel", [(centre + c, g and f"wheel {g}") for c, g in wheel], FINER * size)
+        # after both bodies: to synchronise the second would undo it for the first
+        for _, side in gmsh.model.getEntities(1):
+            gmsh.model.mesh.setTransfiniteCurve(side, 2)
         field = gmsh.model.mesh.field.add("MathEval")
         away = "sqrt((x-({}))^2+(y-({}))^2)".format(*PITCH_POINT)
         law = f"{FINER * size}+{GROWTH}*0.5*({away}-{NEAR}+abs({away}-{NEAR}))"
         gmsh.model.mesh.field.setString(field, "F", law)
         gmsh.model.mesh.field.setAsBackgroundMesh(field)
-        gmsh.option.setNumber("Mesh.MeshSizeMax", COARSEST)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", INSIDE)
+        gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
         gmsh.model.mesh.generate(2)
         gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
         gmsh.write(str(output))
