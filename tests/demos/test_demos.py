@@ -101,6 +101,20 @@ def test_sliding_block(demo):
     np.testing.assert_allclose(demo["F"], demo["pressure"] * demo["width"], rtol=1e-4)
 
 
+def test_shrink_fit(demo):
+    """The pressure by Lamé's formulas, in the mean and at each node."""
+    assert demo["pressure"] == pytest.approx(demo["lame"], rel=0.002)
+    assert demo["spread"] < 0.015
+    assert demo["problem"].report.pairing[0]["discretisation"] == "mortar"
+
+
+def test_gear_teeth(demo):
+    """The force by the statics of the pinion, the contact by Hertz's formulas."""
+    assert demo["F"] == pytest.approx(demo["statics"], rel=2e-4)
+    assert demo["a_fit"] == pytest.approx(demo["a"], rel=0.01)
+    assert demo["p0_fit"] == pytest.approx(demo["p0"], rel=0.01)
+
+
 def test_each_demo_has_a_test():
     names = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
     demos = {path.stem for path in DEMOS.glob("*.py")}

@@ -1,0 +1,144 @@
+"""A hub shrunk onto a hollow shaft: two rings whose meshes do not match.
+
+# Shrink fit
+
+The bore of an aluminium hub has a radius smaller by d = 0.02 mm than that of the hollow steel shaft
+onto which the hub is shrunk. By Lamé's formulas for thick rings in plane strain, with
+the radii r_1 of the shaft's bore, r_2 of the fit and r_3 of the hub, the pressure of the fit is
+
+    p = d / r_2 / [(C_shaft - nu'_shaft) / E'_shaft + (C_hub + nu'_hub) / E'_hub],
+
+    C_shaft = (r_2^2 + r_1^2) / (r_2^2 - r_1^2),   C_hub = (r_3^2 + r_2^2) / (r_3^2 - r_2^2),
+
+where E' = E / (1 - nu^2) and nu' = nu / (1 - nu).
+
+The rings are meshed apart: their surfaces are polygons with other numbers of sides, whose distance
+varies by as much as the interference. Both are therefore drawn with the same radius, and the
+interference is given as a number.
+
+This demo illustrates how to
+
+- define contact between meshes that do not match: there is nothing to say but the two tags;
+- prescribe an interference by `initial_gap`;
+- see in the report how the surfaces were paired.
+
+Run it by `python demos/shrink_fit.py`, or on several processes by
+`mpirun -n 2 python demos/shrink_fit.py`; it writes a picture and fields into `results/`. The mesh
+comes from `meshes/shrink_fit.py`. All units are SI.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti.io import (
+    contact_fields,
+    displacement_space,
+    draw_deformed,
+    read_msh,
+    von_mises,
+    write_fields,
+)
+
+here = Path(__file__).parent
+results = Path("results")
+
+# ## Mesh
+#
+# A quarter of both rings; x = 0 and y = 0 are planes of symmetry.
+
+rings = read_msh(here.parent / "meshes" / "shrink_fit.msh", MPI.COMM_WORLD, gdim=2)
+mesh, facet_tags, tags = rings.mesh, rings.facet_tags, rings.names
+bore, radius, outside = 0.02, 0.04, 0.07
+
+# ## Linear elasticity, plane strain
+#
+# One form with one integral for each body.
+
+interference = 2e-5
+materials = {"shaft": (2.1e11, 0.3), "hub": (7e10, 0.33)}
+
+
+def epsilon(u):
+    """Return the small strain, zero along the axis."""
+    e = ufl.sym(ufl.grad(u))
+    return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, 0]])
+
+
+def hooke(E, nu):
+    """Return the stress as a function of the displacement."""
+    mu = fem.Constant(mesh, E / (2 * (1 + nu)))
+    lmbda = fem.Constant(mesh, E * nu / ((1 + nu) * (1 - 2 * nu)))
+    return lambda u: lmbda * ufl.tr(epsilon(u)) * ufl.Identity(3) + 2 * mu * epsilon(u)
+
+
+sigma = {body: hooke(*material) for body, material in materials.items()}
+V = displacement_space(mesh)
+u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+dx = ufl.Measure("dx", domain=mesh, subdomain_data=rings.cell_tags)
+a_form = sum(ufl.inner(sigma[body](u), epsilon(v)) * dx(tags[body]) for body in materials)
+
+# ## Supports
+
+bcs = []
+for component, side in ((0, "symmetry_x"), (1, "symmetry_y")):
+    Vi = V.sub(component)
+    dofs = fem.locate_dofs_topological(Vi, 1, facet_tags.find(tags[side]))
+    bcs.append(fem.dirichletbc(0.0, dofs, Vi))
+
+# ## Contact
+#
+# There is no load. The hub, softer and with larger elements, is the slave. A negative gap is an
+# interference.
+
+fit = ContactPair(
+    facet_tags,
+    slave=tags["hub inside"],
+    master=tags["shaft outside"],
+    name="fit",
+    initial_gap=-interference,
+)
+problem = ContactProblem(a_form, 0, bcs=bcs, contacts=[fit])
+uh = problem.solve()
+
+# ## Comparison with Lamé
+
+flexibility = 0.0
+for sign, body, inner, outer in ((-1, "shaft", bore, radius), (1, "hub", radius, outside)):
+    E, nu = materials[body]
+    C = (outer**2 + inner**2) / (outer**2 - inner**2)
+    flexibility += (C + sign * nu / (1 - nu)) * (1 - nu**2) / E
+lame = interference / radius / flexibility
+
+nodes = problem.contact[0].gather()
+pressure = nodes.normal_force.sum() / nodes.area.sum()
+spread = np.abs(nodes.pressure / lame - 1).max()
+if mesh.comm.rank == 0:
+    print(problem.report.pairing_table())
+    print(f"mean pressure {1e-6 * pressure:.3f} MPa, Lamé {1e-6 * lame:.3f}", end="  ")
+    print(f"{pressure / lame - 1:+.2%}, at the nodes within {spread:.2%}")
+
+# ## Pictures
+
+x = ufl.SpatialCoordinate(mesh)
+is_hub = ufl.conditional(ufl.gt(ufl.inner(x, x), radius**2), 1.0, 0.0)
+stress = von_mises(mesh, is_hub * sigma["hub"](uh) + (1 - is_hub) * sigma["shaft"](uh))
+write_fields(results / "shrink_fit.pvd", [uh, stress, *contact_fields(V, problem.contact)])
+problem.report.to_json(results / "shrink_fit.json")
+draw_deformed(
+    results / "shrink_fit.png",
+    uh,
+    stress,
+    label="von Mises stress",
+    unit="MPa",
+    scale=1,
+    title="Aluminium hub shrunk onto a steel shaft",
+)
