@@ -111,7 +111,8 @@ def _augmented_preconditioner(
 ) -> Callable[[Vector, Numbers], Vector] | None:
     """Return M^{-1} = ||PFP|| P B_D S B_D' P + Q / rho, for the Hessian of (11.40).
 
-    B_D is that of the rows whose multipliers are free.
+    B_D is that of the rows whose multipliers are free. Where these depend on each other the cost
+    falls without curvature, until one of them meets its bound; M^{-1} is the identity there.
     """
     preconditioner, projector = problem.preconditioner, problem.projector
     if preconditioner is None:
@@ -121,7 +122,8 @@ def _augmented_preconditioner(
         free = ~np.isin(problem.constraints.inequality, on_bounds)
         part, Qx = projector.part_of_Q(x)
         y = projector.part_of_P(preconditioner.on_face(free)(x - Qx))
-        return problem.constraints.layout.sum(problem.norm * y + part / rho)
+        z = problem.constraints.layout.sum(problem.norm * y + part / rho)
+        return z + preconditioner.kernel_part(x, free)
 
     return apply
 

@@ -74,6 +74,27 @@ class Preconditioner:
 
         return precondition
 
+    def kernel_part(self, x: Vector, active: Mask) -> Vector | float:
+        """Return the part of x that the preconditioner of a face takes to zero. Collective.
+
+        It is that in the kernel of W_RR, along which the face has neither forces nor energy.
+
+        Parameters
+        ----------
+        x : (m,) array
+            Multipliers.
+        active : (i,) bool array
+            The contact rows on the face.
+        """
+        coupling = self.constraints.coupling
+        if not coupling.groups:
+            return 0.0
+        (on_rows,) = coupling.gather(self.constraints.on_inequalities(active))
+        null = self._inverse_of((on_rows > 0.0) | coupling.tied).null
+        part = np.zeros_like(x)
+        part[coupling.rows] = (null @ (null.T @ coupling.gather(x)[0]))[coupling.positions]
+        return part
+
     def _inverse_of(self, chosen: Mask) -> GramInverse:
         """Factor W_RR, unless R is the same as last."""
         if self._inverse is None or not np.array_equal(self._inverse.chosen, chosen):

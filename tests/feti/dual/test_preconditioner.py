@@ -112,6 +112,28 @@ def test_scaling_of_coupled_rows_is_exact_on_every_face(seed, kind):
     np.testing.assert_allclose(found, exact, rtol=0.0, atol=1e-9 * np.abs(exact).max())
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_what_it_maps_to_zero_is_the_kernel_of_the_rows(seed):
+    """More rows at the nodes of a surface than these have components: B_R'y = o for some y."""
+    rng, blocks = np.random.default_rng(seed), two_blocks(1, 1)
+    contacts = random_rows(blocks, rng, 60)
+    held = clamped(blocks, (2, 0.0), (2, 2.0))
+    solver = TornSolver(TornSystem(blocks, held, contacts, 3))
+    constraints, preconditioner = solver.setup.constraints, solver.setup.preconditioner
+    active = rng.random(constraints.inequality.size) < 0.95
+    on_face = np.zeros(constraints.size, dtype=bool)
+    on_face[constraints.inequality[active]] = True
+    y = np.where(on_face, rng.normal(size=constraints.size), 0.0)
+    part = preconditioner.kernel_part(y, active)
+    B = constraints.matrix.toarray()
+    N = scipy.linalg.null_space(B[on_face].T)
+    assert N.shape[1] > 0
+    np.testing.assert_allclose(part[on_face], N @ (N.T @ y[on_face]), atol=1e-9)
+    assert not part[~on_face].any()
+    zero = preconditioner.on_face(active)(part)
+    np.testing.assert_allclose(zero, 0.0, atol=1e-8 * np.abs(B).max())
+
+
 @pytest.mark.parametrize(("kind", "limit"), [("lumped", 3.0), ("dirichlet", 2.3)])
 @pytest.mark.parametrize(("stiffness", "without_W"), [(1e-2, 1.0), (1.0, 6.0), (1e2, 1e4)])
 def test_condition_number_of_meshes_that_do_not_match(stiffness, without_W, kind, limit):
