@@ -11,8 +11,8 @@ force is
     F = T / r_b,
 
 where T is the torque, both per width of the gears. The flanks have the radii of curvature
-r_1 sin(20°) and r_2 sin(20°). By Hertz's formulas the half-width a of the contact, much smaller than
-the teeth, and its pressure p are
+r_1 sin(20°) and r_2 sin(20°). By Hertz's formulas the half-width a of the contact, much smaller
+than the teeth, and its pressure p are
 
     a^2 = 4 F R / (pi E*),   p(s) = p0 sqrt(1 - s^2 / a^2),   p0 = 2 F / (pi a),
 
@@ -102,8 +102,8 @@ L_form = c * (y * v[0] - x * v[1]) * bore
 
 # ## Supports
 #
-# The wheel is clamped at its bore. The cuts of the pinion are on the axes of coordinates; the radial
-# displacement is zero there, which leaves it free to rotate about the origin.
+# The wheel is clamped at its bore. The cuts of the pinion are on the axes of coordinates; the
+# radial displacement is zero there, which leaves it free to rotate about the origin.
 
 clamped = fem.locate_dofs_topological(V, 1, facet_tags.find(tags["wheel bore"]))
 bcs = [fem.dirichletbc(np.zeros(2), clamped, V)]

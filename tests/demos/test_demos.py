@@ -115,6 +115,13 @@ def test_gear_teeth(demo):
     assert demo["p0_fit"] == pytest.approx(demo["p0"], rel=0.01)
 
 
+def test_tied_block(demo):
+    """The displacement by Kirsch's solution."""
+    assert demo["errors"]["fine part"] < 0.003
+    assert demo["errors"]["coarse part"] < 0.0006
+    assert [entry["discretisation"] for entry in demo["problem"].report.pairing] == ["tied"] * 2
+
+
 def test_each_demo_has_a_test():
     names = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
     demos = {path.stem for path in DEMOS.glob("*.py")}
