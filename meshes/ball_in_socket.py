@@ -10,13 +10,15 @@ the distance from there; those of the socket are 1.4 times as large, so that nod
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
 import gmsh
 
 BALL, SOCKET = 0.05, 0.051  # radii
 BLOCK, DEPTH = 0.12, 0.08  # radius of the block, its depth below the socket
-NEAR, GROWTH, COARSEST = 6e-3, 0.035, 6e-3  # elements are equal up to a distance, then they grow
+NEAR, COARSEST = 6e-3, 6e-3  # the radius of the uniform part of the mesh, the largest elements
+GROWTH = 14e-3  # over this distance, elements grow by their size in the uniform part
 COARSER = 1.4
 
 
@@ -50,26 +52,17 @@ def ball_in_socket(output: Path, size: float = 0.5e-3) -> None:
             SOCKET,
             ["surface", "", "", "bottom", "axis"],
         )
-        mesh = gmsh.model.mesh
-        for option in ("MeshSizeExtendFromBoundary", "MeshSizeFromPoints"):
-            gmsh.option.setNumber(f"Mesh.{option}", 0)
-        gmsh.option.setNumber("Mesh.MeshSizeMax", COARSEST)
-        away = f"(sqrt(x^2+y^2)-{NEAR})"
-        law = f"{size}*(1+{GROWTH / 5e-4}*0.5*({away}+abs({away})))"
-        sizes = []
-        for surface, factor in ((1, 1.0), (2, COARSER)):
-            every = mesh.field.add("MathEval")
-            mesh.field.setString(every, "F", f"{factor}*{law}")
-            own = mesh.field.add("Restrict")
-            mesh.field.setNumber(own, "IField", every)
-            boundary = gmsh.model.getBoundary([(2, surface)], oriented=False)
-            mesh.field.setNumbers(own, "FacesList", [surface])
-            mesh.field.setNumbers(own, "EdgesList", [curve for _, curve in boundary])
-            sizes.append(own)
-        least = mesh.field.add("Min")
-        mesh.field.setNumbers(least, "FieldsList", sizes)
-        mesh.field.setAsBackgroundMesh(least)
-        mesh.generate(2)
+        socket = {(2, 2), *gmsh.model.getBoundary([(2, 2)], oriented=False)}
+
+        def element_size(dim: int, tag: int, x: float, y: float, *_: float) -> float:
+            own = COARSER * size if (dim, tag) in socket else size
+            growth = 1 + max(0.0, math.hypot(x, y) - NEAR) / GROWTH
+            return min(own * growth, COARSEST)
+
+        gmsh.model.mesh.setSizeCallback(element_size)
+        for source in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
+            gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
+        gmsh.model.mesh.generate(2)
         gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
         gmsh.write(str(output))
     finally:

@@ -131,6 +131,14 @@ def test_ball_in_socket(demo):
     assert demo["F"] == pytest.approx(demo["forces"][-1], rel=1e-8)
 
 
+def test_bolt_in_lug(demo):
+    """The force by statics, extent of the contact and displacement by a finer mesh."""
+    assert demo["forces"] == pytest.approx([24e3] * 3, rel=1e-8)
+    for angle, end in demo["errors"]:
+        assert abs(angle) < 0.02
+        assert abs(end) < 0.012
+
+
 def test_each_demo_has_a_test():
     names = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
     demos = {path.stem for path in DEMOS.glob("*.py")}
