@@ -115,6 +115,30 @@ def test_gear_teeth(demo):
     assert demo["p0_fit"] == pytest.approx(demo["p0"], rel=0.01)
 
 
+def test_tied_block(demo):
+    """The displacement by Kirsch's solution."""
+    assert demo["errors"]["fine part"] < 0.003
+    assert demo["errors"]["coarse part"] < 0.0006
+    assert [entry["discretisation"] for entry in demo["problem"].report.pairing] == ["tied"] * 2
+
+
+def test_ball_in_socket(demo):
+    """Small loads by Hertz's formulas, the largest by a finer mesh, forces by statics."""
+    a, p0 = demo["hertz"][0]
+    assert demo["radii"][0] == pytest.approx(a, rel=0.01)
+    assert demo["peaks"][0] == pytest.approx(p0, rel=0.02)
+    assert (demo["radii"][-1], demo["peaks"][-1]) == pytest.approx(demo["finer"], rel=0.005)
+    assert demo["F"] == pytest.approx(demo["forces"][-1], rel=1e-8)
+
+
+def test_bolt_in_lug(demo):
+    """The force by statics, extent of the contact and displacement by a finer mesh."""
+    assert demo["forces"] == pytest.approx([24e3] * 3, rel=1e-8)
+    for angle, end in demo["errors"]:
+        assert abs(angle) < 0.02
+        assert abs(end) < 0.012
+
+
 def test_each_demo_has_a_test():
     names = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
     demos = {path.stem for path in DEMOS.glob("*.py")}

@@ -1,0 +1,176 @@
+"""A ball in a socket of nearly the same radius, pressed by a growing force.
+
+# Ball in a socket
+
+A ball of radius R1 = 50 mm rests in a socket of radius R2 = 51 mm, both of a hard plastic. The
+displacement is axisymmetric, as in `demos/axisymmetric_ball.py`, and the mesh that of a meridian.
+
+Under a small force, Hertz's formulas hold with the difference of the curvatures,
+
+    a^3 = 3 F R / (4 E*),   p(r) = p0 sqrt(1 - r^2 / a^2),   p0 = 3 F / (2 pi a^2),
+
+    1/R = 1/R1 - 1/R2,      E* = E / (2 (1 - nu^2)).
+
+Under a large force, the contact area is no longer flat nor small: it stays smaller than by the
+formulas, and the pressure becomes larger. There, a finer mesh is the reference.
+
+The two meshes do not match. The gap between surfaces that are so nearly conforming is as small as
+the distances of their facets from the spheres. Therefore it is not that of the meshes, but
+prescribed, as the distance between the spheres.
+
+This demo illustrates how to
+
+- prescribe the initial gap by a function of the place;
+- solve the same problem for several loads.
+
+Run it by `python demos/ball_in_socket.py`, or on several processes by
+`mpirun -n 2 python demos/ball_in_socket.py`; it writes pictures into `results/`. The mesh comes
+from `meshes/ball_in_socket.py`. All units are SI.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti.io import displacement_space, draw_deformed, draw_profile, read_msh, von_mises
+
+here = Path(__file__).parent
+results = Path("results")
+comm = MPI.COMM_WORLD
+
+# ## Data
+#
+# The forces for which Hertz's formula gives these radii of the contact area.
+
+R1, R2, E, nu = 0.05, 0.051, 2e9, 0.3
+R = 1 / (1 / R1 - 1 / R2)
+E_star = E / (2 * (1 - nu**2))
+forces = 4 / 3 * E_star * np.array([5e-3, 10e-3, 15e-3, 20e-3, 30e-3, 40e-3]) ** 3 / R
+
+meridian = read_msh(here.parent / "meshes" / "ball_in_socket.msh", comm, gdim=2)
+mesh, facet_tags, tags = meridian.mesh, meridian.facet_tags, meridian.names
+
+# ## The axisymmetric forms
+
+r = ufl.SpatialCoordinate(mesh)[0]
+weight = 2 * ufl.pi * r
+mu = fem.Constant(mesh, E / (2 * (1 + nu)))
+lmbda = fem.Constant(mesh, E * nu / ((1 + nu) * (1 - 2 * nu)))
+traction = fem.Constant(mesh, 0.0)
+
+
+def epsilon(u):
+    """Return the small strain, the third direction being that of the circumference."""
+    e = ufl.sym(ufl.grad(u))
+    return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, u[0] / r]])
+
+
+def sigma(u):
+    """Return the stress [Pa]."""
+    return lmbda * ufl.tr(epsilon(u)) * ufl.Identity(3) + 2 * mu * epsilon(u)
+
+
+V = displacement_space(mesh)
+u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
+a_form = ufl.inner(sigma(u), epsilon(v)) * weight * ufl.dx
+L_form = traction * v[1] * weight * ds(tags["ball top"])
+
+# ## Supports
+#
+# The radial displacement on the axis is zero, and so is the vertical one at the bottom. Contact
+# alone supports the ball in the vertical direction.
+
+bcs = []
+for component, side in ((0, "ball axis"), (0, "socket axis"), (1, "socket bottom")):
+    Vi = V.sub(component)
+    dofs = fem.locate_dofs_topological(Vi, 1, facet_tags.find(tags[side]))
+    bcs.append(fem.dirichletbc(0.0, dofs, Vi))
+
+# ## Contact
+#
+# The socket, with the larger elements, is the slave. The ball touches it at the origin: its centre
+# is at the height R1.
+
+
+def gap(x):
+    """Return the distance of points of the socket from the ball."""
+    return np.hypot(x[0], x[1] - R1) - R1
+
+
+contact = ContactPair(
+    facet_tags,
+    slave=tags["socket surface"],
+    master=tags["ball surface"],
+    initial_gap=gap,
+    measure_weight=weight,
+)
+problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=[contact])
+
+# ## Load steps
+#
+# The mean square of r, weighted by Hertz's pressure, is 2/5 a^2. The radius a is computed in this
+# way from the normal forces of the nodes.
+
+radii, peaks, hertz, curves = [], [], [], {}
+for force, style in zip(forces, ("", "o", "", "s", "", "^"), strict=True):
+    traction.value = -force / (np.pi * R1**2)
+    uh = problem.solve()
+    nodes = problem.contact[0].gather()
+    x, y = nodes.coordinates[:, :2].T
+    radii.append(np.sqrt(5 / 2 * nodes.normal_force @ x**2 / nodes.normal_force.sum()))
+    peaks.append(nodes.pressure.max())
+    F = abs(problem.report.contact_forces[0][1])
+    a = np.cbrt(3 * F * R / (4 * E_star))
+    p0 = 3 * F / (2 * np.pi * a**2)
+    hertz.append((a, p0))
+    if comm.rank == 0:
+        products = problem.report.products["total"]
+        print(f"load {force:9.2f} N, contact force {F:9.2f} N, {products} products")
+        print(f"  a {1e3 * radii[-1]:6.2f} mm,   Hertz {1e3 * a:6.2f}  {radii[-1] / a - 1:+.1%}")
+        print(
+            f"  p {1e-6 * peaks[-1]:6.2f} MPa,  Hertz {1e-6 * p0:6.2f}  {peaks[-1] / p0 - 1:+.1%}"
+        )
+    if style:
+        angle, line = np.degrees(np.arctan2(x, R2 - y)), np.linspace(0, a, 400)
+        shown, name = angle < 55, f"{1e-3 * force:.1f} kN"
+        curves[name] = angle[shown], 1e-6 * nodes.pressure[shown], style
+        profile = 1e-6 * p0 * np.sqrt(1 - (line / a) ** 2)
+        curves[f"Hertz, {name}"] = np.degrees(np.arcsin(line / R2)), profile, "-"
+
+# With elements half as large (`meshes/ball_in_socket.py --element-size 2.5e-4`), radius and
+# largest pressure under the largest force are
+
+finer = 34.75e-3, 15.36e6
+if comm.rank == 0:
+    a, p0 = finer
+    print(f"  to the finer mesh: a {radii[-1] / a - 1:+.2%}, p {peaks[-1] / p0 - 1:+.2%}")
+
+# ## Pictures
+
+stress = von_mises(mesh, sigma(uh))
+draw_profile(
+    results / "ball_in_socket_pressure.png",
+    curves,
+    xlabel="angle from the axis [degrees]",
+    ylabel="normal pressure [MPa]",
+    title="Ball in a socket: contact pressure",
+    comm=comm,
+)
+draw_deformed(
+    results / "ball_in_socket.png",
+    uh,
+    stress,
+    label="von Mises stress",
+    unit="MPa",
+    scale=1,
+    title="Ball in a socket under the largest force, in the plane of a meridian",
+)
