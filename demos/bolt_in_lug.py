@@ -110,9 +110,9 @@ def bolt_in_hole(clearance):
 # ## Three clearances
 #
 # The contact force equals the pull. The mean square of the angle t, weighted by the normal forces,
-# shows how the contact area shrinks with the clearance; the mean displacement of the pulled end,
-# how the joint softens. At the edge of the hole the bolt, which bends, presses most: the pressure
-# there grows with each refinement.
+# shows how the contact area shrinks with the clearance; the mean displacement of the pulled end
+# shows how the joint softens. At the edge of the hole the bolt, which bends, presses most: the
+# pressure there grows with each refinement.
 #
 # For each clearance, the angle and the displacement with elements of 5/9 the size
 # (`meshes/bolt_in_lug.py --element-size 5e-4`):
