@@ -138,20 +138,22 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
         master.normals(name),
         cyclic_values(slave, oriented, on_facets),
     )
-    first = conditions[0]
-    check_covered(comm, first, slave, name)
-    _check_together(comm, first, slave, name)
-    at = np.searchsorted(slave.nodes, first.slave)
-    gap = np.sum(first.gap * slave.normal[at], axis=1)
+    # nodes where a component is prescribed have no condition for it
+    most = int(np.argmax([comm.allreduce(one.slave.size) for one in conditions]))
+    fullest = conditions[most]
+    check_covered(comm, fullest, slave, name)
+    _check_together(comm, fullest, slave, name)
+    at = np.searchsorted(slave.nodes, fullest.slave)
+    gap = np.sum(fullest.gap * slave.normal[at], axis=1)
     summary = pairing_summary(
         comm,
         name,
         "tied",
         gap,
-        first.angle,
+        fullest.angle,
         slave.nodes.size,
-        area=first.area,
-        covered_area=first.covered_area,
+        area=fullest.area,
+        covered_area=fullest.covered_area,
     )
     return TiedPairing(name, [one.terms for one in conditions], summary, slave, held)
 

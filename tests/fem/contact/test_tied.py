@@ -95,6 +95,8 @@ def test_tension(cell):
     (force,) = problem.report.contact_forces
     np.testing.assert_allclose(force, [*[0.0] * (d - 1), PRESSURE], atol=1e-8 * PRESSURE)
     assert problem.contact == []
+    # nodes on planes of symmetry have conditions in the other components
+    assert problem.report.pairing[0]["unmatched"] == 0
 
 
 def test_tied_block_with_a_floor():
