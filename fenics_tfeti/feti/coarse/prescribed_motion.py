@@ -25,7 +25,7 @@ _LARGEST = 10.0
 
 
 def prescribed_motion(coarse_space: CoarseSpace, c: Vector) -> Vector:
-    """Return the coarse vector of the rigid motions next to the prescribed displacements.
+    """Return the coarse vector of the rigid motions next to the prescribed ones. Collective.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def prescribed_motion(coarse_space: CoarseSpace, c: Vector) -> Vector:
     -------
     (coarse,) array
         a with B_E R a = c_E in the least squares sense; zero where nothing is prescribed, or where
-        R a would be out of proportion to it. Collective.
+        R a would be out of proportion to it.
     """
     constraints, comm = coarse_space.constraints, coarse_space.comm
     prescribed = np.where(constraints.equality, c, 0.0)
