@@ -27,7 +27,7 @@ from fenics_tfeti.fem.contact.contact import (
 )
 from fenics_tfeti.fem.contact.deformed import GeometryPass, deformed_contact, geometry_pass
 from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
-from fenics_tfeti.fem.contact.roles import exchanged, roles_ratio, warn_of_roles
+from fenics_tfeti.fem.contact.roles import ALIKE, exchanged, roles_ratio, warn_of_roles
 from fenics_tfeti.fem.contact.surfaces import MeshBoundary
 from fenics_tfeti.fem.contact.tied import TiedPair, TiedPairing, tie_pairs, tied_name, tied_rows
 from fenics_tfeti.fem.contact.transfer import check_same_contacts, expected_contact, gather_solved
@@ -269,7 +269,7 @@ class ContactProblem:
             if id(contact) in known or not isinstance(contact, ContactPair):
                 continue
             ratio = roles_ratio(comm, match, torn)
-            if ratio is not None and ratio > 1.0 and contact.roles == "auto":
+            if ratio is not None and ratio > ALIKE and contact.roles == "auto":
                 self._exchanged[id(contact)] = (contact, exchanged(contact))
                 ratio = 1.0 / ratio
             self._judged.append((contact, ratio))

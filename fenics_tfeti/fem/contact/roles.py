@@ -21,7 +21,10 @@ from fenics_tfeti.fem.contact.surfaces import Surface
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.parallel import concatenate_ranks
 
-__all__ = ["exchanged", "roles_ratio", "warn_of_roles"]
+__all__ = ["ALIKE", "exchanged", "roles_ratio", "warn_of_roles"]
+
+# Ratio of E / h below which the given roles stay: sums over ranks differ by rounding.
+ALIKE = 1.01
 
 # Estimated condition number of a pair's rows, above which the user is told.
 _LARGE = 20.0
