@@ -28,7 +28,7 @@ import numpy as np
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.dual.operator import DualOperator
-from fenics_tfeti.feti.outer import LANCZOS_STEPS
+from fenics_tfeti.feti.solution.outer import LANCZOS_STEPS
 
 METHODS = {
     "active_set": {},

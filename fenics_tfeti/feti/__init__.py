@@ -4,10 +4,10 @@ A researcher with K_i, f_i and node numbers from any code fills a `TornSystem` a
 `TornSolver`; ``numpy``, ``scipy``, ``petsc4py`` and ``mpi4py`` are all it needs.
 """
 
-from fenics_tfeti.feti.certificate import Certificate
 from fenics_tfeti.feti.options import Options, parse_options
 from fenics_tfeti.feti.report import Report
-from fenics_tfeti.feti.resultants import Resultant
+from fenics_tfeti.feti.solution.certificate import Certificate
+from fenics_tfeti.feti.solution.resultants import Resultant
 from fenics_tfeti.feti.solver import TornSolution, TornSolver
 from fenics_tfeti.feti.system import (
     ContactGuess,

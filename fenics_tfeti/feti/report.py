@@ -18,13 +18,13 @@ from petsc4py import PETSc
 import numpy as np
 import scipy
 
-from fenics_tfeti.feti.certificate import Certificate
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.dual.active_set import ActiveSetStep
 from fenics_tfeti.feti.options import Options
-from fenics_tfeti.feti.resultants import Resultant, resultants
-from fenics_tfeti.feti.setup import DualSetup
-from fenics_tfeti.feti.states import ContactData, History, Outcome
+from fenics_tfeti.feti.solution.certificate import Certificate
+from fenics_tfeti.feti.solution.resultants import Resultant, resultants
+from fenics_tfeti.feti.solution.setup import DualSetup
+from fenics_tfeti.feti.solution.states import ContactData, History, Outcome
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively

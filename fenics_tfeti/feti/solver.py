@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from mpi4py import MPI
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,21 +17,20 @@ from fenics_tfeti.feti.constraints.ground import hold_ground
 from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
-from fenics_tfeti.feti.outer import LANCZOS_STEPS, iterate_until_certified
 from fenics_tfeti.feti.report import Report, build_report
-from fenics_tfeti.feti.resultants import normal_forces, tied_forces
-from fenics_tfeti.feti.setup import (
+from fenics_tfeti.feti.solution.outer import LANCZOS_STEPS, iterate_until_certified
+from fenics_tfeti.feti.solution.resultants import normal_forces, tied_forces
+from fenics_tfeti.feti.solution.setup import (
     DualSetup,
     LocalSetup,
     build_projector,
     choose_factor,
     dual_problem,
     factor_subdomains,
-    has_same_stiffness,
 )
-from fenics_tfeti.feti.states import ContactData, DualState, History, Outcome
+from fenics_tfeti.feti.solution.states import ContactData, DualState, History, Outcome
 from fenics_tfeti.feti.system import ContactGuess, TornSystem
-from fenics_tfeti.feti.system_checks import check_guess, check_system
+from fenics_tfeti.feti.system_checks import check_guess, check_system, check_types
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
 
@@ -143,7 +144,7 @@ class TornSolver:
     ) -> tuple[DualSetup, ContactData, list[str]]:
         """Check all data; build the operators, or take over those of the previous solver."""
         system, options, phase = self.system, self.options, self.timer.phase
-        same_K = previous is not None and has_same_stiffness(system, previous.system)
+        same_K = previous is not None and _has_same_stiffness(system, previous.system)
         known = previous.setup if previous is not None and same_K else None
         with phase("constraints"):
             check_system(system, stiffness=known is None)
@@ -299,6 +300,23 @@ def _check_arguments(system: TornSystem, options: Options | None) -> None:
             f"options: got {type(options).__name__}, expected Options; parse_options makes them "
             "from a mapping"
         )
+
+
+def _has_same_stiffness(one: TornSystem, other: TornSystem) -> bool:
+    """Tell, with one answer on all ranks, whether two systems share their stiffness matrices.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the subdomains of `one` are not a list of `Subdomain`.
+    """
+    with raise_collectively(one.comm):
+        check_types(one)
+    same = len(one.subdomains) == len(other.subdomains) and all(
+        s.stiffness is t.stiffness and s.nodes is t.nodes
+        for s, t in zip(one.subdomains, other.subdomains, strict=True)
+    )
+    return bool(one.comm.allreduce(same, MPI.LAND))
 
 
 def _check_guess(guess: ContactGuess | None, system: TornSystem, options: Options) -> None:

@@ -11,7 +11,7 @@ from scenes import GROUND, MASTER, SLAVE
 
 from fenics_tfeti import ContactPair, RigidObstacle, Sphere
 from fenics_tfeti.fem.contact.matching import match_contact
-from fenics_tfeti.fem.contact.surfaces import MeshBoundary
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.parallel import concatenate_ranks
 
 comm = MPI.COMM_WORLD

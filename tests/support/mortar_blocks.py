@@ -21,9 +21,9 @@ from dolfinx.fem import Constant, Function
 
 from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.deformed_surface import gather_surface
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.mortar.integrals import integrate
+from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface
 from fenics_tfeti.io import Box, boxes, tag_facets
 
 PRESSURE = 2e7

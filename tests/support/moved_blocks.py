@@ -22,7 +22,7 @@ from fenics_tfeti.fem.contact.contact import (
 )
 from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
 from fenics_tfeti.fem.contact.matching import match_contact
-from fenics_tfeti.fem.contact.surfaces import MeshBoundary
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import Box, boxes, tag_facets
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")

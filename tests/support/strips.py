@@ -9,7 +9,7 @@ import scenes
 from scenes import MASTER, SLAVE, at
 
 from fenics_tfeti.fem.contact.matching import match_contact
-from fenics_tfeti.fem.contact.surfaces import MeshBoundary
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import Box, boxes, tag_facets
 
 

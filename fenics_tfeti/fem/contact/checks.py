@@ -19,10 +19,10 @@ from dolfinx.fem import FunctionSpace
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import Contact, ContactPair, ContactPairing, RigidObstacle
-from fenics_tfeti.fem.contact.initial_gap import check_initial_gap
+from fenics_tfeti.fem.contact.nodes.search import Partners
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
-from fenics_tfeti.fem.contact.search import Partners
-from fenics_tfeti.fem.contact.surfaces import MasterNodes, Surface
+from fenics_tfeti.fem.contact.surfaces.initial_gap import check_initial_gap
+from fenics_tfeti.fem.contact.surfaces.tagged import MasterNodes, Surface
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, raise_where
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.obstacles import Obstacle
-from fenics_tfeti.fem.contact.surfaces import GivenNormal, Surface
+from fenics_tfeti.fem.contact.surfaces.tagged import GivenNormal, Surface
 from fenics_tfeti.parallel import concatenate_ranks
 
 __all__ = [

@@ -26,9 +26,9 @@ from fenics_tfeti.fem.contact.contact import (
     ContactResult,
     RigidObstacle,
 )
-from fenics_tfeti.fem.contact.deformed_surface import DeformedSurface, gather_surface
-from fenics_tfeti.fem.contact.mortar_pairing import match_deformed
+from fenics_tfeti.fem.contact.mortar.pairing import match_deformed
 from fenics_tfeti.fem.contact.obstacles import gap_and_normal
+from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
 from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["DeformedContact", "GeometryPass", "deformed_contact", "geometry_pass"]

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact import search
 from fenics_tfeti.fem.contact.checks import (
     check_arguments,
     check_different_nodes,
@@ -29,14 +28,16 @@ from fenics_tfeti.fem.contact.contact import (
     RigidObstacle,
     contact_name,
 )
-from fenics_tfeti.fem.contact.deformed_surface import gather_surface
-from fenics_tfeti.fem.contact.initial_gap import chord_heights, initial_gap
-from fenics_tfeti.fem.contact.matching_meshes import meshes_match
-from fenics_tfeti.fem.contact.measure_weight import check_weighted_areas, given_weight
-from fenics_tfeti.fem.contact.mortar_pairing import match_by_mortar
+from fenics_tfeti.fem.contact.mortar.pairing import match_by_mortar
+from fenics_tfeti.fem.contact.nodes import search
+from fenics_tfeti.fem.contact.nodes.matching_meshes import meshes_match
 from fenics_tfeti.fem.contact.obstacles import gap_and_normal
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
-from fenics_tfeti.fem.contact.surfaces import (
+from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface
+from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, initial_gap
+from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas, given_weight
+from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
+from fenics_tfeti.fem.contact.surfaces.tagged import (
     MasterNodes,
     MeshBoundary,
     Surface,
@@ -46,7 +47,6 @@ from fenics_tfeti.fem.contact.surfaces import (
     tagged_surface,
     values_on_facets,
 )
-from fenics_tfeti.fem.contact.symmetry_planes import prescribed_components
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING
 from fenics_tfeti.feti.system import ContactRows, Prescribed
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively

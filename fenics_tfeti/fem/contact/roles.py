@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.fem.contact.contact import ContactPair, ContactPairing
-from fenics_tfeti.fem.contact.surfaces import Surface
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.parallel import concatenate_ranks
 

@@ -13,22 +13,22 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import MortarTerms
-from fenics_tfeti.fem.contact.deformed_surface import gather_surface, oriented_facets
-from fenics_tfeti.fem.contact.mortar_checks import check_covered
-from fenics_tfeti.fem.contact.mortar_conditions import (
+from fenics_tfeti.fem.contact.mortar.checks import check_covered
+from fenics_tfeti.fem.contact.mortar.conditions import (
     MortarConditions,
     cyclic_values,
     tied_conditions,
 )
-from fenics_tfeti.fem.contact.mortar_pairing import slave_facets
+from fenics_tfeti.fem.contact.mortar.pairing import slave_facets
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
-from fenics_tfeti.fem.contact.surfaces import (
+from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface, oriented_facets
+from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
+from fenics_tfeti.fem.contact.surfaces.tagged import (
     MeshBoundary,
     Surface,
     tagged_surface,
     values_on_facets,
 )
-from fenics_tfeti.fem.contact.symmetry_planes import prescribed_components
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.feti.system import ContactRows, Prescribed
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively

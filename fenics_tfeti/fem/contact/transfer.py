@@ -17,8 +17,8 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import Contact, ContactPairing, ContactResult, RigidObstacle
-from fenics_tfeti.fem.contact.deformed_surface import DeformedSurface, gather_surface
-from fenics_tfeti.fem.contact.mortar_pairing import joined_displacements, mean_over_terms
+from fenics_tfeti.fem.contact.mortar.pairing import joined_displacements, mean_over_terms
+from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti.system import ContactGuess
 from fenics_tfeti.parallel import concatenate_ranks

@@ -15,7 +15,7 @@ from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem, InputError, Plane, RigidObstacle
 from fenics_tfeti.fem.contact.matching import match_contacts
-from fenics_tfeti.fem.contact.surfaces import MeshBoundary
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import Box, boxes, tag_facets
 
 SECOND_SLAVE = 15

@@ -16,7 +16,7 @@ from dolfinx import fem
 from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
-from fenics_tfeti.fem.contact.surfaces import MeshBoundary
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import Box, boxes, tag_facets
 
 CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]

@@ -15,7 +15,7 @@ from fenics_tfeti import Cylinder, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact import obstacles
 from fenics_tfeti.fem.contact.matching import match_contact
-from fenics_tfeti.fem.contact.surfaces import MeshBoundary
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import contact_fields, tag_facets, write_fields
 
 X = np.array([[3.0, 0.0], [4.0, -10.0], [0.0, 0.0]])

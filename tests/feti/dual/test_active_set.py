@@ -21,7 +21,7 @@ from fenics_tfeti.feti import (
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.active_set import _independent
 from fenics_tfeti.feti.dual.pcpg import Face, pcpg
-from fenics_tfeti.feti.setup import dual_problem
+from fenics_tfeti.feti.solution.setup import dual_problem
 from fenics_tfeti.qp import Products
 
 # Curtis, Han, Robinson, Comput. Optim. Appl. 60 (2015), example 1: active sets that repeat

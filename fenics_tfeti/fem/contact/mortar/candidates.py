@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fenics_tfeti.fem.contact.box_tree import BoxTree
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes, highest, lowest
+from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 
 __all__ = ["FACING", "MasterTree"]
 

@@ -10,7 +10,6 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from fenics_tfeti.fem.contact.faceted_surface import FacetedSurface
 from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
 from fenics_tfeti.fem.contact.mortar.clipping import clip_intervals, clip_polygons, fan_triangles
 from fenics_tfeti.fem.contact.mortar.facets import (
@@ -21,6 +20,7 @@ from fenics_tfeti.fem.contact.mortar.facets import (
     reference_coordinates,
     shape_functions,
 )
+from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 
 __all__ = ["Cells", "covering_cells"]
 

@@ -1,0 +1,281 @@
+"""Contact of surfaces whose meshes need not match: mortar conditions with normals and gaps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx.fem import Function, FunctionSpace
+
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.contact import ContactPair, ContactPairing, MortarTerms
+from fenics_tfeti.fem.contact.mortar.checks import check_covered, check_folds
+from fenics_tfeti.fem.contact.mortar.conditions import (
+    MortarConditions,
+    SlaveFacets,
+    mortar_conditions,
+)
+from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
+from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, oriented_facets
+from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
+from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas, given_weight
+from fenics_tfeti.fem.contact.surfaces.symmetry_planes import normals_in_symmetry_planes
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
+from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
+from fenics_tfeti.parallel import raise_collectively
+
+__all__ = [
+    "joined_displacements",
+    "match_by_mortar",
+    "match_deformed",
+    "mean_over_terms",
+    "slave_facets",
+]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+def match_by_mortar(
+    boundary: MeshBoundary,
+    name: str,
+    contact: ContactPair,
+    slave: Surface,
+    master: DeformedSurface,
+    shared: Numbers,
+    prescribed: Mask,
+) -> ContactPairing:
+    """Return the mortar conditions of a pair. Collective.
+
+    Parameters
+    ----------
+    boundary : MeshBoundary
+        Of the displacement's mesh.
+    name : str
+        Name of the contact.
+    contact : ContactPair
+        The pair.
+    slave : Surface
+        The slave's surface.
+    master : DeformedSurface
+        The master's surface, not deformed, on every rank.
+    shared : integer array
+        Nodes of both surfaces, which stay free.
+    prescribed : (s, gdim) bool array
+        Which components are prescribed at the slave's nodes.
+
+    Returns
+    -------
+    ContactPairing
+        This rank's part.
+
+    Raises
+    ------
+    InputError
+        Surfaces that do not face each other anywhere, slave facets folded by more than 90 degrees,
+        a wrong weight of the measure or initial gap.
+    """
+    space = boundary.space
+    comm, gdim = space.mesh.comm, slave.normal.shape[1]
+    points = boundary.coordinates[:, :gdim]
+    facets = slave_facets(space, contact, slave, points, name)
+    check_folds(comm, facets, name)
+    conditions = mortar_conditions(comm, facets, slave.nodes, master, master.normals(name), shared)
+    check_covered(comm, conditions, slave, name)
+    at = np.searchsorted(slave.nodes, conditions.slave)
+    if facets.weight is not None:
+        what = f"slave of {name}"
+        check_weighted_areas(comm, conditions.area, slave.area[at], slave.points[at], what)
+    normal = _normals(space, contact, slave, prescribed)[at]
+    gap = np.sum(conditions.gap * normal, axis=1)
+    gap = np.where(np.abs(gap) <= COORDINATE_ROUNDING * slave.extent, 0.0, gap)
+    gap = initial_gap(comm, contact.initial_gap, gap, conditions.chord, slave.coordinates[at], name)
+    summary = pairing_summary(
+        comm,
+        name,
+        "mortar",
+        gap,
+        conditions.angle,
+        slave.nodes.size,
+        area=conditions.area,
+        covered_area=conditions.covered_area,
+    )
+    return _pairing(name, conditions, slave, normal, gap, summary, prescribed)
+
+
+def match_deformed(
+    space: FunctionSpace,
+    contact: ContactPair,
+    pairing: ContactPairing,
+    slave: DeformedSurface,
+    master: DeformedSurface,
+    displacement: Function,
+) -> tuple[ContactPairing, Vector]:
+    """Return the mortar conditions of a pair on its deformed surfaces. Collective.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    contact : ContactPair
+        The pair.
+    pairing : ContactPairing
+        Its conditions before.
+    slave, master : DeformedSurface
+        The deformed surfaces on every rank.
+    displacement : Function
+        The displacement [m], ghosts up to date.
+
+    Returns
+    -------
+    pairing, distance : ContactPairing, (k,) array
+        The new conditions, with gaps in terms of the total displacement, and the mean distance
+        between the deformed surfaces [m], negative inside.
+    """
+    comm, gdim, name = space.mesh.comm, space.dofmap.index_map_bs, pairing.name
+    surface = pairing.surface
+    here = np.searchsorted(slave.nodes, surface.nodes)
+    normal = surface.normal if contact.normal is not None else slave.normals(name)[here]
+    deformed = replace(surface, normal=normal)
+    points = space.tabulate_dof_coordinates()[:, :gdim] + displacement.x.array.reshape(-1, gdim)
+    facets = slave_facets(space, contact, deformed, points, name)
+    shared = np.intersect1d(slave.nodes, master.nodes)
+    conditions = mortar_conditions(
+        comm, facets, surface.nodes, master, master.normals(name), shared
+    )
+    check_covered(comm, conditions, surface, name)
+    prescribed = pairing.prescribed
+    if prescribed is None:
+        prescribed = np.zeros_like(normal, dtype=bool)
+    at = np.searchsorted(surface.nodes, conditions.slave)
+    normal = _normals(space, contact, deformed, prescribed)[at]
+    distance = np.sum(conditions.gap * normal, axis=1)
+    relative = mean_over_terms(conditions.terms, *joined_displacements(slave, master))
+    gap = distance + np.sum(relative * normal, axis=1)
+    new = _pairing(name, conditions, surface, normal, gap, pairing.summary, prescribed)
+    new = replace(new, master_surface=pairing.master_surface)
+    return new, distance
+
+
+def joined_displacements(slave: DeformedSurface, master: DeformedSurface) -> tuple[Numbers, Vector]:
+    """Return the nodes of both surfaces, ascending, and their displacements [m]."""
+    nodes, first = np.unique(np.concatenate([slave.nodes, master.nodes]), return_index=True)
+    return nodes, np.concatenate([slave.displacement, master.displacement])[first]
+
+
+def _pairing(
+    name: str,
+    conditions: MortarConditions,
+    slave: Surface,
+    normal: Vector,
+    gap: Vector,
+    summary: dict[str, Any],
+    prescribed: Mask,
+) -> ContactPairing:
+    return ContactPairing(
+        name,
+        conditions.slave,
+        main_masters(conditions.terms),
+        slave.coordinates[np.searchsorted(slave.nodes, conditions.slave)],
+        normal,
+        gap,
+        conditions.area,
+        summary,
+        slave,
+        conditions.covered,
+        None,
+        conditions.terms,
+        prescribed,
+    )
+
+
+def slave_facets(
+    space: FunctionSpace, contact: Any, slave: Surface, points: Vector, name: str
+) -> SlaveFacets:
+    """Return this rank's facets of the slave, with normals and the weight of the measure.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    contact : ContactPair or TiedPair
+        The pair.
+    slave : Surface
+        Its slave's surface.
+    points : (nodes, gdim) array
+        All local nodes of the space, undeformed or deformed [m].
+    name : str
+        Name of the pair.
+
+    Raises
+    ------
+    InputError
+        A wrong weight of the measure.
+    """
+    oriented = oriented_facets(space, contact.facet_tags, contact.slave)
+    weight = _nodal_weight(space, contact.measure_weight, name)
+    return SlaveFacets.of(space, slave, oriented, points, slave.normal, weight)
+
+
+def _normals(
+    space: FunctionSpace, contact: ContactPair, slave: Surface, prescribed: Mask
+) -> Vector:
+    """Return the user's normals, or the surface's with regard to planes of symmetry."""
+    if contact.normal is not None:
+        return slave.normal
+    return normals_in_symmetry_planes(space, slave, prescribed)
+
+
+def main_masters(terms: MortarTerms) -> Numbers:
+    """Return the master node with the largest weight in each condition; the lowest of equal ones.
+
+    Weights of the master are negative.
+    """
+    order = np.lexsort((terms.nodes, terms.weights, terms.row))
+    nodes: Numbers = terms.nodes[order[terms.offsets[:-1]]]
+    return nodes
+
+
+def mean_over_terms(terms: MortarTerms, nodes: Numbers, values: Vector) -> Vector:
+    """Return the weighted sums of nodal values over the slave's terms, less those of the master.
+
+    Parameters
+    ----------
+    terms : MortarTerms
+        The conditions.
+    nodes : (n,) integer array
+        Global nodes, ascending; all of the terms' nodes.
+    values : (n, gdim) array
+        Values at the nodes, such as displacements [m].
+
+    Returns
+    -------
+    (k, gdim) array
+        Mean relative values: the sums, divided by the conditions' areas.
+    """
+    row = terms.row
+    sums = np.zeros((terms.slaves.size, values.shape[1]))
+    at = np.searchsorted(nodes, terms.nodes)
+    np.add.at(sums, row, terms.weights[:, None] * values[at])
+    means: Vector = sums / terms.area[:, None]
+    return means
+
+
+def _nodal_weight(space: FunctionSpace, given: Any, name: str) -> Vector | None:
+    """Return the weight of the measure at all local nodes of the space; None without one."""
+    with raise_collectively(space.mesh.comm):
+        weight = given_weight(space.mesh, given, name)
+    if weight is None:
+        return None
+    scalar = Function(_compat.lagrange_space(space.mesh, 1))
+    _compat.interpolate_expression(weight, scalar)
+    scalar.x.scatter_forward()
+    index_map = space.dofmap.index_map
+    values = np.zeros(index_map.size_local + index_map.num_ghosts)
+    # the two spaces may number their nodes differently
+    values[_compat.cell_dofs(space)] = scalar.x.array[_compat.cell_dofs(scalar.function_space)]
+    return values

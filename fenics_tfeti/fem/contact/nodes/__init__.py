@@ -1,0 +1,1 @@
+"""Conditions between pairs of nodes: the search for partners."""

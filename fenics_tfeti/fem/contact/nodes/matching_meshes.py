@@ -1,0 +1,80 @@
+"""Whether the meshes of two surfaces match, so that conditions can be between pairs of nodes."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from dolfinx.fem import FunctionSpace
+
+from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
+from fenics_tfeti.fem.tolerances import SAME_PLACE
+
+__all__ = ["meshes_match"]
+
+Vector = NDArray[np.float64]
+
+
+def meshes_match(
+    space: FunctionSpace,
+    slave: Surface,
+    master: DeformedSurface,
+    normals: Vector,
+    tolerance: float,
+) -> bool:
+    """Tell whether every facet of the slave has one of the master with the same nodes. Collective.
+
+    Nodes are the same if they are opposite each other, along the normal of either surface or their
+    mean, up to the rounding of coordinates in single precision. Gaps do not matter, as long as the
+    distance along the slave's surface is in the tolerance.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    slave : Surface
+        This rank's part.
+    master : DeformedSurface
+        The master's surface on every rank.
+    normals : (n, gdim) array
+        The master's normals.
+    tolerance : float
+        Largest distance along the slave's surface, relative to the size of its facets.
+
+    Returns
+    -------
+    bool
+        The same on all ranks.
+    """
+    comm = space.mesh.comm
+    distance, along = np.zeros((2, 0))
+    partner = np.zeros(0, dtype=np.int64)
+    if slave.nodes.size:
+        partner = cKDTree(master.points).query(slave.points)[1]
+        offset = master.points[partner] - slave.points
+        opposite = slave.normal - normals[partner]
+        length = np.linalg.norm(opposite, axis=1, keepdims=True)
+        opposite = opposite / np.where(length > 0.0, length, 1.0)
+        along = _across(offset, slave.normal)
+        others = [_across(offset, n) for n in (normals[partner], opposite)]
+        distance = np.min([along, *others], axis=0)
+    near = (distance <= SAME_PLACE * slave.size) & (along <= tolerance * slave.size)
+    if not comm.allreduce(bool(near.all()), MPI.LAND):
+        return False
+    images = np.repeat(partner[:, None].astype(float), slave.points.shape[1], axis=1)
+    of_slave = np.sort(values_on_facets(space, slave, images)[..., 0].astype(np.int64), axis=1)
+    both = np.concatenate([np.sort(master.facets, axis=1), of_slave])
+    number = np.unique(both, axis=0, return_inverse=True)[1].ravel()
+    same = np.isin(number[len(master.facets) :], number[: len(master.facets)])
+    return bool(comm.allreduce(bool(same.all()), MPI.LAND))
+
+
+def _across(offset: Vector, direction: Vector) -> Vector:
+    """Return the lengths of what of some vectors is across others."""
+    along = np.sum(offset * direction, axis=1)[:, None] * direction
+    lengths: Vector = np.linalg.norm(offset - along, axis=1)
+    return lengths

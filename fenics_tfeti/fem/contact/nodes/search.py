@@ -1,0 +1,344 @@
+"""The search for partners: the mapping chi of sec. 11.1, from slave nodes to master nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import isqrt
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.fem.contact.surfaces.tagged import MasterNodes, Surface
+from fenics_tfeti.fem.messages import coordinate_order
+from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
+from fenics_tfeti.fem.user_data import points_of, unit_vectors, vectors_at
+from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
+
+__all__ = ["Partners", "along_direction", "at_images", "by_coordinates", "nearest"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+_REMEDY = (
+    "mesh the two surfaces alike, tag only where they face each other, or raise the pair's "
+    "tolerance"
+)
+
+
+@dataclass(frozen=True)
+class Partners:
+    """The partner of each slave node that this rank owns.
+
+    Attributes
+    ----------
+    master : (k,) integer array
+        Position among the master's nodes; -1 where none was found.
+    distance : (k,) array
+        What the tolerance limits [m]; infinite where none was found.
+    measure, remedy : str
+        How the distance is measured, and what to do if it is too large, for messages.
+    """
+
+    master: Numbers
+    distance: Vector
+    measure: str
+    remedy: str
+
+
+def nearest(slave: Surface, master: MasterNodes) -> Partners:
+    """Pair each slave node with the nearest master node; the distance is along the surface."""
+    partner = _nearest_points(master.points, slave.points)[1]
+    offset = master.points[partner] - slave.points
+    normal = slave.normal * np.sum(offset * slave.normal, axis=1)[:, None]
+    return Partners(
+        partner,
+        np.linalg.norm(offset - normal, axis=1),
+        "along the surface to the nearest master node",
+        _REMEDY[0].upper() + _REMEDY[1:],
+    )
+
+
+def along_direction(
+    comm: MPI.Intracomm,
+    slave: Surface,
+    master: MasterNodes,
+    direction: ArrayLike | Callable[[Vector], ArrayLike],
+    tolerance: float,
+    name: str,
+) -> Partners:
+    """Pair each slave node with the master node nearest to a line through it. Collective.
+
+    Only master nodes whose normals point against the slave node's are candidates. If the line meets
+    several sheets of the master's surface, only the nearest sheet counts.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks.
+    slave, master : Surface, MasterNodes
+        The surfaces.
+    direction : (gdim,) array-like or callable
+        Direction of the lines, of either sense.
+    tolerance : float
+        Largest distance from the line, relative to the size of the slave's facets.
+    name : str
+        Name of the contact.
+
+    Returns
+    -------
+    Partners
+        The distance is across the direction.
+    """
+    lines_at_once = 4096  # bounds the memory
+    gdim = slave.normal.shape[1]
+    lines = unit_vectors(comm, direction, slave.coordinates, gdim, f"the direction of {name}")
+    reach = tolerance * slave.size
+    k = slave.nodes.size
+    partner, distance = np.full(k, -1, dtype=np.int64), np.full(k, np.inf)
+    groups = _compact_groups(master.points)
+    for first in range(0, k, lines_at_once):
+        part = slice(first, min(first + lines_at_once, k))
+        line, node, across, along = _near_lines(
+            slave.points[part], lines[part], slave.normal[part], reach[part], master, groups
+        )
+        on_sheet = _on_nearest_sheet(line, along, reach[part])
+        line, node, across = line[on_sheet], node[on_sheet], across[on_sheet]
+        order = np.lexsort((node, across, line))
+        found, best = np.unique(line[order], return_index=True)
+        partner[first + found], distance[first + found] = node[order][best], across[order][best]
+    # the distances of the others are for a message only, which names a few nodes
+    for row in _first_rows(slave.points, partner < 0):
+        facing = master.normal @ slave.normal[row] < 0.0
+        across = _distance_to_lines(slave.points[[row]], lines[[row]], master.points[facing])[0]
+        distance[row] = across.min(initial=np.inf)
+    return Partners(
+        partner,
+        distance,
+        "across the direction to the nearest master node that faces the slave",
+        f"Correct the direction, {_REMEDY}",
+    )
+
+
+def at_images(
+    comm: MPI.Intracomm,
+    slave: Surface,
+    master: MasterNodes,
+    mapping: Callable[[Vector], ArrayLike],
+    name: str,
+) -> Partners:
+    """Pair each slave node x with the master node nearest to the user's chi(x). Collective."""
+    gdim = slave.normal.shape[1]
+    images = vectors_at(comm, mapping, slave.coordinates, gdim, f"the mapping of {name}")
+    distance, partner = _nearest_points(master.points, images)
+    return Partners(
+        partner,
+        distance,
+        "from the mapped place to the nearest master node",
+        f"Correct the mapping, {_REMEDY}",
+    )
+
+
+def by_coordinates(
+    comm: MPI.Intracomm,
+    slave: Surface,
+    master: MasterNodes,
+    pairs: tuple[ArrayLike, ArrayLike],
+    tolerance: float,
+    name: str,
+) -> Partners:
+    """Pair the nodes at the user's points. Collective.
+
+    Raises
+    ------
+    InputError
+        Wrong shapes, different pairs on different ranks, points that are not nodes of the surfaces,
+        a slave node named twice.
+    """
+    gdim = slave.normal.shape[1]
+    with raise_collectively(comm):
+        slave_points, master_points = _given_pairs(pairs, gdim, name)
+    _check_same_on_all_ranks(comm, slave_points, master_points, name)
+
+    from_slave, at = _nearest_points(slave.points, slave_points)
+    owner = _nearest_rank(comm, from_slave)
+    mine = np.flatnonzero(owner == comm.rank)
+    at, from_slave = at[mine], from_slave[mine]
+    from_master, partner = _nearest_points(master.points, master_points[mine])
+    for side, distance, points, size in (
+        ("slave", from_slave, slave_points[mine], slave.size[at]),
+        ("master", from_master, master_points[mine], master.size[partner]),
+    ):
+        _check_points_are_nodes(comm, distance, tolerance * size, points, f"{name}: {side}")
+    _check_named_once(comm, slave, at, name)
+
+    partners = Partners(
+        np.full(slave.nodes.size, -1, dtype=np.int64),
+        np.full(slave.nodes.size, np.inf),
+        "from the given points to the nodes",
+        "Name them in pairs",
+    )
+    partners.master[at], partners.distance[at] = partner, np.maximum(from_slave, from_master)
+    return partners
+
+
+def _nearest_points(points: Vector, places: Vector) -> tuple[Vector, Numbers]:
+    """Return for each place the distance to the nearest point, and the position of that point.
+
+    Of points that are equally near up to rounding, the one with the lowest position is taken.
+    """
+    # the centre of a hexahedron of a grid has eight nearest nodes
+    candidates = min(8, len(points))
+    if not len(points) or not len(places):
+        return np.full(len(places), np.inf), np.zeros(len(places), dtype=np.int64)
+    distances, at = cKDTree(points).query(places, k=range(1, candidates + 1))
+    tie = distances <= distances[:, :1] * (1.0 + RELATIVE_ROUNDING)
+    first = np.argmin(np.where(tie, at, len(points)), axis=1)[:, None]
+    distance, position = (np.take_along_axis(a, first, axis=1)[:, 0] for a in (distances, at))
+    return distance, position.astype(np.int64)
+
+
+def _compact_groups(points: Vector) -> list[Numbers]:
+    """Split points into compact groups, about as many as each has points, by a k-d tree."""
+    if not len(points):
+        return []
+
+    def leaves(branch: Any) -> Iterator[Numbers]:
+        if branch.split_dim < 0:
+            yield np.asarray(branch.indices, dtype=np.int64)
+        else:
+            yield from leaves(branch.lesser)
+            yield from leaves(branch.greater)
+
+    return list(leaves(cKDTree(points, leafsize=max(8, isqrt(len(points)))).tree))
+
+
+def _near_lines(
+    points: Vector,
+    lines: Vector,
+    normal: Vector,
+    reach: Vector,
+    master: MasterNodes,
+    groups: list[Numbers],
+) -> tuple[Numbers, Numbers, Vector, Vector]:
+    """Find all master nodes near lines through points, whose normals point against those there.
+
+    Returns
+    -------
+    line, node, across, along : (n,) arrays
+        Pairs of a line and a master node no farther from it than its `reach`, and the distances
+        across and along the line [m].
+    """
+    found: list[tuple[Any, ...]] = []
+    for group in groups:
+        members = master.points[group]
+        centre = 0.5 * (members.min(axis=0) + members.max(axis=0))
+        radius = np.linalg.norm(members - centre, axis=1).max()
+        to_centre = _distance_to_lines(points, lines, centre[None])[:, 0]
+        rows = np.flatnonzero(to_centre <= reach + radius)
+        across = _distance_to_lines(points[rows], lines[rows], members)
+        facing = normal[rows] @ master.normal[group].T < 0.0
+        row, column = np.nonzero((across <= reach[rows, None]) & facing)
+        line, node = rows[row], group[column]
+        along = np.abs(np.sum((master.points[node] - points[line]) * lines[line], axis=1))
+        found.append((line, node, across[row, column], along))
+    nothing = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
+    line, node, across, along = (np.concatenate(c) for c in zip(nothing, *found, strict=True))
+    return line, node, across, along
+
+
+def _on_nearest_sheet(line: Numbers, along: Vector, reach: Vector) -> NDArray[np.bool_]:
+    """Tell which candidates are on the sheet of the master's surface that is nearest along a line.
+
+    On a sheet inclined by up to 60 degrees, nodes within the reach of a line are at most four times
+    the reach apart along it.
+    """
+    closest = np.full(reach.size, np.inf)
+    np.minimum.at(closest, line, along)
+    on_sheet: NDArray[np.bool_] = along <= closest[line] + 4.0 * reach[line]
+    return on_sheet
+
+
+def _distance_to_lines(points: Vector, lines: Vector, others: Vector) -> Vector:
+    """Return the distance (k, m) of each of the others from each line through a point."""
+    offset = others[None, :, :] - points[:, None, :]
+    along = np.einsum("kmd,kd->km", offset, lines)
+    distance: Vector = np.linalg.norm(offset - along[..., None] * lines[:, None, :], axis=2)
+    return distance
+
+
+def _first_rows(points: Vector, chosen: NDArray[np.bool_], number: int = 3) -> Numbers:
+    """Return the rows of the first chosen points by their coordinates."""
+    rows = np.flatnonzero(chosen)
+    first: Numbers = rows[coordinate_order(points[rows])[:number]]
+    return first
+
+
+def _given_pairs(pairs: Any, gdim: int, name: str) -> tuple[Vector, Vector]:
+    try:
+        slave, master = pairs
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: pairs have to be (slave points, master points)") from None
+    slave = points_of(slave, gdim, f"{name}: the slave points of pairs")
+    master = points_of(master, gdim, f"{name}: the master points of pairs")
+    if len(slave) != len(master):
+        raise InputError(
+            f"{name}: pairs have {len(slave)} slave points and {len(master)} master points; give "
+            "one master point for each slave point"
+        )
+    return slave, master
+
+
+def _check_same_on_all_ranks(
+    comm: MPI.Intracomm, slave_points: Vector, master_points: Vector, name: str
+) -> None:
+    given = (slave_points, master_points)
+    first = comm.bcast(given)
+    same = all(np.array_equal(a, b) for a, b in zip(given, first, strict=True))
+    if not comm.allreduce(same, MPI.LAND):
+        raise InputError(f"{name}: pairs differ between ranks; give all of them to every rank")
+
+
+def _nearest_rank(comm: MPI.Intracomm, distance: Vector) -> Numbers:
+    """Return for each point the lowest of the ranks with the smallest distance."""
+    smallest = np.empty_like(distance)
+    comm.Allreduce(distance, smallest, MPI.MIN)
+    candidate = np.where(distance == smallest, comm.rank, comm.size).astype(np.int64)
+    owner = np.empty_like(candidate)
+    comm.Allreduce(candidate, owner, MPI.MIN)
+    return owner
+
+
+def _check_points_are_nodes(
+    comm: MPI.Intracomm, distance: Vector, limit: Vector, points: Vector, what: str
+) -> None:
+    far = distance > limit
+    columns = (points[far], distance[far], limit[far])
+    points, distance, limit = (concatenate_ranks(comm, column) for column in columns)
+    if not len(points):
+        return
+    first = _first_rows(points, np.ones(len(points), dtype=bool))
+    some = "; ".join(
+        f"{format_point(points[k])} at distance {distance[k]:.3g} (tolerance {limit[k]:.3g})"
+        for k in first
+    )
+    raise InputError(
+        f"{what} points of {len(points)} pairs are not nodes of its surface: {some}. Distances are "
+        "to the nearest node. Take the coordinates from the mesh, or raise the pair's tolerance"
+    )
+
+
+def _check_named_once(comm: MPI.Intracomm, slave: Surface, at: Numbers, name: str) -> None:
+    node, counts = np.unique(at, return_counts=True)
+    twice = concatenate_ranks(comm, slave.points[node[counts > 1]])
+    if len(twice):
+        first = _first_rows(twice, np.ones(len(twice), dtype=bool), 1)[0]
+        raise InputError(
+            f"{name}: {len(twice)} slave nodes are in several pairs, the first at "
+            f"{format_point(twice[first], slave.extent)}: name each once"
+        )

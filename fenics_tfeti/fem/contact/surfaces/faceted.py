@@ -1,0 +1,327 @@
+"""Oriented surfaces of segments or triangles: signed distances, and gaps along lines.
+
+Nothing here uses dolfinx or communicates. Closest points and intersections are exact for facets of
+any shapes and sizes: a tree of boxes selects the candidates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
+from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, ON_CORNER, RELATIVE_ROUNDING
+
+__all__ = ["Distance", "FacetedSurface", "facet_normals"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Distance:
+    """Signed distances of points to a surface.
+
+    Attributes
+    ----------
+    signed : (k,) array
+        Distance to the surface, negative inside the body [m].
+    normal : (k, gdim) array
+        Unit gradient of the signed distance: from the closest point to a point outside, and from a
+        point inside to the closest one. On the surface its outward normal: at an edge the mean of
+        the adjacent facets' normals, at a vertex their mean weighted with the facets' angles.
+    """
+
+    signed: Vector
+    normal: Vector
+
+
+def facet_normals(corners: Vector) -> Vector:
+    """Return the normals of segments or triangles, of the length of their length or area.
+
+    Parameters
+    ----------
+    corners : (m, gdim, gdim) array
+        The corners of each facet [m]. Seen along a segment, from corner 0 to 1, its normal points
+        to the right; seen from the tip of its normal, a triangle has its corners anticlockwise.
+
+    Returns
+    -------
+    (m, gdim) array
+        The normals.
+    """
+    along = corners[:, 1:] - corners[:, :1]
+    if corners.shape[2] == 2:
+        return np.column_stack([along[:, 0, 1], -along[:, 0, 0]])
+    normals: Vector = 0.5 * np.cross(along[:, 0], along[:, 1])
+    return normals
+
+
+class FacetedSurface:
+    """An oriented surface, open or closed.
+
+    Parameters
+    ----------
+    points : (n, gdim) array
+        [m].
+    facets : (m, gdim) integer array
+        Corners of segments (2D) or triangles (3D) as rows of `points`, oriented outwards as
+        `facet_normals` says.
+    """
+
+    def __init__(self, points: Vector, facets: Numbers) -> None:
+        self._corners = points[facets]
+        areas = facet_normals(self._corners)
+        self._normals = _unit(areas)
+        self._centres = cKDTree(self._corners.mean(axis=1))
+        self._tree = BoxTree(self._corners)
+        self._rounding = COORDINATE_ROUNDING * float(np.abs(points).max(initial=0.0))
+        self._describe_features(facets)
+
+    def _describe_features(self, facets: Numbers) -> None:
+        """Describe the features of each facet: corners, edges (3D) and the interior.
+
+        Each has a normal, half the size of the largest facet there, and is on the border of the
+        surface or not. The angle-weighted normals at vertices are those whose sign tells inside
+        from outside (Baerentzen and Aanaes 2005).
+        """
+        m, gdim = facets.shape
+        sizes = _edge_lengths(self._corners).max(axis=1)
+        if gdim == 2:
+            weights, keys = np.ones((m, 2)), facets
+            border = np.bincount(facets.ravel())[facets] == 1
+        else:
+            ends = np.sort(np.stack([facets, np.roll(facets, -1, axis=1)], axis=2), axis=2)
+            number = int(facets.max()) + 1
+            _, edges = np.unique(ends @ np.array([number, 1]), return_inverse=True)
+            edges = edges.reshape(m, 3)
+            border_edge = np.bincount(edges.ravel())[edges] == 1
+            on_border = np.zeros(number, dtype=bool)
+            on_border[ends[border_edge].ravel()] = True
+            border = np.hstack([on_border[facets], border_edge])
+            weights = np.hstack([_angles(self._corners), np.ones((m, 3))])
+            keys = np.hstack([facets, number + edges])
+        normals = np.zeros((int(keys.max()) + 1, gdim))
+        np.add.at(normals, keys, weights[:, :, None] * self._normals[:, None, :])
+        halves = np.zeros(len(normals))
+        np.maximum.at(halves, keys, 0.5 * np.broadcast_to(sizes[:, None], keys.shape))
+        interior = np.zeros((m, 1), dtype=bool)
+        self._feature_normals = np.concatenate(
+            [_unit(normals)[keys], self._normals[:, None, :]], axis=1
+        )
+        self._feature_border = np.hstack([border, interior])
+        self._feature_half = np.hstack([halves[keys], 0.5 * sizes[:, None]])
+
+    def distance(self, x: Vector) -> Distance:
+        """Return the signed distances of points to the surface.
+
+        A point is inside if it is behind the closest point of the surface. Next to the border of an
+        open surface, where the body's shape is not known, the surface is continued by its tangent
+        plane over half a facet; points farther away are outside.
+
+        Parameters
+        ----------
+        x : (k, gdim) array
+            The points [m].
+
+        Returns
+        -------
+        Distance
+            Of each point.
+        """
+        blocks = [self._closest(part) for part in _blocks(x)]
+        point, facet, feature = (np.concatenate(column) for column in zip(*blocks, strict=True))
+        normal = self._feature_normals[facet, feature]
+        offset = x - point
+        length = np.linalg.norm(offset, axis=1)
+        height = np.sum(offset * normal, axis=1)
+        tangential = np.linalg.norm(offset - height[:, None] * normal, axis=1)
+        border = self._feature_border[facet, feature]
+        continued = border & (tangential <= self._feature_half[facet, feature])
+        signed = np.where(continued, height, np.where(border | (height >= 0.0), length, -length))
+        away = ~continued & (length > self._rounding)
+        normal[away] = offset[away] / signed[away, None]
+        return Distance(signed, normal)
+
+    def closest(self, x: Vector) -> tuple[Numbers, Vector]:
+        """Return the points of the surface that are closest to other points.
+
+        Parameters
+        ----------
+        x : (k, gdim) array
+            The other points [m].
+
+        Returns
+        -------
+        facet, weights : (k,) integer array, (k, gdim) array
+            The facet of each closest point, and its barycentric coordinates in it.
+        """
+        blocks = [self._closest(part)[:2] for part in _blocks(x)]
+        point, facet = (np.concatenate(column) for column in zip(*blocks, strict=True))
+        return facet, _barycentric(self._corners[facet], point)
+
+    def gap_along(self, x: Vector, direction: Vector) -> tuple[Vector, Vector]:
+        """Return the gap between points and the surface along a direction.
+
+        For a point outside it is the distance along the direction to the nearest facet that faces
+        the direction; for a point inside, the distance backwards, counted negative. Where the line
+        meets no such facet, the surface is replaced by the plane through the closest point and
+        perpendicular to `Distance.normal`. The result is at most twice the distance to the surface,
+        so that lines of more than 60 degrees to the normal give no large gaps.
+
+        Parameters
+        ----------
+        x : (k, gdim) array
+            The points [m].
+        direction : (k, gdim) array
+            Unit vectors.
+
+        Returns
+        -------
+        gap, signed : (k,) arrays
+            The gap along the direction, and `Distance.signed` [m]; both negative inside.
+        """
+        largest_ratio = 2.0
+        distance = self.distance(x)
+        met = [self._intersect(*part) for part in zip(_blocks(x), _blocks(direction), strict=True)]
+        ahead, behind = (np.concatenate(column) for column in zip(*met, strict=True))
+        length = np.abs(distance.signed)
+        cosine = -np.sum(direction * distance.normal, axis=1)
+        plane = length / np.maximum(cosine, 1.0 / largest_ratio)
+        along = np.where(distance.signed > 0.0, ahead, behind)
+        along = np.where(np.isfinite(along), np.minimum(along, largest_ratio * length), plane)
+        return np.sign(distance.signed) * along, distance.signed
+
+    def _closest(self, x: Vector) -> tuple[Vector, Numbers, Numbers]:
+        """Return the closest points, their facets, and the features of the facets they are on."""
+        # the distance to any one facet bounds the distance to the closest
+        one = self._centres.query(x)[1]
+        point = _closest_on(self._corners[one], self._normals[one], x)[0]
+        limit = np.linalg.norm(point - x, axis=1) * (1.0 + RELATIVE_ROUNDING) + self._rounding
+
+        def near(row: Numbers, low: Vector, high: Vector) -> Mask:
+            away = np.maximum(np.maximum(low - x[row], x[row] - high), 0.0)
+            close: Mask = np.einsum("ij,ij->i", away, away) <= limit[row] ** 2
+            return close
+
+        row, facet = self._tree.candidates(len(x), near)
+        point, feature = _closest_on(self._corners[facet], self._normals[facet], x[row])
+        length = np.linalg.norm(point - x[row], axis=1)
+        order = np.lexsort((length, row))
+        first = order[np.unique(row[order], return_index=True)[1]]
+        return point[first], facet[first], feature[first]
+
+    def _intersect(self, x: Vector, direction: Vector) -> tuple[Vector, Vector]:
+        """Return the distances ahead and behind at which lines meet facets; infinite for none."""
+        with np.errstate(divide="ignore"):
+            inverse = 1.0 / direction
+        # for lines along the sides of boxes
+        margin = RELATIVE_ROUNDING * self._tree.size
+
+        def crossed(row: Numbers, low: Vector, high: Vector) -> Mask:
+            with np.errstate(invalid="ignore"):
+                one = (low - margin - x[row]) * inverse[row]
+                other = (high + margin - x[row]) * inverse[row]
+            enter = np.fmin(one, other).max(axis=1)
+            leave = np.fmax(one, other).min(axis=1)
+            meets: Mask = enter <= leave
+            return meets
+
+        row, facet = self._tree.candidates(len(x), crossed)
+        corners, normal = self._corners[facet], self._normals[facet]
+        cosine = -np.sum(direction[row] * normal, axis=1)
+        height = np.sum((x[row] - corners[:, 0]) * normal, axis=1)
+        faces = cosine > RELATIVE_ROUNDING
+        along = height / np.where(faces, cosine, 1.0)
+        weights = _barycentric(corners, x[row] + along[:, None] * direction[row])
+        # up to rounding, so that no line passes between two facets; False on facets without area,
+        # where the weights are NaN
+        hit = faces & (weights >= -RELATIVE_ROUNDING).all(axis=1)
+        ahead, behind = np.full(len(x), np.inf), np.full(len(x), np.inf)
+        for nearest, chosen in ((ahead, hit & (along >= 0.0)), (behind, hit & (along <= 0.0))):
+            np.minimum.at(nearest, row[chosen], np.abs(along[chosen]))
+        return ahead, behind
+
+
+def _blocks(rows: Vector) -> list[Vector]:
+    """Split points into blocks, to bound the memory where many facets are equally far."""
+    points_of_block = 2048
+    return np.array_split(rows, -(-len(rows) // points_of_block)) if len(rows) else [rows]
+
+
+def _unit(vectors: Vector) -> Vector:
+    """Return unit vectors; a zero vector stays zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    units: Vector = vectors / np.where(length > 0.0, length, 1.0)
+    return units
+
+
+def _edge_lengths(corners: Vector) -> Vector:
+    lengths: Vector = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    return lengths
+
+
+def _angles(corners: Vector) -> Vector:
+    """Return the angles of triangles at their corners, (m, 3)."""
+    forth = _unit(np.roll(corners, -1, axis=1) - corners)
+    back = _unit(np.roll(corners, 1, axis=1) - corners)
+    angles: Vector = np.arccos(np.clip(np.sum(forth * back, axis=2), -1.0, 1.0))
+    return angles
+
+
+def _barycentric(corners: Vector, x: Vector) -> Vector:
+    """Return the barycentric coordinates of points' projections, NaN on facets without area."""
+    edges, offset = corners[:, 1:] - corners[:, :1], x - corners[:, 0]
+    gram = edges @ edges.transpose(0, 2, 1)
+    right = np.einsum("pej,pj->pe", edges, offset)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if corners.shape[2] == 2:
+            rest = right / gram[:, 0]
+        else:
+            (a, b), c = gram[:, 0].T, gram[:, 1, 1]
+            rest = np.column_stack(
+                [c * right[:, 0] - b * right[:, 1], a * right[:, 1] - b * right[:, 0]]
+            )
+            rest /= (a * c - b * b)[:, None]
+    weights: Vector = np.column_stack([1.0 - rest.sum(axis=1), rest])
+    return weights
+
+
+def _closest_on(corners: Vector, normal: Vector, x: Vector) -> tuple[Vector, Numbers]:
+    """Return the points of facets that are closest to x, and the features they are on.
+
+    The features are numbered: the corners, then (3D) the edge from each corner to the next, then
+    the interior.
+    """
+    number, gdim = x.shape
+    if gdim == 2:
+        along = _along_edge(corners[:, 0], corners[:, 1], x)
+        point = corners[:, 0] + along[:, None] * (corners[:, 1] - corners[:, 0])
+        return point, np.select([along == 0.0, along == 1.0], [0, 1], 2).astype(np.int64)
+    height = np.sum((x - corners[:, 0]) * normal, axis=1)
+    point = x - height[:, None] * normal
+    feature = np.full(number, 6, dtype=np.int64)
+    outside = np.flatnonzero(~(_barycentric(corners, x) > ON_CORNER).all(axis=1))
+    start = corners[outside]
+    step = np.roll(start, -1, axis=1) - start
+    along = _along_edge(start, start + step, x[outside, None, :])
+    on_edges = start + along[:, :, None] * step
+    edge = np.linalg.norm(on_edges - x[outside, None, :], axis=2).argmin(axis=1)
+    row = np.arange(outside.size)
+    point[outside] = on_edges[row, edge]
+    along = along[row, edge]
+    feature[outside] = np.select([along == 0.0, along == 1.0], [edge, (edge + 1) % 3], 3 + edge)
+    return point, feature
+
+
+def _along_edge(start: Vector, end: Vector, x: Vector) -> Vector:
+    """Return the position of the closest point of an edge, exactly 0 and 1 at its ends."""
+    step = end - start
+    square = np.sum(step * step, axis=-1)
+    along = np.sum((x - start) * step, axis=-1) / np.where(square > 0.0, square, 1.0)
+    along = np.where(along < ON_CORNER, 0.0, along)
+    return np.where(along > 1.0 - ON_CORNER, 1.0, along)

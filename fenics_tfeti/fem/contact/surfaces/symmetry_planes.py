@@ -1,0 +1,86 @@
+"""Normals at nodes in planes of symmetry.
+
+At the border of a curved surface, facets on one side alone enter the mean of their normals. In a
+plane of symmetry, where the displacement across the plane is prescribed, the mean of the whole
+surface has no component across it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx.fem import FunctionSpace
+
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
+from fenics_tfeti.feti.system import Prescribed
+from fenics_tfeti.parallel import Directory
+
+__all__ = ["normals_in_symmetry_planes", "prescribed_components"]
+
+Vector = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# How much larger a component of the normals is at neighbours, if it is that of a curved surface
+# whose symmetry plane the node is in: 2 on a uniform mesh. On a plane, inclined or not, it is 1.
+_GROWTH = 1.3
+
+# Length of what is left of a unit normal, below which the prescribed components are no symmetry.
+_LEFT = 0.5
+
+
+def prescribed_components(surface: Surface, prescribed: Prescribed) -> Mask:
+    """Tell which components (k, gdim) of a surface's nodes, on this rank, are prescribed."""
+    mask = np.zeros_like(surface.normal, dtype=bool)
+    if surface.nodes.size:
+        at = np.minimum(np.searchsorted(surface.nodes, prescribed.nodes), surface.nodes.size - 1)
+        there = surface.nodes[at] == prescribed.nodes
+        mask[at[there], prescribed.components[there]] = True
+    return mask
+
+
+def normals_in_symmetry_planes(space: FunctionSpace, surface: Surface, prescribed: Mask) -> Vector:
+    """Return a surface's normals without the components that symmetry rules out. Collective.
+
+    A prescribed component is left out if it is larger at the neighbours where it is not prescribed,
+    as on a curved surface; on planes it is the same there.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    surface : Surface
+        The surface; its nodes are ascending.
+    prescribed : (k, gdim) bool array
+        Which components are prescribed.
+
+    Returns
+    -------
+    (k, gdim) array
+        Unit normals.
+    """
+    normal = np.abs(values_on_facets(space, surface, surface.normal))
+    fixed = values_on_facets(space, surface, prescribed.astype(float)) > 0.5
+    free_sum = np.where(fixed, 0.0, normal).sum(axis=1)
+    free_count = (~fixed).sum(axis=1).astype(float)
+    vertices = np.asarray(
+        space.dofmap.index_map.local_to_global(surface.vertices.ravel().astype(np.int32)),
+        dtype=np.int64,
+    )
+    v = surface.vertices.shape[1]
+    directory = Directory(space.mesh.comm, np.unique(np.concatenate([vertices, surface.nodes])))
+    rows = np.repeat(np.hstack([free_sum, free_count]), v, axis=0)
+    keys, rows = directory.collect(vertices, rows)
+    total = np.zeros((directory.keys.size, rows.shape[1]))
+    np.add.at(total, directory.position(keys), rows)
+    total = directory.lookup(surface.nodes, total)[1]
+    gdim = surface.normal.shape[1]
+    of_neighbours = total[:, :gdim] / np.maximum(total[:, gdim:], 1.0)
+    across = prescribed & (of_neighbours > _GROWTH * np.abs(surface.normal))
+    left = np.where(across, 0.0, surface.normal)
+    length = np.linalg.norm(left, axis=1)
+    curved = length > _LEFT
+    normals: Vector = np.where(
+        curved[:, None], left / np.where(curved, length, 1.0)[:, None], surface.normal
+    )
+    return normals

@@ -1,0 +1,1 @@
+"""From the operators to multipliers and displacements with a certificate."""

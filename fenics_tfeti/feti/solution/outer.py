@@ -1,0 +1,384 @@
+"""The outer loop: from the set-up to multipliers and displacements with a certificate.
+
+repeat
+lambda   by the primal-dual active set method, or by SMALBE-M on (11.40): each continues where the
+         other makes no progress
+u        by recovery (11.29)
+stop     when the certificate of u and lambda holds
+eps      is reduced by what the certificate lacks
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.coarse.prescribed_motion import prescribed_motion
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.dual.active_set import ActiveSetStep, primal_dual_active_set
+from fenics_tfeti.feti.dual.augmented import solve_by_smalbe
+from fenics_tfeti.feti.dual.pcpg import PCPGIterate
+from fenics_tfeti.feti.dual.problem import DualProblem
+from fenics_tfeti.feti.options import Options
+from fenics_tfeti.feti.solution.certificate import PrimalProblem
+from fenics_tfeti.feti.solution.progress import Progress
+from fenics_tfeti.feti.solution.recovery import (
+    Recovered,
+    balance_multipliers,
+    forces_at_rest,
+    recover_displacement,
+)
+from fenics_tfeti.feti.solution.scale import ROUGH_LANCZOS_STEPS, EnergyScale, FeasibleState
+from fenics_tfeti.feti.solution.setup import DualSetup, dual_problem
+from fenics_tfeti.feti.solution.states import Candidate, ContactData, DualState, History, Outcome
+from fenics_tfeti.feti.timer import Timer
+from fenics_tfeti.feti.tolerances import ROUNDING
+from fenics_tfeti.qp import OuterIteration, SMALBEState, Unbounded
+
+__all__ = ["iterate_until_certified"]
+
+logger = logging.getLogger(__name__)
+
+Vector = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Lanczos steps for an upper bound of ||PFP||, the scale of SMALBE-M
+LANCZOS_STEPS = 15
+# a contact force below this part of the two numbers that it is the sum of is rounding
+_CANCELLED = 1e-13
+# gaps farther than this many times the largest jump of displacements are shortened
+_FAR = 1e6
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """What one pass of the loop ends with."""
+
+    state: DualState
+    solved: bool
+    reason: str = ""
+    slow: bool = False
+    iterate: PCPGIterate | None = None
+
+    def started_anew(self) -> _Stage:
+        """Return the stage without residuals, in whose recurrences rounding has added up."""
+        if self.iterate is None:
+            return self
+        return replace(self, state=replace(self.state, active=self.iterate.active), iterate=None)
+
+
+def iterate_until_certified(
+    setup: DualSetup,
+    data: ContactData,
+    start: DualState | None,
+    options: Options,
+    timer: Timer,
+    history: History,
+    body_names: Sequence[str] = (),
+) -> Outcome:
+    """Solve the dual problem to tolerances that decrease until the certificate holds.
+
+    Rigid motions that supports prescribe are taken out, and put back in the end.
+
+    Gaps that are far from closing are shortened: all contact rows share the projector, so a gap out
+    of all proportion would swamp the others by rounding. As long as no row with a shortened gap
+    closes, the solution is the same; if one does, the gaps are lengthened.
+
+    Parameters
+    ----------
+    setup : DualSetup
+        Operators.
+    data : ContactData
+        Loads and right-hand sides.
+    start : DualState or None
+        First iterate; multipliers that vanish by default.
+    options : Options
+        Methods, tolerances and limits.
+    timer : Timer
+        To add the times of phases to.
+    history : History
+        To add to.
+    body_names : sequence of str
+        Names of the bodies for the certificate.
+
+    Returns
+    -------
+    Outcome
+        The last candidate, and whether it is certified.
+    """
+    with timer.phase("iterations"):
+        coarse_space = setup.projector.coarse_space
+        motion = prescribed_motion(coarse_space, data.c)
+        removed = coarse_space.prolong(motion)
+        data = replace(data, c=data.c - removed, removed=removed)
+        feasible = FeasibleState.of(setup, data)
+    rows, comm = setup.constraints.inequality, setup.constraints.layout.comm
+    longest = _FAR * feasible.largest_jump
+    while True:
+        far = data.c[rows] > longest if longest > 0.0 else np.zeros(rows.size, dtype=bool)
+        c = data.c.copy()
+        c[rows] = np.where(far, longest, data.c[rows])
+        near = replace(data, c=c)
+        loop = _Loop.begin(setup, near, far, feasible, options, timer, history, body_names)
+        outcome = _iterate(loop, start)
+        closed = bool((outcome.candidate.recovered.closed & far).any())
+        if not comm.allreduce(closed, MPI.LOR):
+            candidate = _moved(outcome.candidate, data, coarse_space.rigid_motion(motion))
+            return replace(outcome, candidate=candidate)
+        longest, start = _FAR * longest, outcome.state
+
+
+def _moved(candidate: Candidate, data: ContactData, motion: Vector) -> Candidate:
+    """Return a candidate with a rigid motion added to its displacements. Collective."""
+    recovered, comm = candidate.recovered, candidate.face.coarse_space.comm
+    moved = replace(
+        recovered, torn=recovered.torn + motion, displacement=recovered.displacement + motion
+    )
+    work = float(comm.allreduce(float(data.load @ motion)))
+    return replace(candidate, recovered=moved, energy=candidate.energy - work)
+
+
+def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
+    """Solve the dual problem to tolerances that decrease until the certificate holds."""
+    options = loop.options
+    forces = forces_at_rest(loop.setup.F, loop.data.load, loop.data.c)
+    if forces is not None:
+        return loop.at_rest(forces)
+    stage = _Stage(loop.first_state(start), solved=False)
+    by_active_set = options.method == "active_set"
+    scale, limit = loop.scale, max(options.rtol, ROUNDING)
+    tolerance, rounding = options.rtol * scale.energy_norm, scale.rounding_at(scale.energy_norm)
+    changed_method = False
+    progress = Progress()
+    while True:
+        tolerance = max(tolerance, rounding)
+        stage = loop.minimise(stage, tolerance, by_active_set)
+        by_active_set = stage.iterate is not None
+        candidate = loop.recover(stage.state)
+        worst = candidate.certificate.worst
+        if worst <= limit:
+            return Outcome(candidate, stage.state, True, "converged", tolerance)
+        if not stage.solved:
+            return Outcome(candidate, stage.state, False, stage.reason, tolerance)
+        progress.update(candidate.certificate, tolerance)
+        rounding = min(rounding, scale.rounding_at(candidate.certificate.energy_norm))
+        limited = progress.stagnates or tolerance <= rounding
+        if limited and not by_active_set and not changed_method:
+            by_active_set = changed_method = True
+            progress = Progress()
+        elif limited:
+            found = (
+                f"the error of the displacement is {worst:.1e}"
+                if np.isfinite(worst)
+                else "the contact forces do not balance the load"
+            )
+            reason = (
+                f"{found}, and more iterations do not change that: the accuracy is at the limit of "
+                "rounding"
+            )
+            return Outcome(candidate, stage.state, False, reason, tolerance)
+        if progress.failures:
+            stage = stage.started_anew()
+        tolerance *= min(max(0.5 * limit / worst, 1e-3), 0.5)
+
+
+@dataclass(frozen=True)
+class _Loop:
+    """What stays the same during the outer loop.
+
+    Attributes
+    ----------
+    setup, data, options, timer, history
+        As given.
+    primal : PrimalProblem
+        The primal problem (11.21).
+    d : (m,) array
+        d_0 = BK^+(f - B'lambda~) - c, printed d in (11.39).
+    scale : EnergyScale
+        What the tolerances are relative to.
+    """
+
+    setup: DualSetup
+    data: ContactData
+    options: Options
+    timer: Timer
+    history: History
+    primal: PrimalProblem
+    d: Vector
+    scale: EnergyScale
+
+    @staticmethod
+    def begin(
+        setup: DualSetup,
+        data: ContactData,
+        far: Mask,
+        feasible: FeasibleState,
+        options: Options,
+        timer: Timer,
+        history: History,
+        body_names: Sequence[str],
+    ) -> _Loop:
+        """Compute d_0 and the scale."""
+        primal = PrimalProblem(
+            setup.local.stiffness,
+            data.load,
+            data.c,
+            np.broadcast_to(data.removed, data.c.shape),
+            setup.F,
+            setup.row_bodies,
+            body_names,
+            setup.local.unit,
+        )
+        scale = EnergyScale.of(setup, data, feasible, far, timer, history)
+        return _Loop(setup, data, options, timer, history, primal, feasible.jumps - data.c, scale)
+
+    def at_rest(self, multipliers: Vector) -> Outcome:
+        """Return u = o, with multipliers that balance the load."""
+        setup, none = self.setup, np.zeros_like(self.data.load)
+        active = np.zeros(setup.constraints.inequality.size, dtype=bool)
+        with self.timer.phase("recovery"):
+            face = Projector.build(setup.projector.coarse_space, active)
+            recovered = Recovered(none, none, none, active)
+            certificate = self.primal.certify(recovered, multipliers, face)
+        candidate = Candidate(recovered, multipliers, certificate, 0.0, face)
+        state = DualState(multipliers, np.zeros_like(multipliers))
+        return Outcome(candidate, state, True, "converged", 0.0)
+
+    def first_state(self, start: DualState | None) -> DualState:
+        """Return the given state, or multipliers that vanish: no contact, nothing glued."""
+        none = DualState(np.zeros_like(self.d), np.zeros_like(self.d))
+        # where nothing moves, other multipliers would leave displacements of rounding size
+        return none if start is None or self.scale.energy_norm == 0.0 else start
+
+    def minimise(self, stage: _Stage, tolerance: float, by_active_set: bool) -> _Stage:
+        """Solve the dual problem: by one method, and where it makes no progress by both in turn."""
+        if by_active_set:
+            stage = self.active_set(stage, tolerance)
+            if stage.solved:
+                return stage
+        patience = self.options.smalbe_patience
+        while True:
+            stage = self.smalbe(stage.state, tolerance, patience)
+            if not stage.slow:
+                return stage
+            # the face that SMALBE-M has found; if it is not the last one, SMALBE-M goes on
+            on_faces = self.active_set(stage, tolerance)
+            if on_faces.solved:
+                return on_faces
+            patience *= 2
+
+    def active_set(self, stage: _Stage, tolerance: float) -> _Stage:
+        """Run the primal-dual active set method on (11.36)."""
+        start, active = self._first_face(stage)
+        problem = self._problem(ROUGH_LANCZOS_STEPS)
+        with self.timer.phase("iterations"):
+            result = primal_dual_active_set(
+                problem,
+                start,
+                active,
+                tolerance=tolerance,
+                max_products=self.options.max_products,
+                products=self.history.products,
+                monitor=self._log_face,
+            )
+        state = DualState(result.multipliers, result.coarse_gradient)
+        return _Stage(state, result.solved, iterate=result.iterate)
+
+    def smalbe(self, state: DualState, tolerance: float, patience: int) -> _Stage:
+        """Run SMALBE-M on (11.40)."""
+        before, feasible = len(self.history.outer), self.data.feasible
+        energy_norm = self.scale.energy_norm
+        problem = self._problem(LANCZOS_STEPS)
+        try:
+            with self.timer.phase("iterations"):
+                result = solve_by_smalbe(
+                    problem,
+                    feasible,
+                    self.d,
+                    SMALBEState(state.multipliers - feasible, state.coarse_gradient),
+                    rtol=tolerance / (energy_norm or 1.0),
+                    norm_b=energy_norm * np.sqrt(problem.norm),
+                    options=self.options,
+                    outer_so_far=before,
+                    patience=patience,
+                    products=self.history.products,
+                    monitor=lambda line: self._log_outer(line, before),
+                )
+        except Unbounded:
+            reason = (
+                "SMALBE-M found no curvature along a direction: the contact conditions contradict "
+                "each other, or rounding hides it"
+            )
+            return _Stage(state, solved=False, reason=reason)
+        self.history.outer += result.history
+        limits = {
+            "max_it": f"limit of {self.options.smalbe_max_it} outer iterations (smalbe_max_it)",
+            "max_products": f"limit of {self.options.max_products} products (max_products)",
+        }
+        multipliers = feasible + result.state.x
+        cancelled = multipliers <= _CANCELLED * (np.abs(feasible) + np.abs(result.state.x))
+        cancelled[self.setup.constraints.equality] = False
+        return _Stage(
+            DualState(np.where(cancelled, 0.0, multipliers), result.state.q),
+            result.converged,
+            limits.get(result.reason, result.reason),
+            slow=result.reason == "slow",
+        )
+
+    def recover(self, state: DualState) -> Candidate:
+        """Recover displacements, and measure how well they and lambda solve (11.21)."""
+        setup, data, rows = self.setup, self.data, self.setup.constraints.inequality
+        multipliers = state.multipliers.copy()
+        multipliers[rows] = np.maximum(multipliers[rows], 0.0)
+        with self.timer.phase("recovery"):
+            coarse_space = setup.projector.coarse_space
+            multipliers, face = balance_multipliers(coarse_space, data.e, multipliers)
+            recovered = recover_displacement(setup.F, face, data.load, data.c, multipliers)
+            certificate = self.primal.certify(recovered, multipliers, face)
+            energy = self.primal.energy(recovered)
+        return Candidate(recovered, multipliers, certificate, energy, face)
+
+    def _problem(self, lanczos_steps: int) -> DualProblem:
+        with self.timer.phase("norm"):
+            norm = self.setup.norm(lanczos_steps)
+        with self.timer.phase("iterations"):
+            return dual_problem(self.setup, self.data, norm)
+
+    def _first_face(self, stage: _Stage) -> tuple[Vector | PCPGIterate, Mask]:
+        """Return where the active set method starts."""
+        if stage.iterate is not None:
+            return stage.iterate, stage.iterate.active
+        multipliers, active = stage.state.multipliers, stage.state.active
+        if active is None:
+            active = multipliers[self.setup.constraints.inequality] > 0.0
+        return multipliers, active
+
+    def _log_face(self, step: ActiveSetStep) -> None:
+        self.history.faces.append(step)
+        if self.setup.constraints.layout.comm.rank == 0:
+            logger.info(
+                "face  %3d  products %4d  residual %.2e  active %d  changed %d",
+                len(self.history.faces) - 1,
+                step.products,
+                step.residual,
+                step.active,
+                step.changed,
+            )
+
+    def _log_outer(self, line: OuterIteration, before: int) -> None:
+        if self.setup.constraints.layout.comm.rank == 0:
+            logger.info(
+                "outer %3d  products %4d  |g^P| %.2e  |Gx| %.2e  M %.1e  active %d",
+                line.number + before,
+                line.products,
+                line.gradient,
+                line.constraint,
+                line.M,
+                line.active,
+            )

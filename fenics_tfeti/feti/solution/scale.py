@@ -1,0 +1,130 @@
+"""The scale of a solve: the energy norms that the tolerances are relative to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.solution.setup import DualSetup
+from fenics_tfeti.feti.solution.states import ContactData, History
+from fenics_tfeti.feti.timer import Timer
+
+__all__ = ["ROUGH_LANCZOS_STEPS", "EnergyScale", "FeasibleState"]
+
+Vector = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Lanczos steps for a rough value of ||PFP||: the scale of gaps against forces
+ROUGH_LANCZOS_STEPS = 3
+# rounding errors, in units of the last place, that add up in the jumps
+_ROUNDING_ERRORS = 64
+
+
+@dataclass(frozen=True)
+class FeasibleState:
+    """The torn displacement K^+(f - B'lambda~) at the feasible start.
+
+    Attributes
+    ----------
+    jumps : (m,) array
+        Its jumps, scaled as the rows.
+    strain : float
+        f'K^+f of the forces f - B'lambda~ [J].
+    largest_jump : float
+        Largest absolute value of jumps and of prescribed displacements, over all ranks.
+    """
+
+    jumps: Vector
+    strain: float
+    largest_jump: float
+
+    @staticmethod
+    def of(setup: DualSetup, data: ContactData) -> FeasibleState:
+        """Apply K^+ once."""
+        F, comm = setup.F, setup.constraints.layout.comm
+        forces = data.load - F.constraint_forces(data.feasible)
+        strained = F.generalized_inverse(forces)
+        jumps = F.jumps(strained)
+        strain = float(comm.allreduce(max(0.0, float(strained @ forces))))
+        prescribed = data.c[setup.constraints.equality]
+        largest = max(np.abs(jumps).max(initial=0.0), np.abs(prescribed).max(initial=0.0))
+        return FeasibleState(jumps, strain, float(comm.allreduce(float(largest), MPI.MAX)))
+
+
+@dataclass(frozen=True)
+class EnergyScale:
+    """What errors of displacements are compared with.
+
+    Attributes
+    ----------
+    energy_norm : float
+        An energy norm as large as the solution's, or larger [sqrt(J)].
+    closing : float
+        Energy norm of rigid motions that close the prescribed jumps [sqrt(J)].
+    """
+
+    energy_norm: float
+    closing: float
+
+    @staticmethod
+    def of(
+        setup: DualSetup,
+        data: ContactData,
+        feasible: FeasibleState,
+        far: Mask,
+        timer: Timer,
+        history: History,
+    ) -> EnergyScale:
+        """Take the larger of the energy norms of u_t at lambda~ and of its jumps.
+
+        Parameters
+        ----------
+        setup : DualSetup
+            Operators.
+        data : ContactData
+            Loads and right-hand sides.
+        feasible : FeasibleState
+            u_t at lambda~.
+        far : (i,) bool array
+            Contact rows with a far gap, which are expected to stay open.
+        timer, history
+            To add to.
+        """
+        jumps = _energy_of_jumps(setup, data, far, feasible.jumps - data.c, timer, history)
+        # jumps that have to be closed, with prescribed displacements and penetrated gaps
+        rows, closing = setup.constraints.inequality, data.c.copy()
+        closing[rows] = np.minimum(closing[rows], 0.0)
+        rigid = np.sqrt(setup.local.unit) * setup.constraints.layout.space.norm(closing)
+        return EnergyScale(float(np.sqrt(max(feasible.strain, jumps))), float(rigid))
+
+    def rounding_at(self, energy_norm: float) -> float:
+        """Return the energy norm of what rounding leaves in jumps of displacements [sqrt(J)]."""
+        return float(_ROUNDING_ERRORS * np.finfo(float).eps * (energy_norm + self.closing))
+
+
+def _energy_of_jumps(
+    setup: DualSetup, data: ContactData, far: Mask, d: Vector, timer: Timer, history: History
+) -> float:
+    """Return r'Mr of the jumps r = B u_t - c at lambda~ that have to be closed [J].
+
+    These are the jumps on the face of lambda~, and on other contact rows the penetrations. Rows
+    with a far gap are expected to stay open, whatever lambda~ is there.
+    """
+    layout, rows = setup.constraints.layout, setup.constraints.inequality
+    pressing = (data.feasible[rows] > 0.0) & ~far
+    face = Projector.build(setup.projector.coarse_space, pressing)
+    r = face.remove_rigid_motion(layout.owned_part(d), d)[0]
+    r[rows] = np.where(pressing, r[rows], np.maximum(r[rows], 0.0))
+    if setup.preconditioner is None:
+        with timer.phase("norm"):
+            norm = setup.norm(ROUGH_LANCZOS_STEPS)
+        return layout.space.dots((r, r))[0] / (norm or 1.0)
+    history.products.preconditioner += 1
+    precondition = setup.preconditioner.on_face(r[rows] != 0.0)
+    part = np.array([r @ precondition(r)])
+    return float(layout.space.sum_over_ranks(part)[0])

@@ -1,0 +1,218 @@
+"""Set-up of Total FETI: what depends on K alone, and what depends on K and B.
+
+Both are built once and reused as long as K, or K and B, stay the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.ground import TornUnknowns
+from fenics_tfeti.feti.constraints.interface import Interface
+from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.constraints.scaling import node_weights, stiffness_of_weight
+from fenics_tfeti.feti.dual.operator import DualOperator, ProjectedNorm
+from fenics_tfeti.feti.dual.preconditioner import Preconditioner, interface_operator
+from fenics_tfeti.feti.dual.problem import DualProblem
+from fenics_tfeti.feti.local.cholesky import choose_package
+from fenics_tfeti.feti.local.congruence import CongruenceClass, find_congruence_classes
+from fenics_tfeti.feti.local.elastic_supports import set_free
+from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
+from fenics_tfeti.feti.options import Options
+from fenics_tfeti.feti.solution.certificate import RowBodies
+from fenics_tfeti.feti.solution.states import ContactData
+from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.parallel import raise_collectively
+
+__all__ = ["DualSetup", "LocalSetup", "choose_factor", "dual_problem", "factor_subdomains"]
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LocalSetup:
+    """What depends on the stiffness matrices alone.
+
+    Attributes
+    ----------
+    weights : (torn nodes of this rank,) array
+        Weights of the copies of nodes, D in B D^{-1} B' = blockdiag(I, W).
+    unknowns : TornUnknowns
+        Displacements, and the ground of soft elastic supports.
+    classes : list of CongruenceClass
+        Classes of congruent subdomains.
+    kernels : list of (n_i, k_i) arrays
+        R_i of this rank's subdomains; congruent ones share it.
+    stiffness : list of (n_i, n_i) scipy.sparse.csr_matrix
+        K_i of each class [N/m].
+    unit : float
+        The stiffness that a weight of 1 stands for [N/m].
+    """
+
+    weights: Vector
+    unknowns: TornUnknowns
+    classes: list[CongruenceClass]
+    kernels: list[Vector]
+    stiffness: list[sp.csr_matrix]
+    unit: float
+
+    @staticmethod
+    def build(system: TornSystem, options: Options) -> LocalSetup:
+        """Weigh the copies of nodes, find congruent subdomains and their rigid body modes."""
+        subdomains = system.subdomains
+        weights = node_weights(system, options.scaling)
+        classes = find_congruence_classes(subdomains)
+        floating = [set_free(subdomains[congruent.first]) for congruent in classes]
+        kernels = [np.zeros((0, 0))] * len(subdomains)
+        grounds = np.zeros(len(subdomains), dtype=np.int64)
+        for congruent, free in zip(classes, floating, strict=True):
+            grounds[congruent.members] = free.grounds
+            for member in congruent.members:
+                kernels[member] = free.kernel
+        sizes = np.array([s.size for s in subdomains], dtype=np.int64)
+        unknowns = TornUnknowns(sizes, grounds)
+        if grounds.any():
+            ends = unknowns.ends
+            classes = [
+                CongruenceClass(c.members, ends[c.members], f.kernel.shape[0])
+                for c, f in zip(classes, floating, strict=True)
+            ]
+        unit = stiffness_of_weight(system, options.scaling)
+        stiffness = [free.stiffness for free in floating]
+        return LocalSetup(weights, unknowns, classes, kernels, stiffness, unit)
+
+
+def factor_subdomains(
+    system: TornSystem, local: LocalSetup, package: str
+) -> list[GeneralizedInverse]:
+    """Factor the regularised stiffness matrix of each class: K_i^+ (11.28). Collective.
+
+    Raises
+    ------
+    FactorizationError
+        On all ranks, if a stiffness matrix is not positive semidefinite.
+    """
+    with raise_collectively(system.comm):
+        return [
+            GeneralizedInverse(
+                system.subdomains[congruent.first],
+                local.kernels[congruent.first],
+                package,
+                stiffness=K,
+            )
+            for congruent, K in zip(local.classes, local.stiffness, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class DualSetup:
+    """What depends on the stiffness matrices and the rows of B.
+
+    Attributes
+    ----------
+    local : LocalSetup
+        What depends on the stiffness matrices alone.
+    constraints : Constraints
+        B.
+    projector : Projector
+        P and Q of all rows.
+    F : DualOperator
+        F = BK^+B'.
+    preconditioner : Preconditioner or None
+        B_D S B_D' on faces.
+    norm : ProjectedNorm
+        ||PFP||.
+    row_bodies : RowBodies
+        The bodies that the contact rows connect.
+    """
+
+    local: LocalSetup
+    constraints: Constraints
+    projector: Projector
+    F: DualOperator
+    preconditioner: Preconditioner | None
+    norm: ProjectedNorm
+    row_bodies: RowBodies
+
+    @staticmethod
+    def build(
+        system: TornSystem,
+        options: Options,
+        local: LocalSetup,
+        projector: Projector,
+        inverses: Sequence[GeneralizedInverse],
+        package: str,
+    ) -> DualSetup:
+        """Make F and the preconditioner. Collective."""
+        coarse_space = projector.coarse_space
+        F = DualOperator.build(
+            coarse_space.constraints, coarse_space.interface, inverses, options.dual_operator
+        )
+        preconditioner = None
+        if options.preconditioner != "none":
+            with raise_collectively(system.comm):
+                kernels = [local.kernels[congruent.first] for congruent in local.classes]
+                apply = interface_operator(
+                    options.preconditioner, F, local.stiffness, kernels, package
+                )
+                preconditioner = Preconditioner(apply, coarse_space.constraints)
+        constraints = coarse_space.constraints
+        return DualSetup(
+            local,
+            constraints,
+            projector,
+            F,
+            preconditioner,
+            ProjectedNorm(F, projector, 1.0 / local.unit),
+            RowBodies.build(system, constraints, local.unknowns.ends),
+        )
+
+
+def dual_problem(setup: DualSetup, data: ContactData, norm: float) -> DualProblem:
+    """Return (11.36); its d takes one application of K^+."""
+    return DualProblem(
+        setup.F.part,
+        setup.F.load(data.load, data.c),
+        data.e,
+        data.e_size,
+        data.c,
+        setup.projector,
+        norm,
+        setup.preconditioner,
+    )
+
+
+def build_projector(
+    system: TornSystem,
+    options: Options,
+    local: LocalSetup,
+    constraints: Constraints,
+    package: str,
+) -> Projector:
+    """Form G and the projectors of all rows. Collective."""
+    interface = Interface.build(constraints.matrix, local.classes)
+    return Projector.build(
+        CoarseSpace.build(
+            system, constraints, interface, local.kernels, package, options.coarse_solver
+        )
+    )
+
+
+def choose_factor(options: Options) -> str:
+    """Return the package of the sparse Cholesky factors.
+
+    Raises
+    ------
+    FactorizationError
+        If it is not available, or MUMPS is needed for a distributed coarse problem and missing.
+    """
+    if options.coarse_solver == "distributed":
+        choose_package("mumps")
+    return choose_package(options.factor)

@@ -1,0 +1,139 @@
+"""What travels through one solve: its data, its iterates, the outcome, and the counters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.dual.active_set import ActiveSetStep
+from fenics_tfeti.feti.solution.certificate import Certificate
+from fenics_tfeti.feti.solution.recovery import Recovered
+from fenics_tfeti.qp import OuterIteration, Products
+
+__all__ = ["Candidate", "ContactData", "DualState", "History", "Outcome"]
+
+Vector = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class ContactData:
+    """The data of one solve: loads and right-hand sides.
+
+    Attributes
+    ----------
+    load : (n,) array
+        f of this rank's subdomains [N].
+    c : (m,) array
+        Right-hand sides of the constraints.
+    e : (coarse,) array
+        R'f.
+    e_size : (coarse,) array
+        |R|'|f|, which the rounding of e is relative to.
+    feasible : (m,) array
+        lambda~ with G lambda~ = e and lambda~_I >= o.
+    removed : (m,) array or float
+        B R a of prescribed motions that were taken out of c.
+    """
+
+    load: Vector
+    c: Vector
+    e: Vector
+    e_size: Vector
+    feasible: Vector
+    removed: Vector | float = 0.0
+
+
+@dataclass(frozen=True)
+class DualState:
+    """An iterate of the dual problem, from which a later solve may start.
+
+    Attributes
+    ----------
+    multipliers : (m,) array
+        lambda.
+    coarse_gradient : (m,) array
+        The equality multipliers' part G'mu of the gradient.
+    active : (i,) bool array or None
+        Active set to start from; None for the rows with positive multipliers.
+    """
+
+    multipliers: Vector
+    coarse_gradient: Vector
+    active: Mask | None = None
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A solution with its certificate.
+
+    Attributes
+    ----------
+    recovered : Recovered
+        Displacements.
+    multipliers : (m,) array
+        lambda.
+    certificate : Certificate
+        How well they solve (11.21).
+    energy : float
+        1/2 u'Ku - f'u [J].
+    face : Projector
+        That of the equality rows and the contact rows with a force; its ``free`` motions are
+        undetermined.
+    """
+
+    recovered: Recovered
+    multipliers: Vector
+    certificate: Certificate
+    energy: float
+    face: Projector
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of the outer loop.
+
+    Attributes
+    ----------
+    candidate : Candidate
+        The last candidate.
+    state : DualState
+        Where a later solve may start.
+    converged : bool
+        Whether the certificate holds.
+    reason : str
+        Why the iterations ended.
+    tolerance : float
+        Tolerance of the dual problem in the last pass [sqrt(J)].
+    """
+
+    candidate: Candidate
+    state: DualState
+    converged: bool
+    reason: str
+    tolerance: float
+
+
+@dataclass
+class History:
+    """Counters and histories of one solve.
+
+    Attributes
+    ----------
+    products : Products
+        Products with F by kind of step.
+    outer : list of OuterIteration
+        One entry for each outer iteration of SMALBE-M.
+    faces : list of ActiveSetStep
+        One entry for each face of the active set method.
+    norm_products_before : int
+        Products for ||PFP|| that were spent before.
+    """
+
+    products: Products = field(default_factory=Products)
+    outer: list[OuterIteration] = field(default_factory=list)
+    faces: list[ActiveSetStep] = field(default_factory=list)
+    norm_products_before: int = 0

@@ -1,0 +1,79 @@
+"""Mortar conditions of dolfinx surfaces."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from mortar_blocks import LOWER, UPPER, Blocks
+from scenes import vector_space
+
+from fenics_tfeti import ContactPair
+from fenics_tfeti.fem.contact.matching import match_contact
+from fenics_tfeti.fem.contact.mortar.conditions import SlaveFacets
+from fenics_tfeti.fem.contact.mortar.facets import Planes
+from fenics_tfeti.fem.contact.surfaces.deformed import oriented_facets
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
+from fenics_tfeti.io import tag_facets
+
+CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
+
+
+def scene(blocks):
+    beams = blocks.mesh(MPI.COMM_SELF)
+    return vector_space(beams.mesh), tag_facets(beams.mesh, blocks.markers(), beams.cell_tags)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_facets_are_oriented_outwards_and_carry_their_normals(cell):
+    V, tags = scene(Blocks(cell, 3, 4, slope=0.3))
+    boundary = MeshBoundary.of(V)
+    for tag, sign in ((LOWER, 1.0), (UPPER, -1.0)):
+        surface = tagged_surface(boundary, tags, tag, "slave")
+        d = surface.normal.shape[1]
+        points = boundary.coordinates[:, :d]
+        weight = points[:, 0]
+        facets = SlaveFacets.of(
+            V, surface, oriented_facets(V, tags, tag), points, surface.normal, weight
+        )
+        expected = sign * np.array([-0.3, *[0.0] * (d - 2), 1.0]) / np.sqrt(1.09)
+        normal = Planes.of(facets.facets.coordinates()).normal
+        np.testing.assert_allclose(normal, np.tile(expected, (len(normal), 1)), atol=1e-12)
+        shape = facets.normals.shape
+        np.testing.assert_allclose(facets.normals, np.broadcast_to(expected, shape), atol=1e-12)
+        np.testing.assert_array_equal(facets.weight, facets.facets.coordinates()[..., 0])
+        numbers = V.dofmap.index_map.local_to_global(np.arange(len(points), dtype=np.int32))
+        place = points[np.argsort(numbers)]
+        np.testing.assert_array_equal(facets.facets.points, place[facets.nodes])
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_terms_of_a_condition(cell):
+    V, tags = scene(Blocks(cell, 3, 4, width=0.63))
+    pairing = match_contact(MeshBoundary.of(V), ContactPair(tags, LOWER, UPPER), 0)
+    terms = pairing.terms
+    np.testing.assert_array_equal(terms.nodes[terms.offsets[:-1]], pairing.slave)
+    assert (pairing.length > 0.0).all()
+    np.testing.assert_allclose(terms.area, pairing.area)
+    assert pairing.area.sum() == pytest.approx(0.63 ** (V.mesh.geometry.dim - 1))
+    # constants and linear functions
+    sums = np.zeros((pairing.slave.size, 4))
+    x = V.tabulate_dof_coordinates()
+    values = np.column_stack([np.ones(len(x)), x])
+    np.add.at(sums, terms.row, terms.weights[:, None] * values[terms.nodes])
+    assert np.abs(sums / pairing.area[:, None]).max() < 1e-12
+    # distinct nodes, as the solver wants them
+    pairs = terms.row * (terms.nodes.max() + 1) + terms.nodes
+    assert np.unique(pairs).size == pairs.size
+
+
+def test_linear_weight_of_the_measure():
+    import ufl
+
+    V, tags = scene(Blocks("quadrilateral", 3, 4))
+    radius = 1.0 + ufl.SpatialCoordinate(V.mesh)[0]
+    pair = ContactPair(tags, LOWER, UPPER, measure_weight=2.0 * radius)
+    pairing = match_contact(MeshBoundary.of(V), pair, 0)
+    assert pairing.area.sum() == pytest.approx(3.0)
+    assert pairing.summary["covered_area"] == pytest.approx(1.0)

@@ -1,0 +1,45 @@
+"""The tree finds all facets whose boxes a query wants."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
+
+
+def segments(number):
+    """Return segments from k to k + 1/2 on a line."""
+    start = np.column_stack([np.arange(number), np.zeros(number)]).astype(float)
+    return np.stack([start, start + [0.5, 0.0]], axis=1)
+
+
+def containing(x):
+    def wanted(query, low, high):
+        return np.all((low <= x[query]) & (x[query] <= high), axis=1)
+
+    return wanted
+
+
+@pytest.mark.parametrize("number", [1, 2, 3, 7, 64, 1000])
+def test_facet_around_each_point_is_found(number):
+    tree = BoxTree(segments(number))
+    x = np.column_stack([np.arange(number) + 0.25, np.zeros(number)])
+    query, facet = tree.candidates(number, containing(x))
+    found = set(zip(query.tolist(), facet.tolist(), strict=True))
+    assert {(k, k) for k in range(number)} <= found
+
+
+def test_few_others_are_found():
+    tree = BoxTree(segments(1000))
+    x = np.column_stack([np.arange(1000) + 0.25, np.zeros(1000)])
+    assert len(tree.candidates(1000, containing(x))[0]) <= 2 * 1000
+
+
+def test_size_is_that_of_the_box_around_all():
+    assert BoxTree(segments(10)).size == 9.5
+
+
+def test_no_queries():
+    query, facet = BoxTree(segments(3)).candidates(0, containing(np.zeros((0, 2))))
+    assert query.size == facet.size == 0

@@ -1,0 +1,105 @@
+"""Gaps that replace those of the mesh."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scenes import MASTER, SLAVE
+from strips import bend, matched, strips
+
+from fenics_tfeti import ContactPair
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.surfaces.initial_gap import (
+    check_initial_gap,
+    chord_heights,
+    initial_gap,
+)
+
+WAYS = ("node_to_node", "mortar")
+
+
+def arcs(lower, upper, gap=0.0, radius=2.0):
+    """Return two strips bent around (0.5, -1): their faces are polygons of one circle."""
+    V, tags = strips((lower, 2), (upper, 2), gap=0.1)
+
+    def polar(x):
+        angle = 0.8 * (x[:, 0] - 0.5)
+        # the contact faces at y = 1 and 1.1 come to the same radius, up to the gap
+        height = np.where(x[:, 1] > 1.05, x[:, 1] - 0.1 + gap, x[:, 1])
+        r = radius - 1.0 + height
+        return np.stack([0.5 + r * np.sin(angle), r * np.cos(angle) - 1.0, 0 * angle], axis=1)
+
+    bend(V, lambda x: np.ones(len(x), dtype=bool), polar)
+    return V, tags
+
+
+def test_chord_height_of_a_circle_and_a_sphere():
+    angle = np.array([-0.05, 0.05])
+    ends = 3.0 * np.stack([np.sin(angle), np.cos(angle)], axis=1)[None]
+    assert chord_heights(ends, ends / 3.0)[0] == pytest.approx(3.0 * (1 - np.cos(0.05)), rel=1e-3)
+    corners = np.array([[1.0, 0.0, 0.0], [-0.5, 0.75**0.5, 0.0], [-0.5, -(0.75**0.5), 0.0]])
+    corners = corners * 0.1 + [0.0, 0.0, (1 - 0.01) ** 0.5]
+    height = 1.0 - (1 - 0.01) ** 0.5
+    assert chord_heights(corners[None], corners[None])[0] == pytest.approx(height, rel=1e-2)
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(7, 10), (10, 7), (3, 12), (12, 3)])
+def test_touching_polygons_of_one_circle_have_no_gaps(lower, upper):
+    V, tags = arcs(lower, upper)
+    geometric = matched(V, ContactPair(tags, SLAVE, MASTER))
+    assert np.abs(geometric.gap).max() > 1e-4
+    touching = matched(V, ContactPair(tags, SLAVE, MASTER, initial_gap="touching"))
+    assert (touching.gap == 0.0).all()
+    assert touching.summary["largest_gap"] == 0.0
+
+
+def test_gaps_beyond_the_chords_stay():
+    V, tags = arcs(7, 10, gap=0.05)
+    geometric = matched(V, ContactPair(tags, SLAVE, MASTER))
+    touching = matched(V, ContactPair(tags, SLAVE, MASTER, initial_gap="touching"))
+    np.testing.assert_array_equal(touching.gap, geometric.gap)
+    assert geometric.gap.mean() == pytest.approx(0.05, abs=0.005)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_prescribed_gaps(way):
+    V, tags = strips(gap=0.1)
+    number = matched(V, ContactPair(tags, SLAVE, MASTER, initial_gap=-0.02, discretisation=way))
+    np.testing.assert_array_equal(number.gap, -0.02)
+
+    def grows(x):
+        return 0.01 + x[0]
+
+    pair = ContactPair(tags, SLAVE, MASTER, initial_gap=grows, discretisation=way)
+    field = matched(V, pair)
+    np.testing.assert_allclose(field.gap, 0.01 + field.coordinates[:, 0])
+    assert field.summary["smallest_gap"] == pytest.approx(0.01)
+
+
+def test_touching_nodes_of_matching_meshes():
+    V, tags = arcs(8, 8, gap=1e-4)
+    pair = ContactPair(tags, SLAVE, MASTER, initial_gap="touching", discretisation="node_to_node")
+    assert (matched(V, pair).gap == 0.0).all()
+
+
+@pytest.mark.parametrize("given", ["closed", None, True, np.nan, [0.1]])
+def test_what_is_no_gap(given):
+    with pytest.raises(InputError, match=r"joint: initial_gap is .* 'touching'"):
+        check_initial_gap(given, "joint")
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (lambda x: x, r"returned shape \(3, 2\).*\(2,\) is expected"),
+        (lambda x: x[0] * np.nan, "NaN or infinite at 2 points"),
+        (lambda x: "no", "return numbers"),
+        (lambda x: 1 / 0, "ZeroDivisionError"),
+    ],
+)
+def test_functions_that_return_no_gaps(function, message):
+    nothing = np.zeros(2)
+    with pytest.raises(InputError, match=message):
+        initial_gap(MPI.COMM_SELF, function, nothing, nothing, np.ones((2, 3)), "joint")

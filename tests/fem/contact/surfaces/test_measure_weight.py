@@ -1,0 +1,92 @@
+"""The weight of a contact's surface measure: what users may give, and the areas it makes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import scenes
+from scenes import MASTER, SLAVE
+from strips import matched, strips
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, Plane, RigidObstacle
+from fenics_tfeti.fem.contact.matching import match_contact
+from fenics_tfeti.fem.contact.surfaces.measure_weight import given_weight
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+
+CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
+
+
+def thickness(space, x):
+    """Return 1 + x, in the ways in which a user may have it."""
+    function = fem.Function(scenes.scalar_space(space.mesh), name="the thickness")
+    function.interpolate(lambda x: 1.0 + x[0])
+    return {"expression": 1.0 + x[0], "function": function}
+
+
+def test_no_weight_is_none():
+    V, _ = strips()
+    assert given_weight(V.mesh, None, "joint") is None
+
+
+@pytest.mark.parametrize("number", [3, 3.0, np.float64(3.0), np.int64(3)])
+def test_numbers_are_constants(number):
+    """So that one compiled form does for all of them."""
+    V, _ = strips()
+    weight = given_weight(V.mesh, number, "joint")
+    assert isinstance(weight, fem.Constant) and float(weight.value) == 3.0
+
+
+@pytest.mark.parametrize("kind", ["expression", "function"])
+@pytest.mark.parametrize("obstacle", [False, True])
+def test_areas_are_integrals_of_the_weight(kind, obstacle):
+    """The integrals of 1 + x times the shape functions on four facets of 1/4."""
+    V, tags = strips()
+    weight = thickness(V, ufl.SpatialCoordinate(V.mesh))[kind]
+    ground = RigidObstacle(tags, SLAVE, Plane((0, 0), (0, 1)), measure_weight=weight)
+    pair = ContactPair(tags, SLAVE, MASTER, measure_weight=weight)
+    pairing = matched(V, ground if obstacle else pair)
+    order = np.argsort(pairing.coordinates[:, 0])
+    h, x = 0.25, np.linspace(0, 1, 5)
+    exact = h * (1 + x) * np.where((x == 0) | (x == 1), 0.5, 1.0)
+    exact[0], exact[-1] = exact[0] + h**2 / 6, exact[-1] - h**2 / 6
+    np.testing.assert_allclose(pairing.area[order], exact, rtol=1e-12)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_a_constant_weight_multiplies_areas(cell):
+    scene = scenes.two_beams(MPI.COMM_SELF, cell, 3)
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER)
+    plain = matched(scene.V, pair)
+    weighted = matched(scene.V, replace(pair, measure_weight=3.0))
+    np.testing.assert_allclose(weighted.area, 3.0 * plain.area, rtol=1e-12)
+    np.testing.assert_array_equal(weighted.normal, plain.normal)
+    np.testing.assert_array_equal(weighted.gap, plain.gap)
+
+
+def test_weight_in_a_partial_contact():
+    """The upper strip sticks out: of its last node with a partner one facet counts."""
+    V, tags = strips()
+    V.mesh.geometry.x[V.mesh.geometry.x[:, 1] > 1.05, 0] += 0.25
+    r = ufl.SpatialCoordinate(V.mesh)[0]
+    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, partial=True, measure_weight=r))
+    assert pairing.area.sum() == pytest.approx(0.5 * (1.0 - 0.25**2), rel=1e-12)
+
+
+@pytest.mark.parametrize("obstacle", [False, True])
+def test_a_changed_weight_is_noticed(obstacle):
+    V, tags = strips()
+    weight = fem.Constant(V.mesh, 1.0)
+    ground = RigidObstacle(tags, SLAVE, Plane((0, 0), (0, 1)), measure_weight=weight)
+    contact = ground if obstacle else ContactPair(tags, SLAVE, MASTER, measure_weight=weight)
+    boundary = MeshBoundary.of(V)
+    first = match_contact(boundary, contact, 0)
+    weight.value = 2.0
+    second = match_contact(boundary, contact, 0, first)
+    np.testing.assert_allclose(second.area, 2.0 * first.area, rtol=1e-14)

@@ -1,0 +1,126 @@
+"""Normals, areas and sizes at the nodes of tagged surfaces."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import scenes
+from mesh_arrays import mesh_of
+from scenes import MASTER, SLAVE
+from strips import bend, matched, partners, ring, strips
+
+from dolfinx.mesh import meshtags
+
+from fenics_tfeti import ContactPair, InputError
+from fenics_tfeti.fem.contact.surfaces.tagged import (
+    MeshBoundary,
+    area_of_facets,
+    gather_master,
+    tagged_surface,
+    values_on_facets,
+)
+from fenics_tfeti.fem.topology import exterior_facets
+from fenics_tfeti.io import tag_facets
+
+CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
+
+
+@pytest.mark.parametrize("given", [(0.0, -3.0), lambda x: -np.array([0 * x[0], 1 + x[0]])])
+def test_normals_are_scaled_to_unit_length(given):
+    V, tags = strips()
+    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, normal=given))
+    np.testing.assert_allclose(pairing.normal, np.tile([0.0, -1.0], (5, 1)), atol=1e-15)
+
+
+def test_analytic_normals_of_a_polygon():
+    V, tags = ring()
+    _, _, pairing = partners(V, ContactPair(tags, SLAVE, MASTER, normal=lambda x: x[:2]))
+    np.testing.assert_allclose(pairing.normal, pairing.coordinates[:, :2], atol=1e-14)
+    np.testing.assert_allclose(pairing.gap, 1.0, rtol=1e-13)
+
+
+def test_averaged_normals_of_a_polygon():
+    """Inside they are the radius, at the two ends the normal of the last facet."""
+    V, tags = ring(n=8)
+    _, _, pairing = partners(V, ContactPair(tags, SLAVE, MASTER, mapping=lambda x: 2 * x))
+    x, n = pairing.coordinates.T, pairing.normal.T
+    sine = np.abs(n[0] * x[1] - n[1] * x[0])
+    np.testing.assert_allclose(np.sort(sine)[-2:], np.sin(np.pi / 32), rtol=1e-12)
+    np.testing.assert_allclose(np.sort(sine)[:-2], 0.0, atol=1e-15)
+
+
+def surface_of(space, tags, tag, normal=None):
+    return tagged_surface(MeshBoundary.of(space), tags, tag, "surface", normal)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_areas_sum_to_that_of_the_surface(cell):
+    scene = scenes.two_beams(MPI.COMM_SELF, cell, 3)
+    assert surface_of(scene.V, scene.facet_tags, SLAVE).area.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_normals_of_a_plane_face_point_out_of_the_body(cell):
+    scene = scenes.two_beams(MPI.COMM_SELF, cell, 3)
+    surface = surface_of(scene.V, scene.facet_tags, SLAVE)
+    down = -np.eye(surface.normal.shape[1])[-1]
+    np.testing.assert_allclose(surface.normal, np.tile(down, (len(surface.normal), 1)), atol=1e-14)
+
+
+def test_area_is_that_projected_along_a_given_normal():
+    V, tags = strips()
+    surface = surface_of(V, tags, SLAVE, normal=(0.6, -0.8))
+    assert surface.area.sum() == pytest.approx(0.8)
+
+
+def test_size_is_that_of_the_smallest_facet_at_the_node():
+    V, tags = strips()
+    bend(V, lambda x: np.isclose(x[:, 0], 0.25), lambda x: x - [0.05, 0.0, 0.0])
+    surface = surface_of(V, tags, SLAVE)
+    order = np.argsort(surface.points[:, 0])
+    np.testing.assert_allclose(surface.size[order], [0.2, 0.2, 0.25, 0.25, 0.25])
+
+
+def test_share_of_chosen_facets():
+    V, tags = strips()
+    boundary = MeshBoundary.of(V)
+    surface = tagged_surface(boundary, tags, SLAVE, "surface")
+    x = boundary.coordinates[surface.vertices][:, :, 0].mean(axis=1)
+    area = area_of_facets(boundary, surface, x < 0.5)
+    order = np.argsort(surface.points[:, 0])
+    np.testing.assert_allclose(area[order], [0.125, 0.25, 0.125, 0.0, 0.0], atol=1e-15)
+
+
+def test_values_of_nodes_are_those_of_facets():
+    V, tags = strips()
+    boundary = MeshBoundary.of(V)
+    surface = tagged_surface(boundary, tags, SLAVE, "surface")
+    corners = values_on_facets(V, surface, surface.points)
+    np.testing.assert_array_equal(corners, boundary.coordinates[surface.vertices, :2])
+
+
+def test_master_nodes_are_in_the_order_of_their_coordinates():
+    V, tags = strips()
+    nodes = gather_master(MPI.COMM_SELF, surface_of(V, tags, MASTER))
+    assert np.all(np.diff(nodes.points[:, 0]) > 0.0)
+
+
+def test_normals_that_cancel_are_refused():
+    """Both sides of a blade are one surface."""
+    points = [(0.0, -5e-5), (1.0, 0.0), (0.0, 5e-5)]
+    domain = mesh_of(MPI.COMM_SELF, "triangle", points, [(0, 1, 2)])
+    tags = tag_facets(domain, {SLAVE: lambda x: x[0] > -1.0})
+    with pytest.raises(InputError, match=r"around 1 nodes cancel, the first at \(1, 0\)"):
+        surface_of(scenes.vector_space(domain), tags, SLAVE)
+
+
+def test_facets_inside_a_body_are_refused():
+    V, _ = strips()
+    domain = V.mesh
+    domain.topology.create_connectivity(1, 2)
+    inner = np.flatnonzero(~exterior_facets(domain)).astype(np.int32)
+    tags = meshtags(domain, 1, inner, np.full(inner.size, SLAVE, dtype=np.int32))
+    with pytest.raises(InputError, match=f"{inner.size} facets .* are inside a body"):
+        surface_of(V, tags, SLAVE)

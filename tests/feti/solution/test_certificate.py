@@ -1,0 +1,217 @@
+"""The certificate against direct solutions: the bound holds, and is not far from the error."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import scipy.linalg
+from torn import column
+
+from fenics_tfeti.feti import Options, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti.solution.certificate import PrimalProblem
+from fenics_tfeti.feti.solution.recovery import balance_multipliers, recover_displacement
+
+
+def scaled(system: TornSystem, body: int, factor: float) -> TornSystem:
+    """Return the system with the stiffness of one body multiplied by a factor."""
+    parts = [
+        replace(s, stiffness=factor * s.stiffness) if s.body == body else s
+        for s in system.subdomains
+    ]
+    return replace(system, subdomains=parts)
+
+
+def bent(load=(0.02, 0.01, -1.0)) -> TornSystem:
+    """Return a column whose upper body is loaded at one corner, so that the contact opens."""
+    system = column(n=3, height=2, load=load)
+    *others, upper = system.subdomains
+    force = upper.load.copy().reshape(-1, 3)
+    force[np.argmax(upper.coordinates.sum(axis=1))] += [0.0, 0.0, 0.3]
+    return replace(system, subdomains=[*others, replace(upper, load=force.ravel())])
+
+
+SYSTEMS = {
+    "column": column(n=3, load=(0, 0, -1.0)),
+    "bent": bent(),
+    "soft on stiff": scaled(bent(), 1, 1e-6),
+    "stiff on soft": scaled(bent(), 1, 1e6),
+    "micro": replace(
+        bent(),
+        subdomains=[
+            replace(s, stiffness=1e5 * s.stiffness, load=1e-9 * s.load) for s in bent().subdomains
+        ],
+    ),
+}
+
+
+# Of the direct solution: rounding in the entries of K makes the rigid motions of the stiff body
+# cost some 1e-8 of the energy of the soft one; for the package they cost nothing.
+ACCURACY = {"stiff on soft": 1e-7}
+
+
+def stiffness(system: TornSystem) -> np.ndarray:
+    return scipy.linalg.block_diag(*(s.stiffness.toarray() for s in system.subdomains))
+
+
+def primal_problem(solver: TornSolver) -> PrimalProblem:
+    """Return the primal problem of a solver."""
+    setup, data = solver.setup, solver.data
+    return PrimalProblem(
+        setup.local.stiffness,
+        data.load,
+        data.c,
+        np.zeros_like(data.c),
+        setup.F,
+        setup.row_bodies,
+        solver.system.body_names,
+        setup.local.unit,
+    )
+
+
+@cache
+def exact(name: str) -> np.ndarray:
+    """Return the torn displacement by dense elimination of the rows that are known to be active."""
+    system = SYSTEMS[name]
+    solver = TornSolver(system, Options(rtol=1e-9))
+    active = solver.solve().multipliers > 0.0
+    constraints = solver.setup.constraints
+    rows = constraints.equality | active
+    B, c = constraints.matrix.toarray()[rows], solver.data.c[rows]
+    # u = D^{-1}B'c + D^{-1/2} N y: as BD^{-1}B' = I, all is in units of the local stiffness
+    d = 1.0 / np.sqrt(constraints.weights)
+    N = d[:, None] * scipy.linalg.null_space(B * d)
+    K, f = stiffness(system), np.concatenate([s.load for s in system.subdomains])
+    factor = scipy.linalg.cho_factor(N.T @ K @ N)
+    u = (d**2 * (B.T @ c)).astype(np.longdouble)
+    for _ in range(4):  # residuals in extended precision: stiff bodies move almost rigidly
+        residual = f - K.astype(np.longdouble) @ u
+        u = u + N @ scipy.linalg.cho_solve(factor, (N.T @ residual).astype(float))
+    force, u = B @ (d**2 * residual).astype(float), u.astype(float)
+    assert force[np.isin(np.flatnonzero(rows), constraints.inequality)].min() > 0.0
+    jump = constraints.matrix @ u - solver.data.c
+    assert jump[constraints.inequality].max() < 1e-9 * np.abs(u).max()
+    return u
+
+
+def energy_norm(system: TornSystem, u: np.ndarray) -> float:
+    return float(np.sqrt(u @ stiffness(system) @ u))
+
+
+@pytest.mark.parametrize("rtol", [1e-2, 1e-4, 1e-6, 1e-9])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"preconditioner": "dirichlet"},
+        {"preconditioner": "none"},
+        {"method": "smalbe"},
+        {"method": "smalbe", "preconditioner": "none", "mprgp_expansion": "standard"},
+    ],
+    ids=lambda options: ", ".join(options.values()) or "default",
+)
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_bound_holds_and_is_sharp(name, options, rtol):
+    """1 <= bound / error <= 10, up to the accuracy of the direct solution."""
+    system = SYSTEMS[name]
+    solution = TornSolver(system, Options(rtol=rtol, **options)).solve()
+    u = np.concatenate(solution.displacements)
+    bound = solution.report.certificate.error * energy_norm(system, u)
+    error = energy_norm(system, u - exact(name))
+    accuracy = ACCURACY.get(name, 1e-10) * energy_norm(system, u)
+    assert error - accuracy <= bound <= 10.0 * error + accuracy
+    assert bound <= max(rtol, 1e-9) * energy_norm(system, u)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_constraints_hold_to_rounding(name):
+    """Already at rtol 1e-2 nothing is torn, penetrated or open where it presses."""
+    solver = TornSolver(SYSTEMS[name], Options(rtol=1e-2))
+    solution = solver.solve()
+    constraints, u = solver.setup.constraints, np.concatenate(solution.displacements)
+    jump = constraints.matrix @ u - solver.data.c
+    negligible = 1e-13 * np.abs(constraints.matrix @ np.diag(u)).sum(axis=1).max()
+    assert np.abs(jump[constraints.equality]).max() <= negligible
+    contact = jump[constraints.inequality]
+    assert contact.max() <= negligible
+    pressing = solution.multipliers[constraints.inequality] > 0.0
+    assert np.abs(contact[pressing]).max() <= negligible
+
+
+@pytest.mark.parametrize("name", ["soft on stiff", "stiff on soft"])
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6])
+def test_each_body_is_as_accurate_as_asked(name, rtol):
+    """The true error of each body relative to its own energy, or 1e-3 of its group's."""
+    system = SYSTEMS[name]
+    solution = TornSolver(system, Options(rtol=rtol)).solve()
+    u, K = np.concatenate(solution.displacements), stiffness(system)
+    body = np.repeat([s.body for s in system.subdomains], [s.size for s in system.subdomains])
+    for b in (0, 1):
+        at = body == b
+        difference = (u - exact(name))[at]
+        error = np.sqrt(difference @ K[np.ix_(at, at)] @ difference)
+        scale = max(np.sqrt(u[at] @ K[np.ix_(at, at)] @ u[at]), 1e-3 * energy_norm(system, u))
+        assert error <= 2.0 * rtol * scale
+
+
+def test_rigid_motion_of_any_size_changes_nothing():
+    """Both bodies moved along x by 10^6 times their deformation: the same products and errors."""
+    reports = []
+    for shift in (0.0, 1e6):
+        system = SYSTEMS["bent"]
+        values = np.where(system.prescribed.components == 0, shift, 0.0)
+        moved = replace(system, prescribed=replace(system.prescribed, values=values))
+        reports.append(TornSolver(moved, Options(rtol=1e-4)).solve().report)
+    assert abs(reports[0].products["total"] - reports[1].products["total"]) <= 1
+    errors = [report.certificate.error for report in reports]
+    assert errors[1] == pytest.approx(errors[0], rel=0.5)
+
+
+def test_bodies_that_do_not_touch_are_groups_of_their_own():
+    """The upper body is pulled off, by springs against its own weight, and moves alone."""
+    system = bent(load=(0, 0, 0.0))
+    top = system.subdomains[-1]
+    high = top.nodes[np.isclose(top.coordinates[:, 2], 3)]
+    lifted = Prescribed(
+        np.append(system.prescribed.nodes, high),
+        np.append(system.prescribed.components, np.full(high.size, 2)),
+        np.append(system.prescribed.values, np.full(high.size, 5.0)),
+    )
+    certificate = TornSolver(replace(system, prescribed=lifted)).solve().report.certificate
+    assert [group.bodies for group in certificate.groups] == [["lower"], ["upper"]]
+
+
+def test_body_at_rest_beside_a_loaded_one_needs_nothing():
+    system = column(contact=True, load=(0, 0, -1.0))
+    far = [
+        replace(s, nodes=s.nodes + 10**10, coordinates=s.coordinates + 50.0, body=2)
+        for s in system.subdomains[:2]
+    ]
+    bottom = far[0].nodes[np.isclose(far[0].coordinates[:, 2], 50.0)]
+    held = Prescribed(
+        np.concatenate([system.prescribed.nodes, np.repeat(bottom, 3)]),
+        np.concatenate([system.prescribed.components, np.tile([0, 1, 2], bottom.size)]),
+        np.append(system.prescribed.values, np.zeros(3 * bottom.size)),
+    )
+    both = replace(system, subdomains=[*system.subdomains, *far], prescribed=held)
+    certificate = TornSolver(both, Options(rtol=1e-9)).solve().report.certificate
+    assert certificate.groups[1].error == 0.0
+    assert certificate.bodies[2].error == 0.0
+
+
+def test_no_bound_where_contact_forces_do_not_balance_the_load():
+    """Without them the dual value is minus infinity, however little u_t is torn."""
+    solver = TornSolver(column(n=2, load=(0, 0, -1.0)))
+    solution = solver.solve()
+    constraints, coarse_space = solver.setup.constraints, solver.setup.projector.coarse_space
+    multipliers = solution.multipliers.copy()
+    multipliers[constraints.inequality] = 0.0
+    problem = primal_problem(solver)
+    multipliers, face = balance_multipliers(coarse_space, solver.data.e, multipliers)
+    data = solver.data
+    recovered = recover_displacement(solver.setup.F, face, data.load, data.c, multipliers)
+    certificate = problem.certify(recovered, multipliers, face)
+    assert [body.error for body in certificate.bodies][1] == np.inf
+    assert certificate.bound == np.inf

@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from daqp import solve as daqp_solve
+from torn import column, cube
+
+from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver
+from fenics_tfeti.feti.solution.recovery import least_distance
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_least_distance_is_the_solution_of_a_quadratic_programme(seed):
+    rng = np.random.default_rng(seed)
+    A, inside = rng.standard_normal((12, 4)), rng.standard_normal(4)
+    b = A @ inside + rng.random(12)
+    lower = np.full(12, -1e30)
+    exact = daqp_solve(np.eye(4), np.zeros(4), A, b, lower, np.zeros(12, dtype=np.int32))[0]
+    np.testing.assert_allclose(least_distance(A, b), exact, atol=1e-8)
+
+
+def test_conditions_without_solution_leave_zero():
+    A = np.array([[1.0], [-1.0]])
+    assert least_distance(A, np.array([-1.0, -1.0])).tolist() == [0.0]
+
+
+def two_blocks(overlap: float):
+    """A block held at a side, and a loose one beside it, both on the ground.
+
+    The second one reaches into the first by `overlap`, and may slide away.
+    """
+    first, second = cube(2), cube(2, (1, 0, 0), body=1, first=10**9)
+    bottom = [s.nodes[s.coordinates[:, 2] == 0] for s in (first, second)]
+    side = first.nodes[first.coordinates[:, 0] == 1]
+    ground = np.concatenate(bottom)
+    wall = first.nodes[first.coordinates[:, 0] == 0]
+    rows = ContactRows.node_to_node(
+        np.concatenate([ground, side]),
+        np.concatenate([np.full(ground.size, -1), side + 10**9]),
+        np.concatenate([np.tile([0, 0, -1.0], (ground.size, 1)), np.tile([1.0, 0, 0], (9, 1))]),
+        np.concatenate([np.zeros(ground.size), np.full(9, -overlap)]),
+        np.repeat([0, 1], [ground.size, 9]),
+    )
+    held = Prescribed(np.repeat(wall, 2), np.tile([0, 1], wall.size), np.zeros(2 * wall.size))
+    return dataclasses.replace(
+        column(), subdomains=[first, second], contacts=rows, prescribed=held, body_names=("a", "b")
+    )
+
+
+@pytest.mark.parametrize("overlap", [0.25, -0.25])
+def test_loose_body_gives_way_by_the_smallest_motion(overlap):
+    """No force acts, so the loose block moves aside rigidly if it has to, and only then."""
+    solution = TornSolver(two_blocks(overlap), Options(rtol=1e-8)).solve()
+    u = solution.displacements[1].reshape(-1, 3)
+    np.testing.assert_allclose(u, np.tile([max(overlap, 0.0), 0, 0], (len(u), 1)), atol=1e-9)

@@ -1,0 +1,44 @@
+"""The scale of the tolerances: energy norms at the feasible start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from torn import column
+
+from fenics_tfeti.feti import Options, TornSolver
+from fenics_tfeti.feti.solution.scale import EnergyScale, FeasibleState
+from fenics_tfeti.feti.solution.states import History
+from fenics_tfeti.feti.timer import Timer
+
+
+def scale_of(solver: TornSolver) -> EnergyScale:
+    """Return the scale of a solver's problem, with no gap taken for far."""
+    setup, data = solver.setup, solver.data
+    far = np.zeros(setup.constraints.inequality.size, dtype=bool)
+    feasible = FeasibleState.of(setup, data)
+    return EnergyScale.of(setup, data, feasible, far, Timer(), History())
+
+
+@pytest.mark.parametrize("preconditioner", ["none", "lumped", "dirichlet"])
+def test_energy_norm_is_not_below_the_solution(preconditioner):
+    solver = TornSolver(column(n=2, load=(0, 0, -1.0)), Options(preconditioner=preconditioner))
+    scale = scale_of(solver)
+    solution = solver.solve()
+    work = sum(
+        u @ (s.stiffness @ u)
+        for u, s in zip(solution.displacements, solver.system.subdomains, strict=True)
+    )
+    assert 1.0 <= scale.energy_norm / np.sqrt(work) <= 100.0
+
+
+def test_rounding_counts_prescribed_jumps():
+    """The rigid motions that close them are larger than the strain that is left."""
+    system = column(n=2)
+    far = replace(system.prescribed, values=system.prescribed.values + 1e6)
+    assert scale_of(TornSolver(system)).closing == 0.0
+    moved = scale_of(TornSolver(replace(system, prescribed=far)))
+    assert moved.rounding_at(0.0) >= 1e6 * np.finfo(float).eps
+    assert moved.rounding_at(moved.closing) == pytest.approx(2.0 * moved.rounding_at(0.0))
