@@ -181,7 +181,7 @@ def test_tolerance_is_relative_to_the_local_facets():
 def gmsh_beams(tmp_path_factory):
     """The demo's beams with few unstructured tetrahedra, alike on the contact faces."""
     pytest.importorskip("gmsh")
-    path = Path(__file__).parents[3] / "meshes" / "two_beams.py"
+    path = Path(__file__).parents[4] / "meshes" / "two_beams.py"
     spec = importlib.util.spec_from_file_location("two_beams_mesh", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
