@@ -26,7 +26,7 @@ from fenics_tfeti.fem.contact.contact import (
     ContactResult,
     RigidObstacle,
 )
-from fenics_tfeti.fem.contact.mortar.pairing import match_deformed
+from fenics_tfeti.fem.contact.mortar.pairing import match_deformed, mean_over_terms
 from fenics_tfeti.fem.contact.obstacles import gap_and_normal
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
 from fenics_tfeti.parallel import raise_collectively
@@ -47,7 +47,8 @@ class DeformedContact:
         Global node of the partner: that of `ContactPairing`, or the master node that is opposite in
         the deformed state, where the surfaces slid; -1 for an obstacle.
     normal : (k, gdim) array
-        Outward unit normals of the slave in the deformed state.
+        Outward unit normals of the slave in the deformed state; those before of nodes without new
+        mortar condition.
     gap : (k,) array
         Bound c of the row (u_slave - u_partner)'n <= c, in terms of the total displacement [m];
         infinite where there is no obstacle.
@@ -57,6 +58,9 @@ class DeformedContact:
     penetration : (k,) array
         Depth of the deformed slave node in the deformed master body or in the obstacle; 0 outside
         [m].
+    slip : (k,) array or None
+        Distance, along the surface, between the parts of the master that the mortar conditions
+        before and the new ones are with [m]; None for pairs of nodes and obstacles.
     mortar : ContactPairing, optional
         New mortar conditions, whose nodes may be others than before; the other attributes are for
         the slave nodes before.
@@ -67,6 +71,7 @@ class DeformedContact:
     gap: Vector
     distance: Vector
     penetration: Vector
+    slip: Vector | None = None
     mortar: ContactPairing | None = None
 
     def pairing(self, before: ContactPairing) -> ContactPairing:
@@ -128,7 +133,7 @@ def deformed_contact(
 
 @dataclass(frozen=True)
 class GeometryPass:
-    """Penetration and separation of the deformed surfaces after one solution.
+    """What the deformed surfaces and the contact conditions of one solution leave of each other.
 
     Attributes
     ----------
@@ -137,8 +142,16 @@ class GeometryPass:
     separation : float
         Largest distance, along the normal, between a slave node with positive contact force and its
         master or obstacle; inside or outside [m].
+    slip : float
+        Largest distance, along the surface, between where mortar conditions let positive contact
+        forces act on the master and what is opposite in the deformed state [m].
+    tilt : float
+        Angle between contact forces and the normals of the deformed state, as root of the mean
+        square with the forces as weights [rad]. It is the part of the forces that acts along the
+        surfaces, which do work when they slide.
     error : float
-        The larger of both, relative to the largest displacement.
+        The largest of penetration, separation and slip relative to the largest displacement, and of
+        the tilt.
     products : int
         Applications of F in the solution.
     seconds : float
@@ -148,6 +161,8 @@ class GeometryPass:
 
     penetration: float
     separation: float
+    slip: float
+    tilt: float
     error: float
     products: int
     seconds: float = 0.0
@@ -159,33 +174,36 @@ def geometry_pass(
     displacement: Function,
     products: int,
 ) -> GeometryPass:
-    """Return the penetration and separation of the deformed surfaces. Collective.
+    """Compare the deformed surfaces with the conditions that they were computed with. Collective.
 
     Parameters
     ----------
     deformed : sequence of DeformedContact
         All contacts, this rank's parts.
     results : sequence of ContactResult
-        Which nodes have positive contact forces.
+        The contact forces and their directions.
     displacement : Function
         The displacement of the deformed state [m].
     products : int
         Applications of F in the solution.
     """
-    active = [
-        np.abs(new.distance[result.active]) for new, result in zip(deformed, results, strict=True)
-    ]
-    largest = np.array(
-        [
-            max((float(new.penetration.max(initial=0.0)) for new in deformed), default=0.0),
-            max((float(distance.max(initial=0.0)) for distance in active), default=0.0),
-            float(np.abs(displacement.x.array).max(initial=0.0)),
-        ]
-    )
-    displacement.function_space.mesh.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
-    penetration, separation, size = largest.tolist()
-    error = max(penetration, separation) / size if size > 0.0 else 0.0
-    return GeometryPass(penetration, separation, error, products)
+    comm = displacement.function_space.mesh.comm
+    largest = np.array([0.0, 0.0, 0.0, np.abs(displacement.x.array).max(initial=0.0)])
+    sums = np.zeros(2)
+    for new, result in zip(deformed, results, strict=True):
+        pressing = result.active
+        slip = np.zeros(0) if new.slip is None else new.slip[pressing]
+        distances = (new.penetration, np.abs(new.distance[pressing]), slip)
+        largest[:3] = np.maximum(largest[:3], [part.max(initial=0.0) for part in distances])
+        force = result.normal_force[pressing]
+        turned = np.linalg.norm((new.normal - result.normal)[pressing], axis=1)
+        sums += [np.sum(force * turned**2), np.sum(force)]
+    comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+    comm.Allreduce(MPI.IN_PLACE, sums, MPI.SUM)
+    tilt = float(np.sqrt(sums[0] / sums[1])) if sums[1] > 0.0 else 0.0
+    penetration, separation, slip, size = largest.tolist()
+    error = max(penetration, separation, slip) / size if size > 0.0 else 0.0
+    return GeometryPass(penetration, separation, slip, tilt, max(error, tilt), products)
 
 
 def _check_displacement(space: FunctionSpace, displacement: Function) -> None:
@@ -233,11 +251,32 @@ def _by_mortar(
     surface = pairing.surface
     # a node that slid off the master is as far from it as its facets are large
     along = surface.size[np.searchsorted(surface.nodes, pairing.slave)].copy()
+    slip, normal = along.copy(), pairing.normal.copy()
     _, before, now = np.intersect1d(pairing.slave, new.slave, return_indices=True)
-    along[before] = distance[now]
+    along[before], normal[before] = distance[now], new.normal[now]
+    offset = _relative_places(pairing, slave, master)[before]
+    offset -= _relative_places(new, slave, master)[now]
+    offset -= np.sum(offset * normal[before], axis=1)[:, None] * normal[before]
+    slip[before] = np.linalg.norm(offset, axis=1)
     return DeformedContact(
-        pairing.master, pairing.normal, pairing.gap, along, np.maximum(-along, 0.0), new
+        pairing.master,
+        normal,
+        pairing.gap,
+        along,
+        np.maximum(-along, 0.0),
+        slip,
+        new,
     )
+
+
+def _relative_places(
+    pairing: ContactPairing, slave: DeformedSurface, master: DeformedSurface
+) -> Vector:
+    """Return the mean places on the slave of mortar conditions, less those on the master."""
+    assert pairing.terms is not None
+    nodes, first = np.unique(np.concatenate([slave.nodes, master.nodes]), return_index=True)
+    points = np.concatenate([slave.points, master.points])[first]
+    return mean_over_terms(pairing.terms, nodes, points)
 
 
 def _opposite(master: DeformedSurface, partner: Numbers, foot: Vector) -> Numbers:
