@@ -18,18 +18,20 @@ OPTIONS = {
 }
 
 
+@pytest.mark.parametrize("upper", [12, 9])
 @pytest.mark.parametrize("slide", [0.01, 0.3])
-def test_bodies_that_slide(slide):
-    problem = two_blocks(slide, OPTIONS, comm=COMM)
-    alone = two_blocks(slide, OPTIONS, comm=MPI.COMM_SELF)
+def test_bodies_that_slide(slide, upper):
+    """On matching meshes, and with mortars."""
+    problem = two_blocks(slide, OPTIONS, comm=COMM, upper=upper)
+    alone = two_blocks(slide, OPTIONS, comm=MPI.COMM_SELF, upper=upper)
     problem.solve()
     alone.solve()
     mine, theirs = problem.report.passes, alone.report.passes
     assert len(mine) == len(theirs)
     for one, other in zip(mine, theirs, strict=True):
         np.testing.assert_allclose(
-            [one.penetration, one.separation],
-            [other.penetration, other.separation],
+            [one.penetration, one.separation, one.slip, one.tilt],
+            [other.penetration, other.separation, other.slip, other.tilt],
             rtol=1e-3,
             atol=1e-7,
         )

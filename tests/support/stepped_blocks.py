@@ -185,9 +185,16 @@ CHANGES = [
 # -- sliding
 
 
-def two_blocks(slide, options, n=12, comm=MPI.COMM_SELF):
-    """An upper block on the parabolic bump of a lower one, its top moved sideways and down."""
-    parts = [Box((0, 0), (2, 0.5), (2 * n, n // 2)), Box((0.5, 0.5), (1.5, 1.0), (n, n // 2))]
+def two_blocks(slide, options, n=12, comm=MPI.COMM_SELF, upper=None, height=0.3, start=0.0):
+    """An upper block on the parabolic bump of a lower one, its top moved sideways and down.
+
+    The meshes match unless `upper` is another number of facets than n. `start` is where the upper
+    block is meshed, `slide` where it ends.
+    """
+    parts = [
+        Box((0, 0), (2, 0.5), (2 * n, n // 2)),
+        Box((0.5 + start, 0.5), (1.5 + start, 1.0), (upper or n, n // 2)),
+    ]
     blocks = boxes(comm, parts, "quadrilateral")
     mesh = blocks.mesh
     markers = [
@@ -198,13 +205,13 @@ def two_blocks(slide, options, n=12, comm=MPI.COMM_SELF):
     ]
     tags = tag_facets(mesh, markers, blocks.cell_tags)
     x = mesh.geometry.x
-    bump = 0.3 * (0.25 - (x[:, 0] - 1.0) ** 2)
+    bump = height * (0.25 - (x[:, 0] - 1.0) ** 2)
     # both surfaces bulge alike, the outer faces stay
     x[:, 1] += bump * (1.0 - np.abs(x[:, 1] - 0.5) / 0.5)
     V = vector_space(mesh)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     zero = fem.Constant(mesh, np.zeros(2))
-    bcs = [fixed(V, tags, CLAMPED, i, value) for i, value in enumerate((slide, -0.005))]
+    bcs = [fixed(V, tags, CLAMPED, i, value) for i, value in enumerate((slide - start, -0.005))]
     bcs += [fixed(V, tags, GROUND, i) for i in (0, 1)]
     a, L = elasticity(u, v, 1e6), ufl.inner(zero, v) * ufl.dx
     contact = ContactPair(tags, slave=SLAVE, master=MASTER, partial=True)
