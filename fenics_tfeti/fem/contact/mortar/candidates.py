@@ -31,7 +31,7 @@ class MasterTree:
     def __init__(self, master: Facets) -> None:
         x = master.coordinates()
         self.facets, self.planes = master, Planes.of(x)
-        self._tree = BoxTree(x)
+        self._tree, self._low, self._high = BoxTree(x), lowest(x), highest(x)
         nodes = master.points[np.unique(master.corners)]
         self._places = cKDTree(np.concatenate([nodes, self.planes.origin]))
 
@@ -85,15 +85,18 @@ class MasterTree:
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         centre = planes.origin + np.einsum("fa,fad->fd", middle, planes.axes)
         extent = np.einsum("fa,fad->fd", half, np.abs(planes.axes))
-        upper, lower = (centre + extent).T, (centre - extent).T
+        upper, lower = ((centre + side * extent).T.copy() for side in (1.0, -1.0))
 
         def meets(row: Numbers, box_low: Vector, box_high: Vector) -> Mask:
             wanted = np.ones(row.size, dtype=bool)
             for axis, (top, bottom) in enumerate(zip(upper, lower, strict=True)):
-                wanted &= (box_low[:, axis] <= top[row]) & (box_high[:, axis] >= bottom[row])
+                wanted &= box_low[:, axis] <= top.take(row)
+                wanted &= box_high[:, axis] >= bottom.take(row)
             return wanted
 
         slave, master = self._tree.candidates(len(x), meets)
-        faces = np.einsum("kd,kd->k", planes.normal[slave], self.planes.normal[master]) < FACING
-        pair = np.unique(slave[faces] * len(self.facets) + master[faces])
-        return pair // len(self.facets), pair % len(self.facets)
+        near = meets(slave, self._low.take(master, axis=0), self._high.take(master, axis=0))
+        slave, master = slave[near], master[near]
+        normals = (planes.normal.take(slave, axis=0), self.planes.normal.take(master, axis=0))
+        faces = np.einsum("kd,kd->k", *normals) < FACING
+        return slave[faces], master[faces]

@@ -130,6 +130,8 @@ def covering_cells(
     on_master = frames[..., :-1]
     apart = (highest(on_slave) <= lowest(on_master)) | (highest(on_master) <= lowest(on_slave))
     near = ~reduce(np.logical_or, apart.T)
+    if on_master.shape[1] == 3:
+        near[near] = ~_beyond_an_edge(on_slave[near], on_master[near])
     at, other, frames = at[near], other[near], frames[near]
     pair, corners, area = _intersections(on_master[near], on_slave[near])
     cells = Cells(
@@ -145,6 +147,24 @@ def covering_cells(
     cells = cells.of_pairs(cells.pair_area() > _NO_AREA * planes.area[cells.slave])
     cells = _without_far_sides(cells, planes, master)
     return _nearest_layers(cells, planes, master)
+
+
+def _beyond_an_edge(slave: Vector, master: Vector) -> Mask:
+    """Tell which slave facets are wholly beyond an edge of the master's projected triangle.
+
+    It costs less than to cut them, and a third of the facets whose boxes meet are.
+    """
+    beyond = np.zeros(len(slave), dtype=bool)
+    for corner in range(3):
+        start, end = master[:, corner], master[:, (corner + 1) % 3]
+        along = end - start
+        outside = np.ones(len(slave), dtype=bool)
+        for point in np.moveaxis(slave, 1, 0):
+            # facets that face the slave are clockwise in its plane
+            across = along[:, 0] * (point - start)[:, 1] - along[:, 1] * (point - start)[:, 0]
+            outside &= across >= 0.0
+        beyond |= outside
+    return beyond
 
 
 def _columns(planes: Planes) -> tuple[Vector, Vector, Vector, Vector]:

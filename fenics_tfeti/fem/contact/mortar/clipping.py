@@ -9,6 +9,7 @@ __all__ = ["clip_intervals", "clip_polygons", "fan_triangles"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 # Distance from an edge, relative to the edge's length, within which a point is on it.
 _ON_EDGE = 1e-12
@@ -48,46 +49,87 @@ def clip_polygons(subject: Vector, clipper: Vector) -> tuple[Vector, Numbers]:
         The intersections, anticlockwise, and their numbers of corners, at most c; 0 for an empty
         one.
     """
-    k, m, _ = subject.shape
     n = clipper.shape[1]
-    x, y = subject[..., 0], subject[..., 1]
-    count = np.full(k, m, dtype=np.int64)
+    # corner by corner, each for all polygons: (m, k)
+    x, y = np.ascontiguousarray(subject[..., 0].T), np.ascontiguousarray(subject[..., 1].T)
+    row, count = np.arange(len(subject)), np.full(len(subject), len(x), dtype=np.int64)
     for edge in range(n):
-        start, end = clipper[:, edge], clipper[:, (edge + 1) % n]
-        x, y, count = _cut(x, y, count, start, end - start)
-    count[count < 3] = 0
-    return np.stack([x, y], axis=-1), count
+        start, end = clipper[row, edge].T, clipper[row, (edge + 1) % n].T
+        x, y, count, kept = _cut(x, y, count, start, end - start)
+        row = row[kept]
+    corners, number = np.zeros((len(subject), len(x), 2)), np.zeros(len(subject), dtype=np.int64)
+    corners[row, :, 0], corners[row, :, 1] = x.T, y.T
+    number[row] = np.where(count < 3, 0, count)
+    return corners, number
 
 
 def _cut(
     x: Vector, y: Vector, count: Numbers, start: Vector, along: Vector
-) -> tuple[Vector, Vector, Numbers]:
-    """Keep what is on the left of a line through `start` (k, 2) in the direction `along`."""
-    slot = np.arange(x.shape[1])
-    valid = slot < count[:, None]
-    length = np.linalg.norm(along, axis=1)[:, None]
-    tx, ty = along[:, :1] / length, along[:, 1:] / length
-    distance = tx * (y - start[:, 1:]) - ty * (x - start[:, :1])
-    inside = valid & (distance >= -_ON_EDGE * length)
-    following = np.where(slot + 1 < count[:, None], slot + 1, 0)
-    crosses = valid & (inside != np.take_along_axis(inside, following, axis=1))
-    row, at = np.nonzero(crosses)
-    to = following[row, at]
-    # by signed distances, so that the point is on the edge also where lines are nearly parallel
-    part = distance[row, at] / (distance[row, at] - distance[row, to])
-    # each corner that is kept is followed by the crossing on the edge from it
-    place = np.cumsum(inside.astype(np.int64) + crosses, axis=1) - 1
-    new_count = place[:, -1] + 1
-    shape = (len(x), max(1, int(new_count.max(initial=0))))
-    kept = np.nonzero(inside)
-    kept_place = (place - crosses)[kept]
-    cut = []
+) -> tuple[Vector, Vector, Numbers, Mask]:
+    """Keep what is on the left of lines through `start` (2, k) in the directions `along` (2, k).
+
+    The corners are (m, k). Polygons of which nothing is left are taken out; the last result is the
+    mask of the others. Most polygons are on one side of most lines.
+    """
+    length = np.hypot(*along)
+    tx, ty = along / length
+    distance = tx * (y - start[1]) - ty * (x - start[0])
+    inside = distance >= -_ON_EDGE * length
+    inside &= np.arange(len(x))[:, None] < count
+    number = inside.sum(axis=0)
+    kept = number > 0
+    divided = np.flatnonzero(kept & (number < count))
+    old, new, part, following, new_count = _divide(
+        inside.take(divided, axis=1), distance.take(divided, axis=1), count.take(divided)
+    )
+    count = count.copy()
+    count[divided] = new_count
+    size = max(1, int(count[kept].max(initial=0)))
+    result = []
     for values in (x, y):
-        new = np.zeros(shape)
-        new[kept[0], kept_place] = values[kept]
-        new[row, place[row, at]] = values[row, at] + part * (values[row, to] - values[row, at])
-        cut.append(new)
-    return cut[0], cut[1], new_count
+        ends = values.take(divided, axis=1).ravel()
+        start_value = ends.take(old)
+        moved = np.zeros(size * divided.size)
+        moved[new] = start_value + part * (ends.take(following) - start_value)
+        whole = np.zeros((size, kept.size))
+        whole[: len(x)] = values[:size]
+        whole[:, divided] = moved.reshape(size, -1)
+        result.append(whole if kept.all() else whole[:, kept])
+    return result[0], result[1], count[kept], kept
+
+
+def _divide(
+    inside: Mask, distance: Vector, count: Numbers
+) -> tuple[Numbers, Numbers, Vector, Numbers, Numbers]:
+    """Find the corners of polygons (m, k) that a line divides, of which those `inside` stay.
+
+    Returns
+    -------
+    old, new : (p,) integer arrays
+        Where the new corners come from and go to, in arrays of corners (., k), flattened.
+    part, following : (p,) arrays
+        Each new corner is this part of the way from the old one to that which follows it: 0 for a
+        corner that stays.
+    count : (k,) integer array
+        The new numbers of corners.
+    """
+    k = count.size
+    slot = np.arange(len(inside))[:, None]
+    last = slot + 1 == count
+    crosses = inside != np.where(last, inside[:1], np.roll(inside, -1, axis=0))
+    crosses &= slot < count
+    # each corner that is kept is followed by the crossing on the edge from it
+    place = np.cumsum(inside.astype(np.int64) + crosses, axis=0) - 1
+    kept, crossed = np.flatnonzero(inside), np.flatnonzero(crosses)
+    column = crossed % k if k else crossed
+    to = np.where(last.ravel().take(crossed), column, crossed + k)
+    before, after = distance.ravel().take(crossed), distance.ravel().take(to)
+    # by signed distances, so that the point is on the edge also where lines are nearly parallel
+    part = np.concatenate([np.zeros(kept.size), before / (before - after)])
+    new_slot = np.concatenate([(place - crosses).ravel().take(kept), place.ravel().take(crossed)])
+    old = np.concatenate([kept, crossed])
+    new = new_slot * k + (old % k if k else old)
+    return old, new, part, np.concatenate([kept, to]), place[-1] + 1
 
 
 def fan_triangles(corners: Vector, count: Numbers) -> tuple[Numbers, Vector, Vector]:

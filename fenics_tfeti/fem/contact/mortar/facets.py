@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Facets", "Planes", "highest", "lowest", "reference_coordinates", "shape_functions"]
+__all__ = [
+    "Facets",
+    "Planes",
+    "by_component",
+    "highest",
+    "lowest",
+    "reference_coordinates",
+    "shape_functions",
+]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -37,7 +46,9 @@ class Facets:
 
     def coordinates(self, chosen: Numbers | None = None) -> Vector:
         """Return the coordinates (k, v, gdim) of the corners of all or of some facets (k,)."""
-        return self.points[self.corners if chosen is None else self.corners[chosen]]
+        corners = self.corners if chosen is None else self.corners[chosen]
+        # faster than an index
+        return self.points.take(corners, axis=0)
 
 
 @dataclass(frozen=True)
@@ -95,8 +106,12 @@ class Planes:
 
     def project(self, facet: Numbers, x: Vector) -> Vector:
         """Return x (k, v, gdim) in the frames of some facets (k,): plane axes, then the height."""
-        frame: Vector = np.matmul(x - self.origin[facet, None], self.axes[facet].transpose(0, 2, 1))
-        return frame
+        offset = [x[..., i].T - self.origin[:, i].take(facet) for i in range(x.shape[2])]
+        parts = [
+            sum(part * axis[:, i].take(facet) for i, part in enumerate(offset))
+            for axis in np.moveaxis(self.axes, 1, 0)
+        ]
+        return by_component([part.T for part in parts])
 
 
 def lowest(x: Vector) -> Vector:
@@ -107,6 +122,24 @@ def lowest(x: Vector) -> Vector:
 def highest(x: Vector) -> Vector:
     """Return the maximum (k, d) of x (k, v, d) over the corners."""
     return reduce(np.maximum, np.moveaxis(x, 1, 0))
+
+
+def by_component(parts: Sequence[Vector]) -> Vector:
+    """Stack arrays along a last axis, in memory one after the other.
+
+    Components of points are contiguous then, on which NumPy is several times faster than on strided
+    ones: those of all points are treated together.
+
+    Parameters
+    ----------
+    parts : sequence of (k, ...) arrays
+        Fastest if the first index runs fastest in memory.
+
+    Returns
+    -------
+    (k, ..., parts) array
+    """
+    return np.stack([part.T for part in parts]).T
 
 
 def shape_functions(xi: Vector, v: int) -> Vector:
@@ -124,11 +157,11 @@ def shape_functions(xi: Vector, v: int) -> Vector:
     (..., v) array
     """
     if v < 4:
-        return np.concatenate([1.0 - xi.sum(axis=-1, keepdims=True), xi], axis=-1)
-    r, s = xi[..., 0], xi[..., 1]
-    return 0.25 * np.stack(
-        [(1 - r) * (1 - s), (1 + r) * (1 - s), (1 + r) * (1 + s), (1 - r) * (1 + s)], axis=-1
-    )
+        others = [xi[..., i] for i in range(v - 1)]
+        return by_component([1.0 - sum(others), *others])
+    r, s = 0.5 * xi[..., 0], 0.5 * xi[..., 1]
+    r0, r1, s0, s1 = 0.5 - r, 0.5 + r, 0.5 - s, 0.5 + s
+    return by_component([r0 * s0, r1 * s0, r1 * s1, r0 * s1])
 
 
 def reference_coordinates(corners: Vector, x: Vector) -> Vector:
@@ -144,8 +177,7 @@ def reference_coordinates(corners: Vector, x: Vector) -> Vector:
     Returns
     -------
     (k, q, gdim - 1) array
-        Exact on segments and triangles, by Newton's method on quadrilaterals.
-    """
+        """
     v = corners.shape[1]
     if v == 4:
         return _bilinear_coordinates(corners, x)
@@ -156,31 +188,21 @@ def reference_coordinates(corners: Vector, x: Vector) -> Vector:
     (ux, uy), (wx, wy) = edges[:, 0].T[..., None], edges[:, 1].T[..., None]
     dx, dy = offset[..., 0], offset[..., 1]
     det = ux * wy - uy * wx
-    return np.stack([(dx * wy - dy * wx) / det, (ux * dy - uy * dx) / det], axis=-1)
+    return by_component([(dx * wy - dy * wx) / det, (ux * dy - uy * dx) / det])
 
 
 def _bilinear_coordinates(corners: Vector, x: Vector) -> Vector:
-    """Invert the bilinear map of convex quadrilaterals; quadratically convergent."""
-    # a step of this size leaves its square
-    steps, small = 25, 1e-8
-    # x = a + b r + c s + d r s
+    """Invert the bilinear map of convex quadrilaterals, in closed form."""
+    # x = a + b r + c s + d r s; the cross product with c + d r leaves a quadratic equation for r
     signs = np.array([[1, 1, 1, 1], [-1, 1, 1, -1], [-1, -1, 1, 1], [1, -1, 1, -1]])
-    a, b, c, d = np.einsum("ai,kij->akj", 0.25 * signs, corners)[:, :, None, :]
-    xi = np.zeros_like(x)
-    for _ in range(steps):
-        r, s = xi[..., :1], xi[..., 1:]
-        rest = x - (a + b * r + c * s + d * r * s)
-        by_r, by_s = b + d * s, c + d * r
-        det = _cross(by_r, by_s)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            step = np.stack([_cross(rest, by_s), _cross(by_r, rest)], axis=-1) / det[..., None]
-        step = np.where(np.isfinite(step), step, 0.0)
-        xi += step
-        if np.abs(step).max(initial=0.0) < small:
-            break
-    return xi
-
-
-def _cross(one: Vector, other: Vector) -> Vector:
-    product: Vector = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
-    return product
+    a, b, c, d = np.einsum("ai,kij->akj", 0.25 * signs, corners)[:, :, :, None]
+    (bx, by), (cx, cy), (dx, dy) = (np.moveaxis(part, 1, 0) for part in (b, c, d))
+    qx, qy = x[..., 0] - a[:, 0], x[..., 1] - a[:, 1]
+    square, constant = bx * dy - by * dx, qx * cy - qy * cx
+    linear = bx * cy - by * cx - (qx * dy - qy * dx)
+    # the root of the discriminant is the determinant of the map at the point
+    root = np.sqrt(np.maximum(linear * linear + 4.0 * square * constant, 0.0))
+    r = 2.0 * constant / (linear + np.copysign(root, linear))
+    ux, uy = cx + dx * r, cy + dy * r
+    s = ((qx - bx * r) * ux + (qy - by * r) * uy) / (ux * ux + uy * uy)
+    return by_component([r, s])

@@ -88,15 +88,17 @@ def mortar_matrices(
     MortarMatrices
         What is covered of facets without any such node is left out.
     """
-    corners = slave.corners[integrals.facet]
-    share = _shares(has_row[corners])
-    dual, diagonal = _dual_functions(integrals, _area(integrals, slave))
-    of_slave = np.matmul(share, diagonal)
-    dual = np.matmul(share, dual)
-    of_master = np.matmul(dual[integrals.pair], integrals.coupling)
-    gap = np.zeros((len(slave.points), slave.points.shape[1]))
-    np.add.at(gap, corners, np.matmul(dual, integrals.gap))
     n, m = len(slave.points), len(master.points)
+    corners = slave.corners[integrals.facet]
+    dual, of_slave = _dual_functions(integrals, _area(integrals, slave))
+    partly = np.flatnonzero(~has_row[corners].all(axis=1))
+    if partly.size:
+        share = _shares(has_row[corners[partly]])
+        of_slave[partly] = np.matmul(share, of_slave[partly])
+        dual[partly] = np.matmul(share, dual[partly])
+    of_master = np.matmul(dual[integrals.pair], integrals.coupling)
+    of_nodes = np.matmul(dual, integrals.gap).reshape(corners.size, slave.points.shape[1])
+    gap = np.stack([_sums(corners, part, n) for part in of_nodes.T], axis=1)
     D = _assemble(of_slave, corners, corners, (n, n))
     M = _assemble(of_master, corners[integrals.pair], master.corners[integrals.master], (n, m))
     return MortarMatrices(D, M, gap, np.asarray(D.sum(axis=1)).ravel())
@@ -113,10 +115,13 @@ def node_areas(integrals: FacetIntegrals, slave: Facets) -> tuple[Vector, Vector
     """Return the whole and the covered area (n,) of each slave node, without weight [m^2 or m]."""
     n, v = len(slave.points), slave.corners.shape[1]
     area = np.repeat(Planes.of(slave.coordinates()).area / v, v)
-    whole, covered = np.zeros((2, n))
-    np.add.at(whole, slave.corners.ravel(), area)
-    np.add.at(covered, slave.corners[integrals.facet], integrals.share)
-    return whole, covered
+    covered = slave.corners[integrals.facet]
+    return _sums(slave.corners, area, n), _sums(covered, integrals.share, n)
+
+
+def _sums(nodes: Numbers, values: Vector, n: int) -> Vector:
+    """Sum values by their nodes, (n,)."""
+    return np.bincount(nodes.ravel(), values.ravel(), n).astype(np.float64, copy=False)
 
 
 def _shares(has_row: Mask) -> Vector:
@@ -151,8 +156,9 @@ def _assemble(
     values: Vector, rows: Numbers, columns: Numbers, shape: tuple[int, int]
 ) -> sp.csr_matrix:
     """Sum blocks (c, v, w) of rows (c, v) and columns (c, w); without zeros."""
-    row = np.broadcast_to(rows[:, :, None], values.shape)
-    column = np.broadcast_to(columns[:, None, :], values.shape)
-    there = values != 0.0
-    matrix = sp.coo_matrix((values[there], (row[there], column[there])), shape=shape).tocsr()
+    # the type of SciPy's indices, of which there are many more than rows and columns
+    row = np.repeat(rows.astype(np.int32), columns.shape[1])
+    column = np.tile(columns.astype(np.int32), rows.shape[1]).ravel()
+    matrix = sp.coo_matrix((values.ravel(), (row, column)), shape=shape).tocsr()
+    matrix.eliminate_zeros()
     return matrix
