@@ -22,6 +22,7 @@ __all__ = [
     "concatenate_ranks",
     "first_of_rank",
     "raise_collectively",
+    "values_of_owners",
 ]
 
 Keys = NDArray[np.int64]
@@ -87,6 +88,28 @@ def first_of_rank(comm: MPI.Intracomm, count: int) -> tuple[int, int]:
     """Return the sums of the counts of lower ranks and of all ranks."""
     counts = comm.allgather(count)
     return sum(counts[: comm.rank]), sum(counts)
+
+
+def values_of_owners(
+    comm: MPI.Intracomm, owned: tuple[int, int], values: Array, numbers: Keys
+) -> Array:
+    """Return rows of a distributed array whose ranks own consecutive numbers. Collective.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks.
+    owned : (int, int)
+        The first number that this rank owns, and the one after its last.
+    values : (n, ...) array
+        Rows of the numbers that this rank owns, in their order; more rows do not matter.
+    numbers : (k,) integer array
+        Numbers of any ranks, ascending.
+    """
+    ends = np.array(comm.allgather(owned[1]))
+    asked = comm.alltoall(np.split(numbers, np.searchsorted(numbers, ends[:-1])))
+    rows = comm.alltoall([values[part - owned[0]] for part in asked])
+    return np.concatenate(rows)
 
 
 class Directory:

@@ -26,7 +26,7 @@ from fenics_tfeti.fem.contact.contact import (
     ContactResult,
     RigidObstacle,
 )
-from fenics_tfeti.fem.contact.mortar.pairing import match_deformed, mean_over_terms
+from fenics_tfeti.fem.contact.mortar.pairing import match_deformed, mean_relative
 from fenics_tfeti.fem.contact.obstacles import gap_and_normal
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
 from fenics_tfeti.parallel import raise_collectively
@@ -60,7 +60,8 @@ class DeformedContact:
         [m].
     slip : (k,) array or None
         Distance, along the surface, between the parts of the master that the mortar conditions
-        before and the new ones are with [m]; None for pairs of nodes and obstacles.
+        before and the new ones are with, relative to the size of the slave's facets there; None for
+        pairs of nodes and obstacles.
     mortar : ContactPairing, optional
         New mortar conditions, whose nodes may be others than before; the other attributes are for
         the slave nodes before.
@@ -144,14 +145,15 @@ class GeometryPass:
         master or obstacle; inside or outside [m].
     slip : float
         Largest distance, along the surface, between where mortar conditions let positive contact
-        forces act on the master and what is opposite in the deformed state [m].
+        forces act on the master and what is opposite in the deformed state, relative to the size of
+        the slave's facets there.
     tilt : float
         Angle between contact forces and the normals of the deformed state, as root of the mean
         square with the forces as weights [rad]. It is the part of the forces that acts along the
         surfaces, which do work when they slide.
     error : float
-        The largest of penetration, separation and slip relative to the largest displacement, and of
-        the tilt.
+        The largest of slip, tilt, and penetration and separation relative to the largest
+        displacement.
     products : int
         Applications of F in the solution.
     seconds : float
@@ -202,8 +204,8 @@ def geometry_pass(
     comm.Allreduce(MPI.IN_PLACE, sums, MPI.SUM)
     tilt = float(np.sqrt(sums[0] / sums[1])) if sums[1] > 0.0 else 0.0
     penetration, separation, slip, size = largest.tolist()
-    error = max(penetration, separation, slip) / size if size > 0.0 else 0.0
-    return GeometryPass(penetration, separation, slip, tilt, max(error, tilt), products)
+    error = max(penetration, separation) / size if size > 0.0 else 0.0
+    return GeometryPass(penetration, separation, slip, tilt, max(error, slip, tilt), products)
 
 
 def _check_displacement(space: FunctionSpace, displacement: Function) -> None:
@@ -245,19 +247,20 @@ def _at_master(
 def _by_mortar(
     space: FunctionSpace, contact: ContactPair, pairing: ContactPairing, displacement: Function
 ) -> DeformedContact:
-    slave = gather_surface(space, contact.facet_tags, contact.slave, displacement)
-    master = gather_surface(space, contact.facet_tags, contact.master, displacement)
-    new, distance = match_deformed(space, contact, pairing, slave, master, displacement)
+    assert pairing.terms is not None
+    new, distance = match_deformed(space, contact, pairing, displacement)
+    assert new.terms is not None
     surface = pairing.surface
     # a node that slid off the master is as far from it as its facets are large
-    along = surface.size[np.searchsorted(surface.nodes, pairing.slave)].copy()
-    slip, normal = along.copy(), pairing.normal.copy()
+    size = surface.size[np.searchsorted(surface.nodes, pairing.slave)]
+    along, slip, normal = size.copy(), np.ones_like(size), pairing.normal.copy()
     _, before, now = np.intersect1d(pairing.slave, new.slave, return_indices=True)
     along[before], normal[before] = distance[now], new.normal[now]
-    offset = _relative_places(pairing, slave, master)[before]
-    offset -= _relative_places(new, slave, master)[now]
+    # mean places on the slave, less those on the master
+    offset = mean_relative(pairing.terms, space, displacement, deformed=True)[before]
+    offset -= mean_relative(new.terms, space, displacement, deformed=True)[now]
     offset -= np.sum(offset * normal[before], axis=1)[:, None] * normal[before]
-    slip[before] = np.linalg.norm(offset, axis=1)
+    slip[before] = np.linalg.norm(offset, axis=1) / size[before]
     return DeformedContact(
         pairing.master,
         normal,
@@ -267,16 +270,6 @@ def _by_mortar(
         slip,
         new,
     )
-
-
-def _relative_places(
-    pairing: ContactPairing, slave: DeformedSurface, master: DeformedSurface
-) -> Vector:
-    """Return the mean places on the slave of mortar conditions, less those on the master."""
-    assert pairing.terms is not None
-    nodes, first = np.unique(np.concatenate([slave.nodes, master.nodes]), return_index=True)
-    points = np.concatenate([slave.points, master.points])[first]
-    return mean_over_terms(pairing.terms, nodes, points)
 
 
 def _opposite(master: DeformedSurface, partner: Numbers, foot: Vector) -> Numbers:

@@ -33,9 +33,9 @@ from fenics_tfeti.fem.contact.nodes import search
 from fenics_tfeti.fem.contact.nodes.matching_meshes import meshes_match
 from fenics_tfeti.fem.contact.obstacles import gap_and_normal
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
-from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, initial_gap
 from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas, given_weight
+from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MasterNodes,
@@ -108,7 +108,7 @@ def match_contact(
 ) -> ContactPairing:
     """Find the slave's nodes, normals, partners and gaps. Collective.
 
-    The master's surface is gathered on all ranks: its nodes, for mortar conditions its facets.
+    The master's nodes are gathered on all ranks, of its facets those near each rank's slave facets.
 
     Parameters
     ----------
@@ -236,10 +236,13 @@ def _match_pair(
     other = tagged_surface(boundary, tags, contact.master, f"master of {name}")
     if _gives_partners(contact) or contact.discretisation == "node_to_node":
         return _match_nodes(boundary, name, contact, slave, other)
-    master = gather_surface(boundary.space, tags, contact.master)
-    shared = _shared_nodes(comm, name, slave, master.nodes, contact.partial)
+    master = gather_nearby(boundary.space, tags, contact.master, contact.slave, slave.nodes)
+    number = comm.allreduce(other.nodes.size)
+    shared = _shared_nodes(comm, name, slave, master.nodes, number, contact.partial)
+    with raise_collectively(comm):
+        normals = master.normals(name)
     matching = contact.discretisation == "auto" and meshes_match(
-        boundary.space, slave, master, master.normals(name), contact.tolerance
+        boundary.space, slave, master, normals, contact.tolerance
     )
     if matching:
         return _match_nodes(boundary, name, contact, slave, other)
@@ -260,7 +263,8 @@ def _match_nodes(
 ) -> ContactPairing:
     comm = boundary.space.mesh.comm
     master = gather_master(comm, other)
-    shared = _shared_nodes(comm, name, slave, master.nodes, contact.partial)
+    number = master.nodes.size
+    shared = _shared_nodes(comm, name, slave, master.nodes, number, contact.partial)
     master = master.without(shared)
 
     partners = _find_partners(comm, contact, slave, master, name)
@@ -319,12 +323,15 @@ def _nodal_chords(boundary: MeshBoundary, slave: Surface) -> Vector:
 
 
 def _shared_nodes(
-    comm: MPI.Intracomm, name: str, slave: Surface, master: Numbers, partial: bool
+    comm: MPI.Intracomm, name: str, slave: Surface, master: Numbers, number: int, partial: bool
 ) -> Numbers:
-    """Return the nodes, on all ranks, that are slave and master, such as the tip of a crack."""
+    """Return the nodes, on all ranks, that are slave and master, such as the tip of a crack.
+
+    `master` are the master's nodes that may be this rank's slave nodes, `number` is that of all.
+    """
     at = np.isin(slave.nodes, master)
     shared = concatenate_ranks(comm, slave.nodes[at])
-    some_left = shared.size < len(master)
+    some_left = shared.size < number
     check_shared_nodes(comm, slave, at, partial and some_left, name)
     return shared
 

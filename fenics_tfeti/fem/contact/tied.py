@@ -21,7 +21,8 @@ from fenics_tfeti.fem.contact.mortar.conditions import (
 )
 from fenics_tfeti.fem.contact.mortar.pairing import slave_facets
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
-from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface, oriented_facets
+from fenics_tfeti.fem.contact.surfaces.deformed import oriented_facets
+from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MeshBoundary,
@@ -123,7 +124,9 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
             raise InputError(f"{name}: slave and master have the same tag {pair.slave}")
     slave = tagged_surface(boundary, pair.facet_tags, pair.slave, f"slave of {name}")
     tagged_surface(boundary, pair.facet_tags, pair.master, f"master of {name}")
-    master = gather_surface(space, pair.facet_tags, pair.master)
+    master = gather_nearby(space, pair.facet_tags, pair.master, pair.slave, slave.nodes)
+    with raise_collectively(comm):
+        normals = master.normals(name)
     _check_separate(comm, slave, master.nodes, name)
     gdim = slave.normal.shape[1]
     facets = slave_facets(space, pair, slave, boundary.coordinates[:, :gdim], name)
@@ -135,7 +138,7 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
         facets,
         slave.nodes,
         master,
-        master.normals(name),
+        normals,
         cyclic_values(slave, oriented, on_facets),
     )
     # nodes where a component is prescribed have no condition for it

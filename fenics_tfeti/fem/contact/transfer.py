@@ -17,7 +17,7 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import Contact, ContactPairing, ContactResult, RigidObstacle
-from fenics_tfeti.fem.contact.mortar.pairing import joined_displacements, mean_over_terms
+from fenics_tfeti.fem.contact.mortar.pairing import mean_relative
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti.system import ContactGuess
@@ -86,10 +86,14 @@ def _gather_solved(
     space = displacement.function_space
     comm = space.mesh.comm
     slave = gather_surface(space, contact.facet_tags, contact.slave, displacement)
-    other = None
-    if not isinstance(contact, RigidObstacle):
-        other = gather_surface(space, contact.facet_tags, contact.master, displacement)
-    own = np.sum(_relative_displacement(pairing, slave, other) * pairing.normal, axis=1)
+    if pairing.terms is not None:
+        relative = mean_relative(pairing.terms, space, displacement)
+    else:
+        other = None
+        if not isinstance(contact, RigidObstacle):
+            other = gather_surface(space, contact.facet_tags, contact.master, displacement)
+        relative = _relative_displacement(pairing, slave, other)
+    own = np.sum(relative * pairing.normal, axis=1)
     columns = (pairing.slave, result.pressure, own)
     nodes, of_paired, of_approach = (concatenate_ranks(comm, column) for column in columns)
     at = np.searchsorted(slave.nodes, nodes)
@@ -103,12 +107,10 @@ def _gather_solved(
 def _relative_displacement(
     pairing: ContactPairing, slave: DeformedSurface, master: DeformedSurface | None
 ) -> Vector:
-    """Return u_slave - u_master (k, gdim) at this rank's conditions, of mortar ones the mean."""
+    """Return u_slave - u_master (k, gdim) at this rank's pairs of nodes."""
     at = np.searchsorted(slave.nodes, pairing.slave)
     if master is None:
         return slave.displacement[at]
-    if pairing.terms is not None:
-        return mean_over_terms(pairing.terms, *joined_displacements(slave, master))
     partner = np.searchsorted(master.nodes, pairing.master)
     relative: Vector = slave.displacement[at] - master.displacement[partner]
     return relative

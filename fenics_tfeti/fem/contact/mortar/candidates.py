@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes, highest, lowest
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 
-__all__ = ["FACING", "MasterTree"]
+__all__ = ["FACING", "REACH", "MasterTree"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -17,6 +17,11 @@ Mask = NDArray[np.bool_]
 
 # Cosine between the normals of two facets, below which they face each other: 96 degrees.
 FACING = -0.1
+
+
+# How far the master is looked for, relative to a slave facet's distance from the master's nodes and
+# centres: enough where the surfaces are inclined to each other by up to 60 degrees.
+REACH = 2.0
 
 
 class MasterTree:
@@ -38,8 +43,8 @@ class MasterTree:
     def reach(self, slave: Facets, planes: Planes) -> Vector:
         """Return how far before and behind each slave facet the master is looked for.
 
-        It is twice the facet's distance from the nodes and centres of the master, which suffices
-        where the surfaces are inclined to each other by up to 60 degrees, and its diameter more.
+        It is `REACH` times the facet's distance from the nodes and centres of the master, and its
+        diameter more.
 
         Parameters
         ----------
@@ -53,11 +58,10 @@ class MasterTree:
         (f,) array
             [m].
         """
-        slope = 2.0
         nodes, at = np.unique(slave.corners, return_inverse=True)
         distance = self._places.query(slave.points[nodes])[0]
         farthest = distance[at.reshape(slave.corners.shape)].max(axis=1)
-        reach: Vector = slope * farthest + planes.diameter
+        reach: Vector = REACH * farthest + planes.diameter
         return reach
 
     def candidates(self, x: Vector, planes: Planes, reach: Vector) -> tuple[Numbers, Numbers]:

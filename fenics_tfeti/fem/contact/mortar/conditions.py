@@ -1,7 +1,7 @@
 """Mortar conditions of a contact, distributed: rows at the ranks that own the slave's nodes.
 
-Each rank integrates over the slave's facets that it owns; the master's surface is gathered on every
-rank. The contributions of the facets are summed at the owners of the slave's nodes.
+Each rank integrates over the slave's facets that it owns, with what of the master's surface is near
+them. The contributions of the facets are summed at the owners of the slave's nodes.
 """
 
 from __future__ import annotations
@@ -169,7 +169,7 @@ def mortar_conditions(
     owned : (s,) integer array
         The slave's nodes that this rank owns, ascending.
     master : DeformedSurface
-        The master's surface on every rank.
+        The master's surface near this rank's facets.
     normals : (n, gdim) array
         Its normals.
     free : integer array

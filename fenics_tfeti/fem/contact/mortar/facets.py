@@ -158,7 +158,7 @@ def shape_functions(xi: Vector, v: int) -> Vector:
     """
     if v < 4:
         others = [xi[..., i] for i in range(v - 1)]
-        return by_component([1.0 - sum(others), *others])
+        return by_component([1.0 - reduce(np.add, others), *others])
     r, s = 0.5 * xi[..., 0], 0.5 * xi[..., 1]
     r0, r1, s0, s1 = 0.5 - r, 0.5 + r, 0.5 - s, 0.5 + s
     return by_component([r0 * s0, r1 * s0, r1 * s1, r0 * s1])
@@ -177,7 +177,7 @@ def reference_coordinates(corners: Vector, x: Vector) -> Vector:
     Returns
     -------
     (k, q, gdim - 1) array
-        """
+    """
     v = corners.shape[1]
     if v == 4:
         return _bilinear_coordinates(corners, x)

@@ -185,10 +185,8 @@ def _products(one: Vector, other: Vector) -> Vector:
 
     For all cells together: products of many small matrices take several times as long.
     """
-    rows = [
-        by_component([np.sum(one[..., i].T * other[..., j].T, axis=0) for j in range(other.shape[2])])
-        for i in range(one.shape[2])
-    ]
+    lefts, rights = np.moveaxis(one, 2, 0), np.moveaxis(other, 2, 0)
+    rows = [by_component([np.sum(left.T * right.T, axis=0) for right in rights]) for left in lefts]
     return np.stack([row.T for row in rows]).transpose(2, 0, 1)
 
 
@@ -223,12 +221,13 @@ def _degree_eight() -> tuple[Vector, Vector]:
     weights = (0.0950916342672846247, 0.103217370534718250, 0.0324584976231980803)
     one, other = 0.00839477740995760533, 0.263112829634638113
     third = 1.0 - one - other
-    points = [
-        np.full((1, 3), 1.0 / 3.0),
-        _symmetric(places),
-        np.array(list(permutations((one, other, third)))),
+    skew = np.array(list(permutations((one, other, third))))
+    points = [np.full((1, 3), 1.0 / 3.0), _symmetric(places), skew]
+    factors = [
+        np.array([0.144315607677787168]),
+        np.repeat(weights, 3),
+        np.full(6, 0.0272303141744349943),
     ]
-    factors = [[0.144315607677787168], np.repeat(weights, 3), np.full(6, 0.0272303141744349943)]
     return np.concatenate(points), np.concatenate(factors)
 
 

@@ -22,16 +22,17 @@ from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, oriented_facets
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
 from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas, given_weight
+from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import raise_collectively, values_of_owners
 
 __all__ = [
-    "joined_displacements",
     "match_by_mortar",
     "match_deformed",
     "mean_over_terms",
+    "mean_relative",
     "slave_facets",
 ]
 
@@ -62,7 +63,7 @@ def match_by_mortar(
     slave : Surface
         The slave's surface.
     master : DeformedSurface
-        The master's surface, not deformed, on every rank.
+        The master's surface near this rank's slave facets, not deformed.
     shared : integer array
         Nodes of both surfaces, which stay free.
     prescribed : (s, gdim) bool array
@@ -84,7 +85,9 @@ def match_by_mortar(
     points = boundary.coordinates[:, :gdim]
     facets = slave_facets(space, contact, slave, points, name)
     check_folds(comm, facets, name)
-    conditions = mortar_conditions(comm, facets, slave.nodes, master, master.normals(name), shared)
+    with raise_collectively(comm):
+        normals = master.normals(name)
+    conditions = mortar_conditions(comm, facets, slave.nodes, master, normals, shared)
     check_covered(comm, conditions, slave, name)
     at = np.searchsorted(slave.nodes, conditions.slave)
     if facets.weight is not None:
@@ -111,8 +114,6 @@ def match_deformed(
     space: FunctionSpace,
     contact: ContactPair,
     pairing: ContactPairing,
-    slave: DeformedSurface,
-    master: DeformedSurface,
     displacement: Function,
 ) -> tuple[ContactPairing, Vector]:
     """Return the mortar conditions of a pair on its deformed surfaces. Collective.
@@ -125,8 +126,6 @@ def match_deformed(
         The pair.
     pairing : ContactPairing
         Its conditions before.
-    slave, master : DeformedSurface
-        The deformed surfaces on every rank.
     displacement : Function
         The displacement [m], ghosts up to date.
 
@@ -137,16 +136,20 @@ def match_deformed(
         between the deformed surfaces [m], negative inside.
     """
     comm, gdim, name = space.mesh.comm, space.dofmap.index_map_bs, pairing.name
-    surface = pairing.surface
-    here = np.searchsorted(slave.nodes, surface.nodes)
-    normal = surface.normal if contact.normal is not None else slave.normals(name)[here]
+    surface, tags = pairing.surface, contact.facet_tags
+    slave, master = (
+        gather_nearby(space, tags, tag, contact.slave, surface.nodes, displacement)
+        for tag in (contact.slave, contact.master)
+    )
+    with raise_collectively(comm):
+        here = np.searchsorted(slave.nodes, surface.nodes)
+        normal = surface.normal if contact.normal is not None else slave.normals(name)[here]
+        of_master = master.normals(name)
     deformed = replace(surface, normal=normal)
     points = space.tabulate_dof_coordinates()[:, :gdim] + displacement.x.array.reshape(-1, gdim)
     facets = slave_facets(space, contact, deformed, points, name)
     shared = np.intersect1d(slave.nodes, master.nodes)
-    conditions = mortar_conditions(
-        comm, facets, surface.nodes, master, master.normals(name), shared
-    )
+    conditions = mortar_conditions(comm, facets, surface.nodes, master, of_master, shared)
     check_covered(comm, conditions, surface, name)
     prescribed = pairing.prescribed
     if prescribed is None:
@@ -154,17 +157,11 @@ def match_deformed(
     at = np.searchsorted(surface.nodes, conditions.slave)
     normal = _normals(space, contact, deformed, prescribed)[at]
     distance = np.sum(conditions.gap * normal, axis=1)
-    relative = mean_over_terms(conditions.terms, *joined_displacements(slave, master))
+    relative = mean_relative(conditions.terms, space, displacement)
     gap = distance + np.sum(relative * normal, axis=1)
     new = _pairing(name, conditions, surface, normal, gap, pairing.summary, prescribed)
     new = replace(new, master_surface=pairing.master_surface)
     return new, distance
-
-
-def joined_displacements(slave: DeformedSurface, master: DeformedSurface) -> tuple[Numbers, Vector]:
-    """Return the nodes of both surfaces, ascending, and their displacements [m]."""
-    nodes, first = np.unique(np.concatenate([slave.nodes, master.nodes]), return_index=True)
-    return nodes, np.concatenate([slave.displacement, master.displacement])[first]
 
 
 def _pairing(
@@ -238,6 +235,36 @@ def main_masters(terms: MortarTerms) -> Numbers:
     order = np.lexsort((terms.nodes, terms.weights, terms.row))
     nodes: Numbers = terms.nodes[order[terms.offsets[:-1]]]
     return nodes
+
+
+def mean_relative(
+    terms: MortarTerms, space: FunctionSpace, displacement: Function, deformed: bool = False
+) -> Vector:
+    """Return mean displacements of the slave less those of the master, or places. Collective.
+
+    Parameters
+    ----------
+    terms : MortarTerms
+        The conditions of this rank; their nodes may be on any.
+    space : FunctionSpace
+        The displacement's space.
+    displacement : Function
+        On the space [m].
+    deformed : bool
+        Whether to take the deformed places instead of the displacements.
+
+    Returns
+    -------
+    (k, gdim) array
+        As `mean_over_terms`.
+    """
+    gdim, index_map = space.dofmap.index_map_bs, space.dofmap.index_map
+    values = displacement.x.array.reshape(-1, gdim)[: index_map.size_local]
+    if deformed:
+        values = values + space.tabulate_dof_coordinates()[: index_map.size_local, :gdim]
+    nodes = np.unique(terms.nodes)
+    found = values_of_owners(space.mesh.comm, index_map.local_range, values, nodes)
+    return mean_over_terms(terms, nodes, found)
 
 
 def mean_over_terms(terms: MortarTerms, nodes: Numbers, values: Vector) -> Vector:

@@ -58,6 +58,11 @@ class BoxTree:
         self._high.reverse()
         self.size = float((self._high[0] - self._low[0]).max())
 
+    def boxes(self, most: int) -> tuple[Vector, Vector]:
+        """Return lower and upper corners (b, gdim) of a level with as many boxes up to `most`."""
+        level = max(k for k, low in enumerate(self._low) if len(low) <= max(1, most))
+        return self._low[level], self._high[level]
+
     def candidates(
         self, number: int, wanted: Callable[[Numbers, Vector, Vector], Mask]
     ) -> tuple[Numbers, Numbers]:

@@ -1,0 +1,189 @@
+"""The part of a tagged surface that is near a rank's facets of another one, from all ranks.
+
+A mortar condition needs the master's facets over the slave's. Which these can be follows from the
+distance of each slave node from the master, so that no search distance has to be given. Ranks tell
+each other boxes around their parts, few for each rank, then exchange slave nodes and distances, and
+then the master's facets, each only with the ranks whose boxes say so.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from dolfinx.fem import Function, FunctionSpace
+
+from fenics_tfeti.fem.contact.mortar.candidates import REACH
+from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
+from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, oriented_facets
+
+__all__ = ["gather_nearby"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Boxes = tuple[Vector, Vector]
+
+# Boxes by which a rank describes its part of a surface to the others.
+_BOXES = 64
+
+
+def gather_nearby(
+    space: FunctionSpace,
+    facet_tags: Any,
+    tag: int,
+    around: int,
+    owned: Numbers,
+    displacement: Function | None = None,
+) -> DeformedSurface:
+    """Gather what of a surface is near this rank's facets and nodes of another one. Collective.
+
+    All facets are there that may lie over a slave facet of this rank, those closest to it, and the
+    ones around each of their nodes, so that normals there are those of the whole surface.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    facet_tags : MeshTags
+        Tags of facets.
+    tag : int
+        The surface's tag.
+    around : int
+        The tag of the other one, or the same.
+    owned : (k,) integer array
+        Global nodes of the other one that this rank owns; their facets may be other ranks'.
+    displacement : Function, optional
+        On the space [m], with ghosts up to date; by default the surfaces are not deformed.
+
+    Returns
+    -------
+    DeformedSurface
+        As `gather_surface`, without what is far away; it differs from rank to rank.
+    """
+    comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
+    undeformed = space.tabulate_dof_coordinates()[:, :gdim]
+    moves = np.zeros_like(undeformed)
+    if displacement is not None:
+        moves = displacement.x.array.reshape(-1, gdim)[: len(undeformed)]
+    points = undeformed + moves
+    rows = oriented_facets(space, facet_tags, tag).astype(np.int64)
+    tree = BoxTree(points[rows]) if len(rows) else None
+    nodes = oriented_facets(space, facet_tags, around).astype(np.int64)
+    alone = owned - space.dofmap.index_map.local_range[0]
+    nodes = np.concatenate([nodes, np.repeat(alone[:, None], nodes.shape[1], axis=1)])
+    distance = _distances(comm, points, nodes, rows, tree)
+    wanted = _wanted(comm, points, nodes, rows, distance)
+    parts = _selected(comm, wanted, tree)
+    numbers = np.asarray(
+        space.dofmap.index_map.local_to_global(rows.ravel().astype(np.int32)), dtype=np.int64
+    )
+    numbers = numbers.reshape(rows.shape)
+    arrived = comm.alltoall([_packed(rows[part], numbers[part], points, moves) for part in parts])
+    return _joined(arrived)
+
+
+def _distances(
+    comm: MPI.Intracomm, points: Vector, nodes: Numbers, rows: Numbers, tree: BoxTree | None
+) -> Vector:
+    """Return the distance (n,) of each local node on the other surface's facets from the surface.
+
+    It is that from the surface's nodes and the centres of its facets, as in `MasterTree`; zero at
+    other nodes.
+    """
+    gdim = points.shape[1]
+    asked = np.unique(nodes)
+    x = points[asked]
+    boxes = comm.allgather(_no_boxes(gdim) if tree is None else tree.boxes(_BOXES))
+    # the surface is not farther than the farthest point of any box
+    bound = np.min(
+        [_farthest(x, low, high) for low, high in boxes if len(low)] or [np.zeros(len(x))], axis=0
+    )
+    queries = [np.flatnonzero(_nearest(x, low, high) <= bound) for low, high in boxes]
+    arrived = comm.alltoall([x[query] for query in queries])
+    answers = [np.zeros(len(part)) for part in arrived]
+    if tree is not None:
+        places = cKDTree(np.concatenate([points[np.unique(rows)], points[rows].mean(axis=1)]))
+        answers = [places.query(part)[0] if len(part) else np.zeros(0) for part in arrived]
+    found = np.full(len(x), np.inf)
+    for query, answer in zip(queries, comm.alltoall(answers), strict=True):
+        found[query] = np.minimum(found[query], answer)
+    distance = np.zeros(len(points))
+    distance[asked] = found
+    return distance
+
+
+def _wanted(
+    comm: MPI.Intracomm, points: Vector, nodes: Numbers, rows: Numbers, distance: Vector
+) -> list[Boxes]:
+    """Return for each rank boxes around all that it needs of the surface."""
+    x = points[rows]
+    largest = np.linalg.norm(x.max(axis=1) - x.min(axis=1), axis=1).max(initial=0.0)
+    # one facet more: those around the corners of the facets over the slave's
+    margin = comm.allreduce(float(largest), MPI.MAX)
+    if not len(nodes):
+        return list(comm.allgather(_no_boxes(points.shape[1])))
+    x = points[nodes]
+    low, high = x.min(axis=1), x.max(axis=1)
+    reach = REACH * distance[nodes].max(axis=1) + np.linalg.norm(high - low, axis=1) + margin
+    boxes = np.stack([low - reach[:, None], high + reach[:, None]], axis=1)
+    return list(comm.allgather(BoxTree(boxes).boxes(_BOXES)))
+
+
+def _selected(comm: MPI.Intracomm, wanted: list[Boxes], tree: BoxTree | None) -> list[Numbers]:
+    """Return this rank's facets of the surface that meet the boxes of each rank."""
+    if tree is None:
+        return [np.zeros(0, dtype=np.int64)] * comm.size
+    rank = np.repeat(np.arange(comm.size), [len(low) for low, _ in wanted])
+    low, high = (np.concatenate(ends) for ends in zip(*wanted, strict=True))
+
+    def meets(query: Numbers, box_low: Vector, box_high: Vector) -> NDArray[np.bool_]:
+        meeting = (box_low <= high[query]) & (box_high >= low[query])
+        return np.logical_and.reduce(meeting, axis=1)
+
+    query, facet = tree.candidates(len(rank), meets)
+    return [np.unique(facet[rank[query] == one]) for one in range(comm.size)]
+
+
+def _packed(
+    rows: Numbers, numbers: Numbers, points: Vector, moves: Vector
+) -> tuple[Numbers, Vector, Numbers]:
+    """Return nodes, their coordinates and displacements, and facets in terms of these."""
+    nodes, first, at = np.unique(numbers, return_index=True, return_inverse=True)
+    local = rows.ravel()[first]
+    values = np.concatenate([points[local], moves[local]], axis=1)
+    return nodes, values, at.reshape(rows.shape).astype(np.int32)
+
+
+def _joined(parts: list[tuple[Numbers, Vector, Numbers]]) -> DeformedSurface:
+    """Return the surface of the parts of all ranks."""
+    every = np.concatenate([nodes for nodes, _, _ in parts])
+    values = np.concatenate([values for _, values, _ in parts])
+    facets = np.concatenate([nodes.take(facets) for nodes, _, facets in parts])
+    nodes, first = np.unique(every, return_index=True)
+    points, moves = np.split(values[first], 2, axis=1)
+    return DeformedSurface(nodes, points, moves, np.searchsorted(nodes, facets))
+
+
+def _no_boxes(gdim: int) -> Boxes:
+    return np.zeros((0, gdim)), np.zeros((0, gdim))
+
+
+def _nearest(x: Vector, low: Vector, high: Vector) -> Vector:
+    """Return the distance of points from the nearest point of the nearest box."""
+    if not len(low):
+        return np.full(len(x), np.inf)
+    outside = np.maximum(np.maximum(low - x[:, None], x[:, None] - high), 0.0)
+    distance: Vector = np.linalg.norm(outside, axis=2).min(axis=1)
+    return distance
+
+
+def _farthest(x: Vector, low: Vector, high: Vector) -> Vector:
+    """Return the distance of points from the farthest point of the box where it is smallest."""
+    away = np.maximum(np.abs(x[:, None] - low), np.abs(x[:, None] - high))
+    distance: Vector = np.linalg.norm(away, axis=2).min(axis=1)
+    return distance
