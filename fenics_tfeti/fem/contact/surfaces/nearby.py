@@ -20,7 +20,11 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.fem.contact.mortar.candidates import REACH
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
-from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, oriented_facets
+from fenics_tfeti.fem.contact.surfaces.deformed import (
+    DeformedSurface,
+    gather_surface,
+    oriented_facets,
+)
 
 __all__ = ["gather_nearby"]
 
@@ -66,6 +70,8 @@ def gather_nearby(
         As `gather_surface`, without what is far away; it differs from rank to rank.
     """
     comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
+    if comm.size == 1:
+        return gather_surface(space, facet_tags, tag, displacement)
     undeformed = space.tabulate_dof_coordinates()[:, :gdim]
     moves = np.zeros_like(undeformed)
     if displacement is not None:
@@ -79,9 +85,8 @@ def gather_nearby(
     distance = _distances(comm, points, nodes, rows, tree)
     wanted = _wanted(comm, points, nodes, rows, distance)
     parts = _selected(comm, wanted, tree)
-    numbers = np.asarray(
-        space.dofmap.index_map.local_to_global(rows.ravel().astype(np.int32)), dtype=np.int64
-    )
+    index_map = space.dofmap.index_map
+    numbers = np.asarray(index_map.local_to_global(rows.ravel().astype(np.int32)), dtype=np.int64)
     numbers = numbers.reshape(rows.shape)
     arrived = comm.alltoall([_packed(rows[part], numbers[part], points, moves) for part in parts])
     return _joined(arrived)
@@ -100,9 +105,7 @@ def _distances(
     x = points[asked]
     boxes = comm.allgather(_no_boxes(gdim) if tree is None else tree.boxes(_BOXES))
     # the surface is not farther than the farthest point of any box
-    bound = np.min(
-        [_farthest(x, low, high) for low, high in boxes if len(low)] or [np.zeros(len(x))], axis=0
-    )
+    bound = np.min([_farthest(x, low, high) for low, high in boxes], axis=0)
     queries = [np.flatnonzero(_nearest(x, low, high) <= bound) for low, high in boxes]
     arrived = comm.alltoall([x[query] for query in queries])
     answers = [np.zeros(len(part)) for part in arrived]
@@ -143,7 +146,8 @@ def _selected(comm: MPI.Intracomm, wanted: list[Boxes], tree: BoxTree | None) ->
 
     def meets(query: Numbers, box_low: Vector, box_high: Vector) -> NDArray[np.bool_]:
         meeting = (box_low <= high[query]) & (box_high >= low[query])
-        return np.logical_and.reduce(meeting, axis=1)
+        every: NDArray[np.bool_] = meeting.all(axis=1)
+        return every
 
     query, facet = tree.candidates(len(rank), meets)
     return [np.unique(facet[rank[query] == one]) for one in range(comm.size)]
@@ -175,15 +179,17 @@ def _no_boxes(gdim: int) -> Boxes:
 
 def _nearest(x: Vector, low: Vector, high: Vector) -> Vector:
     """Return the distance of points from the nearest point of the nearest box."""
-    if not len(low):
-        return np.full(len(x), np.inf)
-    outside = np.maximum(np.maximum(low - x[:, None], x[:, None] - high), 0.0)
-    distance: Vector = np.linalg.norm(outside, axis=2).min(axis=1)
+    distance = np.full(len(x), np.inf)
+    for bottom, top in zip(low, high, strict=True):
+        outside = np.maximum(np.maximum(bottom - x, x - top), 0.0)
+        distance = np.minimum(distance, np.linalg.norm(outside, axis=1))
     return distance
 
 
 def _farthest(x: Vector, low: Vector, high: Vector) -> Vector:
     """Return the distance of points from the farthest point of the box where it is smallest."""
-    away = np.maximum(np.abs(x[:, None] - low), np.abs(x[:, None] - high))
-    distance: Vector = np.linalg.norm(away, axis=2).min(axis=1)
+    distance = np.full(len(x), np.inf)
+    for bottom, top in zip(low, high, strict=True):
+        away = np.maximum(np.abs(x - bottom), np.abs(x - top))
+        distance = np.minimum(distance, np.linalg.norm(away, axis=1))
     return distance
