@@ -101,6 +101,14 @@ def test_sliding_block(demo):
     np.testing.assert_allclose(demo["F"], demo["pressure"] * demo["width"], rtol=1e-4)
 
 
+def test_cam(demo):
+    """The work of the moment is the energy stored; elastic bodies differ little from rigid ones."""
+    assert demo["miss"] < 0.01
+    M, rigid = demo["M"], demo["rigid"](demo["angles"])
+    assert np.abs(M - rigid).max() < 0.05 * rigid.max()
+    assert (M[1:-1] < rigid[1:-1]).all()
+
+
 def test_shrink_fit(demo):
     """The pressure by Lamé's formulas, in the mean and at each node."""
     assert demo["pressure"] == pytest.approx(demo["lame"], rel=0.002)
