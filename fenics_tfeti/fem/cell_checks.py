@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, format_mesh_point
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.tolerances import FLAT_CELL
-from fenics_tfeti.fem.topology import cell_facets, cell_type
+from fenics_tfeti.fem.topology import cell_facets, cell_type, cell_vertices
 from fenics_tfeti.parallel import concatenate_ranks
 
 __all__ = ["CellGeometry", "check_overlaps", "check_shapes"]
@@ -38,7 +37,7 @@ class CellGeometry:
     type : ReferenceCell
         The cells' type.
     nodes : (m, v) integer array
-        Rows of ``geometry.x``.
+        Rows of ``geometry.x`` at the vertices.
     corners : (m, v, gdim) array
         Coordinates [m].
     midpoint : (m, gdim) array
@@ -59,7 +58,7 @@ class CellGeometry:
     @staticmethod
     def of(domain: Mesh, body: Numbers) -> CellGeometry:
         """Compute it for a mesh, given the body of each owned cell."""
-        nodes = _compat.geometry_cells(domain)[: body.size]
+        nodes = cell_vertices(domain)[: body.size]
         corners = domain.geometry.x[:, : domain.geometry.dim][nodes]
         # einsum: several times faster than reductions over short axes
         midpoint = np.einsum("ijk->ik", corners) / max(corners.shape[1], 1)

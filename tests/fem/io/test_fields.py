@@ -153,10 +153,10 @@ def test_other_suffix_is_refused(fields, tmp_path):
     refused(tmp_path / "a.vtk", fields, "does not end in .pvd")
 
 
-def test_field_of_degree_2_is_refused(fields, tmp_path):
+def test_field_of_degree_3_is_refused(fields, tmp_path):
     mesh = fields[0].function_space.mesh
-    fields.append(fem.Function(space(mesh, "Lagrange", 2), name="quadratic"))
-    refused(tmp_path / "a.pvd", fields, "'quadratic' .* is neither")
+    fields.append(fem.Function(space(mesh, "Lagrange", 3), name="cubic"))
+    refused(tmp_path / "a.pvd", fields, "'cubic' .* is neither")
 
 
 def test_field_on_another_mesh_is_refused(fields, tmp_path):

@@ -28,6 +28,7 @@ __all__ = [
     "hardly_covered",
     "mortar_matrices",
     "node_areas",
+    "slave_matrix",
 ]
 
 Vector = NDArray[np.float64]
@@ -54,7 +55,8 @@ class MortarMatrices:
     Attributes
     ----------
     D : (n, n) scipy.sparse.csr_matrix
-        Integrals of psi_k N_j; diagonal but for nodes that are hardly covered [m^2 or m].
+        Integrals of psi_k N^s_j [m^2 or m]; for degree 1 diagonal but for nodes that are hardly
+        covered.
     M : (n, m) scipy.sparse.csr_matrix
         Integrals of psi_k N^m_l.
     gap : (n, gdim) array
@@ -90,16 +92,30 @@ def mortar_matrices(
     """
     corners = slave.corners[integrals.facet]
     share = _shares(has_row[corners])
-    dual, diagonal = _dual_functions(integrals, _area(integrals, slave))
-    of_slave = np.matmul(share, diagonal)
+    dual, of_slave = _dual_functions(integrals, _areas(slave)[integrals.facet])
     dual = np.matmul(share, dual)
     of_master = np.matmul(dual[integrals.pair], integrals.coupling)
     gap = np.zeros((len(slave.points), slave.points.shape[1]))
     np.add.at(gap, corners, np.matmul(dual, integrals.gap))
     n, m = len(slave.points), len(master.points)
-    D = _assemble(of_slave, corners, corners, (n, n))
-    M = _assemble(of_master, corners[integrals.pair], master.corners[integrals.master], (n, m))
+    D = _assemble(np.matmul(share, of_slave), corners, slave.nodes[integrals.facet], (n, n))
+    M = _assemble(of_master, corners[integrals.pair], master.nodes[integrals.master], (n, m))
     return MortarMatrices(D, M, gap, np.asarray(D.sum(axis=1)).ravel())
+
+
+def slave_matrix(integrals: FacetIntegrals, slave: Facets) -> sp.csr_matrix:
+    """Assemble D (n, n) of a surface all of whose vertices have a multiplier.
+
+    Parameters
+    ----------
+    integrals : FacetIntegrals
+        Over whole facets, see `integrate_alone`.
+    slave : Facets
+        The surface.
+    """
+    _, of_slave = _dual_functions(integrals, _areas(slave)[integrals.facet])
+    n, facet = len(slave.points), integrals.facet
+    return _assemble(of_slave, slave.corners[facet], slave.nodes[facet], (n, n))
 
 
 def hardly_covered(integrals: FacetIntegrals, slave: Facets) -> Mask:
@@ -111,8 +127,8 @@ def hardly_covered(integrals: FacetIntegrals, slave: Facets) -> Mask:
 
 def node_areas(integrals: FacetIntegrals, slave: Facets) -> tuple[Vector, Vector]:
     """Return the whole and the covered area (n,) of each slave node, without weight [m^2 or m]."""
-    n, v = len(slave.points), slave.corners.shape[1]
-    area = np.repeat(Planes.of(slave.coordinates()).area / v, v)
+    n, v = len(slave.points), slave.number_of_corners
+    area = np.repeat(_areas(slave) / v, v)
     whole, covered = np.zeros((2, n))
     np.add.at(whole, slave.corners.ravel(), area)
     np.add.at(covered, slave.corners[integrals.facet], integrals.share)
@@ -129,22 +145,26 @@ def _shares(has_row: Mask) -> Vector:
 
 
 def _dual_functions(integrals: FacetIntegrals, area: Vector) -> tuple[Vector, Vector]:
-    """Return A (c, v, v) of psi_j = sum_i A_ji N_i, and the integrals of psi_j N_i."""
+    """Return A (c, v, v) of psi_j = sum_i A_ji N_i, and the integrals (c, v, t) of psi_j N^s_i."""
     v = integrals.ones.shape[1]
     narrow = integrals.covered <= _NARROW * area
     dual = np.tile(np.eye(v), (narrow.size, 1, 1))
-    products = integrals.mass.copy()
     ones = integrals.ones[~narrow]
     # scaled to a unit diagonal: a strip along an edge leaves the opposite node little
     root = np.sqrt(ones)
     scaled = integrals.mass[~narrow] / (root[:, :, None] * root[:, None, :])
     dual[~narrow] = root[:, :, None] * np.linalg.inv(scaled) / root[:, None, :]
-    products[~narrow] = ones[:, :, None] * np.eye(v)
+    products = np.matmul(dual, integrals.trace)
+    if integrals.trace.shape[2] == v:
+        # exactly diagonal
+        products[~narrow] = ones[:, :, None] * np.eye(v)
     return dual, products
 
 
-def _area(integrals: FacetIntegrals, slave: Facets) -> Vector:
-    return Planes.of(slave.coordinates(integrals.facet)).area
+def _areas(slave: Facets) -> Vector:
+    """Return the areas (f,) of the facets, sums over their pieces [m^2 or m]."""
+    areas: Vector = Planes.of(slave.coordinates()).area.reshape(len(slave), -1).sum(axis=1)
+    return areas
 
 
 def _assemble(
