@@ -64,9 +64,10 @@ class ContactProblem:
     ----------
     a, L : ufl.Form
         Bilinear and linear form on one space of Lagrange elements of degree 1 or 2 with a component
-        for each dimension, with integrals over cells (``dx``) and the boundary (``ds``). SI units are
-        meant in what follows; any consistent ones will do. ``L = 0`` is no load. Where the forms
-        multiply ``ds`` by a weight, as axisymmetric ones do, the contacts need it as well.
+        for each dimension, with integrals over cells (``dx``) and the boundary (``ds``). Cells may
+        be curved, of degree 2, with displacements of degree 2. SI units are meant in what follows;
+        any consistent ones will do. ``L = 0`` is no load. Where the forms multiply ``ds`` by a
+        weight, as axisymmetric ones do, the contacts need it as well.
     bcs : sequence of dolfinx.fem.DirichletBC, one of them, or None
         Prescribed displacements, on the space or its components, of any value.
     contacts : sequence of ContactPair or RigidObstacle, one of them, or None

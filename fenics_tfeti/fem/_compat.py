@@ -20,6 +20,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
+import basix
 import dolfinx
 import dolfinx.fem.petsc
 import ufl
@@ -204,6 +205,17 @@ def geometry_degree(domain: mesh.Mesh) -> int:
     """
     nodes, cell = geometry_cells(domain).shape[1], reference_cell(cell_name(domain))
     return next((degree for degree in (1, 2) if nodes == cell.nodes(degree)), 3)
+
+
+def gradients_at_nodes(cell: str) -> NDArray[np.float64]:
+    """Return the derivatives (dim, n, n) of the shape functions of degree 2 at its n nodes.
+
+    Entry (k, i, j) is that of function j along reference axis k at node i. The same in all versions
+    of basix.
+    """
+    kind, family = getattr(basix.CellType, cell), basix.ElementFamily.P
+    element = basix.create_element(family, kind, 2, basix.LagrangeVariant.gll_warped)
+    return np.asarray(element.tabulate(1, element.points)[1:, :, :, 0])
 
 
 def cell_name(domain: mesh.Mesh) -> str:

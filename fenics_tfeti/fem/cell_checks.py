@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, format_mesh_point
 from fenics_tfeti.fem.reference_cells import ReferenceCell
@@ -85,7 +86,7 @@ def check_shapes(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
     Raises
     ------
     InputError
-        Cells in which the determinant changes its sign, cells without volume.
+        Cells in which the determinant changes its sign, straight or curved, cells without volume.
     """
     at_corners, at_midpoint = _determinants(cells)
     dim = cells.midpoint.shape[1]
@@ -108,6 +109,29 @@ def check_shapes(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
         f"cells without {what} is below {FLAT_CELL:g})",
         "Mesh there again, or remove these cells",
     )
+    if _compat.geometry_degree(domain) == 2:
+        lowest, highest = _range_in_curved_cells(domain, cells)
+        _raise_for_cells(
+            domain,
+            bodies,
+            cells,
+            (lowest < scale) & (highest > -scale),
+            "curved cells that are folded: the determinant of the Jacobian changes its sign",
+            "Mesh there finer, or let Gmsh mend them (optimize with 'HighOrderElastic')",
+        )
+
+
+def _range_in_curved_cells(domain: Mesh, cells: CellGeometry) -> tuple[Vector, Vector]:
+    """Return the smallest and the largest det J (m,) at the nodes of cells of degree 2."""
+    at_once = 2**14  # to bound the memory
+    x, nodes = domain.geometry.x[:, : domain.geometry.dim], _compat.geometry_cells(domain)
+    gradients = _compat.gradients_at_nodes(cells.type.name)
+    found = [np.zeros((0, nodes.shape[1]))]
+    for first in range(0, cells.body.size, at_once):
+        own = x[nodes[first : min(first + at_once, cells.body.size)]]
+        found.append(_determinant([np.matmul(along, own) for along in gradients]))
+    values = np.concatenate(found)
+    return values.min(axis=1), values.max(axis=1)
 
 
 def _determinants(cells: CellGeometry) -> tuple[Vector, Vector]:

@@ -87,6 +87,21 @@ class ReferenceCell:
         """
         return self._facet_nodes[degree - 1]
 
+    def pieces(self, degree: int) -> tuple[Vertices, ...]:
+        """Return the cells of this type into which the nodes of degree 1 or 2 cut the cell."""
+        return self._halved if degree == 2 else (tuple(range(self.vertices)),)
+
+    @cached_property
+    def _halved(self) -> tuple[Vertices, ...]:
+        # each node is the mean of the vertices of the cell's vertices, edges, ...
+        means: list[Vertices] = [(vertex,) for vertex in range(self.vertices)]
+        means += self.edges
+        if not self.is_simplex:
+            means += [*(self.facets if self.dim == 3 else ()), tuple(range(self.vertices))]
+        number = {frozenset(mean): node for node, mean in enumerate(means)}
+        cut = _SIMPLEX_PIECES[self.dim] if self.is_simplex else _grid_pieces(self.dim)
+        return tuple(tuple(number[frozenset(mean)] for mean in piece) for piece in cut)
+
     @cached_property
     def _facet_nodes(self) -> tuple[tuple[Vertices, ...], tuple[Vertices, ...]]:
         around = self.facet.vtk_order
@@ -99,6 +114,43 @@ class ReferenceCell:
             centre = [self.vertices + len(self.edges) + k] if len(cycle) == 4 else []
             quadratic.append((*cycle, *middles, *centre))
         return linear, tuple(quadratic)
+
+
+# The pieces of simplices of degree 2, by the vertices whose mean each corner is.
+_SIMPLEX_PIECES: dict[int, tuple[tuple[Vertices, ...], ...]] = {
+    2: (
+        ((0,), (0, 1), (0, 2)),
+        ((0, 1), (1,), (1, 2)),
+        ((0, 2), (1, 2), (2,)),
+        ((0, 1), (1, 2), (0, 2)),
+    ),
+    3: (
+        ((0,), (0, 1), (0, 2), (0, 3)),
+        ((0, 1), (1,), (1, 2), (1, 3)),
+        ((0, 2), (1, 2), (2,), (2, 3)),
+        ((0, 3), (1, 3), (2, 3), (3,)),
+        # the octahedron that is left, around its diagonal between the edges 02 and 13
+        ((0, 2), (1, 3), (0, 1), (1, 2)),
+        ((0, 2), (1, 3), (1, 2), (2, 3)),
+        ((0, 2), (1, 3), (2, 3), (0, 3)),
+        ((0, 2), (1, 3), (0, 3), (0, 1)),
+    ),
+}
+
+
+def _grid_pieces(dim: int) -> list[list[Vertices]]:
+    """Return the pieces of a quadrilateral or hexahedron of degree 2, as `_SIMPLEX_PIECES`."""
+    corners = [[v >> axis & 1 for axis in range(dim)] for v in range(2**dim)]
+
+    def vertices_around(first: list[int], second: list[int]) -> Vertices:
+        # along each axis the side where both are, or both sides
+        return tuple(
+            v
+            for v, at in enumerate(corners)
+            if all(a != b or c == a for a, b, c in zip(first, second, at, strict=True))
+        )
+
+    return [[vertices_around(piece, corner) for corner in corners] for piece in corners]
 
 
 _CELLS = {

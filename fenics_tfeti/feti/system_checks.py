@@ -36,7 +36,7 @@ Vector = NDArray[np.float64]
 _LARGEST_NODE = 2**61
 # the report has an entry for each Dirichlet condition
 _MOST_CONDITIONS = 10**6
-# length of the sum of the slave's coefficients, relative to the longest one of its row, that is none
+# length of the sum of the slave's coefficients, relative to the longest of the row, that is none
 _NO_LENGTH = 1e-12
 
 

@@ -153,3 +153,19 @@ def test_simplices_of_a_block_share_the_long_diagonal(name):
 )
 def test_simplices(name, simplex):
     assert reference_cell(name).is_simplex is simplex
+
+
+@mesh_cell
+def test_pieces_of_degree_2_fill_the_cell_and_are_of_its_type(name):
+    cell, x = reference_cell(name), points_of_degree_2(name)
+    assert cell.pieces(1) == (tuple(range(cell.vertices)),)
+    pieces = cell.pieces(2)
+    assert len(pieces) == 2**cell.dim
+    axes = list(cell.axes)
+    volumes = [np.linalg.det(x[list(p)][axes] - x[p[0]]) for p in pieces]
+    whole = volume(name, range(cell.vertices))
+    np.testing.assert_allclose(np.abs(volumes), abs(whole) / 2**cell.dim)
+    assert {node for piece in pieces for node in piece} == set(range(len(x)))
+    if not cell.is_simplex:
+        assert all(np.allclose(x[list(p)] * 2 % 1, 0) for p in pieces)
+        np.testing.assert_allclose(volumes, whole / 2**cell.dim)

@@ -15,7 +15,6 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem, InputError, Plane, RigidObstacle, TiedPair
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.topology import cell_vertices, vertex_nodes
 from fenics_tfeti.io import tag_facets
 
