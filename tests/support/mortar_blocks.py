@@ -186,6 +186,19 @@ def uneven(
     **options: Any,
 ) -> ContactProblem:
     """Solve for a curved upper block, clamped blocks, and a load that grows with x."""
+    problem = uneven_problem(blocks, comm, slave, pair, **options)
+    problem.solve()
+    return problem
+
+
+def uneven_problem(
+    blocks: Blocks,
+    comm: MPI.Comm = MPI.COMM_SELF,
+    slave: int = LOWER,
+    pair: Mapping[str, Any] | None = None,
+    **options: Any,
+) -> ContactProblem:
+    """Pose the problem of `uneven`."""
     beams = blocks.mesh(comm)
     domain, d = beams.mesh, blocks.gdim
     facet_tags = tag_facets(domain, blocks.markers(), beams.cell_tags)
@@ -212,7 +225,6 @@ def uneven(
         options={"rtol": 1e-10, "subdomain_size": 150, **options},
     )
     problem.kept = (young, pressure)  # dolfinx 0.5 does not keep constants alive
-    problem.solve()
     return problem
 
 

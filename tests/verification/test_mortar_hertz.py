@@ -136,6 +136,21 @@ def test_cylinder(tmp_path, slave):
     assert square < 0.12
 
 
+@pytest.mark.parametrize("slave", [BALL, BLOCK], ids=["cylinder", "block"])
+def test_cylinder_with_degree_2(tmp_path, slave):
+    """Of curved cells; the force is twice the energy over the depth."""
+    names = [tmp_path / name for name in ("a.msh", "b.msh", "c.msh")]
+    linear, quadratic = (solved(names[d - 1], 2, (0.1, 0.14), slave, d) for d in (1, 2))
+    exact = solved(names[2], 2, (0.025, 0.035), slave, 2).report.contact_force[0]
+    off = [abs(p.report.contact_force[0] / exact - 1.0) for p in (linear, quadratic)]
+    assert off[1] < off[0] / 3.0
+    peak, radius, square, _ = errors(quadratic)
+    assert abs(peak) < 0.01
+    assert abs(radius) < 0.02
+    assert square < errors(linear)[2]
+    assert square < 0.02
+
+
 @pytest.mark.heavy
 @pytest.mark.parametrize("slave", [BALL, BLOCK], ids=["sphere", "block"])
 def test_sphere(tmp_path, slave):
