@@ -214,7 +214,7 @@ def _without_slivers(cells: Cells, slave: Facets, planes: Planes) -> Cells:
     """Leave out slave facets of which no more than rounding is covered."""
     facet = cells.slave // slave.per_facet
     covered = np.bincount(facet, cells.pair_area(), len(slave))
-    whole = planes.area.reshape(len(slave), -1).sum(axis=1)
+    whole = planes.area.reshape(len(slave), slave.per_facet).sum(axis=1)
     return cells.of_pairs(covered[facet] > _NOT_COVERED * whole[facet])
 
 

@@ -176,7 +176,8 @@ def _dual_functions(integrals: FacetIntegrals, area: Vector) -> tuple[Vector, Ve
 
 def _areas(slave: Facets) -> Vector:
     """Return the areas (f,) of the facets, sums over their pieces [m^2 or m]."""
-    areas: Vector = Planes.of(slave.coordinates()).area.reshape(len(slave), -1).sum(axis=1)
+    of_pieces = Planes.of(slave.coordinates()).area.reshape(len(slave), slave.per_facet)
+    areas: Vector = of_pieces.sum(axis=1)
     return areas
 
 
