@@ -111,7 +111,10 @@ class MeshBoundary:
         if self.degree == 1:
             return values
         integrals = np.zeros((len(self.coordinates), values.shape[1]))
-        integrals[vertex_nodes(self.space)] = values[vertex_nodes(self.linear)]
+        at, of = vertex_nodes(self.space), vertex_nodes(self.linear)
+        # both spaces' nodes at a vertex have the owner of the vertex
+        owned = of < len(values)
+        integrals[at[owned]] = values[of[owned]]
         return integrals
 
 
