@@ -6,6 +6,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from curved_rings import quarter_rings
 from mortar_blocks import LOWER, UPPER, Blocks, uneven, uneven_problem
 from scenes import POISSON, at, dimension, elasticity, fixed, scalar_space, vector_space
 
@@ -13,7 +14,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle, TiedPair
-from fenics_tfeti.io import Box, boxes, read_msh, tag_facets
+from fenics_tfeti.io import Box, boxes, tag_facets
 
 COMM = MPI.COMM_SELF
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
@@ -115,46 +116,6 @@ def test_order_in_the_energy_norm(kind, order):
     assert orders[-1] > order - 0.1
     linear = np.sqrt(abs(smooth_energy(kind, "quadrilateral", 16, 1) / exact - 1.0))
     assert errors[-1] < 0.1 * linear
-
-
-def quarter_rings(path, cells, radii, recombine):
-    """Mesh two quarter rings with cells of degree 2, each with its number of cells along its arcs.
-
-    Tags 1 and 2 of cells; of facets 11, 12 where they touch, 13 on the x axis, 14 on the y axis.
-    """
-    gmsh = pytest.importorskip("gmsh")
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        geo, mesh = gmsh.model.geo, gmsh.model.mesh
-        rings = []
-        for a, b in radii:
-            centre = geo.addPoint(0, 0, 0)
-            p = [geo.addPoint(*x, 0) for x in ((a, 0), (b, 0), (0, b), (0, a))]
-            lines = [
-                geo.addLine(p[0], p[1]),
-                geo.addCircleArc(p[1], centre, p[2]),
-                geo.addLine(p[2], p[3]),
-                geo.addCircleArc(p[3], centre, p[0]),
-            ]
-            rings.append((geo.addPlaneSurface([geo.addCurveLoop(lines)]), lines))
-        geo.synchronize()
-        for n, (surface, lines) in zip(cells, rings, strict=True):
-            for k, line in enumerate(lines):
-                mesh.setTransfiniteCurve(line, (n if k % 2 else max(2, n // 3)) + 1)
-            mesh.setTransfiniteSurface(surface)
-            if recombine:
-                mesh.setRecombine(2, surface)
-        (inner, i), (outer, o) = rings
-        groups = [(2, [inner], 1), (2, [outer], 2), (1, [i[1]], 11), (1, [o[3]], 12)]
-        for dim, entities, tag in [*groups, (1, [i[0], o[0]], 13), (1, [i[2], o[2]], 14)]:
-            gmsh.model.addPhysicalGroup(dim, entities, tag)
-        mesh.generate(2)
-        mesh.setOrder(2)
-        gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
-    return read_msh(path, COMM, 2)
 
 
 @pytest.mark.parametrize("slave", [11, 12], ids=["inner", "outer"])
