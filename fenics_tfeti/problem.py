@@ -63,10 +63,11 @@ class ContactProblem:
     Parameters
     ----------
     a, L : ufl.Form
-        Bilinear and linear form on one space of Lagrange elements of degree 1 with a component for
-        each dimension, with integrals over cells (``dx``) and the boundary (``ds``). SI units are
-        meant in what follows; any consistent ones will do. ``L = 0`` is no load. Where the forms
-        multiply ``ds`` by a weight, as axisymmetric ones do, the contacts need it as well.
+        Bilinear and linear form on one space of Lagrange elements of degree 1 or 2 with a component
+        for each dimension, with integrals over cells (``dx``) and the boundary (``ds``). Cells may
+        be curved, of degree 2, with displacements of degree 2. SI units are meant in what follows;
+        any consistent ones will do. ``L = 0`` is no load. Where the forms multiply ``ds`` by a
+        weight, as axisymmetric ones do, the contacts need it as well.
     bcs : sequence of dolfinx.fem.DirichletBC, one of them, or None
         Prescribed displacements, on the space or its components, of any value.
     contacts : sequence of ContactPair or RigidObstacle, one of them, or None
@@ -463,16 +464,14 @@ def _with_gap_of(match: ContactPairing, first: ContactPairing) -> ContactPairing
 def _contact_result(
     matched: ContactPairing, force: NDArray[np.float64], comm: MPI.Intracomm
 ) -> ContactResult:
-    # of a pair of nodes all of the force, of a mortar condition that at the slave's node
-    pressure = force / (matched.area if matched.terms is None else matched.length)
     return ContactResult(
         matched.name,
         matched.slave,
         matched.coordinates,
         matched.gap,
         matched.normal,
-        normal_force=pressure * matched.area,
-        pressure=pressure,
+        normal_force=force,
+        pressure=force / matched.area,
         active=force > 0.0,
         area=matched.area,
         comm=comm,

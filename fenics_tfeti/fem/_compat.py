@@ -20,6 +20,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
+import basix
 import dolfinx
 import dolfinx.fem.petsc
 import ufl
@@ -197,13 +198,24 @@ def geometry_cells(domain: mesh.Mesh) -> Numbers:
 
 
 def geometry_degree(domain: mesh.Mesh) -> int:
-    """Return the degree of the cells' geometry.
+    """Return the degree of the cells' geometry: 1, 2, or 3 for any other.
 
     - 0.5.2 and 0.9 have ``geometry.cmap``, 0.11 ``geometry.cmaps``. The number of nodes says
       the same in all of them.
     """
-    nodes = geometry_cells(domain).shape[1]
-    return 1 if nodes == reference_cell(cell_name(domain)).vertices else 2
+    nodes, cell = geometry_cells(domain).shape[1], reference_cell(cell_name(domain))
+    return next((degree for degree in (1, 2) if nodes == cell.nodes(degree)), 3)
+
+
+def gradients_at_nodes(cell: str) -> NDArray[np.float64]:
+    """Return the derivatives (dim, n, n) of the shape functions of degree 2 at its n nodes.
+
+    Entry (k, i, j) is that of function j along reference axis k at node i. The same in all versions
+    of basix.
+    """
+    kind, family = getattr(basix.CellType, cell), basix.ElementFamily.P
+    element = basix.create_element(family, kind, 2, basix.LagrangeVariant.gll_warped)
+    return np.asarray(element.tabulate(1, element.points)[1:, :, :, 0])
 
 
 def cell_name(domain: mesh.Mesh) -> str:
@@ -541,9 +553,10 @@ def entity_nodes(
 
     - 0.5.2 has ``cpp.mesh.entities_to_geometry`` only; it is in 0.9 and 0.11 as well, and all take
       the C++ mesh;
-    - 0.9 divides by the number of entities, which ends the process when there are none.
+    - 0.9 divides by the number of entities, which ends the process when there are none;
+    - of curved cells, 0.9 and 0.11 return the other nodes as well, after the vertices.
 
-    Does not dispatch: without entities, dolfinx is not called.
+    Does not dispatch: without entities, dolfinx is not called, and other nodes are cut off.
 
     Parameters
     ----------
@@ -560,10 +573,12 @@ def entity_nodes(
         Their vertices, in the vertex order of dolfinx.
     """
     domain.topology.create_connectivity(dim, domain.topology.dim)
+    shape = cpp.mesh.cell_entity_type(cpp.mesh.to_type(cell_name(domain)), dim, 0)
+    vertices = cpp.mesh.cell_num_vertices(shape)
     if len(entities) == 0:
-        shape = cpp.mesh.cell_entity_type(cpp.mesh.to_type(cell_name(domain)), dim, 0)
-        return np.empty((0, cpp.mesh.cell_num_vertices(shape)), dtype=np.int32)
-    return np.asarray(cpp.mesh.entities_to_geometry(cpp_object(domain), dim, entities, False))
+        return np.empty((0, vertices), dtype=np.int32)
+    nodes = cpp.mesh.entities_to_geometry(cpp_object(domain), dim, entities, False)
+    return np.asarray(nodes)[:, :vertices]
 
 
 def interpolate_expression(expression: Any, function: Any) -> None:

@@ -19,7 +19,7 @@ from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, format_mesh_point
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.tolerances import FLAT_CELL
-from fenics_tfeti.fem.topology import cell_facets, cell_type
+from fenics_tfeti.fem.topology import cell_facets, cell_type, cell_vertices
 from fenics_tfeti.parallel import concatenate_ranks
 
 __all__ = ["CellGeometry", "check_overlaps", "check_shapes"]
@@ -38,7 +38,7 @@ class CellGeometry:
     type : ReferenceCell
         The cells' type.
     nodes : (m, v) integer array
-        Rows of ``geometry.x``.
+        Rows of ``geometry.x`` at the vertices.
     corners : (m, v, gdim) array
         Coordinates [m].
     midpoint : (m, gdim) array
@@ -59,7 +59,7 @@ class CellGeometry:
     @staticmethod
     def of(domain: Mesh, body: Numbers) -> CellGeometry:
         """Compute it for a mesh, given the body of each owned cell."""
-        nodes = _compat.geometry_cells(domain)[: body.size]
+        nodes = cell_vertices(domain)[: body.size]
         corners = domain.geometry.x[:, : domain.geometry.dim][nodes]
         # einsum: several times faster than reductions over short axes
         midpoint = np.einsum("ijk->ik", corners) / max(corners.shape[1], 1)
@@ -86,7 +86,7 @@ def check_shapes(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
     Raises
     ------
     InputError
-        Cells in which the determinant changes its sign, cells without volume.
+        Cells in which the determinant changes its sign, straight or curved, cells without volume.
     """
     at_corners, at_midpoint = _determinants(cells)
     dim = cells.midpoint.shape[1]
@@ -109,6 +109,29 @@ def check_shapes(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
         f"cells without {what} is below {FLAT_CELL:g})",
         "Mesh there again, or remove these cells",
     )
+    if _compat.geometry_degree(domain) == 2:
+        lowest, highest = _range_in_curved_cells(domain, cells)
+        _raise_for_cells(
+            domain,
+            bodies,
+            cells,
+            (lowest < scale) & (highest > -scale),
+            "curved cells that are folded: the determinant of the Jacobian changes its sign",
+            "Mesh there finer, or let Gmsh mend them (optimize with 'HighOrderElastic')",
+        )
+
+
+def _range_in_curved_cells(domain: Mesh, cells: CellGeometry) -> tuple[Vector, Vector]:
+    """Return the smallest and the largest det J (m,) at the nodes of cells of degree 2."""
+    at_once = 2**14  # to bound the memory
+    x, nodes = domain.geometry.x[:, : domain.geometry.dim], _compat.geometry_cells(domain)
+    gradients = _compat.gradients_at_nodes(cells.type.name)
+    found = [np.zeros((0, nodes.shape[1]))]
+    for first in range(0, cells.body.size, at_once):
+        own = x[nodes[first : min(first + at_once, cells.body.size)]]
+        found.append(_determinant([np.matmul(along, own) for along in gradients]))
+    values = np.concatenate(found)
+    return values.min(axis=1), values.max(axis=1)
 
 
 def _determinants(cells: CellGeometry) -> tuple[Vector, Vector]:

@@ -35,13 +35,13 @@ def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
     Returns
     -------
     FunctionSpace
-        Lagrange elements of degree 1 with one component for each dimension.
+        Lagrange elements of degree 1 or 2 with one component for each dimension.
 
     Raises
     ------
     InputError
-        Wrong numbers of arguments, several spaces, another element, cells that are not
-        straight-sided.
+        Wrong numbers of arguments, several spaces, another element, cells of a higher degree than
+        the displacement.
     """
     arguments = a.arguments() + L.arguments()
     if len(a.arguments()) != 2 or len(L.arguments()) != 1:
@@ -68,16 +68,23 @@ def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
             f"the function space is {kind}; a displacement needs {gdim} components, as in "
             f"functionspace(mesh, ('Lagrange', 1, ({gdim},)))"
         )
-    if family != "Lagrange" or degree != 1:
+    if family != "Lagrange" or degree not in (1, 2):
         raise InputError(
-            f"the function space is {family} of degree {degree}; node-to-node contact needs "
-            "Lagrange elements of degree 1"
+            f"the function space is {family} of degree {degree}; Lagrange elements of degree 1 or "
+            "2 are expected"
         )
-    if space.mesh.topology.dim != gdim or _compat.geometry_degree(space.mesh) != 1:
+    if space.mesh.topology.dim != gdim:
         raise InputError(
-            f"the mesh has cells of dimension {space.mesh.topology.dim} and geometric degree "
-            f"{_compat.geometry_degree(space.mesh)}; straight-sided cells of the dimension "
+            f"the mesh has cells of dimension {space.mesh.topology.dim}; cells of the dimension "
             f"{gdim} of its coordinates are expected"
+        )
+    of_cells = _compat.geometry_degree(space.mesh)
+    if of_cells > degree:
+        curved = "2" if of_cells == 2 else "3 or more"
+        raise InputError(
+            f"the mesh has curved cells, of degree {curved}, and the displacement is of degree "
+            f"{degree}; take displacements of degree 2 on cells of degree 1 or 2, or cells of "
+            "degree 1 (setOrder in Gmsh)"
         )
     return space
 

@@ -8,6 +8,7 @@ Nothing of FEniCSx is imported here.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 __all__ = ["MESH_CELLS", "ReferenceCell", "reference_cell"]
 
@@ -16,7 +17,10 @@ Vertices = tuple[int, ...]
 
 @dataclass(frozen=True)
 class ReferenceCell:
-    """A cell type of degree 1.
+    """A cell type: its vertices and, for degree 2, its other nodes.
+
+    The nodes of degree 2 are the vertices, the midpoints of the edges, those of the facets that are
+    quadrilaterals, and the midpoint of a quadrilateral or hexahedron, in this order.
 
     Attributes
     ----------
@@ -27,7 +31,7 @@ class ReferenceCell:
     vertices : int
         Number of vertices.
     edges : tuple of (int, int)
-        Vertices of each edge, in lexicographic order.
+        Vertices of each edge, in dolfinx's numbering of edges.
     facets : tuple of tuples of int
         Vertices of each facet, in dolfinx's numbering of facets.
     facet_name : str
@@ -69,6 +73,85 @@ class ReferenceCell:
         """The cell type of the facets; not for intervals."""
         return reference_cell(self.facet_name)
 
+    def nodes(self, degree: int) -> int:
+        """Return the number of nodes of degree 1 or 2."""
+        if degree == 1:
+            return self.vertices
+        return self.vertices * (self.vertices + 1) // 2 if self.is_simplex else 3**self.dim
+
+    def facet_nodes(self, degree: int) -> tuple[Vertices, ...]:
+        """Return the nodes of each facet for degree 1 or 2, as numbers of the cell's nodes.
+
+        First come the corners, one after the other around the facet, then the midpoints of the
+        edges from each to the next, then that of a quadrilateral.
+        """
+        return self._facet_nodes[degree - 1]
+
+    def pieces(self, degree: int) -> tuple[Vertices, ...]:
+        """Return the cells of this type into which the nodes of degree 1 or 2 cut the cell."""
+        return self._halved if degree == 2 else (tuple(range(self.vertices)),)
+
+    @cached_property
+    def _halved(self) -> tuple[Vertices, ...]:
+        # each node is the mean of the vertices of the cell's vertices, edges, ...
+        means: list[Vertices] = [(vertex,) for vertex in range(self.vertices)]
+        means += self.edges
+        if not self.is_simplex:
+            means += [*(self.facets if self.dim == 3 else ()), tuple(range(self.vertices))]
+        number = {frozenset(mean): node for node, mean in enumerate(means)}
+        cut = _SIMPLEX_PIECES[self.dim] if self.is_simplex else _grid_pieces(self.dim)
+        return tuple(tuple(number[frozenset(mean)] for mean in piece) for piece in cut)
+
+    @cached_property
+    def _facet_nodes(self) -> tuple[tuple[Vertices, ...], tuple[Vertices, ...]]:
+        around = self.facet.vtk_order
+        linear = tuple(tuple(facet[k] for k in around) for facet in self.facets)
+        number = {edge: self.vertices + k for k, edge in enumerate(self.edges)}
+        quadratic = []
+        for k, cycle in enumerate(linear):
+            ends = [cycle] if self.dim == 2 else zip(cycle, cycle[1:] + cycle[:1], strict=True)
+            middles = [number[min(pair), max(pair)] for pair in ends]
+            centre = [self.vertices + len(self.edges) + k] if len(cycle) == 4 else []
+            quadratic.append((*cycle, *middles, *centre))
+        return linear, tuple(quadratic)
+
+
+# The pieces of simplices of degree 2, by the vertices whose mean each corner is.
+_SIMPLEX_PIECES: dict[int, tuple[tuple[Vertices, ...], ...]] = {
+    2: (
+        ((0,), (0, 1), (0, 2)),
+        ((0, 1), (1,), (1, 2)),
+        ((0, 2), (1, 2), (2,)),
+        ((0, 1), (1, 2), (0, 2)),
+    ),
+    3: (
+        ((0,), (0, 1), (0, 2), (0, 3)),
+        ((0, 1), (1,), (1, 2), (1, 3)),
+        ((0, 2), (1, 2), (2,), (2, 3)),
+        ((0, 3), (1, 3), (2, 3), (3,)),
+        # the octahedron that is left, around its diagonal between the edges 02 and 13
+        ((0, 2), (1, 3), (0, 1), (1, 2)),
+        ((0, 2), (1, 3), (1, 2), (2, 3)),
+        ((0, 2), (1, 3), (2, 3), (0, 3)),
+        ((0, 2), (1, 3), (0, 3), (0, 1)),
+    ),
+}
+
+
+def _grid_pieces(dim: int) -> list[list[Vertices]]:
+    """Return the pieces of a quadrilateral or hexahedron of degree 2, as `_SIMPLEX_PIECES`."""
+    corners = [[v >> axis & 1 for axis in range(dim)] for v in range(2**dim)]
+
+    def vertices_around(first: list[int], second: list[int]) -> Vertices:
+        # along each axis the side where both are, or both sides
+        return tuple(
+            v
+            for v, at in enumerate(corners)
+            if all(a != b or c == a for a, b, c in zip(first, second, at, strict=True))
+        )
+
+    return [[vertices_around(piece, corner) for corner in corners] for piece in corners]
+
 
 _CELLS = {
     cell.name: cell
@@ -90,7 +173,7 @@ _CELLS = {
             name="triangle",
             dim=2,
             vertices=3,
-            edges=((0, 1), (0, 2), (1, 2)),
+            edges=((1, 2), (0, 2), (0, 1)),
             facets=((1, 2), (0, 2), (0, 1)),
             facet_name="interval",
             axes=(1, 2),
@@ -116,7 +199,7 @@ _CELLS = {
             name="tetrahedron",
             dim=3,
             vertices=4,
-            edges=((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)),
+            edges=((2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1)),
             facets=((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)),
             facet_name="triangle",
             axes=(1, 2, 3),
@@ -183,6 +266,6 @@ def reference_cell(name: str) -> ReferenceCell:
     Examples
     --------
     >>> reference_cell("tetrahedron").facet.edges
-    ((0, 1), (0, 2), (1, 2))
+    ((1, 2), (0, 2), (0, 1))
     """
     return _CELLS[name]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dolfinx.fem import FunctionSpace
 from dolfinx.mesh import Mesh, exterior_facet_indices
 
 from fenics_tfeti.fem import _compat
@@ -13,10 +14,11 @@ from fenics_tfeti.fem.reference_cells import ReferenceCell, reference_cell
 __all__ = [
     "cell_facets",
     "cell_type",
+    "cell_vertices",
     "exterior_cell_facets",
     "exterior_facets",
-    "facet_vertices",
     "owned_cells",
+    "vertex_nodes",
 ]
 
 Indices = NDArray[np.int32]
@@ -30,6 +32,19 @@ def cell_type(domain: Mesh) -> ReferenceCell:
 def owned_cells(domain: Mesh) -> int:
     """Return the number of cells that this rank owns; ghosts are numbered after them."""
     return int(domain.topology.index_map(domain.topology.dim).size_local)
+
+
+def cell_vertices(domain: Mesh) -> Indices:
+    """Return the rows (cells, v) of ``geometry.x`` at the vertices of each cell, ghosts last."""
+    return _compat.geometry_cells(domain)[:, : cell_type(domain).vertices]
+
+
+def vertex_nodes(space: FunctionSpace) -> Indices:
+    """Return the local nodes (cells, v) of a space at the vertices of each cell, ghosts last.
+
+    They are in the order of `cell_vertices`, and that of spaces of other degrees.
+    """
+    return _compat.cell_dofs(space)[:, : cell_type(space.mesh).vertices]
 
 
 def cell_facets(domain: Mesh) -> Indices:
@@ -57,10 +72,3 @@ def exterior_cell_facets(domain: Mesh) -> NDArray[np.bool_]:
     """Tell which facets of each owned cell are on the boundary of the mesh."""
     of_cell: NDArray[np.bool_] = exterior_facets(domain)[cell_facets(domain)[: owned_cells(domain)]]
     return of_cell
-
-
-def facet_vertices(domain: Mesh, facets: Indices) -> Indices:
-    """Return the rows (f, v) of ``geometry.x`` at the vertices of facets."""
-    rows = _compat.entity_nodes(domain, domain.topology.dim - 1, facets)
-    # reshaped by the cell type: a rank may have none of the facets
-    return rows.reshape(facets.size, cell_type(domain).facet.vertices)

@@ -59,8 +59,8 @@ class TornSolution:
     active : (contact rows of this rank,) bool array
         Whether the row is active.
     tied_force : (tied rows of this rank,) array
-        Force of each tied row that this rank gave, on the slave against the direction of the row's
-        first coefficient [N].
+        Force of each tied row that this rank gave, on the slave against the direction of the
+        slave's sum [N].
     multipliers : (m,) array
         lambda, as far as this rank holds it.
     report : Report

@@ -97,12 +97,11 @@ class Prescribed:
 class ContactRows:
     """Conditions sum_k c_k'u(node_k) <= gap: linearised non-penetration (11.1), (11.7).
 
-    The first term of each row is the slave node's. Its coefficient has the direction of the row's
-    unit normal n, outward from the slave's body, and any length D > 0: the area that belongs to the
-    node in a mortar row, 1 where a node touches a node or an obstacle. The other terms are those of
-    the master's nodes, and of further nodes of the slave, which come before them. The gap is in the
-    same unit, so gap / D is a distance, and D times the multiplier of the row is the nodal normal
-    force.
+    The first term of each row is the slave node's; further nodes of the slave follow, then those of
+    the master. The sum of the slave's coefficients has the direction of the row's unit normal n,
+    outward from the slave's body, and any length D > 0: the area that belongs to the node in a
+    mortar row, 1 where a node touches a node or an obstacle. The gap is in the same unit, so
+    gap / D is a distance, and D times the multiplier of the row is the normal force.
 
     Attributes
     ----------
@@ -119,8 +118,8 @@ class ContactRows:
     contact : (rows,) integer array
         Number of the contact that the row belongs to, for the sums of forces.
     slaves : (rows,) integer array, optional
-        How many of the row's terms, from the first on, are those of the slave's nodes, for the sums
-        of forces; by default 1.
+        How many of the row's terms, from the first on, are those of the slave's nodes; by default
+        1.
 
     Examples
     --------
@@ -247,15 +246,21 @@ class ContactRows:
 
     @property
     def length(self) -> Vector:
-        """The length D of the slave node's coefficient in each row, (rows,)."""
-        lengths: Vector = np.linalg.norm(self.coefficients[self.offsets[:-1]], axis=1)
+        """The length D of the sum of the slave's coefficients in each row, (rows,)."""
+        lengths: Vector = np.linalg.norm(self._sum_of_slave, axis=1)
         return lengths
 
     @property
     def normal(self) -> Vector:
         """The unit normal of each row, (rows, gdim)."""
-        normals: Vector = self.coefficients[self.offsets[:-1]] / self.length[:, None]
+        normals: Vector = self._sum_of_slave / self.length[:, None]
         return normals
+
+    @property
+    def _sum_of_slave(self) -> Vector:
+        sums = np.zeros((self.size, self.coefficients.shape[1]))
+        np.add.at(sums, self.row, np.where(self.on_slave[:, None], self.coefficients, 0.0))
+        return sums
 
     @property
     def on_slave(self) -> NDArray[np.bool_]:
@@ -312,8 +317,8 @@ class TornSystem:
         Names of the Dirichlet conditions, by number.
     tied : ContactRows, optional
         The same rows as equalities sum_k c_k'u(node_k) = gap: surfaces that stay together. A slave
-        node has as many rows as components; the direction of a row's first coefficient is any, its
-        length the node's area. Contacts and tied pairs are numbered together. None by default.
+        node has as many rows as components; the direction of the slave's sum is any, its length the
+        node's area. Contacts and tied pairs are numbered together. None by default.
     """
 
     subdomains: Sequence[Subdomain]

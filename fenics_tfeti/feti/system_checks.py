@@ -36,7 +36,7 @@ Vector = NDArray[np.float64]
 _LARGEST_NODE = 2**61
 # the report has an entry for each Dirichlet condition
 _MOST_CONDITIONS = 10**6
-# length of the slave's coefficient, relative to the longest one of its row, that is none
+# length of the sum of the slave's coefficients, relative to the longest of the row, that is none
 _NO_LENGTH = 1e-12
 
 
@@ -365,7 +365,7 @@ def _check_rows(what: str, rows: ContactRows, gdim: int, names: Sequence[str]) -
     shape = rows.nodes.size, gdim
     _check_array(f"{what}.coefficients", rows.coefficients, shape, np.float64)
     _check_finite(f"{what}.coefficients", rows.coefficients)
-    _check_first_coefficients(what, rows, names)
+    _check_normals(what, rows, names)
 
 
 def _check_offsets(what: str, rows: ContactRows, names: Sequence[str]) -> None:
@@ -419,8 +419,8 @@ def _check_distinct_nodes(what: str, rows: ContactRows, names: Sequence[str]) ->
         )
 
 
-def _check_first_coefficients(what: str, rows: ContactRows, names: Sequence[str]) -> None:
-    """Check that every row has a normal: the direction of its first coefficient."""
+def _check_normals(what: str, rows: ContactRows, names: Sequence[str]) -> None:
+    """Check that every row has a normal: the direction of the sum of its slave's coefficients."""
     largest = np.zeros(rows.size)
     lengths = np.linalg.norm(rows.coefficients, axis=1)
     np.maximum.at(largest, rows.row, lengths)
@@ -428,10 +428,11 @@ def _check_first_coefficients(what: str, rows: ContactRows, names: Sequence[str]
     if vanishing.size:
         k = vanishing[0]
         raise InputError(
-            f"{what}.coefficients: the first coefficient of {vanishing.size} rows vanishes, the "
-            f"first is {_row(rows, k, names)} at slave node {rows.slave[k]} with lengths "
-            f"of {rows.length[k]:.3e} and up to {largest[k]:.3e} of the other nodes. The first "
-            "term is that of the slave's node, along the normal; leave rows without it out"
+            f"{what}.coefficients: the sum of the slave's coefficients vanishes in "
+            f"{vanishing.size} rows, the first is {_row(rows, k, names)} at slave node "
+            f"{rows.slave[k]} with a sum of length {rows.length[k]:.3e} and coefficients of up to "
+            f"{largest[k]:.3e}. The slave's terms come first and add up to a vector along the "
+            "normal; leave other rows out"
         )
 
 

@@ -4,11 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from curved_rings import quarter_rings
 from mesh_arrays import CELLS, block, check_arrays, concatenated
 
 from fenics_tfeti import InputError
+from fenics_tfeti.fem.decomposition.bodies import find_bodies
+from fenics_tfeti.fem.mesh_checks import check_mesh
+from fenics_tfeti.fem.topology import cell_vertices
 
 by_cell = pytest.mark.parametrize("cell", CELLS)
+
+
+@pytest.mark.parametrize("recombine", [False, True])
+def test_folded_curved_cell_is_named(tmp_path, recombine):
+    domain = quarter_rings(tmp_path / "a.msh", (4, 6), ((0.5, 1.0), (1.0, 1.6)), recombine).mesh
+    check_mesh(domain, find_bodies(domain, None), [])
+    vertices = np.unique(cell_vertices(domain))
+    x = domain.geometry.x
+    inner = np.setdiff1d(np.arange(len(x)), vertices)
+    radius = np.linalg.norm(x[inner], axis=1)
+    moved = inner[np.argmin(np.abs(radius - 1.3))]
+    x[moved, :2] += 0.4
+    with pytest.raises(InputError, match=r"curved cells that are folded.*of \d+ cells"):
+        check_mesh(domain, find_bodies(domain, None), [])
 
 
 @by_cell

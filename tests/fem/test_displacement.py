@@ -7,6 +7,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import scenes
+from curved_rings import quarter_rings
 from scenes import CLAMPED, ROLLER, SIDE_X
 
 import ufl
@@ -39,6 +40,29 @@ def test_cells_of_one_dimension_are_refused():
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     with pytest.raises(InputError, match="cells of the type interval; supported are triangle"):
         space_of_forms(ufl.inner(u, v) * ufl.dx, fem.Constant(domain, 1.0) * v[0] * ufl.dx)
+
+
+def forms_on(V):
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    return ufl.inner(u, v) * ufl.dx, fem.Constant(V.mesh, 1.0) * v[0] * ufl.dx
+
+
+def test_degree_2_is_taken():
+    V = scenes.vector_space(beams().mesh, 2)
+    assert space_of_forms(*forms_on(V)) == V
+
+
+def test_degree_3_is_refused():
+    with pytest.raises(InputError, match="of degree 3; Lagrange elements of degree 1 or 2"):
+        space_of_forms(*forms_on(scenes.vector_space(beams().mesh, 3)))
+
+
+def test_curved_cells_need_displacements_of_degree_2(tmp_path):
+    domain = quarter_rings(tmp_path / "a.msh", (4, 6), ((0.5, 1.0), (1.0, 1.6)), True).mesh
+    V = scenes.vector_space(domain, 2)
+    assert space_of_forms(*forms_on(V)) == V
+    with pytest.raises(InputError, match="curved cells, of degree 2, and the displacement is of"):
+        space_of_forms(*forms_on(scenes.vector_space(domain)))
 
 
 def prescribed_at(scene, bcs):

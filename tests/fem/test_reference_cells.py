@@ -54,7 +54,38 @@ def test_facets_are_in_the_order_of_basix(name):
 @mesh_cell
 def test_edges_are_those_of_basix(name):
     edges = basix.topology(basix_cell(name))[1]
-    assert reference_cell(name).edges == tuple(sorted(map(tuple, edges)))
+    assert reference_cell(name).edges == tuple(map(tuple, edges))
+
+
+def points_of_degree_2(name):
+    """Return the nodes of the element of degree 2: the midpoints of vertices, edges, ..."""
+    element = basix.create_element(
+        basix.ElementFamily.P, basix_cell(name), 2, basix.LagrangeVariant.gll_warped
+    )
+    return element.points
+
+
+@mesh_cell
+def test_number_of_nodes_is_that_of_basix(name):
+    cell = reference_cell(name)
+    assert cell.nodes(1) == cell.vertices
+    assert cell.nodes(2) == len(points_of_degree_2(name))
+
+
+@mesh_cell
+def test_nodes_of_facets_are_their_corners_and_what_is_between_them(name):
+    x, cell = points_of_degree_2(name), reference_cell(name)
+    for linear, nodes, facet in zip(
+        cell.facet_nodes(1), cell.facet_nodes(2), cell.facets, strict=True
+    ):
+        v = len(linear)
+        assert nodes[:v] == linear
+        assert sorted(linear) == sorted(facet)
+        corners = x[list(linear)]
+        between = [(corners[k] + corners[(k + 1) % v]) / 2 for k in range(v if v > 2 else 1)]
+        if v == 4:
+            between.append(corners.mean(axis=0))
+        np.testing.assert_allclose(x[list(nodes[v:])], between, atol=1e-15)
 
 
 @mesh_cell
@@ -67,7 +98,7 @@ def test_facets_have_the_vertices_of_their_type(name):
 @every_cell
 def test_axes_are_edges(name):
     cell = reference_cell(name)
-    assert [b for a, b in cell.edges if a == 0] == list(cell.axes)
+    assert sorted(b for a, b in cell.edges if a == 0) == list(cell.axes)
 
 
 @every_cell
@@ -122,3 +153,19 @@ def test_simplices_of_a_block_share_the_long_diagonal(name):
 )
 def test_simplices(name, simplex):
     assert reference_cell(name).is_simplex is simplex
+
+
+@mesh_cell
+def test_pieces_of_degree_2_fill_the_cell_and_are_of_its_type(name):
+    cell, x = reference_cell(name), points_of_degree_2(name)
+    assert cell.pieces(1) == (tuple(range(cell.vertices)),)
+    pieces = cell.pieces(2)
+    assert len(pieces) == 2**cell.dim
+    axes = list(cell.axes)
+    volumes = [np.linalg.det(x[list(p)][axes] - x[p[0]]) for p in pieces]
+    whole = volume(name, range(cell.vertices))
+    np.testing.assert_allclose(np.abs(volumes), abs(whole) / 2**cell.dim)
+    assert {node for piece in pieces for node in piece} == set(range(len(x)))
+    if not cell.is_simplex:
+        assert all(np.allclose(x[list(p)] * 2 % 1, 0) for p in pieces)
+        np.testing.assert_allclose(volumes, whole / 2**cell.dim)

@@ -12,10 +12,11 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.topology import (
     cell_facets,
     cell_type,
+    cell_vertices,
     exterior_cell_facets,
     exterior_facets,
-    facet_vertices,
     owned_cells,
+    vertex_nodes,
 )
 
 every_cell = pytest.mark.parametrize("cell", CELLS)
@@ -38,11 +39,21 @@ def test_all_cells_of_one_rank_are_owned(cell):
 
 
 @every_cell
+@pytest.mark.parametrize("degree", [1, 2])
+def test_vertices_are_the_first_nodes_of_spaces(cell, degree):
+    domain = mesh(cell)
+    space = _compat.lagrange_space(domain, degree)
+    x = space.tabulate_dof_coordinates()[vertex_nodes(space)]
+    np.testing.assert_allclose(x, domain.geometry.x[cell_vertices(domain)], atol=1e-15)
+
+
+@every_cell
 def test_facets_have_the_vertices_that_the_reference_cell_says(cell):
     domain = mesh(cell)
     facets = cell_facets(domain)
-    of_cell = _compat.geometry_cells(domain)[:, np.array(cell_type(domain).facets)]
-    vertices = facet_vertices(domain, facets.ravel()).reshape(of_cell.shape)
+    of_cell = cell_vertices(domain)[:, np.array(cell_type(domain).facets)]
+    dim = domain.topology.dim - 1
+    vertices = _compat.entity_nodes(domain, dim, facets.ravel()).reshape(of_cell.shape)
     np.testing.assert_array_equal(np.sort(vertices, axis=2), np.sort(of_cell, axis=2))
 
 
@@ -55,15 +66,9 @@ def test_number_of_exterior_facets(cell):
 def test_exterior_facets_of_cells_are_on_the_surface(cell):
     domain = mesh(cell)
     exterior = exterior_cell_facets(domain)
-    x = domain.geometry.x[facet_vertices(domain, cell_facets(domain)[exterior])]
+    found = cell_facets(domain)[exterior]
+    x = domain.geometry.x[_compat.entity_nodes(domain, domain.topology.dim - 1, found)]
     x = x[:, :, : domain.geometry.dim]
     on_side = np.all(x == 0.0, axis=1) | np.all(x == 3.0, axis=1)
     assert exterior.sum() == EXTERIOR[cell]
     assert on_side.any(axis=1).all()
-
-
-@every_cell
-def test_no_facets_have_no_vertices(cell):
-    domain = mesh(cell)
-    none = facet_vertices(domain, np.zeros(0, dtype=np.int32))
-    assert none.shape == (0, cell_type(domain).facet.vertices)

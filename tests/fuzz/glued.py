@@ -64,7 +64,7 @@ class GluedProblem:
     gap_rounding : (m,) array
         Rounding errors that the gaps carry, as differences of coordinates do.
     tied : (t, n) scipy.sparse.csr_matrix
-        T, first coefficients of unit length; none by default.
+        T, sums over the slave of unit length; none by default.
     tied_jump : (t,) array
         Its right-hand side.
     """

@@ -21,6 +21,8 @@ CASES = {
     "triangle": Blocks("triangle", 6, 8, width=0.63),
     "tetrahedron": Blocks("tetrahedron", 3, 4, width=0.63, jitter=0.2),
     "hexahedron": Blocks("hexahedron", 3, 4, jitter=0.05),
+    "triangle of degree 2": Blocks("triangle", 6, 8, width=0.63, degree=2),
+    "tetrahedron of degree 2": Blocks("tetrahedron", 2, 3, jitter=0.2, degree=2),
 }
 every_case = pytest.mark.parametrize("cell", CASES)
 

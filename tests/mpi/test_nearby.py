@@ -14,12 +14,9 @@ from dolfinx.fem import Function
 from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import integrate
-from fenics_tfeti.fem.contact.surfaces.deformed import (
-    cyclic_corners,
-    gather_surface,
-    oriented_facets,
-)
+from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
+from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 from fenics_tfeti.io import Box, boxes, tag_facets
 
@@ -47,14 +44,16 @@ def both(gap=0.0, move=(0.0, 0.0)):
     uh.x.array.reshape(-1, 2)[upper] = move
     slave = tagged_surface(MeshBoundary.of(V), tags, LOWER, "slave")
     x = places[:, :2] + uh.x.array.reshape(-1, 2)
-    facets = Facets(x, cyclic_corners(oriented_facets(V, tags, LOWER)))
+    found = tags.find(LOWER)
+    owned = V.mesh.topology.index_map(1).size_local
+    facets = Facets(x, oriented_facets(V, np.sort(found[found < owned])).astype(np.int64))
     near = gather_nearby(V, tags, UPPER, LOWER, slave.nodes, uh)
     return facets, near, gather_surface(V, tags, UPPER, uh), slave
 
 
 def pairs(slave, master):
     """Return the pairs of facets over each other, the master's by their nodes."""
-    found = integrate(slave, master.cyclic())
+    found = integrate(slave, master.surface)
     nodes = np.sort(master.nodes[master.facets[found.master]], axis=1)
     return {(int(found.facet[k]), *row) for k, row in zip(found.pair, nodes.tolist(), strict=True)}
 
@@ -66,7 +65,7 @@ def test_nothing_is_missing(gap, move):
     if not len(slave):
         return
     planes = Planes.of(slave.coordinates())
-    reach = [MasterTree(part.cyclic()).reach(slave, planes) for part in (near, whole)]
+    reach = [MasterTree(part.surface).reach(slave, planes) for part in (near, whole)]
     np.testing.assert_allclose(reach[0], reach[1], rtol=1e-14)
     # normals are those of the whole surface where they are used
     used = np.array(sorted({node for pair in pairs(slave, near) for node in pair[1:]}), dtype=int)

@@ -405,7 +405,12 @@ def one_coefficient_for_all(system):
     return contacts(system, coefficients=[0.0, 0.0, -1.0])
 
 
-@mistake("contacts.coefficients", "first coefficient of 1 rows vanishes", "row 4 (joint)", "normal")
+@mistake(
+    "contacts.coefficients",
+    "sum of the slave's coefficients vanishes in 1 rows",
+    "row 4 (joint)",
+    "normal",
+)
 def slave_without_coefficient(system):
     values = changed(system.contacts.coefficients, 8, [0.0, 0.0, 1e-13])
     return contacts(system, coefficients=values)
@@ -461,7 +466,7 @@ def tied_row_with_a_node_twice(system):
     return tied(system, nodes=changed(nodes, 5, nodes[4]))
 
 
-@mistake("tied.coefficients", "first coefficient of 1 rows vanishes", "row 0 (joint)")
+@mistake("tied.coefficients", "sum of the slave's coefficients vanishes in 1 rows", "row 0 (joint)")
 def tied_row_without_a_direction(system):
     values = system.contacts.coefficients[:, ::-1]
     return tied(system, coefficients=changed(values, 0, 0.0))

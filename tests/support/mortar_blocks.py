@@ -21,8 +21,8 @@ from dolfinx.fem import Constant, Function
 
 from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.mortar.facets import Facets
-from fenics_tfeti.fem.contact.mortar.integrals import integrate
+from fenics_tfeti.fem.contact.mortar.facets import shape_functions
+from fenics_tfeti.fem.contact.mortar.integrals import integrate, integrate_alone
 from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface
 from fenics_tfeti.io import Box, boxes, tag_facets
 
@@ -42,6 +42,7 @@ class Blocks:
     width: float = 1.0
     slope: float = 0.0
     jitter: float = 0.0
+    degree: int = 1
 
     @property
     def gdim(self) -> int:
@@ -92,26 +93,41 @@ class Blocks:
 
 
 def uncovered_part(V: Any, facet_tags: Any, tag: int, other: int) -> Function:
-    """Return q, linear on facets, with int q N_k = int N_k over what `other` leaves uncovered."""
+    """Return q with int q N_k = int N_k over what `other` leaves uncovered of plane facets."""
     surface, master = gather_surface(V, facet_tags, tag), gather_surface(V, facet_tags, other)
-    own, over = surface.cyclic(), master.cyclic()
-    # a mirror image covers all
-    itself = Facets(own.points, own.corners[:, ::-1])
+    own, over = surface.surface, master.surface
     n = len(own.points)
     mass, load = np.zeros((n, n)), np.zeros(n)
-    whole, part = integrate(own, itself), integrate(own, over)
-    for facet, matrix in zip(whole.facet, whole.mass, strict=True):
-        mass[np.ix_(own.corners[facet], own.corners[facet])] += matrix
-    np.add.at(load, own.corners[whole.facet], whole.ones)
-    np.subtract.at(load, own.corners[part.facet], part.ones)
+    whole, part = integrate_alone(own), integrate(own, over)
+    for nodes, area in zip(own.nodes, whole.covered, strict=True):
+        mass[np.ix_(nodes, nodes)] += area * mean_products(own.nodes.shape[1], V.mesh.geometry.dim)
+    # the shape functions of degree 1 add up to 1
+    np.add.at(load, own.nodes, whole.trace.sum(axis=1))
+    np.subtract.at(load, own.nodes[part.facet], part.trace.sum(axis=1))
     values = np.linalg.solve(mass, load)
-    scalar = Function(_compat.lagrange_space(V.mesh, 1))
+    scalar = Function(_compat.lagrange_space(V.mesh, _compat.element_facts(V)[1]))
     # by places: the two spaces may number their nodes differently
     x = scalar.function_space.tabulate_dof_coordinates()[:, : own.points.shape[1]]
     distance = np.linalg.norm(x[:, None] - surface.points[None], axis=2)
     near = distance.min(axis=1) < 1e-12
     scalar.x.array[: len(x)][near] = values[distance[near].argmin(axis=1)]
     return scalar
+
+
+def mean_products(nodes: int, gdim: int) -> Any:
+    """Return the mean products of the shape functions of a facet without distortion."""
+    x, w = np.polynomial.legendre.leggauss(3)
+    if gdim == 2:
+        xi = 0.5 + 0.5 * x[:, None]
+    else:
+        xi = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2)
+        w = np.outer(w, w).ravel()
+        if nodes in (3, 6):
+            # the square collapsed to the triangle
+            r, s = 0.5 + 0.5 * xi.T
+            xi, w = np.stack([r, (1 - r) * s], axis=1), w * (1 - r)
+    N = shape_functions(xi, nodes)
+    return np.einsum("q,qi,qj->ij", w / w.sum(), N, N)
 
 
 @dataclass(frozen=True)
@@ -130,7 +146,7 @@ def solved(
     beams = blocks.mesh(comm)
     domain, d = beams.mesh, blocks.gdim
     facet_tags = tag_facets(domain, blocks.markers(), beams.cell_tags)
-    V = vector_space(domain)
+    V = vector_space(domain, blocks.degree)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     ds = ufl.Measure("ds", domain=domain, subdomain_data=facet_tags)
     pressure = Constant(domain, PRESSURE)
@@ -170,6 +186,19 @@ def uneven(
     **options: Any,
 ) -> ContactProblem:
     """Solve for a curved upper block, clamped blocks, and a load that grows with x."""
+    problem = uneven_problem(blocks, comm, slave, pair, **options)
+    problem.solve()
+    return problem
+
+
+def uneven_problem(
+    blocks: Blocks,
+    comm: MPI.Comm = MPI.COMM_SELF,
+    slave: int = LOWER,
+    pair: Mapping[str, Any] | None = None,
+    **options: Any,
+) -> ContactProblem:
+    """Pose the problem of `uneven`."""
     beams = blocks.mesh(comm)
     domain, d = beams.mesh, blocks.gdim
     facet_tags = tag_facets(domain, blocks.markers(), beams.cell_tags)
@@ -178,7 +207,7 @@ def uneven(
     middle = 0.4 * blocks.width
     lift = 0.02 * np.sum((x[nodes, : d - 1] - middle) ** 2, axis=1)
     x[nodes, d - 1] += (2.0 - x[nodes, d - 1]) * lift
-    V = vector_space(domain)
+    V = vector_space(domain, blocks.degree)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     ds = ufl.Measure("ds", domain=domain, subdomain_data=facet_tags)
     young, pressure = Constant(domain, YOUNG), Constant(domain, 20.0 * PRESSURE)
@@ -196,7 +225,6 @@ def uneven(
         options={"rtol": 1e-10, "subdomain_size": 150, **options},
     )
     problem.kept = (young, pressure)  # dolfinx 0.5 does not keep constants alive
-    problem.solve()
     return problem
 
 

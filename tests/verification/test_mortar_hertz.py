@@ -32,8 +32,11 @@ def element_size(sizes, gdim, x):
     return min(own + 0.35 * max(0.0, np.linalg.norm(x) - FINE), 2.0)
 
 
-def mesh_of_round_and_block(path, gdim, sizes):
-    """Mesh both bodies, each with its own size of elements at the contact."""
+def mesh_of_round_and_block(path, gdim, sizes, degree=1):
+    """Mesh both bodies, each with its own size of elements at the contact.
+
+    With degree 2 the cells of the ball are curved.
+    """
     gmsh.initialize()
     try:
         gmsh.option.setNumber("General.Terminal", 0)
@@ -55,13 +58,14 @@ def mesh_of_round_and_block(path, gdim, sizes):
         for source in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
             gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
         gmsh.model.mesh.generate(gdim)
+        gmsh.model.mesh.setOrder(degree)
         gmsh.write(str(path))
     finally:
         gmsh.finalize()
 
 
-def solved(path, gdim, sizes, slave):
-    mesh_of_round_and_block(path, gdim, sizes)
+def solved(path, gdim, sizes, slave, degree=1):
+    mesh_of_round_and_block(path, gdim, sizes, degree)
     bodies = read_msh(path, MPI.COMM_SELF, gdim)
     domain, up = bodies.mesh, gdim - 1
 
@@ -76,7 +80,7 @@ def solved(path, gdim, sizes, slave):
     markers += [(TOP, lambda x: np.isclose(x[up], R)), (BOTTOM, lambda x: np.isclose(x[up], -R))]
     markers += [(SIDES[k], lambda x, k=k: np.isclose(x[k], 0.0)) for k in range(up)]
     tags = tag_facets(domain, markers, bodies.cell_tags)
-    V = vector_space(domain)
+    V = vector_space(domain, degree)
     young = fem.Constant(domain, 1.0)
     problem = ContactProblem(
         elasticity(ufl.TrialFunction(V), ufl.TestFunction(V), young),
@@ -130,6 +134,21 @@ def test_cylinder(tmp_path, slave):
     assert abs(peak) < 0.03
     assert abs(radius) < 0.04
     assert square < 0.12
+
+
+@pytest.mark.parametrize("slave", [BALL, BLOCK], ids=["cylinder", "block"])
+def test_cylinder_with_degree_2(tmp_path, slave):
+    """Of curved cells; the force is twice the energy over the depth."""
+    names = [tmp_path / name for name in ("a.msh", "b.msh", "c.msh")]
+    linear, quadratic = (solved(names[d - 1], 2, (0.1, 0.14), slave, d) for d in (1, 2))
+    exact = solved(names[2], 2, (0.025, 0.035), slave, 2).report.contact_force[0]
+    off = [abs(p.report.contact_force[0] / exact - 1.0) for p in (linear, quadratic)]
+    assert off[1] < off[0] / 3.0
+    peak, radius, square, _ = errors(quadratic)
+    assert abs(peak) < 0.01
+    assert abs(radius) < 0.02
+    assert square < errors(linear)[2]
+    assert square < 0.02
 
 
 @pytest.mark.heavy

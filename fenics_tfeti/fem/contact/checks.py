@@ -26,6 +26,7 @@ from fenics_tfeti.fem.contact.surfaces.tagged import MasterNodes, Surface
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, raise_where
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
+from fenics_tfeti.fem.topology import cell_vertices
 from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
 
 __all__ = [
@@ -47,14 +48,15 @@ Mask = NDArray[np.bool_]
 # -- arguments ---------------------------------------------------------------------------------
 
 
-def check_arguments(contact: ContactPair, name: str) -> None:
-    """Check the arguments of a pair that need no mesh.
+def check_arguments(contact: ContactPair, name: str, degree: int) -> None:
+    """Check the arguments of a pair that need no mesh, but the displacement's degree.
 
     Raises
     ------
     InputError
         Equal tags, several ways to find partners or one for mortar conditions, a mapping that is
-        not a function, a tolerance that is not positive, an unknown discretisation or initial gap.
+        not a function, a tolerance that is not positive, an unknown discretisation or initial gap,
+        pairs of nodes for displacements of degree 2.
     """
     if contact.slave == contact.master:
         raise InputError(f"{name}: slave and master have the same tag {contact.slave}")
@@ -76,6 +78,13 @@ def check_arguments(contact: ContactPair, name: str) -> None:
         raise InputError(
             f"{name}: {' and '.join(ways)} tells how nodes find partners, but mortar conditions "
             "are between surfaces. Leave it out, or take discretisation='node_to_node'"
+        )
+    if degree > 1 and (ways or contact.discretisation == "node_to_node"):
+        what = " and ".join(ways) or "discretisation='node_to_node'"
+        raise InputError(
+            f"{name}: {what} asks for conditions between pairs of nodes, which are for "
+            f"displacements of degree 1; this one is of degree {degree}. Leave it out: the "
+            "conditions are mortar conditions then"
         )
     if len(ways) > 1:
         raise InputError(
@@ -272,8 +281,8 @@ def check_not_crossed(
     slave : Surface
         The slave's surface.
     corners, normals, images : (f, v, gdim) arrays
-        Nodes of this rank's facets, the normals there, and the partners' coordinates, NaN where
-        there is none.
+        Corners of this rank's facets, one after the other around each, the normals there, and the
+        partners' coordinates, NaN where there is none.
     name : str
         Name of the contact.
 
@@ -283,7 +292,8 @@ def check_not_crossed(
         With the first edge whose ends have crossing pairs, and the remedy.
     """
     gdim = images.shape[2]
-    edges = np.array(slave.facet_type.edges)
+    v = corners.shape[1]
+    edges = np.array([(k, (k + 1) % v) for k in range(v if v > 2 else 1)])
     ends, ends_normals, partners = (
         of_facets[:, edges].reshape(-1, 2, gdim) for of_facets in (corners, normals, images)
     )
@@ -412,7 +422,7 @@ def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[Contact
 def _sizes_of_bodies(space: FunctionSpace, bodies: Bodies) -> Vector:
     """Return the edges of the bodies' bounding boxes, (bodies, gdim)."""
     comm, gdim = space.mesh.comm, space.mesh.geometry.dim
-    cells = _compat.geometry_cells(space.mesh)[: bodies.of_cell.size]
+    cells = cell_vertices(space.mesh)[: bodies.of_cell.size]
     corners = space.mesh.geometry.x[cells, :gdim]
     low = np.full((len(bodies.names), gdim), np.inf)
     high = -low

@@ -54,6 +54,7 @@ class ContactPair:
     discretisation : {"auto", "node_to_node", "mortar"}
         "auto" takes pairs of nodes where the meshes match, or where `direction`, `mapping` or
         `pairs` says how to find them, and mortar conditions otherwise. The choice is in the report.
+        Displacements of degree 2 always have mortar conditions, with multipliers at the vertices.
     roles : {"given", "auto"}
         Whether `slave` and `master` are as given, or exchanged where mortar conditions are better
         the other way round: the slave then is the surface with the smaller E / h, estimated from
@@ -218,7 +219,8 @@ class ContactPairing:
     weighted_form : CompiledForm or None
         The form of the areas with the weight; None without one.
     terms : MortarTerms, optional
-        The terms of mortar conditions; None for pairs of nodes and obstacles.
+        The terms of mortar conditions, also those of degree 2 at obstacles; None for pairs of nodes
+        and for degree 1 at obstacles.
     prescribed : (s, gdim) bool array, optional
         Which components are prescribed at the surface's nodes, for mortar conditions.
     master_surface : Surface, optional
@@ -239,14 +241,6 @@ class ContactPairing:
     terms: MortarTerms | None = None
     prescribed: NDArray[np.bool_] | None = None
     master_surface: Surface | None = None
-
-    @property
-    def length(self) -> Vector:
-        """Length of the slave node's coefficient in each condition: 1 from node to node."""
-        if self.terms is None:
-            return np.ones(self.slave.size)
-        lengths: Vector = self.terms.weights[self.terms.offsets[:-1]]
-        return lengths
 
 
 @dataclass(frozen=True)

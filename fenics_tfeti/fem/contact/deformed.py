@@ -27,7 +27,7 @@ from fenics_tfeti.fem.contact.contact import (
     RigidObstacle,
 )
 from fenics_tfeti.fem.contact.mortar.pairing import match_deformed, mean_relative
-from fenics_tfeti.fem.contact.obstacles import gap_and_normal
+from fenics_tfeti.fem.contact.obstacle_conditions import deformed_gaps
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
 from fenics_tfeti.parallel import raise_collectively
 
@@ -289,13 +289,5 @@ def _at_obstacle(
     pairing: ContactPairing,
     displacement: Function,
 ) -> DeformedContact:
-    gdim = space.dofmap.index_map_bs
-    slave = gather_surface(space, contact.facet_tags, contact.slave, displacement)
-    here = np.searchsorted(slave.nodes, pairing.slave)
-    points = np.pad(slave.points[here], ((0, 0), (0, 3 - gdim)))
-    body_normal = slave.normals(pairing.name)[here]
-    gap, outward = gap_and_normal(
-        space.mesh.comm, contact.obstacle, points, body_normal, pairing.name
-    )
-    bound = gap - np.sum(slave.displacement[here] * outward, axis=1)
-    return DeformedContact(pairing.master, -outward, bound, gap, np.maximum(-gap, 0.0))
+    normal, gap, distance = deformed_gaps(space, contact, pairing, displacement)
+    return DeformedContact(pairing.master, normal, gap, distance, np.maximum(-distance, 0.0))

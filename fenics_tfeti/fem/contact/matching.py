@@ -10,7 +10,6 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.checks import (
     check_arguments,
     check_different_nodes,
@@ -31,23 +30,21 @@ from fenics_tfeti.fem.contact.contact import (
 from fenics_tfeti.fem.contact.mortar.pairing import match_by_mortar
 from fenics_tfeti.fem.contact.nodes import search
 from fenics_tfeti.fem.contact.nodes.matching_meshes import meshes_match
-from fenics_tfeti.fem.contact.obstacles import gap_and_normal
+from fenics_tfeti.fem.contact.obstacle_conditions import match_obstacle
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, initial_gap
-from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas, given_weight
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
+from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas, weighted_form
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MasterNodes,
     MeshBoundary,
     Surface,
-    area_of_facets,
     gather_master,
     largest_of_facets,
     tagged_surface,
     values_on_facets,
 )
-from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING
 from fenics_tfeti.feti.system import ContactRows, Prescribed
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 
@@ -139,7 +136,7 @@ def match_contact(
     """
     name = contact_name(contact, number)
     if isinstance(contact, RigidObstacle):
-        return _match_obstacle(boundary, name, contact, earlier)
+        return match_obstacle(boundary, name, contact, earlier)
     given = Prescribed() if prescribed is None else prescribed
     if earlier is None or not _still_holds(boundary.space.mesh.comm, contact, earlier, given):
         return _match_pair(boundary, name, contact, given)
@@ -147,7 +144,7 @@ def match_contact(
     if earlier.weighted_form is None:
         return earlier if gap is earlier.gap else replace(earlier, gap=gap)
     surface = earlier.surface
-    area = _areas(boundary, surface, earlier.covered, earlier.weighted_form, name)
+    area = node_areas(boundary, surface, earlier.covered, earlier.weighted_form, name)
     return replace(earlier, gap=gap, area=area[np.searchsorted(surface.nodes, earlier.slave)])
 
 
@@ -195,42 +192,12 @@ def _rows(pairing: ContactPairing, number: int) -> ContactRows:
     )
 
 
-def _match_obstacle(
-    boundary: MeshBoundary, name: str, contact: RigidObstacle, earlier: ContactPairing | None
-) -> ContactPairing:
-    comm = boundary.space.mesh.comm
-    slave = (
-        earlier.surface
-        if earlier
-        else tagged_surface(boundary, contact.facet_tags, contact.slave, f"slave of {name}")
-    )
-    form = earlier.weighted_form if earlier else _weighted_form(boundary, contact, name)
-    covered = np.ones(slave.facets.size, dtype=bool)
-    gap, outward = gap_and_normal(comm, contact.obstacle, slave.coordinates, slave.normal, name)
-    gap = _without_rounding(gap, slave)
-    normal = -outward  # u'n <= gap with n pointing into the obstacle
-    angle = angles_between(slave.normal, normal)
-    return ContactPairing(
-        name,
-        slave.nodes,
-        np.full(slave.nodes.size, -1, dtype=np.int64),
-        slave.coordinates,
-        normal,
-        gap,
-        _areas(boundary, slave, covered, form, name),
-        pairing_summary(comm, name, "obstacle", gap, angle, slave.nodes.size, area=slave.area),
-        slave,
-        covered,
-        form,
-    )
-
-
 def _match_pair(
     boundary: MeshBoundary, name: str, contact: ContactPair, prescribed: Prescribed
 ) -> ContactPairing:
     comm = boundary.space.mesh.comm
     with raise_collectively(comm):
-        check_arguments(contact, name)
+        check_arguments(contact, name, boundary.degree)
     tags = contact.facet_tags
     slave = tagged_surface(boundary, tags, contact.slave, f"slave of {name}", contact.normal)
     other = tagged_surface(boundary, tags, contact.master, f"master of {name}")
@@ -241,10 +208,8 @@ def _match_pair(
     shared = _shared_nodes(comm, name, slave, master.nodes, number, contact.partial)
     with raise_collectively(comm):
         normals = master.normals(name)
-    matching = contact.discretisation == "auto" and meshes_match(
-        boundary.space, slave, master, normals, contact.tolerance
-    )
-    if matching:
+    wanted = contact.discretisation == "auto" and boundary.degree == 1
+    if wanted and meshes_match(boundary.space, slave, master, normals, contact.tolerance):
         return _match_nodes(boundary, name, contact, slave, other)
     held = prescribed_components(slave, prescribed)
     pairing = match_by_mortar(boundary, name, contact, slave, master, shared, held)
@@ -279,15 +244,15 @@ def _match_nodes(
     check_facing(comm, slave, found, angle, name)
     partner = master.points[at]
     covered = _covered_facets(boundary, slave, found, partner, name)
-    form = _weighted_form(boundary, contact, name)
-    area = _areas(boundary, slave, covered, form, name)
+    form = weighted_form(boundary, contact.measure_weight, name)
+    area = node_areas(boundary, slave, covered, form, name)
     normal = slave.normal[found]
-    gap = _without_rounding(np.sum((partner - slave.points[found]) * normal, axis=1), slave)
+    gap = slave.without_rounding(np.sum((partner - slave.points[found]) * normal, axis=1))
     places = slave.coordinates[found]
     # the nodes of both surfaces are on it, up to their chords
     chord = 2.0 * _nodal_chords(boundary, slave)[found]
     gap = initial_gap(comm, contact.initial_gap, gap, chord, places, name)
-    distance = _without_rounding(partners.distance[found], slave)
+    distance = slave.without_rounding(partners.distance[found])
     relative = distance / slave.size[found]
     return ContactPairing(
         name,
@@ -363,36 +328,3 @@ def _covered_facets(
     check_not_crossed(space.mesh.comm, slave, corners, normals, images, name)
     covered: Mask = np.isfinite(images).all(axis=(1, 2))
     return covered
-
-
-def _weighted_form(
-    boundary: MeshBoundary, contact: Contact, name: str
-) -> _compat.CompiledForm | None:
-    """Return the form of the areas with the contact's weight; None without one. Collective."""
-    domain = boundary.space.mesh
-    with raise_collectively(domain.comm):
-        weight = given_weight(domain, contact.measure_weight, name)
-    return None if weight is None else boundary.form_with_weight(weight)
-
-
-def _areas(
-    boundary: MeshBoundary,
-    slave: Surface,
-    covered: Mask,
-    form: _compat.CompiledForm | None,
-    name: str,
-) -> Vector:
-    """Return the area of each node on covered facets, or all of its area where it has none."""
-    comm, area = boundary.space.mesh.comm, slave.area
-    if form is not None:
-        area = area_of_facets(boundary, slave, np.ones_like(covered), form)
-        check_weighted_areas(comm, area, slave.area, slave.points, f"slave of {name}")
-    if comm.allreduce(bool(covered.all()), MPI.LAND):
-        return area
-    of_covered = area_of_facets(boundary, slave, covered, form)
-    return np.where(of_covered > RELATIVE_ROUNDING * area, of_covered, area)
-
-
-def _without_rounding(lengths: Vector, slave: Surface) -> Vector:
-    """Set lengths to zero that are no more than the rounding of coordinates."""
-    return np.where(np.abs(lengths) <= COORDINATE_ROUNDING * slave.extent, 0.0, lengths)

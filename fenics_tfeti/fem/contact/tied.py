@@ -14,14 +14,9 @@ from numpy.typing import NDArray
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import MortarTerms
 from fenics_tfeti.fem.contact.mortar.checks import check_covered
-from fenics_tfeti.fem.contact.mortar.conditions import (
-    MortarConditions,
-    cyclic_values,
-    tied_conditions,
-)
+from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, tied_conditions
 from fenics_tfeti.fem.contact.mortar.pairing import slave_facets
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
-from fenics_tfeti.fem.contact.surfaces.deformed import oriented_facets
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
 from fenics_tfeti.fem.contact.surfaces.tagged import (
@@ -132,15 +127,7 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
     facets = slave_facets(space, pair, slave, boundary.coordinates[:, :gdim], name)
     held = prescribed_components(slave, prescribed)
     on_facets = values_on_facets(space, slave, held.astype(float)) > 0.5
-    oriented = oriented_facets(space, pair.facet_tags, pair.slave)
-    conditions = tied_conditions(
-        comm,
-        facets,
-        slave.nodes,
-        master,
-        normals,
-        cyclic_values(slave, oriented, on_facets),
-    )
+    conditions = tied_conditions(comm, facets, slave.nodes, master, normals, on_facets)
     # nodes where a component is prescribed have no condition for it
     most = int(np.argmax([comm.allreduce(one.slave.size) for one in conditions]))
     fullest = conditions[most]

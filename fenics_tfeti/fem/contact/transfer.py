@@ -38,8 +38,9 @@ class SolvedContact:
         Name of the contact.
     surface : DeformedSurface
         Nodes and facets.
-    paired : (n,) bool array
-        Which nodes have a contact condition.
+    paired : (n,) array
+        1 at nodes that have a contact condition, 0 elsewhere; between vertices interpolated, as are
+        the other values.
     pressure : (n,) array
         [Pa]; 0 elsewhere.
     approach : (n,) array
@@ -48,7 +49,7 @@ class SolvedContact:
 
     name: str
     surface: DeformedSurface
-    paired: NDArray[np.bool_]
+    paired: Vector
     pressure: Vector
     approach: Vector
 
@@ -98,10 +99,11 @@ def _gather_solved(
     nodes, of_paired, of_approach = (concatenate_ranks(comm, column) for column in columns)
     at = np.searchsorted(slave.nodes, nodes)
     n = slave.nodes.size
-    paired, pressure, approach = np.zeros(n, dtype=bool), np.zeros(n), np.zeros(n)
-    paired[at], pressure[at] = True, of_paired
+    paired, pressure, approach = np.zeros((3, n))
+    paired[at], pressure[at] = 1.0, of_paired
     approach[at] = of_approach
-    return SolvedContact(pairing.name, slave, paired, pressure, approach)
+    values = slave.from_corners(np.column_stack([paired, pressure, approach]))
+    return SolvedContact(pairing.name, slave, *values.T)
 
 
 def _relative_displacement(
@@ -147,9 +149,7 @@ def _transfer(solved: SolvedContact, pairing: ContactPairing) -> tuple[Vector, V
     weight, pressure, approach = solved.surface.interpolate(values, points).T
     near = weight > RELATIVE_ROUNDING
     weight = np.where(near, weight, 1.0)
-    # a mortar condition's force is that at the slave's node
-    size = pairing.area if pairing.terms is None else pairing.length
-    force = np.where(near, pressure / weight * size, 0.0)
+    force = np.where(near, pressure / weight * pairing.area, 0.0)
     return force, np.where(near, pairing.gap - approach / weight, np.inf)
 
 

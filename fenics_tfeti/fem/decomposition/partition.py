@@ -17,7 +17,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.decomposition.cell_graph import components, connected_groups, groups
 from fenics_tfeti.fem.decomposition.grid import Grid, block_of_cells, find_grid
-from fenics_tfeti.fem.topology import owned_cells
+from fenics_tfeti.fem.topology import cell_vertices, owned_cells
 from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["Partitioner", "given_subdomains", "split_into_subdomains"]
@@ -112,6 +112,6 @@ def given_subdomains(domain: Mesh, bodies: Bodies, labels: Sequence[int]) -> lis
 
 
 def _find_grid(domain: Mesh, cells: Indices) -> Grid | None:
-    rows, cell_nodes = np.unique(_compat.geometry_cells(domain)[cells], return_inverse=True)
+    rows, cell_nodes = np.unique(cell_vertices(domain)[cells], return_inverse=True)
     points = domain.geometry.x[rows, : domain.geometry.dim]
     return find_grid(points, cell_nodes.reshape(cells.size, -1))

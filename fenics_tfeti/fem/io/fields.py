@@ -22,6 +22,7 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import ContactResult
+from fenics_tfeti.fem.topology import vertex_nodes
 from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["contact_fields", "displacement_space", "von_mises", "write_fields"]
@@ -86,8 +87,9 @@ def write_fields(path: str | os.PathLike[str], functions: Sequence[Function]) ->
     path : path-like
         Name of the file, with the suffix .pvd. Its folder is created if it does not exist.
     functions : sequence of dolfinx.fem.Function
-        Scalar and vector fields on one mesh, continuous of degree 1 or constant on each cell. Each
-        is written under its ``name``; the names have to differ.
+        Scalar and vector fields on one mesh, continuous of degree 1 or 2 or constant on each cell.
+        Each is written under its ``name``; the names have to differ. With one of degree 2, or cells
+        of degree 2, continuous ones are all written as such.
 
     Raises
     ------
@@ -124,8 +126,22 @@ def write_fields(path: str | os.PathLike[str], functions: Sequence[Function]) ->
 
 def _write(path: Path, functions: Sequence[Function]) -> None:
     """Write the files; when the writer is deleted, at the end, it writes the collection again."""
-    with VTKFile(functions[0].function_space.mesh.comm, str(path), "w") as file:
-        file.write_function(list(functions), 0.0)
+    mesh = functions[0].function_space.mesh
+    degree = max(_compat.geometry_degree(mesh), *(field_degree(function) for function in functions))
+    with VTKFile(mesh.comm, str(path), "w") as file:
+        # the writer takes continuous fields of one degree
+        file.write_function([of_degree(function, degree) for function in functions], 0.0)
+
+
+def of_degree(function: Function, degree: int) -> Function:
+    """Return a field in the space of a higher degree; one that is constant on cells as it is."""
+    if field_degree(function) in (0, degree):
+        return function
+    (components,) = _compat.element_facts(function.function_space)[2] or (0,)
+    space = _compat.lagrange_space(function.function_space.mesh, degree, components)
+    raised = Function(space, name=function.name)
+    raised.interpolate(function)
+    return raised
 
 
 @contextmanager
@@ -153,18 +169,18 @@ def _take_files(folder: Path, path: Path) -> None:
 
 
 def field_degree(function: Function) -> int:
-    """Return the degree of a field: 1 if continuous of degree 1, 0 if constant on each cell.
+    """Return the degree of a field: 1 or 2 if it is continuous, 0 if constant on each cell.
 
     Raises
     ------
     InputError
-        If it is neither, and can therefore not be written or drawn.
+        If it is none of these, and can therefore not be written or drawn.
     """
     family, degree, _ = _compat.element_facts(function.function_space)
-    if (family, degree) == ("Lagrange", 1) or (family, degree) == ("Discontinuous Lagrange", 0):
+    if (family, degree) in (("Lagrange", 1), ("Lagrange", 2), ("Discontinuous Lagrange", 0)):
         return degree
     raise InputError(
-        f"'{function.name}' ({family}, degree {degree}) is neither continuous of degree 1 nor "
+        f"'{function.name}' ({family}, degree {degree}) is neither continuous of degree 1 or 2 nor "
         "constant on each cell; interpolate it into such a space first"
     )
 
@@ -199,8 +215,8 @@ def _check_fields(path: Path, functions: Sequence[Function]) -> None:
         field_degree(function)
 
 
-def displacement_space(mesh: Mesh) -> FunctionSpace:
-    """Return the space of displacements: Lagrange elements of degree 1, gdim components.
+def displacement_space(mesh: Mesh, degree: int = 1) -> FunctionSpace:
+    """Return the space of displacements: Lagrange elements with gdim components.
 
     It saves scripts from the differences between the versions of dolfinx.
 
@@ -208,8 +224,10 @@ def displacement_space(mesh: Mesh) -> FunctionSpace:
     ----------
     mesh : dolfinx.mesh.Mesh
         The mesh.
+    degree : int
+        1 or 2; on curved cells 2.
     """
-    return _compat.lagrange_space(mesh, 1, mesh.geometry.dim)
+    return _compat.lagrange_space(mesh, degree, mesh.geometry.dim)
 
 
 def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> list[Function]:
@@ -228,15 +246,19 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
     list of Function
         "contact_pressure" [Pa], "contact_force" [N] (normal, times the outward normal) and
         "initial_gap" [m], which is NaN where a contact has no obstacle: where its only gaps are
-        infinite. Some versions of dolfinx compile no form of a field whose name has spaces.
+        infinite. They are of degree 1: for displacements of degree 2 as well, contact is at the
+        vertices. Some versions of dolfinx compile no form of a field whose name has spaces.
     """
     scalar = _compat.lagrange_space(space.mesh, 1)
     pressure, gap = Function(scalar, name="contact_pressure"), Function(scalar, name="initial_gap")
-    force = Function(space, name="contact_force")
     block = space.dofmap.index_map_bs
-    # both spaces have one (blocked) degree of freedom for each vertex, in the same order by cells
-    to_scalar = np.empty(len(force.x.array) // block, dtype=np.int32)
-    to_scalar[_compat.cell_dofs(space)] = _compat.cell_dofs(scalar)
+    linear = _compat.element_facts(space)[1] == 1
+    vector = space if linear else _compat.lagrange_space(space.mesh, 1, block)
+    force = Function(vector, name="contact_force")
+    size = int(_compat.cell_dofs(space).max(initial=-1)) + 1
+    to_scalar, to_vector = np.zeros((2, size), dtype=np.int64)
+    to_scalar[vertex_nodes(space)] = vertex_nodes(scalar)
+    to_vector[vertex_nodes(space)] = vertex_nodes(vector)
     first = space.dofmap.index_map.local_range[0]
     finite, infinite = (np.zeros(len(gap.x.array), dtype=bool) for _ in range(2))
     for contact in contacts:
@@ -246,7 +268,7 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
         there = np.isfinite(contact.gap)
         gap.x.array[at[there]] += contact.gap[there]
         finite[at[there]], infinite[at[~there]] = True, True
-        components = block * nodes[:, None] + np.arange(block)
+        components = block * to_vector[nodes][:, None] + np.arange(block)
         force.x.array[components] -= contact.normal_force[:, None] * contact.normal
     gap.x.array[infinite & ~finite] = np.nan
     for field in (pressure, gap, force):

@@ -23,7 +23,7 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.io.fields import field_degree
+from fenics_tfeti.fem.io.fields import field_degree, of_degree
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_type, owned_cells
 from fenics_tfeti.parallel import raise_collectively
@@ -56,16 +56,17 @@ def draw_deformed(
 ) -> None:
     """Draw the deformed mesh, coloured by a field, and the undeformed outline. Collective.
 
-    Under MPI, rank 0 gathers the whole mesh and draws it.
+    Under MPI, rank 0 gathers the whole mesh and draws it. Cells of degree 2, and those of fields of
+    degree 2, are drawn as the pieces into which their nodes cut them.
 
     Parameters
     ----------
     path : path-like
         The .png file. Its folder is created if it does not exist.
     displacement : dolfinx.fem.Function
-        Continuous of degree 1, with one component for each dimension of the mesh [m].
+        Continuous of degree 1 or 2, with one component for each dimension of the mesh [m].
     colour : dolfinx.fem.Function, optional
-        A scalar, continuous of degree 1 or constant on each cell, in SI units. By default the
+        A scalar, continuous of degree 1 or 2 or constant on each cell, in SI units. By default the
         magnitude of the displacement.
     label : str, optional
         Title of the colour bar; by default the name of `colour`.
@@ -182,7 +183,8 @@ class _View:
     points, displacement : (n, 3) array
         Nodes and their displacements [m].
     cells : (m, v) array of int
-        Their vertices in the order of VTK, right-handed: outward normals show the sharp edges.
+        Their vertices in the order of VTK, right-handed: outward normals show the sharp edges. For
+        degree 2 these are the pieces into which the nodes cut each cell.
     colours : (n,) or (m,) array
         Values of nodes or cells.
     vtk_type : int
@@ -201,19 +203,22 @@ def _gather(displacement: Function, colour: Function | None) -> _View | None:
     mesh = displacement.function_space.mesh
     cell = cell_type(mesh)
     owned = owned_cells(mesh)
-    nodes = _compat.geometry_cells(mesh)[:owned, : cell.vertices]
-    number = mesh.geometry.index_map().local_to_global(np.unique(nodes).astype(np.int32))
-    cells = number[np.searchsorted(np.unique(nodes), nodes)]
+    given = [displacement] if colour is None else [displacement, colour]
+    degree = max(_compat.geometry_degree(mesh), *map(field_degree, given), 1)
+    displacement = of_degree(displacement, degree)
+    space = displacement.function_space
+    nodes = _compat.cell_dofs(space)[:owned]
+    cells = space.dofmap.index_map.local_to_global(nodes.ravel()).reshape(nodes.shape)
 
-    # cell by cell: the vertices of a cell are in the same order in all spaces of degree 1
+    # cell by cell: the nodes of a cell are in the same order in all spaces of one degree
     gdim = mesh.geometry.dim
-    moves = displacement.x.array.reshape(-1, gdim)
-    moves = moves[_compat.cell_dofs(displacement.function_space)[:owned]]
+    moves = displacement.x.array.reshape(-1, gdim)[nodes]
     if colour is None:
         colours = np.linalg.norm(moves, axis=2)
     else:
+        colour = of_degree(colour, degree)
         colours = colour.x.array[_compat.cell_dofs(colour.function_space)[:owned]]
-    local = (mesh.geometry.x[nodes], moves, cells, colours)
+    local = (space.tabulate_dof_coordinates()[nodes], moves, cells, colours)
     ranks = mesh.comm.gather(local)
     if ranks is None:
         return None
@@ -221,12 +226,15 @@ def _gather(displacement: Function, colour: Function | None) -> _View | None:
 
     _, first, place = np.unique(cells, return_index=True, return_inverse=True)
     by_cell = colours.shape[1] == 1
-    right_handed = _right_handed(place.reshape(cells.shape), points, cell)
+    pieces = np.array(cell.pieces(degree))
+    corners = place.reshape(cells.shape)[:, pieces].reshape(-1, cell.vertices)
+    points = points.reshape(-1, 3)[first]
+    right_handed = _right_handed(corners, points[corners], cell)
     return _View(
-        points=points.reshape(-1, 3)[first],
+        points=points,
         displacement=np.pad(moves.reshape(-1, gdim)[first], ((0, 0), (0, 3 - gdim))),
         cells=right_handed[:, cell.vtk_order],
-        colours=colours[:, 0] if by_cell else colours.ravel()[first],
+        colours=np.repeat(colours[:, 0], len(pieces)) if by_cell else colours.ravel()[first],
         vtk_type=cell.vtk_type,
     )
 
@@ -333,10 +341,10 @@ def _check_path(path: Path) -> None:
 def _check_displacement(displacement: Function) -> None:
     mesh = displacement.function_space.mesh
     _, _, shape = _compat.element_facts(displacement.function_space)
-    if field_degree(displacement) != 1 or shape != (mesh.geometry.dim,):
+    if field_degree(displacement) == 0 or shape != (mesh.geometry.dim,):
         raise InputError(
-            f"'{displacement.name}' is not a displacement; a continuous field of degree 1 with "
-            f"{mesh.geometry.dim} components is expected"
+            f"'{displacement.name}' is not a displacement; a continuous field of degree 1 or 2 "
+            f"with {mesh.geometry.dim} components is expected"
         )
     if not np.all(np.isfinite(displacement.x.array)):
         raise InputError(f"'{displacement.name}' has values that are NaN or infinite")

@@ -2,7 +2,7 @@
 
 A condition is a sum over nodes, sum_k c_k'u(node_k) <= gap, or = gap where surfaces are tied: two
 nodes with coefficients n and -n, one node with n for a rigid obstacle, a slave node and some master
-nodes. It is divided by the length of its first coefficient, so that gaps are distances and
+nodes. It is divided by the length of its slave's sum, so that gaps are distances and
 multipliers forces. Its row takes the weighted mean of the copies of each node. On glued
 displacements that is the row of the chapter, and it is orthogonal to every contrast.
 """
@@ -47,7 +47,7 @@ class ConditionRows:
     contact : (r,) integer array
         Number of the contact.
     scale : (r,) array
-        Factor that makes B D^{-1} B' = 1 of the condition whose first coefficient has length 1.
+        Factor that makes B D^{-1} B' = 1 of the condition whose slave's sum has length 1.
     rhs : (r,) array
         Right-hand side, scaled.
     tied : (r,) bool array
@@ -76,7 +76,7 @@ class ConditionRows:
 
 @dataclass(frozen=True)
 class _Terms:
-    """The terms c_k'u(node_k) of this rank's conditions, the first ones of unit length.
+    """The terms c_k'u(node_k) of this rank's conditions, the slave's sums of unit length.
 
     Attributes
     ----------

@@ -69,7 +69,7 @@ class Constraints:
     contact : (i,) integer array
         Number of the contact that each of them belongs to.
     scale : (i,) array
-        Factor t of each: the row is t times the condition whose first coefficient has length 1, so
+        Factor t of each: the row is t times the condition whose slave's sum has length 1, so
         its jump divided by t is a distance [m], and t lambda is the normal force [N].
     own_rows : (contact rows of this rank,) integer array
         Local position of each contact row that this rank gave; -1 where the gap is infinite,

@@ -108,7 +108,7 @@ class Certificate:
     equilibrium : float
         Largest ||Ku_t - f + B'lambda|| of a body, relative to its forces.
     penetration : float
-        Largest violation of (u_slave - u_master)'n <= gap, in rows whose first coefficient has
+        Largest violation of (u_slave - u_master)'n <= gap, in rows whose slave's sum has
         length 1, relative to the deformation of the bodies that touch there.
     smallest_force : float
         Smallest contact force, relative to the largest of the same contact; negative numbers pull.

@@ -107,7 +107,7 @@ def normal_forces(constraints: Constraints, multipliers: Vector) -> Vector:
 def tied_forces(constraints: Constraints, multipliers: Vector) -> Vector:
     """Return the force of each tied row that this rank gave [N].
 
-    It acts on the slave against the direction of the row's first coefficient. It is zero for rows
+    It acts on the slave against the row's normal. It is zero for rows
     that are no rows of B: decided by prescribed displacements, or implied by others.
     """
     tied = constraints.tied

@@ -153,10 +153,30 @@ def test_other_suffix_is_refused(fields, tmp_path):
     refused(tmp_path / "a.vtk", fields, "does not end in .pvd")
 
 
-def test_field_of_degree_2_is_refused(fields, tmp_path):
+def test_fields_of_degree_2_raise_the_others(fields, tmp_path):
+    pytest.importorskip("pyvista")
     mesh = fields[0].function_space.mesh
-    fields.append(fem.Function(space(mesh, "Lagrange", 2), name="quadratic"))
-    refused(tmp_path / "a.pvd", fields, "'quadratic' .* is neither")
+    quadratic = fem.Function(space(mesh, "Lagrange", 2), name="quadratic")
+    quadratic.x.array[:] = 7
+    write_fields(tmp_path / "a.pvd", [*fields, quadratic])
+    command = [sys.executable, "-c", READ, str(tmp_path / "a.pvd")]
+    first, *values = run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    nodes = quadratic.function_space.dofmap.index_map.size_global
+    assert first == f"{nodes} 2"
+    largest = {
+        name: (int(size), float(most)) for name, size, most in (v.split(",") for v in values)
+    }
+    expected = {"displacement": (3 * nodes, 4.0), "contact pressure": (nodes, 5.0)}
+    expected |= {"quadratic": (nodes, 7.0), "body": (2, 6.0)}
+    assert largest.keys() == expected.keys()
+    for name, found in largest.items():
+        assert found == pytest.approx(expected[name], rel=1e-12)
+
+
+def test_field_of_degree_3_is_refused(fields, tmp_path):
+    mesh = fields[0].function_space.mesh
+    fields.append(fem.Function(space(mesh, "Lagrange", 3), name="cubic"))
+    refused(tmp_path / "a.pvd", fields, "'cubic' .* is neither")
 
 
 def test_field_on_another_mesh_is_refused(fields, tmp_path):

@@ -93,6 +93,25 @@ def test_each_node_or_cell_has_its_colour(cell):
     assert by_cell.colours == pytest.approx(1e6 * by_cell.points[by_cell.cells].mean(axis=1)[:, 0])
 
 
+@pytest.mark.parametrize("cell", GDIM)
+def test_cells_of_degree_2_are_drawn_in_pieces(cell):
+    _, pressure, stress = fields(cell)
+    mesh = pressure.function_space.mesh
+    u = fem.Function(_compat.lagrange_space(mesh, 2, GDIM[cell]), name="displacement")
+    u.interpolate(lambda x: 1e-3 * np.stack([x[0] ** 2, x[1], x[2] ** 2])[: GDIM[cell]])
+    by_node, by_cell = (pictures._gather(u, colour) for colour in (pressure, stress))
+    x, y, z = by_node.points.T
+    expected = 1e-3 * np.column_stack([x**2, y, z**2])
+    assert by_node.displacement == pytest.approx(expected, abs=1e-15)
+    assert by_node.colours == pytest.approx(x + 2 * y)
+    cells = mesh.topology.index_map(mesh.topology.dim).size_global
+    assert len(by_node.cells) == len(by_cell.colours) == 2 ** GDIM[cell] * cells
+    plain = pictures._gather(fields(cell)[0], stress)
+    pieces = by_cell.colours.reshape(cells, -1)
+    assert np.ptp(pieces, axis=1).max() == 0.0
+    assert sorted(pieces[:, 0]) == pytest.approx(sorted(plain.colours))
+
+
 @pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
 def test_vertices_are_in_the_order_of_vtk(cell):
     view = pictures._gather(fields(cell)[0], None)

@@ -25,7 +25,7 @@ REACH = 2.0
 
 
 class MasterTree:
-    """The facets of a master's surface, to be found from the slave's.
+    """The pieces of a master's surface, to be found from the slave's.
 
     Parameters
     ----------
@@ -37,13 +37,13 @@ class MasterTree:
         x = master.coordinates()
         self.facets, self.planes = master, Planes.of(x)
         self._tree, self._low, self._high = BoxTree(x), lowest(x), highest(x)
-        nodes = master.points[np.unique(master.corners)]
+        nodes = master.points[np.unique(master.pieces)]
         self._places = cKDTree(np.concatenate([nodes, self.planes.origin]))
 
     def reach(self, slave: Facets, planes: Planes) -> Vector:
-        """Return how far before and behind each slave facet the master is looked for.
+        """Return how far before and behind each piece of the slave the master is looked for.
 
-        It is `REACH` times the facet's distance from the nodes and centres of the master, and its
+        It is `REACH` times the piece's distance from the nodes and centres of the master, and its
         diameter more.
 
         Parameters
@@ -51,35 +51,35 @@ class MasterTree:
         slave : Facets
             The slave's surface.
         planes : Planes
-            The planes of its facets.
+            The planes of its pieces.
 
         Returns
         -------
-        (f,) array
+        (p,) array
             [m].
         """
-        nodes, at = np.unique(slave.corners, return_inverse=True)
+        nodes, at = np.unique(slave.pieces, return_inverse=True)
         distance = self._places.query(slave.points[nodes])[0]
-        farthest = distance[at.reshape(slave.corners.shape)].max(axis=1)
+        farthest = distance[at.reshape(slave.pieces.shape)].max(axis=1)
         reach: Vector = REACH * farthest + planes.diameter
         return reach
 
     def candidates(self, x: Vector, planes: Planes, reach: Vector) -> tuple[Numbers, Numbers]:
-        """Find the master facets that face slave facets and may lie before or behind them.
+        """Find the pieces of the master that face those of the slave and may lie over them.
 
         Parameters
         ----------
-        x : (f, v, gdim) array
-            Corners of slave facets [m].
+        x : (p, v, gdim) array
+            Corners of pieces of the slave [m].
         planes : Planes
             Their planes.
-        reach : (f,) array
+        reach : (p,) array
             [m].
 
         Returns
         -------
         slave, master : integer arrays
-            Pairs, in the order of the slave facets; each once.
+            Pairs, in the order of the slave's pieces; each once.
         """
         frames = planes.project(np.arange(len(x)), x)
         low, high = lowest(frames), highest(frames)

@@ -1,4 +1,7 @@
-"""The cells of integration: where master facets lie over slave facets, in the slave's planes."""
+"""The cells of integration: where master facets lie over slave facets, in the slave's planes.
+
+Facets of degree 2 are projected piece by piece; here a facet is one of these pieces.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,7 @@ _SEVERAL_LAYERS = 1e-6
 
 @dataclass(frozen=True)
 class Cells:
-    """Segments or triangles in the planes of slave facets.
+    """Segments or triangles in the planes of slave facets (pieces of them for degree 2).
 
     Attributes
     ----------
@@ -109,7 +112,7 @@ def covering_cells(
     slave : Facets
         The slave's surface.
     planes : Planes
-        The planes of its facets.
+        The planes of its pieces.
     chosen : (k,) integer array
         The facets, ascending.
     master : MasterTree
@@ -201,7 +204,7 @@ def _without_far_sides(cells: Cells, planes: Planes, master: MasterTree) -> Cell
 
 
 def _simplices(surface: Facets) -> FacetedSurface:
-    corners = surface.corners
+    corners = surface.pieces
     if corners.shape[1] == 4:
         corners = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
     return FacetedSurface(surface.points, corners)
@@ -221,7 +224,7 @@ def _nearest_layers(cells: Cells, planes: Planes, master: MasterTree) -> Cells:
     gap = np.abs(cells.centre()[1])
     kept = np.ones(cells.slave.size, dtype=bool)
     facet, area = cells.slave[pairs], area[pairs]
-    corners = master.facets.corners[cells.master[pairs]]
+    corners = master.facets.pieces[cells.master[pairs]]
     # nodes are distinct for each slave facet
     keys = facet[:, None] * len(master.facets.points) + corners
     _, node = np.unique(keys, return_inverse=True)

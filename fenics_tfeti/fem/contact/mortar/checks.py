@@ -61,7 +61,7 @@ def check_folds(comm: MPI.Intracomm, slave: SlaveFacets, name: str) -> None:
     InputError
         With the number of edges (in 2D nodes) and the first one.
     """
-    corners, points = slave.facets.corners, slave.facets.points
+    corners, points = slave.facets.pieces, slave.facets.points
     normal = Planes.of(slave.facets.coordinates()).normal
     v, gdim = corners.shape[1], points.shape[1]
     ends = np.stack([corners, corners if v == 2 else np.roll(corners, -1, axis=1)], axis=2)

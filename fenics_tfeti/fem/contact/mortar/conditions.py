@@ -7,7 +7,6 @@ them. The contributions of the facets are summed at the owners of the slave's no
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from mpi4py import MPI
 
@@ -21,12 +20,11 @@ from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import FacetIntegrals, integrate
 from fenics_tfeti.fem.contact.mortar.matrices import (
     HARDLY_COVERED,
-    MortarMatrices,
     mortar_matrices,
     node_areas,
 )
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
-from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, cyclic_corners
+from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
 from fenics_tfeti.parallel import Directory
@@ -34,7 +32,7 @@ from fenics_tfeti.parallel import Directory
 __all__ = [
     "MortarConditions",
     "SlaveFacets",
-    "cyclic_values",
+    "collect_terms",
     "mortar_conditions",
     "tied_conditions",
 ]
@@ -53,7 +51,8 @@ class SlaveFacets:
     facets : Facets
         Undeformed or deformed.
     nodes : (n,) integer array
-        Global nodes of the rows of ``facets.points``, ascending.
+        Global nodes of the rows of ``facets.points``, ascending; of degree 2 with those in the
+        middle of edges and facets.
     normals : (f, v, gdim) array
         The slave's normals at the corners of the facets.
     weight : (f, v) array or None
@@ -69,7 +68,6 @@ class SlaveFacets:
     def of(
         space: FunctionSpace,
         slave: Surface,
-        oriented: NDArray[np.int32],
         points: Vector,
         normal: Vector,
         weight: Vector | None,
@@ -82,8 +80,6 @@ class SlaveFacets:
             The displacement's space.
         slave : Surface
             The surface.
-        oriented : (f, v) integer array
-            Local nodes of its facets, see `oriented_facets`.
         points : (nodes, gdim) array
             All local nodes of the space [m].
         normal : (k, gdim) array
@@ -91,27 +87,16 @@ class SlaveFacets:
         weight : (nodes,) array or None
             Weight of the measure at all local nodes.
         """
-        corners = cyclic_corners(oriented)
-        local = np.unique(corners)
+        local = np.unique(slave.facet_nodes)
         numbers = space.dofmap.index_map.local_to_global(local.astype(np.int32))
         nodes = np.asarray(numbers, dtype=np.int64)
         order = np.argsort(nodes)
         at = np.zeros(local.size, dtype=np.int64)
         at[order] = np.arange(local.size)
-        facets = Facets(points[local[order]], at[np.searchsorted(local, corners)])
-        normals = cyclic_values(slave, oriented, values_on_facets(space, slave, normal))
-        return SlaveFacets(
-            facets, nodes[order], normals, None if weight is None else weight[corners]
-        )
-
-
-def cyclic_values(
-    slave: Surface, oriented: NDArray[np.int32], values: NDArray[Any]
-) -> NDArray[Any]:
-    """Return values at the corners of facets (f, v, ...) in the order of `cyclic_corners`."""
-    corners = cyclic_corners(oriented)
-    position = np.argmax(corners[:, :, None] == slave.vertices[:, None, :], axis=2)
-    return np.take_along_axis(values, position[:, :, None], axis=1)
+        facets = Facets(points[local[order]], at[np.searchsorted(local, slave.facet_nodes)])
+        normals = values_on_facets(space, slave, normal)
+        at_corners = None if weight is None else weight[slave.vertices]
+        return SlaveFacets(facets, nodes[order], normals, at_corners)
 
 
 @dataclass(frozen=True)
@@ -175,7 +160,7 @@ def mortar_conditions(
     free : integer array
         Nodes of the slave without condition.
     """
-    other = master.cyclic()
+    other = master.surface
     integrals = integrate(slave.facets, other, slave.weight)
     has_row = _well_covered(comm, slave, integrals) & ~np.isin(slave.nodes, free)
     return _conditions(comm, slave, owned, master, normals, integrals, has_row)
@@ -207,7 +192,7 @@ def tied_conditions(
     list of MortarConditions
         One for each component.
     """
-    other = master.cyclic()
+    other = master.surface
     integrals = integrate(slave.facets, other, slave.weight)
     well = _well_covered(comm, slave, integrals)
     gdim = held.shape[2]
@@ -221,8 +206,10 @@ def tied_conditions(
     np.logical_or.at(table, directory.position(keys), flags)
     flags = directory.lookup(slave.nodes, table)[1]
     has_row = well[:, None] & (flags[:, :gdim] | ~flags[:, gdim:])
+    # of degree 2 the solution is more exact with the shape functions as multipliers
+    dual = slave.facets.per_facet == 1
     return [
-        _conditions(comm, slave, owned, master, normals, integrals, has_row[:, axis])
+        _conditions(comm, slave, owned, master, normals, integrals, has_row[:, axis], dual)
         for axis in range(gdim)
     ]
 
@@ -235,12 +222,20 @@ def _conditions(
     normals: Vector,
     integrals: FacetIntegrals,
     has_row: Mask,
+    dual: bool = True,
 ) -> MortarConditions:
     """Sum up the conditions of some nodes at their owners. Collective."""
-    other = master.cyclic()
-    matrices = mortar_matrices(integrals, slave.facets, other, has_row)
+    other = master.surface
+    matrices = mortar_matrices(integrals, slave.facets, other, has_row, dual)
     to_owners = Directory(comm, owned)
-    nodes, terms = _collect_terms(to_owners, slave.nodes, master.nodes, matrices)
+    D, M = matrices.D.tocoo(), matrices.M.tocoo()
+    nodes, terms = collect_terms(
+        to_owners,
+        np.concatenate([slave.nodes[D.row], slave.nodes[M.row]]),
+        np.concatenate([slave.nodes[D.col], master.nodes[M.col]]),
+        np.concatenate([D.data, -M.data]),
+        np.repeat([True, False], [D.nnz, M.nnz]),
+    )
     rows = np.flatnonzero(matrices.area > 0.0)
     at, gap, area = to_owners.forward(slave.nodes[rows], matrices.gap[rows], matrices.area[rows])
     at = np.searchsorted(nodes, at)
@@ -274,17 +269,28 @@ def _well_covered(comm: MPI.Intracomm, slave: SlaveFacets, integrals: FacetInteg
     return well
 
 
-def _collect_terms(
-    to_owners: Directory, slave: Numbers, master: Numbers, matrices: MortarMatrices
+def collect_terms(
+    to_owners: Directory, row: Numbers, column: Numbers, value: Vector, of_slave: Mask
 ) -> tuple[Numbers, MortarTerms]:
-    """Sum the entries of D and -M at the owners of their rows; also return the rows' nodes."""
-    D, M = matrices.D.tocoo(), matrices.M.tocoo()
-    row, column, value, of_slave = to_owners.forward(
-        np.concatenate([slave[D.row], slave[M.row]]),
-        np.concatenate([slave[D.col], master[M.col]]),
-        np.concatenate([D.data, -M.data]),
-        np.repeat([True, False], [D.nnz, M.nnz]),
-    )
+    """Sum up terms at the owners of their rows. Collective.
+
+    Parameters
+    ----------
+    to_owners : Directory
+        Of the slave's nodes that the ranks own.
+    row, column : (t,) integer arrays
+        Global nodes: the slave node of the condition, and the node of the term.
+    value : (t,) array
+        The weight, negative on the master [m^2 or m].
+    of_slave : (t,) bool array
+        Whether the term's node is one of the slave.
+
+    Returns
+    -------
+    nodes, terms : (k,) integer array, MortarTerms
+        The conditions that this rank owns, by ascending node.
+    """
+    row, column, value, of_slave = to_owners.forward(row, column, value, of_slave)
     # values in ascending order: the sum does not depend on the order in which they arrive
     order = np.lexsort((value, column, row))
     row, column, value, of_slave = row[order], column[order], value[order], of_slave[order]
@@ -312,12 +318,16 @@ def _largest_at_nodes(
     integrals: FacetIntegrals,
     nodes: Numbers,
 ) -> tuple[Vector, Vector]:
-    """Return the largest chord heights and angles between facets around each condition's node."""
+    """Return the largest chord heights and angles between facets around each condition's node.
+
+    The angles are those between the planes of the facets' corners.
+    """
     facet, other = integrals.facet[integrals.pair], integrals.master
-    corners = slave.facets.coordinates()
-    of_master = chord_heights(master.coordinates(), normals[master.corners])
-    chord = chord_heights(corners, slave.normals)
-    planes, opposite = Planes.of(corners), Planes.of(master.coordinates())
+    corners = slave.facets.points[slave.facets.corners]
+    over = master.points[master.corners]
+    of_master = chord_heights(over, normals[master.corners], _middles(master))
+    chord = chord_heights(corners, slave.normals, _middles(slave.facets))
+    planes, opposite = Planes.of(corners), Planes.of(over)
     angle = angles_between(planes.normal[facet], -opposite.normal[other])
     largest = np.zeros((len(corners), 2))
     np.maximum.at(largest, facet, np.column_stack([of_master[other], angle]))
@@ -330,3 +340,9 @@ def _largest_at_nodes(
     result = np.zeros((nodes.size, 2))
     np.maximum.at(result, np.searchsorted(nodes, at[there]), values[there])
     return result[:, 0], result[:, 1]
+
+
+def _middles(surface: Facets) -> Vector | None:
+    """Return the nodes (f, t - v, gdim) of facets of degree 2 that are no corners."""
+    middles = surface.nodes[:, surface.number_of_corners :]
+    return surface.points[middles] if middles.size else None

@@ -1,10 +1,15 @@
-"""Oriented facets of one type: their planes, projections on planes, and shape functions."""
+"""Oriented facets of one type: their planes, projections on planes, and shape functions.
+
+A facet of degree 2 is cut at its nodes into pieces with straight edges: two segments, four
+triangles or four bilinear quadrilaterals. Surfaces are projected on each other piece by piece; the
+shape functions are those of the whole facet.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +18,7 @@ __all__ = [
     "Facets",
     "Planes",
     "by_component",
+    "corner_functions",
     "highest",
     "lowest",
     "reference_coordinates",
@@ -22,33 +28,87 @@ __all__ = [
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
+# For the number of nodes of a facet of degree 2, the corners of its pieces.
+_PIECES = {
+    3: ((0, 2), (2, 1)),
+    6: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
+    9: ((0, 4, 8, 7), (4, 1, 5, 8), (8, 5, 2, 6), (7, 8, 6, 3)),
+}
+
+# The nodes' reference coordinates.
+_PLACES = {
+    3: ((0.0,), (1.0,), (0.5,)),
+    6: ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.5, 0.0), (0.5, 0.5), (0.0, 0.5)),
+    9: (
+        *((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)),
+        *((0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, 0.0)),
+    ),
+}
+
 
 @dataclass(frozen=True)
 class Facets:
-    """A surface of segments (2D), triangles or bilinear quadrilaterals (3D), of one type.
+    """A surface of segments (2D), triangles or quadrilaterals (3D), all of one type and degree.
 
     Attributes
     ----------
     points : (n, gdim) array
         Nodes [m].
-    corners : (f, v) integer array
-        The nodes of each facet, as rows of `points`, oriented outwards: seen along a segment, from
-        corner 0 to 1, its normal points to the right; seen from the tip of its normal, a triangle
-        or quadrilateral has its corners anticlockwise, one after the other around the facet.
+    nodes : (f, t) integer array
+        The nodes of each facet, as rows of `points`: the corners, oriented outwards, then for
+        degree 2 the midpoints of the edges from each corner to the next and that of a
+        quadrilateral. Seen along a segment, from corner 0 to 1, its normal points to the right;
+        seen from the tip of its normal, a triangle or quadrilateral has its corners anticlockwise,
+        one after the other around the facet.
     """
 
     points: Vector
-    corners: Numbers
+    nodes: Numbers
 
     def __len__(self) -> int:
         """Return the number of facets."""
-        return len(self.corners)
+        return len(self.nodes)
+
+    @property
+    def number_of_corners(self) -> int:
+        """Number of corners of a facet, and of each of its pieces."""
+        t = self.nodes.shape[1]
+        if self.points.shape[1] == 2:
+            return 2
+        return {6: 3, 9: 4}.get(t, t)
+
+    @property
+    def corners(self) -> Numbers:
+        """The nodes (f, v) at the corners of the facets."""
+        return self.nodes[:, : self.number_of_corners]
+
+    @property
+    def per_facet(self) -> int:
+        """Number of pieces of each facet."""
+        v, t = self.number_of_corners, self.nodes.shape[1]
+        return 1 if v == t else len(_PIECES[t])
+
+    @cached_property
+    def pieces(self) -> Numbers:
+        """The nodes (p, v) at the corners of the pieces, facet by facet."""
+        v, t = self.number_of_corners, self.nodes.shape[1]
+        return self.nodes if v == t else self.nodes[:, _PIECES[t]].reshape(-1, v)
 
     def coordinates(self, chosen: Numbers | None = None) -> Vector:
-        """Return the coordinates (k, v, gdim) of the corners of all or of some facets (k,)."""
-        corners = self.corners if chosen is None else self.corners[chosen]
+        """Return the coordinates (k, v, gdim) of the corners of all or of some pieces (k,)."""
+        pieces = self.pieces if chosen is None else self.pieces[chosen]
         # faster than an index
-        return self.points.take(corners, axis=0)
+        return self.points.take(pieces, axis=0)
+
+    def in_facet(self, piece: Numbers, xi: Vector) -> Vector:
+        """Return the reference coordinates in facets (k, q, d) of those in their pieces (k,)."""
+        per_facet, t = self.per_facet, self.nodes.shape[1]
+        if per_facet == 1:
+            return xi
+        corners = np.array(_PLACES[t])[np.array(_PIECES[t])]
+        v = corners.shape[1]
+        placed: Vector = np.matmul(shape_functions(xi, v), corners[piece % per_facet])
+        return placed
 
 
 @dataclass(frozen=True)
@@ -142,26 +202,48 @@ def by_component(parts: Sequence[Vector]) -> Vector:
     return np.stack([part.T for part in parts]).T
 
 
-def shape_functions(xi: Vector, v: int) -> Vector:
+def shape_functions(xi: Vector, t: int) -> Vector:
     """Return the shape functions of segments, triangles or quadrilaterals.
 
     Parameters
     ----------
     xi : (..., gdim - 1) array
         Reference coordinates: in [0, 1] on segments and triangles, in [-1, 1] on quadrilaterals.
-    v : int
-        Number of corners.
+    t : int
+        Number of nodes: of the corners for degree 1, of all nodes of `Facets` for degree 2.
 
     Returns
     -------
-    (..., v) array
+    (..., t) array
     """
-    if v < 4:
-        others = [xi[..., i] for i in range(v - 1)]
+    dim = xi.shape[-1]
+    if t == dim + 1:
+        others = [xi[..., i] for i in range(dim)]
         return by_component([1.0 - reduce(np.add, others), *others])
-    r, s = 0.5 * xi[..., 0], 0.5 * xi[..., 1]
-    r0, r1, s0, s1 = 0.5 - r, 0.5 + r, 0.5 - s, 0.5 + s
-    return by_component([r0 * s0, r1 * s0, r1 * s1, r0 * s1])
+    if t == 4:
+        r, s = 0.5 * xi[..., 0], 0.5 * xi[..., 1]
+        r0, r1, s0, s1 = 0.5 - r, 0.5 + r, 0.5 - s, 0.5 + s
+        return by_component([r0 * s0, r1 * s0, r1 * s1, r0 * s1])
+    if t == 9:
+        return _biquadratic_functions(xi)
+    linear = shape_functions(xi, dim + 1)
+    ends = [(0, 1)] if dim == 1 else [(0, 1), (1, 2), (2, 0)]
+    middle = [4.0 * linear[..., i] * linear[..., j] for i, j in ends]
+    return np.concatenate([linear * (2.0 * linear - 1.0), np.stack(middle, axis=-1)], axis=-1)
+
+
+def corner_functions(xi: Vector, t: int) -> Vector:
+    """Return the shape functions (..., v) of degree 1 at the corners of facets with t nodes."""
+    dim = xi.shape[-1]
+    return shape_functions(xi, 4 if t in (4, 9) else dim + 1)
+
+
+def _biquadratic_functions(xi: Vector) -> Vector:
+    # along each axis: the ends -1 and 1, then the middle
+    x = np.moveaxis(xi, -1, 0)
+    r, s = np.stack([0.5 * x * (x - 1.0), 0.5 * x * (x + 1.0), 1.0 - x * x], axis=1)
+    places = [(0, 0), (1, 0), (1, 1), (0, 1), (2, 0), (1, 2), (2, 1), (0, 2), (2, 2)]
+    return np.stack([r[i] * s[j] for i, j in places], axis=-1)
 
 
 def reference_coordinates(corners: Vector, x: Vector) -> Vector:

@@ -12,16 +12,18 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
 from fenics_tfeti.fem.contact.mortar.cells import Cells, covering_cells
+from fenics_tfeti.fem.contact.mortar.clipping import fan_triangles
 from fenics_tfeti.fem.contact.mortar.facets import (
     Facets,
     Planes,
     by_component,
+    corner_functions,
     reference_coordinates,
     shape_functions,
 )
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 
-__all__ = ["FacetIntegrals", "integrate"]
+__all__ = ["FacetIntegrals", "integrate", "integrate_alone"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -29,7 +31,8 @@ Numbers = NDArray[np.int64]
 # Covered part of a slave facet, relative to its area, below which it is rounding.
 _NOT_COVERED = 1e-10
 
-# Slave facets that are treated at once, to bound the memory.
+# Pieces of slave facets that are treated at once, to bound the memory; all of a facet, of which
+# there are 1, 2 or 4.
 _BLOCK = 2048
 
 
@@ -37,7 +40,8 @@ _BLOCK = 2048
 class FacetIntegrals:
     """Integrals over the covered part of slave facets, with the weight of the measure.
 
-    N are the shape functions of a slave facet, N^m those of a master facet over it.
+    N are the shape functions of degree 1 of a slave facet with v corners; N^s and N^m are those of
+    the displacement on a slave facet with t nodes and on a master facet with w nodes over it.
 
     Attributes
     ----------
@@ -51,14 +55,17 @@ class FacetIntegrals:
         Integrals of N_j.
     mass : (c, v, v) array
         Integrals of N_i N_j.
+    trace : (c, v, t) array
+        Integrals of N_i N^s_j; for degree 1 the same as `mass`.
     gap : (c, v, gdim) array
         Integrals of N_j times the vector from the slave to the master.
     pair : (p,) integer array
-        Position in `facet` of each pair of a slave and a master facet.
+        Position in `facet` of each pair of a slave and a master facet; of degree 2 a pair of facets
+        is there once for each pair of their pieces.
     master : (p,) integer array
         The master facets.
     coupling : (p, v, w) array
-        Integrals of N_j N^m_l.
+        Integrals of N_i N^m_l.
     """
 
     facet: Numbers
@@ -66,6 +73,7 @@ class FacetIntegrals:
     share: Vector
     ones: Vector
     mass: Vector
+    trace: Vector
     gap: Vector
     pair: Numbers
     master: Numbers
@@ -78,7 +86,8 @@ def integrate(
     """Integrate over the parts of the slave's facets that the master covers.
 
     Points of the two surfaces are opposite each other along the normal of the slave's facet. The
-    quadrature is exact for segments, triangles and parallelograms. Its error on other
+    quadrature is exact for segments, triangles and parallelograms, also of degree 2 if these are
+    straight, with their nodes in the middle of the edges. Its error on other
     quadrilaterals is about 1e-8 if they are distorted as much as meshes allow. Whatever the error,
     the integrals of a facet are of the same points: constants and, on flat surfaces, linear
     functions are reproduced.
@@ -96,16 +105,40 @@ def integrate(
     FacetIntegrals
         Without facets where the surfaces do not lie over each other.
     """
-    v, w, gdim = slave.corners.shape[1], master.corners.shape[1], slave.points.shape[1]
-    parts = [_no_integrals(v, w, gdim)]
+    parts = [_no_integrals(slave, master)]
     if len(slave) and len(master):
         planes, tree = Planes.of(slave.coordinates()), MasterTree(master)
         reach = tree.reach(slave, planes)
-        for first in range(0, len(slave), _BLOCK):
-            chosen = np.arange(first, min(first + _BLOCK, len(slave)))
+        pieces = len(slave.pieces)
+        for first in range(0, pieces, _BLOCK):
+            chosen = np.arange(first, min(first + _BLOCK, pieces))
             cells = covering_cells(slave, planes, chosen, tree, reach)
             parts.append(_integrate_cells(cells, slave, planes, master, weight))
     return _join(parts)
+
+
+def integrate_alone(slave: Facets, weight: NDArray[np.float64] | None = None) -> FacetIntegrals:
+    """Integrate over whole facets, without a master: the surface takes its place.
+
+    Parameters
+    ----------
+    slave : Facets
+        The surface.
+    weight : (f, v) array, optional
+        As in `integrate`.
+    """
+    if not len(slave):
+        return _no_integrals(slave, slave)
+    x = slave.coordinates()
+    planes, piece = Planes.of(x), np.arange(len(x))
+    flat = planes.project(piece, x)[..., :-1]
+    if flat.shape[2] == 1:
+        pair, corners, area = piece, flat, planes.area
+    else:
+        pair, corners, area = fan_triangles(flat, np.full(len(flat), flat.shape[1]))
+    height = np.zeros(flat.shape[:2])
+    cells = Cells(piece, piece, flat, flat, height, pair, corners, area)
+    return _integrate_cells(cells, slave, planes, slave, weight)
 
 
 def _join(parts: Sequence[FacetIntegrals]) -> FacetIntegrals:
@@ -119,14 +152,17 @@ def _join(parts: Sequence[FacetIntegrals]) -> FacetIntegrals:
     return FacetIntegrals(**columns)
 
 
-def _no_integrals(v: int, w: int, gdim: int) -> FacetIntegrals:
+def _no_integrals(slave: Facets, master: Facets) -> FacetIntegrals:
     numbers, values = np.zeros(0, dtype=np.int64), np.zeros(0)
+    v, gdim = slave.number_of_corners, slave.points.shape[1]
+    t, w = slave.nodes.shape[1], master.nodes.shape[1]
     return FacetIntegrals(
         numbers,
         values,
         np.zeros((0, v)),
         np.zeros((0, v)),
         np.zeros((0, v, v)),
+        np.zeros((0, v, t)),
         np.zeros((0, v, gdim)),
         numbers,
         numbers,
@@ -137,40 +173,47 @@ def _no_integrals(v: int, w: int, gdim: int) -> FacetIntegrals:
 def _integrate_cells(
     cells: Cells, slave: Facets, planes: Planes, master: Facets, weight: Vector | None
 ) -> FacetIntegrals:
-    area = np.bincount(cells.slave, cells.pair_area(), len(slave))
-    cells = cells.of_pairs(area[cells.slave] > _NOT_COVERED * planes.area[cells.slave])
-    facet, pair = np.unique(cells.slave, return_inverse=True)
-    places, factors = _quadrature(cells, weight is None)
+    cells = _without_slivers(cells, slave, planes)
+    of_slave, of_master = cells.slave // slave.per_facet, cells.master // master.per_facet
+    facet, pair = np.unique(of_slave, return_inverse=True)
+    t, w = slave.nodes.shape[1], master.nodes.shape[1]
+    places, factors = _quadrature(cells, weight is None, max(slave.per_facet, master.per_facet))
     at = cells.pair
     x = by_component([part @ places.T for part in np.moveaxis(cells.corners, 2, 0)])
-    ours, theirs = (
-        shape_functions(reference_coordinates(_rows(facets, at), x), facets.shape[1])
-        for facets in (cells.on_slave, cells.on_master)
+    on_slave, on_master = (
+        surface.in_facet(piece[at], reference_coordinates(_rows(corners, at), x))
+        for surface, piece, corners in (
+            (slave, cells.slave, cells.on_slave),
+            (master, cells.master, cells.on_master),
+        )
     )
+    ours, theirs = corner_functions(on_slave, t), shape_functions(on_master, w)
     of_facet = pair[at]
     weights = cells.area[:, None, None] * factors[:, None]
     weighted = ours * weights
     ones = share = _sum(weighted.sum(axis=1), of_facet, facet.size)
     if weight is not None:
-        weighted *= np.einsum("cqi,ci->cq", ours, weight[cells.slave[at]])[:, :, None]
+        weighted *= np.einsum("cqi,ci->cq", ours, weight[of_slave[at]])[:, :, None]
         ones = _sum(weighted.sum(axis=1), of_facet, facet.size)
-    mass = _sum(_products(weighted, ours), of_facet, facet.size)
+    mass = trace = _sum(_products(weighted, ours), of_facet, facet.size)
+    if slave.per_facet > 1:
+        trace = _sum(_products(weighted, shape_functions(on_slave, t)), of_facet, facet.size)
     coupling = _sum(_products(weighted, theirs), at, cells.slave.size)
-    # relative to the plane's origin: rounding is that of the gap, not that of the coordinates
-    origin = planes.origin[facet, None]
-    to_master = master.coordinates(cells.master) - origin[pair]
+    # relative to a plane's origin: rounding is that of the gap, not that of the coordinates
+    origin = planes.origin[facet * slave.per_facet, None]
+    to_master = master.points.take(master.nodes[of_master], axis=0) - origin[pair]
     gap = _sum(np.matmul(coupling, to_master), pair, facet.size)
-    gap -= np.matmul(mass, slave.coordinates(facet) - origin)
-    covered = _sum(cells.pair_area(), pair, facet.size)
+    gap -= np.matmul(trace, slave.points.take(slave.nodes[facet], axis=0) - origin)
     return FacetIntegrals(
         facet,
-        covered,
+        _sum(cells.pair_area(), pair, facet.size),
         share,
         ones,
         mass,
+        trace,
         gap,
         pair,
-        cells.master,
+        of_master,
         coupling,
     )
 
@@ -190,15 +233,26 @@ def _products(one: Vector, other: Vector) -> Vector:
     return np.stack([row.T for row in rows]).transpose(2, 0, 1)
 
 
-def _quadrature(cells: Cells, unweighted: bool) -> tuple[Vector, Vector]:
-    """Return barycentric coordinates (q, gdim) and weights (q,) whose sum is 1."""
-    dim = cells.corners.shape[2]
-    if dim == 1:
-        root = np.sqrt(1.0 / 12.0)
-        return np.array([[0.5 + root, 0.5 - root], [0.5 - root, 0.5 + root]]), np.full(2, 0.5)
-    if unweighted and cells.on_slave.shape[1] == cells.on_master.shape[1] == 3:
+def _without_slivers(cells: Cells, slave: Facets, planes: Planes) -> Cells:
+    """Leave out slave facets of which no more than rounding is covered."""
+    facet = cells.slave // slave.per_facet
+    covered = np.bincount(facet, cells.pair_area(), len(slave))
+    whole = planes.area.reshape(len(slave), slave.per_facet).sum(axis=1)
+    return cells.of_pairs(covered[facet] > _NOT_COVERED * whole[facet])
+
+
+def _quadrature(cells: Cells, unweighted: bool, pieces: int) -> tuple[Vector, Vector]:
+    """Return barycentric coordinates (q, gdim) and weights (q,) whose sum is 1.
+
+    With several pieces of a facet the shape functions are of degree 2.
+    """
+    triangles = cells.on_slave.shape[1] == cells.on_master.shape[1] == 3
+    if cells.corners.shape[2] == 1:
+        return _gauss_on_segment(2 if pieces == 1 else 3)
+    if unweighted and triangles and pieces == 1:
         return _symmetric((1.0 / 6.0,)), np.full(3, 1.0 / 3.0)
-    if _distorted(cells.on_slave) or _distorted(cells.on_master):
+    quadratic = pieces > 1 and not triangles
+    if quadratic or _distorted(cells.on_slave) or _distorted(cells.on_master):
         return _degree_eight()
     # Strang and Fix, degree 4
     near, far = 0.445948490915964886, 0.0915762135097707435
@@ -213,6 +267,14 @@ def _distorted(corners: Vector) -> bool:
     skew = corners[:, 0] - corners[:, 1] + corners[:, 2] - corners[:, 3]
     size = np.abs(corners).max(initial=0.0)
     return bool(np.abs(skew).max(initial=0.0) > RELATIVE_ROUNDING * size)
+
+
+def _gauss_on_segment(points: int) -> tuple[Vector, Vector]:
+    """Return 2 or 3 Gauss points, exact for polynomials of degree 3 or 5."""
+    root = np.sqrt(1.0 / 12.0) if points == 2 else np.sqrt(3.0 / 20.0)
+    along = np.array([-root, root]) if points == 2 else np.array([-root, 0.0, root])
+    weights = np.full(2, 0.5) if points == 2 else np.array([5.0, 8.0, 5.0]) / 18.0
+    return np.stack([0.5 - along, 0.5 + along], axis=1), weights
 
 
 def _degree_eight() -> tuple[Vector, Vector]:

@@ -9,6 +9,13 @@ be fixed by next to nothing. A node whose facets are hardly covered therefore ha
 dual function is added, on each facet, to those of the facet's other nodes, in equal shares. The
 functions still add up to 1, so that rigid motions, linear functions and resultants stay exact; D
 has a few small entries beside its diagonal.
+
+For displacements of degree 2 the dual functions are the same, of degree 1 at the vertices, and D
+couples each of them with all nodes of its facets. Their combinations contain constants, not linear
+functions: the error in the energy norm of a smooth problem falls with h^1.5, as much as contact
+allows, whose solutions have no more than 5/2 derivatives. Surfaces that are tied have the shape
+functions of degree 1 as multipliers: there it falls with h^2. At the border of a contact these
+overshoot, and the dual functions do not.
 """
 
 from __future__ import annotations
@@ -28,6 +35,7 @@ __all__ = [
     "hardly_covered",
     "mortar_matrices",
     "node_areas",
+    "slave_matrix",
 ]
 
 Vector = NDArray[np.float64]
@@ -54,7 +62,8 @@ class MortarMatrices:
     Attributes
     ----------
     D : (n, n) scipy.sparse.csr_matrix
-        Integrals of psi_k N_j; diagonal but for nodes that are hardly covered [m^2 or m].
+        Integrals of psi_k N^s_j [m^2 or m]; for degree 1 diagonal but for nodes that are hardly
+        covered.
     M : (n, m) scipy.sparse.csr_matrix
         Integrals of psi_k N^m_l.
     gap : (n, gdim) array
@@ -70,9 +79,9 @@ class MortarMatrices:
 
 
 def mortar_matrices(
-    integrals: FacetIntegrals, slave: Facets, master: Facets, has_row: Mask
+    integrals: FacetIntegrals, slave: Facets, master: Facets, has_row: Mask, dual: bool = True
 ) -> MortarMatrices:
-    """Assemble D, M and the gaps with dual functions.
+    """Assemble D, M and the gaps.
 
     Parameters
     ----------
@@ -82,6 +91,8 @@ def mortar_matrices(
         The surfaces.
     has_row : (n,) bool array
         Which nodes of the slave have a multiplier; the others get empty rows.
+    dual : bool
+        Whether psi are the dual functions, or the shape functions of degree 1 themselves.
 
     Returns
     -------
@@ -90,18 +101,37 @@ def mortar_matrices(
     """
     n, m = len(slave.points), len(master.points)
     corners = slave.corners[integrals.facet]
-    dual, of_slave = _dual_functions(integrals, _area(integrals, slave))
+    psi, of_slave = (
+        _dual_functions(integrals, _areas(slave)[integrals.facet])
+        if dual
+        else (np.tile(np.eye(corners.shape[1]), (len(corners), 1, 1)), integrals.trace.copy())
+    )
     partly = np.flatnonzero(~has_row[corners].all(axis=1))
     if partly.size:
         share = _shares(has_row[corners[partly]])
         of_slave[partly] = np.matmul(share, of_slave[partly])
-        dual[partly] = np.matmul(share, dual[partly])
-    of_master = np.matmul(dual[integrals.pair], integrals.coupling)
-    of_nodes = np.matmul(dual, integrals.gap).reshape(corners.size, slave.points.shape[1])
+        psi[partly] = np.matmul(share, psi[partly])
+    of_master = np.matmul(psi[integrals.pair], integrals.coupling)
+    of_nodes = np.matmul(psi, integrals.gap).reshape(corners.size, slave.points.shape[1])
     gap = np.stack([_sums(corners, part, n) for part in of_nodes.T], axis=1)
-    D = _assemble(of_slave, corners, corners, (n, n))
-    M = _assemble(of_master, corners[integrals.pair], master.corners[integrals.master], (n, m))
+    D = _assemble(of_slave, corners, slave.nodes[integrals.facet], (n, n))
+    M = _assemble(of_master, corners[integrals.pair], master.nodes[integrals.master], (n, m))
     return MortarMatrices(D, M, gap, np.asarray(D.sum(axis=1)).ravel())
+
+
+def slave_matrix(integrals: FacetIntegrals, slave: Facets) -> sp.csr_matrix:
+    """Assemble D (n, n) of a surface all of whose vertices have a multiplier.
+
+    Parameters
+    ----------
+    integrals : FacetIntegrals
+        Over whole facets, see `integrate_alone`.
+    slave : Facets
+        The surface.
+    """
+    _, of_slave = _dual_functions(integrals, _areas(slave)[integrals.facet])
+    n, facet = len(slave.points), integrals.facet
+    return _assemble(of_slave, slave.corners[facet], slave.nodes[facet], (n, n))
 
 
 def hardly_covered(integrals: FacetIntegrals, slave: Facets) -> Mask:
@@ -113,8 +143,8 @@ def hardly_covered(integrals: FacetIntegrals, slave: Facets) -> Mask:
 
 def node_areas(integrals: FacetIntegrals, slave: Facets) -> tuple[Vector, Vector]:
     """Return the whole and the covered area (n,) of each slave node, without weight [m^2 or m]."""
-    n, v = len(slave.points), slave.corners.shape[1]
-    area = np.repeat(Planes.of(slave.coordinates()).area / v, v)
+    n, v = len(slave.points), slave.number_of_corners
+    area = np.repeat(_areas(slave) / v, v)
     covered = slave.corners[integrals.facet]
     return _sums(slave.corners, area, n), _sums(covered, integrals.share, n)
 
@@ -134,22 +164,27 @@ def _shares(has_row: Mask) -> Vector:
 
 
 def _dual_functions(integrals: FacetIntegrals, area: Vector) -> tuple[Vector, Vector]:
-    """Return A (c, v, v) of psi_j = sum_i A_ji N_i, and the integrals of psi_j N_i."""
+    """Return A (c, v, v) of psi_j = sum_i A_ji N_i, and the integrals (c, v, t) of psi_j N^s_i."""
     v = integrals.ones.shape[1]
     narrow = integrals.covered <= _NARROW * area
     dual = np.tile(np.eye(v), (narrow.size, 1, 1))
-    products = integrals.mass.copy()
     ones = integrals.ones[~narrow]
     # scaled to a unit diagonal: a strip along an edge leaves the opposite node little
     root = np.sqrt(ones)
     scaled = integrals.mass[~narrow] / (root[:, :, None] * root[:, None, :])
     dual[~narrow] = root[:, :, None] * np.linalg.inv(scaled) / root[:, None, :]
-    products[~narrow] = ones[:, :, None] * np.eye(v)
+    products = np.matmul(dual, integrals.trace)
+    if integrals.trace.shape[2] == v:
+        # exactly diagonal
+        products[~narrow] = ones[:, :, None] * np.eye(v)
     return dual, products
 
 
-def _area(integrals: FacetIntegrals, slave: Facets) -> Vector:
-    return Planes.of(slave.coordinates(integrals.facet)).area
+def _areas(slave: Facets) -> Vector:
+    """Return the areas (f,) of the facets, sums over their pieces [m^2 or m]."""
+    of_pieces = Planes.of(slave.coordinates()).area.reshape(len(slave), slave.per_facet)
+    areas: Vector = of_pieces.sum(axis=1)
+    return areas
 
 
 def _assemble(

@@ -19,13 +19,13 @@ from fenics_tfeti.fem.contact.mortar.conditions import (
     mortar_conditions,
 )
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
-from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, oriented_facets
+from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
 from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas, given_weight
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
-from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
+from fenics_tfeti.fem.topology import vertex_nodes
 from fenics_tfeti.parallel import raise_collectively, values_of_owners
 
 __all__ = [
@@ -95,7 +95,7 @@ def match_by_mortar(
         check_weighted_areas(comm, conditions.area, slave.area[at], slave.points[at], what)
     normal = _normals(space, contact, slave, prescribed)[at]
     gap = np.sum(conditions.gap * normal, axis=1)
-    gap = np.where(np.abs(gap) <= COORDINATE_ROUNDING * slave.extent, 0.0, gap)
+    gap = slave.without_rounding(gap)
     gap = initial_gap(comm, contact.initial_gap, gap, conditions.chord, slave.coordinates[at], name)
     summary = pairing_summary(
         comm,
@@ -213,9 +213,8 @@ def slave_facets(
     InputError
         A wrong weight of the measure.
     """
-    oriented = oriented_facets(space, contact.facet_tags, contact.slave)
     weight = _nodal_weight(space, contact.measure_weight, name)
-    return SlaveFacets.of(space, slave, oriented, points, slave.normal, weight)
+    return SlaveFacets.of(space, slave, points, slave.normal, weight)
 
 
 def _normals(
@@ -293,7 +292,7 @@ def mean_over_terms(terms: MortarTerms, nodes: Numbers, values: Vector) -> Vecto
 
 
 def _nodal_weight(space: FunctionSpace, given: Any, name: str) -> Vector | None:
-    """Return the weight of the measure at all local nodes of the space; None without one."""
+    """Return the weight of the measure at all local nodes at vertices; None without one."""
     with raise_collectively(space.mesh.comm):
         weight = given_weight(space.mesh, given, name)
     if weight is None:
@@ -304,5 +303,5 @@ def _nodal_weight(space: FunctionSpace, given: Any, name: str) -> Vector | None:
     index_map = space.dofmap.index_map
     values = np.zeros(index_map.size_local + index_map.num_ghosts)
     # the two spaces may number their nodes differently
-    values[_compat.cell_dofs(space)] = scalar.x.array[_compat.cell_dofs(scalar.function_space)]
+    values[vertex_nodes(space)] = scalar.x.array[vertex_nodes(scalar.function_space)]
     return values

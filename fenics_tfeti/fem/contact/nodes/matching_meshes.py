@@ -67,7 +67,7 @@ def meshes_match(
         return False
     images = np.repeat(partner[:, None].astype(float), slave.points.shape[1], axis=1)
     of_slave = np.sort(values_on_facets(space, slave, images)[..., 0].astype(np.int64), axis=1)
-    both = np.concatenate([np.sort(master.facets, axis=1), of_slave])
+    both = np.concatenate([np.sort(master.surface.corners, axis=1), of_slave])
     number = np.unique(both, axis=0, return_inverse=True)[1].ravel()
     same = np.isin(number[len(master.facets) :], number[: len(master.facets)])
     return bool(comm.allreduce(bool(same.all()), MPI.LAND))

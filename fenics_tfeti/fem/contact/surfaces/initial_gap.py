@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Any
 
 from mpi4py import MPI
@@ -38,17 +39,20 @@ def check_initial_gap(given: Any, name: str) -> None:
     )
 
 
-def chord_heights(corners: Vector, normals: Vector) -> Vector:
+def chord_heights(corners: Vector, normals: Vector, middles: Vector | None = None) -> Vector:
     """Return how far facets are from the curved surface through their nodes with these normals.
 
-    Between two nodes it is the height of a circle's segment, length times angle / 8. Inside a
+    Between two corners it is the height of a circle's segment, length times angle / 8. Inside a
     triangle it is up to 4/3 of that between two of its corners, inside a quadrilateral that between
-    the ends of a diagonal.
+    the ends of a diagonal. Nodes in the middle take their own height off it; what is left is the
+    height of the two halves, a quarter, and the difference.
 
     Parameters
     ----------
     corners, normals : (f, v, gdim) arrays
-        Nodes of the facets [m] and unit normals there.
+        Corners of the facets [m], one after the other, and unit normals there.
+    middles : (f, t - v, gdim) array, optional
+        The other nodes of facets of degree 2, see `Facets` [m].
 
     Returns
     -------
@@ -66,12 +70,23 @@ def chord_heights(corners: Vector, normals: Vector) -> Vector:
     """
     v = corners.shape[1]
     heights = np.zeros(len(corners))
-    for i in range(v):
-        for j in range(i):
-            length = np.linalg.norm(corners[:, i] - corners[:, j], axis=1)
-            angle = np.linalg.norm(normals[:, i] - normals[:, j], axis=1)
-            heights = np.maximum(heights, length * angle / 8.0)
+    for i, j in combinations(range(v), 2):
+        length = np.linalg.norm(corners[:, i] - corners[:, j], axis=1)
+        angle = np.linalg.norm(normals[:, i] - normals[:, j], axis=1)
+        height = length * angle / 8.0
+        if middles is not None:
+            middle = 0.5 * (corners[:, i] + corners[:, j])
+            own = np.linalg.norm(middles[:, _middle(i, j, v)] - middle, axis=1)
+            height = np.abs(height - own) + own / 4.0
+        heights = np.maximum(heights, height)
     return heights * (4.0 / 3.0 if v == 3 else 1.0)
+
+
+def _middle(i: int, j: int, v: int) -> int:
+    """Return which of the other nodes of a facet of degree 2 is between two corners i < j."""
+    if j == i + 1:
+        return i
+    return v - 1 if j == v - 1 and i == 0 else v
 
 
 def initial_gap(

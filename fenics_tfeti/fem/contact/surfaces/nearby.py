@@ -19,12 +19,10 @@ from scipy.spatial import cKDTree
 from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.fem.contact.mortar.candidates import REACH
+from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
-from fenics_tfeti.fem.contact.surfaces.deformed import (
-    DeformedSurface,
-    gather_surface,
-    oriented_facets,
-)
+from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
+from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
 
 __all__ = ["gather_nearby"]
 
@@ -77,9 +75,9 @@ def gather_nearby(
     if displacement is not None:
         moves = displacement.x.array.reshape(-1, gdim)[: len(undeformed)]
     points = undeformed + moves
-    rows = oriented_facets(space, facet_tags, tag).astype(np.int64)
+    rows = _own_facets(space, facet_tags, tag)
     tree = BoxTree(points[rows]) if len(rows) else None
-    nodes = oriented_facets(space, facet_tags, around).astype(np.int64)
+    nodes = _own_facets(space, facet_tags, around)
     alone = owned - space.dofmap.index_map.local_range[0]
     nodes = np.concatenate([nodes, np.repeat(alone[:, None], nodes.shape[1], axis=1)])
     distance = _distances(comm, points, nodes, rows, tree)
@@ -90,6 +88,14 @@ def gather_nearby(
     numbers = numbers.reshape(rows.shape)
     arrived = comm.alltoall([_packed(rows[part], numbers[part], points, moves) for part in parts])
     return _joined(arrived)
+
+
+def _own_facets(space: FunctionSpace, facet_tags: Any, tag: int) -> Numbers:
+    """Return the local nodes (f, t) of the tagged facets that this rank owns."""
+    topology = space.mesh.topology
+    owned = topology.index_map(topology.dim - 1).size_local
+    found = facet_tags.find(tag)
+    return oriented_facets(space, np.sort(found[found < owned])).astype(np.int64)
 
 
 def _distances(
@@ -110,7 +116,8 @@ def _distances(
     arrived = comm.alltoall([x[query] for query in queries])
     answers = [np.zeros(len(part)) for part in arrived]
     if tree is not None:
-        places = cKDTree(np.concatenate([points[np.unique(rows)], points[rows].mean(axis=1)]))
+        corners = Facets(points, rows).coordinates()
+        places = cKDTree(np.concatenate([points[np.unique(rows)], corners.mean(axis=1)]))
         answers = [places.query(part)[0] if len(part) else np.zeros(0) for part in arrived]
     found = np.full(len(x), np.inf)
     for query, answer in zip(queries, comm.alltoall(answers), strict=True):

@@ -17,10 +17,11 @@ from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
 from fenics_tfeti.fem.messages import coordinate_order, raise_where
 from fenics_tfeti.fem.reference_cells import ReferenceCell
-from fenics_tfeti.fem.tolerances import VANISHING_NORMAL
-from fenics_tfeti.fem.topology import cell_facets, cell_type, exterior_facets, facet_vertices
+from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, VANISHING_NORMAL
+from fenics_tfeti.fem.topology import cell_facets, cell_type, exterior_facets, vertex_nodes
 from fenics_tfeti.fem.user_data import unit_vectors
 from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
 
@@ -50,21 +51,24 @@ class MeshBoundary:
     ----------
     space : FunctionSpace
         The displacement's space.
+    linear : FunctionSpace
+        The space of degree 1 on its mesh, which it may be itself.
     coordinates : (nodes, 3) array
         Of this rank's nodes, ghosts last [m].
-    node_of_row : integer array
-        The local node at each row of ``geometry.x``.
+    at_vertex : (nodes,) bool array
+        Whether a node is a vertex of cells.
     exterior : bool array
         Whether each facet of this rank is on the boundary of the mesh; False for ghosts.
     rows : (facets, 2) integer array
         A cell of each facet of this rank, and the facet's number in it.
     normal_form : CompiledForm
-        The normal times each node's shape function, to be integrated over facets.
+        The normal times each vertex' shape function of degree 1, to be integrated over facets.
     """
 
     space: FunctionSpace
+    linear: FunctionSpace
     coordinates: Vector
-    node_of_row: Indices
+    at_vertex: NDArray[np.bool_]
     exterior: NDArray[np.bool_]
     rows: Indices
     normal_form: _compat.CompiledForm
@@ -78,29 +82,44 @@ class MeshBoundary:
         rows = np.zeros((exterior.size, 2), dtype=np.int32)
         rows[facet_of, 0] = np.arange(len(facet_of))[:, None]
         rows[facet_of, 1] = np.arange(facet_of.shape[1])
-        node_of_row = np.full(domain.geometry.x.shape[0], -1, dtype=np.int32)
-        # cells of degree 1 list nodes and vertices in the same order
-        node_of_row[_compat.geometry_cells(domain)] = _compat.cell_dofs(space)
-        form = _normal_form(space)
+        linear = space
+        if _compat.element_facts(space)[1] > 1:
+            linear = _compat.lagrange_space(domain, 1, space.dofmap.index_map_bs)
         coordinates = space.tabulate_dof_coordinates()
-        return MeshBoundary(space, coordinates, node_of_row, exterior, rows, form)
+        at_vertex = np.zeros(len(coordinates), dtype=bool)
+        at_vertex[vertex_nodes(space)] = True
+        form = _normal_form(linear)
+        return MeshBoundary(space, linear, coordinates, at_vertex, exterior, rows, form)
+
+    @property
+    def degree(self) -> int:
+        """Degree of the displacement, 1 or 2."""
+        return 1 if self.linear is self.space else 2
 
     def form_with_weight(self, weight: Any) -> _compat.CompiledForm:
         """Compile `normal_form` with a weight of ds. Collective."""
-        return _normal_form(self.space, weight)
+        return _normal_form(self.linear, weight)
 
     def integrate(self, form: _compat.CompiledForm, facets: Indices) -> Vector:
-        """Integrate the normal times each node's shape function over facets: (nodes, gdim).
+        """Integrate the normal times each vertex' shape function over facets: (nodes, gdim).
 
-        The length of the integral is the area that turns a uniform pressure into the node's force.
+        The shape functions are those of degree 1. The length of the integral is the area that turns
+        a uniform pressure into the force of the vertex. It is zero at other nodes.
         """
-        bound = form.bind([self.space], {}, {1: self.rows[facets]})
-        values = _compat.assemble_distributed(bound)
-        return values.reshape(-1, self.space.dofmap.index_map_bs)
+        bound = form.bind([self.linear], {}, {1: self.rows[facets]})
+        values = _compat.assemble_distributed(bound).reshape(-1, self.space.dofmap.index_map_bs)
+        if self.degree == 1:
+            return values
+        integrals = np.zeros((len(self.coordinates), values.shape[1]))
+        at, of = vertex_nodes(self.space), vertex_nodes(self.linear)
+        # both spaces' nodes at a vertex have the owner of the vertex
+        owned = of < len(values)
+        integrals[at[owned]] = values[of[owned]]
+        return integrals
 
 
 def _normal_form(space: FunctionSpace, weight: Any = 1) -> _compat.CompiledForm:
-    """Compile the normal times each node's shape function and a weight. Collective."""
+    """Compile the normal times each vertex' shape function and a weight. Collective."""
     domain = space.mesh
     normal = ufl.inner(ufl.FacetNormal(domain), ufl.TestFunction(space))
     ds = ufl.Measure("ds", domain=domain)
@@ -109,12 +128,12 @@ def _normal_form(space: FunctionSpace, weight: Any = 1) -> _compat.CompiledForm:
 
 @dataclass(frozen=True)
 class Surface:
-    """A tagged surface; of its nodes, those that this rank owns.
+    """A tagged surface; of the nodes at its vertices, those that this rank owns.
 
     Attributes
     ----------
     nodes : (k,) integer array
-        Global nodes of the displacement's space.
+        Global nodes of the displacement's space at the vertices of facets.
     local : (k,) integer array
         Their local numbers.
     coordinates : (k, 3) array
@@ -128,8 +147,8 @@ class Surface:
         Mean edge length of the smallest of the facets at the node [m].
     facets : (f,) integer array
         The facets that this rank owns.
-    vertices : (f, v) integer array
-        Local numbers of their nodes, some of which other ranks own.
+    facet_nodes : (f, t) integer array
+        Local numbers of their nodes, some of which other ranks own; see `oriented_facets`.
     facet_type : ReferenceCell
         The facets' cell type.
     extent : float
@@ -143,14 +162,23 @@ class Surface:
     area: Vector
     size: Vector
     facets: Indices
-    vertices: Indices
+    facet_nodes: Indices
     facet_type: ReferenceCell
     extent: float
+
+    @property
+    def vertices(self) -> Indices:
+        """Local numbers of the nodes (f, v) at the facets' corners, one after the other."""
+        return self.facet_nodes[:, : self.facet_type.vertices]
 
     @property
     def points(self) -> Vector:
         """Coordinates of shape (k, gdim) [m]."""
         return self.coordinates[:, : self.normal.shape[1]]
+
+    def without_rounding(self, lengths: Vector) -> Vector:
+        """Set lengths [m] to zero that are no more than the rounding of coordinates."""
+        return np.where(np.abs(lengths) <= COORDINATE_ROUNDING * self.extent, 0.0, lengths)
 
 
 @dataclass(frozen=True)
@@ -216,16 +244,16 @@ def tagged_surface(
     _check_facets(boundary, facet_tags, tag, facets, what)
 
     nodes = np.asarray(fem.locate_dofs_topological(space, dim - 1, facets), dtype=np.int32)
-    nodes = np.sort(nodes[nodes < space.dofmap.index_map.size_local])
+    nodes = np.sort(nodes[(nodes < space.dofmap.index_map.size_local) & boundary.at_vertex[nodes]])
     coordinates = boundary.coordinates[nodes]
     extent = domain.comm.allreduce(float(np.abs(coordinates).max(initial=0.0)), MPI.MAX)
     weighted = boundary.integrate(boundary.normal_form, facets)[nodes]
     to_global = space.dofmap.index_map.local_to_global
-    rows = facet_vertices(domain, facets)
-    vertices = boundary.node_of_row[rows]
+    facet_nodes, facet_type = oriented_facets(space, facets), cell_type(domain).facet
+    vertices = facet_nodes[:, : facet_type.vertices]
     global_nodes = np.asarray(to_global(nodes), dtype=np.int64)
     of_vertices = np.asarray(to_global(vertices.ravel()), dtype=np.int64).reshape(vertices.shape)
-    size = _smallest_facets(domain, rows, of_vertices, global_nodes)
+    size = _smallest_facets(domain, boundary.coordinates[vertices], of_vertices, global_nodes)
     normal, area = _normals_and_areas(domain.comm, weighted, size, coordinates, given, what)
     return Surface(
         global_nodes,
@@ -235,8 +263,8 @@ def tagged_surface(
         area,
         size,
         facets,
-        vertices,
-        cell_type(domain).facet,
+        facet_nodes,
+        facet_type,
         extent,
     )
 
@@ -265,7 +293,7 @@ def values_on_facets(space: FunctionSpace, surface: Surface, values: Vector) -> 
     Returns
     -------
     (f, v, gdim) array
-        For the nodes of each facet.
+        For the corners of each facet.
     """
     gdim = values.shape[1]
     carrier = fem.Function(space)
@@ -390,13 +418,13 @@ def _normals_and_areas(
     return normal, area
 
 
-def _smallest_facets(domain: Any, rows: Indices, vertices: Numbers, nodes: Numbers) -> Vector:
+def _smallest_facets(domain: Any, corners: Vector, vertices: Numbers, nodes: Numbers) -> Vector:
     """Return the mean edge length of the smallest facet at each node, over all ranks' facets."""
-    x = domain.geometry.x[rows]
-    edges = np.array(cell_type(domain).facet.edges)
-    mean = np.linalg.norm(x[:, edges[:, 1]] - x[:, edges[:, 0]], axis=2).mean(axis=1)
+    # of a segment both edges are the segment
+    edges = np.roll(corners, -1, axis=1) - corners
+    mean = np.linalg.norm(edges, axis=2).mean(axis=1)
     directory = Directory(domain.comm, np.unique(vertices))
-    keys, sizes = directory.collect(vertices.ravel(), np.repeat(mean, rows.shape[1]))
+    keys, sizes = directory.collect(vertices.ravel(), np.repeat(mean, vertices.shape[1]))
     smallest = np.full(directory.keys.size, np.inf)
     np.minimum.at(smallest, directory.position(keys), sizes)
     size: Vector = directory.lookup(nodes, smallest)[1]

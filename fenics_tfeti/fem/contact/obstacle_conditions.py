@@ -1,0 +1,180 @@
+"""Conditions of a surface at a rigid obstacle: node by node, for degree 2 in the mean around nodes.
+
+On the undeformed surface, and on the deformed one for exact non-penetration.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx.fem import Function, FunctionSpace
+
+from fenics_tfeti.fem.contact.contact import ContactPairing, MortarTerms, RigidObstacle
+from fenics_tfeti.fem.contact.mortar.one_sided import nodal_normals, one_sided_conditions
+from fenics_tfeti.fem.contact.mortar.pairing import mean_over_terms, slave_facets
+from fenics_tfeti.fem.contact.obstacles import gap_and_normal
+from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
+from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
+from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas
+from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas, weighted_form
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
+
+__all__ = ["deformed_gaps", "match_obstacle"]
+
+Vector = NDArray[np.float64]
+
+
+def match_obstacle(
+    boundary: MeshBoundary, name: str, contact: RigidObstacle, earlier: ContactPairing | None
+) -> ContactPairing:
+    """Find the slave's nodes, the obstacle's normals and the gaps. Collective.
+
+    Parameters
+    ----------
+    boundary : MeshBoundary
+        Of the displacement's mesh.
+    name : str
+        Name of the contact.
+    contact : RigidObstacle
+        The contact.
+    earlier : ContactPairing, optional
+        An earlier result, whose surface is used again.
+
+    Returns
+    -------
+    ContactPairing
+        This rank's part.
+
+    Raises
+    ------
+    InputError
+        Tags on no facet or on interior ones, wrong values of the obstacle, a weight of the measure
+        that is no scalar expression on the mesh or not positive.
+    """
+    tags, tag = contact.facet_tags, contact.slave
+    slave = earlier.surface if earlier else tagged_surface(boundary, tags, tag, f"slave of {name}")
+    if boundary.degree > 1:
+        return _match_means(boundary, name, contact, slave)
+    comm = boundary.space.mesh.comm
+    if earlier:
+        form = earlier.weighted_form
+    else:
+        form = weighted_form(boundary, contact.measure_weight, name)
+    covered = np.ones(slave.facets.size, dtype=bool)
+    gap, outward = gap_and_normal(comm, contact.obstacle, slave.coordinates, slave.normal, name)
+    gap = slave.without_rounding(gap)
+    normal = -outward  # u'n <= gap with n pointing into the obstacle
+    angle = angles_between(slave.normal, normal)
+    return ContactPairing(
+        name,
+        slave.nodes,
+        np.full(slave.nodes.size, -1, dtype=np.int64),
+        slave.coordinates,
+        normal,
+        gap,
+        node_areas(boundary, slave, covered, form, name),
+        pairing_summary(comm, name, "obstacle", gap, angle, slave.nodes.size, area=slave.area),
+        slave,
+        covered,
+        form,
+    )
+
+
+def _match_means(
+    boundary: MeshBoundary, name: str, contact: RigidObstacle, slave: Surface
+) -> ContactPairing:
+    """Return the conditions for degree 2, on the facets that have an obstacle at all nodes."""
+    space = boundary.space
+    comm, gdim = space.mesh.comm, slave.normal.shape[1]
+    facets = slave_facets(space, contact, slave, boundary.coordinates[:, :gdim], name)
+    places, normals = _padded(facets.facets.points), nodal_normals(facets)
+    at_nodes, _ = gap_and_normal(comm, contact.obstacle, places, normals, name)
+    covered = np.isfinite(at_nodes)[facets.facets.nodes].all(axis=1)
+    nodes, terms = one_sided_conditions(comm, facets, slave.nodes, covered)
+    at = np.searchsorted(slave.nodes, nodes)
+    if facets.weight is not None:
+        what = f"slave of {name}"
+        check_weighted_areas(comm, terms.area, slave.area[at], slave.points[at], what)
+    surface = gather_surface(space, contact.facet_tags, contact.slave)
+    gap = slave.without_rounding(_mean_gap(space, contact, terms, surface, name))
+    _, outward = gap_and_normal(
+        comm, contact.obstacle, slave.coordinates[at], slave.normal[at], name
+    )
+    angle = angles_between(slave.normal[at], -outward)
+    summary = pairing_summary(comm, name, "obstacle", gap, angle, slave.nodes.size, area=terms.area)
+    return ContactPairing(
+        name,
+        nodes,
+        np.full(nodes.size, -1, dtype=np.int64),
+        slave.coordinates[at],
+        -outward,
+        gap,
+        terms.area,
+        summary,
+        slave,
+        covered,
+        None,
+        terms,
+    )
+
+
+def _mean_gap(
+    space: FunctionSpace,
+    contact: RigidObstacle,
+    terms: MortarTerms,
+    slave: DeformedSurface,
+    name: str,
+) -> Vector:
+    """Return the mean gaps (k,) of conditions; infinite where a node of theirs has no obstacle."""
+    nodes = np.unique(terms.nodes)
+    at = np.searchsorted(slave.nodes, nodes)
+    normal = slave.normals(name)[at]
+    places = _padded(slave.points[at])
+    gap, _ = gap_and_normal(space.mesh.comm, contact.obstacle, places, normal, name)
+    there = np.isfinite(gap)
+    mean = mean_over_terms(terms, nodes, np.where(there, gap, 0.0)[:, None])[:, 0]
+    without = np.zeros(mean.size, dtype=bool)
+    without[terms.row[~there[np.searchsorted(nodes, terms.nodes)]]] = True
+    return np.where(without, np.inf, mean)
+
+
+def deformed_gaps(
+    space: FunctionSpace, contact: RigidObstacle, pairing: ContactPairing, displacement: Function
+) -> tuple[Vector, Vector, Vector]:
+    """Return the conditions at an obstacle in the deformed state. Collective.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    contact : RigidObstacle
+        The contact.
+    pairing : ContactPairing
+        Its conditions before.
+    displacement : Function
+        The displacement [m], ghosts up to date.
+
+    Returns
+    -------
+    normal, gap, distance : (k, gdim), (k,), (k,) arrays
+        Normals into the obstacle, gaps in terms of the total displacement, and distances from the
+        obstacle [m], for degree 2 the means around the nodes.
+    """
+    comm, name, terms = space.mesh.comm, pairing.name, pairing.terms
+    slave = gather_surface(space, contact.facet_tags, contact.slave, displacement)
+    here = np.searchsorted(slave.nodes, pairing.slave)
+    normal = slave.normals(name)[here]
+    distance, outward = gap_and_normal(
+        comm, contact.obstacle, _padded(slave.points[here]), normal, name
+    )
+    moved = slave.displacement[here]
+    if terms is not None:
+        distance = _mean_gap(space, contact, terms, slave, name)
+        moved = mean_over_terms(terms, slave.nodes, slave.displacement)
+    return -outward, distance - np.sum(moved * outward, axis=1), distance
+
+
+def _padded(points: Vector) -> Vector:
+    """Return points (k, gdim) as rows of three coordinates."""
+    return np.pad(points, ((0, 0), (0, 3 - points.shape[1])))

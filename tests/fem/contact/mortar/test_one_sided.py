@@ -1,0 +1,61 @@
+"""Conditions of degree 2 at obstacles: means around the vertices."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from mortar_blocks import LOWER, Blocks
+from scenes import vector_space
+
+from fenics_tfeti.fem.contact.mortar.conditions import SlaveFacets
+from fenics_tfeti.fem.contact.mortar.one_sided import nodal_normals, one_sided_conditions
+from fenics_tfeti.fem.contact.mortar.pairing import mean_over_terms
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
+from fenics_tfeti.io import tag_facets
+
+CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
+
+
+def slave_facets(cell, **shape):
+    blocks = Blocks(cell, 3, 2, **shape)
+    meshed = blocks.mesh()
+    tags = tag_facets(meshed.mesh, blocks.markers(), meshed.cell_tags)
+    boundary = MeshBoundary.of(vector_space(meshed.mesh, 2))
+    surface = tagged_surface(boundary, tags, LOWER, "slave")
+    points = boundary.coordinates[:, : blocks.gdim]
+    return surface, SlaveFacets.of(boundary.space, surface, points, surface.normal, None)
+
+
+def conditions(surface, facets, chosen):
+    return one_sided_conditions(MPI.COMM_SELF, facets, surface.nodes, chosen)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_means_of_linear_functions_are_their_values_at_the_vertices(cell):
+    surface, facets = slave_facets(cell)
+    nodes, terms = conditions(surface, facets, np.ones(len(facets.facets), dtype=bool))
+    np.testing.assert_array_equal(nodes, np.sort(surface.nodes))
+    values = 0.3 + facets.facets.points @ np.arange(1.0, 1.0 + surface.points.shape[1])
+    mean = mean_over_terms(terms, facets.nodes, values[:, None])[:, 0]
+    np.testing.assert_allclose(mean, values[np.searchsorted(facets.nodes, nodes)], rtol=1e-13)
+    area = np.zeros(nodes.size)
+    area[np.searchsorted(nodes, surface.nodes)] = surface.area
+    np.testing.assert_allclose(terms.area, area, rtol=1e-13)
+
+
+def test_facets_that_are_not_chosen_do_not_count():
+    surface, facets = slave_facets("triangle")
+    middle = facets.facets.points[facets.facets.corners].mean(axis=1)
+    nodes, terms = conditions(surface, facets, middle[:, 0] < 0.6)
+    x = facets.facets.points[np.searchsorted(facets.nodes, nodes), 0]
+    assert sorted(np.round(x, 9)) == pytest.approx([0.0, 1 / 3, 2 / 3])
+    assert terms.area.sum() == pytest.approx(2 / 3)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_normals_at_all_nodes(cell):
+    surface, facets = slave_facets(cell, slope=0.3)
+    expected = np.tile(surface.normal[0], (len(facets.facets.points), 1))
+    np.testing.assert_allclose(nodal_normals(facets), expected, atol=1e-13)

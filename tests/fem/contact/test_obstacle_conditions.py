@@ -1,0 +1,77 @@
+"""Conditions at rigid obstacles, for displacements of degree 1 and 2."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scenes import GROUND, dimension, pressed_block, vector_space
+
+from dolfinx import fem
+
+from fenics_tfeti import Plane, RigidObstacle
+from fenics_tfeti.fem.contact.obstacle_conditions import deformed_gaps, match_obstacle
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+
+CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
+both_degrees = pytest.mark.parametrize("degree", [1, 2])
+GAP = 0.25
+
+
+def matched(cell, degree, obstacle, weight=None):
+    scene = pressed_block(MPI.COMM_SELF, cell, 2)
+    contact = RigidObstacle(scene.facet_tags, GROUND, obstacle, measure_weight=weight)
+    space = vector_space(scene.mesh, degree)
+    return space, contact, match_obstacle(MeshBoundary.of(space), "ground", contact, None)
+
+
+def tilted(d):
+    """Return a plane below the block that comes nearer to it along the first axis."""
+    return Plane((0.0,) * (d - 1) + (-GAP,), (-0.1,) + (0.0,) * (d - 2) + (1.0,))
+
+
+@both_degrees
+@pytest.mark.parametrize("cell", CELLS)
+def test_gaps_to_a_plane_are_the_distances_of_the_vertices(cell, degree):
+    d = dimension(cell)
+    _, contact, found = matched(cell, degree, tilted(d))
+    gap, outward = contact.obstacle(found.coordinates.T)
+    assert found.slave.size == 3 ** (d - 1)
+    np.testing.assert_allclose(found.gap, gap, rtol=1e-13)
+    np.testing.assert_allclose(found.normal, -outward.T)
+    assert found.area.sum() == pytest.approx(1.0)
+    assert (found.master == -1).all()
+
+
+@both_degrees
+def test_weight_of_the_measure(degree):
+    found = [matched("quadrilateral", degree, tilted(2), weight)[2] for weight in (None, 3.0)]
+    np.testing.assert_allclose(found[1].area, 3.0 * found[0].area)
+    np.testing.assert_allclose(found[1].gap, found[0].gap)
+
+
+@both_degrees
+def test_where_there_is_no_obstacle(degree):
+    def half(x):
+        normal = np.zeros((2, x.shape[1]))
+        normal[1] = 1.0
+        return np.where(x[0] < 0.6, GAP, np.inf), normal
+
+    _, _, found = matched("quadrilateral", degree, half)
+    there = np.isfinite(found.gap)
+    assert sorted(found.coordinates[there, 0]) == pytest.approx([0.0, 0.5])
+
+
+@both_degrees
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
+def test_gaps_in_the_deformed_state(cell, degree):
+    """A body that moved as a whole has the same conditions, nearer to the obstacle."""
+    d = dimension(cell)
+    space, contact, before = matched(cell, degree, tilted(d))
+    u = fem.Function(space)
+    u.x.array.reshape(-1, d)[:, d - 1] = -0.1
+    normal, gap, distance = deformed_gaps(space, contact, before, u)
+    np.testing.assert_allclose(normal, before.normal)
+    np.testing.assert_allclose(gap, before.gap, rtol=1e-12)
+    np.testing.assert_allclose(distance, before.gap + 0.1 * before.normal[:, -1], rtol=1e-12)

@@ -1,0 +1,185 @@
+"""Displacements of degree 2: quadratic patch tests, rates of convergence, curved cells."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from curved_rings import quarter_rings
+from mortar_blocks import LOWER, UPPER, Blocks, uneven, uneven_problem
+from scenes import POISSON, at, dimension, elasticity, fixed, scalar_space, vector_space
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle, TiedPair
+from fenics_tfeti.io import Box, boxes, tag_facets
+
+COMM = MPI.COMM_SELF
+CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
+TOP, BOTTOM, SIDES = 1, 2, (3, 4)
+HALF = 0.5
+
+
+def two_blocks(cell, lower, upper):
+    """Mesh two blocks on each other, of together a unit square or cube; tag their surfaces."""
+    d = dimension(cell)
+    grids = [(n,) * (d - 1) + (max(1, n // 2),) for n in (lower, upper)]
+    low, middle = (0.0,) * d, (0.0,) * (d - 1) + (HALF,)
+    parts = [Box(low, (1.0,) * (d - 1) + (HALF,), grids[0]), Box(middle, (1.0,) * d, grids[1])]
+    blocks = boxes(COMM, parts, cell)
+    markers = [(TOP, at(d - 1, 1.0)), (BOTTOM, at(d - 1, 0.0))]
+    markers += [
+        (SIDES[k], lambda x, k=k: np.isclose(x[k], 0.0) | np.isclose(x[k], 1.0))
+        for k in range(d - 1)
+    ]
+    contact = at(d - 1, HALF)
+    markers += [(LOWER, contact, 1), (UPPER, contact, 2)]
+    return blocks.mesh, blocks.cell_tags, tag_facets(blocks.mesh, markers, blocks.cell_tags)
+
+
+def joined(kind, tags, slave, d):
+    """Return what holds the upper block on the lower one, or the lower one on the ground."""
+    if kind == "tied":
+        return {"tied": TiedPair(tags, slave, LOWER + UPPER - slave)}
+    pair = ContactPair(tags, slave, LOWER + UPPER - slave)
+    if kind == "contact":
+        return {"contacts": pair}
+    ground = Plane((0.0,) * d, (0.0,) * (d - 1) + (1.0,))
+    return {"contacts": [pair, RigidObstacle(tags, BOTTOM, ground)]}
+
+
+@pytest.mark.parametrize("slave", [LOWER, UPPER], ids=["lower", "upper"])
+@pytest.mark.parametrize("kind", ["contact", "tied", "on obstacle"])
+@pytest.mark.parametrize("cell", CELLS)
+def test_blocks_under_their_own_weight(cell, kind, slave):
+    """Between smooth walls the displacement is quadratic in the height, pressures are uniform."""
+    d = dimension(cell)
+    domain, _, tags = two_blocks(cell, *((4, 6) if d == 2 else (2, 3)))
+    V = vector_space(domain, 2)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    load, weight, young = 1e-3, 0.4e-3, 1.0
+    values = [fem.Constant(domain, value) for value in (load, weight, young)]
+    ds = ufl.Measure("ds", domain=domain, subdomain_data=tags)
+    bcs = [fixed(V, tags, SIDES[k], k) for k in range(d - 1)]
+    if kind != "on obstacle":
+        bcs.append(fixed(V, tags, BOTTOM, d - 1))
+    problem = ContactProblem(
+        elasticity(u, v, values[2]),
+        -values[0] * v[d - 1] * ds(TOP) - values[1] * v[d - 1] * ufl.dx,
+        bcs=bcs,
+        options={"rtol": 1e-12, "subdomain_size": 150},
+        **joined(kind, tags, slave, d),
+    )
+    uh = problem.solve().x.array.reshape(-1, d)
+    y = V.tabulate_dof_coordinates()[:, d - 1]
+    modulus = young * (1 - POISSON) / ((1 + POISSON) * (1 - 2 * POISSON))
+    exact = -((load + weight) * y - 0.5 * weight * y**2) / modulus
+    assert np.abs(uh[:, d - 1] - exact).max() < 1e-10 * np.abs(exact).max()
+    assert np.abs(uh[:, : d - 1]).max() < 1e-10 * np.abs(exact).max()
+    pressures = [load + weight * (1.0 - HALF), load + weight]
+    for contact, pressure in zip(problem.contact, pressures, strict=False):
+        np.testing.assert_allclose(contact.pressure, pressure, rtol=1e-8)
+        assert contact.area.sum() == pytest.approx(1.0)
+
+
+def smooth_energy(kind, cell, n, degree):
+    """Return the energy of blocks under a smooth load; their solution is smooth as well."""
+    domain, cell_tags, tags = two_blocks(cell, n, 3 * n // 2)
+    V = vector_space(domain, degree)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    young = fem.Function(scalar_space(domain, "DG", 0))
+    for tag, value in ((1, 1.0), (2, 3.0)):
+        young.x.array[cell_tags.find(tag)] = value
+    ds = ufl.Measure("ds", domain=domain, subdomain_data=tags, metadata={"quadrature_degree": 8})
+    size = fem.Constant(domain, 1e-3)
+    load = size * (2.0 + ufl.cos(np.pi * ufl.SpatialCoordinate(domain)[0]))
+    problem = ContactProblem(
+        elasticity(u, v, young),
+        -load * v[1] * ds(TOP),
+        bcs=[fixed(V, tags, BOTTOM, 1), fixed(V, tags, SIDES[0], 0)],
+        options={"rtol": 1e-10},
+        **joined(kind, tags, LOWER, 2),
+    )
+    uh = problem.solve()
+    return -0.5 * fem.assemble_scalar(fem.form(load * uh[1] * ds(TOP)))
+
+
+@pytest.mark.parametrize(("kind", "order"), [("contact", 1.5), ("tied", 2.0)])
+def test_order_in_the_energy_norm(kind, order):
+    exact = smooth_energy(kind, "quadrilateral", 64, 2)
+    errors = np.sqrt(
+        [abs(smooth_energy(kind, "quadrilateral", n, 2) / exact - 1.0) for n in (4, 8, 16)]
+    )
+    orders = np.log2(errors[:-1] / errors[1:])
+    assert orders[-1] > order - 0.1
+    linear = np.sqrt(abs(smooth_energy(kind, "quadrilateral", 16, 1) / exact - 1.0))
+    assert errors[-1] < 0.1 * linear
+
+
+@pytest.mark.parametrize("slave", [11, 12], ids=["inner", "outer"])
+@pytest.mark.parametrize("recombine", [False, True], ids=["triangles", "quadrilaterals"])
+def test_shrink_fit_with_the_interference_in_the_geometry(tmp_path, recombine, slave):
+    """Of curved cells; with straight ones of this size the mean pressure is 12 to 62 % off."""
+    a, b, c, excess = 0.5, 1.0, 1.6, 1e-3
+    rings = quarter_rings(tmp_path / "a.msh", (12, 17), ((a, b + excess), (b, c)), recombine)
+    V = vector_space(rings.mesh, 2)
+    young = fem.Constant(rings.mesh, 1.0)
+    problem = ContactProblem(
+        elasticity(ufl.TrialFunction(V), ufl.TestFunction(V), young),
+        0,
+        bcs=[fixed(V, rings.facet_tags, 13, 1), fixed(V, rings.facet_tags, 14, 0)],
+        contacts=ContactPair(rings.facet_tags, slave, 23 - slave),
+        options={"rtol": 1e-9},
+    )
+    problem.solve()
+    flexibility = (c**2 + b**2) / (c**2 - b**2) + (b**2 + a**2) / (b**2 - a**2)
+    lame = excess / (1 - POISSON**2) / (b * flexibility)
+    contact = problem.contact[0]
+    np.testing.assert_allclose(contact.gap, -excess, rtol=5e-3)
+    mean = contact.area @ contact.pressure / contact.area.sum()
+    assert mean == pytest.approx(lame, rel=4e-3)
+    np.testing.assert_allclose(contact.pressure, lame, rtol=0.02)
+
+
+@pytest.mark.parametrize("cell", ["triangle", "tetrahedron"])
+def test_exact_passes(cell):
+    """Rows anew on the deformed surfaces, which are cut at the nodes in the middle of edges."""
+    shape = Blocks(cell, 6 if cell == "triangle" else 3, 4, degree=2)
+    problem = uneven(shape, non_penetration="exact")
+    passes = problem.report.passes
+    assert len(passes) > 1
+    assert passes[-1].error <= problem.options.non_penetration_tolerance
+    assert passes[-1].error < 0.1 * passes[0].error
+
+
+@pytest.mark.parametrize("cell", ["triangle", "tetrahedron"])
+def test_start_from_a_coarse_problem_of_degree_1(cell):
+    n = 8 if cell == "triangle" else 4
+    blocks = Blocks(cell, n, n + 1, degree=2)
+    expected, problem = uneven(blocks), uneven_problem(blocks)
+    problem.solve(coarse=uneven(Blocks(cell, n // 2, n // 2 + 1)))
+    np.testing.assert_allclose(
+        problem.report.contact_force, expected.report.contact_force, rtol=1e-8
+    )
+    if cell == "triangle":
+        assert problem.report.products["total"] < expected.report.products["total"]
+
+
+def test_load_steps():
+    problem = uneven_problem(Blocks("triangle", 6, 8, degree=2))
+    expected = uneven(Blocks("triangle", 6, 8, degree=2))
+    load = problem.kept[1]
+    whole = load.value.copy()
+    for part in (0.3, 0.7, 1.0):
+        load.value = part * whole
+        uh = problem.solve()
+    np.testing.assert_allclose(
+        problem.report.contact_force, expected.report.contact_force, rtol=1e-8
+    )
+    pressure = expected.contact[0].pressure
+    np.testing.assert_allclose(
+        problem.contact[0].pressure, pressure, rtol=0.0, atol=1e-6 * pressure.max()
+    )
+    assert np.isfinite(uh.x.array).all()
