@@ -39,7 +39,7 @@ def meshes_match(
     slave : Surface
         This rank's part.
     master : DeformedSurface
-        The master's surface on every rank.
+        The master's surface near this rank's slave nodes.
     normals : (n, gdim) array
         The master's normals.
     tolerance : float
