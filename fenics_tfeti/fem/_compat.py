@@ -218,6 +218,30 @@ def gradients_at_nodes(cell: str) -> NDArray[np.float64]:
     return np.asarray(element.tabulate(1, element.points)[1:, :, :, 0])
 
 
+def nodes_between_vertices(domain: mesh.Mesh) -> list[list[int]]:
+    """Return the vertices around each node of a cell that is not a vertex: of its edge or face.
+
+    The nodes follow the vertices, by ascending number; one inside the cell has all vertices.
+
+    - 0.5.2 and 0.9 have ``geometry.cmap``, 0.11 ``geometry.cmaps``, the other deprecated.
+    """
+    geometry, dim = domain.geometry, domain.topology.dim
+    one_type = hasattr(geometry, "cmaps") and not callable(geometry.cmaps)
+    layout = (geometry.cmaps[0] if one_type else geometry.cmap).create_dof_layout()
+    cell = reference_cell(cell_name(domain))
+    # a facet's nodes come after those of its edges, so that edges are kept
+    counts = {1: len(cell.edges), dim - 1: len(cell.facets), dim: 1}
+    around: dict[int, list[int]] = {}
+    for d in sorted(counts):
+        for entity in range(counts[d]):
+            nodes = [int(n) for n in layout.entity_closure_dofs(d, entity)]
+            ends = sorted(n for n in nodes if n < cell.vertices)
+            for node in nodes:
+                if node >= cell.vertices:
+                    around.setdefault(node, ends)
+    return [around[node] for node in sorted(around)]
+
+
 def cell_name(domain: mesh.Mesh) -> str:
     """Return the shape of the cells, such as "hexahedron".
 
@@ -474,8 +498,9 @@ def distributed_mesh(
     cells: NDArray[np.int64],
     points: NDArray[np.float64],
     cell: str,
+    degree: int = 1,
 ) -> dolfinx.mesh.Mesh:
-    """Create a distributed mesh of first-order cells from arrays.
+    """Create a distributed mesh from arrays.
 
     - 0.5.2 has ``create_mesh(comm, cells, x, domain)`` and elements from ``ufl``;
     - 0.9 has ``create_mesh(comm, cells, x, e)``, 0.11 ``create_mesh(comm, cells, e, x)``, both
@@ -487,22 +512,24 @@ def distributed_mesh(
     ----------
     comm : MPI.Comm
         Communicator of the mesh.
-    cells : (m, v) array of int
-        Numbers of the nodes of this rank's share of the cells, in the vertex order of dolfinx.
+    cells : (m, n) array of int
+        Numbers of the nodes of this rank's share of the cells, in the order of dolfinx.
     points : (k, gdim) array
         This rank's share of the nodes [m]; they are numbered through the ranks.
     cell : str
         Shape of the cells, such as "hexahedron".
+    degree : int
+        Degree of the cells' geometry.
     """
     gdim = points.shape[1]
     if "domain" in inspect.signature(mesh.create_mesh).parameters:
         shape = ufl.Cell(cell, geometric_dimension=gdim)
-        domain = ufl.Mesh(ufl.VectorElement("Lagrange", shape, 1))
+        domain = ufl.Mesh(ufl.VectorElement("Lagrange", shape, degree))
         with quiet_compiler():
             return mesh.create_mesh(comm, cells, points, domain=domain)
     import basix.ufl
 
-    element = basix.ufl.element("Lagrange", cell, 1, shape=(gdim,))
+    element = basix.ufl.element("Lagrange", cell, degree, shape=(gdim,))
     return mesh.create_mesh(comm, cells, x=points, e=ufl.Mesh(element))
 
 

@@ -369,16 +369,23 @@ def _check_facets(
     boundary: MeshBoundary, facet_tags: Any, tag: int, facets: Indices, what: str
 ) -> None:
     comm = boundary.space.mesh.comm
-    inside = int(np.count_nonzero(~boundary.exterior[facets]))
-    number, interior = comm.allreduce(facets.size), comm.allreduce(inside)
+    number = comm.allreduce(facets.size)
     if number == 0:
         there = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
         raise InputError(f"{what}: tag {tag} is on no facet; the tags there are {there}")
-    if interior:
-        raise InputError(
-            f"{what}: {interior} of the {number} facets with tag {tag} are inside a body: only "
-            "facets on the boundary can touch. Do the bodies share nodes where they should not?"
-        )
+    domain = boundary.space.mesh
+    corners = domain.geometry.x[facet_vertices(domain, facets), : domain.geometry.dim]
+    raise_where(
+        comm,
+        ~boundary.exterior[facets],
+        corners.mean(axis=1),
+        lambda interior, place: (
+            f"{what}: {interior} of the {number} facets with tag {tag} are inside a body, or "
+            f"between bodies that share their nodes, the first around {place}: only facets on the "
+            "boundary can touch. Bodies that share nodes, as Gmsh's fragment makes them, get nodes "
+            "of their own by fenics_tfeti.io.split_interfaces"
+        ),
+    )
 
 
 def _normals_and_areas(
