@@ -51,6 +51,13 @@ def test_split_mesh_is_that_of_one_rank(cell, interfaces):
         np.testing.assert_allclose(mine, expected, atol=1e-8)
 
 
+def test_ranks_without_cells():
+    two = block("triangle", lambda x: np.where(x[:, 0] > x[:, 1], 1, 2), COMM, n=1)
+    parts = split_interfaces(two, [Interface(1, 2, 5, 6)])
+    assert vertices(parts) == 6
+    assert [measure(parts, "ds", tag) for tag in (5, 6)] == pytest.approx([np.sqrt(2.0)] * 2)
+
+
 def test_nodes_are_joined_alike():
     """Cells around the tip and along the two sides share the nodes that they do on one rank."""
     here, alone = (

@@ -349,8 +349,8 @@ def _copies_of_vertices(
     vertex, cell, copy = directory.forward(around[:, 0], around[:, 1], copy)
     copies = np.zeros(concerned.shape, dtype=np.int64)
     first = int(number[0]) if number.size else 0
-    mine = (cell >= first) & (cell < first + number.size)
-    vertex, cell, copy = vertex[mine], cell[mine] - first, copy[mine]
+    here = (cell >= first) & (cell < first + number.size)
+    vertex, cell, copy = vertex[here], cell[here] - first, copy[here]
     corner = np.argmax(vertices[cell] == vertex[:, None], axis=1)
     copies[cell, corner] = copy
     return copies
@@ -397,17 +397,17 @@ def _rank_within(key: Numbers, group: Numbers) -> Numbers:
 
 def _check_open(mesh: Mesh, sides: _Sides, opened: Numbers, cells: Numbers) -> None:
     """Check that the two sides of each opened facet have different vertices."""
-    facets, corners = cell_type(mesh).facets, []
-    for f in range(len(facets)):
+    x, nodes = mesh.geometry.x[:, : mesh.geometry.dim], _compat.geometry_cells(mesh)
+    rows = []
+    for f, corners in enumerate(cell_type(mesh).facets):
         mine = np.flatnonzero(opened[:, f] >= 0)
-        corners.append((sides.facet[mine, f], np.sort(cells[mine][:, facets[f]], axis=1), mine, f))
-    keys = np.concatenate([part[0] for part in corners])
-    vertices = np.concatenate([part[1] for part in corners])
-    places = np.concatenate([_midpoints(mesh, mine, facets[f]) for _, _, mine, f in corners])
-    keys, vertices, places = sides.directory.collect(keys, vertices, places)
+        middle = x[nodes[mine][:, corners]].mean(axis=1)
+        rows.append((sides.facet[mine, f], np.sort(cells[mine][:, corners], axis=1), middle))
+    columns = (np.concatenate(column) for column in zip(*rows, strict=True))
+    keys, vertices, places = sides.directory.collect(*columns)
     order = np.argsort(keys, kind="stable")
     keys, vertices, places = keys[order], vertices[order], places[order]
-    same = (keys[1:] == keys[:-1]) & np.all(vertices[1:] == vertices[:-1], axis=1)
+    same: Mask = (keys[1:] == keys[:-1]) & np.all(vertices[1:] == vertices[:-1], axis=1)
     raise_where(
         mesh.comm,
         same,
@@ -418,12 +418,6 @@ def _check_open(mesh: Mesh, sides: _Sides, opened: Numbers, cells: Numbers) -> N
             "more of the surface, or mesh it more finely"
         ),
     )
-
-
-def _midpoints(mesh: Mesh, cells: NDArray[Any], corners: tuple[int, ...]) -> Vector:
-    nodes = _compat.geometry_cells(mesh)[cells][:, corners]
-    points: Vector = mesh.geometry.x[nodes, : mesh.geometry.dim].mean(axis=1)
-    return points
 
 
 # -- tags --------------------------------------------------------------------------------------
@@ -445,8 +439,10 @@ def _with_tags(
     facet_map = mesh.topology.index_map(dim - 1)
     of_facet = np.full(facet_map.size_local + facet_map.num_ghosts, _UNTAGGED, dtype=np.int64)
     of_facet[facets] = of_facets
-    tags = []
-    for d, values in ((dim, of_cell), (dim - 1, of_facet)):
-        tagged = np.flatnonzero(values != _UNTAGGED)
-        tags.append(meshtags(mesh, d, tagged.astype(np.int32), values[tagged].astype(np.int32)))
-    return TaggedMesh(mesh, *tags, names)
+    return TaggedMesh(mesh, _tags(mesh, dim, of_cell), _tags(mesh, dim - 1, of_facet), names)
+
+
+def _tags(mesh: Mesh, dim: int, values: Numbers) -> Any:
+    """Return the tags of all entities of this rank that have one."""
+    tagged = np.flatnonzero(values != _UNTAGGED)
+    return meshtags(mesh, dim, tagged.astype(np.int32), values[tagged].astype(np.int32))
