@@ -40,6 +40,20 @@ def block(cell, body, comm=MPI.COMM_SELF, n=4, tagged=None):
     return TaggedMesh(mesh, meshtags(mesh, gdim, number, values), tags, {"side": 7})
 
 
+def of_degree_two(cell, body, n=4):
+    """Return the block with nodes on edges and faces as well, on one rank; no facet is tagged."""
+    gdim = GDIM[cell]
+    whole = boxes(MPI.COMM_SELF, [Box((0,) * gdim, (1,) * gdim, (n,) * gdim)], cell)
+    space = _compat.lagrange_space(whole.mesh, 2)
+    nodes, x = _compat.cell_dofs(space).astype(np.int64), space.tabulate_dof_coordinates()
+    mesh = _compat.distributed_mesh(MPI.COMM_SELF, nodes, x[:, :gdim].copy(), cell, degree=2)
+    cells = _compat.geometry_cells(mesh)
+    values = body(mesh.geometry.x[cells].mean(axis=1)).astype(np.int32)
+    none = np.zeros(0, dtype=np.int32)
+    bodies = meshtags(mesh, gdim, np.arange(len(cells), dtype=np.int32), values)
+    return TaggedMesh(mesh, bodies, meshtags(mesh, gdim - 1, none, none), {})
+
+
 def halves(x):
     return np.where(x[:, 0] < 0.5, 1, 2)
 

@@ -14,6 +14,7 @@ from joined_bodies import (
     halves,
     measure,
     middle,
+    of_degree_two,
     thirds,
     vertices,
 )
@@ -186,6 +187,16 @@ def test_fragments_of_gmsh_come_apart(tmp_path, gdim, order):
     topology.create_connectivity(gdim - 1, 0)
     shared = {int(v) for f in hole for v in topology.connectivity(gdim - 1, 0).links(f)}
     assert vertices(after) == vertices(before) + len(shared)
+
+
+@pytest.mark.parametrize("cell", GDIM)
+def test_nodes_of_degree_two_are_doubled_with_their_edges_and_faces(cell):
+    before = of_degree_two(cell, halves)
+    after = split_interfaces(before, [Interface(1, 2, 5, 6)])
+    counts = [tagged.mesh.geometry.index_map().size_global for tagged in (before, after)]
+    assert counts[0] == 9 ** GDIM[cell]
+    assert counts[1] - counts[0] == 9 ** (GDIM[cell] - 1)
+    assert measure(after, "dx", 1) == pytest.approx(0.5)
 
 
 def test_degree_two_keeps_its_curved_sides(tmp_path):
