@@ -218,30 +218,6 @@ def gradients_at_nodes(cell: str) -> NDArray[np.float64]:
     return np.asarray(element.tabulate(1, element.points)[1:, :, :, 0])
 
 
-def nodes_between_vertices(domain: mesh.Mesh) -> list[list[int]]:
-    """Return the vertices around each node of a cell that is not a vertex: of its edge or face.
-
-    The nodes follow the vertices, by ascending number; one inside the cell has all vertices.
-
-    - 0.5.2 and 0.9 have ``geometry.cmap``, 0.11 ``geometry.cmaps``, the other deprecated.
-    """
-    geometry, dim = domain.geometry, domain.topology.dim
-    one_type = hasattr(geometry, "cmaps") and not callable(geometry.cmaps)
-    layout = (geometry.cmaps[0] if one_type else geometry.cmap).create_dof_layout()
-    cell = reference_cell(cell_name(domain))
-    # a facet's nodes come after those of its edges, so that edges are kept
-    counts = {1: len(cell.edges), dim - 1: len(cell.facets), dim: 1}
-    around: dict[int, list[int]] = {}
-    for d in sorted(counts):
-        for entity in range(counts[d]):
-            nodes = [int(n) for n in layout.entity_closure_dofs(d, entity)]
-            ends = sorted(n for n in nodes if n < cell.vertices)
-            for node in nodes:
-                if node >= cell.vertices:
-                    around.setdefault(node, ends)
-    return [around[node] for node in sorted(around)]
-
-
 def cell_name(domain: mesh.Mesh) -> str:
     """Return the shape of the cells, such as "hexahedron".
 

@@ -11,10 +11,11 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from joined_bodies import GDIM, block, halves, of_degree_two
+from joined_bodies import GDIM, halves, of_degree_two
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
+from fenics_tfeti.fem.reference_cells import reference_cell
 from fenics_tfeti.io import Box, boxes
 
 
@@ -36,13 +37,10 @@ def test_the_number_of_threads_of_scotch_is_put_back(monkeypatch):
 def test_nodes_of_degree_two_are_in_the_middle_of_their_vertices(cell):
     mesh = of_degree_two(cell, halves, 2).mesh
     x = mesh.geometry.x[_compat.geometry_cells(mesh)]
-    around = _compat.nodes_between_vertices(mesh)
+    around = reference_cell(cell).midpoints
     middle = np.stack([x[:, ends].mean(axis=1) for ends in around], axis=1)
-    np.testing.assert_allclose(middle, x[:, -len(around) :], atol=1e-12)
-
-
-def test_cells_of_degree_one_have_no_nodes_between_vertices():
-    assert _compat.nodes_between_vertices(block("hexahedron", halves).mesh) == []
+    np.testing.assert_allclose(x[:, len(x[0]) - len(around) :], middle, atol=1e-12)
+    assert x.shape[1] == reference_cell(cell).nodes(2)
 
 
 COMPILES_A_FORM = """

@@ -364,9 +364,9 @@ def _copies_between_vertices(
     Cells have the same copy where they have the same copies of the vertices around it: thus nodes
     of degree 2 are shared where dolfinx sees one edge or face.
     """
-    between = _compat.nodes_between_vertices(mesh)
+    between = cell_type(mesh).midpoints
     digit = 1 + mesh.comm.allreduce(int(copies.max(initial=0)), MPI.MAX)
-    span = digit ** max((len(ends) for ends in between), default=0)
+    span = digit ** copies.shape[1]
     code = np.zeros((len(old), len(between)), dtype=np.int64)
     for k, ends in enumerate(between):
         # neighbours list the vertices in different orders
