@@ -2,6 +2,7 @@
 
     python benchmarks/peers.py --divisions 8 16 --json out.json
     python benchmarks/peers.py --divisions 8 --codes getfem snesvi-icc
+    python benchmarks/peers.py --divisions 10 --scenes "two beams, meshes 1:1.4"
 
 Each code runs in its own process, on one thread. Seconds are from the arrays of the mesh to the
 displacement at the nodes, without imports and just-in-time compilation. On a shared machine,
@@ -27,17 +28,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from peers_scene import SCENES, Answer, sort_key
+from peers_scene import SCENES, Answer, Scene, nodal_load, sort_key
 
-TWO, RIGID = SCENES
+TWO, *_APART, RIGID = SCENES
+APART = tuple(_APART)
 RTOL = 1e-6
 
 
 @dataclass(frozen=True)
 class Code:
-    """A code for a scene: a function of `module`, and the Debian package that it needs."""
+    """A code for some scenes: a function of `module`, and the Debian package that it needs."""
 
-    scene: str
+    scenes: tuple[str, ...]
     module: str
     function: str
     arguments: tuple[Any, ...]
@@ -53,37 +55,48 @@ def _ccx() -> object:
     return shutil.which("ccx")
 
 
-# the first code of each scene is the reference
+# points of Gauss along the edges of a facet of the slave, for GetFEM's integrals
+POINTS = 3
 CODES = {
-    "tfeti": Code(TWO, "peers_fenics", "solve_by_tfeti", (RTOL,)),
-    "tfeti-scotch": Code(TWO, "peers_fenics", "solve_by_tfeti", (RTOL, "scotch")),
-    "getfem": Code(TWO, "peers_getfem", "solve_by_getfem", (RTOL,), "python3-getfem", _getfem),
+    "tfeti": Code((TWO,), "peers_fenics", "solve_by_tfeti", (RTOL,)),
+    "tfeti-scotch": Code((TWO,), "peers_fenics", "solve_by_tfeti", (RTOL, "scotch")),
+    "getfem": Code((TWO,), "peers_getfem", "solve_by_getfem", (RTOL,), "python3-getfem", _getfem),
     "calculix-penalty": Code(
-        TWO, "peers_calculix", "solve_by_calculix", ("penalty",), "calculix-ccx", _ccx
+        (TWO,), "peers_calculix", "solve_by_calculix", ("penalty",), "calculix-ccx", _ccx
     ),
     "calculix-mortar": Code(
-        TWO, "peers_calculix", "solve_by_calculix", ("mortar",), "calculix-ccx", _ccx
+        (TWO,), "peers_calculix", "solve_by_calculix", ("mortar",), "calculix-ccx", _ccx
     ),
-    "tfeti-rigid": Code(RIGID, "peers_fenics", "solve_by_tfeti", (RTOL,)),
-    "tfeti-rigid-scotch": Code(RIGID, "peers_fenics", "solve_by_tfeti", (RTOL, "scotch")),
-    "snesvi-icc": Code(RIGID, "peers_fenics", "solve_by_snesvi", (RTOL, "icc")),
-    "snesvi-gamg": Code(RIGID, "peers_fenics", "solve_by_snesvi", (RTOL, "gamg")),
-    "snesvi-mumps": Code(RIGID, "peers_fenics", "solve_by_snesvi", (RTOL, "mumps")),
+    "tfeti-apart": Code(APART, "peers_fenics", "solve_by_tfeti", (RTOL,)),
+    "tfeti-apart-scotch": Code(APART, "peers_fenics", "solve_by_tfeti", (RTOL, "scotch")),
+    "getfem-mortar": Code(
+        APART, "peers_getfem", "solve_by_getfem_mortar", (RTOL, POINTS), "python3-getfem", _getfem
+    ),
+    "calculix-mortar-apart": Code(
+        APART, "peers_calculix", "solve_by_calculix", ("mortar",), "calculix-ccx", _ccx
+    ),
+    "tfeti-rigid": Code((RIGID,), "peers_fenics", "solve_by_tfeti", (RTOL,)),
+    "tfeti-rigid-scotch": Code((RIGID,), "peers_fenics", "solve_by_tfeti", (RTOL, "scotch")),
+    "snesvi-icc": Code((RIGID,), "peers_fenics", "solve_by_snesvi", (RTOL, "icc")),
+    "snesvi-gamg": Code((RIGID,), "peers_fenics", "solve_by_snesvi", (RTOL, "gamg")),
+    "snesvi-mumps": Code((RIGID,), "peers_fenics", "solve_by_snesvi", (RTOL, "mumps")),
 }
-REFERENCE = {TWO: "tfeti", RIGID: "tfeti-rigid"}
+REFERENCE = {TWO: "tfeti", **dict.fromkeys(APART, "tfeti-apart"), RIGID: "tfeti-rigid"}
 COLUMNS = (
-    ("code", "{:<17}"),
+    ("code", "{:<21}"),
     ("seconds", "{:>8.2f}"),
     ("processor_seconds", "{:>8.2f}"),
     ("ratio", "{:>6.1f}"),
     ("peak_memory_mb", "{:>6.0f}"),
     ("iterations", "{:>6d}"),
-    ("difference", "{:>9.1e}"),
-    ("force_difference", "{:>9.1e}"),
+    ("difference", "{:>8.1e}"),
+    ("work_difference", "{:>8.1e}"),
+    ("force_difference", "{:>8.1e}"),
+    ("pressure_difference", "{:>8.1e}"),
 )
 HEADER = """\
-                     clock process.  ratio         iter-         u     force
-code                     s        s            MB ations   differ.   differ."""
+                         clock process.  ratio         iter-        u     work    force pressure
+code                         s        s            MB ations   differ   differ   differ   differ"""
 
 
 def main() -> None:
@@ -93,10 +106,11 @@ def main() -> None:
         return
     chosen = list(CODES) if "all" in arguments.codes else arguments.codes
     # the reference runs in any case
-    wanted = {REFERENCE[CODES[name].scene] for name in chosen}.union(chosen)
+    wanted = {REFERENCE[s] for name in chosen for s in CODES[name].scenes}.union(chosen)
     rows: list[dict[str, Any]] = []
-    for scene in (s for s in SCENES if REFERENCE[s] in wanted):
-        names = [n for n in CODES if n in wanted and CODES[n].scene == scene]
+    scenes = arguments.scenes or SCENES
+    for scene in (s for s in SCENES if s in scenes and REFERENCE[s] in wanted):
+        names = [n for n in CODES if n in wanted and scene in CODES[n].scenes]
         for divisions in arguments.divisions:
             rows += compare(scene, names, divisions)
     if arguments.json:
@@ -109,14 +123,16 @@ def parse_arguments() -> argparse.Namespace:
         "--divisions", type=int, nargs="+", default=[8], metavar="1/h", help="elements per metre"
     )
     parser.add_argument("--codes", nargs="+", default=["all"], choices=["all", *CODES])
+    parser.add_argument("--scenes", nargs="+", choices=list(SCENES), help="by default all")
     parser.add_argument("--json", metavar="FILE", help="write the table")
-    parser.add_argument("--child", nargs=3, help=argparse.SUPPRESS)
+    parser.add_argument("--child", nargs=4, help=argparse.SUPPRESS)
     return parser.parse_args()
 
 
 def compare(scene: str, names: list[str], divisions: int) -> list[dict[str, Any]]:
     """Run the codes on one mesh, print the table, and return its rows."""
-    unknowns = 3 * len(SCENES[scene](divisions).points)
+    mesh = SCENES[scene](divisions)
+    unknowns = 3 * len(mesh.points)
     print(f"{scene}, h = 1/{divisions}, {unknowns} unknowns")
     print(HEADER)
     rows: list[dict[str, Any]] = []
@@ -127,46 +143,61 @@ def compare(scene: str, names: list[str], divisions: int) -> list[dict[str, Any]
         rows.append(row)
         if not CODES[name].find():
             row["skipped"] = f"{name} needs the Debian package {CODES[name].package}"
-            print(f"{name:<17} skipped: {sys.executable} does not find {CODES[name].package}")
+            print(f"{name:<21} skipped: {sys.executable} does not find {CODES[name].package}")
             continue
         try:
-            figures, answer = run(name, divisions)
+            figures, answer = run(name, scene, divisions)
         except RuntimeError as error:
             if reference is None:
                 raise
             row["failed"] = str(error)
-            print(f"{name:<17} failed: {error}")
+            print(f"{name:<21} failed: {error}")
             continue
         row.update(figures)
         reference = reference or (row, answer)
-        row.update(differences(row, answer, *reference))
+        row.update(differences(mesh, row, answer, *reference))
         print(*(form.format(row[key]) for key, form in COLUMNS), flush=True)
     print()
     return rows
 
 
 def differences(
-    row: dict[str, Any], answer: Answer, reference_row: dict[str, Any], reference: Answer
+    scene: Scene,
+    row: dict[str, Any],
+    answer: Answer,
+    reference_row: dict[str, Any],
+    reference: Answer,
 ) -> dict[str, float]:
-    """Compare with the answer of fenics_tfeti, at nodes of the same coordinates and body."""
+    """Compare with the answer of fenics_tfeti, at nodes of the same coordinates and body.
+
+    The work of the load is twice the energy where gaps are zero; pressures are compared where both
+    codes have some, NaN if one has none.
+    """
     order, reference_order = (sort_key(a.coordinates, a.body) for a in (answer, reference))
     same = np.allclose(answer.coordinates[order], reference.coordinates[reference_order], atol=1e-6)
     if not (same and np.array_equal(answer.body[order], reference.body[reference_order])):
         raise AssertionError("the codes did not solve on the same nodes")
     u, v = answer.displacement[order], reference.displacement[reference_order]
+    load = nodal_load(scene)[sort_key(scene.points, scene.node_body())]
+    p, q = answer.pressure[order], reference.pressure[reference_order]
+    slave = np.isfinite(p) & np.isfinite(q)
+    pressure = np.linalg.norm((p - q)[slave]) / np.linalg.norm(q[slave]) if slave.any() else np.nan
     return {
         "difference": float(np.linalg.norm(u - v) / np.linalg.norm(v)),
+        "work_difference": float(abs(load @ (u - v)[:, 2]) / abs(load @ v[:, 2])),
+        "pressure_difference": float(pressure),
         "force_difference": abs(answer.force - reference.force) / abs(reference.force),
         "ratio": row["processor_seconds"] / reference_row["processor_seconds"],
     }
 
 
-def run(name: str, divisions: int) -> tuple[dict[str, Any], Answer]:
+def run(name: str, scene: str, divisions: int) -> tuple[dict[str, Any], Answer]:
     """Run a code in its own process; raise RuntimeError with its last output if it fails."""
     one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "answer.npz"
-        command = [sys.executable, __file__, "--child", name, str(divisions), str(output)]
+        child = ["--child", name, scene, str(divisions), str(output)]
+        command = [sys.executable, __file__, *child]
         done = subprocess.run(
             command, env={**os.environ, **one_thread}, capture_output=True, text=True
         )
@@ -176,18 +207,22 @@ def run(name: str, divisions: int) -> tuple[dict[str, Any], Answer]:
         with np.load(output) as arrays:
             figures = json.loads(str(arrays["figures"]))
             answer = Answer(
-                arrays["coordinates"], arrays["displacement"], arrays["body"], figures["force"]
+                arrays["coordinates"],
+                arrays["displacement"],
+                arrays["body"],
+                figures["force"],
+                pressure=arrays["pressure"],
             )
     return figures, answer
 
 
-def run_child(name: str, divisions: str, output: str) -> None:
+def run_child(name: str, scene_name: str, divisions: str, output: str) -> None:
     """Solve, and write the answer with the figures of this process and its children."""
     code = CODES[name]
     solve = getattr(importlib.import_module(code.module), code.function)
     if code.module == "peers_fenics":
-        solve(SCENES[code.scene](2), *code.arguments)  # compiles the forms
-    scene = SCENES[code.scene](int(divisions))
+        solve(SCENES[scene_name](2), *code.arguments)  # compiles the forms
+    scene = SCENES[scene_name](int(divisions))
     clock, processor = time.perf_counter(), _processor_seconds()
     answer: Answer = solve(scene, *code.arguments)
     figures = {
@@ -202,6 +237,7 @@ def run_child(name: str, divisions: str, output: str) -> None:
         coordinates=answer.coordinates,
         displacement=answer.displacement,
         body=answer.body,
+        pressure=answer.pressure,
         figures=json.dumps(figures),
     )
 

@@ -10,10 +10,12 @@ from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
-from peers_scene import POISSON, TRACTION, YOUNG, Answer, Scene
+from peers_scene import POISSON, YOUNG, Answer, Scene, nodal_load, slave_areas, slave_nodes
 
 # vertices x + 2 y + 4 z in the order of C3D8
 _ORDER = [0, 1, 3, 2, 4, 5, 7, 6]
+# sides x = const of the supports
+_HELD = {"CLAMPED": 0.0, "GUIDED": 3.0}
 # Contact, surface behaviour, equation solver. The penalty of 100 E per metre needs the fewest steps
 # (10 at h = 1/8; 1e3 E: 12, 1e4 E: 17), and ITERATIVE CHOLESKY the least time of the solvers in
 # Debian's package. With mortars the iterative solvers do not finish within a minute at h = 1/8.
@@ -43,16 +45,21 @@ def solve_by_calculix(scene: Scene, way: str) -> Answer:
         if "Job finished" not in done.stdout:
             raise RuntimeError("ccx stopped:\n" + "\n".join(done.stdout.splitlines()[-10:]))
         lines = (Path(folder) / "beams.dat").read_text().splitlines()
-    displacement, force = _read(lines, len(scene.points))
-    body = np.zeros(len(scene.points), dtype=np.int32)
-    body[scene.cells] = scene.body[:, np.newaxis]
+    displacement = _read(lines, "displacements", scene)
+    total = max(i for i, line in enumerate(lines) if "set CLAMPED" in line)
+    force = float(lines[total + 2].split()[2])
+    pressure = np.full(len(scene.points), np.nan)
+    if way == "mortar":
+        # the forces of the elements at the nodes, without what is applied there
+        slave, nodal = slave_nodes(scene), _read(lines, "forces", scene)[:, 2] - nodal_load(scene)
+        pressure[slave] = nodal[slave] / slave_areas(scene)
     steps = sum(line.startswith(" iteration ") for line in done.stdout.splitlines())
     facts = {"iterations": steps, "iterations_of": "Newton steps", "solver": WAYS[way][2]}
-    return Answer(scene.points, displacement, body, force, facts)
+    return Answer(scene.points, displacement, scene.node_body(), force, facts, pressure)
 
 
 def _write(file: TextIO, scene: Scene, contact: str, behaviour: str, solver: str) -> None:
-    x, h = scene.points, 1.0 / scene.divisions
+    x = scene.points
     numbers = np.arange(1, len(x) + 1)
     cells = 1 + scene.cells[:, _ORDER]
     file.write("*NODE,NSET=ALL\n")
@@ -61,10 +68,12 @@ def _write(file: TextIO, scene: Scene, contact: str, behaviour: str, solver: str
     np.savetxt(
         file, np.column_stack([np.arange(1, len(cells) + 1), cells]), fmt="%d", delimiter=","
     )
-    for name, place in (("CLAMPED", 0.0), ("GUIDED", 3.0)):
+    sets = {name: np.flatnonzero(np.isclose(x[:, 0], at)) for name, at in _HELD.items()}
+    for name, nodes in {**sets, "TOUCHING": slave_nodes(scene)}.items():
         file.write(f"*NSET,NSET={name}\n")
-        np.savetxt(file, 1 + np.flatnonzero(np.isclose(x[:, 0], place)), fmt="%d")
+        np.savetxt(file, 1 + nodes, fmt="%d")
     centre = x[scene.cells].mean(axis=1)
+    h = 1.0 / np.where(scene.body == 1, scene.lower_divisions, scene.divisions)
     at_contact = np.isclose(np.abs(centre[:, 2] - 1.0), 0.5 * h)
     at_contact &= (centre[:, 0] > 1.0) & (centre[:, 0] < 2.0)
     for name, body, face in (("SLAVE", 2, "S1"), ("MASTER", 1, "S2")):
@@ -78,30 +87,19 @@ def _write(file: TextIO, scene: Scene, contact: str, behaviour: str, solver: str
     file.write("*BOUNDARY\nCLAMPED,1,3\nGUIDED,1,2\n")
     # the whole load in one increment, as the other codes do
     file.write(f"*STEP\n*STATIC,SOLVER={solver},DIRECT\n1.,1.\n*CLOAD\n")
-    force = _nodal_load(scene)
+    force = nodal_load(scene)
     loaded = np.flatnonzero(force)
     columns = np.column_stack([loaded + 1, np.full(len(loaded), 3), force[loaded]])
     np.savetxt(file, columns, fmt="%d,%d,%.12g")
-    file.write("*NODE PRINT,NSET=ALL\nU\n*NODE PRINT,NSET=CLAMPED,TOTALS=ONLY\nRF\n*END STEP\n")
+    file.write("*NODE PRINT,NSET=ALL\nU\n*NODE PRINT,NSET=TOUCHING\nRF\n")
+    file.write("*NODE PRINT,NSET=CLAMPED,TOTALS=ONLY\nRF\n*END STEP\n")
 
 
-def _nodal_load(scene: Scene) -> NDArray[np.float64]:
-    """Return the nodal forces in z of the traction on the top and the end of the upper beam."""
-    force = np.zeros(len(scene.points))
-    vertices = scene.points[scene.cells]
-    for axis, place in ((2, 2.0), (0, 1.0)):
-        on_face = np.isclose(vertices[..., axis], place)
-        faces = (on_face.sum(axis=1) == 4) & (scene.body == 2)
-        nodes = scene.cells[faces][on_face[faces]]
-        np.add.at(force, nodes, -TRACTION / (4.0 * scene.divisions**2))
-    return force
-
-
-def _read(lines: list[str], nodes: int) -> tuple[NDArray[np.float64], float]:
-    """Return the displacement (nodes, 3) and the total reaction of the last increment."""
-    last = max(i for i, line in enumerate(lines) if line.strip().startswith("displacements"))
-    rows = np.array([line.split() for line in lines[last + 2 : last + 2 + nodes]], dtype=float)
-    total = max(i for i, line in enumerate(lines) if "set CLAMPED" in line)
-    displacement = np.zeros((nodes, 3))
-    displacement[rows[:, 0].astype(np.int64) - 1] = rows[:, 1:]
-    return displacement, float(lines[total + 2].split()[2])
+def _read(lines: list[str], what: str, scene: Scene) -> NDArray[np.float64]:
+    """Return a table (nodes, 3) of the last increment; zero for nodes that are not in it."""
+    first = 2 + max(i for i, line in enumerate(lines) if line.strip().startswith(what))
+    last = next((i for i in range(first, len(lines)) if not lines[i].strip()), len(lines))
+    rows = np.array([line.split() for line in lines[first:last]], dtype=float)
+    values = np.zeros((len(scene.points), 3))
+    values[rows[:, 0].astype(np.int64) - 1] = rows[:, 1:]
+    return values

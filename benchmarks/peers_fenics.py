@@ -73,13 +73,15 @@ class Elasticity:
             wanted += [(CLAMPED, c) for c in (0, 1, 2)]
         return [fem.dirichletbc(0.0, self.dofs(tag, c), self.space.sub(c)) for tag, c in wanted]
 
-    def answer(self, values: Any, force: float, **facts: Any) -> Answer:
+    def answer(self, values: Any, force: float, pressure: Any = (), **facts: Any) -> Answer:
         """Return an answer from the values (3 n) of the displacement."""
         nodes = _compat.cell_dofs(self.space)
         body = np.zeros(len(values) // 3, dtype=np.int32)
         body[nodes] = self.bodies.values[:, np.newaxis]
         points = self.space.tabulate_dof_coordinates()
-        return Answer(points, np.asarray(values).reshape(-1, 3), body, force, facts)
+        return Answer(
+            points, np.asarray(values).reshape(-1, 3), body, force, facts, np.asarray(pressure)
+        )
 
 
 def solve_by_tfeti(scene: Scene, rtol: float, partitioner: str = "auto") -> Answer:
@@ -96,13 +98,15 @@ def solve_by_tfeti(scene: Scene, rtol: float, partitioner: str = "auto") -> Answ
         options={"rtol": rtol, "partitioner": partitioner},
     )
     uh = problem.solve()
-    certificate = problem.report.to_dict()["certificate"]
+    pressure = np.full(len(scene.points), np.nan)
+    pressure[problem.contact[0].nodes] = problem.contact[0].pressure
     return parts.answer(
         uh.x.array.copy(),
         float(problem.contact[0].normal_force.sum()),
+        pressure,
         iterations=problem.report.products["total"],
         iterations_of="products with F",
-        residual=max(certificate.values()),
+        residual=max(problem.report.certificate.numbers().values()),
     )
 
 

@@ -121,7 +121,8 @@ problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=[contact])
 # way from the normal forces of the nodes.
 
 radii, peaks, hertz, curves = [], [], [], {}
-for force, style in zip(forces, ("", "o", "", "s", "", "^"), strict=True):
+# colour and marker of the loads that are drawn; Hertz's curve is a line of the same colour
+for force, style in zip(forces, ("", "C0o", "", "C1s", "", "C3^"), strict=True):
     traction.value = -force / (np.pi * R1**2)
     uh = problem.solve()
     nodes = problem.contact[0].gather()
@@ -144,7 +145,7 @@ for force, style in zip(forces, ("", "o", "", "s", "", "^"), strict=True):
         shown, name = angle < 55, f"{1e-3 * force:.1f} kN"
         curves[name] = angle[shown], 1e-6 * nodes.pressure[shown], style
         profile = 1e-6 * p0 * np.sqrt(1 - (line / a) ** 2)
-        curves[f"Hertz, {name}"] = np.degrees(np.arcsin(line / R2)), profile, "-"
+        curves[f"Hertz, {name}"] = np.degrees(np.arcsin(line / R2)), profile, f"{style[:2]}-"
 
 # With elements half as large (`meshes/ball_in_socket.py --element-size 2.5e-4`), radius and
 # largest pressure under the largest force are

@@ -5,6 +5,7 @@ Importing this module imports dolfinx.
 
 from fenics_tfeti.fem.io import (
     Box,
+    Interface,
     TaggedMesh,
     boxes,
     contact_fields,
@@ -12,6 +13,7 @@ from fenics_tfeti.fem.io import (
     draw_deformed,
     draw_profile,
     read_msh,
+    split_interfaces,
     tag_facets,
     von_mises,
     write_fields,
@@ -19,6 +21,7 @@ from fenics_tfeti.fem.io import (
 
 __all__ = [
     "Box",
+    "Interface",
     "TaggedMesh",
     "boxes",
     "contact_fields",
@@ -26,6 +29,7 @@ __all__ = [
     "draw_deformed",
     "draw_profile",
     "read_msh",
+    "split_interfaces",
     "tag_facets",
     "von_mises",
     "write_fields",

@@ -474,8 +474,9 @@ def distributed_mesh(
     cells: NDArray[np.int64],
     points: NDArray[np.float64],
     cell: str,
+    degree: int = 1,
 ) -> dolfinx.mesh.Mesh:
-    """Create a distributed mesh of first-order cells from arrays.
+    """Create a distributed mesh from arrays.
 
     - 0.5.2 has ``create_mesh(comm, cells, x, domain)`` and elements from ``ufl``;
     - 0.9 has ``create_mesh(comm, cells, x, e)``, 0.11 ``create_mesh(comm, cells, e, x)``, both
@@ -487,22 +488,24 @@ def distributed_mesh(
     ----------
     comm : MPI.Comm
         Communicator of the mesh.
-    cells : (m, v) array of int
-        Numbers of the nodes of this rank's share of the cells, in the vertex order of dolfinx.
+    cells : (m, n) array of int
+        Numbers of the nodes of this rank's share of the cells, in the order of dolfinx.
     points : (k, gdim) array
         This rank's share of the nodes [m]; they are numbered through the ranks.
     cell : str
         Shape of the cells, such as "hexahedron".
+    degree : int
+        Degree of the cells' geometry.
     """
     gdim = points.shape[1]
     if "domain" in inspect.signature(mesh.create_mesh).parameters:
         shape = ufl.Cell(cell, geometric_dimension=gdim)
-        domain = ufl.Mesh(ufl.VectorElement("Lagrange", shape, 1))
+        domain = ufl.Mesh(ufl.VectorElement("Lagrange", shape, degree))
         with quiet_compiler():
             return mesh.create_mesh(comm, cells, points, domain=domain)
     import basix.ufl
 
-    element = basix.ufl.element("Lagrange", cell, 1, shape=(gdim,))
+    element = basix.ufl.element("Lagrange", cell, degree, shape=(gdim,))
     return mesh.create_mesh(comm, cells, x=points, e=ufl.Mesh(element))
 
 

@@ -87,17 +87,21 @@ class ReferenceCell:
         """
         return self._facet_nodes[degree - 1]
 
+    @property
+    def midpoints(self) -> tuple[Vertices, ...]:
+        """The vertices around each node of degree 2 that is not a vertex; it is in their middle."""
+        if self.is_simplex:
+            return self.edges
+        faces = self.facets if self.dim == 3 else ()
+        return (*self.edges, *faces, tuple(range(self.vertices)))
+
     def pieces(self, degree: int) -> tuple[Vertices, ...]:
         """Return the cells of this type into which the nodes of degree 1 or 2 cut the cell."""
         return self._halved if degree == 2 else (tuple(range(self.vertices)),)
 
     @cached_property
     def _halved(self) -> tuple[Vertices, ...]:
-        # each node is the mean of the vertices of the cell's vertices, edges, ...
-        means: list[Vertices] = [(vertex,) for vertex in range(self.vertices)]
-        means += self.edges
-        if not self.is_simplex:
-            means += [*(self.facets if self.dim == 3 else ()), tuple(range(self.vertices))]
+        means = (*((vertex,) for vertex in range(self.vertices)), *self.midpoints)
         number = {frozenset(mean): node for node, mean in enumerate(means)}
         cut = _SIMPLEX_PIECES[self.dim] if self.is_simplex else _grid_pieces(self.dim)
         return tuple(tuple(number[frozenset(mean)] for mean in piece) for piece in cut)

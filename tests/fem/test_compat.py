@@ -11,9 +11,11 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from joined_bodies import GDIM, halves, of_degree_two
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
+from fenics_tfeti.fem.reference_cells import reference_cell
 from fenics_tfeti.io import Box, boxes
 
 
@@ -29,6 +31,16 @@ def test_the_number_of_threads_of_scotch_is_put_back(monkeypatch):
     path = np.array([0, 1, 3, 4], dtype=np.int32), np.array([1, 0, 2, 1], dtype=np.int32)
     _compat.partition_graph(*path, 2)
     assert os.environ["SCOTCH_PTHREAD_NUMBER"] == "2"
+
+
+@pytest.mark.parametrize("cell", GDIM)
+def test_nodes_of_degree_two_are_in_the_middle_of_their_vertices(cell):
+    mesh = of_degree_two(cell, halves, 2).mesh
+    x = mesh.geometry.x[_compat.geometry_cells(mesh)]
+    around = reference_cell(cell).midpoints
+    middle = np.stack([x[:, ends].mean(axis=1) for ends in around], axis=1)
+    np.testing.assert_allclose(x[:, len(x[0]) - len(around) :], middle, atol=1e-12)
+    assert x.shape[1] == reference_cell(cell).nodes(2)
 
 
 COMPILES_A_FORM = """

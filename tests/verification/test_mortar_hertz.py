@@ -161,3 +161,17 @@ def test_sphere(tmp_path, slave):
     assert abs(radius) < 0.04
     assert square < 0.12
     assert square < coarse[2]
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("slave", [BALL, BLOCK], ids=["sphere", "block"])
+def test_sphere_with_degree_2(tmp_path, slave):
+    linear, quadratic = (
+        errors(solved(tmp_path / f"{degree}.msh", 3, (0.14, 0.12), slave, degree))
+        for degree in (1, 2)
+    )
+    peak, radius, square, _ = np.abs(quadratic)
+    assert peak < 0.01
+    assert radius < 0.01
+    assert square < 0.04
+    assert square < 0.5 * linear[2]

@@ -59,7 +59,11 @@ def check_arguments(contact: ContactPair, name: str, degree: int) -> None:
         pairs of nodes for displacements of degree 2.
     """
     if contact.slave == contact.master:
-        raise InputError(f"{name}: slave and master have the same tag {contact.slave}")
+        raise InputError(
+            f"{name}: slave and master have the same tag {contact.slave}; each surface needs one "
+            "of its own. Where it is one surface between two bodies that share its nodes, "
+            "fenics_tfeti.io.split_interfaces makes two of it"
+        )
     if contact.discretisation not in ("auto", "node_to_node", "mortar"):
         raise InputError(
             f"{name}: discretisation is {contact.discretisation!r}; 'auto', 'node_to_node' or "
@@ -135,9 +139,10 @@ def check_shared_nodes(
         slave.points,
         lambda number, place: (
             f"{name}: slave and master share {number} nodes, the first at {place}. The surfaces "
-            "overlap or the bodies are one: each body needs nodes of its own. (Where two faces of "
-            "one body meet, such as at the tip of a crack, partial=True leaves the shared nodes "
-            "free)"
+            "overlap or the bodies are one: each body needs nodes of its own. Bodies that share "
+            "nodes, as Gmsh's fragment makes them, get their own by "
+            "fenics_tfeti.io.split_interfaces. (Where two faces of one body meet, such as at the "
+            "tip of a crack, partial=True leaves the shared nodes free)"
         ),
     )
 

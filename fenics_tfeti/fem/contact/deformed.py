@@ -92,8 +92,8 @@ def deformed_contact(
     """Measure normals, gaps and penetration in the deformed state. Collective.
 
     For pairs of nodes the facets and nodes of both surfaces are gathered on all ranks; for mortar
-    conditions a rank gets those near its part of the slave. A bilinear quadrilateral is approximated
-    by four triangles around its centre.
+    conditions a rank gets those near its part of the slave. A bilinear quadrilateral is
+    approximated by four triangles around its centre.
 
     The normal at a node is the integral of the deformed facets' normal times the node's shape
     function, as in `match_contact`. The gap to a master is measured along it, see

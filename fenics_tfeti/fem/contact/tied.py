@@ -116,7 +116,10 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
     comm = space.mesh.comm
     with raise_collectively(comm):
         if pair.slave == pair.master:
-            raise InputError(f"{name}: slave and master have the same tag {pair.slave}")
+            raise InputError(
+                f"{name}: slave and master have the same tag {pair.slave}; each surface needs one "
+                "of its own. Bodies that share the nodes of a surface are tied already"
+            )
     slave = tagged_surface(boundary, pair.facet_tags, pair.slave, f"slave of {name}")
     tagged_surface(boundary, pair.facet_tags, pair.master, f"master of {name}")
     master = gather_nearby(space, pair.facet_tags, pair.master, pair.slave, slave.nodes)
@@ -230,7 +233,8 @@ def _check_separate(
         slave.points,
         lambda number, place: (
             f"{name}: slave and master share {number} nodes, the first at {place}. Surfaces that "
-            "share nodes are one already: leave the pair out, or give each part nodes of its own"
+            "share nodes are one already: leave the pair out, or give each part nodes of its own "
+            "by fenics_tfeti.io.split_interfaces"
         ),
     )
 

@@ -7,12 +7,14 @@ from fenics_tfeti.fem.io.fields import (
     write_fields,
 )
 from fenics_tfeti.fem.io.gmsh import read_msh
+from fenics_tfeti.fem.io.interfaces import Interface, split_interfaces
 from fenics_tfeti.fem.io.pictures import draw_deformed, draw_profile
 from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
 from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
 
 __all__ = [
     "Box",
+    "Interface",
     "TaggedMesh",
     "boxes",
     "contact_fields",
@@ -20,6 +22,7 @@ __all__ = [
     "draw_deformed",
     "draw_profile",
     "read_msh",
+    "split_interfaces",
     "tag_facets",
     "von_mises",
     "write_fields",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io._gmsh_session import import_gmsh, opened_file
+from fenics_tfeti.fem.io.interfaces import Interface, split_interfaces
 from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
 from fenics_tfeti.fem.reference_cells import MESH_CELLS
 from fenics_tfeti.parallel import raise_collectively
@@ -29,13 +31,17 @@ _ENTITY = ("point", "curve", "surface", "volume")
 
 
 def read_msh(
-    path: str | os.PathLike[str], comm: MPI.Comm = MPI.COMM_WORLD, gdim: int = 3
+    path: str | os.PathLike[str],
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    gdim: int = 3,
+    split: Sequence[Interface] = (),
 ) -> TaggedMesh:
     """Read a mesh and its physical groups from a Gmsh file.
 
     Rank 0 reads the file, then dolfinx distributes the cells. Nodes at the same place are not
-    merged: bodies that touch stay separate bodies. Nodes of no cell are left out, with a warning in
-    the log. Collective.
+    merged: bodies that touch stay separate bodies. Bodies that share nodes, as `fragment` of Gmsh
+    makes them, are separated at the interfaces in `split`. Nodes of no cell are left out, with a
+    warning in the log. Collective.
 
     Parameters
     ----------
@@ -46,6 +52,8 @@ def read_msh(
         Communicator of the mesh.
     gdim : int
         Number of coordinates, 2 or 3, equal to the dimension of the cells.
+    split : sequence of Interface
+        Surfaces between bodies that share their nodes, to be opened by `split_interfaces`.
 
     Returns
     -------
@@ -60,8 +68,8 @@ def read_msh(
         If the Python module of Gmsh is missing.
     InputError
         If the file cannot be read, a cell is in it twice or has a node twice, or the physical
-        groups do not give each cell one tag and each facet at most one. All errors are raised on
-        all ranks.
+        groups do not give each cell one tag and each facet at most one; errors of
+        `split_interfaces`. All errors are raised on all ranks.
 
     Examples
     --------
@@ -86,7 +94,8 @@ def read_msh(
     found = comm.allreduce(int(np.count_nonzero(facet_tags.indices < owned)))
     if found != tagged_facets:
         raise _not_facets(path, tagged_facets - found, tagged_facets, gdim - 1)
-    return TaggedMesh(mesh, cell_tags, facet_tags, names)
+    tagged = TaggedMesh(mesh, cell_tags, facet_tags, names)
+    return split_interfaces(tagged, split) if split else tagged
 
 
 def _prepare(model: Any, path: Path, gdim: int) -> tuple[dict[str, int], int]:

@@ -50,6 +50,8 @@ class ConditionRows:
         Factor that makes B D^{-1} B' = 1 of the condition whose slave's sum has length 1.
     rhs : (r,) array
         Right-hand side, scaled.
+    tolerance : (rows of this rank,) array
+        Rounding of the right-hand sides of the rows that this rank gives, scaled.
     tied : (r,) bool array
         Whether it is an equality.
     given_tied : (rows of this rank,) bool array
@@ -67,6 +69,7 @@ class ConditionRows:
     contact: Numbers
     scale: Vector
     rhs: Vector
+    tolerance: Vector
     tied: Mask
     given_tied: Mask
     kept: Mask
@@ -158,7 +161,17 @@ def condition_rows(
     )
     infinite_gaps = int(system.comm.allreduce(int(np.count_nonzero(~finite))))
     return ConditionRows(
-        entries, number, contact, scale, rhs, equality, tied, kept, infinite_gaps, redundancy
+        entries,
+        number,
+        contact,
+        scale,
+        rhs,
+        given[2] * tolerance,
+        equality,
+        tied,
+        kept,
+        infinite_gaps,
+        redundancy,
     )
 
 

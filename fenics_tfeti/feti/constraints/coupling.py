@@ -56,6 +56,8 @@ class Coupling:
         linearly on others.
     tied : (w,) bool array
         Which of them are equalities.
+    tolerance : (w,) array
+        Rounding of their right-hand sides.
     rows : (h,) integer array
         Local positions of the coupled rows that this rank holds.
     positions : (h,) integer array
@@ -69,6 +71,7 @@ class Coupling:
     numbers: Numbers
     gram: sp.csr_matrix
     tied: Mask
+    tolerance: Vector
     rows: Numbers
     positions: Numbers
     owned: Mask

@@ -22,6 +22,9 @@ __all__ = ["check_conditions", "contradiction"]
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
+# gap that is far, relative to the largest negative one
+_FAR = 1e6
+
 
 def check_conditions(system: TornSystem, constraints: Constraints, c: Vector) -> None:
     """Check that all conditions and the prescribed displacements have a common solution.
@@ -50,12 +53,13 @@ def check_conditions(system: TornSystem, constraints: Constraints, c: Vector) ->
         both = np.append(np.arange(members.size), tied)
         sign = np.append(np.ones(members.size), -np.ones(tied.size))
         W = coupling.gram[members][:, members].toarray()[np.ix_(both, both)]
-        found = contradiction(sign[:, None] * W * sign, sign * gaps[members[both]])
+        rounding = coupling.tolerance[members[both]]
+        found = contradiction(sign[:, None] * W * sign, sign * gaps[members[both]], rounding)
         if found.size:
             _raise(system, constraints, coupling.numbers[members[np.unique(both[found])]])
 
 
-def contradiction(W: Vector, gaps: Vector) -> Numbers:
+def contradiction(W: Vector, gaps: Vector, rounding: Vector | float = 0.0) -> Numbers:
     """Return rows of B_I u <= c that have no common solution; none if all of them have one.
 
     Parameters
@@ -64,6 +68,8 @@ def contradiction(W: Vector, gaps: Vector) -> Numbers:
         Gram matrix of the rows, which have unit length.
     gaps : (k,) array
         c.
+    rounding : (k,) array or float
+        Errors of c: a contradiction that they may have caused is none.
 
     Examples
     --------
@@ -74,12 +80,16 @@ def contradiction(W: Vector, gaps: Vector) -> Numbers:
     >>> [contradiction(W, np.full(3, gap)).tolist() for gap in (0.1, 0.0, -0.1)]
     [[], [], [0, 1, 2]]
     """
-    size = float(np.abs(gaps).max(initial=0.0))
+    gaps = gaps + rounding
+    # gaps that are so much larger than what others lack have no part in a contradiction, and the
+    # other gaps would be lost in their rounding
+    near = np.flatnonzero(gaps <= _FAR * (-gaps).max(initial=0.0))
+    W, gaps = W[near][:, near], gaps[near]
     # gaps that contradict each other by rounding only leave a single point
-    gaps = gaps + SAME_VALUE * size
+    gaps = gaps + SAME_VALUE * np.abs(gaps).max(initial=0.0)
     violation = float((-gaps).max(initial=0.0))
     if violation == 0.0:
-        return np.zeros(0, dtype=np.int64)
+        return near[:0]
     values, vectors = np.linalg.eigh(W)
     there = values > PARALLEL
     rows = np.sqrt(values[there]) * vectors[:, there]
@@ -88,8 +98,8 @@ def contradiction(W: Vector, gaps: Vector) -> Numbers:
     b = np.append(np.zeros(rows.shape[1]), -1.0)
     forces = nonnegative_least_squares(A, b)
     if np.linalg.norm(A @ forces - b) > np.sqrt(PARALLEL):
-        return np.zeros(0, dtype=np.int64)
-    found: Numbers = np.flatnonzero(forces > SAME_VALUE * forces.max())
+        return near[:0]
+    found: Numbers = near[forces > SAME_VALUE * forces.max()]
     return found
 
 

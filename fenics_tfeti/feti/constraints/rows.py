@@ -238,9 +238,11 @@ def _coupling(layout: DualLayout, conditions: ConditionRows) -> Coupling:
     kept, redundancy = conditions.kept, conditions.redundancy
     own = redundancy.coupled[kept]
     numbers = concatenate_ranks(layout.comm, conditions.number[: own.size][own])
-    tied = concatenate_ranks(layout.comm, conditions.given_tied[kept][own])
+    tied, tolerance = (
+        concatenate_ranks(layout.comm, column[kept][own])
+        for column in (conditions.given_tied, conditions.tolerance)
+    )
     positions = np.flatnonzero(np.isin(numbers, layout.numbers))
     rows = layout.local(numbers[positions])
-    return Coupling(
-        numbers, redundancy.gram, tied, rows, positions, rows < layout.owned, layout.comm
-    )
+    owned = rows < layout.owned
+    return Coupling(numbers, redundancy.gram, tied, tolerance, rows, positions, owned, layout.comm)

@@ -60,6 +60,32 @@ def test_prescribed_displacement_into_a_wedge():
         TornSolver(held_cubes(rows, 0.2))
 
 
+@pytest.mark.parametrize("far", [1e3, 1e12])
+def test_far_gap_beside_a_contradiction(far):
+    """In the coordinates of the three walls, the fourth one is far away."""
+    rows = np.array([[1.0, 0.0], [-0.5, 0.75**0.5], [-0.5, -(0.75**0.5)], [0.0, 1.0]])
+    W = rows @ rows.T
+    assert contradiction(W, np.array([-1e-4, -1e-4, -1e-4, far])).tolist() == [0, 1, 2]
+    assert contradiction(W, np.array([1e-4, 1e-4, -1e-4, far])).size == 0
+
+
+@pytest.mark.parametrize("rounding", [0.9e-9, 1.1e-9])
+def test_contradiction_within_rounding_is_none(rounding):
+    W = np.array([[1.0, -0.5, -0.5], [-0.5, 1.0, -0.5], [-0.5, -0.5, 1.0]])
+    found = contradiction(W, np.full(3, -1e-9), np.full(3, rounding))
+    assert found.size == (3 if rounding < 1e-9 else 0)
+
+
+def test_tied_rows_and_a_wall_beside_a_far_one():
+    """The node is tied to the origin along x and y, and a wall pushes it along (1, 1)."""
+    walls = conditions((X + Y, -1e-4), (X - Y, 1e9))
+    tied = conditions((X, 0.0), (Y, 0.0))
+    system = held_cubes(walls)
+    system = TornSystem(system.subdomains, system.prescribed, walls, 3, tied=tied)
+    with pytest.raises(InputError, match=f"contradict each other: 3 conditions.*{NODE}"):
+        TornSolver(system).solve()
+
+
 @pytest.mark.parametrize("seed", range(40))
 def test_contradiction_is_that_of_a_linear_programme(seed):
     rng = np.random.default_rng(seed)

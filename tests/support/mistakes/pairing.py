@@ -259,6 +259,15 @@ def mortar_conditions_of_pairs(comm):
     mortar(comm, discretisation="mortar", pairs=(PLACES, PLACES))
 
 
+@mistake("joint", "asks for conditions between pairs of nodes", "of degree 2. Leave it out")
+def pairs_of_nodes_for_displacements_of_degree_2(comm):
+    scene = non_matching(comm)
+    V = scenes.vector_space(scene.mesh, 2)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", discretisation="node_to_node")
+    ContactProblem(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, 0, contacts=pair).solve()
+
+
 @mistake("joint", "initial_gap is 'close'", "'touching'")
 def unknown_initial_gap(comm):
     mortar(comm, initial_gap="close")

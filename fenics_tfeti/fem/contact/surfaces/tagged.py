@@ -21,7 +21,13 @@ from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
 from fenics_tfeti.fem.messages import coordinate_order, raise_where
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, VANISHING_NORMAL
-from fenics_tfeti.fem.topology import cell_facets, cell_type, exterior_facets, vertex_nodes
+from fenics_tfeti.fem.topology import (
+    cell_facets,
+    cell_type,
+    cell_vertices,
+    exterior_facets,
+    vertex_nodes,
+)
 from fenics_tfeti.fem.user_data import unit_vectors
 from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
 
@@ -369,16 +375,25 @@ def _check_facets(
     boundary: MeshBoundary, facet_tags: Any, tag: int, facets: Indices, what: str
 ) -> None:
     comm = boundary.space.mesh.comm
-    inside = int(np.count_nonzero(~boundary.exterior[facets]))
-    number, interior = comm.allreduce(facets.size), comm.allreduce(inside)
+    number = comm.allreduce(facets.size)
     if number == 0:
         there = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
         raise InputError(f"{what}: tag {tag} is on no facet; the tags there are {there}")
-    if interior:
-        raise InputError(
-            f"{what}: {interior} of the {number} facets with tag {tag} are inside a body: only "
-            "facets on the boundary can touch. Do the bodies share nodes where they should not?"
-        )
+    domain = boundary.space.mesh
+    cell, facet = boundary.rows[facets].T
+    corners = np.array(cell_type(domain).facets)[facet]
+    vertices = np.take_along_axis(cell_vertices(domain)[cell], corners, axis=1)
+    raise_where(
+        comm,
+        ~boundary.exterior[facets],
+        domain.geometry.x[vertices, : domain.geometry.dim].mean(axis=1),
+        lambda interior, place: (
+            f"{what}: {interior} of the {number} facets with tag {tag} are inside a body, or "
+            f"between bodies that share their nodes, the first around {place}: only facets on the "
+            "boundary can touch. Bodies that share nodes, as Gmsh's fragment makes them, get nodes "
+            "of their own by fenics_tfeti.io.split_interfaces"
+        ),
+    )
 
 
 def _normals_and_areas(

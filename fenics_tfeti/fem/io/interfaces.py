@@ -1,0 +1,448 @@
+"""Bodies with nodes of their own from meshes whose bodies share those at their interfaces.
+
+Programs for meshes that cut solids along their common surfaces, such as `fragment` of Gmsh, make
+conforming meshes: bodies share nodes and facets. For contact each needs nodes of its own. At each
+node on the surfaces that are opened, the cells around it fall into groups that are connected
+through facets that stay closed. Each group gets a copy of the node. Thus bodies separate where
+three of them meet, and nodes at the tip of a crack, around which all cells are connected, stay one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from dolfinx.mesh import Mesh, meshtags
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
+from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.topology import cell_facets, cell_type, owned_cells
+from fenics_tfeti.parallel import (
+    Directory,
+    concatenate_ranks,
+    first_of_rank,
+    raise_collectively,
+)
+
+__all__ = ["Interface", "split_interfaces"]
+
+Numbers = NDArray[np.int64]
+Vector = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_UNTAGGED = int(np.iinfo(np.int32).min)
+
+
+@dataclass(frozen=True)
+class Interface:
+    """The surface between two bodies that share its nodes, to be opened.
+
+    Attributes
+    ----------
+    slave, master : int or str
+        The bodies: tags of cells, or their names.
+    slave_tag, master_tag : int or str
+        The tags that the two new surfaces get. For a name, a tag is chosen that is not used yet,
+        and the name is added to those of the mesh. Several interfaces may have a tag in common.
+    facets : int or str, optional
+        Tag or name of the facets to open; those of them that are between the two bodies are. By
+        default all facets between the two bodies.
+    """
+
+    slave: int | str
+    master: int | str
+    slave_tag: int | str
+    master_tag: int | str
+    facets: int | str | None = None
+
+
+def split_interfaces(tagged: TaggedMesh, interfaces: Sequence[Interface]) -> TaggedMesh:
+    """Give bodies nodes of their own at the interfaces between them. Collective.
+
+    Parameters
+    ----------
+    tagged : TaggedMesh
+        A mesh whose bodies share nodes and facets, as `fragment` of Gmsh makes it.
+    interfaces : sequence of Interface
+        The surfaces to open. Facets between bodies that are in none of them stay as they are. Nodes
+        at the border of a surface that ends inside the mesh, such as the tip of a crack, are not
+        doubled.
+
+    Returns
+    -------
+    TaggedMesh
+        A new mesh, distributed anew. Each facet of an interface is there twice, on the boundary of
+        each body, with the tags `slave_tag` and `master_tag` in place of its own. All other tags
+        and all names are kept.
+
+    Raises
+    ------
+    InputError
+        On all ranks: unknown tags or names, bodies that share no such facet, a facet in two
+        interfaces, new tags that other facets have, or facets with all nodes at the border of the
+        interface, which would stay closed.
+
+    Examples
+    --------
+    >>> parts = read_msh("bolt_in_block.msh")  # doctest: +SKIP
+    >>> shank = Interface("bolt", "block", slave_tag=11, master_tag=12)  # doctest: +SKIP
+    >>> parts = split_interfaces(parts, [shank])  # doctest: +SKIP
+    >>> ContactPair(parts.facet_tags, slave=11, master=12)  # doctest: +SKIP
+    """
+    mesh = tagged.mesh
+    openings, names = _openings(tagged, interfaces)
+    sides = _Sides.of(tagged)
+    opened = _opened_facets(mesh, sides, openings)
+    _check_new_tags(mesh.comm, sides, opened, openings)
+    cells, points = _renumbered(mesh, sides, opened)
+    _check_open(mesh, sides, opened, cells)
+
+    facet_tags = sides.facet_tag.copy()
+    for k, opening in enumerate(openings):
+        cell, facet = np.nonzero(opened == k)
+        of_slave = sides.cell_tag[cell] == opening.slave
+        facet_tags[cell, facet] = np.where(of_slave, opening.slave_tag, opening.master_tag)
+    split = _compat.distributed_mesh(
+        mesh.comm, cells, points, _compat.cell_name(mesh), _compat.geometry_degree(mesh)
+    )
+    return _with_tags(split, sides.cell_tag, facet_tags, names)
+
+
+@dataclass(frozen=True)
+class _Opening:
+    """An interface with numbers in place of names."""
+
+    slave: int
+    master: int
+    slave_tag: int
+    master_tag: int
+    facets: int | None
+
+    def __str__(self) -> str:
+        where = "" if self.facets is None else f" with tag {self.facets}"
+        return f"facets{where} between the bodies {self.slave} and {self.master}"
+
+
+def _openings(
+    tagged: TaggedMesh, interfaces: Sequence[Interface]
+) -> tuple[list[_Opening], dict[str, int]]:
+    """Replace names by tags; also return all names."""
+    comm = tagged.mesh.comm
+    used = [
+        np.unique(concatenate_ranks(comm, np.unique(tags.values)))
+        for tags in (tagged.cell_tags, tagged.facet_tags)
+    ]
+    given = [t for i in interfaces for t in (i.slave_tag, i.master_tag) if not isinstance(t, str)]
+    free = 1 + max([0, *given, *(int(t.max(initial=0)) for t in used)])
+    added: dict[str, int] = {}
+
+    def new_tag(tag: int | str) -> int:
+        if not isinstance(tag, str):
+            return int(tag)
+        if tag in tagged.names:
+            raise InputError(
+                f"the new surface '{tag}' has the name of a body or surface that the mesh has "
+                "already; choose another, or pass a number"
+            )
+        return added.setdefault(tag, free + len(added))
+
+    with raise_collectively(comm):
+        openings = []
+        for i in interfaces:
+            slave, master = (_tag(t, tagged.names, used[0], "cell") for t in (i.slave, i.master))
+            facets = None if i.facets is None else _tag(i.facets, tagged.names, used[1], "facet")
+            opening = _Opening(slave, master, new_tag(i.slave_tag), new_tag(i.master_tag), facets)
+            if slave == master:
+                raise InputError(
+                    f"{i}: slave and master are the same body; tag the cells on one side of the "
+                    "surface differently, then the sides can be told apart"
+                )
+            if opening.slave_tag == opening.master_tag:
+                raise InputError(f"{i}: the two new surfaces have the same tag")
+            openings.append(opening)
+    return openings, {**tagged.names, **added}
+
+
+def _tag(tag: int | str, names: Mapping[str, int], used: Numbers, kind: str) -> int:
+    if isinstance(tag, str) and tag not in names:
+        raise InputError(f"no body or surface has the name '{tag}'; the names are {sorted(names)}")
+    number = int(names[tag] if isinstance(tag, str) else tag)
+    if number not in used:
+        raise InputError(f"tag {number} is on no {kind}; the {kind} tags are {used.tolist()}")
+    return number
+
+
+@dataclass(frozen=True)
+class _Sides:
+    """The facets of this rank's cells, each seen from its cell.
+
+    Attributes
+    ----------
+    cell_tag : (m,) integer array
+        Tags of the cells that this rank owns.
+    facet : (m, f) integer array
+        Global numbers of their facets.
+    facet_tag : (m, f) integer array
+        Tags of the facets.
+    directory : Directory
+        Of the facets.
+    low, high : (d,) integer arrays
+        The smallest and largest cell tag on the sides of the directory's facets.
+    tag : (d,) integer array
+        Tags of the directory's facets.
+    """
+
+    cell_tag: Numbers
+    facet: Numbers
+    facet_tag: Numbers
+    directory: Directory
+    low: Numbers
+    high: Numbers
+    tag: Numbers
+
+    @staticmethod
+    def of(tagged: TaggedMesh) -> _Sides:
+        """Gather what is known of each facet on its home rank. Collective."""
+        mesh, owned = tagged.mesh, owned_cells(tagged.mesh)
+        local = cell_facets(mesh)[:owned]
+        facet_map = mesh.topology.index_map(mesh.topology.dim - 1)
+        facet = _to_global(facet_map, local)
+        cell_tag = np.full(owned, _UNTAGGED, dtype=np.int64)
+        here = tagged.cell_tags.indices < owned
+        cell_tag[tagged.cell_tags.indices[here]] = tagged.cell_tags.values[here]
+
+        directory = Directory(mesh.comm, np.unique(facet))
+        keys, values = directory.collect(facet.ravel(), np.repeat(cell_tag, facet.shape[1]))
+        limits = np.iinfo(np.int64)
+        low = np.full(directory.keys.size, limits.max)
+        high = np.full(directory.keys.size, limits.min)
+        np.minimum.at(low, directory.position(keys), values)
+        np.maximum.at(high, directory.position(keys), values)
+        tag = np.full(directory.keys.size, _UNTAGGED, dtype=np.int64)
+        keys, values = directory.collect(
+            _to_global(facet_map, tagged.facet_tags.indices),
+            tagged.facet_tags.values.astype(np.int64),
+        )
+        tag[directory.position(keys)] = values
+        facet_tag = directory.lookup(facet.ravel(), tag)[1].reshape(facet.shape)
+        return _Sides(cell_tag, facet, facet_tag, directory, low, high, tag)
+
+
+def _to_global(index_map: Any, local: NDArray[Any]) -> Numbers:
+    numbers = index_map.local_to_global(np.ascontiguousarray(local, dtype=np.int32).ravel())
+    return np.asarray(numbers, dtype=np.int64).reshape(local.shape)
+
+
+def _opened_facets(mesh: Mesh, sides: _Sides, openings: Sequence[_Opening]) -> Numbers:
+    """Return the number of the interface that each facet (m, f) of a cell is in; -1 for none."""
+    comm = mesh.comm
+    opened = np.full(sides.tag.size, -1, dtype=np.int64)
+    for k, opening in enumerate(openings):
+        low, high = sorted((opening.slave, opening.master))
+        chosen = (sides.low == low) & (sides.high == high)
+        if opening.facets is not None:
+            chosen &= sides.tag == opening.facets
+        number, again = comm.allreduce(np.array([chosen.sum(), (opened[chosen] >= 0).sum()]))
+        if not number:
+            raise InputError(
+                f"there are no {opening}: they do not touch, have nodes of their own already, or "
+                "the tag is on other facets"
+            )
+        if again:
+            first = openings[int(comm.allreduce(opened[chosen].max(initial=-1), MPI.MAX))]
+            raise InputError(f"{again} of the {opening} are in two interfaces, also in: {first}")
+        opened[chosen] = k
+    of_cells: Numbers = sides.directory.lookup(sides.facet.ravel(), opened)[1]
+    return of_cells.reshape(sides.facet.shape)
+
+
+def _check_new_tags(
+    comm: MPI.Intracomm, sides: _Sides, opened: Numbers, openings: Sequence[_Opening]
+) -> None:
+    """Check that the new tags are on no facet that stays."""
+    new = sorted({tag for o in openings for tag in (o.slave_tag, o.master_tag)})
+    there = np.unique(sides.facet_tag[(opened < 0) & np.isin(sides.facet_tag, new)])
+    there = np.unique(concatenate_ranks(comm, there))
+    if there.size:
+        raise InputError(
+            f"other facets have the tags {there.tolist()} of new surfaces; choose tags that no "
+            "facet has"
+        )
+
+
+# -- nodes -------------------------------------------------------------------------------------
+
+
+def _renumbered(mesh: Mesh, sides: _Sides, opened: Numbers) -> tuple[Numbers, Vector]:
+    """Return the nodes of this rank's cells (m, n) in the new mesh, and its share of the points."""
+    comm, kind = mesh.comm, cell_type(mesh)
+    nodes = _compat.geometry_cells(mesh)[: owned_cells(mesh)]
+    # dolfinx 0.5 may number a node that two ranks share twice; the input's numbers are unique
+    old = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)[nodes]
+    directory = Directory(comm, np.unique(old))
+    at_surface = np.zeros(directory.keys.size, dtype=bool)
+    for f, corners in enumerate(kind.facets):
+        keys = directory.collect(old[opened[:, f] >= 0][:, corners].ravel())[0]
+        at_surface[directory.position(keys)] = True
+
+    vertices = old[:, : kind.vertices]
+    concerned = directory.lookup(vertices.ravel(), at_surface)[1].reshape(vertices.shape)
+    copy = _copies_of_vertices(mesh, sides, opened, directory, vertices, concerned)
+    if old.shape[1] > kind.vertices:
+        copy = np.hstack([copy, _copies_between_vertices(mesh, directory, old, copy)])
+
+    most = np.zeros(directory.keys.size, dtype=np.int64)
+    keys, number = directory.collect(old.ravel(), copy.ravel())
+    np.maximum.at(most, directory.position(keys), number)
+    first = first_of_rank(comm, int(np.sum(most + 1)))[0]
+    start = first + np.cumsum(most + 1) - (most + 1)
+    cells = directory.lookup(old.ravel(), start)[1].reshape(old.shape) + copy
+
+    points = np.zeros((directory.keys.size, mesh.geometry.dim))
+    keys, x = directory.collect(old.ravel(), mesh.geometry.x[nodes.ravel(), : mesh.geometry.dim])
+    points[directory.position(keys)] = x
+    return cells, np.repeat(points, most + 1, axis=0)
+
+
+def _copies_of_vertices(
+    mesh: Mesh,
+    sides: _Sides,
+    opened: Numbers,
+    directory: Directory,
+    vertices: Numbers,
+    concerned: Mask,
+) -> Numbers:
+    """Return which copy of its vertices each cell has (m, v), counted from 0.
+
+    The home of a vertex joins the cells around it that have a closed facet in common there.
+    """
+    kind, cell_map = cell_type(mesh), mesh.topology.index_map(mesh.topology.dim)
+    number = _to_global(cell_map, np.arange(len(vertices)))
+    rows = []
+    for f, corners in enumerate(kind.facets):
+        for corner in corners:
+            mine = np.flatnonzero(concerned[:, corner])
+            facet = np.where(opened[mine, f] < 0, sides.facet[mine, f], -1)
+            rows.append(np.stack([vertices[mine, corner], number[mine], facet]))
+    vertex, cell, facet = directory.collect(*np.concatenate(rows, axis=1))
+    around, at_cell = np.unique(np.stack([vertex, cell], axis=1), axis=0, return_inverse=True)
+    closed = facet >= 0
+    joints, at_joint = np.unique(
+        np.stack([vertex, facet], axis=1)[closed], axis=0, return_inverse=True
+    )
+    size = len(around) + len(joints)
+    ends = (at_cell.ravel()[closed], len(around) + at_joint.ravel())
+    graph = sp.coo_matrix((np.ones(ends[0].size), ends), (size, size))
+    group = connected_components(graph, directed=False)[1][: len(around)]
+    copy = _rank_within(around[:, 0], group)
+
+    vertex, cell, copy = directory.forward(around[:, 0], around[:, 1], copy)
+    copies = np.zeros(concerned.shape, dtype=np.int64)
+    first = int(number[0]) if number.size else 0
+    here = (cell >= first) & (cell < first + number.size)
+    vertex, cell, copy = vertex[here], cell[here] - first, copy[here]
+    corner = np.argmax(vertices[cell] == vertex[:, None], axis=1)
+    copies[cell, corner] = copy
+    return copies
+
+
+def _copies_between_vertices(
+    mesh: Mesh, directory: Directory, old: Numbers, copies: Numbers
+) -> Numbers:
+    """Return which copy each cell has of its nodes (m, n - v) on edges and faces.
+
+    Cells have the same copy where they have the same copies of the vertices around it: thus nodes
+    of degree 2 are shared where dolfinx sees one edge or face.
+    """
+    between = cell_type(mesh).midpoints
+    digit = 1 + mesh.comm.allreduce(int(copies.max(initial=0)), MPI.MAX)
+    span = digit ** copies.shape[1]
+    code = np.zeros((len(old), len(between)), dtype=np.int64)
+    for k, ends in enumerate(between):
+        # neighbours list the vertices in different orders
+        order = np.argsort(old[:, ends], axis=1)
+        ordered = np.take_along_axis(copies[:, ends], order, axis=1)
+        code[:, k] = ordered @ digit ** np.arange(len(ends))
+    nodes = old[:, copies.shape[1] :]
+    found = np.unique(np.stack(directory.collect(nodes.ravel(), code.ravel()), axis=1), axis=0)
+    rank = np.arange(len(found)) - np.searchsorted(found[:, 0], found[:, 0])
+    node, number, rank = directory.forward(found[:, 0], found[:, 1], rank)
+    known = node * span + number
+    order = np.argsort(known)
+    at: Numbers = rank[order][np.searchsorted(known[order], nodes * span + code)]
+    return at
+
+
+def _rank_within(key: Numbers, group: Numbers) -> Numbers:
+    """Return the rank of each row's group among those of its key, by first appearance."""
+    _, first, inverse = np.unique(group, return_index=True, return_inverse=True)
+    order = np.lexsort((first, key[first]))
+    keys = key[first][order]
+    start = np.searchsorted(keys, keys)
+    rank = np.empty(first.size, dtype=np.int64)
+    rank[order] = np.arange(first.size) - start
+    ranks: Numbers = rank[inverse.ravel()]
+    return ranks
+
+
+def _check_open(mesh: Mesh, sides: _Sides, opened: Numbers, cells: Numbers) -> None:
+    """Check that the two sides of each opened facet have different vertices."""
+    x, nodes = mesh.geometry.x[:, : mesh.geometry.dim], _compat.geometry_cells(mesh)
+    rows = []
+    for f, corners in enumerate(cell_type(mesh).facets):
+        mine = np.flatnonzero(opened[:, f] >= 0)
+        middle = x[nodes[mine][:, corners]].mean(axis=1)
+        rows.append((sides.facet[mine, f], np.sort(cells[mine][:, corners], axis=1), middle))
+    columns = (np.concatenate(column) for column in zip(*rows, strict=True))
+    keys, vertices, places = sides.directory.collect(*columns)
+    order = np.argsort(keys, kind="stable")
+    keys, vertices, places = keys[order], vertices[order], places[order]
+    same: Mask = (keys[1:] == keys[:-1]) & np.all(vertices[1:] == vertices[:-1], axis=1)
+    raise_where(
+        mesh.comm,
+        same,
+        places[1:],
+        lambda number, place: (
+            f"{number} facets of the interfaces cannot be opened, the first around {place}: all "
+            "their nodes are at the border of the interface, where the bodies stay together. Open "
+            "more of the surface, or mesh it more finely"
+        ),
+    )
+
+
+# -- tags --------------------------------------------------------------------------------------
+
+
+def _with_tags(
+    mesh: Mesh, cell_tag: Numbers, facet_tag: Numbers, names: dict[str, int]
+) -> TaggedMesh:
+    """Tag a mesh by the tags of the cells that this rank gave and of their facets (m, f)."""
+    dim = mesh.topology.dim
+    first = first_of_rank(mesh.comm, len(cell_tag))[0]
+    number = first + np.arange(len(cell_tag))
+    directory = Directory(mesh.comm, number)
+    keys, *columns = directory.collect(number, cell_tag, facet_tag)
+    order = np.argsort(keys)
+    given = np.asarray(mesh.topology.original_cell_index, dtype=np.int64)
+    _, of_cell, of_facets = directory.lookup(given, *(column[order] for column in columns))
+    facets = cell_facets(mesh)
+    facet_map = mesh.topology.index_map(dim - 1)
+    of_facet = np.full(facet_map.size_local + facet_map.num_ghosts, _UNTAGGED, dtype=np.int64)
+    of_facet[facets] = of_facets
+    return TaggedMesh(mesh, _tags(mesh, dim, of_cell), _tags(mesh, dim - 1, of_facet), names)
+
+
+def _tags(mesh: Mesh, dim: int, values: Numbers) -> Any:
+    """Return the tags of all entities of this rank that have one."""
+    tagged = np.flatnonzero(values != _UNTAGGED)
+    return meshtags(mesh, dim, tagged.astype(np.int32), values[tagged].astype(np.int32))

@@ -1,0 +1,46 @@
+"""The scenes of benchmarks/peers.py on coarse meshes, by the codes that are installed."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+# largest differences from the reference; GetFEM's multipliers and quadrature are others
+LIMITS = {
+    "getfem-mortar": {"difference": 1e-2, "work_difference": 1e-2, "pressure_difference": 0.2},
+    "calculix-mortar-apart": {
+        "difference": 1e-6,
+        "work_difference": 1e-6,
+        "pressure_difference": 1e-5,
+    },
+    "tfeti-rigid-scotch": {"difference": 1e-5, "pressure_difference": 1e-5},
+}
+
+
+@pytest.fixture
+def peers(monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    yield pytest.importorskip("peers")
+    for name in ("peers", "peers_scene"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize(
+    ("scene", "codes"),
+    [
+        ("two beams", ["tfeti"]),
+        ("two beams, meshes 1:1.4", ["tfeti-apart", "getfem-mortar", "calculix-mortar-apart"]),
+        ("two beams, meshes 1:3", ["tfeti-apart", "getfem-mortar", "calculix-mortar-apart"]),
+        ("one beam on rigid ground", ["tfeti-rigid", "tfeti-rigid-scotch"]),
+    ],
+)
+def test_codes_agree(peers, scene, codes):
+    reference, *rows = peers.compare(scene, codes, 2)
+    assert reference["force"] == pytest.approx(60e6, rel=1e-6)
+    for row in (row for row in rows if "skipped" not in row):
+        assert "failed" not in row
+        assert row["force_difference"] < 1e-8
+        for name, limit in LIMITS[row["code"]].items():
+            assert row[name] < limit, (row["code"], name)
