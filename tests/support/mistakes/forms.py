@@ -54,10 +54,10 @@ def posed_on(scene: scenes.Scene, V) -> None:
     ContactProblem(a, right, bcs=[], contacts=scene.package_contacts()).solve()
 
 
-@mistake("degree 2", "degree 1")
-def space_of_degree_two(comm):
+@mistake("degree 3", "degree 1 or 2")
+def space_of_degree_three(comm):
     scene = beams(comm)
-    posed_on(scene, scenes.vector_space(scene.mesh, 2))
+    posed_on(scene, scenes.vector_space(scene.mesh, 3))
 
 
 @mistake("scalar", "2 components")
