@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.feti.coarse.deflation import DeflationKind
 from fenics_tfeti.feti.coarse.factor import CoarseSolverKind
 from fenics_tfeti.feti.constraints.scaling import Scaling
 from fenics_tfeti.feti.dual.operator import DualOperatorKind
@@ -42,6 +43,9 @@ class Options:
         Package of the sparse Cholesky factors; auto takes the first that is available.
     coarse_solver : {"auto", "redundant", "distributed"}
         Coarse matrices whole on every rank, or by rows on all of them, with MUMPS; auto counts.
+    deflation : {"auto", "on", "off"}
+        Deflation of the directions in which subdomains make F large: of the subdomains on whose
+        interface the material jumps (with weights of stiffness), of all, or of none.
     max_products : int
         Limit on the products with F.
     smalbe_rho, smalbe_M0, smalbe_beta, smalbe_eta : float
@@ -68,6 +72,7 @@ class Options:
     dual_operator: DualOperatorKind = "auto"
     factor: Package = "auto"
     coarse_solver: CoarseSolverKind = "auto"
+    deflation: DeflationKind = "auto"
     max_products: int = 10_000
     smalbe_rho: float = 1.0
     smalbe_M0: float = 3.0

@@ -167,7 +167,9 @@ class TornSolver:
                 return same_B, data, ["factors", "coarse problem", "norm"]
             inverses = known.F.inverses if known else factor_subdomains(system, local, package)
             setup = DualSetup.build(system, options, local, projector, inverses, package)
-            return setup, data, ["factors"] if known else []
+        with phase("deflation"):
+            setup = setup.deflated(system, options, known)
+        return setup, data, ["factors"] if known else []
 
     def _data(self, local: LocalSetup, projector: Projector, c: Vector) -> ContactData:
         """Return loads and right-hand sides, after checking that the load can be balanced."""

@@ -175,6 +175,12 @@ class CoarseSpace:
         part: Vector = self.interface.matrix @ self.interface.pack(blocks)
         return part
 
+    def motions_of_rows(self, rows: Mask) -> sp.csr_matrix:
+        """Return G' on some rows: the columns of this rank's coarse unknowns, then of `others`."""
+        own = self.interface.matrix @ _packed_kernels(self.interface, self.kernels, self.ends)
+        chosen = sp.diags(rows.astype(float))
+        return (chosen @ sp.hstack([own, self.others.T])).tocsr()
+
     def coarse_load(self, forces: Vector) -> Vector:
         """Return R'f, the coarse load of forces on the torn unknowns; one gathering."""
         return self._restricted(forces, self.kernels)

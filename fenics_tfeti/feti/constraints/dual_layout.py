@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.parallel import Directory
 from fenics_tfeti.qp import Space
 
-__all__ = ["DualLayout"]
+__all__ = ["DualLayout", "seeded_vector"]
 
 Keys = NDArray[np.int64]
 Vector = NDArray[np.float64]
@@ -164,3 +164,17 @@ def _sum_and_min(some: Any, others: Any, kind: MPI.Datatype) -> None:
 
 
 _SUM_AND_MIN = MPI.Op.Create(_sum_and_min, commute=True)
+
+
+def seeded_vector(numbers: NDArray[np.int64]) -> Vector:
+    """Return pseudo-random components in (-1, 1) that depend on global numbers only.
+
+    All holders of a component get the same value, on any number of ranks, without communication.
+    The mixing function is that of splitmix64.
+    """
+    z = numbers.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+        z = (z ^ (z >> np.uint64(shift))) * np.uint64(factor)
+    z ^= z >> np.uint64(31)
+    values: Vector = z / 2.0**63 - 1.0
+    return values

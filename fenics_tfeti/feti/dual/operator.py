@@ -11,18 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.local.congruence import apply_by_class
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 from fenics_tfeti.qp import lanczos_upper_bound
 
-__all__ = [
-    "DualOperator",
-    "DualOperatorKind",
-    "ProjectedNorm",
-    "seeded_vector",
-]
+__all__ = ["DualOperator", "DualOperatorKind", "ProjectedNorm"]
 
 Vector = NDArray[np.float64]
 DualOperatorKind = Literal["auto", "implicit", "explicit"]
@@ -99,10 +95,12 @@ class DualOperator:
     def part(self, multipliers: Vector) -> Vector:
         """Return what this rank's subdomains add to F lambda: a solve or product for each class."""
         interface = self.interface
-        jumps: Vector = interface.matrix @ interface.apply(
-            self.on_interface, interface.transposed @ multipliers
-        )
+        jumps: Vector = interface.matrix @ self.packed(interface.transposed @ multipliers)
         return jumps
+
+    def packed(self, forces: Vector) -> Vector:
+        """Return K^+ forces for packed forces on the interface."""
+        return self.interface.apply(self.on_interface, forces)
 
     def constraint_forces(self, multipliers: Vector) -> Vector:
         """Return B'lambda on this rank's torn unknowns."""
@@ -171,27 +169,13 @@ def _explicit_pays(inverse: GeneralizedInverse, interface: int, members: int) ->
     return set_up + _PRODUCTS * members * product < _PRODUCTS * members * solve
 
 
-def seeded_vector(numbers: NDArray[np.int64]) -> Vector:
-    """Return pseudo-random components in (-1, 1) that depend on global numbers only.
-
-    All holders of a component get the same value, on any number of ranks, without communication.
-    The mixing function is that of splitmix64.
-    """
-    z = numbers.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
-    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
-        z = (z ^ (z >> np.uint64(shift))) * np.uint64(factor)
-    z ^= z >> np.uint64(31)
-    values: Vector = z / 2.0**63 - 1.0
-    return values
-
-
 class ProjectedNorm:
     """An upper bound of ||PFP||, estimated when it is asked for and kept.
 
     Parameters
     ----------
-    F : DualOperator
-        The operator.
+    part : callable
+        x -> this rank's part of Fx.
     projector : Projector
         P.
     flexibility : float
@@ -203,8 +187,10 @@ class ProjectedNorm:
         Products with F that the estimates took.
     """
 
-    def __init__(self, F: DualOperator, projector: Projector, flexibility: float) -> None:
-        self._F, self._projector = F, projector
+    def __init__(
+        self, part: Callable[[Vector], Vector], projector: Projector, flexibility: float
+    ) -> None:
+        self._part, self._projector = part, projector
         self._least = float(np.finfo(float).eps) * flexibility
         self._steps, self._value = 0, 0.0
         self.products = 0
@@ -212,9 +198,9 @@ class ProjectedNorm:
     def __call__(self, steps: int) -> float:
         """Return the bound by at least that many Lanczos steps [m/N]."""
         if self._steps < steps:
-            layout = self._F.constraints.layout
+            layout = self._projector.coarse_space.constraints.layout
             value = lanczos_upper_bound(
-                lambda x: self._projector.P_of_sum(self._F.part(x), x)[0],
+                lambda x: self._projector.P_of_sum(self._part(x), x)[0],
                 self._projector.P(seeded_vector(layout.numbers)),
                 steps,
                 layout.space,

@@ -199,7 +199,7 @@ class _Loop:
     primal : PrimalProblem
         The primal problem (11.21).
     d : (m,) array
-        d_0 = BK^+(f - B'lambda~) - c, printed d in (11.39).
+        d_0 = BK^+(f - B'lambda~) - c, printed d in (11.39), not deflated.
     scale : EnergyScale
         What the tolerances are relative to.
     """
@@ -287,7 +287,8 @@ class _Loop:
                 products=self.history.products,
                 monitor=self._log_face,
             )
-        state = DualState(result.multipliers, result.coarse_gradient)
+            multipliers = self._completed(result.multipliers)
+        state = DualState(multipliers, result.coarse_gradient)
         return _Stage(state, result.solved, iterate=result.iterate)
 
     def smalbe(self, state: DualState, tolerance: float, patience: int) -> _Stage:
@@ -300,7 +301,7 @@ class _Loop:
                 result = solve_by_smalbe(
                     problem,
                     feasible,
-                    self.d,
+                    self.setup.reduced(self.d),
                     SMALBEState(state.multipliers - feasible, state.coarse_gradient),
                     rtol=tolerance / (energy_norm or 1.0),
                     norm_b=energy_norm * np.sqrt(problem.norm),
@@ -324,8 +325,10 @@ class _Loop:
         multipliers = feasible + result.state.x
         cancelled = multipliers <= _CANCELLED * (np.abs(feasible) + np.abs(result.state.x))
         cancelled[self.setup.constraints.equality] = False
+        with self.timer.phase("iterations"):
+            multipliers = self._completed(np.where(cancelled, 0.0, multipliers))
         return _Stage(
-            DualState(np.where(cancelled, 0.0, multipliers), result.state.q),
+            DualState(multipliers, result.state.q),
             result.converged,
             limits.get(result.reason, result.reason),
             slow=result.reason == "slow",
@@ -343,6 +346,13 @@ class _Loop:
             certificate = self.primal.certify(recovered, multipliers, face)
             energy = self.primal.energy(recovered)
         return Candidate(recovered, multipliers, certificate, energy, face)
+
+    def _completed(self, multipliers: Vector) -> Vector:
+        """Return the multipliers with their part in the deflated directions."""
+        deflation = self.setup.deflation
+        if deflation is None:
+            return multipliers
+        return deflation.completed(multipliers, self.d, self.data.feasible)
 
     def _problem(self, lanczos_steps: int) -> DualProblem:
         with self.timer.phase("norm"):

@@ -6,12 +6,23 @@ Both are built once and reused as long as K, or K and B, stay the same.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+
+from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from fenics_tfeti.feti.coarse.deflation import Deflation, at_most, same_equality_rows
+from fenics_tfeti.feti.coarse.local_spectra import (
+    LocalVectors,
+    TornRows,
+    local_vectors,
+    threshold,
+)
+from fenics_tfeti.feti.coarse.material_jumps import subdomains_with_jumps
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.ground import TornUnknowns
@@ -131,6 +142,8 @@ class DualSetup:
         ||PFP||.
     row_bodies : RowBodies
         The bodies that the contact rows connect.
+    deflation : Deflation or None
+        What F and d are replaced by where the material jumps.
     """
 
     local: LocalSetup
@@ -140,6 +153,7 @@ class DualSetup:
     preconditioner: Preconditioner | None
     norm: ProjectedNorm
     row_bodies: RowBodies
+    deflation: Deflation | None = None
 
     @staticmethod
     def build(
@@ -170,16 +184,91 @@ class DualSetup:
             projector,
             F,
             preconditioner,
-            ProjectedNorm(F, projector, 1.0 / local.unit),
+            ProjectedNorm(F.part, projector, 1.0 / local.unit),
             RowBodies.build(system, constraints, local.unknowns.ends),
         )
 
+    def deflated(
+        self, system: TornSystem, options: Options, known: DualSetup | None = None
+    ) -> DualSetup:
+        """Return the set-up with deflation, if the options and the material ask for it. Collective.
+
+        Parameters
+        ----------
+        system : TornSystem
+            Subdomains.
+        options : Options
+            Whether.
+        known : DualSetup, optional
+            With the same stiffness matrices: its vectors serve again if the equality rows are the
+            same, too.
+        """
+        if options.deflation == "off":
+            return self
+        coarse_space, constraints = self.projector.coarse_space, self.constraints
+        torn = TornRows.build(coarse_space.interface, constraints.equality)
+        if known is not None and same_equality_rows(constraints, known.constraints):
+            vectors = None if known.deflation is None else known.deflation.vectors
+            vectors = replace(vectors, solves=0) if vectors is not None else None
+        else:
+            vectors = self._local_vectors(system, options, torn)
+        if vectors is None:
+            return self
+        deflation = Deflation.build(coarse_space, self.F.on_interface, torn, vectors)
+        if deflation is None:
+            return self
+        part = partial(deflation.part, self.F.packed)
+        norm = ProjectedNorm(part, self.projector, 1.0 / self.local.unit)
+        return replace(self, norm=norm, deflation=deflation)
+
+    def _local_vectors(
+        self, system: TornSystem, options: Options, torn: TornRows
+    ) -> LocalVectors | None:
+        """Return the vectors of this rank's subdomains; None if no rank's have jumps."""
+        interface, local = self.F.interface, self.local
+        chosen = np.ones(len(torn.rows), dtype=bool)
+        if options.deflation == "auto":
+            # with weights of 1, F measures every stiffness
+            if options.scaling != "stiffness":
+                return None
+            chosen = subdomains_with_jumps(
+                system, self.constraints, interface, torn, local.unknowns
+            )
+            if not system.comm.allreduce(bool(chosen.any()), MPI.LOR):
+                return None
+        order = [member for congruent in local.classes for member in congruent.members]
+        nodes = [system.subdomains[member].nodes.size for member in order]
+        vectors = local_vectors(
+            torn,
+            interface,
+            self.F.on_interface,
+            [
+                local.kernels[congruent.first][unknowns]
+                for congruent, unknowns in zip(local.classes, interface.unknowns, strict=True)
+            ],
+            numbers=self.constraints.layout.numbers,
+            unit=local.unit,
+            limits=np.array([threshold(system.gdim, n) for n in nodes]),
+            chosen=chosen,
+        )
+        return at_most(system.comm, vectors)
+
+    def part(self, x: Vector) -> Vector:
+        """Return this rank's part of Fx, or of F_c x."""
+        if self.deflation is None:
+            return self.F.part(x)
+        return self.deflation.part(self.F.packed, x)
+
+    def reduced(self, d: Vector) -> Vector:
+        """Return d, or d_c. Collective."""
+        return d if self.deflation is None else self.deflation.reduced(d)
+
 
 def dual_problem(setup: DualSetup, data: ContactData, norm: float) -> DualProblem:
-    """Return (11.36); its d takes one application of K^+."""
+    """Return (11.36), deflated or not; its d takes one application of K^+."""
     return DualProblem(
-        setup.F.part,
-        setup.F.load(data.load, data.c),
+        setup.part,
+        setup.reduced(setup.F.load(data.load, data.c)),
         data.e,
         data.e_size,
         data.c,

@@ -8,7 +8,7 @@ from dense import DenseSystem
 from torn import column
 
 from fenics_tfeti.feti import Options, TornSolver
-from fenics_tfeti.feti.dual.operator import seeded_vector
+from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 
 each_kind = pytest.mark.parametrize("kind", ["implicit", "explicit"])
 

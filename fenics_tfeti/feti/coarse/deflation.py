@@ -1,0 +1,372 @@
+"""Deflation: F and d without the directions in which F is large, for materials that jump.
+
+With the columns C of large eigenvectors of the subdomains' dual operators (`local_spectra`), zero on
+the contact rows, and the projector P_E of the equality rows, U = P_E C has G U = o and U_I = o:
+lambda + U alpha satisfies the constraints of (11.36) if and only if lambda does. Minimising over
+alpha leaves the same problem for lambda with the Schur complement
+
+    F_c = F - FU (U'FU)^{-1} U'F,    d_c = d - FU (U'FU)^{-1} U'd
+
+in place of F and d, and lambda + U (U'FU)^{-1} U'(d - F lambda) is the solution of (11.36).
+
+U = C - G_E'X - WV is kept by its factors: each column of C belongs to one subdomain, those of G_E' to
+one subdomain each, X = (G_E G_E')^+ G C is small, and W are the few motions that the equality rows
+resist weakly. So K_s^+ B_s'U of a subdomain needs columns of C and G_E' of its neighbours only.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from mpi4py import MPI
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve
+from scipy.linalg.lapack import dpstrf
+
+from fenics_tfeti.feti.coarse.local_spectra import LocalVectors, TornRows
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
+
+__all__ = ["Deflation", "DeflationKind", "at_most", "same_equality_rows"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Operator = Callable[[Vector], Vector]
+DeflationKind = Literal["auto", "on", "off"]
+
+# vectors of all ranks: U'FU is a dense matrix on each of them, here of 72 MB
+_MOST = 3000
+# energy of what a vector adds to those before it, relative to its own, that counts as nothing
+_DEPENDENT = 1e-10
+
+
+@dataclass(frozen=True)
+class Response:
+    """K_s^+ B_s' times some columns of [C, G_E', W] or of U, of one subdomain.
+
+    Attributes
+    ----------
+    columns : (j,) integer array
+        Positions of the columns in [C, G_E', W]; those of U have the positions of C.
+    displacements : (j, b) array
+        Displacements of the packed interface unknowns, column by column of U.
+    """
+
+    columns: Numbers
+    displacements: Vector
+
+
+@dataclass(frozen=True)
+class Deflation:
+    """The Schur complement of F with respect to the multipliers U alpha.
+
+    Attributes
+    ----------
+    coarse_space : CoarseSpace
+        G.
+    vectors : LocalVectors
+        The columns of C that belong to subdomains of this rank.
+    own : (m, k) scipy.sparse.csr_matrix
+        The same as columns, in their places among those of all ranks.
+    X : (h, k) array
+        Rows of X of this rank's coarse unknowns, then those of `CoarseLayout.others`.
+    W, V : (m, w), (w, k) arrays
+        Weakly resisted motions on the equality rows, and their coefficients.
+    responses : list of Response
+        Of each subdomain, in the order of the packed interface unknowns.
+    unknowns : (subdomains + 1,) integer array
+        First packed interface unknown of each subdomain, and the end of the last.
+    kept : (r,) integer array
+        Columns of U that do not depend on others.
+    factor : (r, r) array
+        Lower Cholesky factor of U'FU of these columns.
+    solves : int
+        Solves with K_s^+ that the set-up took on this rank.
+    """
+
+    coarse_space: CoarseSpace
+    vectors: LocalVectors
+    own: sp.csr_matrix
+    X: Vector
+    W: Vector
+    V: Vector
+    responses: list[Response]
+    unknowns: Numbers
+    kept: Numbers
+    factor: Vector
+    solves: int
+
+    @staticmethod
+    def build(
+        coarse_space: CoarseSpace,
+        on_interface: Sequence[Operator],
+        torn: TornRows,
+        vectors: LocalVectors,
+    ) -> Deflation | None:
+        """Make U, K^+B'U and the factor of U'FU; None if no rank has a vector. Collective.
+
+        Parameters
+        ----------
+        coarse_space : CoarseSpace
+            G.
+        on_interface : sequence of callable
+            K_i^+ between interface unknowns of each class, (k, b) -> (k, b).
+        torn : TornRows
+            The equality rows of each subdomain.
+        vectors : LocalVectors
+            The columns of C that belong to subdomains of this rank.
+        """
+        constraints = coarse_space.constraints
+        first, total = first_of_rank(constraints.layout.comm, vectors.excess.size)
+        if not total:
+            return None
+        own = _columns(constraints, vectors, first, total)
+        everyone = _with_neighbours(constraints, own)
+        projector = Projector.build(
+            coarse_space, np.zeros(constraints.inequality.size, dtype=bool)
+        )
+        X, W, V = _coefficients(projector, everyone)
+        pieces = sp.hstack(
+            [everyone, coarse_space.motions_of_rows(constraints.equality), sp.csr_matrix(W)]
+        )
+        forces = (coarse_space.interface.transposed @ pieces.tocsr()).tocsr()
+        combination = np.vstack([np.identity(total), -X, -V])
+        responses, gram = _responses(coarse_space, on_interface, torn, forces, combination)
+        kept, factor = _factor(constraints, gram)
+        solves = sum(response.columns.size for response in responses)
+        return Deflation(
+            coarse_space,
+            vectors,
+            own,
+            X,
+            W,
+            V,
+            responses,
+            torn.unknowns,
+            kept,
+            factor,
+            solves,
+        )
+
+    @property
+    def size(self) -> int:
+        """Number of vectors of all ranks that do not depend on others."""
+        return int(self.kept.size)
+
+    @property
+    def bytes(self) -> int:
+        """Memory of this rank."""
+        arrays = [self.X, self.W, self.V, self.factor, self.own.data, self.own.indices]
+        arrays += self.vectors.values
+        arrays += [response.displacements for response in self.responses]
+        return sum(int(array.nbytes) for array in arrays)
+
+    def part(self, operator: Operator, x: Vector) -> Vector:
+        """Return this rank's part of F_c x, x the same on all holders; one reduction.
+
+        Parameters
+        ----------
+        operator : callable
+            This rank's K^+ on packed forces of the interface.
+        x : (m,) array
+            Multipliers.
+        """
+        interface = self.coarse_space.interface
+        forces = interface.transposed @ x
+        displacements = operator(forces)
+        displacements -= self._response(self._coefficients_of(forces))
+        part: Vector = interface.matrix @ displacements
+        return part
+
+    def reduced(self, y: Vector) -> Vector:
+        """Return y - FU (U'FU)^{-1} U'y: d_c of d. Collective."""
+        interface, layout = self.coarse_space.interface, self.coarse_space.constraints.layout
+        part = interface.matrix @ self._response(self._solve(self._restricted(y)))
+        return y - layout.sum(part)
+
+    def completed(self, multipliers: Vector, rest: Vector, at: Vector) -> Vector:
+        """Return lambda + U (U'FU)^{-1} U'(d - F lambda): the minimum over lambda + U alpha.
+
+        Parameters
+        ----------
+        multipliers : (m,) array
+            lambda.
+        rest : (m,) array
+            d - F times other multipliers.
+        at : (m,) array
+            These other multipliers.
+        """
+        forces = self.coarse_space.interface.transposed @ (at - multipliers)
+        alpha = self._solve(self._restricted(rest)) + self._coefficients_of(forces)
+        return multipliers + self.prolonged(alpha)
+
+    def prolonged(self, alpha: Vector) -> Vector:
+        """Return U alpha; one exchange."""
+        coarse_space, constraints = self.coarse_space, self.coarse_space.constraints
+        own = self.X[: int(coarse_space.ends[-1])] @ alpha
+        part = self.own @ alpha - coarse_space.prolong_own(own)
+        whole = constraints.layout.sum(part) - self.W @ (self.V @ alpha)
+        return np.where(constraints.equality, whole, 0.0)
+
+    def _restricted(self, y: Vector) -> Vector:
+        """Return U'y for y that all holders have whole; one reduction."""
+        coarse_space, constraints = self.coarse_space, self.coarse_space.constraints
+        y = np.where(constraints.equality, y, 0.0)
+        owned = constraints.layout.owned
+        own = self.X[: int(coarse_space.ends[-1])]
+        part = self.own.T @ y - own.T @ coarse_space.restrict_own(y)
+        part -= self.V.T @ (self.W[:owned].T @ y[:owned])
+        return constraints.layout.space.sum_over_ranks(part)
+
+    def _coefficients_of(self, forces: Vector) -> Vector:
+        """Return (U'FU)^{-1} U'F x for packed forces B'x; one reduction."""
+        k, h = self.X.shape[1], len(self.X)
+        products = np.zeros(k + h + len(self.V))
+        for begin, response in zip(self.unknowns[:-1], self.responses, strict=True):
+            displacements = response.displacements
+            end = begin + displacements.shape[1]
+            products[response.columns] += displacements @ forces[begin:end]
+        part = products[:k] - self.X.T @ products[k : k + h] - self.V.T @ products[k + h :]
+        space = self.coarse_space.constraints.layout.space
+        return self._solve(space.sum_over_ranks(part))
+
+    def _response(self, alpha: Vector) -> Vector:
+        """Return K^+B'U alpha on this rank's packed interface unknowns."""
+        combination = np.concatenate([alpha, -self.X @ alpha, -self.V @ alpha])
+        parts = [combination[r.columns] @ r.displacements for r in self.responses]
+        return np.concatenate([np.zeros(0), *parts])
+
+    def _solve(self, right: Vector) -> Vector:
+        """Return (U'FU)^{-1} of the columns that are kept, zero for the others."""
+        alpha = np.zeros_like(right)
+        alpha[self.kept] = cho_solve((self.factor, True), right[self.kept], check_finite=False)
+        return alpha
+
+
+def at_most(comm: MPI.Intracomm, vectors: LocalVectors, most: int = _MOST) -> LocalVectors:
+    """Return the vectors with the largest values, as many as a dense matrix is good for.
+
+    Warns on all ranks if some are left out. Collective.
+    """
+    excess = np.sort(concatenate_ranks(comm, vectors.excess))[::-1]
+    if excess.size <= most:
+        return vectors
+    warnings.warn(
+        f"deflation: {excess.size} directions in which the dual operator is large, more than the "
+        f"{most} that a dense matrix is made for; the others may cost many iterations. Larger "
+        "subdomains (option 'subdomain_size') cut fewer stiff parts of the material",
+        stacklevel=2,
+    )
+    return vectors.chosen(vectors.excess > excess[most])
+
+
+def same_equality_rows(one: Constraints, other: Constraints) -> bool:
+    """Tell, with one answer on all ranks, whether both have the same equality rows. Collective."""
+    E, H = (
+        c.matrix[np.flatnonzero(c.equality)][np.argsort(c.layout.numbers[c.equality])]
+        for c in (one, other)
+    )
+    numbers = (np.sort(c.layout.numbers[c.equality]) for c in (one, other))
+    same = E.shape == H.shape and np.array_equal(*numbers) and (E != H).nnz == 0
+    return bool(one.layout.comm.allreduce(same, MPI.LAND))
+
+
+def _columns(
+    constraints: Constraints, vectors: LocalVectors, first: int, total: int
+) -> sp.csr_matrix:
+    """Return vectors as columns in their places among those of all ranks."""
+    sizes = [rows.size for rows in vectors.rows]
+    rows = np.concatenate([np.zeros(0, dtype=np.int64), *vectors.rows])
+    values = np.concatenate([np.zeros(0), *vectors.values])
+    places = np.repeat(first + np.arange(len(sizes)), sizes)
+    shape = constraints.size, total
+    return sp.csr_matrix((values, (constraints.layout.local(rows), places)), shape=shape)
+
+
+def _with_neighbours(constraints: Constraints, own: sp.csr_matrix) -> sp.csr_matrix:
+    """Return the columns of all ranks in the rows that this rank holds."""
+    if constraints.layout.comm.size == 1:
+        return own
+    coo = own.tocoo()
+    columns, rows = coo.col.astype(np.int64), coo.row.astype(np.int64)
+    others = constraints.layout.shared_entries(columns, rows, coo.data)
+    return own + sp.csr_matrix((others[2], (others[1], others[0])), shape=own.shape)
+
+
+def _coefficients(projector: Projector, C: sp.csr_matrix) -> tuple[Vector, Vector, Vector]:
+    """Return X, W and V of P_E C = C - G_E'X - WV, from the columns of all ranks. Collective."""
+    coarse_space, layout = projector.coarse_space, projector.coarse_space.layout
+    own = (coarse_space.motions_of_rows(projector.rows)[:, : int(coarse_space.ends[-1])].T @ C).tocsc()
+    places = np.concatenate([np.arange(layout.size)[layout.own], layout.others])
+    W = np.zeros((C.shape[0], 0))
+    if projector.weak is not None:
+        W = np.where(projector.rows[:, None], projector.weak.rows, 0.0)
+    X, V = np.zeros((places.size, C.shape[1])), np.zeros((W.shape[1], C.shape[1]))
+    if projector.factor is None:
+        return X, W, V
+    for j in range(C.shape[1]):
+        coarse = projector.without_free_motions(layout.gather(own[:, j].toarray().ravel()))
+        X[:, j] = projector.factor.solve(coarse)[places]
+        if projector.weak is not None:
+            V[:, j] = projector.weak.motions.T @ coarse
+    return X, W, V
+
+
+def _responses(
+    coarse_space: CoarseSpace,
+    on_interface: Sequence[Operator],
+    torn: TornRows,
+    forces: sp.csr_matrix,
+    combination: Vector,
+) -> tuple[list[Response], Vector]:
+    """Return K_s^+ B_s' of the columns that reach each subdomain, and this rank's part of U'FU."""
+    total = combination.shape[1]
+    responses, entries = list[Response](), [(np.zeros((0, 0)), np.zeros(0, dtype=np.int64))]
+    place = 0
+    for congruent, operator in zip(coarse_space.interface.classes, on_interface, strict=True):
+        for _ in congruent.members:
+            block = forces[torn.unknowns[place] : torn.unknowns[place + 1]].tocsc()
+            columns = np.flatnonzero(np.diff(block.indptr)).astype(np.int64)
+            right = block[:, columns].toarray()
+            if columns.size > total:
+                # those of U itself are fewer
+                right, columns = right @ combination[columns], np.arange(total)
+            displacements = operator(np.ascontiguousarray(right.T))
+            entries.append((displacements @ right, columns))
+            responses.append(Response(columns, displacements))
+            place += 1
+    products = _assembled(entries, len(combination)) @ combination
+    return responses, combination.T @ products
+
+
+def _assembled(blocks: Sequence[tuple[Vector, Numbers]], size: int) -> sp.csr_matrix:
+    """Return the sum of square blocks in given rows and columns."""
+    rows = np.concatenate([np.repeat(places, places.size) for _, places in blocks])
+    columns = np.concatenate([np.tile(places, places.size) for _, places in blocks])
+    values = np.concatenate([block.ravel() for block, _ in blocks])
+    return sp.csr_matrix((values, (rows, columns)), shape=(size, size))
+
+
+def _factor(constraints: Constraints, gram: Vector) -> tuple[Numbers, Vector]:
+    """Return columns of U that do not depend on others, and the Cholesky factor of U'FU of them.
+
+    Two subdomains may have the same vector for the jump between them. Every rank gets the same.
+    """
+    comm = constraints.layout.comm
+    whole = constraints.layout.space.sum_over_ranks(gram)
+    comm.Bcast(whole)
+    whole = 0.5 * (whole + whole.T)
+    # in units of each column's own energy
+    lengths = np.sqrt(np.maximum(whole.diagonal(), np.finfo(float).tiny))
+    factor, pivots, rank, _ = dpstrf(whole / np.outer(lengths, lengths), tol=_DEPENDENT, lower=1)
+    kept = (pivots[:rank] - 1).astype(np.int64)
+    lower: Vector = np.tril(factor[:rank, :rank]) * lengths[kept, None]
+    return kept, lower
