@@ -342,6 +342,8 @@ class _Loop:
         with self.timer.phase("recovery"):
             coarse_space = setup.projector.coarse_space
             multipliers, face = balance_multipliers(coarse_space, data.e, multipliers)
+            # F makes jumps of what the balance has added, large ones in the deflated directions
+            multipliers = self._completed(multipliers)
             recovered = recover_displacement(setup.F, face, data.load, data.c, multipliers)
             certificate = self.primal.certify(recovered, multipliers, face)
             energy = self.primal.energy(recovered)
