@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 from scipy.linalg.lapack import dpstrf
 
-from fenics_tfeti.feti.coarse.local_spectra import LocalVectors, TornRows
+from fenics_tfeti.feti.coarse.local_spectra import LocalVectors
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.rows import Constraints
@@ -42,6 +42,8 @@ Numbers = NDArray[np.int64]
 Operator = Callable[[Vector], Vector]
 DeflationKind = Literal["auto", "on", "off"]
 
+# coarse right-hand sides at once
+_COLUMNS = 128
 # vectors of all ranks: U'FU is a dense matrix on each of them, here of 72 MB
 _MOST = 3000
 # energy of what a vector adds to those before it, relative to its own, that counts as nothing
@@ -108,7 +110,6 @@ class Deflation:
     def build(
         coarse_space: CoarseSpace,
         on_interface: Sequence[Operator],
-        torn: TornRows,
         vectors: LocalVectors,
     ) -> Deflation | None:
         """Make U, K^+B'U and the factor of U'FU; None if no rank has a vector. Collective.
@@ -119,8 +120,6 @@ class Deflation:
             G.
         on_interface : sequence of callable
             K_i^+ between interface unknowns of each class, (k, b) -> (k, b).
-        torn : TornRows
-            The equality rows of each subdomain.
         vectors : LocalVectors
             The columns of C that belong to subdomains of this rank.
         """
@@ -139,7 +138,7 @@ class Deflation:
         )
         forces = (coarse_space.interface.transposed @ pieces.tocsr()).tocsr()
         combination = np.vstack([np.identity(total), -X, -V])
-        responses, gram = _responses(coarse_space, on_interface, torn, forces, combination)
+        responses, gram = _responses(coarse_space, on_interface, forces, combination)
         kept, factor = _factor(constraints, gram)
         solves = sum(response.columns.size for response in responses)
         return Deflation(
@@ -150,7 +149,7 @@ class Deflation:
             W,
             V,
             responses,
-            torn.unknowns,
+            coarse_space.interface.ends,
             kept,
             factor,
             solves,
@@ -312,39 +311,54 @@ def _coefficients(projector: Projector, C: sp.csr_matrix) -> tuple[Vector, Vecto
     X, V = np.zeros((places.size, C.shape[1])), np.zeros((W.shape[1], C.shape[1]))
     if projector.factor is None:
         return X, W, V
-    for j in range(C.shape[1]):
-        coarse = projector.without_free_motions(layout.gather(own[:, j].toarray().ravel()))
-        X[:, j] = projector.factor.solve(coarse)[places]
+    for first in range(0, C.shape[1], _COLUMNS):
+        some = slice(first, first + _COLUMNS)
+        coarse = projector.without_free_motions(layout.gather(own[:, some].toarray()))
+        X[:, some] = projector.factor.solve_columns(coarse)[places]
         if projector.weak is not None:
-            V[:, j] = projector.weak.motions.T @ coarse
+            V[:, some] = projector.weak.motions.T @ coarse
     return X, W, V
 
 
 def _responses(
     coarse_space: CoarseSpace,
     on_interface: Sequence[Operator],
-    torn: TornRows,
     forces: sp.csr_matrix,
     combination: Vector,
 ) -> tuple[list[Response], Vector]:
     """Return K_s^+ B_s' of the columns that reach each subdomain, and this rank's part of U'FU."""
     total = combination.shape[1]
     responses, entries = list[Response](), [(np.zeros((0, 0)), np.zeros(0, dtype=np.int64))]
-    place = 0
-    for congruent, operator in zip(coarse_space.interface.classes, on_interface, strict=True):
-        for _ in congruent.members:
-            block = forces[torn.unknowns[place] : torn.unknowns[place + 1]].tocsc()
-            columns = np.flatnonzero(np.diff(block.indptr)).astype(np.int64)
-            right = block[:, columns].toarray()
-            if columns.size > total:
-                # those of U itself are fewer
-                right, columns = right @ combination[columns], np.arange(total)
-            displacements = operator(np.ascontiguousarray(right.T))
-            entries.append((displacements @ right, columns))
-            responses.append(Response(columns, displacements))
-            place += 1
+    interface = coarse_space.interface
+    operators = [
+        operator
+        for congruent, operator in zip(interface.classes, on_interface, strict=True)
+        for _ in congruent.members
+    ]
+    for operator, begin, end in zip(operators, interface.ends[:-1], interface.ends[1:], strict=True):
+        columns, right = _filled_columns(forces, int(begin), int(end))
+        if columns.size > total:
+            # those of U itself are fewer
+            columns, right = np.arange(total), combination[columns].T @ right
+        displacements = operator(right)
+        entries.append((displacements @ right.T, columns))
+        responses.append(Response(columns, displacements))
     products = _assembled(entries, len(combination)) @ combination
     return responses, combination.T @ products
+
+
+def _filled_columns(matrix: sp.csr_matrix, begin: int, end: int) -> tuple[Numbers, Vector]:
+    """Return the columns that have entries in some rows, and these rows, dense and transposed."""
+    indptr = matrix.indptr[begin : end + 1]
+    indices, values = (x[indptr[0] : indptr[-1]] for x in (matrix.indices, matrix.data))
+    filled = np.zeros(matrix.shape[1], dtype=bool)
+    filled[indices] = True
+    columns = np.flatnonzero(filled)
+    place = np.empty(filled.size, dtype=np.int64)
+    place[columns] = np.arange(columns.size)
+    dense = np.zeros((columns.size, end - begin))
+    dense[place[indices], np.repeat(np.arange(end - begin), np.diff(indptr))] = values
+    return columns, dense
 
 
 def _assembled(blocks: Sequence[tuple[Vector, Numbers]], size: int) -> sp.csr_matrix:

@@ -56,6 +56,10 @@ class CoarseFactor(Protocol):
         """Solve for a right-hand side that every rank has; every rank gets the whole solution."""
         ...
 
+    def solve_columns(self, coarse: Vector) -> Vector:
+        """Solve for the columns of a matrix that every rank has."""
+        ...
+
     def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
         """Solve, given this rank's part; return that of `own` and of `others` in the solution."""
         ...
@@ -145,11 +149,12 @@ class CoarseLayout:
         return slice(self.first, self.first + self.counts[self.comm.rank])
 
     def gather(self, own: Vector) -> Vector:
-        """Return the whole vector of the ranks' own parts; one gathering."""
+        """Return the whole vector, or matrix, of the ranks' own parts; one gathering."""
         if self.comm.size == 1:
             return own
         whole = np.empty((self.size, *own.shape[1:]))
-        self.comm.Allgatherv(np.ascontiguousarray(own), [whole, list(self.counts)])
+        counts = [count * int(np.prod(own.shape[1:])) for count in self.counts]
+        self.comm.Allgatherv(np.ascontiguousarray(own), [whole, counts])
         return whole
 
     def sum_whole(self, own: Vector, others: Vector, numbers: Vector) -> tuple[Vector, Vector]:
@@ -237,6 +242,9 @@ class _Redundant:
     def solve(self, coarse: Vector) -> Vector:
         return self.whole.solve(coarse)
 
+    def solve_columns(self, coarse: Vector) -> Vector:
+        return self.whole.solve(coarse)
+
     def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
         solution = self.whole.solve(self.layout.gather(own))
         return solution[self.layout.own], solution[self.layout.others]
@@ -259,6 +267,10 @@ class _Distributed:
 
     def solve(self, coarse: Vector) -> Vector:
         return self.layout.gather(self.shared.solve(coarse[self.layout.own]))
+
+    def solve_columns(self, coarse: Vector) -> Vector:
+        own = [self.shared.solve(column) for column in coarse[self.layout.own].T]
+        return self.layout.gather(np.array(own).T)
 
     def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
         solution = self.shared.solve(own)

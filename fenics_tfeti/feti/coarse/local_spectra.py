@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.linalg import eigh, qr
 
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.constraints.interface import Interface
@@ -29,8 +28,8 @@ Mask = NDArray[np.bool_]
 Operator = Callable[[Vector], Vector]
 
 # columns of a block and number of products with it: as many vectors as 32 steps of the Lanczos
-# method, but for the price of a third, as right-hand sides share the factors
-_BLOCK, _STEPS = 4, 8
+# method for the price of ten, since right-hand sides share the factors
+_BLOCK, _STEPS = 8, 4
 # products after which a subdomain whose eigenvalues all seem to be moderate is given up
 _TRIAL = 2
 # vectors of a subdomain
@@ -63,26 +62,27 @@ def threshold(gdim: int, nodes: int) -> float:
 
 @dataclass(frozen=True)
 class TornRows:
-    """The equality rows of each subdomain: rows that several subdomains share, once for each.
+    """The equality rows of some subdomains; rows that several of them share, once for each.
 
     Subdomains are in the order of the packed interface unknowns.
 
     Attributes
     ----------
-    rows : list of integer arrays
-        Local positions of the equality rows with an entry in each subdomain.
-    unknowns : (subdomains + 1,) integer array
-        First packed interface unknown of each subdomain, and the end of the last.
-    matrices : list of (r, b) scipy.sparse.csr_matrix
-        B_s of these rows on the packed interface unknowns of the subdomain.
+    rows : (r,) integer array
+        Local positions of the rows, subdomain by subdomain.
+    ends : (subdomains + 1,) integer array
+        First row of each subdomain, and the end of the last; others have none.
+    matrix, transposed : scipy.sparse.csr_matrix
+        The matrices B_s on the packed interface unknowns, as a block diagonal matrix (r, b).
     """
 
-    rows: list[Numbers]
-    unknowns: Numbers
-    matrices: list[sp.csr_matrix]
+    rows: Numbers
+    ends: Numbers
+    matrix: sp.csr_matrix
+    transposed: sp.csr_matrix
 
     @staticmethod
-    def build(interface: Interface, equality: Mask) -> TornRows:
+    def build(interface: Interface, equality: Mask, chosen: Mask) -> TornRows:
         """Split B.
 
         Parameters
@@ -91,20 +91,19 @@ class TornRows:
             B by packed unknowns.
         equality : (m,) bool array
             The rows that count.
+        chosen : (subdomains,) bool array
+            The subdomains that count.
         """
-        sizes = [
-            np.full(c.members.size, u.size)
-            for c, u in zip(interface.classes, interface.unknowns, strict=True)
-        ]
-        unknowns = np.cumsum(np.concatenate([[0], *sizes])).astype(np.int64)
-        rows, matrices = [], []
-        transposed = interface.transposed
-        for begin, end in zip(unknowns[:-1], unknowns[1:], strict=True):
-            part = transposed[begin:end].T.tocsr()
-            own = np.flatnonzero((np.diff(part.indptr) > 0) & equality)
-            rows.append(own)
-            matrices.append(part[own])
-        return TornRows(rows, unknowns, matrices)
+        entries, m = interface.matrix.tocoo(), equality.size
+        of_unknown = np.repeat(np.arange(chosen.size), np.diff(interface.ends))
+        kept = equality[entries.row] & chosen[of_unknown[entries.col]]
+        row, column = entries.row[kept].astype(np.int64), entries.col[kept]
+        keys, position = np.unique(of_unknown[column] * m + row, return_inverse=True)
+        matrix = sp.csr_matrix(
+            (entries.data[kept], (position, column)), (keys.size, interface.columns.size)
+        )
+        ends = np.searchsorted(keys, m * np.arange(chosen.size + 1)).astype(np.int64)
+        return TornRows(keys % max(m, 1), ends, matrix, matrix.T.tocsr())
 
 
 @dataclass(frozen=True)
@@ -148,7 +147,6 @@ def local_vectors(
     numbers: Numbers,
     unit: float,
     limits: Vector,
-    chosen: Mask,
 ) -> LocalVectors:
     """Return Ritz vectors of P_s F_s P_s with values above a limit.
 
@@ -168,28 +166,30 @@ def local_vectors(
         The stiffness that a weight of 1 stands for [N/m].
     limits : (subdomains,) array
         tau of each subdomain.
-    chosen : (subdomains,) bool array
-        The subdomains that are asked.
     """
-    found: list[_Subspace] = []
-    place = 0
-    for congruent, operator, kernel in zip(interface.classes, on_interface, kernels, strict=True):
-        members = range(place, place + congruent.members.size)
-        place += congruent.members.size
-        spaces = [
-            _Subspace.start(torn.matrices[s], kernel, numbers[torn.rows[s]], limits[s])
-            for s in members
-            if chosen[s] and torn.rows[s].size
-        ]
-        _enlarge(spaces, operator, unit)
-        found += spaces
+    numbers = numbers[torn.rows]
+    spaces = _first_subspaces(torn, interface, kernels, numbers, limits)
+    solves = 0
+    for step in range(1, _STEPS + 1):
+        growing = [space for space in spaces if space.block.shape[1]]
+        if not growing:
+            break
+        block = np.zeros((torn.rows.size, _BLOCK))
+        for space in growing:
+            block[space.rows, : space.block.shape[1]] = space.block
+            solves += space.block.shape[1]
+        jumps = torn.matrix @ _solved(interface, on_interface, torn.transposed @ block)
+        jumps *= unit
+        for space in growing:
+            space.take(jumps[space.rows], last=step == _STEPS)
+            if step == _TRIAL and not space.large()[0].size:
+                space.block = space.block[:, :0]
     rows, values, excess = list[Numbers](), list[Vector](), [np.zeros(0)]
-    for space in found:
-        size, vectors = space.large()
-        rows += [space.numbers] * size.size
+    for space in spaces:
+        sizes, vectors = space.large()
+        rows += [numbers[space.rows]] * sizes.size
         values += list(vectors.T)
-        excess.append(size / space.limit)
-    solves = sum(space.basis.shape[1] for space in found)
+        excess.append(sizes / space.limit)
     return LocalVectors(rows, values, np.concatenate(excess), solves)
 
 
@@ -199,81 +199,91 @@ class _Subspace:
 
     Attributes
     ----------
-    matrix, transposed : scipy.sparse.csr_matrix
-        B_s and B_s'.
-    motions : (r, k) array
-        Orthonormal basis of the range of G_s'.
-    numbers : (r,) integer array
-        Global numbers of the rows.
+    rows : slice
+        Its rows among those of all subdomains.
     limit : float
         tau.
+    motions : (r, k) array
+        Orthonormal basis of the range of G_s'.
     basis, images : (r, j) arrays
         Orthonormal basis, and P_s F_s P_s times it.
     block : (r, b) array
         The next columns of the basis; without columns when the subspace is large enough.
     """
 
-    matrix: sp.csr_matrix
-    transposed: sp.csr_matrix
-    motions: Vector
-    numbers: Numbers
+    rows: slice
     limit: float
+    motions: Vector
     basis: Vector
     images: Vector
     block: Vector
 
-    @staticmethod
-    def start(B: sp.csr_matrix, R: Vector, numbers: Numbers, limit: float) -> _Subspace:
-        """Return the empty subspace, with a first block that depends on the rows' numbers only."""
-        U, sizes, _ = np.linalg.svd(B @ R, full_matrices=False)
-        motions = U[:, sizes > _DEPENDENT * sizes.max(initial=0.0)]
-        first = seeded_vector(_BLOCK * np.repeat(numbers, _BLOCK) + np.tile(np.arange(_BLOCK), numbers.size))
-        none = np.zeros((numbers.size, 0))
-        space = _Subspace(B, B.T.tocsr(), motions, numbers, limit, none, none, none)
-        space.block = space.new_directions(first.reshape(-1, _BLOCK))
-        return space
-
     def new_directions(self, x: Vector) -> Vector:
         """Return an orthonormal basis of what x adds to the subspace."""
         size = np.linalg.norm(x, axis=0).max(initial=0.0)
+        known = np.hstack([self.motions, self.basis])
         # once more for what rounding leaves
         for _ in range(2):
-            for known in (self.motions, self.basis):
-                x = x - known @ (known.T @ x)
-        Q, R = qr(x, mode="economic", pivoting=True)[:2]
+            x = x - known @ (known.T @ x)
+        Q, R = np.linalg.qr(x)
         new: Vector = Q[:, np.abs(np.diag(R)) > _DEPENDENT * size]
         return new
 
-    def take(self, jumps: Vector) -> None:
+    def take(self, jumps: Vector, last: bool) -> None:
         """Add the block to the basis, given F_s times it; find the next one."""
+        jumps = jumps[:, : self.block.shape[1]]
         image = jumps - self.motions @ (self.motions.T @ jumps)
         self.basis = np.hstack([self.basis, self.block])
         self.images = np.hstack([self.images, image])
-        self.block = self.new_directions(image)
-        columns = self.basis.shape[1]
-        if columns >= _STEPS * _BLOCK or (
-            columns >= _TRIAL * _BLOCK and not self.large()[0].size
-        ):
-            self.block = self.block[:, :0]
+        self.block = self.block[:, :0] if last else self.new_directions(image)
 
     def large(self) -> tuple[Vector, Vector]:
         """Return the Ritz values above the limit, in descending order, and their vectors."""
         gram = self.basis.T @ self.images
-        values, vectors = eigh(0.5 * (gram + gram.T))
+        values, vectors = np.linalg.eigh(0.5 * (gram + gram.T))
         at = np.flatnonzero(values > self.limit)[::-1][:_MOST]
         return values[at], self.basis @ vectors[:, at]
 
 
-def _enlarge(spaces: Sequence[_Subspace], operator: Operator, unit: float) -> None:
-    """Enlarge the subspaces of congruent subdomains, all by solves with the same factor."""
-    growing = [space for space in spaces if space.block.shape[1]]
-    while growing:
-        forces = np.concatenate([(space.transposed @ space.block).T for space in growing])
-        displacements = np.concatenate(
-            [operator(forces[i : i + _COLUMNS]) for i in range(0, len(forces), _COLUMNS)]
-        )
-        widths = [space.block.shape[1] for space in growing]
-        parts = np.split(displacements, np.cumsum(widths)[:-1])
-        for space, part in zip(growing, parts, strict=True):
-            space.take(unit * (space.matrix @ part.T))
-        growing = [space for space in growing if space.block.shape[1]]
+def _first_subspaces(
+    torn: TornRows,
+    interface: Interface,
+    kernels: Sequence[Vector],
+    numbers: Numbers,
+    limits: Vector,
+) -> list[_Subspace]:
+    """Return empty subspaces, with first blocks that depend on the numbers of the rows only."""
+    first = seeded_vector(_BLOCK * numbers[:, None] + np.arange(_BLOCK))
+    spaces = list[_Subspace]()
+    members = [congruent.members.size for congruent in interface.classes]
+    modes = max((R.shape[1] for R in kernels), default=0)
+    # kernels of fewer motions get columns of zeros
+    padded = [np.pad(R, ((0, 0), (0, modes - R.shape[1]))) for R in kernels]
+    tiled = [np.tile(R, (k, 1)) for R, k in zip(padded, members, strict=True)]
+    G = torn.matrix @ np.concatenate([np.zeros((0, modes)), *tiled])
+    for s in np.flatnonzero(np.diff(torn.ends)):
+        rows = slice(int(torn.ends[s]), int(torn.ends[s + 1]))
+        U, sizes, _ = np.linalg.svd(G[rows], full_matrices=False)
+        motions = U[:, sizes > _DEPENDENT * sizes.max(initial=0.0)]
+        none = np.zeros((rows.stop - rows.start, 0))
+        space = _Subspace(rows, float(limits[s]), motions, none, none, none)
+        space.block = space.new_directions(first[rows])
+        spaces.append(space)
+    return spaces
+
+
+def _solved(interface: Interface, on_interface: Sequence[Operator], forces: Vector) -> Vector:
+    """Apply K^+ between the packed interface unknowns to the columns (b, k) of a matrix."""
+    result, width, end = np.empty_like(forces), forces.shape[1], 0
+    together = max(1, _COLUMNS // width)
+    for congruent, local, operator in zip(
+        interface.classes, interface.unknowns, on_interface, strict=True
+    ):
+        for first in range(0, congruent.members.size, together):
+            members = min(together, congruent.members.size - first)
+            begin, end = end, end + members * local.size
+            block = forces[begin:end].reshape(members, local.size, width).transpose(0, 2, 1)
+            solved = operator(block.reshape(members * width, local.size))
+            solved = solved.reshape(members, width, local.size).transpose(0, 2, 1)
+            result[begin:end] = solved.reshape(members * local.size, width)
+    return result

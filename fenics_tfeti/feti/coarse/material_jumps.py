@@ -7,7 +7,6 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from fenics_tfeti.feti.coarse.local_spectra import TornRows
 from fenics_tfeti.feti.constraints.ground import TornUnknowns
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
@@ -28,7 +27,6 @@ def subdomains_with_jumps(
     system: TornSystem,
     constraints: Constraints,
     interface: Interface,
-    torn: TornRows,
     unknowns: TornUnknowns,
 ) -> Mask:
     """Tell which subdomains' interfaces have nodes of very different stiffness. Collective.
@@ -44,8 +42,6 @@ def subdomains_with_jumps(
         B with weights of stiffness.
     interface : Interface
         Its packed columns.
-    torn : TornRows
-        The equality rows of each subdomain.
     unknowns : TornUnknowns
         Where the displacements are among the torn unknowns.
 
@@ -54,22 +50,24 @@ def subdomains_with_jumps(
     (subdomains,) bool array
         In the order of the packed interface unknowns.
     """
-    jumps = _ratios(constraints.weights[interface.columns], torn) > _JUMP
+    jumps = _ratios(constraints.weights[interface.columns], interface) > _JUMP
     if system.comm.allreduce(bool(jumps.any()), MPI.LOR):
         whole = constraints.weights.copy()
         own = whole[unknowns.displacements].reshape(-1, system.gdim)[:, 0]
         whole[unknowns.displacements] = np.repeat(_over_copies(system, own), system.gdim)
-        jumps &= _ratios(whole[interface.columns], torn) > _JUMP
+        jumps &= _ratios(whole[interface.columns], interface) > _JUMP
     return jumps
 
 
-def _ratios(weights: Vector, torn: TornRows) -> Vector:
-    """Return the largest over the smallest weight of each subdomain's unknowns with a row."""
-    ratios = np.ones(len(torn.rows))
-    for s, begin in enumerate(torn.unknowns[:-1]):
-        own = weights[begin + torn.matrices[s].indices]
-        if own.size:
-            ratios[s] = own.max() / own.min()
+def _ratios(weights: Vector, interface: Interface) -> Vector:
+    """Return the largest over the smallest weight of each subdomain's interface unknowns."""
+    ends = interface.ends
+    ratios = np.ones(ends.size - 1)
+    some = np.flatnonzero(np.diff(ends))
+    if some.size:
+        # the next subdomain with unknowns begins where one ends
+        least, most = (f.reduceat(weights, ends[some]) for f in (np.minimum, np.maximum))
+        ratios[some] = most / least
     return ratios
 
 

@@ -64,6 +64,16 @@ class Interface:
         )
         return Interface(classes, unknowns, columns, packed, packed.T.tocsr())
 
+    @property
+    def ends(self) -> Numbers:
+        """First packed unknown of each subdomain, class by class, and the end of the last."""
+        sizes = [
+            np.full(c.members.size, u.size, dtype=np.int64)
+            for c, u in zip(self.classes, self.unknowns, strict=True)
+        ]
+        ends: Numbers = np.cumsum(np.concatenate([np.zeros(1, dtype=np.int64), *sizes]))
+        return ends
+
     def blocks(self, packed: Vector) -> list[Vector]:
         """Return a packed vector as matrices (k, interface unknowns), one for each class."""
         sizes = [c.members.size * u.size for c, u in zip(self.classes, self.unknowns, strict=True)]

@@ -206,40 +206,35 @@ class DualSetup:
         if options.deflation == "off":
             return self
         coarse_space, constraints = self.projector.coarse_space, self.constraints
-        torn = TornRows.build(coarse_space.interface, constraints.equality)
         if known is not None and same_equality_rows(constraints, known.constraints):
             vectors = None if known.deflation is None else known.deflation.vectors
             vectors = replace(vectors, solves=0) if vectors is not None else None
         else:
-            vectors = self._local_vectors(system, options, torn)
+            vectors = self._local_vectors(system, options)
         if vectors is None:
             return self
-        deflation = Deflation.build(coarse_space, self.F.on_interface, torn, vectors)
+        deflation = Deflation.build(coarse_space, self.F.on_interface, vectors)
         if deflation is None:
             return self
         part = partial(deflation.part, self.F.packed)
         norm = ProjectedNorm(part, self.projector, 1.0 / self.local.unit)
         return replace(self, norm=norm, deflation=deflation)
 
-    def _local_vectors(
-        self, system: TornSystem, options: Options, torn: TornRows
-    ) -> LocalVectors | None:
+    def _local_vectors(self, system: TornSystem, options: Options) -> LocalVectors | None:
         """Return the vectors of this rank's subdomains; None if no rank's have jumps."""
         interface, local = self.F.interface, self.local
-        chosen = np.ones(len(torn.rows), dtype=bool)
+        chosen = np.ones(len(system.subdomains), dtype=bool)
         if options.deflation == "auto":
             # with weights of 1, F measures every stiffness
             if options.scaling != "stiffness":
                 return None
-            chosen = subdomains_with_jumps(
-                system, self.constraints, interface, torn, local.unknowns
-            )
+            chosen = subdomains_with_jumps(system, self.constraints, interface, local.unknowns)
             if not system.comm.allreduce(bool(chosen.any()), MPI.LOR):
                 return None
         order = [member for congruent in local.classes for member in congruent.members]
         nodes = [system.subdomains[member].nodes.size for member in order]
         vectors = local_vectors(
-            torn,
+            TornRows.build(interface, self.constraints.equality, chosen),
             interface,
             self.F.on_interface,
             [
@@ -249,7 +244,6 @@ class DualSetup:
             numbers=self.constraints.layout.numbers,
             unit=local.unit,
             limits=np.array([threshold(system.gdim, n) for n in nodes]),
-            chosen=chosen,
         )
         return at_most(system.comm, vectors)
 
