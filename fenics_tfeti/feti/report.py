@@ -62,8 +62,12 @@ class Report:
     outer_iterations : int
         Outer iterations of SMALBE-M.
     products : dict
-        Applications of F by kind of step, their ``total``, those for the ``norm`` (not in the
-        total), and those of the ``preconditioner``.
+        Applications of F by kind of step, their ``total``, those for the ``norm`` and for the
+        set-up of ``deflation`` (not in the total; the latter are solves with K_i^+ for each
+        subdomain, many at once), and those of the ``preconditioner``.
+    deflation : dict
+        Deflated directions of the dual operator (``vectors``), and their memory over all ranks
+        (``bytes``).
     seconds : dict
         Wall time by phase, the slowest rank's, and the ``total`` [s].
     peak_memory_bytes : int
@@ -121,6 +125,7 @@ class Report:
     dual_operator: dict[str, int]
     outer_iterations: int
     products: dict[str, int]
+    deflation: dict[str, int]
     seconds: dict[str, float]
     peak_memory_bytes: int
     energy: float
@@ -221,6 +226,7 @@ def build_report(
     owned = constraints.owned_inequalities
     force = constraints.scale * candidate.multipliers[constraints.inequality]
     explicit, classes = comm.allreduce(setup.F.explicit), comm.allreduce(len(setup.local.classes))
+    subdomains = comm.allreduce(len(system.subdomains))
     products = history.products
     local = setup.local
     sums = resultants(
@@ -240,7 +246,7 @@ def build_report(
             "infinite_gaps": constraints.infinite_gaps,
         },
         reused=reused,
-        subdomains=comm.allreduce(len(system.subdomains)),
+        subdomains=subdomains,
         classes=classes,
         dual_operator={"implicit": classes - explicit, "explicit": explicit},
         outer_iterations=len(history.outer),
@@ -250,7 +256,12 @@ def build_report(
             "expansion": products.expansion,
             "proportioning": products.proportioning,
             "norm": setup.norm.products - history.norm_products_before,
+            "deflation": -(-comm.allreduce(history.deflation_solves) // subdomains),
             "preconditioner": products.preconditioner,
+        },
+        deflation={
+            "vectors": 0 if setup.deflation is None else setup.deflation.size,
+            "bytes": comm.allreduce(0 if setup.deflation is None else setup.deflation.bytes),
         },
         seconds=timer.slowest(comm),
         peak_memory_bytes=peak_memory(comm),

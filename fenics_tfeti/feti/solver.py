@@ -134,6 +134,7 @@ class TornSolver:
         self.timer = timer or Timer()
         with raise_collectively(system.comm):
             package = choose_factor(self.options)
+        self._deflation_solves = 0
         self.setup, self.data, self.reused = self._set_up(package, previous, guess)
         self._constraints = self.setup.constraints
         self._norm_products = self.setup.norm.products
@@ -169,6 +170,7 @@ class TornSolver:
             setup = DualSetup.build(system, options, local, projector, inverses, package)
         with phase("deflation"):
             setup = setup.deflated(system, options, known)
+        self._deflation_solves = setup.deflation_solves
         return setup, data, ["factors"] if known else []
 
     def _data(self, local: LocalSetup, projector: Projector, c: Vector) -> ContactData:
@@ -216,8 +218,12 @@ class TornSolver:
         return DualState(multipliers, coarse_gradient, active)
 
     def dual_problem(self) -> DualProblem:
-        """Return the dual problem (11.36), to solve it by another method. Collective."""
-        return dual_problem(self.setup, self.data, self.setup.norm(LANCZOS_STEPS))
+        """Return the dual problem (11.36), to solve it by another method. Collective.
+
+        It is that with F and d themselves, without deflation.
+        """
+        setup = self.setup.without_deflation()
+        return dual_problem(setup, self.data, setup.norm(LANCZOS_STEPS))
 
     def release(self) -> None:
         """Free the factors and the stiffness matrices of this solver, which cannot solve then.
@@ -246,7 +252,9 @@ class TornSolver:
         """
         if not hasattr(self, "setup"):
             raise InputError("the solver was released, and can only be the previous one of another")
-        history = History(norm_products_before=self._norm_products)
+        history = History(
+            norm_products_before=self._norm_products, deflation_solves=self._deflation_solves
+        )
         outcome = iterate_until_certified(
             self.setup,
             self.data,

@@ -5,7 +5,7 @@ Both are built once and reused as long as K, or K and B, stay the same.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -144,6 +144,8 @@ class DualSetup:
         The bodies that the contact rows connect.
     deflation : Deflation or None
         What F and d are replaced by where the material jumps.
+    deflation_solves : int
+        Solves with K_i^+ of this rank that deflation, or the search for its vectors, took.
     """
 
     local: LocalSetup
@@ -154,6 +156,7 @@ class DualSetup:
     norm: ProjectedNorm
     row_bodies: RowBodies
     deflation: Deflation | None = None
+    deflation_solves: int = 0
 
     @staticmethod
     def build(
@@ -205,20 +208,29 @@ class DualSetup:
         """
         if options.deflation == "off":
             return self
-        coarse_space, constraints = self.projector.coarse_space, self.constraints
-        if known is not None and same_equality_rows(constraints, known.constraints):
-            vectors = None if known.deflation is None else known.deflation.vectors
-            vectors = replace(vectors, solves=0) if vectors is not None else None
+        if known is not None and same_equality_rows(self.constraints, known.constraints):
+            solves, vectors = 0, None if known.deflation is None else known.deflation.vectors
         else:
             vectors = self._local_vectors(system, options)
+            solves = 0 if vectors is None else vectors.solves
         if vectors is None:
             return self
+        coarse_space = self.projector.coarse_space
         deflation = Deflation.build(coarse_space, self.F.on_interface, vectors)
         if deflation is None:
+            return replace(self, deflation_solves=solves)
+        norm = self._norm_of(partial(deflation.part, self.F.packed))
+        solves += deflation.solves
+        return replace(self, norm=norm, deflation=deflation, deflation_solves=solves)
+
+    def without_deflation(self) -> DualSetup:
+        """Return the set-up with F itself; its norm is estimated anew."""
+        if self.deflation is None:
             return self
-        part = partial(deflation.part, self.F.packed)
-        norm = ProjectedNorm(part, self.projector, 1.0 / self.local.unit)
-        return replace(self, norm=norm, deflation=deflation)
+        return replace(self, norm=self._norm_of(self.F.part), deflation=None)
+
+    def _norm_of(self, part: Callable[[Vector], Vector]) -> ProjectedNorm:
+        return ProjectedNorm(part, self.projector, 1.0 / self.local.unit)
 
     def _local_vectors(self, system: TornSystem, options: Options) -> LocalVectors | None:
         """Return the vectors of this rank's subdomains; None if no rank's have jumps."""

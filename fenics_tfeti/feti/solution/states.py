@@ -131,9 +131,12 @@ class History:
         One entry for each face of the active set method.
     norm_products_before : int
         Products for ||PFP|| that were spent before.
+    deflation_solves : int
+        Solves with K_i^+ of this rank that the set-up of deflation took.
     """
 
     products: Products = field(default_factory=Products)
     outer: list[OuterIteration] = field(default_factory=list)
     faces: list[ActiveSetStep] = field(default_factory=list)
     norm_products_before: int = 0
+    deflation_solves: int = 0
