@@ -49,14 +49,14 @@ def test_certificate():
 def test_products_are_all_applications_of_F(monkeypatch):
     solver = TornSolver(column())
     count = 0
-    apply = type(solver.setup.F).part
+    apply = type(solver.setup.F).packed
 
     def counting(self, x):
         nonlocal count
         count += 1
         return apply(self, x)
 
-    monkeypatch.setattr(type(solver.setup.F), "part", counting)
+    monkeypatch.setattr(type(solver.setup.F), "packed", counting)
     products = solver.solve().report.products
     assert count == products["total"] + products["norm"]
 

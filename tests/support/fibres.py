@@ -46,14 +46,18 @@ def element(gdim: int) -> np.ndarray:
 
 
 def subdomain(
-    corner: tuple[int, ...], n: int, modulus: Callable[[np.ndarray], np.ndarray], body: int
+    corner: tuple[int, ...],
+    shape: tuple[int, ...],
+    modulus: Callable[[np.ndarray], np.ndarray],
+    body: int,
 ) -> Subdomain:
-    """Return n^gdim elements from a corner of the lattice; nodes are numbered by their places."""
+    """Return a grid of elements from a corner of the lattice; nodes are numbered by places."""
     gdim = len(corner)
-    lattice = np.array(list(itertools.product(range(n + 1), repeat=gdim)))
-    cells = np.array(list(itertools.product(range(n), repeat=gdim)))
+    lattice = np.array(list(itertools.product(*(range(k + 1) for k in shape))))
+    cells = np.array(list(itertools.product(*map(range, shape))))
     corners = np.array(list(itertools.product((0, 1), repeat=gdim)))
-    places = (cells[:, None] + corners) @ (n + 1) ** np.arange(gdim)[::-1]
+    strides = np.cumprod([1, *(k + 1 for k in shape[:0:-1])])[::-1]
+    places = (cells[:, None] + corners) @ strides
     unknowns = (gdim * places[:, :, None] + np.arange(gdim)).reshape(len(cells), -1)
     E = modulus(cells + np.array(corner) + 0.5)
     values = E[:, None, None] * element(gdim)
@@ -80,28 +84,27 @@ def reinforced_block(
     Parameters
     ----------
     gdim : int
-        2 or 3; in 3D the block is one subdomain deep.
+        2 or 3; in 3D block and punch are two elements deep, the fibres one.
     ratio : float
-        Modulus of the fibres, two elements thick, relative to that of block and punch.
+        Modulus of the fibres relative to that of block and punch.
     n, columns, layers : int
-        Elements along an edge of a subdomain; subdomains of the block along x, and of its height.
+        Elements along an edge of a subdomain, at least 6; subdomains of the block along x, and of
+        its height. Each layer has two fibres.
     force : float
         On the punch, downward.
     """
 
     def modulus(x: np.ndarray) -> np.ndarray:
-        # two fibres in each layer, none at its boundary
-        stiff = (x[:, -1] % (0.5 * n) > 0.5) & (x[:, -1] % (0.5 * n) < 2.5)
-        stiff &= x[:, -1] < n * layers
-        if gdim == 3:
-            stiff &= (x[:, 1] > 1.0) & (x[:, 1] < n - 1.0)
-        return np.where(stiff, ratio, 1.0)
+        height = x[:, -1] % (0.5 * n)
+        stiff = (height > 1.0) & (height < 0.5 * n - 1.0) & (x[:, -1] < n * layers)
+        return np.where(stiff & ((gdim == 2) | (x[:, 1] < 1.0)), ratio, 1.0)
 
+    shape = (n, *[2] * (gdim - 2), n)
     grid = itertools.product(range(columns), *[range(1)] * (gdim - 2), range(layers))
-    block = [subdomain(tuple(n * i for i in place), n, modulus, 0) for place in grid]
+    block = [subdomain(tuple(n * i for i in place), shape, modulus, 0) for place in grid]
     top = n * layers
     middle = range((columns - 1) // 2, columns // 2 + 1)
-    punch = [subdomain((n * i, *[0] * (gdim - 2), top), n, modulus, 1) for i in middle]
+    punch = [subdomain((n * i, *[0] * (gdim - 2), top), shape, modulus, 1) for i in middle]
     prescribed = [(s.nodes[s.coordinates[:, -1] == 0.0], range(gdim)) for s in block]
     slaves = np.zeros(0, dtype=np.int64)
     for s in punch:
@@ -122,3 +125,25 @@ def reinforced_block(
     components = np.concatenate([np.tile(c, some.size) for some, c in prescribed])
     fixed = Prescribed(nodes, components, np.zeros(nodes.size))
     return TornSystem([*block, *punch], fixed, rows, gdim, ["block", "punch"], ["joint"])
+
+
+def glued_contact(system: TornSystem) -> tuple:
+    """Return K, f, the fixed unknowns, C and gaps of the glued bodies, and subdomains' unknowns."""
+    gdim = system.gdim
+    nodes = np.unique(np.concatenate([s.nodes for s in system.subdomains]))
+
+    def unknowns(of: np.ndarray) -> np.ndarray:
+        return (gdim * np.searchsorted(nodes, of)[:, None] + np.arange(gdim)).ravel()
+
+    size = gdim * nodes.size
+    K, f = sp.csr_matrix((size, size)), np.zeros(size)
+    places = [unknowns(s.nodes) for s in system.subdomains]
+    for s, at in zip(system.subdomains, places, strict=True):
+        T = sp.csr_matrix((np.ones(at.size), (at, np.arange(at.size))), (size, at.size))
+        K = K + T @ s.stiffness @ T.T
+        f += T @ s.load
+    p, c = system.prescribed, system.contacts
+    fixed = np.unique(gdim * np.searchsorted(nodes, p.nodes) + p.components)
+    rows = np.repeat(np.arange(c.gap.size), np.diff(c.offsets) * gdim)
+    C = sp.csr_matrix((c.coefficients.ravel(), (rows, unknowns(c.nodes))), (c.gap.size, size))
+    return K, f, fixed, C, c.gap, places

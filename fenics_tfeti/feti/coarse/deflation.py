@@ -1,7 +1,7 @@
 """Deflation: F and d without the directions in which F is large, for materials that jump.
 
-With the columns C of large eigenvectors of the subdomains' dual operators (`local_spectra`), zero on
-the contact rows, and the projector P_E of the equality rows, U = P_E C has G U = o and U_I = o:
+With the columns C of large eigenvectors of the subdomains' dual operators (`local_spectra`), zero
+on the contact rows, and the projector P_E of the equality rows, U = P_E C has G U = o and U_I = o:
 lambda + U alpha satisfies the constraints of (11.36) if and only if lambda does. Minimising over
 alpha leaves the same problem for lambda with the Schur complement
 
@@ -9,9 +9,9 @@ alpha leaves the same problem for lambda with the Schur complement
 
 in place of F and d, and lambda + U (U'FU)^{-1} U'(d - F lambda) is the solution of (11.36).
 
-U = C - G_E'X - WV is kept by its factors: each column of C belongs to one subdomain, those of G_E' to
-one subdomain each, X = (G_E G_E')^+ G C is small, and W are the few motions that the equality rows
-resist weakly. So K_s^+ B_s'U of a subdomain needs columns of C and G_E' of its neighbours only.
+U = C - G_E'X - WV is kept by its factors: each column of C and of G_E' belongs to one subdomain,
+X = (G_E G_E')^+ G C is small, and W are the few motions that the equality rows resist weakly. So
+K_s^+ B_s'U of a subdomain needs columns of C and G_E' of its neighbours only.
 """
 
 from __future__ import annotations
@@ -46,6 +46,8 @@ DeflationKind = Literal["auto", "on", "off"]
 _COLUMNS = 128
 # vectors of all ranks: U'FU is a dense matrix on each of them, here of 72 MB
 _MOST = 3000
+# square of the length of a column of U = P_E C, of 1 in C, that counts as nothing
+_VANISHED = 1e-8
 # energy of what a vector adds to those before it, relative to its own, that counts as nothing
 _DEPENDENT = 1e-10
 
@@ -129,17 +131,15 @@ class Deflation:
             return None
         own = _columns(constraints, vectors, first, total)
         everyone = _with_neighbours(constraints, own)
-        projector = Projector.build(
-            coarse_space, np.zeros(constraints.inequality.size, dtype=bool)
-        )
-        X, W, V = _coefficients(projector, everyone)
+        projector = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
+        X, W, V, squares = _coefficients(projector, everyone)
         pieces = sp.hstack(
             [everyone, coarse_space.motions_of_rows(constraints.equality), sp.csr_matrix(W)]
         )
         forces = (coarse_space.interface.transposed @ pieces.tocsr()).tocsr()
         combination = np.vstack([np.identity(total), -X, -V])
         responses, gram = _responses(coarse_space, on_interface, forces, combination)
-        kept, factor = _factor(constraints, gram)
+        kept, factor = _factor(constraints, gram, squares > _VANISHED)
         solves = sum(response.columns.size for response in responses)
         return Deflation(
             coarse_space,
@@ -269,12 +269,17 @@ def at_most(comm: MPI.Intracomm, vectors: LocalVectors, most: int = _MOST) -> Lo
 
 def same_equality_rows(one: Constraints, other: Constraints) -> bool:
     """Tell, with one answer on all ranks, whether both have the same equality rows. Collective."""
-    E, H = (
-        c.matrix[np.flatnonzero(c.equality)][np.argsort(c.layout.numbers[c.equality])]
-        for c in (one, other)
+    numbers, matrices = list[Numbers](), list[sp.csr_matrix]()
+    for constraints in (one, other):
+        rows = np.flatnonzero(constraints.equality)
+        rows = rows[np.argsort(constraints.layout.numbers[rows])]
+        numbers.append(constraints.layout.numbers[rows])
+        matrices.append(constraints.matrix[rows])
+    same = (
+        matrices[0].shape == matrices[1].shape
+        and np.array_equal(numbers[0], numbers[1])
+        and (matrices[0] != matrices[1]).nnz == 0
     )
-    numbers = (np.sort(c.layout.numbers[c.equality]) for c in (one, other))
-    same = E.shape == H.shape and np.array_equal(*numbers) and (E != H).nnz == 0
     return bool(one.layout.comm.allreduce(same, MPI.LAND))
 
 
@@ -300,24 +305,32 @@ def _with_neighbours(constraints: Constraints, own: sp.csr_matrix) -> sp.csr_mat
     return own + sp.csr_matrix((others[2], (others[1], others[0])), shape=own.shape)
 
 
-def _coefficients(projector: Projector, C: sp.csr_matrix) -> tuple[Vector, Vector, Vector]:
-    """Return X, W and V of P_E C = C - G_E'X - WV, from the columns of all ranks. Collective."""
+def _coefficients(projector: Projector, C: sp.csr_matrix) -> tuple[Vector, Vector, Vector, Vector]:
+    """Return X, W and V of P_E C = C - G_E'X - WV, and the squares of the lengths of its columns.
+
+    The columns of C are those of all ranks, of length 1. Collective.
+    """
     coarse_space, layout = projector.coarse_space, projector.coarse_space.layout
-    own = (coarse_space.motions_of_rows(projector.rows)[:, : int(coarse_space.ends[-1])].T @ C).tocsc()
+    own = (
+        coarse_space.motions_of_rows(projector.rows)[:, : int(coarse_space.ends[-1])].T @ C
+    ).tocsc()
     places = np.concatenate([np.arange(layout.size)[layout.own], layout.others])
     W = np.zeros((C.shape[0], 0))
     if projector.weak is not None:
         W = np.where(projector.rows[:, None], projector.weak.rows, 0.0)
     X, V = np.zeros((places.size, C.shape[1])), np.zeros((W.shape[1], C.shape[1]))
     if projector.factor is None:
-        return X, W, V
+        return X, W, V, np.ones(C.shape[1])
     for first in range(0, C.shape[1], _COLUMNS):
         some = slice(first, first + _COLUMNS)
         coarse = projector.without_free_motions(layout.gather(own[:, some].toarray()))
         X[:, some] = projector.factor.solve_columns(coarse)[places]
         if projector.weak is not None:
             V[:, some] = projector.weak.motions.T @ coarse
-    return X, W, V
+    # those of C - C'Q_E C
+    inside = np.asarray(own.multiply(X[: own.shape[0]]).sum(axis=0)).ravel()
+    inside = coarse_space.constraints.layout.space.sum_over_ranks(inside)
+    return X, W, V, 1.0 - inside - np.sum(V**2, axis=0)
 
 
 def _responses(
@@ -335,7 +348,9 @@ def _responses(
         for congruent, operator in zip(interface.classes, on_interface, strict=True)
         for _ in congruent.members
     ]
-    for operator, begin, end in zip(operators, interface.ends[:-1], interface.ends[1:], strict=True):
+    for operator, begin, end in zip(
+        operators, interface.ends[:-1], interface.ends[1:], strict=True
+    ):
         columns, right = _filled_columns(forces, int(begin), int(end))
         if columns.size > total:
             # those of U itself are fewer
@@ -369,18 +384,24 @@ def _assembled(blocks: Sequence[tuple[Vector, Numbers]], size: int) -> sp.csr_ma
     return sp.csr_matrix((values, (rows, columns)), shape=(size, size))
 
 
-def _factor(constraints: Constraints, gram: Vector) -> tuple[Numbers, Vector]:
+def _factor(
+    constraints: Constraints, gram: Vector, nonzero: NDArray[np.bool_]
+) -> tuple[Numbers, Vector]:
     """Return columns of U that do not depend on others, and the Cholesky factor of U'FU of them.
 
-    Two subdomains may have the same vector for the jump between them. Every rank gets the same.
+    Two subdomains may have the same vector for the jump between them, and vectors in the range of
+    G_E' leave nothing. Every rank gets the same.
     """
     comm = constraints.layout.comm
     whole = constraints.layout.space.sum_over_ranks(gram)
     comm.Bcast(whole)
+    comm.Bcast(nonzero)
     whole = 0.5 * (whole + whole.T)
     # in units of each column's own energy
     lengths = np.sqrt(np.maximum(whole.diagonal(), np.finfo(float).tiny))
-    factor, pivots, rank, _ = dpstrf(whole / np.outer(lengths, lengths), tol=_DEPENDENT, lower=1)
+    scaled = whole / np.outer(lengths, lengths)
+    scaled[~nonzero], scaled[:, ~nonzero] = 0.0, 0.0
+    factor, pivots, rank, _ = dpstrf(scaled, tol=_DEPENDENT, lower=1)
     kept = (pivots[:rank] - 1).astype(np.int64)
     lower: Vector = np.tril(factor[:rank, :rank]) * lengths[kept, None]
     return kept, lower

@@ -64,6 +64,7 @@ class _Stage:
     solved: bool
     reason: str = ""
     slow: bool = False
+    flat: bool = False
     iterate: PCPGIterate | None = None
 
     def started_anew(self) -> _Stage:
@@ -265,6 +266,10 @@ class _Loop:
         patience = self.options.smalbe_patience
         while True:
             stage = self.smalbe(stage.state, tolerance, patience)
+            if stage.flat and self.setup.deflation is not None:
+                # directions of U have no curvature: rounding of the gradient may have led there
+                on_faces = self.active_set(stage, tolerance)
+                return on_faces if on_faces.solved else stage
             if not stage.slow:
                 return stage
             # the face that SMALBE-M has found; if it is not the last one, SMALBE-M goes on
@@ -316,7 +321,7 @@ class _Loop:
                 "SMALBE-M found no curvature along a direction: the contact conditions contradict "
                 "each other, or rounding hides it"
             )
-            return _Stage(state, solved=False, reason=reason)
+            return _Stage(state, solved=False, reason=reason, flat=True)
         self.history.outer += result.history
         limits = {
             "max_it": f"limit of {self.options.smalbe_max_it} outer iterations (smalbe_max_it)",

@@ -1,0 +1,305 @@
+"""F_c and d_c against dense algebra, and solutions with and without deflation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from dense import DenseSystem
+from fibres import glued_contact, reinforced_block
+from primal_reference import primal_active_set
+from torn import column
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.feti import Options, TornSolution, TornSolver, TornSystem, parse_options
+from fenics_tfeti.feti.coarse import deflation
+from fenics_tfeti.feti.coarse.deflation import Deflation, at_most
+from fenics_tfeti.feti.coarse.local_spectra import LocalVectors
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.solution import setup
+
+RATIOS = [1e4, 1e6]
+METHODS = ["active_set", "smalbe"]
+every_gdim = pytest.mark.parametrize("gdim", [2, 3])
+
+
+def block(gdim: int, ratio: float) -> TornSystem:
+    return reinforced_block(gdim, ratio, columns=4 if gdim == 2 else 3, layers=4 - gdim)
+
+
+@lru_cache(maxsize=None)
+def solver(gdim: int, **options: Any) -> tuple[TornSolver, Deflation]:
+    torn = TornSolver(block(gdim, 1e4), Options(**options))
+    assert torn.setup.deflation is not None
+    return torn, torn.setup.deflation
+
+
+@lru_cache(maxsize=None)
+def directions(gdim: int) -> np.ndarray:
+    """Return U, the columns that are kept."""
+    _, found = solver(gdim)
+    return np.stack([found.prolonged(e) for e in np.eye(found.X.shape[1])[found.kept]], axis=1)
+
+
+def columns_of(operator: Any, size: int) -> np.ndarray:
+    return np.stack([operator(unit) for unit in np.eye(size)], axis=1)
+
+
+@every_gdim
+def test_directions_satisfy_the_constraints(gdim):
+    torn, _ = solver(gdim)
+    U, constraints = directions(gdim), torn.setup.constraints
+    G = DenseSystem.of(torn).G
+    assert not U[constraints.inequality].any()
+    np.testing.assert_allclose(G @ U, 0.0, atol=1e-12 * np.abs(G).max() * np.abs(U).max())
+
+
+@every_gdim
+def test_deflated_operator_is_the_schur_complement(gdim):
+    torn, _ = solver(gdim)
+    system, U = DenseSystem.of(torn), directions(gdim)
+    P = system.projector()
+    # U'F depends on the generalized inverse by rigid motions only, which P removes
+    FU = system.F @ U
+    exact = P @ (system.F - FU @ np.linalg.solve(U.T @ FU, FU.T)) @ P
+    found = P @ columns_of(torn.setup.part, len(P)) @ P
+    np.testing.assert_allclose(found, exact, rtol=0.0, atol=1e-10 * np.abs(system.F).max())
+
+
+@every_gdim
+def test_deflated_operator_vanishes_on_the_directions(gdim):
+    torn, _ = solver(gdim)
+    U = directions(gdim)
+    F = torn.setup.F
+    before, after = (np.stack([f(u) for u in U.T]) for f in (F.part, torn.setup.part))
+    assert np.abs(after).max() <= 1e-10 * np.abs(before).max()
+
+
+@every_gdim
+def test_deflated_load_does_no_work_on_the_directions(gdim):
+    torn, _ = solver(gdim)
+    U = directions(gdim)
+    d = np.random.default_rng(0).standard_normal(len(U))
+    # as F is larger on U than elsewhere, so is what rounding leaves
+    assert np.abs(U.T @ torn.setup.reduced(d)).max() <= 1e-8 * np.abs(U.T @ d).max()
+
+
+@every_gdim
+def test_completed_multipliers_have_no_residual_on_the_directions(gdim):
+    torn, found = solver(gdim)
+    U = directions(gdim)
+    d = torn.setup.F.load(torn.data.load, torn.data.c)
+    rng = np.random.default_rng(0)
+    given, at = rng.standard_normal((2, d.size))
+    full = found.completed(given, d - torn.setup.F(at), at)
+    size = np.abs(U.T @ (d - torn.setup.F(given))).max()
+    assert np.abs(U.T @ (d - torn.setup.F(full))).max() <= 1e-9 * size
+    # and they differ by the directions only
+    rest = full - given - U @ np.linalg.lstsq(U, full - given, rcond=None)[0]
+    assert np.abs(rest).max() <= 1e-9 * np.abs(full - given).max()
+
+
+@every_gdim
+def test_norm_is_that_of_the_deflated_operator(gdim):
+    torn, _ = solver(gdim)
+    system = DenseSystem.of(torn)
+    P = system.projector()
+    deflated = P @ columns_of(torn.setup.part, len(P)) @ P
+    largest = np.linalg.eigvalsh(0.5 * (deflated + deflated.T))[-1]
+    assert 0.9 * largest <= torn.setup.norm(30) <= 1.3 * largest
+    assert largest <= 0.1 * np.linalg.eigvalsh(P @ system.F @ P)[-1]
+
+
+@lru_cache(maxsize=None)
+def solved(gdim: int, ratio: float, **options: Any) -> TornSolution:
+    accurate = {"rtol": 1e-8, "smalbe_patience": 500, **options}
+    return TornSolver(block(gdim, ratio), Options(**accurate)).solve()
+
+
+@lru_cache(maxsize=None)
+def reference(gdim: int, ratio: float) -> Any:
+    """Return the solution of the glued bodies by a primal method, and each subdomain's unknowns."""
+    K, f, fixed, C, gap, places = glued_contact(block(gdim, ratio))
+    return primal_active_set(sp.csr_matrix(K), f, fixed, np.zeros(fixed.size), C, gap), places
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet", "none"])
+@pytest.mark.parametrize("ratio", RATIOS)
+@every_gdim
+def test_solution_against_the_primal_one(gdim, ratio, preconditioner, method):
+    found = solved(gdim, ratio, preconditioner=preconditioner, method=method)
+    expected, places = reference(gdim, ratio)
+    assert found.report.deflation["vectors"] > 0
+    assert found.report.energy == pytest.approx(expected.energy, rel=1e-9)
+    np.testing.assert_allclose(
+        found.normal_force, expected.forces, rtol=0.0, atol=1e-6 * expected.forces.max()
+    )
+    size = np.abs(expected.displacement).max()
+    for u, at in zip(found.displacements, places, strict=True):
+        np.testing.assert_allclose(u, expected.displacement[at], rtol=0.0, atol=1e-6 * size)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet"])
+@pytest.mark.parametrize("ratio", RATIOS)
+@every_gdim
+def test_products_do_not_depend_on_the_material(gdim, ratio, preconditioner, method):
+    options = {"rtol": 1e-6, "preconditioner": preconditioner, "method": method}
+    jumping, uniform = (solved(gdim, r, **options).report for r in (ratio, 1.0))
+    plain = solved(gdim, ratio, **options, deflation="off").report
+    assert jumping.products["total"] <= 1.5 * uniform.products["total"]
+    assert plain.products["total"] > 1.5 * jumping.products["total"]
+
+
+@pytest.mark.parametrize("kind", ["auto", "on"])
+@every_gdim
+def test_uniform_material_gives_no_vectors(gdim, kind):
+    report = solved(gdim, 1.0, deflation=kind).report
+    assert report.deflation == {"vectors": 0, "bytes": 0}
+    assert (report.products["deflation"] > 0) == (kind == "on")
+
+
+def test_off_means_off():
+    report = solved(2, 1e4, deflation="off").report
+    assert report.deflation == {"vectors": 0, "bytes": 0}
+    assert report.products["deflation"] == 0
+
+
+def test_without_weights_of_stiffness_only_if_it_is_asked_for():
+    """With weights of 1, eigenvalues of soft subdomains are large for no reason of the cut."""
+    for kind, found in (("auto", False), ("on", True)):
+        torn = TornSolver(block(2, 1e4), Options(scaling="multiplicity", deflation=kind))
+        assert (torn.setup.deflation is not None) == found
+
+
+def test_report_counts_vectors_memory_and_solves():
+    torn, found = solver(2)
+    report = torn.solve().report
+    assert report.deflation["vectors"] == found.size
+    assert report.deflation["bytes"] == found.bytes
+    responses = sum(response.displacements.nbytes for response in found.responses)
+    assert responses < found.bytes < 3 * responses
+    solves = sum(len(r.displacements) for r in found.responses) + found.vectors.solves
+    assert report.products["deflation"] == -(-solves // len(torn.system.subdomains))
+
+
+def test_dual_problem_for_other_methods_is_not_deflated():
+    torn, _ = solver(2)
+    problem = torn.dual_problem()
+    x = np.random.default_rng(0).standard_normal(torn.setup.constraints.size)
+    np.testing.assert_array_equal(problem.F(x), torn.setup.F.part(x))
+    np.testing.assert_array_equal(problem.d, torn.setup.F.load(torn.data.load, torn.data.c))
+
+
+# -- reuse ---------------------------------------------------------------------------------------
+
+
+def test_load_step_reuses_all():
+    torn, found = solver(2)
+    torn.solve()
+    heavier = [replace(s, load=2.0 * s.load) for s in torn.system.subdomains]
+    second = TornSolver(replace(torn.system, subdomains=heavier), torn.options, previous=torn)
+    assert second.setup.deflation is found
+    report = second.solve().report
+    assert report.products["deflation"] == 0
+
+
+def test_other_contact_rows_reuse_the_vectors():
+    """Rows with other coefficients, as of exact non-penetration: F changes, U does not."""
+    torn, found = solver(2)
+    contacts = torn.system.contacts
+    tilted = contacts.coefficients @ np.array([[0.8, 0.6], [-0.6, 0.8]])
+    system = replace(torn.system, contacts=replace(contacts, coefficients=tilted))
+    second, alone = (TornSolver(system, torn.options, previous=p) for p in (torn, None))
+    again = second.setup.deflation
+    assert again is not found and again.vectors is found.vectors
+    one, other = second.solve().report, alone.solve().report
+    assert one.energy == pytest.approx(other.energy, rel=1e-9)
+    assert 0 < one.products["deflation"] < other.products["deflation"]
+
+
+def test_other_equality_rows_need_other_vectors():
+    torn, found = solver(2)
+    torn.solve()
+    p = torn.system.prescribed
+    free = p.nodes != p.nodes.min()
+    system = replace(
+        torn.system, prescribed=replace(p, **{k: getattr(p, k)[free] for k in vars(p)})
+    )
+    second, alone = (TornSolver(system, torn.options, previous=p) for p in (torn, None))
+    assert second.setup.deflation.vectors is not found.vectors
+    assert second.setup.deflation.size == alone.setup.deflation.size
+
+
+# -- difficult cases -----------------------------------------------------------------------------
+
+
+def test_two_subdomains_may_have_the_same_direction():
+    """Columns of U that repeat are left out: U'FU is definite."""
+    torn, found = solver(2)
+    twice = LocalVectors(
+        2 * found.vectors.rows,
+        2 * found.vectors.values,
+        np.tile(found.vectors.excess, 2),
+        found.vectors.solves,
+    )
+    again = Deflation.build(torn.setup.projector.coarse_space, torn.setup.F.on_interface, twice)
+    assert again.size == found.size
+    x = np.random.default_rng(0).standard_normal(torn.setup.constraints.size)
+    expected = torn.setup.projector.P(torn.setup.part(x))
+    computed = torn.setup.projector.P(again.part(torn.setup.F.packed, x))
+    size = np.abs(torn.setup.F.part(x)).max()
+    np.testing.assert_allclose(computed, expected, rtol=0.0, atol=1e-9 * size)
+
+
+def test_too_many_vectors_are_an_announced_choice(monkeypatch):
+    torn, found = solver(2)
+    with pytest.warns(UserWarning, match=f"{found.vectors.excess.size} directions .* 5 "):
+        some = at_most(torn.system.comm, found.vectors, 5)
+    assert sorted(some.excess) == sorted(found.vectors.excess)[-5:]
+    monkeypatch.setattr(deflation.at_most, "__defaults__", (5,))
+    with pytest.warns(UserWarning, match="subdomain_size"):
+        report = TornSolver(torn.system).solve().report
+    assert report.converged and report.deflation["vectors"] == 5
+
+
+def test_a_loose_body_with_fibres():
+    """G_E G_E' is singular where only contact holds a body: its motion is no direction."""
+    system = block(2, 1e4)
+    stiff = [
+        replace(s, stiffness=t.stiffness)
+        for s, t in zip(system.subdomains[-2:], system.subdomains[:2], strict=True)
+    ]
+    system = replace(system, subdomains=[*system.subdomains[:-2], *stiff])
+    torn, plain = (TornSolver(system, Options(rtol=1e-8, deflation=k)) for k in ("auto", "off"))
+    coarse_space = torn.setup.projector.coarse_space
+    no_contact = np.zeros(torn.setup.constraints.inequality.size, dtype=bool)
+    # the punch may move up and down, and turn
+    assert Projector.build(coarse_space, no_contact).free.shape[1] == 2
+    assert torn.setup.deflation.size > solver(2)[1].size
+    found, expected = torn.solve(), plain.solve()
+    assert found.report.energy == pytest.approx(expected.report.energy, rel=1e-8)
+    np.testing.assert_allclose(found.normal_force, expected.normal_force, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_any_directions_may_be_deflated(monkeypatch, method):
+    """With a threshold below all eigenvalues even a small uniform problem has many vectors."""
+    monkeypatch.setattr(setup, "threshold", lambda gdim, nodes: 1.0)
+    found, plain = (
+        TornSolver(column(), Options(rtol=1e-8, method=method, deflation=kind)).solve()
+        for kind in ("on", "off")
+    )
+    assert found.report.deflation["vectors"] >= 20
+    assert found.report.energy == pytest.approx(plain.report.energy, rel=1e-9)
+    np.testing.assert_allclose(found.normal_force, plain.normal_force, rtol=0.0, atol=1e-6)
+
+
+def test_unknown_kind_is_an_error():
+    with pytest.raises(InputError, match="'auto', 'on', 'off'"):
+        parse_options({"deflation": "yes"})
