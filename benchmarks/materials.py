@@ -123,6 +123,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--subdomain-size", type=int, default=450, help="of those that SCOTCH cuts")
     parser.add_argument("--jump", type=float, default=1e4, help="stiff modulus / soft modulus")
     parser.add_argument("--rtol", type=float, default=1e-6)
+    parser.add_argument("--deflation", default="off", help="off shows what scaling alone does")
     parser.add_argument("--max-products", type=int, default=300)
     parser.add_argument("--all", action="store_true", help="all cases; takes twice as long")
     parser.add_argument("--json", metavar="FILE", help="write the table")
@@ -192,8 +193,9 @@ def write_mesh(path: Path, blocks_per_metre: int, elements_per_metre: int) -> No
         gmsh.finalize()
 
 
-def read_mesh(blocks_per_metre: int, elements_per_metre: int) -> TaggedMesh:
-    comm = MPI.COMM_WORLD
+def read_mesh(
+    blocks_per_metre: int, elements_per_metre: int, comm: MPI.Intracomm = MPI.COMM_WORLD
+) -> TaggedMesh:
     with tempfile.TemporaryDirectory() as directory:
         path = comm.bcast(Path(directory) / "blocks.msh")
         if comm.rank == 0:
@@ -325,6 +327,7 @@ def main() -> None:
                 scaling=scaling,
                 rtol=arguments.rtol,
                 max_products=arguments.max_products,
+                deflation=arguments.deflation,
             )
             for preconditioner, scaling in ways
         ]

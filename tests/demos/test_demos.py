@@ -156,3 +156,15 @@ def test_each_demo_has_a_test():
 def test_demos_say_how_they_are_run():
     for path in DEMOS.glob("*.py"):
         assert f"python demos/{path.name}" in path.read_text()
+
+
+def test_fibre_block(demo):
+    """Cords cost no more than half as many products again; the same energy without deflation."""
+    counts = {name: products[-1] for name, products in demo["products"].items()}
+    deflated, rubber = counts["steel cords, deflation"], counts["rubber alone"]
+    assert deflated <= 1.5 * rubber
+    assert counts["steel cords, no deflation"] > 5 * deflated
+    energies = demo["energies"]
+    plain = energies["steel cords, no deflation"]
+    assert energies["steel cords, deflation"] == pytest.approx(plain, rel=1e-9)
+    assert demo["report"].contact_force == pytest.approx([30e3], rel=1e-6)

@@ -1,0 +1,266 @@
+"""Products with and without deflation where subdomains cut stiff fibres and inclusions.
+
+    python benchmarks/deflation.py [--json FILE]
+    mpirun -n 2 python benchmarks/deflation.py
+    python benchmarks/deflation.py --plot out.png
+
+The problems are the two beams of benchmarks/materials.py in tetrahedra (3D) and two sheets of the
+same outline in triangles (2D), cut by SCOTCH. On several ranks the subdomains of one rank are dealt
+out, so that all runs have the same ones. With --plot, the spectrum of PFP on Ker G with and without
+deflation, in units of the stiffness that the weights stand for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import materials
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.decomposition.bodies import find_bodies
+from fenics_tfeti.fem.decomposition.partition import split_into_subdomains
+from fenics_tfeti.feti import ContactRows, TornSolver, TornSystem, parse_options
+from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
+
+comm = MPI.COMM_WORLD
+CLAMPED, GUIDED, SLAVE, MASTER, LOADED = 1, 2, 3, 4, 5
+PATIENT = {"smalbe_patience": 1000}  # SMALBE-M alone
+WAYS = {
+    "lumped": {"preconditioner": "lumped"},
+    "dirichlet": {"preconditioner": "dirichlet"},
+    "smalbe lumped": {"preconditioner": "lumped", "method": "smalbe", **PATIENT},
+    "smalbe dirichlet": {"preconditioner": "dirichlet", "method": "smalbe", **PATIENT},
+    "smalbe none": {"preconditioner": "none", "method": "smalbe", **PATIENT},
+}
+
+
+def parse_arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--elements-per-metre", type=int, nargs=2, default=[32, 8], help="2D, 3D")
+    parser.add_argument("--subdomain-size", type=int, nargs=2, default=[450, 450], help="2D, 3D")
+    parser.add_argument("--ratios", type=float, nargs="+", default=[1e4, 1e6])
+    parser.add_argument("--max-products", type=int, default=1000)
+    parser.add_argument("--plain", action="store_true", help="without deflation as well")
+    parser.add_argument("--json", metavar="FILE", help="write the table")
+    parser.add_argument("--plot", metavar="FILE", help="draw the spectrum instead")
+    return parser.parse_known_args()[0]
+
+
+# -- problems ------------------------------------------------------------------------------------
+
+
+def sheets(elements_per_metre: int, size: int) -> Callable[..., TornSystem]:
+    """Return a function of the stiff part and the ratio: two sheets in plane strain."""
+    n = elements_per_metre
+    lower = Box((0, 0), (2, 1), divisions=(2 * n, n), name="lower")
+    upper = Box((1, 1), (3, 2), divisions=(2 * n, n), name="upper")
+    bodies = boxes(MPI.COMM_SELF, [lower, upper], "triangle")
+    mesh = bodies.mesh
+
+    def on(axis: int, value: float, low: float = -np.inf, high: float = np.inf) -> Any:
+        return lambda x: (
+            np.isclose(x[axis], value) & (x[0] >= low - 1e-9) & (x[0] <= high + 1e-9)
+        )
+
+    markers = [
+        (CLAMPED, on(0, 0.0)),
+        (GUIDED, on(0, 3.0)),
+        (SLAVE, on(1, 1.0, 1.0, 2.0), bodies.names["upper"]),
+        (MASTER, on(1, 1.0, 1.0, 2.0), bodies.names["lower"]),
+        (LOADED, on(1, 2.0)),
+    ]
+    facet_tags = tag_facets(mesh, markers, bodies.cell_tags)
+    constant = _compat.lagrange_space(mesh, 0, discontinuous=True)
+    young = fem.Function(constant)
+    places = constant.tabulate_dof_coordinates().T
+    V = displacement_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    mu, lmbda = young / 2.6, young * 0.3 / 0.52
+
+    def strain(w: Any) -> Any:
+        return ufl.sym(ufl.grad(w))
+
+    stress = lmbda * ufl.tr(strain(u)) * ufl.Identity(2) + 2 * mu * strain(u)
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
+    a = ufl.inner(stress, strain(v)) * ufl.dx
+    L = fem.Constant(mesh, -20e6) * v[1] * ds(LOADED)
+    clamped = fem.locate_dofs_topological(V, 1, facet_tags.find(CLAMPED))
+    guided = fem.locate_dofs_topological(V.sub(0), 1, facet_tags.find(GUIDED))
+    bcs = [fem.dirichletbc(np.zeros(2), clamped, V), fem.dirichletbc(0.0, guided, V.sub(0))]
+    bodies_of_mesh = find_bodies(mesh, None)
+    labels = np.zeros(places.shape[1], dtype=np.int64)
+    for number, cells in enumerate(split_into_subdomains(V, bodies_of_mesh, size, "scotch")):
+        labels[cells] = number
+
+    def system(name: str, ratio: float) -> TornSystem:
+        young.x.array[:] = materials.SOFT * np.where(SHEET[name](places), ratio, 1.0)
+        contacts = [ContactPair(facet_tags, slave=SLAVE, master=MASTER)]
+        return ContactProblem(a, L, bcs=bcs, contacts=contacts, subdomains=labels).system
+
+    return system
+
+
+def sheet_fibres(x: materials.Places) -> np.ndarray:
+    """Four fibres along each sheet, 0.09 m thick."""
+    return np.abs(x[1] % 0.25 - 0.125) < 0.046
+
+
+def sheet_inclusions(x: materials.Places) -> np.ndarray:
+    """Discs of 0.18 m diameter, a quarter of a metre apart."""
+    return np.hypot(x[0] % 0.25 - 0.125, x[1] % 0.25 - 0.125) < 0.09
+
+
+SHEET = {
+    "uniform": materials.uniform,
+    "fibres": sheet_fibres,
+    "inclusions": sheet_inclusions,
+}
+BEAM = {
+    "uniform": materials.uniform,
+    "fibres": materials.fibres,
+    "inclusions": materials.inclusions,
+}
+
+
+def beams(elements_per_metre: int, size: int) -> Callable[..., TornSystem]:
+    """Return a function of the stiff part and the ratio: two beams of tetrahedra."""
+    tagged = materials.Beams(materials.read_mesh(2, elements_per_metre, MPI.COMM_SELF))
+    cut = tagged.cut(size)
+
+    def system(name: str, ratio: float) -> TornSystem:
+        return tagged.problem(materials.Case(BEAM[name], False), ratio, cut).system
+
+    return system
+
+
+def dealt(system: TornSystem) -> TornSystem:
+    """Return this rank's share of the subdomains: neighbours in their numbers."""
+    chosen = np.array_split(np.arange(len(system.subdomains)), comm.size)[comm.rank]
+    contacts = system.contacts if comm.rank == 0 else ContactRows.none(system.gdim)
+    share = [system.subdomains[k] for k in chosen]
+    return replace(system, subdomains=share, contacts=contacts, comm=comm)
+
+
+# -- table ---------------------------------------------------------------------------------------
+
+
+def seconds(call: Callable[[], Any], repeats: int) -> float:
+    """Return the smallest processor time of several calls on this rank."""
+    times = []
+    for _ in range(repeats):
+        start = time.process_time()
+        call()
+        times.append(time.process_time() - start)
+    return min(times)
+
+
+def measure(system: TornSystem, **options: Any) -> dict[str, Any]:
+    """Solve, and time the set-up of deflation in products with F."""
+    chosen = parse_options({"error_if_not_converged": False, **options})
+    solver = TornSolver(system, chosen)
+    report = solver.solve().report
+    setup, x = solver.setup, np.ones(solver.setup.constraints.size)
+    product = seconds(lambda: setup.F.part(x), 7)
+    plain = setup.without_deflation()
+    price = seconds(lambda: plain.deflated(system, chosen), 3) / product
+    return {
+        "products": report.products["total"] if report.converged else None,
+        "energy": report.energy,
+        "certificate": report.certificate.worst,
+        "vectors": report.deflation["vectors"],
+        "bytes": report.deflation["bytes"],
+        "solves": report.products["deflation"],
+        "price": comm.allreduce(price, MPI.MAX),
+        "deflated": seconds(lambda: setup.part(x), 7) / product,
+    }
+
+
+def table(arguments: argparse.Namespace) -> None:
+    columns = " ".join(f"{way:>17}" for way in WAYS)
+    tell(f"{'problem':<22} {'vectors':>8} {'solves':>6} {'price':>6} {columns}")
+    runs = []
+    for gdim, make in ((2, sheets), (3, beams)):
+        n, size = arguments.elements_per_metre[gdim - 2], arguments.subdomain_size[gdim - 2]
+        system = make(n, size)
+        cases = [("uniform", 1.0), *((n, r) for n in ("fibres", "inclusions") for r in arguments.ratios)]
+        for name, ratio in cases:
+            share = dealt(system(name, ratio))
+            for kind in ("off", "auto") if arguments.plain else ("auto",):
+                limits = {"max_products": arguments.max_products, "deflation": kind}
+                row = {way: measure(share, **options, **limits) for way, options in WAYS.items()}
+                first = row["lumped"]
+                counts = " ".join(f"{run['products'] or '-':>17}" for run in row.values())
+                title = f"{gdim}D {name} {ratio:.0e}" + (" plain" if kind == "off" else "")
+                tell(
+                    f"{title:<22} {first['vectors']:>8} {first['solves']:>6} "
+                    f"{min(run['price'] for run in row.values()):>6.1f} {counts}"
+                )
+                runs.append({"gdim": gdim, "case": name, "ratio": ratio, "kind": kind, **row})
+    if arguments.json and comm.rank == 0:
+        Path(arguments.json).write_text(json.dumps(runs, indent=2) + "\n")
+
+
+def tell(line: str) -> None:
+    if comm.rank == 0:
+        print(line, flush=True)
+
+
+# -- picture -------------------------------------------------------------------------------------
+
+
+def spectrum(system: TornSystem, **options: Any) -> np.ndarray:
+    """Return the eigenvalues of PFP, or PF_cP, on Ker G, largest first. Serial."""
+    setup = TornSolver(system, parse_options(options)).setup
+    P, unit = setup.projector.P, setup.local.unit
+    columns = [P(setup.part(P(e))) for e in np.eye(setup.constraints.size)]
+    values = np.linalg.eigvalsh(unit * np.array(columns))[::-1]
+    return values[values > 1e-9 * values[0]]
+
+
+def plot(path: str, arguments: argparse.Namespace) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 4.4), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    system = sheets(16, 300)
+    lines = {
+        "fibres 1e6": (spectrum(system("fibres", 1e6), deflation="off"), "-"),
+        "fibres 1e4": (spectrum(system("fibres", 1e4), deflation="off"), "--"),
+        "fibres 1e6, deflated": (spectrum(system("fibres", 1e6)), "-."),
+        "uniform": (spectrum(system("uniform", 1.0)), ":"),
+    }
+    for name, (values, style) in lines.items():
+        print(f"{name}: largest {values[0]:.4g}, smallest {values[-1]:.3g}, {values.size} values")
+        axes.semilogy(np.arange(1, values.size + 1), values, style, label=name)
+    axes.set_xlabel("number of the eigenvalue")
+    axes.set_ylabel("eigenvalue of PFP times the stiffness of a weight")
+    axes.grid(color="#d5d8dc", linewidth=0.6)
+    axes.legend(frameon=False)
+    figure.savefig(path)
+
+
+def main() -> None:
+    arguments = parse_arguments()
+    if arguments.plot:
+        plot(arguments.plot, arguments)
+    else:
+        table(arguments)
+
+
+if __name__ == "__main__":
+    main()
