@@ -71,9 +71,7 @@ def sheets(elements_per_metre: int, size: int) -> Callable[..., TornSystem]:
     mesh = bodies.mesh
 
     def on(axis: int, value: float, low: float = -np.inf, high: float = np.inf) -> Any:
-        return lambda x: (
-            np.isclose(x[axis], value) & (x[0] >= low - 1e-9) & (x[0] <= high + 1e-9)
-        )
+        return lambda x: np.isclose(x[axis], value) & (x[0] >= low - 1e-9) & (x[0] <= high + 1e-9)
 
     markers = [
         (CLAMPED, on(0, 0.0)),
@@ -195,7 +193,10 @@ def table(arguments: argparse.Namespace) -> None:
     for gdim, make in ((2, sheets), (3, beams)):
         n, size = arguments.elements_per_metre[gdim - 2], arguments.subdomain_size[gdim - 2]
         system = make(n, size)
-        cases = [("uniform", 1.0), *((n, r) for n in ("fibres", "inclusions") for r in arguments.ratios)]
+        cases = [
+            ("uniform", 1.0),
+            *((n, r) for n in ("fibres", "inclusions") for r in arguments.ratios),
+        ]
         for name, ratio in cases:
             share = dealt(system(name, ratio))
             for kind in ("off", "auto") if arguments.plain else ("auto",):

@@ -84,6 +84,8 @@ class Deflation:
         Rows of X of this rank's coarse unknowns, then those of `CoarseLayout.others`.
     W, V : (m, w), (w, k) arrays
         Weakly resisted motions on the equality rows, and their coefficients.
+    pieces : (j, b) scipy.sparse.csr_matrix
+        [C, G_E', W]'B on this rank's packed interface unknowns.
     responses : list of Response
         Of each subdomain, in the order of the packed interface unknowns.
     unknowns : (subdomains + 1,) integer array
@@ -102,6 +104,7 @@ class Deflation:
     X: Vector
     W: Vector
     V: Vector
+    pieces: sp.csr_matrix
     responses: list[Response]
     unknowns: Numbers
     kept: Numbers
@@ -148,6 +151,7 @@ class Deflation:
             X,
             W,
             V,
+            forces.T.tocsr(),
             responses,
             coarse_space.interface.ends,
             kept,
@@ -163,13 +167,14 @@ class Deflation:
     @property
     def bytes(self) -> int:
         """Memory of this rank."""
-        arrays = [self.X, self.W, self.V, self.factor, self.own.data, self.own.indices]
+        arrays = [self.X, self.W, self.V, self.factor]
+        arrays += [x for A in (self.own, self.pieces) for x in (A.data, A.indices)]
         arrays += self.vectors.values
         arrays += [response.displacements for response in self.responses]
         return sum(int(array.nbytes) for array in arrays)
 
     def part(self, operator: Operator, x: Vector) -> Vector:
-        """Return this rank's part of F_c x, x the same on all holders; one reduction.
+        """Return this rank's part of F_c x, x the same on all holders; two reductions.
 
         Parameters
         ----------
@@ -179,17 +184,22 @@ class Deflation:
             Multipliers.
         """
         interface = self.coarse_space.interface
-        forces = interface.transposed @ x
-        displacements = operator(forces)
-        displacements -= self._response(self._coefficients_of(forces))
+        displacements = operator(interface.transposed @ x)
+        # the second time for what rounding leaves, which F multiplies: in a direction without
+        # curvature the residual has to be zero, or conjugate gradients diverge
+        for _ in range(2):
+            work = self._combined(self.pieces @ displacements)
+            displacements = displacements - self._response(self._solve(work))
         part: Vector = interface.matrix @ displacements
         return part
 
     def reduced(self, y: Vector) -> Vector:
         """Return y - FU (U'FU)^{-1} U'y: d_c of d. Collective."""
         interface, layout = self.coarse_space.interface, self.coarse_space.constraints.layout
-        part = interface.matrix @ self._response(self._solve(self._restricted(y)))
-        return y - layout.sum(part)
+        for _ in range(2):
+            part = interface.matrix @ self._response(self._solve(self._restricted(y)))
+            y = y - layout.sum(part)
+        return y
 
     def completed(self, multipliers: Vector, rest: Vector, at: Vector) -> Vector:
         """Return lambda + U (U'FU)^{-1} U'(d - F lambda): the minimum over lambda + U alpha.
@@ -227,15 +237,18 @@ class Deflation:
 
     def _coefficients_of(self, forces: Vector) -> Vector:
         """Return (U'FU)^{-1} U'F x for packed forces B'x; one reduction."""
-        k, h = self.X.shape[1], len(self.X)
-        products = np.zeros(k + h + len(self.V))
+        products = np.zeros(self.pieces.shape[0])
         for begin, response in zip(self.unknowns[:-1], self.responses, strict=True):
             displacements = response.displacements
             end = begin + displacements.shape[1]
             products[response.columns] += displacements @ forces[begin:end]
+        return self._solve(self._combined(products))
+
+    def _combined(self, products: Vector) -> Vector:
+        """Return U'y, given the ranks' parts of [C, G_E', W]'y; one reduction."""
+        k, h = self.X.shape[1], len(self.X)
         part = products[:k] - self.X.T @ products[k : k + h] - self.V.T @ products[k + h :]
-        space = self.coarse_space.constraints.layout.space
-        return self._solve(space.sum_over_ranks(part))
+        return self.coarse_space.constraints.layout.space.sum_over_ranks(part)
 
     def _response(self, alpha: Vector) -> Vector:
         """Return K^+B'U alpha on this rank's packed interface unknowns."""
@@ -311,26 +324,24 @@ def _coefficients(projector: Projector, C: sp.csr_matrix) -> tuple[Vector, Vecto
     The columns of C are those of all ranks, of length 1. Collective.
     """
     coarse_space, layout = projector.coarse_space, projector.coarse_space.layout
-    own = (
-        coarse_space.motions_of_rows(projector.rows)[:, : int(coarse_space.ends[-1])].T @ C
-    ).tocsc()
+    G = coarse_space.motions_of_rows(projector.rows)
+    own = (G[:, : int(coarse_space.ends[-1])].T @ C).tocsc()
     places = np.concatenate([np.arange(layout.size)[layout.own], layout.others])
     W = np.zeros((C.shape[0], 0))
     if projector.weak is not None:
         W = np.where(projector.rows[:, None], projector.weak.rows, 0.0)
     X, V = np.zeros((places.size, C.shape[1])), np.zeros((W.shape[1], C.shape[1]))
-    if projector.factor is None:
-        return X, W, V, np.ones(C.shape[1])
+    squares, owned = np.zeros(C.shape[1]), coarse_space.constraints.layout.owned
     for first in range(0, C.shape[1], _COLUMNS):
         some = slice(first, first + _COLUMNS)
-        coarse = projector.without_free_motions(layout.gather(own[:, some].toarray()))
-        X[:, some] = projector.factor.solve_columns(coarse)[places]
+        if projector.factor is not None:
+            coarse = projector.without_free_motions(layout.gather(own[:, some].toarray()))
+            X[:, some] = projector.factor.solve_columns(coarse)[places]
         if projector.weak is not None:
             V[:, some] = projector.weak.motions.T @ coarse
-    # those of C - C'Q_E C
-    inside = np.asarray(own.multiply(X[: own.shape[0]]).sum(axis=0)).ravel()
-    inside = coarse_space.constraints.layout.space.sum_over_ranks(inside)
-    return X, W, V, 1.0 - inside - np.sum(V**2, axis=0)
+        U = C[:owned, some].toarray() - G[:owned] @ X[:, some] - W[:owned] @ V[:, some]
+        squares[some] = np.sum(U**2, axis=0)
+    return X, W, V, coarse_space.constraints.layout.space.sum_over_ranks(squares)
 
 
 def _responses(

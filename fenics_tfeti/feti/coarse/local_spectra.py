@@ -57,7 +57,8 @@ def threshold(gdim: int, nodes: int) -> float:
     >>> threshold(3, 1000), threshold(2, 100)
     (120.0, 40.0)
     """
-    return round((12.0 if gdim == 3 else 4.0) * float(nodes) ** (1.0 / gdim), 6)
+    tau: float = (12.0 if gdim == 3 else 4.0) * nodes ** (1.0 / gdim)
+    return round(tau, 6)
 
 
 @dataclass(frozen=True)
