@@ -48,8 +48,9 @@ _COLUMNS = 128
 _MOST = 3000
 # square of the length of a column of U = P_E C, of 1 in C, that counts as nothing
 _VANISHED = 1e-8
-# energy of what a vector adds to those before it, relative to its own, that counts as nothing
-_DEPENDENT = 1e-10
+# energy of what a vector adds to those before it, relative to its own, that counts as nothing: less
+# would be lost in rounding where moduli differ by 1e6
+_DEPENDENT = 1e-7
 
 
 @dataclass(frozen=True)
