@@ -50,7 +50,7 @@ _MOST = 3000
 _VANISHED = 1e-8
 # energy of what a vector adds to those before it, relative to its own, that counts as nothing: less
 # would be lost in rounding where moduli differ by 1e6
-_DEPENDENT = 1e-7
+_DEPENDENT = 1e-9
 
 
 @dataclass(frozen=True)
