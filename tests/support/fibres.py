@@ -16,7 +16,7 @@ from fenics_tfeti.feti import ContactRows, Prescribed, Subdomain, TornSystem
 
 POISSON = 0.3
 # of the numbers of nodes along an axis
-_FAR = 1000
+FAR = 1000
 
 
 def element(gdim: int) -> np.ndarray:
@@ -66,7 +66,7 @@ def subdomain(
     size = gdim * len(lattice)
     K = sp.csr_matrix((values.ravel(), (rows.ravel(), columns.ravel())), (size, size))
     position = lattice + np.array(corner)
-    nodes = position @ _FAR ** np.arange(gdim)[::-1] + body * _FAR**gdim
+    nodes = position @ FAR ** np.arange(gdim)[::-1] + body * FAR**gdim
     return Subdomain(K, np.zeros(size), position.astype(float), nodes, body)
 
 
@@ -116,7 +116,7 @@ def reinforced_block(
     normal[:, -1] = -1.0
     rows = ContactRows.node_to_node(
         slaves,
-        slaves - _FAR**gdim,
+        slaves - FAR**gdim,
         normal,
         np.zeros(slaves.size),
         np.zeros(slaves.size, dtype=np.int64),

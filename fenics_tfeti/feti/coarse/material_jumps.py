@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.feti.constraints.ground import TornUnknowns
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.local.fixing_nodes import node_graph
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import Directory
 
@@ -18,8 +19,8 @@ __all__ = ["subdomains_with_jumps"]
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# ratio of the largest and the smallest stiffness of a node. In unstructured tetrahedra of one
-# material it reaches 20: a node at a corner of the body beside one within
+# ratio of the stiffness of nodes. In unstructured tetrahedra of one material it reaches 20: a node
+# at a corner of the body beside one within
 _JUMP = 50.0
 
 
@@ -29,10 +30,11 @@ def subdomains_with_jumps(
     interface: Interface,
     unknowns: TornUnknowns,
 ) -> Mask:
-    """Tell which subdomains' interfaces have nodes of very different stiffness. Collective.
+    """Tell which interfaces have neighbouring nodes of very different stiffness. Collective.
 
     The stiffness of a node is the sum of the weights of its copies: a copy's own is small also
-    where few cells of a subdomain meet the node. Nodes of stiff neighbours do not count.
+    where few cells of a subdomain meet the node. Nodes of stiff neighbours do not count, and
+    neither do nodes far from each other: the stiffness grows with the size of the cells.
 
     Parameters
     ----------
@@ -54,9 +56,33 @@ def subdomains_with_jumps(
     if system.comm.allreduce(bool(jumps.any()), MPI.LOR):
         whole = constraints.weights.copy()
         own = whole[unknowns.displacements].reshape(-1, system.gdim)[:, 0]
-        whole[unknowns.displacements] = np.repeat(_over_copies(system, own), system.gdim)
+        over_copies = _over_copies(system, own)
+        whole[unknowns.displacements] = np.repeat(over_copies, system.gdim)
         jumps &= _ratios(whole[interface.columns], interface) > _JUMP
+        for k in np.flatnonzero(jumps):
+            jumps[k] = _ratio_of_neighbours(system, interface, int(k), over_copies) > _JUMP
     return jumps
+
+
+def _ratio_of_neighbours(
+    system: TornSystem, interface: Interface, position: int, weights: Vector
+) -> float:
+    """Return the largest ratio of the weights of two interface nodes that share a cell.
+
+    `position` is that of the subdomain in the packed interface, `weights` are those of the nodes of
+    all subdomains, one after the other.
+    """
+    members = [c.members.size for c in interface.classes]
+    of = int(np.searchsorted(np.cumsum(members), position, side="right"))
+    number = interface.classes[of].members[position - sum(members[:of])]
+    sizes = [subdomain.nodes.size for subdomain in system.subdomains]
+    nodes = np.unique(interface.unknowns[of] // system.gdim)
+    # the unknowns of the ground come after the displacements
+    nodes = nodes[nodes < sizes[number]]
+    stiffness = system.subdomains[number].stiffness
+    pairs = node_graph(stiffness, system.gdim)[nodes][:, nodes].tocoo()
+    own = weights[sum(sizes[:number]) + nodes]
+    return float((own[pairs.row] / own[pairs.col]).max(initial=1.0))
 
 
 def _ratios(weights: Vector, interface: Interface) -> Vector:

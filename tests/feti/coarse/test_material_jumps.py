@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from fibres import reinforced_block
+from fibres import FAR, reinforced_block, subdomain
 from torn import column
 
-from fenics_tfeti.feti import Options, TornSolver, TornSystem
+from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.material_jumps import subdomains_with_jumps
 
 
@@ -30,6 +32,18 @@ def test_fibres_that_are_cut(gdim, ratio):
 @pytest.mark.parametrize("ratio", [0.2, 1.0, 5.0])
 def test_nearly_uniform_material(ratio):
     assert not any(jumps(reinforced_block(2, ratio)))
+
+
+def test_a_gradual_change_does_not_count():
+    """The modulus of two blocks grows by half from element to element, over the whole by 1300."""
+    blocks = [subdomain((18 * i, 0), (18, 2), lambda x: 1.5 ** x[:, 0], i) for i in (0, 1)]
+    left = replace(blocks[1], nodes=blocks[1].nodes - FAR**2, body=0)
+    bottom = np.flatnonzero(left.coordinates[:, 1] == 0.0)
+    fixed = Prescribed(np.repeat(left.nodes[bottom], 2), np.tile([0, 1], bottom.size), np.zeros(38))
+    system = TornSystem([blocks[0], left], fixed, ContactRows.none(2), 2, ["block"])
+    weights = left.stiffness.diagonal()[::2][bottom]
+    assert weights.max() > 500.0 * weights.min()
+    assert jumps(system) == [False, False]
 
 
 def test_stiff_subdomains_do_not_count():
