@@ -78,15 +78,19 @@ class SurfaceNodes:
 
     def merged(self) -> SurfaceNodes:
         """Return one row for each pair of node and body."""
-        keys = np.stack([self.body, self.number], axis=1)
-        _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-        inverse = inverse.ravel()
-        size = np.full(first.size, np.inf)
-        np.minimum.at(size, inverse, self.size)
-        slave, master = np.zeros(first.size, dtype=bool), np.zeros(first.size, dtype=bool)
-        np.logical_or.at(slave, inverse, self.slave)
-        np.logical_or.at(master, inverse, self.master)
-        return replace(self[first], size=size, slave=slave, master=master)
+        order = np.lexsort((self.number, self.body))
+        body, number = self.body[order], self.number[order]
+        starts = np.ones(order.size, dtype=bool)
+        starts[1:] = (np.diff(body) != 0) | (np.diff(number) != 0)
+        (begin,) = np.nonzero(starts)
+        if begin.size == 0:
+            return self
+        return replace(
+            self[order[begin]],
+            size=np.minimum.reduceat(self.size[order], begin),
+            slave=np.logical_or.reduceat(self.slave[order], begin),
+            master=np.logical_or.reduceat(self.master[order], begin),
+        )
 
 
 def surface_nodes(domain: Mesh, cells: CellGeometry, contacts: Sequence[Contact]) -> SurfaceNodes:
@@ -114,7 +118,7 @@ def surface_nodes(domain: Mesh, cells: CellGeometry, contacts: Sequence[Contact]
         numbers[local],
         domain.geometry.x[local, : domain.geometry.dim],
         np.repeat(cells.body[cell], per_facet),
-        np.repeat(cells.shortest_edges()[cell], per_facet),
+        np.repeat(cells.shortest_edges(cell), per_facet),
         slave[local],
         master[local],
         np.asarray(to_global(local.astype(np.int32)), dtype=np.int64),
@@ -299,10 +303,18 @@ def _bins(comm: MPI.Intracomm, x: Vector, reach: float) -> tuple[Numbers, Number
     comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)
     comm.Allreduce(MPI.IN_PLACE, high, MPI.MAX)
     width = max(float(np.max(high - low)) / bins_along_mesh, 4.0 * reach, np.finfo(float).tiny)
-    steps = np.array(list(product((-reach, reach), repeat=x.shape[1])))
-    bins = np.floor((x[:, None] + steps - low) / width).astype(np.int64)
     # a hash with large primes spreads the keys evenly, for any shape of the mesh
-    keys = (bins @ np.array([73856093, 19349663, 83492791])[: x.shape[1]]) % number_of_keys
-    rows = np.repeat(np.arange(len(x)), len(steps))
-    both = np.unique(np.stack([keys.ravel(), rows], axis=1), axis=0)
-    return both[:, 0], both[:, 1]
+    primes = np.array([73856093, 19349663, 83492791])[: x.shape[1]]
+    ends = [
+        np.floor((x + step - low) / width).astype(np.int64) * primes for step in (-reach, reach)
+    ]
+    # of the corners of a cube around each point; nearly all cubes are in one bin
+    corners = [
+        sum(ends[end][:, axis] for axis, end in enumerate(of)) % number_of_keys
+        for of in product((0, 1), repeat=x.shape[1])
+    ]
+    several = np.any([corner != corners[0] for corner in corners], axis=0)
+    (alone,), (near_border,) = np.nonzero(~several), np.nonzero(several)
+    both = np.unique(np.concatenate([corner[several] * len(x) + near_border for corner in corners]))
+    keys, rows = np.divmod(both, max(len(x), 1))
+    return np.append(corners[0][alone], keys), np.append(alone, rows)

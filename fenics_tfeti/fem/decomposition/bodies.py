@@ -161,7 +161,10 @@ def _common_values(
     common = np.full((bodies, columns.shape[1]), np.iinfo(np.int64).min)
     lowest = np.full(bodies, np.iinfo(np.int64).max)
     common[body] = columns
-    np.minimum.at(lowest, body, np.asarray(numbers, dtype=np.int64))
+    order = np.argsort(body, kind="stable")
+    here, first = np.unique(body[order], return_index=True)
+    if here.size:
+        lowest[here] = np.minimum.reduceat(np.asarray(numbers, dtype=np.int64)[order], first)
     domain.comm.Allreduce(MPI.IN_PLACE, common, MPI.MAX)
     domain.comm.Allreduce(MPI.IN_PLACE, lowest, MPI.MIN)
     return common, lowest
@@ -175,10 +178,11 @@ def _names(domain: Mesh, body: Numbers, bodies: int, tags: Numbers | None) -> li
     order = np.argsort(body, kind="stable")
     here, first = np.unique(body[order], return_index=True)
     nodes = _compat.geometry_cells(domain)[order]
-    x = domain.geometry.x[nodes.ravel(), :gdim]
-    if here.size:
-        low[here] = np.minimum.reduceat(x, first * nodes.shape[1])
-        high[here] = np.maximum.reduceat(x, first * nodes.shape[1])
+    # by component: reductions over long columns are faster than those over short rows
+    for k in range(gdim if here.size else 0):
+        x = domain.geometry.x[:, k][nodes.ravel()]
+        low[here, k] = np.minimum.reduceat(x, first * nodes.shape[1])
+        high[here, k] = np.maximum.reduceat(x, first * nodes.shape[1])
     domain.comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)
     domain.comm.Allreduce(MPI.IN_PLACE, high, MPI.MAX)
     names = []

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
@@ -83,6 +85,11 @@ _COLUMNS = 64
 _USELESS = 1e-6
 # more work than any solve has: rslab's solves stay on the thread that calls them
 _NEVER = 2**62
+# unknowns from which on CHOLMOD tries METIS' ordering too: the factors of smaller matrices are as
+# large by AMD's, which takes less time
+_TRY_METIS = 3000
+# CHOLMOD's number of orderings to choose from: a given one (there is none), AMD's, METIS'
+_ORDERINGS = ("mat_cholmod_nmethods", 3)
 # MPI communicators that have to be free for another factor by MUMPS: it takes 5, dolfinx a few
 _COMMUNICATORS = 16
 # numbers of MUMPS' INFOG
@@ -223,7 +230,8 @@ class _PetscFactor:
         A = _petsc_matrix(matrix)
         pc = _petsc_cholesky(A, package)
         try:
-            pc.setUp()
+            with _orderings(matrix.shape[0]):
+                pc.setUp()
             self._factor = pc.getFactorMatrix()
         except PETSc.Error as error:
             raise _Indefinite(f"PETSc's error {error.ierr}") from error
@@ -253,6 +261,20 @@ class _PetscFactor:
     @property
     def entries(self) -> int:
         return int(self._factor.getInfo()["nz_used"])
+
+
+@contextmanager
+def _orderings(size: int) -> Iterator[None]:
+    """Let CHOLMOD try METIS' ordering of a large matrix, unless the user has set the option."""
+    options, (name, number) = PETSc.Options(), _ORDERINGS
+    if size < _TRY_METIS or options.hasName(name):
+        yield
+        return
+    options[name] = number
+    try:
+        yield
+    finally:
+        options.delValue(name)
 
 
 def _require_communicators() -> None:

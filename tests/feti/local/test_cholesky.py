@@ -6,6 +6,8 @@ import resource
 
 from mpi4py import MPI
 
+from petsc4py import PETSc
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -142,3 +144,32 @@ def test_distributed_factor_on_one_rank():
     A, b = definite(), np.random.default_rng(1).standard_normal(N)
     x = DistributedCholesky(MPI.COMM_SELF, A).solve(b)
     np.testing.assert_allclose(x, np.linalg.solve(A.toarray(), b), rtol=1e-12)
+
+
+def cube_of_springs(n: int) -> sp.csr_matrix:
+    """Return a definite matrix of n^3 unknowns, each coupled with up to 26 neighbours."""
+    row = sp.diags([np.ones(n - 1), np.ones(n), np.ones(n - 1)], [-1, 0, 1])
+    pattern = sp.kron(sp.kron(row, row), row).tocsr()
+    return (28.0 * sp.identity(n**3) - pattern).tocsr()
+
+
+@pytest.mark.skipif("cholmod" not in available_packages(), reason="PETSc without CHOLMOD")
+def test_large_factors_are_smaller_by_the_ordering_of_metis(monkeypatch):
+    A = cube_of_springs(16)
+    entries = SparseCholesky(A, "cholmod").entries
+    monkeypatch.setattr(cholesky, "_TRY_METIS", A.shape[0] + 1)
+    assert entries < 0.95 * SparseCholesky(A, "cholmod").entries
+
+
+@pytest.mark.skipif("cholmod" not in available_packages(), reason="PETSc without CHOLMOD")
+def test_the_users_choice_of_orderings_is_kept(monkeypatch):
+    options, name = PETSc.Options(), "mat_cholmod_nmethods"
+    A = cube_of_springs(16)
+    smallest = SparseCholesky(A, "cholmod").entries
+    assert not options.hasName(name)
+    options[name] = 2
+    try:
+        assert SparseCholesky(A, "cholmod").entries > smallest
+        assert options.getInt(name) == 2
+    finally:
+        options.delValue(name)
