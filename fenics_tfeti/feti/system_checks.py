@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.body_checks import check_bodies
+from fenics_tfeti.feti.local.fixing_nodes import node_graph
 from fenics_tfeti.feti.local.rigid_body_modes import kernel
 from fenics_tfeti.feti.system import (
     ContactGuess,
@@ -311,10 +312,8 @@ def _check_matrix(what: str, subdomain: Subdomain, gdim: int) -> None:
 
 def _check_connected(what: str, subdomain: Subdomain, gdim: int) -> None:
     """Check that no part of a subdomain can move rigidly without the rest."""
-    K, nodes = subdomain.stiffness, subdomain.nodes.size
-    row = np.repeat(np.arange(K.shape[0]) // gdim, np.diff(K.indptr))
-    graph = sp.coo_matrix((np.ones(row.size, dtype=bool), (row, K.indices // gdim)), (nodes, nodes))
-    pieces, piece = connected_components(graph, directed=False)
+    K = subdomain.stiffness
+    pieces, piece = connected_components(node_graph(K, gdim), directed=False)
     if pieces == 1:
         return
     modes = 0

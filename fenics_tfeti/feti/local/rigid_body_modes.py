@@ -90,7 +90,7 @@ def low_energy_modes(subdomain: Subdomain) -> tuple[Vector, Vector]:
         R'KR is the diagonal matrix of these; 0 for modes in the kernel [N/m].
     """
     R = rigid_body_modes(subdomain.coordinates)
-    stiffness = abs(subdomain.stiffness).max()
+    stiffness = np.abs(subdomain.stiffness.data).max(initial=0.0)
     gram, rounding = R.T @ (subdomain.stiffness @ R), ZERO_ENERGY * stiffness
     # rounding would couple motions along a soft support with others that it leaves free
     energies, vectors = np.linalg.eigh(np.where(np.abs(gram) > rounding, gram, 0.0))
