@@ -30,7 +30,7 @@ from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.qp import OuterIteration
 
-__all__ = ["Report", "build_report", "peak_memory"]
+__all__ = ["Report", "build_report", "peak_memory", "versions"]
 
 
 def peak_memory(comm: MPI.Intracomm) -> int:
@@ -290,7 +290,7 @@ def build_report(
         converged=outcome.converged,
         reason=outcome.reason,
         ranks=comm.size,
-        versions=_versions(),
+        versions=versions(),
         options=asdict(options),
         history=history.outer,
         faces=history.faces,
@@ -298,7 +298,8 @@ def build_report(
     )
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Return the versions of NumPy, SciPy, PETSc and MPI."""
     return {
         "numpy": np.__version__,
         "scipy": scipy.__version__,

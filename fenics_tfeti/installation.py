@@ -1,0 +1,134 @@
+"""What an installation has: ``python -m fenics_tfeti``."""
+
+from __future__ import annotations
+
+import platform
+import time
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+from scipy.linalg.blas import dgemm
+
+from fenics_tfeti.feti.local.cholesky import available_packages
+from fenics_tfeti.feti.report import versions
+
+__all__ = ["blas", "facts", "main"]
+
+# Rate of products of dense matrices below which BLAS is slow [operations/s]: the reference
+# implementation reaches 1e9 to 3e9 on one core, others 1e10 and more.
+_SLOW = 4e9
+
+# Libraries of BLAS by their file names, and what to call them.
+_LIBRARIES = {"openblas": "OpenBLAS", "mkl": "MKL", "blis": "BLIS", "atlas": "ATLAS"}
+
+
+def facts(comm: MPI.Intracomm) -> dict[str, str]:
+    """Return what the installation has, by name. The same on all ranks.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks.
+    """
+    packages = available_packages()
+    found = {"fenics_tfeti": _version("fenics_tfeti"), "Python": platform.python_version()}
+    found["dolfinx"] = _dolfinx()
+    names = {"petsc": "PETSc", "mpi": "MPI", "numpy": "NumPy", "scipy": "SciPy"}
+    found |= {names[name]: " ".join(number.split()) for name, number in versions().items()}
+    found["BLAS"] = comm.bcast(blas())
+    found["sparse factors"] = ", ".join(packages) or "none: install PETSc with CHOLMOD or MUMPS"
+    extras = {"gmsh": "mesh files", "pyvista": "pictures", "matplotlib": "curves"}
+    for name, purpose in extras.items():
+        missing = f"not installed (for {purpose})"
+        found[name] = _version(name) if find_spec(name) else missing
+    found["processes"] = str(comm.size)
+    return found
+
+
+def blas(rate: float | None = None) -> str:
+    """Return the libraries of BLAS that this process uses, and how fast products are.
+
+    Parameters
+    ----------
+    rate : float, optional
+        Operations in a second; by default measured, which takes a tenth of a second.
+    """
+    rate = _rate() if rate is None else rate
+    loaded = _loaded_libraries()
+    names = [name for part, name in _LIBRARIES.items() if any(part in file for file in loaded)]
+    if not names and any("libblas.so" in file for file in loaded):
+        names = ["reference BLAS"]
+    text = f"{' and '.join(names) or 'unknown library'}, {rate / 1e9:.1f} Gflop/s"
+    if rate < _SLOW:
+        text += " (slow: install OpenBLAS, for instance libopenblas0-pthread)"
+    return text
+
+
+def _rate() -> float:
+    """Return the operations in a second of products of dense matrices; the best of some."""
+    n, seconds = 384, list[float]()
+    A = np.asfortranarray(np.ones((n, n)))
+    for _ in range(6):
+        begin = time.perf_counter()
+        dgemm(1.0, A, A)
+        seconds.append(time.perf_counter() - begin)
+    return float(2.0 * n**3 / min(seconds))
+
+
+def _loaded_libraries() -> list[str]:
+    """Return the names of the files that are mapped into this process; none but on Linux."""
+    maps = Path("/proc/self/maps")
+    if not maps.is_file():
+        return []
+    paths = {line.split(maxsplit=5)[-1].strip() for line in maps.read_text().splitlines()}
+    return sorted(Path(path).name for path in paths if path.startswith("/"))
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "installed, without a version"
+
+
+def _dolfinx() -> str:
+    try:
+        from fenics_tfeti.fem import _compat
+    except ImportError as error:
+        return f"cannot be imported ({error}): only fenics_tfeti.feti and .qp can be used"
+    return _compat.version()
+
+
+def main(comm: MPI.Intracomm = MPI.COMM_WORLD) -> int:
+    """Print what the installation has, run the self-test, and return an exit code. Collective.
+
+    Returns
+    -------
+    int
+        0 if the self-test passes, else 1.
+    """
+    found = facts(comm)
+    lines = [f"{name:>16}  {value}" for name, value in found.items()]
+    _print(comm, "\n".join(lines))
+    if "cannot be imported" in found["dolfinx"]:
+        return 1
+    _print(comm, f"{'self-test':>16}  two blocks meshed apart ...")
+    from fenics_tfeti.self_test import self_test
+
+    result = self_test(comm)
+    verdict = "passed" if result.passed else "FAILED"
+    _print(
+        comm,
+        f"{'':>16}  {verdict}: the pressure is exact to {result.error:.1e}, "
+        f"{result.products} products with F, {result.seconds:.1f} s",
+    )
+    return 0 if result.passed else 1
+
+
+def _print(comm: MPI.Intracomm, text: str) -> None:
+    if comm.rank == 0:
+        print(text, flush=True)
