@@ -44,7 +44,10 @@ every_gdim = pytest.mark.parametrize("gdim", [2, 3])
 @every_gdim
 def test_same_counts_as_on_one_rank(gdim, preconditioner, coarse_solver):
     found, alone = solutions(gdim, preconditioner=preconditioner, coarse_solver=coarse_solver)
-    assert found.report.deflation["vectors"] == alone.report.deflation["vectors"] > 0
+    # whether a direction depends on the others may be decided by rounding
+    vectors = [solution.report.deflation["vectors"] for solution in (found, alone)]
+    assert min(vectors) > 1
+    assert abs(vectors[0] - vectors[1]) <= 1
     counts = [solution.report.products["total"] for solution in (found, alone)]
     assert abs(counts[0] - counts[1]) <= 1
 
