@@ -77,8 +77,10 @@ def test_meshes_in_the_ratios_of_7_to_5_and_3_to_1(upper, ratio, exchanged):
     assert force == pytest.approx(2.0 * TRACTION, rel=1e-8)
     # the finer beam is softer
     assert 0.999 < found.energy / equal.energy < 1.05
+    # of meshes that match, the finer one has smaller subdomains
+    products = [r.products["total"] for r in (equal, report(upper, upper, ratio))]
     if found.pairing[0]["roles_ratio"] < 20.0:
-        assert found.products["total"] <= 1.5 * equal.products["total"]
+        assert found.products["total"] <= 1.3 * max(products)
 
 
 def test_bad_roles_are_a_warning():
