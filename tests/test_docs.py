@@ -28,6 +28,12 @@ def test_all_options_with_their_defaults():
             assert float(listed[f.name].replace(" ", "")) == f.default
 
 
+def test_citation_has_the_version_of_the_package():
+    (cited,) = re.findall(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    (made,) = re.findall(r'^version = "(.+)"$', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
+    assert cited == made
+
+
 @pytest.mark.parametrize("layer", ["qp", "feti", "fem"])
 def test_all_files_of_a_layer(layer):
     text = (ROOT / "docs" / "contributing.rst").read_text()
