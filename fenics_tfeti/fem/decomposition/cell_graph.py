@@ -19,22 +19,20 @@ Indices = NDArray[np.int32]
 
 def cell_graph(domain: Mesh) -> sp.csr_matrix:
     """Return the adjacency matrix (cells, cells) of the cells that this rank owns."""
+    facet_of = cell_facets(domain)
     owned = owned_cells(domain)
-    facets = cell_facets(domain)[:owned]
-    flat, per_cell = facets.ravel(), facets.shape[1]
-    # for each facet, where it occurs first and last
-    first, last = np.zeros((2, int(flat.max(initial=-1)) + 1), dtype=np.int64)
-    positions = np.arange(flat.size)
-    last[flat] = positions
-    first[flat[::-1]] = positions[::-1]
-    (common,) = np.nonzero(first != last)
-    # only in meshes that the checks refuse, facets have more than two cells
-    (between,) = np.nonzero((positions != first[flat]) & (positions != last[flat]))
-    one = np.concatenate([first[common], between, between]) // per_cell
-    other = np.concatenate([last[common], first[flat[between]], last[flat[between]]]) // per_cell
-    rows, columns = np.concatenate([one, other]), np.concatenate([other, one])
-    entries = np.ones(rows.size, dtype=np.int32)
-    return sp.csr_matrix((entries, (rows, columns)), shape=(owned, owned))
+    facets = facet_of[:owned]
+    incidence = sp.csr_matrix(
+        (
+            np.ones(facets.size, dtype=np.int32),
+            (np.repeat(np.arange(owned), facets.shape[1]), facets.ravel()),
+        ),
+        shape=(owned, int(facet_of.max(initial=-1)) + 1),
+    )
+    graph = (incidence @ incidence.T).tocsr()
+    graph.setdiag(0)
+    graph.eliminate_zeros()
+    return graph
 
 
 def components(graph: sp.csr_matrix, label: Numbers) -> tuple[int, Numbers]:
