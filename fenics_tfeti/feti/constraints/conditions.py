@@ -146,7 +146,7 @@ def condition_rows(
 
     number = np.full(gap.size, -1, dtype=np.int64)
     number[kept] = first + first_of_rank(system.comm, int(kept.sum()))[0] + np.arange(kept.sum())
-    rhs = np.where(kept, scale * gap, 0.0)
+    rhs, rounding = np.where(kept, scale * gap, 0.0), scale * tolerance
     here = kept[terms.row]
     row = terms.row[here]
     coefficients = (terms.coefficients / terms.weight[:, None])[here] * scale[row][:, None]
@@ -166,7 +166,7 @@ def condition_rows(
         contact,
         scale,
         rhs,
-        given[2] * tolerance,
+        rounding,
         equality,
         tied,
         kept,
