@@ -14,7 +14,7 @@ from dolfinx.fem import Function, FunctionSpace
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
-from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets
+from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets, owned_facets
 from fenics_tfeti.fem.tolerances import VANISHING_NORMAL
 from fenics_tfeti.parallel import concatenate_ranks
 
@@ -152,9 +152,7 @@ def gather_surface(
         On the space [m], with ghosts up to date; by default the surface is not deformed.
     """
     comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
-    owned = space.mesh.topology.index_map(space.mesh.topology.dim - 1).size_local
-    found = facet_tags.find(tag)
-    facets = oriented_facets(space, np.sort(found[found < owned]))
+    facets = oriented_facets(space, owned_facets(space.mesh, facet_tags, tag))
     local = np.unique(facets)
     numbers = np.asarray(space.dofmap.index_map.local_to_global(local), dtype=np.int64)
     points = space.tabulate_dof_coordinates()[local][:, :gdim]

@@ -22,7 +22,7 @@ from fenics_tfeti.fem.contact.mortar.candidates import REACH
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
-from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
+from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets, owned_facets
 
 __all__ = ["gather_nearby"]
 
@@ -92,10 +92,7 @@ def gather_nearby(
 
 def _own_facets(space: FunctionSpace, facet_tags: Any, tag: int) -> Numbers:
     """Return the local nodes (f, t) of the tagged facets that this rank owns."""
-    topology = space.mesh.topology
-    owned = topology.index_map(topology.dim - 1).size_local
-    found = facet_tags.find(tag)
-    return oriented_facets(space, np.sort(found[found < owned])).astype(np.int64)
+    return oriented_facets(space, owned_facets(space.mesh, facet_tags, tag)).astype(np.int64)
 
 
 def _distances(

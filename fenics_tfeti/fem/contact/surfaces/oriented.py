@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
+from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_facets, cell_type, cell_vertices
 
-__all__ = ["corner_normals", "oriented_facets"]
+__all__ = ["corner_normals", "oriented_facets", "owned_facets"]
 
 Vector = NDArray[np.float64]
 Indices = NDArray[np.int32]
+
+
+def owned_facets(domain: Mesh, facet_tags: Any, tag: int) -> Indices:
+    """Return the facets (f,) with a tag that this rank owns, ascending."""
+    facets = facet_tags.find(tag)
+    owned = domain.topology.index_map(domain.topology.dim - 1).size_local
+    return np.sort(facets[facets < owned])
 
 
 def oriented_facets(space: FunctionSpace, facets: Indices) -> Indices:

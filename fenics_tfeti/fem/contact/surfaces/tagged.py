@@ -17,7 +17,7 @@ from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
+from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets, owned_facets
 from fenics_tfeti.fem.messages import coordinate_order, raise_where
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, VANISHING_NORMAL
@@ -244,9 +244,7 @@ def tagged_surface(
     domain, dim = space.mesh, space.mesh.topology.dim
     with raise_collectively(domain.comm):
         _check_tags(domain, facet_tags, what)
-    owned = domain.topology.index_map(dim - 1).size_local
-    facets = facet_tags.find(tag)
-    facets = np.sort(facets[facets < owned])
+    facets = owned_facets(domain, facet_tags, tag)
     _check_facets(boundary, facet_tags, tag, facets, what)
 
     nodes = np.asarray(fem.locate_dofs_topological(space, dim - 1, facets), dtype=np.int32)

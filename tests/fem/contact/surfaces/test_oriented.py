@@ -6,11 +6,11 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import dimension, vector_space
+from scenes import at, dimension, vector_space
 
-from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets
+from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets, owned_facets
 from fenics_tfeti.fem.topology import cell_type, exterior_facets
-from fenics_tfeti.io import Box, boxes
+from fenics_tfeti.io import Box, boxes, tag_facets
 
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 
@@ -33,6 +33,15 @@ def test_facets_of_a_body_point_outwards_and_close_it(cell, degree):
     outward = x[:, :v].mean(axis=1) - 1.0
     assert (np.sum(area.sum(axis=1) * outward, axis=1) > 0.0).all()
     np.testing.assert_allclose(area.sum(axis=(0, 1)), 0.0, atol=1e-13)
+
+
+def test_owned_facets_have_the_tag_and_ascend():
+    domain = boxes(MPI.COMM_SELF, [Box((0.0, 0.0), (1.0, 1.0), (3, 3))], "triangle").mesh
+    tags = tag_facets(domain, {4: at(0, 0.0), 7: at(1, 1.0)})
+    found = owned_facets(domain, tags, 7)
+    np.testing.assert_array_equal(found, np.sort(tags.find(7)))
+    assert found.size == 3
+    assert owned_facets(domain, tags, 5).size == 0
 
 
 @pytest.mark.parametrize("cell", CELLS)
