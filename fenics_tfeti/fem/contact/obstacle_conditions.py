@@ -15,14 +15,16 @@ from fenics_tfeti.fem.contact.mortar.one_sided import nodal_normals, one_sided_c
 from fenics_tfeti.fem.contact.mortar.pairing import mean_over_terms, slave_facets
 from fenics_tfeti.fem.contact.obstacles import gap_and_normal
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
-from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
+from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface
 from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas
 from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas, weighted_form
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
+from fenics_tfeti.parallel import Directory
 
 __all__ = ["deformed_gaps", "match_obstacle"]
 
 Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
 
 
 def match_obstacle(
@@ -96,8 +98,14 @@ def _match_means(
     if facets.weight is not None:
         what = f"slave of {name}"
         check_weighted_areas(comm, terms.area, slave.area[at], slave.points[at], what)
-    surface = gather_surface(space, contact.facet_tags, contact.slave)
-    gap = slave.without_rounding(_mean_gap(space, contact, terms, surface, name))
+    # the nodes of a condition may be on facets of several ranks
+    directory = Directory(comm, facets.nodes)
+    keys, values = directory.collect(facets.nodes, at_nodes)
+    table = np.zeros(directory.keys.size)
+    table[directory.position(keys)] = values
+    of_terms = np.unique(terms.nodes)
+    mean = _mean_gap(terms, of_terms, directory.lookup(of_terms, table)[1])
+    gap = slave.without_rounding(mean)
     _, outward = gap_and_normal(
         comm, contact.obstacle, slave.coordinates[at], slave.normal[at], name
     )
@@ -119,19 +127,11 @@ def _match_means(
     )
 
 
-def _mean_gap(
-    space: FunctionSpace,
-    contact: RigidObstacle,
-    terms: MortarTerms,
-    slave: DeformedSurface,
-    name: str,
-) -> Vector:
-    """Return the mean gaps (k,) of conditions; infinite where a node of theirs has no obstacle."""
-    nodes = np.unique(terms.nodes)
-    at = np.searchsorted(slave.nodes, nodes)
-    normal = slave.normals(name)[at]
-    places = _padded(slave.points[at])
-    gap, _ = gap_and_normal(space.mesh.comm, contact.obstacle, places, normal, name)
+def _mean_gap(terms: MortarTerms, nodes: Numbers, gap: Vector) -> Vector:
+    """Return the mean gaps (k,) of conditions; infinite where a node of theirs has no obstacle.
+
+    `nodes`, ascending, are those of the terms, `gap` are the gaps there.
+    """
     there = np.isfinite(gap)
     mean = mean_over_terms(terms, nodes, np.where(there, gap, 0.0)[:, None])[:, 0]
     without = np.zeros(mean.size, dtype=bool)
@@ -163,15 +163,14 @@ def deformed_gaps(
     """
     comm, name, terms = space.mesh.comm, pairing.name, pairing.terms
     slave = gather_surface(space, contact.facet_tags, contact.slave, displacement)
-    here = np.searchsorted(slave.nodes, pairing.slave)
-    normal = slave.normals(name)[here]
-    distance, outward = gap_and_normal(
-        comm, contact.obstacle, _padded(slave.points[here]), normal, name
-    )
-    moved = slave.displacement[here]
+    nodes = pairing.slave if terms is None else np.unique(terms.nodes)
+    at = np.searchsorted(slave.nodes, nodes)
+    places, normals = _padded(slave.points[at]), slave.normals(name)[at]
+    distance, outward = gap_and_normal(comm, contact.obstacle, places, normals, name)
+    moved = slave.displacement[at]
     if terms is not None:
-        distance = _mean_gap(space, contact, terms, slave, name)
-        moved = mean_over_terms(terms, slave.nodes, slave.displacement)
+        distance, moved = _mean_gap(terms, nodes, distance), mean_over_terms(terms, nodes, moved)
+        outward = outward[np.searchsorted(nodes, pairing.slave)]
     return -outward, distance - np.sum(moved * outward, axis=1), distance
 
 
