@@ -19,6 +19,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import FactorizationError
+from fenics_tfeti.feti.local.threads import one_thread
 
 __all__ = [
     "DistributedCholesky",
@@ -230,7 +231,7 @@ class _PetscFactor:
         A = _petsc_matrix(matrix)
         pc = _petsc_cholesky(A, package)
         try:
-            with _orderings(matrix.shape[0]):
+            with _orderings(matrix.shape[0]), one_thread():
                 pc.setUp()
             self._factor = pc.getFactorMatrix()
         except PETSc.Error as error:

@@ -1,0 +1,42 @@
+"""Work of libraries on the thread that calls them: the ranks share the processors."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+
+from mpi4py import MPI  # noqa: F401  first, or the wheels' petsc4py does not find the MPI library
+
+from petsc4py import PETSc
+
+__all__ = ["one_thread"]
+
+
+@cache
+def _openmp() -> ctypes.CDLL | None:
+    """Return what has the functions of the OpenMP library that PETSc's packages use, if any do."""
+    # the search for a symbol goes through all libraries that this one is linked with
+    library = ctypes.CDLL(PETSc.__file__)
+    return library if hasattr(library, "omp_set_max_active_levels") else None
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let OpenMP's parallel regions run on one thread, whatever number they ask for.
+
+    CHOLMOD 3 asks for four in its supernodal factorisation, whatever OMP_NUM_THREADS is.
+    A factor of some thousand unknowns has many regions of a few microseconds, and on two
+    processors the threads wait for each other most of the time: it takes three times as long.
+    """
+    library = _openmp()
+    if library is None:
+        yield
+        return
+    levels = library.omp_get_max_active_levels()
+    library.omp_set_max_active_levels(0)
+    try:
+        yield
+    finally:
+        library.omp_set_max_active_levels(levels)
