@@ -49,6 +49,8 @@ class CoarseSpace:
         B and the classes of congruent subdomains.
     kernels : sequence of (n_i, k_i) arrays
         R_i of this rank's subdomains; congruent ones share it.
+    traces : sequence of (b, k) arrays
+        R_i on the interface unknowns, for each class.
     ends : (subdomains + 1,) integer array
         First coarse unknown of each subdomain among this rank's, and the end of the last.
     layout : CoarseLayout
@@ -67,6 +69,7 @@ class CoarseSpace:
 
     interface: Interface
     kernels: Sequence[Vector]
+    traces: Sequence[Vector]
     ends: Numbers
     layout: CoarseLayout
     others: sp.csr_matrix
@@ -104,7 +107,11 @@ class CoarseSpace:
         ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
         first, size = first_of_rank(system.comm, int(ends[-1]))
         # G' with this rank's rows of G as columns, then with those of all
-        own = (interface.matrix @ _packed_kernels(interface, kernels, ends)).tocsr()
+        traces = [
+            kernels[congruent.first][local]
+            for congruent, local in zip(interface.classes, interface.unknowns, strict=True)
+        ]
+        own = (interface.matrix @ _packed_kernels(interface, traces, ends)).tocsr()
         everyone = _with_neighbours(constraints, own, first, size)
         equality = constraints.equality
         rows = (own.T.tocsr()[:, equality] @ everyone[equality]).tocsr()
@@ -120,6 +127,7 @@ class CoarseSpace:
         return CoarseSpace(
             interface,
             kernels,
+            traces,
             ends,
             layout,
             everyone.T.tocsr()[others],
@@ -154,10 +162,8 @@ class CoarseSpace:
         """Return Gx for this rank's coarse unknowns."""
         packed = self.interface.blocks(self.interface.transposed @ x)
         part = np.empty(int(self.ends[-1]))
-        for congruent, local, rows in zip(
-            self.interface.classes, self.interface.unknowns, packed, strict=True
-        ):
-            part[self._places(congruent)] = rows @ self.kernels[congruent.first][local]
+        for congruent, trace, rows in zip(self.interface.classes, self.traces, packed, strict=True):
+            part[self._places(congruent)] = rows @ trace
         return part
 
     def prolong(self, coarse: Vector) -> Vector:
@@ -167,17 +173,15 @@ class CoarseSpace:
     def prolong_own(self, own: Vector) -> Vector:
         """Return what this rank's coarse unknowns add to G'a."""
         blocks = [
-            own[self._places(congruent)] @ self.kernels[congruent.first][local].T
-            for congruent, local in zip(
-                self.interface.classes, self.interface.unknowns, strict=True
-            )
+            own[self._places(congruent)] @ trace.T
+            for congruent, trace in zip(self.interface.classes, self.traces, strict=True)
         ]
         part: Vector = self.interface.matrix @ self.interface.pack(blocks)
         return part
 
     def motions_of_rows(self, rows: Mask) -> sp.csr_matrix:
         """Return G' on some rows: the columns of this rank's coarse unknowns, then of `others`."""
-        own = self.interface.matrix @ _packed_kernels(self.interface, self.kernels, self.ends)
+        own = self.interface.matrix @ _packed_kernels(self.interface, self.traces, self.ends)
         chosen = sp.diags(rows.astype(float))
         return (chosen @ sp.hstack([own, self.others.T])).tocsr()
 
@@ -247,18 +251,15 @@ class CoarseSpace:
         return moved
 
 
-def _packed_kernels(
-    interface: Interface, kernels: Sequence[Vector], ends: Numbers
-) -> sp.csr_matrix:
+def _packed_kernels(interface: Interface, traces: Sequence[Vector], ends: Numbers) -> sp.csr_matrix:
     """Return R on the packed interface unknowns, a column for each own coarse unknown."""
     data, columns, counts = [np.zeros(0)], [np.zeros(0, dtype=np.int32)], [np.zeros(0, dtype=int)]
-    for congruent, local in zip(interface.classes, interface.unknowns, strict=True):
-        R = kernels[congruent.first][local]
+    for congruent, R in zip(interface.classes, traces, strict=True):
         k = congruent.members.size
         places = ends[congruent.members][:, None, None] + np.arange(R.shape[1])
         data.append(np.tile(R.ravel(), k))
         columns.append(np.broadcast_to(places, (k, *R.shape)).ravel().astype(np.int32))
-        counts.append(np.full(k * local.size, R.shape[1]))
+        counts.append(np.full(k * len(R), R.shape[1]))
     indptr = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
     return sp.csr_matrix(
         (np.concatenate(data), np.concatenate(columns), indptr),
