@@ -279,11 +279,11 @@ def build_report(
                 describe_body_motion(
                     system,
                     setup.local.kernels,
-                    setup.projector.coarse_space.own_part(motion),
+                    setup.projector.coarse_space.own_part(motion.toarray().ravel()),
                     either_way=True,
                 )
             )
-            for motion in candidate.face.free.T
+            for motion in candidate.face.free.T.tocsr()
         ],
         certificate=candidate.certificate,
         dual_tolerance=outcome.tolerance,

@@ -1,4 +1,6 @@
-"""Small dense least squares problems with signs: rigid motions against contact conditions.
+"""Least squares problems with signs: rigid motions against contact conditions.
+
+They are small and dense, but for `least_norm_nonnegative`, which takes many sparse rows as well.
 
 After Lawson and Hanson, Solving Least Squares Problems, chapter 23. Rows and columns may be of any
 length, also zero.
@@ -7,8 +9,10 @@ length, also zero.
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.sparse.linalg import splu
 
 __all__ = [
     "least_distance",
@@ -114,13 +118,13 @@ def _lengths(rows: Vector) -> Vector:
     return lengths
 
 
-def least_norm_nonnegative(C: Vector, d: Vector) -> tuple[Vector, Vector]:
+def least_norm_nonnegative(C: Vector | sp.csc_matrix, d: Vector) -> tuple[Vector, Vector]:
     """Minimise 1/2 ||x||^2 subject to Cx = d and x >= o, by a semismooth Newton method on the dual.
 
     Parameters
     ----------
-    C : (r, n) array
-        Few rows.
+    C : (r, n) array or scipy.sparse.csc_matrix
+        Few rows, or sparse ones.
     d : (r,) array
         Right-hand side.
 
@@ -139,18 +143,20 @@ def least_norm_nonnegative(C: Vector, d: Vector) -> tuple[Vector, Vector]:
     >>> x.round(12).tolist(), residual.round(12).tolist()
     ([1.0, 1.0, 0.0], [0.0])
     """
-    size, stiffness = float(_lengths(d[None])[0]), float(_lengths(C.reshape(1, -1))[0])
+    entries = np.asarray(C.data if sp.issparse(C) else C)
+    size, stiffness = (float(_lengths(x.reshape(1, -1))[0]) for x in (d, entries))
     if size == 0.0 or stiffness == 0.0:
         return np.zeros(C.shape[1]), d.copy()
     unit, target = C / stiffness, d / size
     found = _newton(unit, target)
     if found is None:
         # no solution, or one that rounding hides: the basic solution decides, with a certificate
-        found = nonnegative_least_squares(unit, target)
+        dense = sp.csc_matrix(unit).toarray()
+        found = nonnegative_least_squares(dense, target)
     return found * (size / stiffness), size * (target - unit @ found)
 
 
-def _newton(C: Vector, d: Vector) -> Vector | None:
+def _newton(C: Vector | sp.csc_matrix, d: Vector) -> Vector | None:
     """Return x = max(C'y, o) with Cx = d, for C and d of unit length; None if none is found."""
     y = np.zeros(d.size)
 
@@ -168,8 +174,7 @@ def _newton(C: Vector, d: Vector) -> Vector | None:
         support = C[:, x > 0.0] if step else C
         # damped where the support leaves the Hessian singular; fades as the gradient does
         damping = min(1e-3, size) / d.size
-        H = support @ support.T + damping * np.eye(d.size)
-        p = np.linalg.solve(H, -gradient)
+        p = -_damped_inverse(support, damping, gradient)
         slope, length = float(gradient @ p), 1.0
         # near the solution the decrease drowns in rounding
         limit = value(y) + 1e-12 * abs(value(y))
@@ -177,6 +182,18 @@ def _newton(C: Vector, d: Vector) -> Vector | None:
             length *= 0.5
         y = y + length * p
     return None
+
+
+def _damped_inverse(C: Vector | sp.csc_matrix, damping: float, b: Vector) -> Vector:
+    """Return (CC' + damping I)^{-1} b."""
+    if sp.issparse(C):
+        H = (C @ C.T + damping * sp.identity(b.size)).tocsc()
+        symmetric = {"SymmetricMode": True}
+        factor = splu(H, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+        x: Vector = factor.solve(b)
+        return x
+    x = np.linalg.solve(C @ C.T + damping * np.eye(b.size), b)
+    return x
 
 
 def least_norm_partly_nonnegative(

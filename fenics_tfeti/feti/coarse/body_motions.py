@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -10,7 +10,6 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.local.rigid_body_modes import describe_motion, raw_modes
@@ -19,15 +18,11 @@ from fenics_tfeti.feti.system import TornSystem
 __all__ = ["BodyMotions", "body_motions", "describe_body_motion"]
 
 Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 # what rounding leaves of rigid motions of a body in gluing rows and outside the kernels, and how
 # much the rounding of coordinates far from the origin adds
 _TRACE = 1e-13
 _OFFSET = 16 * 2.0**-52
-# each pass reduces their error by a factor of 1e-5 or less
-_PASSES = 3
 
 
 @dataclass(frozen=True)
@@ -44,8 +39,9 @@ class BodyMotions:
         T: R T z moves each body rigidly, z in units of motion.
     moved : (m, modes * bodies) scipy.sparse.csr_matrix
         What the motions do to the rows of B that this rank holds; traces of rounding are removed.
-    supports : (modes * bodies, modes * bodies) array
-        E: ||E z|| is the part of a motion outside the kernel of K, which elastic supports resist.
+    supports : (bodies, modes, modes) array
+        E of each body: ||E z|| is the part of a motion outside the kernel of K, which elastic
+        supports resist.
     rounding : float
         What rounding may leave in `moved`.
     """
@@ -61,50 +57,6 @@ class BodyMotions:
         first = self.basis.indices[self.basis.indptr[:-1]]
         body: NDArray[np.int64] = first.astype(np.int64) // np.diff(self.basis.indptr)
         return body
-
-    def resistance(
-        self,
-        rows: Mask,
-        owned: int,
-        sum_over_ranks: Callable[[Vector], Vector],
-        below: float = 1e-4,
-    ) -> tuple[Vector, Vector]:
-        """Return motions that some rows resist weakly or not at all.
-
-        Parameters
-        ----------
-        rows : (m,) bool array
-            The rows.
-        owned : int
-            How many rows, the first ones, this rank owns.
-        sum_over_ranks : callable
-            Sums arrays over the ranks.
-        below : float
-            Largest resistance that counts as weak; by default, below which the eigenvectors of the
-            Gram matrix are not accurate enough.
-
-        Returns
-        -------
-        resistance : (k,) array
-            ||B R z|| of each motion, at most `below`.
-        motions : (modes * bodies, k) array
-            Orthonormal z.
-        """
-        B = self.moved[np.flatnonzero(rows[:owned])]
-        E = self.supports
-        gram = sum_over_ranks((B.T @ B).toarray()) + E.T @ E
-        values, vectors = np.linalg.eigh(gram)
-        weak = values <= below**2
-        z, others = vectors[:, weak], vectors[:, ~weak]
-        if not z.shape[1]:
-            return np.zeros(0), z
-        # eigenvectors of the Gram matrix have errors of 1e-16 / below^2; here nothing is squared
-        for _ in range(_PASSES):
-            product = sum_over_ranks(B.T @ (B @ z)) + E.T @ (E @ z)
-            z = np.linalg.qr(z - others @ ((others.T @ product) / values[~weak][:, None]))[0]
-        Bz, Ez = B @ z, E @ z
-        values, vectors = np.linalg.eigh(sum_over_ranks(Bz.T @ Bz) + Ez.T @ Ez)
-        return np.sqrt(np.maximum(values, 0.0)), z @ vectors
 
 
 def body_motions(
@@ -173,8 +125,8 @@ def _motions_and_supports(
         rows.append(sp.csr_matrix((data, columns, indptr), shape=shape))
     basis = sp.vstack(comm.allgather(sp.vstack(rows, format="csr")), format="csr")
     scaled = [e @ t for t, e in zip(inverse, outside, strict=True)]
-    scaled = [np.where(np.abs(e) > _TRACE, e, 0.0) for e in scaled]
-    supports = block_diag(*scaled) if bodies else np.zeros((0, 0))
+    supports = np.array(scaled).reshape(bodies, modes, modes)
+    supports[np.abs(supports) <= _TRACE] = 0.0
     return basis, supports, float(comm.allreduce(distance, MPI.MAX))
 
 
@@ -216,7 +168,9 @@ def describe_body_motion(
     """
     ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
     parts: dict[int, tuple[float, str]] = {}
-    for i, (subdomain, R) in enumerate(zip(system.subdomains, kernels, strict=True)):
+    moving = np.searchsorted(ends, np.flatnonzero(own_motion), side="right") - 1
+    for i in np.unique(moving):
+        subdomain, R = system.subdomains[i], kernels[i]
         displacement = R[: subdomain.size] @ own_motion[ends[i] : ends[i + 1]]
         size = float(np.abs(displacement).max(initial=0.0))
         if size > parts.get(subdomain.body, (0.0, ""))[0]:

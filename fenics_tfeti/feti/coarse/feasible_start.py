@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from mpi4py import MPI
+
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
@@ -19,10 +21,11 @@ from scipy.sparse.csgraph import connected_components
 from fenics_tfeti.errors import UnresistedMotion
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import NO_WORK, UNRESISTED
-from fenics_tfeti.parallel import concatenate_ranks
+from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.qp import least_norm_nonnegative, least_norm_partly_nonnegative
 
 __all__ = ["check_load", "feasible_start", "least_norm_nonnegative"]
@@ -31,6 +34,8 @@ Vector = NDArray[np.float64]
 
 # ||B R z|| of equality rows below which contact takes the load first
 _SOFTLY = 0.1
+# motions of a group up to which dense matrices take no longer than sparse ones
+_DENSE = 200
 
 
 def check_load(
@@ -106,14 +111,14 @@ def feasible_start(
     if free.shape[1] + weak.shape[1]:
         prescribed = coarse_space.prolong(supports.without_free_motions(supports.coefficients(c)))
         gaps = unit * (c - prescribed)[constraints.inequality]
-        for group in _groups(system, coarse_space, np.hstack([free, weak]), e):
+        for group in _groups(system, coarse_space, sp.hstack([free, weak], format="csc"), e):
             start += _contact_forces(system, kernels, coarse_space, group, free, gaps)
     # (11.38) for what the contact forces leave
     left = supports.without_free_motions(e - coarse_space.restrict(start))
     return start + supports.least_norm(left)
 
 
-def _softly_supported(coarse_space: CoarseSpace) -> tuple[Vector, Vector]:
+def _softly_supported(coarse_space: CoarseSpace) -> tuple[sp.csr_matrix, sp.csr_matrix]:
     """Return the motions of bodies that equality rows resist not at all, and softly: (z, z)."""
     return coarse_space.weakly_resisted(coarse_space.constraints.equality, _SOFTLY)
 
@@ -124,7 +129,7 @@ class _Group:
 
     Attributes
     ----------
-    motions : (modes * bodies, k) array
+    motions : (modes * bodies, k) scipy.sparse.csc_matrix
         Orthonormal z, see `BodyMotions`.
     work : (k,) array
         Work of the load on these motions [N].
@@ -133,12 +138,14 @@ class _Group:
         what reaches far.
     """
 
-    motions: Vector
+    motions: sp.csc_matrix
     work: Vector
     force: float
 
 
-def _groups(system: TornSystem, coarse_space: CoarseSpace, free: Vector, e: Vector) -> list[_Group]:
+def _groups(
+    system: TornSystem, coarse_space: CoarseSpace, free: sp.csr_matrix, e: Vector
+) -> list[_Group]:
     """Split unresisted motions by groups of bodies, each with a scale of forces of its own."""
     comm, bodies = system.comm, coarse_space.bodies
     modes = 3 * (system.gdim - 1)
@@ -150,28 +157,16 @@ def _groups(system: TornSystem, coarse_space: CoarseSpace, free: Vector, e: Vect
     force = comm.allreduce(force)
     of_body = sp.kron(sp.identity(number), np.ones((modes, 1)), format="csr")
     moved = abs(bodies.moved) @ of_body
-    graph = comm.allreduce((moved.T @ moved).toarray())
-    group = connected_components(sp.csr_matrix(graph > 0.0), directed=False)[1]
+    group = connected_components(sum_sparse(comm, moved.T @ moved), directed=False)[1]
+    # bodies that move together are connected by the rows that hold them together
+    columns = free.tocsc()
+    group_of_motion = group[columns.indices[columns.indptr[:-1]] // modes]
     work = bodies.basis.T @ e
     found = []
-    for g in range(int(group.max(initial=-1)) + 1):
-        inside = np.repeat(group == g, modes)
-        # of these rows alone: rounding would add work of the other groups' loads
-        basis = _orthonormal(free[inside])
-        motions = np.zeros((inside.size, basis.shape[1]))
-        motions[inside] = basis
-        if motions.shape[1]:
-            found.append(_Group(motions, motions.T @ work, float(force[group == g].sum())))
+    for g in np.unique(group_of_motion):
+        motions = columns[:, np.flatnonzero(group_of_motion == g)]
+        found.append(_Group(motions, motions.T @ work, float(force[group == g].sum())))
     return found
-
-
-def _orthonormal(columns: Vector) -> Vector:
-    """Return an orthonormal basis of the columns' range."""
-    if not columns.shape[1]:
-        return columns
-    U, values, _ = np.linalg.svd(columns, full_matrices=False)
-    basis: Vector = U[:, values > 0.5]
-    return basis
 
 
 def _contact_forces(
@@ -179,7 +174,7 @@ def _contact_forces(
     kernels: Sequence[Vector],
     coarse_space: CoarseSpace,
     group: _Group,
-    free: Vector,
+    free: sp.csr_matrix,
     gaps: Vector,
 ) -> Vector:
     """Return the contact multipliers of least-norm ones that balance the load on a group.
@@ -194,16 +189,18 @@ def _contact_forces(
         return multipliers
     # the ranks' columns side by side: as many as contact rows, not as unknowns
     owned = constraints.inequality[: constraints.owned_inequalities]
-    moved, gaps = _moved_rows(coarse_space, group.motions)[owned].T, gaps[: owned.size]
+    moved, gaps = _moved_rows(coarse_space, group.motions)[owned], gaps[: owned.size]
     # rows of other groups, and those that cannot close, take no part
-    apart = ~np.isfinite(gaps) | ~moved.any(axis=0)
-    moved[:, apart], gaps = 0.0, np.where(apart, 0.0, gaps)
-    columns = coarse_space.comm.allgather(moved)
-    first = sum(part.shape[1] for part in columns[: coarse_space.comm.rank])
-    contact, weakly = np.concatenate(columns, axis=1), _weak_columns(coarse_space, group.motions)
+    apart = ~np.isfinite(gaps) | (np.diff(moved.indptr) == 0)
+    moved, gaps = sp.diags((~apart).astype(float)) @ moved, np.where(apart, 0.0, gaps)
+    contact, first = _side_by_side(coarse_space.comm, moved)
+    if len(group.work) <= _DENSE:
+        contact = contact.toarray()
+    weakly = _weak_columns(coarse_space, group.motions)
     if weakly.shape[1]:
         whole = concatenate_ranks(coarse_space.comm, gaps)
-        forces, residual = least_norm_partly_nonnegative(contact, weakly, group.work, whole)
+        dense = contact.toarray() if sp.issparse(contact) else contact
+        forces, residual = least_norm_partly_nonnegative(dense, weakly, group.work, whole)
     else:
         forces, residual = least_norm_nonnegative(contact, group.work)
     unresisted = free @ (free.T @ (group.motions @ residual))
@@ -213,19 +210,30 @@ def _contact_forces(
     return constraints.layout.sum(multipliers)
 
 
-def _moved_rows(coarse_space: CoarseSpace, motions: Vector) -> Vector:
+def _side_by_side(comm: MPI.Intracomm, rows: sp.csr_matrix) -> tuple[sp.csc_matrix, int]:
+    """Return the ranks' rows as columns side by side, and the number of this rank's first."""
+    first, size = first_of_rank(comm, rows.shape[0])
+    coo = rows.tocoo()
+    shifted = sp.coo_matrix((coo.data, (coo.col, coo.row + first)), (rows.shape[1], size))
+    return sum_sparse(comm, shifted).tocsc(), first
+
+
+def _moved_rows(coarse_space: CoarseSpace, motions: sp.csc_matrix) -> sp.csr_matrix:
     """Return B R T z without what rounding leaves where parts of a motion cancel."""
-    moved, lengths = coarse_space.moved_rows(motions), coarse_space.constraints.row_lengths
-    traces = np.abs(moved) <= coarse_space.bodies.rounding * lengths[:, None]
-    without: Vector = np.where(traces, 0.0, moved)
-    return without
+    bodies, lengths = coarse_space.bodies, coarse_space.constraints.row_lengths
+    moved = (bodies.moved @ motions).tocsr()
+    moved.data[np.abs(moved.data) <= bodies.rounding] = 0.0
+    moved.eliminate_zeros()
+    return (sp.diags(lengths) @ moved).tocsr()
 
 
-def _weak_columns(coarse_space: CoarseSpace, motions: Vector) -> Vector:
+def _weak_columns(coarse_space: CoarseSpace, motions: sp.csc_matrix) -> Vector:
     """Return what equality rows do to the motions: as few columns as there are motions."""
     constraints = coarse_space.constraints
+    moved = _moved_rows(coarse_space, motions)
     owned = np.flatnonzero(constraints.equality[: constraints.layout.owned])
-    rows = np.linalg.qr(_moved_rows(coarse_space, motions)[owned], mode="r")
+    moving = owned[np.diff(moved.indptr)[owned] > 0]
+    rows = np.linalg.qr(moved[moving].toarray(), mode="r")
     whole = np.concatenate(coarse_space.comm.allgather(rows))
     columns = np.transpose(np.linalg.qr(whole, mode="r"))
     return columns[:, np.abs(columns).max(axis=0, initial=0.0) > UNRESISTED]

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.linalg import qr
 
 from fenics_tfeti.feti.coarse.factor import CoarseFactor
+from fenics_tfeti.feti.coarse.resistance import orthonormal_columns, pivot_rows
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.tolerances import NO_WORK
 
@@ -59,9 +59,9 @@ class Projector:
         G.
     rows : (m,) bool array
         The rows of B that are meant; all others of a multiplier count as zero.
-    free : (coarse, k) array
+    free : (coarse, k) scipy.sparse.csr_matrix
         Orthonormal basis of the kernel of GG': rigid motions that these rows do not resist.
-    free_bodies : (modes * bodies, k) array
+    free_bodies : (modes * bodies, k) scipy.sparse.csr_matrix
         The same as motions of bodies, see `BodyMotions`.
     factor : CoarseFactor or None
         That of GG'; None where no subdomain can move.
@@ -71,8 +71,8 @@ class Projector:
 
     coarse_space: CoarseSpace
     rows: Mask
-    free: Vector
-    free_bodies: Vector
+    free: sp.csr_matrix
+    free_bodies: sp.csr_matrix
     factor: CoarseFactor | None
     weak: WeakMotions | None = None
 
@@ -92,18 +92,20 @@ class Projector:
         rows = constraints.equality
         rows[constraints.inequality] = chosen
         z, weak = coarse_space.weakly_resisted(rows)
-        free = np.linalg.qr(coarse_space.coarse_motions(z))[0]
+        free = orthonormal_columns(coarse_space.coarse_motions(z))
         contact = coarse_space.contact[:, np.flatnonzero(chosen)]
         layout = coarse_space.layout
         gram = coarse_space.equality + layout.rows((contact[layout.own] @ contact.T).tocsr())
-        pinned = np.column_stack([free, coarse_space.coarse_motions(weak)])
+        pinned = sp.hstack([free, coarse_space.coarse_motions(weak)], format="csr")
         if pinned.shape[1]:
+            # the matrix is definite then, and for right-hand sides without a part in `free` the
+            # pinned unknowns are zero: its inverse is a generalized inverse of GG'
             gram = layout.add_to_diagonal(
-                gram, _pinned_unknowns(pinned), _pin(coarse_space, gram, bool(weak.shape[1]))
+                gram, pivot_rows(pinned), _pin(coarse_space, gram, bool(weak.shape[1]))
             )
         factor = layout.factor(gram) if layout.size else None
         projector = Projector(coarse_space, rows, free, z, factor)
-        return projector._with_weak_motions(weak) if weak.shape[1] else projector
+        return projector._with_weak_motions(weak.toarray()) if weak.shape[1] else projector
 
     def _with_weak_motions(self, z: Vector) -> Projector:
         """Return the projector that knows of motions z of bodies, which its factor pins."""
@@ -155,7 +157,7 @@ class Projector:
         body = self.coarse_space.bodies.of_coarse
         work, load = (np.sqrt(np.bincount(body, x**2)) for x in (part, size))
         # free motions are known up to rounding, which is carried from one body to another
-        free = np.sqrt(np.bincount(body, np.sum(self.free**2, axis=1)))
+        free = np.sqrt(np.bincount(body, np.asarray(self.free.power(2).sum(axis=1)).ravel()))
         negligible = work <= NO_WORK * load + _CARRIED * free * np.linalg.norm(size)
         part[negligible[body]] = 0.0
         return part
@@ -292,13 +294,3 @@ def _pin(coarse_space: CoarseSpace, gram: sp.csr_matrix, weak: bool) -> float:
     if weak:
         return _FIRMLY * max(largest, row)
     return max(largest, float(np.finfo(float).eps) * row) or 1.0
-
-
-def _pinned_unknowns(free: Vector) -> Numbers:
-    """Return one coarse unknown for each free motion, to be pinned by a number on the diagonal.
-
-    The matrix is definite then, and for right-hand sides without a part in `free` the pinned
-    unknowns are zero: its inverse is a generalized inverse of GG'.
-    """
-    pivots: Numbers = qr(free.T, mode="economic", pivoting=True)[2][: free.shape[1]]
-    return pivots.astype(np.int64)

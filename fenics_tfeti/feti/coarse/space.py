@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 
@@ -22,6 +23,7 @@ from fenics_tfeti.feti.coarse.factor import (
     CoarseSolverKind,
     distribution_pays,
 )
+from fenics_tfeti.feti.coarse.resistance import weak_motions
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.local.congruence import CongruenceClass
@@ -217,7 +219,9 @@ class CoarseSpace:
         places: Numbers = self.ends[congruent.members][:, None] + np.arange(modes)
         return places
 
-    def weakly_resisted(self, rows: Mask, below: float = 1e-4) -> tuple[Vector, Vector]:
+    def weakly_resisted(
+        self, rows: Mask, below: float = 1e-4
+    ) -> tuple[sp.csr_matrix, sp.csr_matrix]:
         """Return the rigid motions of bodies that some rows resist not at all, and weakly.
 
         Parameters
@@ -230,20 +234,25 @@ class CoarseSpace:
 
         Returns
         -------
-        free, weak : (modes * bodies, k) array
+        free, weak : (modes * bodies, k) scipy.sparse.csr_matrix
             Orthonormal motions z, see `BodyMotions`: those without resistance, and those with a
-            weak one.
+            weak one. Where bodies move by themselves, each motion is that of one body.
         """
-        space = self.constraints.layout.space
-        owned = self.constraints.layout.owned
-        resistance, z = self.bodies.resistance(rows, owned, space.sum_over_ranks, below)
-        unresisted = resistance <= max(UNRESISTED, self.bodies.rounding)
-        return z[:, unresisted], z[:, ~unresisted]
+        owned = np.flatnonzero(rows[: self.constraints.layout.owned])
+        unresisted = max(UNRESISTED, self.bodies.rounding)
+        resistance, z = weak_motions(
+            self.comm,
+            self.bodies.moved[owned],
+            self.bodies.supports,
+            below,
+            unresisted,
+        )
+        free = resistance <= unresisted
+        return z[:, np.flatnonzero(free)].tocsr(), z[:, np.flatnonzero(~free)].tocsr()
 
-    def coarse_motions(self, z: Vector) -> Vector:
-        """Return the coarse vectors of motions z of bodies."""
-        coarse: Vector = self.bodies.basis @ z
-        return coarse
+    def coarse_motions(self, z: Any) -> Any:
+        """Return the coarse vectors of motions z of bodies, sparse if these are."""
+        return self.bodies.basis @ z
 
     def moved_rows(self, z: Vector) -> Vector:
         """Return B R T z on the rows that this rank holds, without traces of rounding."""

@@ -290,10 +290,10 @@ def _smallest_without_penetration(active: Projector, gap: Vector) -> Vector:
     owned = constraints.inequality[: constraints.owned_inequalities]
     inactive = np.flatnonzero(~active.rows[owned])
     contact = constraints.contact[inactive]
-    closing = np.asarray(active.coarse_space.contact[:, inactive].T @ active.free)
+    closing = (active.coarse_space.contact[:, inactive].T @ active.free).tocsr()
     lengths = constraints.row_lengths[owned[inactive]]
     # rounding is no way to open a gap
-    moved = np.abs(closing).max(axis=1, initial=0.0) > _TRACE * lengths
+    moved = np.abs(closing.toarray()).max(axis=1, initial=0.0) > _TRACE * lengths
     inactive, contact, closing = inactive[moved], contact[moved], closing[moved]
     gap = gap[owned[inactive]]
     z = np.zeros(active.free.shape[1])
@@ -304,7 +304,7 @@ def _smallest_without_penetration(active: Projector, gap: Vector) -> Vector:
         order = np.lexsort((-excess, contact))
         worst = order[np.unique(contact[order], return_index=True)[1]]
         worst = worst[excess[worst] > negligible]
-        new = concatenate_ranks(comm, closing[worst])
+        new = concatenate_ranks(comm, closing[worst].toarray())
         if not len(new):
             break
         conditions = np.concatenate([conditions, new])

@@ -1,0 +1,314 @@
+"""Motions that rows of B resist weakly or not at all, body by body as far as possible.
+
+A motion of one body that none of its rows resists is found from the rows of this body alone. What
+is left are motions of several bodies together, eigenvectors of a Gram matrix, for each connected
+part of it. Many loose bodies have many free motions, each of one or a few bodies, and a basis of
+them is sparse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.linalg import qr
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+
+from fenics_tfeti.parallel import concatenate_buffers
+
+__all__ = ["column_groups", "orthonormal_columns", "pivot_rows", "sum_sparse", "weak_motions"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+# each pass reduces the errors of the Gram matrix's eigenvectors by a factor of 1e-5 or less
+_PASSES = 3
+# order up to which the eigenvectors of a Gram matrix are found by dense algebra
+_LARGE = 200
+# inverse iteration for larger ones: first number of vectors, steps, and shift relative to the limit
+# of the eigenvalues that are looked for
+_BLOCK, _ITERATIONS, _SHIFT = 8, 4, 0.01
+
+
+def weak_motions(
+    comm: MPI.Intracomm,
+    rows: sp.csr_matrix,
+    supports: Vector,
+    below: float,
+    unresisted: float,
+) -> tuple[Vector, sp.csr_matrix]:
+    """Return the motions of bodies that rows and elastic supports resist weakly or not at all.
+
+    Parameters
+    ----------
+    comm : MPI.Intracomm
+        The ranks; all return the same.
+    rows : (m, modes * bodies) scipy.sparse.csr_matrix
+        B of this rank's part of the rows, of unit length, for motions of bodies.
+    supports : (bodies, modes, modes) array
+        E of each body: ||E z|| is what its elastic supports resist.
+    below : float
+        Largest resistance that counts as weak.
+    unresisted : float
+        Resistance of a motion of one body that is rounding.
+
+    Returns
+    -------
+    resistance : (k,) array
+        The root of ||B z||^2 + ||E z||^2 of each motion, at most `below` but for rounding.
+    motions : (modes * bodies, k) scipy.sparse.csc_matrix
+        Orthonormal z, those of single bodies first.
+    """
+    values, vectors = _of_single_bodies(comm, rows.tocsc(), supports)
+    free = values <= unresisted
+    alone, others = _block_columns(vectors, free), _block_columns(vectors, ~free)
+    E = sp.block_diag([*supports, sp.csr_matrix((0, 0))], format="csr")
+    resistance, together = _of_several_bodies(comm, rows @ others, E @ others, below)
+    motions = sp.hstack([alone, others @ together], format="csc")
+    return np.concatenate([values[free], resistance]), motions
+
+
+def _of_single_bodies(
+    comm: MPI.Intracomm, rows: sp.csc_matrix, supports: Vector
+) -> tuple[Vector, Vector]:
+    """Return the resistance (bodies, modes) of motions of one body each, and the motions.
+
+    Triangles of the ranks' rows are put together: nothing is squared.
+    """
+    bodies, modes, _ = supports.shape
+    triangles = supports.copy()
+    starts = rows.indptr[::modes]
+    touched = np.flatnonzero(np.diff(starts))
+    own = np.zeros((touched.size, modes, modes))
+    for triangle, body in zip(own, touched, strict=True):
+        entries = slice(starts[body], starts[body + 1])
+        local, at = np.unique(rows.indices[entries], return_inverse=True)
+        column = np.repeat(
+            np.arange(modes), np.diff(rows.indptr[body * modes : (body + 1) * modes + 1])
+        )
+        dense = np.zeros((max(local.size, modes), modes))
+        dense[at, column] = rows.data[entries]
+        triangle[:] = np.linalg.qr(dense, mode="r")
+    of_body, gathered = _gathered(comm, touched, own.reshape(-1, modes**2))
+    for body, entry in zip(of_body, gathered.reshape(-1, modes, modes), strict=True):
+        triangles[body] = np.linalg.qr(np.vstack([triangles[body], entry]), mode="r")
+    if not bodies:
+        return np.zeros((0, modes)), triangles
+    _, values, vectors = np.linalg.svd(triangles)
+    return values, np.swapaxes(vectors, 1, 2)
+
+
+def _gathered(comm: MPI.Intracomm, numbers: Numbers, rows: Vector) -> tuple[Numbers, Vector]:
+    """Return numbers with a row each of all ranks."""
+    whole, *columns = concatenate_buffers(comm, numbers.astype(np.int64), *rows.T)
+    return whole, np.transpose(columns)
+
+
+def _block_columns(vectors: Vector, chosen: NDArray[np.bool_]) -> sp.csr_matrix:
+    """Return the block diagonal matrix of chosen columns of (bodies, modes, modes) vectors."""
+    bodies, modes, _ = vectors.shape
+    body, mode = np.nonzero(chosen)
+    data = vectors[body, :, mode]
+    row = body[:, None] * modes + np.arange(modes)
+    column = np.broadcast_to(np.arange(body.size)[:, None], row.shape)
+    shape = (bodies * modes, body.size)
+    return sp.csr_matrix((data.ravel(), (row.ravel(), column.ravel())), shape=shape)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A connected part of the Gram matrix with weak eigenvectors.
+
+    Attributes
+    ----------
+    unknowns : (n,) integer array
+        Its rows of the Gram matrix.
+    columns : slice
+        Its columns among the weak motions.
+    others : callable
+        (z, x) -> the inverse of the Gram matrix on the other eigenvectors, applied to x (n, k).
+    """
+
+    unknowns: Numbers
+    columns: slice
+    others: Callable[[Vector, Vector], Vector]
+
+
+def _of_several_bodies(
+    comm: MPI.Intracomm, B: sp.csr_matrix, E: sp.csr_matrix, below: float
+) -> tuple[Vector, sp.csr_matrix]:
+    """Return the weak motions among those that B and E resist, and the resistance of each."""
+    springs = E.T @ E
+    gram = (sum_sparse(comm, B.T @ B) + springs).tocsr()
+    parts, blocks = list[_Part](), list[Vector]()
+    number = 0
+    for unknowns in _connected(gram):
+        find = _by_dense_algebra if unknowns.size <= _LARGE else _by_inverse_iteration
+        weak, others = find(gram[unknowns][:, unknowns], below**2)
+        if weak.shape[1]:
+            parts.append(_Part(unknowns, slice(number, number + weak.shape[1]), others))
+            blocks.append(weak)
+            number += weak.shape[1]
+    if not parts:
+        return np.zeros(0), sp.csr_matrix((gram.shape[0], 0))
+    # eigenvectors of the Gram matrix have errors of 1e-16 / below^2; here nothing is squared
+    for _ in range(_PASSES):
+        z = _assembled(parts, blocks, gram.shape[0])
+        product = (sum_sparse(comm, B.T @ (B @ z)) + springs @ z).tocsr()
+        for k, part in enumerate(parts):
+            error = part.others(blocks[k], product[part.unknowns][:, part.columns].toarray())
+            blocks[k] = np.linalg.qr(blocks[k] - error)[0]
+    z = _assembled(parts, blocks, gram.shape[0])
+    Bz, Ez = B @ z, E @ z
+    squares = (sum_sparse(comm, Bz.T @ Bz) + Ez.T @ Ez).tocsr()
+    resistance = np.zeros(number)
+    for k, part in enumerate(parts):
+        square = squares[part.columns][:, part.columns].toarray()
+        values, vectors = np.linalg.eigh(square)
+        resistance[part.columns] = np.sqrt(np.maximum(values, 0.0))
+        blocks[k] = blocks[k] @ vectors
+    return resistance, _assembled(parts, blocks, gram.shape[0])
+
+
+_Eigenvectors = tuple[Vector, Callable[[Vector, Vector], Vector]]
+
+
+def _by_dense_algebra(gram: sp.csr_matrix, limit: float) -> _Eigenvectors:
+    """Return the eigenvectors with values up to a limit, and the inverse on the others."""
+    values, vectors = np.linalg.eigh(gram.toarray())
+    weak = values <= limit
+    rest, stiffness = vectors[:, ~weak], values[~weak, None]
+    return vectors[:, weak], lambda z, x: rest @ ((rest.T @ x) / stiffness)
+
+
+def _by_inverse_iteration(gram: sp.csr_matrix, limit: float) -> _Eigenvectors:
+    """As `_by_dense_algebra`, by the sparse factor of a slightly shifted matrix.
+
+    The block grows until it has vectors with values far above the limit: then it has all of those
+    below.
+    """
+    size = gram.shape[0]
+    shifted = (gram + _SHIFT * limit * sp.identity(size)).tocsc()
+    symmetric = {"SymmetricMode": True}
+    factor = splu(shifted, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+    number = _BLOCK
+    while number < size // 4:
+        x = np.random.default_rng(0).standard_normal((size, number))
+        for _ in range(_ITERATIONS):
+            x = np.linalg.qr(factor.solve(x))[0]
+        values, vectors = np.linalg.eigh(x.T @ (gram @ x))
+        if values[-1] > limit / _SHIFT:
+            z = x @ vectors[:, values <= limit]
+            return z, lambda z, x: _without(z, factor.solve(_without(z, x)))
+        number *= 2
+    return _by_dense_algebra(gram, limit)
+
+
+def _without(z: Vector, x: Vector) -> Vector:
+    """Return x without its part in the range of orthonormal columns z."""
+    rest: Vector = x - z @ (z.T @ x)
+    return rest
+
+
+def _assembled(parts: Sequence[_Part], blocks: Sequence[Vector], size: int) -> sp.csr_matrix:
+    """Return the weak motions of all parts side by side."""
+    row = [
+        np.repeat(part.unknowns, block.shape[1]) for part, block in zip(parts, blocks, strict=True)
+    ]
+    column = [
+        np.tile(np.arange(part.columns.start, part.columns.stop), len(block))
+        for part, block in zip(parts, blocks, strict=True)
+    ]
+    data = np.concatenate([block.ravel() for block in blocks])
+    where = (np.concatenate(row), np.concatenate(column))
+    return sp.csr_matrix((data, where), shape=(size, parts[-1].columns.stop))
+
+
+def _connected(graph: sp.csr_matrix) -> list[Numbers]:
+    """Return the unknowns of each connected part."""
+    if not graph.shape[0]:
+        return []
+    number, part = connected_components(graph, directed=False)
+    order = np.argsort(part, kind="stable")
+    return np.split(order, np.searchsorted(part[order], np.arange(1, number)))
+
+
+def sum_sparse(comm: MPI.Intracomm, part: sp.spmatrix) -> sp.csr_matrix:
+    """Return the sum of the ranks' sparse matrices of one shape, the same on all ranks."""
+    if comm.size == 1:
+        return part.tocsr()
+    coo = part.tocoo()
+    row, column, data = concatenate_buffers(
+        comm, coo.row.astype(np.int64), coo.col.astype(np.int64), coo.data.astype(np.float64)
+    )
+    return sp.csr_matrix((data, (row, column)), shape=part.shape)
+
+
+def column_groups(columns: sp.csr_matrix) -> list[tuple[Numbers, Numbers, Vector]]:
+    """Split columns into groups that share no rows.
+
+    Parameters
+    ----------
+    columns : (n, k) scipy.sparse.csr_matrix
+        The columns; entries that are stored count, also zero ones.
+
+    Returns
+    -------
+    list of (integer array, integer array, array)
+        Rows and columns of each group, and the group as a dense matrix.
+    """
+    ones = np.ones(columns.nnz, dtype=np.int64)
+    pattern = sp.csr_matrix((ones, columns.indices, columns.indptr), columns.shape)
+    csc = columns.tocsc()
+    found = []
+    for members in _connected((pattern.T @ pattern).tocsr()):
+        entries = [np.arange(csc.indptr[j], csc.indptr[j + 1]) for j in members]
+        at = np.concatenate(entries)
+        rows, row = np.unique(csc.indices[at], return_inverse=True)
+        dense = np.zeros((rows.size, members.size))
+        dense[row, np.repeat(np.arange(members.size), [e.size for e in entries])] = csc.data[at]
+        found.append((rows.astype(np.int64), members, dense))
+    return found
+
+
+def orthonormal_columns(columns: sp.csr_matrix) -> sp.csr_matrix:
+    """Return an orthonormal basis of the range of independent sparse columns.
+
+    Parameters
+    ----------
+    columns : (n, k) scipy.sparse.csr_matrix
+        The columns.
+
+    Returns
+    -------
+    (n, k) scipy.sparse.csr_matrix
+        As sparse as groups of columns that share rows allow.
+    """
+    data, row, column = [np.zeros(0)], [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)]
+    for rows, members, dense in column_groups(columns):
+        data.append(np.linalg.qr(dense)[0].ravel())
+        row.append(np.repeat(rows, members.size))
+        column.append(np.tile(members, rows.size))
+    where = (np.concatenate(row), np.concatenate(column))
+    return sp.csr_matrix((np.concatenate(data), where), shape=columns.shape)
+
+
+def pivot_rows(columns: sp.csr_matrix) -> Numbers:
+    """Return as many rows as there are columns, which are independent there.
+
+    Parameters
+    ----------
+    columns : (n, k) scipy.sparse.csr_matrix
+        Independent columns.
+    """
+    found = [np.zeros(0, dtype=np.int64)]
+    for rows, members, dense in column_groups(columns):
+        pivots = qr(dense.T, mode="r", pivoting=True)[1]
+        found.append(rows[pivots[: members.size]])
+    return np.concatenate(found)

@@ -1,0 +1,145 @@
+"""Motions that rows resist weakly or not at all, against singular values of the dense matrix."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from fenics_tfeti.feti.coarse import resistance
+from fenics_tfeti.feti.coarse.resistance import (
+    column_groups,
+    orthonormal_columns,
+    pivot_rows,
+    weak_motions,
+)
+
+MODES, BODIES = 6, 9
+BELOW, UNRESISTED = 1e-4, 1e-12
+
+
+def rows_of(bodies: list[tuple[int, ...]], each: int, seed: int = 0) -> np.ndarray:
+    """Return random rows of unit length, some for each tuple of bodies that they act on."""
+    rng = np.random.default_rng(seed)
+    B = np.zeros((each * len(bodies), MODES * BODIES))
+    for number, members in enumerate(bodies):
+        for body in members:
+            at = slice(MODES * body, MODES * (body + 1))
+            B[number * each : (number + 1) * each, at] = rng.standard_normal((each, MODES))
+    return B / np.linalg.norm(B, axis=1)[:, None]
+
+
+# body 0 is held; 1 to 3 form a chain on it; 4 and 5 hold each other; 6 is held in four of its
+# modes, 7 in one of them firmly and in another one weakly; 8 is loose
+B = np.vstack(
+    [
+        rows_of([(0,), (0, 1), (1, 2), (2, 3)], each=8),
+        rows_of([(4, 5)], each=9, seed=1),
+        rows_of([(6,)], each=4, seed=2),
+        [np.eye(MODES * BODIES)[7 * MODES], 3e-7 * np.eye(MODES * BODIES)[7 * MODES + 1]],
+    ]
+)
+LOOSE = 3 + 2 + 4 + 6
+NONE = np.zeros((BODIES, MODES, MODES))
+each_way = pytest.mark.parametrize("large", [200, 10])
+
+
+def found(monkeypatch, large: int, supports: np.ndarray = NONE) -> tuple[np.ndarray, np.ndarray]:
+    monkeypatch.setattr(resistance, "_LARGE", large)
+    monkeypatch.setattr(resistance, "_BLOCK", 2)
+    rows = sp.csr_matrix(B)
+    values, z = weak_motions(MPI.COMM_SELF, rows, supports, BELOW, UNRESISTED)
+    return values, z.toarray()
+
+
+@each_way
+def test_resistance_is_that_of_the_singular_values(monkeypatch, large):
+    exact = np.linalg.svd(np.vstack([B, np.zeros((8, B.shape[1]))]), compute_uv=False)
+    exact = np.append(exact, np.zeros(B.shape[1] - exact.size))
+    values, z = found(monkeypatch, large)
+    assert values.size == LOOSE + 1
+    np.testing.assert_allclose(np.sort(values), np.sort(exact)[: LOOSE + 1], atol=1e-13)
+    np.testing.assert_allclose(np.linalg.norm(B @ z, axis=0), values, atol=1e-13)
+    np.testing.assert_allclose(z.T @ z, np.eye(LOOSE + 1), atol=1e-13)
+
+
+@each_way
+def test_motions_of_one_body_move_no_other(monkeypatch, large):
+    z = found(monkeypatch, large)[1]
+    bodies = np.abs(z).reshape(BODIES, MODES, -1).max(axis=1) > 0.0
+    number = np.count_nonzero(bodies, axis=0)
+    # 6, 7 and 8 by themselves, 4 and 5 together
+    assert np.count_nonzero(number == 1) == LOOSE + 1 - 3
+    assert np.count_nonzero(number == 2) == 3
+    assert not bodies[:4].any()
+
+
+@each_way
+def test_elastic_supports_resist(monkeypatch, large):
+    supports = NONE.copy()
+    supports[8] = np.diag([1.0, 0.1, 0.01, 1e-3, 2e-5, 0.0])
+    values, z = found(monkeypatch, large, supports)
+    assert values.size == LOOSE + 1 - 4
+    expected = np.append(np.zeros(LOOSE - 5), [3e-7, 2e-5])
+    np.testing.assert_allclose(np.sort(values), expected, atol=1e-13)
+    np.testing.assert_allclose(np.abs(z[8 * MODES + 5]).max(), 1.0, atol=1e-13)
+
+
+def test_motions_of_many_bodies_together(monkeypatch):
+    """A long chain that nothing holds, by inverse iteration: six motions of the whole."""
+    rng = np.random.default_rng(3)
+    monkeypatch.setattr(resistance, "_LARGE", 50)
+    x = rng.standard_normal((40, 3))
+    rows = []
+    for i in range(39):
+        for _ in range(7):
+            point, normal = 0.5 * (x[i] + x[i + 1]) + rng.standard_normal(3), rng.standard_normal(3)
+            row = np.zeros(240)
+            row[6 * i : 6 * i + 6] = np.append(normal, np.cross(point, normal))
+            row[6 * i + 6 : 6 * i + 12] = -row[6 * i : 6 * i + 6]
+            rows.append(row / np.linalg.norm(row))
+    none = np.zeros((40, 6, 6))
+    values, z = weak_motions(MPI.COMM_SELF, sp.csr_matrix(rows), none, BELOW, UNRESISTED)
+    together = np.tile(np.eye(6), (40, 1)) / np.sqrt(40.0)
+    np.testing.assert_allclose(values, np.zeros(6), atol=1e-13)
+    np.testing.assert_allclose(z @ (z.T @ together), together, atol=1e-12)
+
+
+def test_no_bodies():
+    values, z = weak_motions(
+        MPI.COMM_SELF, sp.csr_matrix((0, 0)), np.zeros((0, 6, 6)), BELOW, UNRESISTED
+    )
+    assert values.shape == (0,) and z.shape == (0, 0)
+
+
+COLUMNS = sp.csr_matrix(
+    np.array([[1.0, 0, 0], [2.0, 0, 0], [0, 3.0, 1.0], [0, 0, 0], [0, -4.0, 1.0]])
+)
+
+
+def test_column_groups():
+    groups = column_groups(COLUMNS)
+    assert [(rows.tolist(), members.tolist()) for rows, members, _ in groups] == [
+        ([0, 1], [0]),
+        ([2, 4], [1, 2]),
+    ]
+    np.testing.assert_array_equal(groups[1][2], [[3.0, 1.0], [-4.0, 1.0]])
+
+
+def test_orthonormal_columns_have_the_same_range_and_no_more_entries():
+    Q = orthonormal_columns(COLUMNS)
+    dense = Q.toarray()
+    np.testing.assert_allclose(dense.T @ dense, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(dense @ (dense.T @ COLUMNS.toarray()), COLUMNS.toarray(), atol=1e-14)
+    assert Q.nnz <= 6
+
+
+def test_pivot_rows_are_independent():
+    assert sorted(pivot_rows(COLUMNS).tolist()) == [1, 2, 4]
+
+
+@pytest.mark.parametrize("function", [orthonormal_columns, pivot_rows])
+def test_no_columns(function):
+    assert function(sp.csr_matrix((4, 0))).shape[-1] == 0
