@@ -63,10 +63,12 @@ def weak_motions(
     resistance : (k,) array
         The root of ||B z||^2 + ||E z||^2 of each motion, at most `below` but for rounding.
     motions : (modes * bodies, k) scipy.sparse.csc_matrix
-        Orthonormal z, those of single bodies first.
+        Orthonormal z, those of single bodies first, and of these the translations first.
     """
     values, vectors = _of_single_bodies(comm, rows.tocsc(), supports)
     free = values <= unresisted
+    for body in np.flatnonzero(free.sum(axis=1) > 1):
+        vectors[body][:, free[body]] = _translations_first(vectors[body][:, free[body]])
     alone, others = _block_columns(vectors, free), _block_columns(vectors, ~free)
     E = sp.block_diag([*supports, sp.csr_matrix((0, 0))], format="csr")
     resistance, together = _of_several_bodies(comm, rows @ others, E @ others, below)
@@ -102,6 +104,13 @@ def _of_single_bodies(
         return np.zeros((0, modes)), triangles
     _, values, vectors = np.linalg.svd(triangles)
     return values, np.swapaxes(vectors, 1, 2)
+
+
+def _translations_first(motions: Vector) -> Vector:
+    """Return another basis (modes, k) of motions of a body: those that turn it least first."""
+    translations = 2 if len(motions) == 3 else 3
+    basis: Vector = motions @ np.linalg.svd(motions[translations:])[2][::-1].T
+    return basis
 
 
 def _gathered(comm: MPI.Intracomm, numbers: Numbers, rows: Vector) -> tuple[Numbers, Vector]:

@@ -76,6 +76,13 @@ def test_motions_of_one_body_move_no_other(monkeypatch, large):
     assert not bodies[:4].any()
 
 
+def test_translations_of_a_body_come_first(monkeypatch):
+    z = found(monkeypatch, 200)[1]
+    alone = z[8 * MODES :, np.abs(z[8 * MODES :]).max(axis=0) > 0.0]
+    np.testing.assert_allclose(alone[3:, :3], 0.0, atol=1e-15)
+    np.testing.assert_allclose(alone[:3, 3:], 0.0, atol=1e-15)
+
+
 @each_way
 def test_elastic_supports_resist(monkeypatch, large):
     supports = NONE.copy()
