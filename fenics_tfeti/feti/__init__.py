@@ -17,6 +17,7 @@ from fenics_tfeti.feti.system import (
     TornSystem,
 )
 from fenics_tfeti.feti.system_checks import check_system
+from fenics_tfeti.feti.system_file import load_system, save_system
 from fenics_tfeti.feti.timer import Timer
 
 __all__ = [
@@ -33,5 +34,7 @@ __all__ = [
     "TornSolver",
     "TornSystem",
     "check_system",
+    "load_system",
     "parse_options",
+    "save_system",
 ]

@@ -6,9 +6,7 @@ import json
 import os
 import resource
 import sys
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -20,6 +18,7 @@ import scipy
 
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.dual.active_set import ActiveSetStep
+from fenics_tfeti.feti.files import write_whole
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.resultants import Resultant, resultants
@@ -174,14 +173,15 @@ class Report:
             On all ranks, if rank 0 cannot write the file.
         """
         if self.comm is None:
-            _write_whole(Path(path), self._json())
+            self._write(path)
             return
         with raise_collectively(self.comm):
             if self.comm.rank == 0:
-                _write_whole(Path(path), self._json())
+                self._write(path)
 
-    def _json(self) -> str:
-        return json.dumps(_without_nan(self.to_dict()), indent=2, allow_nan=False)
+    def _write(self, path: str | os.PathLike[str]) -> None:
+        text = json.dumps(_without_nan(self.to_dict()), indent=2, allow_nan=False)
+        write_whole(path, "the report", lambda file: file.write(f"{text}\n".encode()))
 
 
 def _without_nan(value: Any) -> Any:
@@ -193,22 +193,6 @@ def _without_nan(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_without_nan(entry) for entry in value]
     return value
-
-
-def _write_whole(target: Path, text: str) -> None:
-    """Write a file under another name beside the target, then replace the target."""
-    part = target.with_name(f"{target.name}.{os.getpid()}.part")
-    try:
-        with part.open("x") as file:
-            file.write(text + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(target)
-    except OSError as error:
-        with suppress(OSError):
-            part.unlink()
-        reason = error.strerror or str(error)
-        raise OSError(error.errno, f"the report cannot be written: {reason}", str(target)) from None
 
 
 def build_report(
