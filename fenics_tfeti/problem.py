@@ -14,9 +14,15 @@ from numpy.typing import NDArray
 import ufl
 from dolfinx.fem import Function
 
-from fenics_tfeti.errors import InputError, NotConverged
+from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.arguments import given_conditions, given_contacts, given_forms, given_tied
+from fenics_tfeti.fem.arguments import (
+    given_conditions,
+    given_contacts,
+    given_forms,
+    given_function,
+    given_tied,
+)
 from fenics_tfeti.fem.contact.checks import check_depth
 from fenics_tfeti.fem.contact.contact import (
     Contact,
@@ -43,12 +49,14 @@ from fenics_tfeti.fem.displacement import (
 from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.feti import (
     ContactGuess,
+    MonitorFunction,
     Prescribed,
     Subdomain,
     Timer,
     TornSolution,
     TornSolver,
     TornSystem,
+    interruption,
 )
 from fenics_tfeti.options import contact_options
 from fenics_tfeti.parallel import raise_collectively
@@ -89,6 +97,9 @@ class ContactProblem:
     options_prefix : str
         ``-<prefix><name> value`` on the command line, or in PETSc's database, overrides `options`.
         Problems of one script that are to differ need different prefixes.
+    u : Function, optional
+        The function on the displacement's space that each solve fills and returns, as for a file
+        that a time loop writes to. By default each solve returns a new one.
 
     Attributes
     ----------
@@ -124,6 +135,7 @@ class ContactProblem:
         options: Mapping[str, Any] | None = None,
         options_prefix: str = "tfeti_",
         tied: Sequence[TiedPair] | TiedPair | None = (),
+        u: Function | None = None,
     ) -> None:
         self.options = contact_options(options, options_prefix)
         self._timer = Timer()
@@ -131,6 +143,7 @@ class ContactProblem:
         self.space = space_of_forms(a, L)
         self.bcs, self.contacts = given_conditions(bcs), given_contacts(contacts)
         self.tied = given_tied(tied)
+        self.u = given_function(u, self.space)
         self._tied: list[tuple[TiedPair, TiedPairing]] = []
         # pairs whose roles were exchanged, by the identity of the user's
         self._exchanged: dict[int, tuple[Contact, Contact]] = {}
@@ -142,6 +155,7 @@ class ContactProblem:
         self._used: list[ContactPairing] = []
         self._solver: TornSolver | None = None
         self._displacement: Function | None = None
+        self._monitor: MonitorFunction | None = None
         prescribed = prescribed_values(self.space, self.bcs)
         with self._timer.phase("partition"):
             bodies = self._bodies = find_bodies(self.space.mesh, cell_tags)
@@ -168,7 +182,9 @@ class ContactProblem:
         self._stale = False
         self._solved_before = False
 
-    def solve(self, coarse: ContactProblem | None = None) -> Function:
+    def solve(
+        self, coarse: ContactProblem | None = None, monitor: MonitorFunction | None = None
+    ) -> Function:
         """Solve the problem, at the present values of loads, prescribed displacements and contacts.
 
         For load steps, change the values of constants and functions in `L` and in the Dirichlet
@@ -186,6 +202,10 @@ class ContactProblem:
             where the coarse problem is solved anyway, or is much smaller. The contacts have to be
             the same, in the same order and under the same names. The surfaces of the coarse mesh
             are gathered on all ranks.
+        monitor : callable, optional
+            Called on all ranks with an `ActiveSetStep` for each face of the active set method and
+            an `OuterIteration` for each outer iteration of SMALBE-M, when they end. The option
+            ``monitor`` prints them.
 
         Returns
         -------
@@ -205,10 +225,25 @@ class ContactProblem:
             At a limit on iterations or on geometry passes; its ``solution`` is the last iterate,
             `contact` and `report` are that one's. With the option ``error_if_not_converged`` false,
             it is returned.
+        Interrupted
+            After Ctrl-C or SIGINT to one rank, on all of them; its ``solution`` is the last iterate
+            if there is one, `contact` and `report` are that one's. Solving again goes on from it.
         """
+        with interruption.deferred():
+            uh = self._solve(coarse, monitor)
+            try:
+                interruption.check(self.space.mesh.comm)
+            except Interrupted:
+                raise Interrupted("interrupted", uh, self.report) from None
+        if self.options.view and self.space.mesh.comm.rank == 0:
+            print(self.report.summary(), flush=True)
+        return uh
+
+    def _solve(self, coarse: ContactProblem | None, monitor: MonitorFunction | None) -> Function:
         if self._solved_before:
             self._timer = Timer()
         self._solved_before = True
+        self._monitor = monitor
         if coarse is not None:
             self._check_coarse(coarse)
         # also at first: values may have changed since the problem was set up
@@ -363,8 +398,8 @@ class ContactProblem:
         guess = self._guess(coarse, matched)
         self._solver = TornSolver(system, self.options.solver, self._timer, self._solver, guess)
         try:
-            solution = self._solver.solve()
-        except NotConverged as error:
+            solution = self._solver.solve(self._monitor)
+        except (NotConverged, Interrupted) as error:
             error.solution = self._take(error.solution, matched)
             error.report = self.report
             raise
@@ -444,7 +479,7 @@ class ContactProblem:
         ]
         self._used = list(matched)
         self._displacement = displacement_function(
-            self.space, self.system.subdomains, solution.displacements
+            self.space, self.system.subdomains, solution.displacements, self.u
         )
         return self._displacement
 

@@ -37,6 +37,11 @@ class ContactReport(Report):
     passes: list[GeometryPass] = field(default_factory=list)
     pairing: list[dict[str, Any]] = field(default_factory=list)
 
+    def summary(self) -> str:
+        """Return the main figures and the pairing as lines to read."""
+        table = [self.pairing_table()] if self.pairing else []
+        return "\n".join([*table, super().summary()])
+
     def pairing_table(self) -> str:
         """Return `pairing` as a table to read, a line for each contact."""
         return pairing_table(self.pairing)

@@ -13,10 +13,9 @@ from mpi4py import MPI
 
 import numpy as np
 
-from fenics_tfeti.errors import ContactError, NotConverged, format_point
+from fenics_tfeti.errors import ContactError, Interrupted, NotConverged
 from fenics_tfeti.feti import (
     Options,
-    Report,
     TornSolution,
     TornSolver,
     TornSystem,
@@ -26,14 +25,14 @@ from fenics_tfeti.feti import (
 from fenics_tfeti.feti.files import write_arrays
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["main", "save_solution", "summary"]
+__all__ = ["main", "save_solution"]
 
 SOLUTION_FORMAT = "fenics_tfeti solution 1"
 
 # the exit code tells whether the iterations have converged
 _OPTIONS = [f.name for f in fields(Options) if f.name != "error_if_not_converged"]
-# exit codes; argparse takes 2 for wrong arguments
-_SOLVED, _NOT_CONVERGED, _ERROR = 0, 1, 2
+# exit codes; argparse takes 2 for wrong arguments, shells 128 + 2 for SIGINT
+_SOLVED, _NOT_CONVERGED, _ERROR, _INTERRUPTED = 0, 1, 2, 130
 
 
 def main(arguments: Sequence[str] | None = None, comm: MPI.Intracomm = MPI.COMM_WORLD) -> int:
@@ -49,17 +48,21 @@ def main(arguments: Sequence[str] | None = None, comm: MPI.Intracomm = MPI.COMM_
     Returns
     -------
     int
-        0 if the solution is certified, 1 if it is the last iterate only, 2 after an error.
+        0 if the solution is certified, 1 if it is the last iterate only, 2 after an error,
+        130 after an interruption.
     """
     given = _parser().parse_args(arguments)
     chosen = {name: getattr(given, name) for name in _OPTIONS}
     try:
         options = parse_options({k: v for k, v in chosen.items() if v is not None})
         system = load_system(given.system, comm)
+        interrupted = False
         try:
             solution = TornSolver(system, options).solve()
-        except NotConverged as error:
-            solution = error.solution
+        except (NotConverged, Interrupted) as error:
+            if error.solution is None:
+                raise
+            solution, interrupted = error.solution, isinstance(error, Interrupted)
         if given.solution:
             save_solution(given.solution, system, solution)
         if given.report:
@@ -67,7 +70,12 @@ def main(arguments: Sequence[str] | None = None, comm: MPI.Intracomm = MPI.COMM_
     except (ContactError, OSError) as error:
         _print(comm, f"error: {error}", sys.stderr)
         return _ERROR
-    _print(comm, summary(solution.report, system.contact_names))
+    except Interrupted as error:
+        _print(comm, f"error: {error}", sys.stderr)
+        return _INTERRUPTED
+    _print(comm, solution.report.summary())
+    if interrupted:
+        return _INTERRUPTED
     return _SOLVED if solution.report.converged else _NOT_CONVERGED
 
 
@@ -85,6 +93,9 @@ def _parser() -> argparse.ArgumentParser:
     options = parser.add_argument_group("options of fenics_tfeti.feti.Options")
     hints = get_type_hints(Options)
     for f in (f for f in fields(Options) if f.name in _OPTIONS):
+        if hints[f.name] is bool:
+            options.add_argument(f"--{f.name}", action="store_true", default=None)
+            continue
         literal = get_origin(hints[f.name]) is not None
         options.add_argument(
             f"--{f.name}",
@@ -129,31 +140,6 @@ def save_solution(path: str | os.PathLike[str], system: TornSystem, solution: To
             arrays = {"nodes": nodes, "displacement": values[first]}
             arrays |= zip(("normal_force", "active", "tied_force"), whole, strict=True)
             write_arrays(path, "the solution", SOLUTION_FORMAT, arrays)
-
-
-def summary(report: Report, contact_names: Sequence[str]) -> str:
-    """Return the main figures of a report as lines to read.
-
-    Parameters
-    ----------
-    report : Report
-        The report.
-    contact_names : sequence of str
-        Names of the contacts and tied pairs.
-    """
-    unknowns, products = report.unknowns, report.products
-    lines = [
-        f"{'unknowns':>16}  {unknowns['primal']}, in {report.subdomains} subdomains",
-        f"{'contact':>16}  {unknowns['active']} of {unknowns['inequalities']} rows active",
-        f"{'products with F':>16}  {products['total']}, and {products['norm']} for its norm",
-        f"{'error':>16}  at most {report.certificate.worst:.1e}, relative, in the energy norm",
-        f"{'time':>16}  {report.seconds['total']:.2f} s, MPI ranks: {report.ranks}",
-    ]
-    for number, force in enumerate(report.contact_forces):
-        name = contact_names[number] if number < len(contact_names) else f"contact {number}"
-        lines.append(f"{'force on slave':>16}  {format_point(force)} of {name!r}")
-    lines.append(f"{'result':>16}  {report.reason}")
-    return "\n".join(lines)
 
 
 def _print(comm: MPI.Intracomm, text: str, file: TextIO | None = None) -> None:

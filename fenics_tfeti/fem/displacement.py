@@ -165,7 +165,10 @@ def _check_values(
 
 
 def displacement_function(
-    space: FunctionSpace, subdomains: Sequence[Subdomain], displacements: Sequence[Vector]
+    space: FunctionSpace,
+    subdomains: Sequence[Subdomain],
+    displacements: Sequence[Vector],
+    into: Function | None = None,
 ) -> Function:
     """Return the function with the displacements of the subdomains.
 
@@ -177,6 +180,8 @@ def displacement_function(
         This rank's subdomains.
     displacements : sequence of (n_i,) arrays
         Their displacements, equal at all copies of a node [m].
+    into : Function, optional
+        The function to fill; by default a new one.
 
     Returns
     -------
@@ -184,7 +189,7 @@ def displacement_function(
         On the user's mesh, ghosts up to date.
     """
     block = space.dofmap.index_map_bs
-    uh = fem.Function(space, name="displacement")
+    uh = fem.Function(space, name="displacement") if into is None else into
     values = uh.x.array.reshape(-1, block)
     for subdomain, displacement in zip(subdomains, displacements, strict=True):
         values[_local_nodes(space, subdomain.nodes)] = displacement.reshape(-1, block)

@@ -16,6 +16,7 @@ from petsc4py import PETSc
 import numpy as np
 import scipy
 
+from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.dual.active_set import ActiveSetStep
 from fenics_tfeti.feti.files import write_whole
@@ -156,6 +157,24 @@ class Report:
         whole = asdict(replace(self, comm=None))
         del whole["comm"]
         return whole
+
+    def summary(self) -> str:
+        """Return the main figures as lines to read."""
+        unknowns, products = self.unknowns, self.products
+        lines = {
+            "unknowns": f"{unknowns['primal']}, in {self.subdomains} subdomains",
+            "contact": f"{unknowns['active']} of {unknowns['inequalities']} rows active",
+            "products with F": f"{products['total']}, and {products['norm']} for its norm",
+            "error": f"at most {self.certificate.worst:.1e}, relative, in the energy norm",
+            "time": f"{self.seconds['total']:.2f} s, MPI ranks: {self.ranks}",
+        }
+        rows = list(lines.items())
+        rows += [
+            ("force on slave", f"{format_point(r.force)} of {r.name!r}") for r in self.on_slaves
+        ]
+        rows += [("free motion", motion) for motion in self.free_motions]
+        rows.append(("result", self.reason))
+        return "\n".join(f"{name:>16}  {value}" for name, value in rows)
 
     def to_json(self, path: str | os.PathLike[str]) -> None:
         """Write the report as JSON, and never half a file. Collective; rank 0 of `comm` writes.
