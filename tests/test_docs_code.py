@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import subprocess
 import sys
 import textwrap
 from pathlib import Path
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
+import scenes
+
+from fenics_tfeti import ContactProblem
 
 DOCS = Path(__file__).parent.parent / "docs"
 BLOCK = re.compile(r"^( *)\.\. code-block:: (python|console)\n\n((?:\1 +\S.*\n|\s*\n)+)", re.M)
 
 
-def run_blocks(page: str) -> dict[str, object]:
-    """Run the blocks of a page; return the variables of its Python code."""
-    variables: dict[str, object] = {}
+def run_blocks(page: str, given: dict[str, object] | None = None) -> dict[str, object]:
+    """Run the blocks of a page, with some variables; return those of its Python code."""
+    variables: dict[str, object] = dict(given or {})
     blocks = [(kind, textwrap.dedent(body).strip()) for _, kind, body in BLOCK.findall(page)]
     assert blocks
     for kind, code in blocks:
@@ -53,3 +59,21 @@ def test_solver_alone(tmp_path, monkeypatch, capsys):
     assert 100 < np.count_nonzero(touching) < 2000
     assert (x >= -0.2).all() and (gradient[touching] >= 0.0).all()
     assert np.linalg.norm(gradient[~touching]) <= 1e-7 * np.linalg.norm(b)
+
+
+def test_running(tmp_path, monkeypatch):
+    """The code for load steps, with a problem of the tests."""
+    monkeypatch.chdir(tmp_path)
+    scene = scenes.two_beams(MPI.COMM_SELF, "quadrilateral", 4)
+    load = scene.kept[1]
+    loads = [0.5 * load.value, 1.0 * load.value]
+    given = {"a": scene.a, "L": scene.L, "bcs": scene.bcs, "contacts": scene.package_contacts()}
+    given |= {"V": scene.V, "load": load, "loads": loads, "history": []}
+    monkeypatch.setattr(logging, "basicConfig", lambda **_: None)
+    variables = run_blocks((DOCS / "running.rst").read_text(), given)
+    assert variables["history"] == pytest.approx([0.5 * 6e7, 6e7], rel=1e-6)
+    assert variables["residuals"]
+    assert variables["begin"] == 0
+    assert {"step.pvd", "state.npz"} <= {p.name for p in Path("results").iterdir()}
+    problem = ContactProblem(scene.a, scene.L, bcs=scene.bcs, contacts=given["contacts"])
+    assert problem.restore("results/state.npz") == 2

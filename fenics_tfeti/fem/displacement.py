@@ -19,7 +19,13 @@ from fenics_tfeti.fem.tolerances import SAME_VALUE
 from fenics_tfeti.feti.system import Prescribed, Subdomain
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["displacement_function", "prescribed_values", "space_of_forms"]
+__all__ = [
+    "displacement_function",
+    "fill_owned",
+    "owned_values",
+    "prescribed_values",
+    "space_of_forms",
+]
 
 Vector = NDArray[np.float64]
 
@@ -193,6 +199,21 @@ def displacement_function(
     values = uh.x.array.reshape(-1, block)
     for subdomain, displacement in zip(subdomains, displacements, strict=True):
         values[_local_nodes(space, subdomain.nodes)] = displacement.reshape(-1, block)
+    uh.x.scatter_forward()
+    return uh
+
+
+def owned_values(uh: Function) -> Vector:
+    """Return the values of a function at the degrees of freedom that this rank owns."""
+    space = uh.function_space
+    owned = space.dofmap.index_map_bs * space.dofmap.index_map.size_local
+    values: Vector = uh.x.array[:owned].copy()
+    return values
+
+
+def fill_owned(uh: Function, values: Vector) -> Function:
+    """Fill a function with the values that this rank owns, and return it. Collective."""
+    uh.x.array[: values.size] = values
     uh.x.scatter_forward()
     return uh
 

@@ -4,6 +4,12 @@ A researcher with K_i, f_i and node numbers from any code fills a `TornSystem` a
 `TornSolver`; ``numpy``, ``scipy``, ``petsc4py`` and ``mpi4py`` are all it needs.
 """
 
+from fenics_tfeti.feti.checkpoint import (
+    Checkpoint,
+    SavedState,
+    load_checkpoint,
+    save_checkpoint,
+)
 from fenics_tfeti.feti.dual.active_set import ActiveSetStep
 from fenics_tfeti.feti.options import Options, parse_options
 from fenics_tfeti.feti.report import Report
@@ -25,6 +31,7 @@ from fenics_tfeti.feti.timer import Timer
 __all__ = [
     "ActiveSetStep",
     "Certificate",
+    "Checkpoint",
     "ContactGuess",
     "ContactRows",
     "MonitorFunction",
@@ -32,13 +39,16 @@ __all__ = [
     "Prescribed",
     "Report",
     "Resultant",
+    "SavedState",
     "Subdomain",
     "Timer",
     "TornSolution",
     "TornSolver",
     "TornSystem",
     "check_system",
+    "load_checkpoint",
     "load_system",
     "parse_options",
+    "save_checkpoint",
     "save_system",
 ]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.feti import interruption
+from fenics_tfeti.feti.checkpoint import SavedState
 from fenics_tfeti.feti.coarse.feasible_start import check_load, feasible_start
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.feasibility import check_conditions
@@ -100,6 +101,9 @@ class TornSolver:
         Solver of an earlier, similar system with the same options.
     guess : ContactGuess, optional
         Expected contact forces and gaps: the start of the active set method.
+    start : SavedState, optional
+        The state of a checkpoint, where the iterations start if there is no previous solver; left
+        out if it has other rows.
 
     Attributes
     ----------
@@ -131,6 +135,7 @@ class TornSolver:
         timer: Timer | None = None,
         previous: TornSolver | None = None,
         guess: ContactGuess | None = None,
+        start: SavedState | None = None,
     ) -> None:
         _check_arguments(system, options)
         self.system = system
@@ -143,7 +148,7 @@ class TornSolver:
             self.setup, self.data, self.reused = self._set_up(package, previous, guess)
         self._constraints = self.setup.constraints
         self._norm_products = self.setup.norm.products
-        self._start = self._first_state(previous, guess)
+        self._start = self._first_state(previous, guess, start)
 
     def _set_up(
         self, package: str, previous: TornSolver | None, guess: ContactGuess | None
@@ -197,10 +202,14 @@ class TornSolver:
         return ContactData(load, c, e, coarse_space.coarse_load_size(load), feasible)
 
     def _first_state(
-        self, previous: TornSolver | None, guess: ContactGuess | None
+        self, previous: TornSolver | None, guess: ContactGuess | None, start: SavedState | None
     ) -> DualState | None:
         """Return where the last solve ended, if its multipliers are the same ones, or the guess."""
         state: DualState | None = None
+        if previous is None and start is not None:
+            state = start.for_rows(self.setup.constraints)
+            if state is not None:
+                self.reused.append("checkpoint")
         if previous is not None and previous._start is not None:
             last, constraints = previous._start, self.setup.constraints
             if constraints.same_numbering(previous._constraints):
@@ -228,6 +237,19 @@ class TornSolver:
         multipliers[rows] = np.where(active, force / constraints.scale, 0.0)
         coarse_gradient = np.zeros_like(multipliers) if state is None else state.coarse_gradient
         return DualState(multipliers, coarse_gradient, active)
+
+    @property
+    def state(self) -> SavedState:
+        """Where the last solve ended, for `save_checkpoint`.
+
+        Raises
+        ------
+        InputError
+            If nothing was solved.
+        """
+        if self._start is None:
+            raise InputError("there is no state to save; call solve() first")
+        return SavedState.of(self._start, self._constraints)
 
     def dual_problem(self) -> DualProblem:
         """Return the dual problem (11.36), to solve it by another method. Collective.
