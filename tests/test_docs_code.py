@@ -74,6 +74,6 @@ def test_running(tmp_path, monkeypatch):
     assert variables["history"] == pytest.approx([0.5 * 6e7, 6e7], rel=1e-6)
     assert variables["residuals"]
     assert variables["begin"] == 0
-    assert {"step.pvd", "state.npz"} <= {p.name for p in Path("results").iterdir()}
+    assert {"step.pvd", "state.npz", "step.html"} <= {p.name for p in Path("results").iterdir()}
     problem = ContactProblem(scene.a, scene.L, bcs=scene.bcs, contacts=given["contacts"])
     assert problem.restore("results/state.npz") == 2

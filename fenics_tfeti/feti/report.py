@@ -30,7 +30,7 @@ from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.qp import OuterIteration
 
-__all__ = ["Report", "build_report", "peak_memory", "versions"]
+__all__ = ["Report", "build_report", "peak_memory", "versions", "without_nan"]
 
 
 def peak_memory(comm: MPI.Intracomm) -> int:
@@ -199,18 +199,18 @@ class Report:
                 self._write(path)
 
     def _write(self, path: str | os.PathLike[str]) -> None:
-        text = json.dumps(_without_nan(self.to_dict()), indent=2, allow_nan=False)
+        text = json.dumps(without_nan(self.to_dict()), indent=2, allow_nan=False)
         write_whole(path, "the report", lambda file: file.write(f"{text}\n".encode()))
 
 
-def _without_nan(value: Any) -> Any:
+def without_nan(value: Any) -> Any:
     """Replace infinite numbers and NaN in nested containers by None."""
     if isinstance(value, float) and not np.isfinite(value):
         return None
     if isinstance(value, dict):
-        return {key: _without_nan(entry) for key, entry in value.items()}
+        return {key: without_nan(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_without_nan(entry) for entry in value]
+        return [without_nan(entry) for entry in value]
     return value
 
 
