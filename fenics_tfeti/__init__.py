@@ -14,6 +14,7 @@ from fenics_tfeti.errors import (
     ContactError,
     FactorizationError,
     InputError,
+    Interrupted,
     NotConverged,
     UnresistedMotion,
 )
@@ -37,6 +38,7 @@ __all__ = [
     "Cylinder",
     "FactorizationError",
     "InputError",
+    "Interrupted",
     "NotConverged",
     "Plane",
     "RigidObstacle",

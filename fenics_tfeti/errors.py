@@ -10,6 +10,7 @@ __all__ = [
     "ContactError",
     "FactorizationError",
     "InputError",
+    "Interrupted",
     "NotConverged",
     "UnresistedMotion",
     "format_point",
@@ -43,6 +44,25 @@ class NotConverged(ContactError, RuntimeError):
         The last iterate: what the solver would have returned on convergence.
     report : object
         The report of the solve, with ``converged`` False and the ``reason``.
+    """
+
+    def __init__(self, message: str, solution: Any = None, report: Any = None) -> None:
+        super().__init__(message)
+        self.solution = solution
+        self.report = report
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C, or SIGINT to a rank, has ended a solve on all ranks.
+
+    Not a `ContactError`: a script that goes on after those still ends.
+
+    Attributes
+    ----------
+    solution : object
+        The last iterate, in the form of a solution; None if there was none.
+    report : object
+        The report of the solve, with the ``reason``; None if there was no iterate.
     """
 
     def __init__(self, message: str, solution: Any = None, report: Any = None) -> None:

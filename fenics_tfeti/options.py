@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -38,6 +39,8 @@ class ContactOptions:
         largest displacement.
     non_penetration_max_it : int
         Limit on the solutions with corrected normals and gaps.
+    view : bool
+        Print a summary of the report at the end of each solve, on rank 0.
     """
 
     solver: Options = field(default_factory=Options)
@@ -46,6 +49,7 @@ class ContactOptions:
     non_penetration: Literal["linearised", "exact"] = "linearised"
     non_penetration_tolerance: float = 1e-3
     non_penetration_max_it: int = 20
+    view: bool = False
 
     def __post_init__(self) -> None:
         """Check the ranges of numbers."""
@@ -99,7 +103,9 @@ def _command_line(prefix: str) -> dict[str, str]:
     database = PETSc.Options(prefix)
     # a program that embeds Python may have no command line
     for word, following in pairwise([*getattr(sys, "argv", [])[1:], ""]):
+        # PETSc too takes a word after a dash as an option, and a number after one as a value
+        value = "" if re.match("-[A-Za-z]", following) else following
         # PETSc knows the command line only if petsc4py was started with it
         if word.startswith(f"-{prefix}") and not database.hasName(word[1 + len(prefix) :]):
-            database.setValue(word[1 + len(prefix) :], following)
+            database.setValue(word[1 + len(prefix) :], value)
     return {name: database.getString(name) for name in database.getAll()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -14,9 +15,16 @@ from numpy.typing import NDArray
 import ufl
 from dolfinx.fem import Function
 
-from fenics_tfeti.errors import InputError, NotConverged
+from fenics_tfeti.continuation import Continuation, read_continuation, write_continuation
+from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.arguments import given_conditions, given_contacts, given_forms, given_tied
+from fenics_tfeti.fem.arguments import (
+    given_conditions,
+    given_contacts,
+    given_forms,
+    given_function,
+    given_tied,
+)
 from fenics_tfeti.fem.contact.checks import check_depth
 from fenics_tfeti.fem.contact.contact import (
     Contact,
@@ -25,7 +33,12 @@ from fenics_tfeti.fem.contact.contact import (
     ContactResult,
     contact_name,
 )
-from fenics_tfeti.fem.contact.deformed import GeometryPass, deformed_contact, geometry_pass
+from fenics_tfeti.fem.contact.deformed import (
+    DeformedContact,
+    GeometryPass,
+    deformed_contact,
+    geometry_pass,
+)
 from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
 from fenics_tfeti.fem.contact.roles import ALIKE, exchanged, roles_ratio, warn_of_roles
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
@@ -37,18 +50,22 @@ from fenics_tfeti.fem.decomposition.partition import given_subdomains, split_int
 from fenics_tfeti.fem.decomposition.parts import Part, number_parts
 from fenics_tfeti.fem.displacement import (
     displacement_function,
+    fill_owned,
+    owned_values,
     prescribed_values,
     space_of_forms,
 )
 from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.feti import (
     ContactGuess,
+    MonitorFunction,
     Prescribed,
     Subdomain,
     Timer,
     TornSolution,
     TornSolver,
     TornSystem,
+    interruption,
 )
 from fenics_tfeti.options import contact_options
 from fenics_tfeti.parallel import raise_collectively
@@ -89,6 +106,9 @@ class ContactProblem:
     options_prefix : str
         ``-<prefix><name> value`` on the command line, or in PETSc's database, overrides `options`.
         Problems of one script that are to differ need different prefixes.
+    u : Function, optional
+        The function on the displacement's space that each solve fills and returns, as for a file
+        that a time loop writes to. By default each solve returns a new one.
 
     Attributes
     ----------
@@ -124,6 +144,7 @@ class ContactProblem:
         options: Mapping[str, Any] | None = None,
         options_prefix: str = "tfeti_",
         tied: Sequence[TiedPair] | TiedPair | None = (),
+        u: Function | None = None,
     ) -> None:
         self.options = contact_options(options, options_prefix)
         self._timer = Timer()
@@ -131,6 +152,7 @@ class ContactProblem:
         self.space = space_of_forms(a, L)
         self.bcs, self.contacts = given_conditions(bcs), given_contacts(contacts)
         self.tied = given_tied(tied)
+        self.u = given_function(u, self.space)
         self._tied: list[tuple[TiedPair, TiedPairing]] = []
         # pairs whose roles were exchanged, by the identity of the user's
         self._exchanged: dict[int, tuple[Contact, Contact]] = {}
@@ -142,6 +164,11 @@ class ContactProblem:
         self._used: list[ContactPairing] = []
         self._solver: TornSolver | None = None
         self._displacement: Function | None = None
+        self._monitor: MonitorFunction | None = None
+        self._checkpoint: str | os.PathLike[str] | None = None
+        self._continued: Continuation | None = None
+        self._solves = 0
+        self._passes = list[GeometryPass]()
         prescribed = prescribed_values(self.space, self.bcs)
         with self._timer.phase("partition"):
             bodies = self._bodies = find_bodies(self.space.mesh, cell_tags)
@@ -168,7 +195,12 @@ class ContactProblem:
         self._stale = False
         self._solved_before = False
 
-    def solve(self, coarse: ContactProblem | None = None) -> Function:
+    def solve(
+        self,
+        coarse: ContactProblem | None = None,
+        monitor: MonitorFunction | None = None,
+        checkpoint: str | os.PathLike[str] | None = None,
+    ) -> Function:
         """Solve the problem, at the present values of loads, prescribed displacements and contacts.
 
         For load steps, change the values of constants and functions in `L` and in the Dirichlet
@@ -186,6 +218,13 @@ class ContactProblem:
             where the coarse problem is solved anyway, or is much smaller. The contacts have to be
             the same, in the same order and under the same names. The surfaces of the coarse mesh
             are gathered on all ranks.
+        monitor : callable, optional
+            Called on all ranks with an `ActiveSetStep` for each face of the active set method and
+            an `OuterIteration` for each outer iteration of SMALBE-M, when they end. The option
+            ``monitor`` prints them.
+        checkpoint : path-like, optional
+            File to write or replace at the end of the solve and of each pass with exact
+            non-penetration, and after an interruption, see `restore`.
 
         Returns
         -------
@@ -205,7 +244,77 @@ class ContactProblem:
             At a limit on iterations or on geometry passes; its ``solution`` is the last iterate,
             `contact` and `report` are that one's. With the option ``error_if_not_converged`` false,
             it is returned.
+        Interrupted
+            After Ctrl-C or SIGINT to one rank, on all of them; its ``solution`` is the last iterate
+            if there is one, `contact` and `report` are that one's. Solving again goes on from it.
+        OSError
+            If the checkpoint cannot be written; an old one is left as it is.
         """
+        self._monitor, self._checkpoint = monitor, checkpoint
+        with interruption.deferred():
+            try:
+                uh = self._solve(coarse)
+            except Interrupted as error:
+                if error.solution is not None:
+                    self._save(error.solution, self._passes)
+                raise
+            self._solves += 1
+            self._save(uh, [])
+            try:
+                interruption.check(self.space.mesh.comm)
+            except Interrupted:
+                raise Interrupted("interrupted", uh, self.report) from None
+        if self.options.view and self.space.mesh.comm.rank == 0:
+            print(self.report.summary(), flush=True)
+        return uh
+
+    def restore(self, checkpoint: str | os.PathLike[str]) -> int:
+        """Go on from a checkpoint that an earlier run of the same problem has written. Collective.
+
+        The next solve starts from the saved contact forces and, with exact non-penetration, from
+        the saved pass. A checkpoint changes where iterations start, not what they end with: loads,
+        prescribed values, obstacles and materials are those that the problem has now.
+
+        Parameters
+        ----------
+        checkpoint : path-like
+            The file, of as many ranks.
+
+        Returns
+        -------
+        int
+            How many calls of `solve` were finished: the load step to go on with.
+
+        Raises
+        ------
+        InputError
+            If the file is no checkpoint, damaged, or that of another problem; if this problem was
+            solved already.
+        OSError
+            If the file cannot be read.
+
+        Examples
+        --------
+        >>> begin = problem.restore(file) if Path(file).exists() else 0  # doctest: +SKIP
+        >>> for step in range(begin, len(loads)):  # doctest: +SKIP
+        ...     load.value = loads[step]
+        ...     uh = problem.solve(checkpoint=file)
+        """
+        if self._solved_before:
+            raise InputError("a checkpoint is for a problem that was not solved yet")
+        uh = Function(self.space)
+        saved = read_continuation(checkpoint, self.system, owned_values(uh).size)
+        self._continued, self._solves = saved, saved.solves
+        return saved.solves
+
+    def _save(self, uh: Function, passes: Sequence[GeometryPass]) -> None:
+        """Write the checkpoint, if there is to be one."""
+        if self._checkpoint is not None and self._solver is not None:
+            state = self._solver.state
+            saved = Continuation(state, owned_values(uh), self._solves, passes)
+            write_continuation(self._checkpoint, self.system, saved)
+
+    def _solve(self, coarse: ContactProblem | None) -> Function:
         if self._solved_before:
             self._timer = Timer()
         self._solved_before = True
@@ -361,10 +470,15 @@ class ContactProblem:
         rows = contact_rows(matched, self.system.gdim)
         system = replace(self.system, contacts=rows)
         guess = self._guess(coarse, matched)
-        self._solver = TornSolver(system, self.options.solver, self._timer, self._solver, guess)
+        start = None if self._continued is None else self._continued.state
+        solver = self.options.solver
+        self._solver = TornSolver(system, solver, self._timer, self._solver, guess, start)
+        self._continued = None
         try:
-            solution = self._solver.solve()
-        except NotConverged as error:
+            solution = self._solver.solve(self._monitor)
+        except (NotConverged, Interrupted) as error:
+            if error.solution is None:
+                raise
             error.solution = self._take(error.solution, matched)
             error.report = self.report
             raise
@@ -373,29 +487,37 @@ class ContactProblem:
     def _solve_exactly(self, coarse: ContactProblem | None) -> Function:
         """Repeat with normals, gaps and partners of the deformed surfaces, sec. 11.1, 11.11.2."""
         self._check_initial_gaps()
-        passes = list[GeometryPass]()
+        passes = self._passes = list[GeometryPass]()
+        if self._continued is not None:
+            passes += self._continued.passes
+            uh = fill_owned(Function(self.space), self._continued.displacement)
+            deformed = self._deformed(self._matched, uh)
+            self._moved = _pairings(self._matched, deformed)
+        of_other_runs = sum(earlier.seconds for earlier in passes)
         # where the last solution ended is nearer to the present one than the undeformed state
         matched = self._moved or self._matched
         while True:
             uh = self._solve_linearised(matched, None if passes else coarse)
-            with self._timer.phase("deformed surfaces"):
-                deformed = [
-                    deformed_contact(self.space, contact, match, uh, _gives_normals(contact))
-                    for contact, match in zip(self._searched, matched, strict=True)
-                ]
+            deformed = self._deformed(matched, uh)
             products = self.report.products["total"]
             seconds = self._timer.slowest(self.space.mesh.comm)
             new_pass = geometry_pass(deformed, self.contact, uh, products)
-            spent = seconds["total"] - sum(earlier.seconds for earlier in passes)
+            spent = seconds["total"] + of_other_runs - sum(earlier.seconds for earlier in passes)
             passes.append(replace(new_pass, seconds=spent))
             self.report = replace(self.report, passes=passes, seconds=seconds)
-            matched = self._moved = [
-                new.pairing(match) for match, new in zip(matched, deformed, strict=True)
-            ]
+            matched = self._moved = _pairings(matched, deformed)
             if passes[-1].error <= self.options.non_penetration_tolerance:
                 return uh
             if len(passes) == self.options.non_penetration_max_it:
                 return self._not_exact(uh, passes[-1])
+            self._save(uh, passes)
+
+    def _deformed(self, matched: Sequence[ContactPairing], uh: Function) -> list[DeformedContact]:
+        with self._timer.phase("deformed surfaces"):
+            return [
+                deformed_contact(self.space, contact, match, uh, _gives_normals(contact))
+                for contact, match in zip(self._searched, matched, strict=True)
+            ]
 
     def _check_initial_gaps(self) -> None:
         with raise_collectively(self.space.mesh.comm):
@@ -444,9 +566,15 @@ class ContactProblem:
         ]
         self._used = list(matched)
         self._displacement = displacement_function(
-            self.space, self.system.subdomains, solution.displacements
+            self.space, self.system.subdomains, solution.displacements, self.u
         )
         return self._displacement
+
+
+def _pairings(
+    matched: Sequence[ContactPairing], deformed: Sequence[DeformedContact]
+) -> list[ContactPairing]:
+    return [new.pairing(match) for match, new in zip(matched, deformed, strict=True)]
 
 
 def _gives_normals(contact: Contact) -> bool:

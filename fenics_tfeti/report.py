@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from mpi4py import MPI
+
+from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.deformed import GeometryPass
+from fenics_tfeti.fem.io.page import page_of_report
+from fenics_tfeti.fem.io.scene import gather_scene
 from fenics_tfeti.feti import Report
+from fenics_tfeti.feti.files import write_whole
+from fenics_tfeti.feti.report import without_nan
+from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["ContactReport", "pairing_table"]
 
@@ -36,6 +45,55 @@ class ContactReport(Report):
 
     passes: list[GeometryPass] = field(default_factory=list)
     pairing: list[dict[str, Any]] = field(default_factory=list)
+
+    def summary(self) -> str:
+        """Return the main figures and the pairing as lines to read."""
+        table = [self.pairing_table()] if self.pairing else []
+        return "\n".join([*table, super().summary()])
+
+    def to_html(
+        self,
+        path: str | os.PathLike[str],
+        displacement: Any | None = None,
+        fields: Sequence[Any] = (),
+        title: str = "Contact problem",
+    ) -> None:
+        """Write the report as a page for a browser, which needs no other file. Collective.
+
+        The page has the result and the bound of its error, the deformed bodies, to be turned and
+        coloured, the contacts with their forces, the convergence, the certificate and the times of
+        the phases. It contains the JavaScript of Plotly, about 5 MB.
+
+        Parameters
+        ----------
+        path : path-like
+            File to write or replace.
+        displacement : dolfinx.fem.Function, optional
+            The solution; its outer faces are gathered on rank 0. Without it the page has no bodies.
+        fields : sequence of dolfinx.fem.Function
+            Scalars to colour the bodies by beside the size of the displacement, such as the contact
+            pressure of `fenics_tfeti.io.contact_fields`.
+        title : str
+            The heading.
+
+        Raises
+        ------
+        InputError
+            If a field is wrong, or there are fields without a displacement.
+        ImportError
+            If Plotly is missing.
+        OSError
+            If rank 0 cannot write the file; all errors are raised on all ranks.
+        """
+        comm = self.comm or MPI.COMM_SELF
+        with raise_collectively(comm):
+            if displacement is None and len(fields):
+                raise InputError("fields are drawn on the deformed bodies: pass the displacement")
+        scene = None if displacement is None else gather_scene(displacement, fields)
+        with raise_collectively(comm):
+            if comm.rank == 0:
+                page = page_of_report(without_nan(self.to_dict()), title, scene)
+                write_whole(path, "the page", lambda file: file.write(page.encode()))
 
     def pairing_table(self) -> str:
         """Return `pairing` as a table to read, a line for each contact."""

@@ -24,7 +24,7 @@ LAYERS = {
 }
 # The sub-packages of feti: each imports those before it, and of feti's own modules only these.
 FETI_ORDER = ["local", "constraints", "coarse", "dual", "solution"]
-FETI_BASE = {"system", "tolerances", "options"}
+FETI_BASE = {"system", "tolerances", "options", "interruption"}
 # the phases of a solve, which the solution adds to, have a time each
 FETI_OWN = {"solution": {"timer"}}
 

@@ -31,3 +31,17 @@ def test_command_line_comes_before_the_script():
 def test_modules_that_were_started_with_the_command_line_do_not_count_it_twice():
     start = "import sys, mpi4py.MPI, petsc4py; petsc4py.init(['name', *sys.argv[1:]])"
     assert run_python(f"{start}\n{SOLVE}", "-tfeti_rtol", "1e-4") == "True 0.0001 1.0"
+
+
+def test_flags_without_values_print_what_they_say():
+    printed = run_python(SOLVE, "-tfeti_monitor", "-tfeti_rtol", "1e-4", "-tfeti_view")
+    lines = printed.splitlines()
+    assert lines[0].startswith("face    0  products")
+    assert lines[-1] == "True 0.0001 1.0"
+    for words in ("discretisation", "rows active", "force on slave", "result  converged"):
+        assert words in printed
+
+
+def test_nothing_is_printed_unasked():
+    assert run_python(SOLVE) == "True 1e-05 1.0"
+    assert run_python(SOLVE, "-tfeti_monitor", "false", "-tfeti_view", "0") == "True 1e-05 1.0"

@@ -11,14 +11,20 @@ from typing import Any
 import numpy as np
 
 import ufl
-from dolfinx.fem import Constant
+from dolfinx.fem import Constant, Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import Contact, ContactPair, RigidObstacle, contact_name
 from fenics_tfeti.fem.contact.tied import TiedPair, tied_name
 
-__all__ = ["given_conditions", "given_contacts", "given_forms", "given_tied"]
+__all__ = [
+    "given_conditions",
+    "given_contacts",
+    "given_forms",
+    "given_function",
+    "given_tied",
+]
 
 
 def given_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
@@ -34,6 +40,24 @@ def given_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
         return a, _no_load(a)
     _check_form(L, "the linear form L")
     return a, L
+
+
+def given_function(u: Any, space: FunctionSpace) -> Function | None:
+    """Return the function that solves fill, if there is one.
+
+    Raises
+    ------
+    InputError
+        If it is no function, or on another space than the forms.
+    """
+    if u is not None and not isinstance(u, Function):
+        raise InputError(
+            f"u is a {type(u).__name__}; a dolfinx.fem.Function on the space of the forms is "
+            "expected"
+        )
+    if u is not None and u.function_space != space:
+        raise InputError("u is not on the function space of the forms; make it by Function(V)")
+    return u
 
 
 def given_conditions(bcs: Any) -> list[Any]:

@@ -19,7 +19,13 @@ from fenics_tfeti.fem.tolerances import SAME_VALUE
 from fenics_tfeti.feti.system import Prescribed, Subdomain
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["displacement_function", "prescribed_values", "space_of_forms"]
+__all__ = [
+    "displacement_function",
+    "fill_owned",
+    "owned_values",
+    "prescribed_values",
+    "space_of_forms",
+]
 
 Vector = NDArray[np.float64]
 
@@ -165,7 +171,10 @@ def _check_values(
 
 
 def displacement_function(
-    space: FunctionSpace, subdomains: Sequence[Subdomain], displacements: Sequence[Vector]
+    space: FunctionSpace,
+    subdomains: Sequence[Subdomain],
+    displacements: Sequence[Vector],
+    into: Function | None = None,
 ) -> Function:
     """Return the function with the displacements of the subdomains.
 
@@ -177,6 +186,8 @@ def displacement_function(
         This rank's subdomains.
     displacements : sequence of (n_i,) arrays
         Their displacements, equal at all copies of a node [m].
+    into : Function, optional
+        The function to fill; by default a new one.
 
     Returns
     -------
@@ -184,10 +195,25 @@ def displacement_function(
         On the user's mesh, ghosts up to date.
     """
     block = space.dofmap.index_map_bs
-    uh = fem.Function(space, name="displacement")
+    uh = fem.Function(space, name="displacement") if into is None else into
     values = uh.x.array.reshape(-1, block)
     for subdomain, displacement in zip(subdomains, displacements, strict=True):
         values[_local_nodes(space, subdomain.nodes)] = displacement.reshape(-1, block)
+    uh.x.scatter_forward()
+    return uh
+
+
+def owned_values(uh: Function) -> Vector:
+    """Return the values of a function at the degrees of freedom that this rank owns."""
+    space = uh.function_space
+    owned = space.dofmap.index_map_bs * space.dofmap.index_map.size_local
+    values: Vector = uh.x.array[:owned].copy()
+    return values
+
+
+def fill_owned(uh: Function, values: Vector) -> Function:
+    """Fill a function with the values that this rank owns, and return it. Collective."""
+    uh.x.array[: values.size] = values
     uh.x.scatter_forward()
     return uh
 

@@ -61,6 +61,8 @@ class Options:
     mprgp_expansion : {"projected_cg", "standard"}
         Expansion step of MPRGP: the projected conjugate gradient step with the standard one as
         fall-back, or the half step and fixed step of algorithm 8.2.
+    monitor : bool
+        Print a line for each step of the iterations, on rank 0.
     error_if_not_converged : bool
         Raise `NotConverged`, or else return the last iterate with ``converged`` false.
     """
@@ -83,6 +85,7 @@ class Options:
     mprgp_gamma: float = 1.0
     mprgp_alpha: float = 1.9
     mprgp_expansion: Expansion = "projected_cg"
+    monitor: bool = False
     error_if_not_converged: bool = True
 
     def __post_init__(self) -> None:
@@ -160,7 +163,8 @@ def _convert(name: str, value: Any, kind: Any) -> Any:
         return value
     if kind is bool:
         known = {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}
-        word = str(value).lower()
+        # an option without a value, as -tfeti_monitor
+        word = str(value).lower() or "true"
         if word not in known:
             raise InputError(f"option {name!r} is {value!r}, it has to be true or false")
         return known[word]

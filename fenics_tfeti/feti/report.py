@@ -6,9 +6,7 @@ import json
 import os
 import resource
 import sys
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -18,8 +16,10 @@ from petsc4py import PETSc
 import numpy as np
 import scipy
 
+from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.dual.active_set import ActiveSetStep
+from fenics_tfeti.feti.files import write_whole
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.resultants import Resultant, resultants
@@ -30,7 +30,7 @@ from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.qp import OuterIteration
 
-__all__ = ["Report", "build_report", "peak_memory", "versions"]
+__all__ = ["Report", "build_report", "peak_memory", "versions", "without_nan"]
 
 
 def peak_memory(comm: MPI.Intracomm) -> int:
@@ -158,6 +158,24 @@ class Report:
         del whole["comm"]
         return whole
 
+    def summary(self) -> str:
+        """Return the main figures as lines to read."""
+        unknowns, products = self.unknowns, self.products
+        lines = {
+            "unknowns": f"{unknowns['primal']}, in {self.subdomains} subdomains",
+            "contact": f"{unknowns['active']} of {unknowns['inequalities']} rows active",
+            "products with F": f"{products['total']}, and {products['norm']} for its norm",
+            "error": f"at most {self.certificate.worst:.1e}, relative, in the energy norm",
+            "time": f"{self.seconds['total']:.2f} s, MPI ranks: {self.ranks}",
+        }
+        rows = list(lines.items())
+        rows += [
+            ("force on slave", f"{format_point(r.force)} of {r.name!r}") for r in self.on_slaves
+        ]
+        rows += [("free motion", motion) for motion in self.free_motions]
+        rows.append(("result", self.reason))
+        return "\n".join(f"{name:>16}  {value}" for name, value in rows)
+
     def to_json(self, path: str | os.PathLike[str]) -> None:
         """Write the report as JSON, and never half a file. Collective; rank 0 of `comm` writes.
 
@@ -174,41 +192,26 @@ class Report:
             On all ranks, if rank 0 cannot write the file.
         """
         if self.comm is None:
-            _write_whole(Path(path), self._json())
+            self._write(path)
             return
         with raise_collectively(self.comm):
             if self.comm.rank == 0:
-                _write_whole(Path(path), self._json())
+                self._write(path)
 
-    def _json(self) -> str:
-        return json.dumps(_without_nan(self.to_dict()), indent=2, allow_nan=False)
+    def _write(self, path: str | os.PathLike[str]) -> None:
+        text = json.dumps(without_nan(self.to_dict()), indent=2, allow_nan=False)
+        write_whole(path, "the report", lambda file: file.write(f"{text}\n".encode()))
 
 
-def _without_nan(value: Any) -> Any:
+def without_nan(value: Any) -> Any:
     """Replace infinite numbers and NaN in nested containers by None."""
     if isinstance(value, float) and not np.isfinite(value):
         return None
     if isinstance(value, dict):
-        return {key: _without_nan(entry) for key, entry in value.items()}
+        return {key: without_nan(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_without_nan(entry) for entry in value]
+        return [without_nan(entry) for entry in value]
     return value
-
-
-def _write_whole(target: Path, text: str) -> None:
-    """Write a file under another name beside the target, then replace the target."""
-    part = target.with_name(f"{target.name}.{os.getpid()}.part")
-    try:
-        with part.open("x") as file:
-            file.write(text + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(target)
-    except OSError as error:
-        with suppress(OSError):
-            part.unlink()
-        reason = error.strerror or str(error)
-        raise OSError(error.errno, f"the report cannot be written: {reason}", str(target)) from None
 
 
 def build_report(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -9,7 +11,9 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from fenics_tfeti.errors import InputError, NotConverged
+from fenics_tfeti.errors import InputError, Interrupted, NotConverged
+from fenics_tfeti.feti import interruption
+from fenics_tfeti.feti.checkpoint import SavedState
 from fenics_tfeti.feti.coarse.feasible_start import check_load, feasible_start
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.feasibility import check_conditions
@@ -18,6 +22,7 @@ from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.report import Report, build_report
+from fenics_tfeti.feti.solution.monitor import Monitor, MonitorFunction
 from fenics_tfeti.feti.solution.outer import LANCZOS_STEPS, iterate_until_certified
 from fenics_tfeti.feti.solution.resultants import normal_forces, tied_forces
 from fenics_tfeti.feti.solution.setup import (
@@ -96,6 +101,9 @@ class TornSolver:
         Solver of an earlier, similar system with the same options.
     guess : ContactGuess, optional
         Expected contact forces and gaps: the start of the active set method.
+    start : SavedState, optional
+        The state of a checkpoint, where the iterations start if there is no previous solver; left
+        out if it has other rows.
 
     Attributes
     ----------
@@ -127,6 +135,7 @@ class TornSolver:
         timer: Timer | None = None,
         previous: TornSolver | None = None,
         guess: ContactGuess | None = None,
+        start: SavedState | None = None,
     ) -> None:
         _check_arguments(system, options)
         self.system = system
@@ -135,16 +144,17 @@ class TornSolver:
         with raise_collectively(system.comm):
             package = choose_factor(self.options)
         self._deflation_solves = 0
-        self.setup, self.data, self.reused = self._set_up(package, previous, guess)
+        with interruption.deferred():
+            self.setup, self.data, self.reused = self._set_up(package, previous, guess)
         self._constraints = self.setup.constraints
         self._norm_products = self.setup.norm.products
-        self._start = self._first_state(previous, guess)
+        self._start = self._first_state(previous, guess, start)
 
     def _set_up(
         self, package: str, previous: TornSolver | None, guess: ContactGuess | None
     ) -> tuple[DualSetup, ContactData, list[str]]:
         """Check all data; build the operators, or take over those of the previous solver."""
-        system, options, phase = self.system, self.options, self.timer.phase
+        system, options, phase = self.system, self.options, self._phase
         same_K = previous is not None and _has_same_stiffness(system, previous.system)
         known = previous.setup if previous is not None and same_K else None
         with phase("constraints"):
@@ -173,6 +183,13 @@ class TornSolver:
         self._deflation_solves = setup.deflation_solves
         return setup, data, ["factors"] if known else []
 
+    @contextmanager
+    def _phase(self, name: str) -> Iterator[None]:
+        """Add the time of a block to a phase, after which the ranks may be interrupted."""
+        with self.timer.phase(name):
+            yield
+        interruption.check(self.system.comm)
+
     def _data(self, local: LocalSetup, projector: Projector, c: Vector) -> ContactData:
         """Return loads and right-hand sides, after checking that the load can be balanced."""
         system, coarse_space = self.system, projector.coarse_space
@@ -185,10 +202,14 @@ class TornSolver:
         return ContactData(load, c, e, coarse_space.coarse_load_size(load), feasible)
 
     def _first_state(
-        self, previous: TornSolver | None, guess: ContactGuess | None
+        self, previous: TornSolver | None, guess: ContactGuess | None, start: SavedState | None
     ) -> DualState | None:
         """Return where the last solve ended, if its multipliers are the same ones, or the guess."""
         state: DualState | None = None
+        if previous is None and start is not None:
+            state = start.for_rows(self.setup.constraints)
+            if state is not None:
+                self.reused.append("checkpoint")
         if previous is not None and previous._start is not None:
             last, constraints = previous._start, self.setup.constraints
             if constraints.same_numbering(previous._constraints):
@@ -217,6 +238,19 @@ class TornSolver:
         coarse_gradient = np.zeros_like(multipliers) if state is None else state.coarse_gradient
         return DualState(multipliers, coarse_gradient, active)
 
+    @property
+    def state(self) -> SavedState:
+        """Where the last solve ended, for `save_checkpoint`.
+
+        Raises
+        ------
+        InputError
+            If nothing was solved.
+        """
+        if self._start is None:
+            raise InputError("there is no state to save; call solve() first")
+        return SavedState.of(self._start, self._constraints)
+
     def dual_problem(self) -> DualProblem:
         """Return the dual problem (11.36), to solve it by another method. Collective.
 
@@ -235,8 +269,16 @@ class TornSolver:
         if hasattr(self, "setup"):
             del self.setup
 
-    def solve(self) -> TornSolution:
+    def solve(self, monitor: MonitorFunction | None = None) -> TornSolution:
         """Solve the dual problem (11.36) and recover the displacement (11.29).
+
+        After an interruption, calling it again goes on from the last iterate.
+
+        Parameters
+        ----------
+        monitor : callable, optional
+            Called on all ranks with an `ActiveSetStep` for each face of the active set method and
+            an `OuterIteration` for each outer iteration of SMALBE-M, when they end.
 
         Returns
         -------
@@ -249,19 +291,26 @@ class TornSolver:
             If the solver was released.
         NotConverged
             At a limit on iterations, unless the options ask for the last iterate.
+        Interrupted
+            After Ctrl-C or SIGINT to one rank, on all of them, with the last iterate; of SMALBE-M
+            the one that it has started from.
         """
         if not hasattr(self, "setup"):
             raise InputError("the solver was released, and can only be the previous one of another")
         history = History(
             norm_products_before=self._norm_products, deflation_solves=self._deflation_solves
         )
+        with interruption.deferred():
+            return self._solve(Monitor(history, self.system.comm, monitor, self.options.monitor))
+
+    def _solve(self, monitor: Monitor) -> TornSolution:
         outcome = iterate_until_certified(
             self.setup,
             self.data,
             self._start,
             self.options,
             self.timer,
-            history,
+            monitor,
             self.system.body_names,
         )
         self._start = outcome.state
@@ -270,12 +319,16 @@ class TornSolver:
             self.setup,
             self.data,
             outcome,
-            history,
+            monitor.history,
             self.options,
             self.timer,
             self.reused,
         )
         solution = self._solution(outcome, report)
+        try:
+            interruption.check(self.system.comm)
+        except Interrupted:
+            raise Interrupted("interrupted", solution, report) from None
         if not outcome.converged and self.options.error_if_not_converged:
             raise NotConverged(
                 f"not converged to rtol {self.options.rtol:g}: {outcome.reason}. Raise the limit "

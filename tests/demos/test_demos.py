@@ -147,6 +147,24 @@ def test_bolt_in_lug(demo):
         assert abs(end) < 0.012
 
 
+def test_plank(demo):
+    """Force and length by beam theory, the weight by statics."""
+    assert demo["lifting_force"] == pytest.approx(demo["V"], rel=0.002)
+    assert demo["first_contact"] == pytest.approx(demo["s"], rel=0.03)
+    carried = demo["lifting_force"] + demo["floor_force"]
+    assert carried == pytest.approx(demo["q"] * demo["length"], rel=1e-8)
+    np.testing.assert_allclose(demo["deflection"], demo["beam"], atol=0.005 * demo["delta"])
+    # all squares share one factor
+    assert demo["report"].classes == 1
+
+
+def test_scikit_fem_rollers(demo):
+    """Half-width and largest pressure by Hertz's formulas, the force by statics."""
+    assert 2 * demo["report"].contact_force[0] == pytest.approx(demo["force"], rel=1e-8)
+    assert demo["a_fit"] == pytest.approx(demo["a"], rel=0.005)
+    assert demo["p_fit"] == pytest.approx(demo["p_0"], rel=0.005)
+
+
 def test_each_demo_has_a_test():
     names = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
     demos = {path.stem for path in DEMOS.glob("*.py")}

@@ -11,8 +11,9 @@ import pytest
 import scenes
 
 import ufl
+from dolfinx import fem
 
-from fenics_tfeti import RigidObstacle
+from fenics_tfeti import InputError, NotConverged, RigidObstacle
 
 
 def block():
@@ -75,3 +76,35 @@ def test_tags_may_be_numpy_integers():
     problem = scene.problem(contacts=dataclasses.replace(contact, slave=np.int32(contact.slave)))
     problem.solve()
     np.testing.assert_allclose(problem.report.contact_force, scene.total_forces, rtol=1e-8)
+
+
+def test_function_is_filled_by_each_solve():
+    scene = block()
+    u = fem.Function(scene.V, name="u")
+    problem = scene.problem(u=u)
+    assert problem.solve() is u and u.name == "u"
+    first = u.x.array.copy()
+    assert first.any()
+    u.x.array[:] = 7.0
+    assert problem.solve() is u
+    np.testing.assert_allclose(u.x.array, first, atol=1e-9 * np.abs(first).max())
+    new = scene.problem().solve()
+    assert new is not u and new.name == "displacement"
+    np.testing.assert_array_equal(new.x.array, first)
+
+
+def test_function_holds_the_last_iterate():
+    scene = block()
+    u = fem.Function(scene.V)
+    with pytest.raises(NotConverged) as caught:
+        scene.problem(u=u, options={"max_products": 1, "rtol": 1e-12}).solve()
+    assert caught.value.solution is u and u.x.array.any()
+
+
+@pytest.mark.parametrize("wrong", [3.0, "other space"])
+def test_function_that_cannot_be_filled(wrong):
+    scene = block()
+    if wrong == "other space":
+        wrong = fem.Function(block().V)
+    with pytest.raises(InputError, match="^u is"):
+        scene.problem(u=wrong)

@@ -246,8 +246,11 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
     list of Function
         "contact_pressure" [Pa], "contact_force" [N] (normal, times the outward normal) and
         "initial_gap" [m], which is NaN where a contact has no obstacle: where its only gaps are
-        infinite. They are of degree 1: for displacements of degree 2 as well, contact is at the
-        vertices. Some versions of dolfinx compile no form of a field whose name has spaces.
+        infinite. The integral of the pressure over a slave surface is the contact's force in the
+        report, where it is covered wholly; where the slave sticks out of the master, the sum of
+        ``pressure * area`` of the `ContactResult` is. They are of degree 1: for displacements of
+        degree 2 as well, contact is at the vertices. Some versions of dolfinx compile no form of a
+        field whose name has spaces.
     """
     scalar = _compat.lagrange_space(space.mesh, 1)
     pressure, gap = Function(scalar, name="contact_pressure"), Function(scalar, name="initial_gap")

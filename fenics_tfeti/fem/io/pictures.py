@@ -28,7 +28,15 @@ from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_type, owned_cells
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["draw_deformed", "draw_profile"]
+__all__ = [
+    "GatheredMesh",
+    "check_colour",
+    "check_displacement",
+    "draw_deformed",
+    "draw_profile",
+    "gather_mesh",
+    "round_scale",
+]
 
 _log = logging.getLogger(__name__)
 
@@ -104,17 +112,17 @@ def draw_deformed(
     comm = displacement.function_space.mesh.comm
     with raise_collectively(comm):
         _check_path(path)
-        _check_displacement(displacement)
-        _check_colour(displacement, colour)
+        check_displacement(displacement)
+        check_colour(displacement, colour)
         if unit not in _IN_SI:
             raise InputError(f"unknown unit '{unit}'; choose one of {', '.join(_IN_SI)[2:]}")
         if comm.rank == 0:
             _require("pyvista")
-    view = _gather(displacement, colour)
+    view = gather_mesh(displacement, colour)
     with raise_collectively(comm):
         if view is not None:
             if scale is None:
-                scale = _round_scale(view)
+                scale = round_scale(view)
             field = colour.name if colour is not None else "displacement"
             name = label or field.replace("_", " ")
             data = {
@@ -175,7 +183,7 @@ def draw_profile(
 
 
 @dataclass(frozen=True)
-class _View:
+class GatheredMesh:
     """The whole mesh and its fields.
 
     Attributes
@@ -198,7 +206,7 @@ class _View:
     vtk_type: int
 
 
-def _gather(displacement: Function, colour: Function | None) -> _View | None:
+def gather_mesh(displacement: Function, colour: Function | None) -> GatheredMesh | None:
     """Gather the mesh and the fields on rank 0; the other ranks get None. Collective."""
     mesh = displacement.function_space.mesh
     cell = cell_type(mesh)
@@ -230,7 +238,7 @@ def _gather(displacement: Function, colour: Function | None) -> _View | None:
     corners = place.reshape(cells.shape)[:, pieces].reshape(-1, cell.vertices)
     points = points.reshape(-1, 3)[first]
     right_handed = _right_handed(corners, points[corners], cell)
-    return _View(
+    return GatheredMesh(
         points=points,
         displacement=np.pad(moves.reshape(-1, gdim)[first], ((0, 0), (0, 3 - gdim))),
         cells=right_handed[:, cell.vtk_order],
@@ -248,7 +256,7 @@ def _right_handed(
     return np.where(left_handed[:, None], cells[:, cell.reflected], cells)
 
 
-def _round_scale(view: _View) -> float:
+def round_scale(view: GatheredMesh) -> float:
     """Return 1, 2 or 5 times a power of ten that makes displacements a tenth of the mesh."""
     largest = float(np.linalg.norm(view.displacement, axis=1).max())
     size = float(np.ptp(view.points, axis=0).max())
@@ -338,7 +346,8 @@ def _check_path(path: Path) -> None:
         raise InputError(f"'{path}' does not end in .png, the only supported format")
 
 
-def _check_displacement(displacement: Function) -> None:
+def check_displacement(displacement: Function) -> None:
+    """Raise an `InputError` for what is no displacement."""
     mesh = displacement.function_space.mesh
     _, _, shape = _compat.element_facts(displacement.function_space)
     if field_degree(displacement) == 0 or shape != (mesh.geometry.dim,):
@@ -350,7 +359,8 @@ def _check_displacement(displacement: Function) -> None:
         raise InputError(f"'{displacement.name}' has values that are NaN or infinite")
 
 
-def _check_colour(displacement: Function, colour: Function | None) -> None:
+def check_colour(displacement: Function, colour: Function | None) -> None:
+    """Raise an `InputError` for a field that bodies cannot be coloured by."""
     if colour is None:
         return
     _, _, shape = _compat.element_facts(colour.function_space)

@@ -13,6 +13,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
+from fenics_tfeti.feti import interruption
 from fenics_tfeti.parallel import Directory
 from fenics_tfeti.qp import Space
 
@@ -140,10 +141,14 @@ class DualLayout:
 
     def _sum_over_ranks(self, partial: Vector) -> Vector:
         if self.comm.size == 1:
+            interruption.agree(interruption.received())
             return partial
-        total = np.empty_like(partial)
-        self.comm.Allreduce(partial, total)
-        return total
+        # the ranks that were interrupted travel along: no message of their own, one answer for all
+        packed = np.append(partial, float(interruption.received()))
+        total = np.empty_like(packed)
+        self.comm.Allreduce(packed, total)
+        interruption.agree(bool(total[-1] > 0.0))
+        return total[:-1].reshape(partial.shape)
 
     def _sum_and_min_over_ranks(self, partial: Vector) -> Vector:
         if self.comm.size == 1:

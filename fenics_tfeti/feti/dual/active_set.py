@@ -20,6 +20,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
+from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.coupling import null_space
 from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, pcpg
@@ -148,6 +149,7 @@ def primal_dual_active_set(
             solved
             or iterate.at_limit
             or products.total >= max_products
+            or interruption.agreed()
             or not pivots.update(changed, stuck)
         ):
             return _result(problem, iterate, solved)

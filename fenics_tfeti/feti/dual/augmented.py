@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.qp import (
@@ -27,10 +28,14 @@ from fenics_tfeti.qp import (
     smalbe,
 )
 
-__all__ = ["augmented_hessian", "solve_by_smalbe"]
+__all__ = ["Stopped", "augmented_hessian", "solve_by_smalbe"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
+
+
+class Stopped(Exception):  # noqa: N818 - no error
+    """SMALBE-M was interrupted, on all ranks."""
 
 
 def solve_by_smalbe(
@@ -74,10 +79,15 @@ def solve_by_smalbe(
     -------
     SMALBEResult
         With the gradient's part in units of [m] again.
+
+    Raises
+    ------
+    Stopped
+        If a rank was interrupted.
     """
     norm, rows = problem.norm, problem.constraints.inequality
     result = smalbe(
-        augmented_hessian(problem, options.smalbe_rho),
+        _until_interrupted(augmented_hessian(problem, options.smalbe_rho)),
         problem.projector.P(d) / norm,
         Bounds(rows, -feasible[rows]),
         replace(start, q=start.q / norm),
@@ -89,6 +99,17 @@ def solve_by_smalbe(
         monitor=monitor,
     )
     return replace(result, state=replace(result.state, q=norm * result.state.q))
+
+
+def _until_interrupted(
+    hessian: Callable[[Vector], tuple[Vector, Vector]],
+) -> Callable[[Vector], tuple[Vector, Vector]]:
+    def apply(x: Vector) -> tuple[Vector, Vector]:
+        if interruption.agreed():
+            raise Stopped
+        return hessian(x)
+
+    return apply
 
 
 def augmented_hessian(

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.qp import Products
@@ -165,6 +166,8 @@ def pcpg(
         iterate = _first_iterate(problem, face, start, products)
     test_below, best = 0.5 * iterate.residual, iterate
     while iterate.residual > 0.0 and products.total < max_products:
+        if interruption.agreed():
+            return iterate
         if iterate.residual <= test_below:
             if iterate.residual <= sign_factor * iterate.violation:
                 return iterate

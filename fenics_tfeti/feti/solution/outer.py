@@ -10,7 +10,6 @@ eps      is reduced by what the certificate lacks
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -19,14 +18,16 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
+from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.prescribed_motion import prescribed_motion
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.dual.active_set import ActiveSetStep, primal_dual_active_set
-from fenics_tfeti.feti.dual.augmented import solve_by_smalbe
+from fenics_tfeti.feti.dual.active_set import primal_dual_active_set
+from fenics_tfeti.feti.dual.augmented import Stopped, solve_by_smalbe
 from fenics_tfeti.feti.dual.pcpg import PCPGIterate
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.solution.certificate import PrimalProblem
+from fenics_tfeti.feti.solution.monitor import Monitor
 from fenics_tfeti.feti.solution.progress import Progress
 from fenics_tfeti.feti.solution.recovery import (
     Recovered,
@@ -36,14 +37,12 @@ from fenics_tfeti.feti.solution.recovery import (
 )
 from fenics_tfeti.feti.solution.scale import ROUGH_LANCZOS_STEPS, EnergyScale, FeasibleState
 from fenics_tfeti.feti.solution.setup import DualSetup, dual_problem
-from fenics_tfeti.feti.solution.states import Candidate, ContactData, DualState, History, Outcome
+from fenics_tfeti.feti.solution.states import Candidate, ContactData, DualState, Outcome
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.feti.tolerances import ROUNDING
-from fenics_tfeti.qp import OuterIteration, SMALBEState, Unbounded
+from fenics_tfeti.qp import SMALBEState, Unbounded
 
 __all__ = ["iterate_until_certified"]
-
-logger = logging.getLogger(__name__)
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -80,7 +79,7 @@ def iterate_until_certified(
     start: DualState | None,
     options: Options,
     timer: Timer,
-    history: History,
+    monitor: Monitor,
     body_names: Sequence[str] = (),
 ) -> Outcome:
     """Solve the dual problem to tolerances that decrease until the certificate holds.
@@ -103,8 +102,8 @@ def iterate_until_certified(
         Methods, tolerances and limits.
     timer : Timer
         To add the times of phases to.
-    history : History
-        To add to.
+    monitor : Monitor
+        To tell of each step; with the history to add to.
     body_names : sequence of str
         Names of the bodies for the certificate.
 
@@ -126,10 +125,10 @@ def iterate_until_certified(
         c = data.c.copy()
         c[rows] = np.where(far, longest, data.c[rows])
         near = replace(data, c=c)
-        loop = _Loop.begin(setup, near, far, feasible, options, timer, history, body_names)
+        loop = _Loop.begin(setup, near, far, feasible, options, timer, monitor, body_names)
         outcome = _iterate(loop, start)
         closed = bool((outcome.candidate.recovered.closed & far).any())
-        if not comm.allreduce(closed, MPI.LOR):
+        if not comm.allreduce(closed, MPI.LOR) or interruption.agreed():
             candidate = _moved(outcome.candidate, data, coarse_space.rigid_motion(motion))
             return replace(outcome, candidate=candidate)
         longest, start = _FAR * longest, outcome.state
@@ -165,6 +164,8 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
         worst = candidate.certificate.worst
         if worst <= limit:
             return Outcome(candidate, stage.state, True, "converged", tolerance)
+        if interruption.agreed():
+            return Outcome(candidate, stage.state, False, "interrupted", tolerance)
         if not stage.solved:
             return Outcome(candidate, stage.state, False, stage.reason, tolerance)
         progress.update(candidate.certificate, tolerance)
@@ -195,7 +196,7 @@ class _Loop:
 
     Attributes
     ----------
-    setup, data, options, timer, history
+    setup, data, options, timer, monitor
         As given.
     primal : PrimalProblem
         The primal problem (11.21).
@@ -209,7 +210,7 @@ class _Loop:
     data: ContactData
     options: Options
     timer: Timer
-    history: History
+    monitor: Monitor
     primal: PrimalProblem
     d: Vector
     scale: EnergyScale
@@ -222,7 +223,7 @@ class _Loop:
         feasible: FeasibleState,
         options: Options,
         timer: Timer,
-        history: History,
+        monitor: Monitor,
         body_names: Sequence[str],
     ) -> _Loop:
         """Compute d_0 and the scale."""
@@ -236,8 +237,8 @@ class _Loop:
             body_names,
             setup.local.unit,
         )
-        scale = EnergyScale.of(setup, data, feasible, far, timer, history)
-        return _Loop(setup, data, options, timer, history, primal, feasible.jumps - data.c, scale)
+        scale = EnergyScale.of(setup, data, feasible, far, timer, monitor.history)
+        return _Loop(setup, data, options, timer, monitor, primal, feasible.jumps - data.c, scale)
 
     def at_rest(self, multipliers: Vector) -> Outcome:
         """Return u = o, with multipliers that balance the load."""
@@ -261,7 +262,7 @@ class _Loop:
         """Solve the dual problem: by one method, and where it makes no progress by both in turn."""
         if by_active_set:
             stage = self.active_set(stage, tolerance)
-            if stage.solved:
+            if stage.solved or interruption.agreed():
                 return stage
         patience = self.options.smalbe_patience
         while True:
@@ -270,11 +271,11 @@ class _Loop:
                 # directions of U have no curvature: rounding of the gradient may have led there
                 on_faces = self.active_set(stage, tolerance)
                 return on_faces if on_faces.solved else stage
-            if not stage.slow:
+            if not stage.slow or interruption.agreed():
                 return stage
             # the face that SMALBE-M has found; if it is not the last one, SMALBE-M goes on
             on_faces = self.active_set(stage, tolerance)
-            if on_faces.solved:
+            if on_faces.solved or interruption.agreed():
                 return on_faces
             patience *= 2
 
@@ -289,8 +290,8 @@ class _Loop:
                 active,
                 tolerance=tolerance,
                 max_products=self.options.max_products,
-                products=self.history.products,
-                monitor=self._log_face,
+                products=self.monitor.history.products,
+                monitor=self.monitor.face,
             )
             multipliers = self._completed(result.multipliers)
         state = DualState(multipliers, result.coarse_gradient)
@@ -298,7 +299,7 @@ class _Loop:
 
     def smalbe(self, state: DualState, tolerance: float, patience: int) -> _Stage:
         """Run SMALBE-M on (11.40)."""
-        before, feasible = len(self.history.outer), self.data.feasible
+        before, feasible = len(self.monitor.history.outer), self.data.feasible
         energy_norm = self.scale.energy_norm
         problem = self._problem(LANCZOS_STEPS)
         try:
@@ -313,8 +314,8 @@ class _Loop:
                     options=self.options,
                     outer_so_far=before,
                     patience=patience,
-                    products=self.history.products,
-                    monitor=lambda line: self._log_outer(line, before),
+                    products=self.monitor.history.products,
+                    monitor=self.monitor.outer,
                 )
         except Unbounded:
             reason = (
@@ -322,7 +323,8 @@ class _Loop:
                 "each other, or rounding hides it"
             )
             return _Stage(state, solved=False, reason=reason, flat=True)
-        self.history.outer += result.history
+        except Stopped:
+            return _Stage(state, solved=False)
         limits = {
             "max_it": f"limit of {self.options.smalbe_max_it} outer iterations (smalbe_max_it)",
             "max_products": f"limit of {self.options.max_products} products (max_products)",
@@ -375,27 +377,3 @@ class _Loop:
         if active is None:
             active = multipliers[self.setup.constraints.inequality] > 0.0
         return multipliers, active
-
-    def _log_face(self, step: ActiveSetStep) -> None:
-        self.history.faces.append(step)
-        if self.setup.constraints.layout.comm.rank == 0:
-            logger.info(
-                "face  %3d  products %4d  residual %.2e  active %d  changed %d",
-                len(self.history.faces) - 1,
-                step.products,
-                step.residual,
-                step.active,
-                step.changed,
-            )
-
-    def _log_outer(self, line: OuterIteration, before: int) -> None:
-        if self.setup.constraints.layout.comm.rank == 0:
-            logger.info(
-                "outer %3d  products %4d  |g^P| %.2e  |Gx| %.2e  M %.1e  active %d",
-                line.number + before,
-                line.products,
-                line.gradient,
-                line.constraint,
-                line.M,
-                line.active,
-            )

@@ -12,12 +12,14 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import elasticity, pressed_block
+from mortar_blocks import LOWER, UPPER, Blocks, solved
+from scenes import MASTER, SLAVE, elasticity, pressed_block, two_beams
 
 import dolfinx
 import ufl
 from dolfinx import fem
 
+from fenics_tfeti import ContactPair
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.io import Box, boxes, contact_fields, von_mises, write_fields
 
@@ -210,6 +212,37 @@ def test_fields_may_be_used_in_forms():
         "contact_force",
         "initial_gap",
     ]
+
+
+@pytest.mark.parametrize("discretisation", ["node_to_node", "mortar"])
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
+def test_integral_of_the_pressure_is_the_contact_force(cell, discretisation):
+    """Of a pressure that is not uniform: the areas are those of the shape functions."""
+    scene = two_beams(MPI.COMM_SELF, cell, 4)
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, discretisation=discretisation)
+    problem = scene.problem(contacts=[pair], options={"rtol": 1e-9})
+    problem.solve()
+    pressure = contact_fields(scene.V, problem.contact)[0]
+    assert np.ptp(problem.contact[0].pressure) > 0.1 * problem.contact[0].pressure.max()
+    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
+    force = fem.assemble_scalar(fem.form(pressure * ds(SLAVE)))
+    assert force == pytest.approx(problem.report.contact_force[0], rel=1e-10)
+    assert force == pytest.approx(scene.total_forces[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("slave", [LOWER, UPPER])
+def test_integral_of_the_pressure_of_meshes_that_do_not_match(slave):
+    """Where the slave sticks out the areas are those of its covered part."""
+    problem = solved(Blocks("quadrilateral", 5, 7, width=0.7), slave).problem
+    contact, V = problem.contact[0], problem.space
+    force = problem.report.contact_force[0]
+    assert contact.pressure @ contact.area == pytest.approx(force, rel=1e-12)
+    if slave == UPPER:
+        pressure = contact_fields(V, [contact])[0]
+        tags = problem.contacts[0].facet_tags
+        ds = ufl.Measure("ds", domain=V.mesh, subdomain_data=tags)
+        integral = fem.assemble_scalar(fem.form(pressure * ds(UPPER)))
+        assert integral == pytest.approx(force, rel=1e-10)
 
 
 def test_fields_of_the_user_may_have_spaces_in_their_names():

@@ -68,7 +68,7 @@ def test_body_that_does_not_move_can_be_drawn(tmp_path):
 @pytest.mark.parametrize("cell", GDIM)
 def test_whole_mesh_is_drawn_with_bodies_apart(cell):
     u, _, _ = fields(cell)
-    view = pictures._gather(u, None)
+    view = pictures.gather_mesh(u, None)
     mesh = u.function_space.mesh
     assert len(view.points) == mesh.topology.index_map(0).size_global
     assert len(view.cells) == mesh.topology.index_map(mesh.topology.dim).size_global
@@ -77,7 +77,7 @@ def test_whole_mesh_is_drawn_with_bodies_apart(cell):
 @pytest.mark.parametrize("cell", GDIM)
 def test_each_node_has_its_displacement(cell):
     u, _, _ = fields(cell)
-    view = pictures._gather(u, None)
+    view = pictures.gather_mesh(u, None)
     x, y, z = view.points.T
     expected = 1e-3 * np.column_stack([x, y, x + z if GDIM[cell] == 3 else 0 * x])
     assert view.displacement == pytest.approx(expected, abs=1e-15)
@@ -87,7 +87,7 @@ def test_each_node_has_its_displacement(cell):
 @pytest.mark.parametrize("cell", GDIM)
 def test_each_node_or_cell_has_its_colour(cell):
     u, pressure, stress = fields(cell)
-    by_node, by_cell = (pictures._gather(u, colour) for colour in (pressure, stress))
+    by_node, by_cell = (pictures.gather_mesh(u, colour) for colour in (pressure, stress))
     x, y, _ = by_node.points.T
     assert by_node.colours == pytest.approx(x + 2 * y)
     assert by_cell.colours == pytest.approx(1e6 * by_cell.points[by_cell.cells].mean(axis=1)[:, 0])
@@ -99,14 +99,14 @@ def test_cells_of_degree_2_are_drawn_in_pieces(cell):
     mesh = pressure.function_space.mesh
     u = fem.Function(_compat.lagrange_space(mesh, 2, GDIM[cell]), name="displacement")
     u.interpolate(lambda x: 1e-3 * np.stack([x[0] ** 2, x[1], x[2] ** 2])[: GDIM[cell]])
-    by_node, by_cell = (pictures._gather(u, colour) for colour in (pressure, stress))
+    by_node, by_cell = (pictures.gather_mesh(u, colour) for colour in (pressure, stress))
     x, y, z = by_node.points.T
     expected = 1e-3 * np.column_stack([x**2, y, z**2])
     assert by_node.displacement == pytest.approx(expected, abs=1e-15)
     assert by_node.colours == pytest.approx(x + 2 * y)
     cells = mesh.topology.index_map(mesh.topology.dim).size_global
     assert len(by_node.cells) == len(by_cell.colours) == 2 ** GDIM[cell] * cells
-    plain = pictures._gather(fields(cell)[0], stress)
+    plain = pictures.gather_mesh(fields(cell)[0], stress)
     pieces = by_cell.colours.reshape(cells, -1)
     assert np.ptp(pieces, axis=1).max() == 0.0
     assert sorted(pieces[:, 0]) == pytest.approx(sorted(plain.colours))
@@ -114,7 +114,7 @@ def test_cells_of_degree_2_are_drawn_in_pieces(cell):
 
 @pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
 def test_vertices_are_in_the_order_of_vtk(cell):
-    view = pictures._gather(fields(cell)[0], None)
+    view = pictures.gather_mesh(fields(cell)[0], None)
     corners = view.points[view.cells]
     # Around a face, each vertex is next to the one before; a bowtie would have diagonals.
     steps = np.diff(corners[:, [0, 1, 2, 3, 0]], axis=1)
@@ -127,7 +127,7 @@ def test_vertices_are_in_the_order_of_vtk(cell):
 def test_scale_is_round_and_makes_displacements_a_tenth(largest, scale):
     u, _, _ = fields("quadrilateral")  # of the size 2
     u.interpolate(lambda x: np.stack([0 * x[0], largest * x[0] / 2]))
-    assert pictures._round_scale(pictures._gather(u, None)) == pytest.approx(scale)
+    assert pictures.round_scale(pictures.gather_mesh(u, None)) == pytest.approx(scale)
 
 
 def test_other_suffix_is_refused(tmp_path):

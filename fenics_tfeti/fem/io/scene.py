@@ -1,0 +1,121 @@
+"""The outer faces of deformed bodies with fields on them, as data for a viewer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx.fem import Function
+
+from fenics_tfeti.fem.io.pictures import (
+    GatheredMesh,
+    check_colour,
+    check_displacement,
+    gather_mesh,
+    round_scale,
+)
+from fenics_tfeti.parallel import raise_collectively
+
+__all__ = ["Scene", "gather_scene", "outer_triangles"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+# outward faces of VTK's cells by their number: triangle, quadrilateral, tetrahedron, hexahedron
+_FACES = {
+    5: ((0, 1, 2),),
+    9: ((0, 1, 2, 3),),
+    10: ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)),
+    12: (
+        *((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4)),
+        *((1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Triangles of the outer faces, or of the cells in two dimensions.
+
+    Attributes
+    ----------
+    points, displacement : (n, 3) array
+        Nodes of the triangles and their displacements [m].
+    triangles : (t, 3) integer array
+        Positions of their corners, counterclockwise from outside.
+    fields : dict of (n,) or (t,) array
+        Values by name, of nodes or triangles.
+    scale : float
+        Magnification that makes displacements visible.
+    flat : bool
+        Whether the mesh has two dimensions.
+    """
+
+    points: Vector
+    displacement: Vector
+    triangles: Numbers
+    fields: dict[str, Vector]
+    scale: float
+    flat: bool
+
+
+def gather_scene(displacement: Function, fields: Sequence[Function] = ()) -> Scene | None:
+    """Gather the outer faces on rank 0; the other ranks get None. Collective.
+
+    Parameters
+    ----------
+    displacement : dolfinx.fem.Function
+        Continuous of degree 1 or 2, with a component for each dimension [m].
+    fields : sequence of dolfinx.fem.Function
+        Scalars on the same mesh, continuous of degree 1 or 2 or constant on each cell.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if a field is wrong.
+    """
+    with raise_collectively(displacement.function_space.mesh.comm):
+        check_displacement(displacement)
+        for field in fields:
+            check_colour(displacement, field)
+    views = [gather_mesh(displacement, field) for field in (None, *fields)]
+    view = views[0]
+    if view is None:
+        return None
+    names = ["displacement", *(field.name for field in fields)]
+    triangles, cell = outer_triangles(view)
+    kept, corners = np.unique(triangles, return_inverse=True)
+    values: dict[str, Vector] = {}
+    for name, one in zip(names, views, strict=True):
+        if one is not None:
+            by_cell = len(one.colours) == len(one.cells)
+            values[name] = one.colours[cell] if by_cell else one.colours[kept]
+    flat = displacement.function_space.mesh.geometry.dim == 2
+    moves = view.displacement[kept]
+    return Scene(view.points[kept], moves, corners.reshape(-1, 3), values, round_scale(view), flat)
+
+
+def outer_triangles(mesh: GatheredMesh) -> tuple[Numbers, Numbers]:
+    """Return the triangles of the faces of one cell only, and the cell of each.
+
+    Parameters
+    ----------
+    mesh : GatheredMesh
+        The mesh.
+    """
+    table = np.array(_FACES[mesh.vtk_type])
+    faces = mesh.cells[:, table].reshape(-1, table.shape[1])
+    cell = np.repeat(np.arange(len(mesh.cells)), len(table))
+    if len(table) > 1:
+        _, first, count = np.unique(
+            np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
+        )
+        outer = np.sort(first[count == 1])
+        faces, cell = faces[outer], cell[outer]
+    if faces.shape[1] == 3:
+        return faces, cell
+    halves = faces[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+    return halves, np.repeat(cell, 2)

@@ -1,0 +1,218 @@
+"""Checkpoints: where a later run of the same problem may start, in a file.
+
+A checkpoint holds the multipliers, with the numbers of their rows. It is a start, not a result:
+whatever it contains, the certificate decides when the iterations end.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.files import open_arrays, write_arrays
+from fenics_tfeti.feti.solution.states import DualState
+from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.parallel import raise_collectively
+
+__all__ = ["Checkpoint", "SavedState", "fingerprint", "load_checkpoint", "save_checkpoint"]
+
+Array = NDArray[Any]
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+_FORMAT = "fenics_tfeti checkpoint 1"
+
+
+@dataclass(frozen=True)
+class SavedState:
+    """An iterate of the dual problem on this rank, with the rows that it belongs to.
+
+    Attributes
+    ----------
+    multipliers : (m,) array
+        lambda; the active set is where those of contact rows are positive.
+    coarse_gradient : (m,) array
+        The equality multipliers' part of the gradient.
+    numbers : (m,) integer array
+        Global numbers of the rows.
+    contact_rows, tied_rows : integer arrays
+        Local position of each contact row and tied row that this rank gave.
+    """
+
+    multipliers: Vector
+    coarse_gradient: Vector
+    numbers: Numbers
+    contact_rows: Numbers
+    tied_rows: Numbers
+
+    @staticmethod
+    def of(state: DualState, constraints: Constraints) -> SavedState:
+        """Return a state with the numbers of its rows."""
+        return SavedState(
+            state.multipliers,
+            state.coarse_gradient,
+            constraints.layout.numbers,
+            constraints.own_rows,
+            constraints.tied.own_rows,
+        )
+
+    def for_rows(self, constraints: Constraints) -> DualState | None:
+        """Return the state for rows that are numbered alike on all ranks, or None. Collective."""
+        pairs = (
+            (self.numbers, constraints.layout.numbers),
+            (self.contact_rows, constraints.own_rows),
+            (self.tied_rows, constraints.tied.own_rows),
+        )
+        same = all(np.array_equal(*pair) for pair in pairs)
+        if not constraints.layout.comm.allreduce(same, MPI.LAND):
+            return None
+        return DualState(self.multipliers.copy(), self.coarse_gradient.copy())
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """What a file has for this rank.
+
+    Attributes
+    ----------
+    state : SavedState
+        Where the iterations start.
+    own : dict
+        Further arrays of this rank, by name.
+    common : dict
+        Further arrays of all ranks together, by name.
+    """
+
+    state: SavedState
+    own: dict[str, Array]
+    common: dict[str, Array]
+
+
+def fingerprint(system: TornSystem) -> dict[str, str]:
+    """Return what a checkpoint has to agree in with a problem, as check sums. Collective.
+
+    Loads, prescribed values, gaps and stiffness may differ: load steps change them.
+
+    Parameters
+    ----------
+    system : TornSystem
+        The problem.
+
+    Returns
+    -------
+    dict
+        Check sums of the "subdomains" (node numbers, coordinates, bodies), the "supports" (nodes
+        and components), the "contacts" and "tied surfaces" (nodes), over all ranks.
+    """
+    parts: dict[str, list[Any]] = {
+        "subdomains": [(s.nodes, s.coordinates, s.body) for s in system.subdomains],
+        "supports": [(system.prescribed.nodes, system.prescribed.components)],
+        "contacts": [(system.contacts.offsets, system.contacts.nodes, system.contacts.contact)],
+        "tied surfaces": [(system.tied.offsets, system.tied.nodes, system.tied.contact)],
+    }
+    own = {name: _check_sum(part) for name, part in parts.items()}
+    every = system.comm.allgather(own)
+    return {name: _check_sum([tuple(rank[name] for rank in every)]) for name in parts}
+
+
+def _check_sum(parts: list[Any]) -> str:
+    digest = hashlib.sha256()
+    for part in parts:
+        for values in part:
+            array = np.ascontiguousarray(values)
+            digest.update(f"{array.dtype.str} {array.shape} ".encode())
+            digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def save_checkpoint(
+    path: str | os.PathLike[str],
+    system: TornSystem,
+    state: SavedState,
+    own: Mapping[str, Array] | None = None,
+    common: Mapping[str, Array] | None = None,
+) -> None:
+    """Write a checkpoint, or leave the old one as it is. Collective; rank 0 writes.
+
+    Parameters
+    ----------
+    path : path-like
+        File to write or replace.
+    system : TornSystem
+        The problem.
+    state : SavedState
+        Where a later run starts.
+    own, common : mapping, optional
+        Further arrays of each rank, and of all ranks together.
+
+    Raises
+    ------
+    OSError
+        On all ranks, if rank 0 cannot write the file.
+    """
+    comm, sums = system.comm, fingerprint(system)
+    mine = {**vars(state), **{f"own/{name}": array for name, array in (own or {}).items()}}
+    parts = comm.gather(mine)
+    with raise_collectively(comm):
+        if parts is not None:
+            arrays = {"ranks": np.array(comm.size)}
+            arrays |= {f"fingerprint/{name}": np.array(text) for name, text in sums.items()}
+            arrays |= {f"common/{name}": array for name, array in (common or {}).items()}
+            for rank, part in enumerate(parts):
+                arrays |= {f"{rank}/{name}": array for name, array in part.items()}
+            write_arrays(path, "the checkpoint", _FORMAT, arrays)
+
+
+def load_checkpoint(path: str | os.PathLike[str], system: TornSystem) -> Checkpoint:
+    """Read the part of this rank from a checkpoint. Collective.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    system : TornSystem
+        The problem, on as many ranks as the one that was saved.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the file is no checkpoint, damaged, or that of another problem.
+    OSError
+        On all ranks, if the file cannot be read.
+    """
+    comm, sums = system.comm, fingerprint(system)
+    found: Checkpoint | None = None
+    with raise_collectively(comm), open_arrays(path, _FORMAT) as file:
+        ranks = file.integer("ranks")
+        if ranks != comm.size:
+            raise InputError(
+                f"{path}: the checkpoint is of a run on {ranks} ranks, this one has {comm.size}. "
+                "Continue on as many ranks, or start anew"
+            )
+        for name, text in sums.items():
+            if str(file.read(f"fingerprint/{name}", "strings", ())) != text:
+                raise InputError(
+                    f"{path}: the checkpoint is that of another problem, or of another "
+                    f"distribution of its mesh: the {name} differ"
+                )
+        at = f"{comm.rank}/"
+        kinds = {f.name: "numbers" for f in fields(SavedState)[:2]}
+        kinds |= {f.name: "integers" for f in fields(SavedState)[2:]}
+        state = {name: file.read(at + name, kind, (None,)) for name, kind in kinds.items()}
+        if len({state[name].size for name in ("multipliers", "coarse_gradient", "numbers")}) > 1:
+            raise InputError(f"{path}: the multipliers and the numbers of their rows do not fit")
+        found = Checkpoint(
+            SavedState(**state), file.read_all(f"{at}own/"), file.read_all("common/")
+        )
+    assert found is not None
+    return found

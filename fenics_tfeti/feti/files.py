@@ -1,0 +1,214 @@
+"""Files that are written whole or not at all, and named arrays in NumPy's npz format."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.errors import InputError
+
+__all__ = ["ArrayFile", "open_arrays", "write_arrays", "write_whole"]
+
+Array = NDArray[Any]
+
+# the entry that says what a file of arrays is
+_FORMAT = "format"
+# kinds of NumPy's types that an array may have, by what is asked for
+_KINDS = {"integers": "iu", "numbers": "fiu", "strings": "U", "truth values": "b"}
+
+
+def write_whole(path: str | os.PathLike[str], what: str, write: Callable[[BinaryIO], Any]) -> None:
+    """Write a file under another name beside the target, then replace the target.
+
+    Parameters
+    ----------
+    path : path-like
+        File to write or replace.
+    what : str
+        What is written, for the message of an error.
+    write : callable
+        Writes the content to a binary file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written; the target is left as it was.
+    """
+    target = Path(path)
+    part = target.with_name(f"{target.name}.{os.getpid()}.part")
+    try:
+        with part.open("xb") as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(target)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OSError(error.errno, f"{what} cannot be written: {reason}", str(target)) from None
+    finally:
+        # there only after an error, of whatever kind
+        with suppress(OSError):
+            part.unlink()
+
+
+def write_arrays(
+    path: str | os.PathLike[str], what: str, file_format: str, arrays: Mapping[str, Any]
+) -> None:
+    """Write named arrays as an npz file, or nothing.
+
+    Parameters
+    ----------
+    path : path-like
+        File to write or replace.
+    what : str
+        What is written, for the message of an error.
+    file_format : str
+        What the file is, and the version of its format; the entry ``format`` of the file.
+    arrays : mapping
+        Names, which may contain slashes, and arrays.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written; the target is left as it was.
+    """
+    entries = {_FORMAT: np.array(file_format), **arrays}
+    write_whole(path, what, lambda file: _save(file, entries))
+
+
+def _save(file: BinaryIO, arrays: Mapping[str, Any]) -> None:
+    # numpy.savez takes pickled objects without a word in some versions
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                np.save(entry, array, allow_pickle=False)
+
+
+@dataclass(frozen=True)
+class ArrayFile:
+    """An npz file of named arrays, open for reading; arrays are read when they are asked for.
+
+    Attributes
+    ----------
+    path : Path
+        For messages.
+    names : frozenset of str
+        The names of the arrays, without that of the format.
+    archive : zipfile.ZipFile
+        The file.
+    """
+
+    path: Path
+    names: frozenset[str]
+    archive: zipfile.ZipFile
+
+    def read(self, name: str, kind: str, shape: tuple[int | None, ...]) -> Array:
+        """Return an array.
+
+        Parameters
+        ----------
+        name : str
+            Its name.
+        kind : {"integers", "numbers", "strings", "truth values"}
+            What it has to contain.
+        shape : tuple of int or None
+            Its shape; None for any length.
+
+        Raises
+        ------
+        InputError
+            If there is none, if it is damaged, or of another kind or shape.
+        """
+        if name not in self.names:
+            raise InputError(f"{self.path}: the array {name!r} is missing")
+        array = self._read(name)
+        if array.dtype.kind not in _KINDS[kind] or not array.dtype.isnative:
+            raise InputError(f"{self.path}: {name!r} is of type {array.dtype}, expected {kind}")
+        fits = array.ndim == len(shape) and all(
+            wanted is None or n == wanted for n, wanted in zip(array.shape, shape, strict=True)
+        )
+        if not fits:
+            expected = tuple("any" if n is None else n for n in shape)
+            raise InputError(f"{self.path}: {name!r} has shape {array.shape}, expected {expected}")
+        return array
+
+    def integer(self, name: str) -> int:
+        """Return a single integer."""
+        return int(self.read(name, "integers", ()))
+
+    def strings(self, name: str) -> list[str]:
+        """Return a list of strings; an empty array may be of any type."""
+        array = self._read(name) if name in self.names else np.zeros(0)
+        return [] if array.size == 0 else self.read(name, "strings", (None,)).tolist()
+
+    def read_all(self, prefix: str) -> dict[str, Array]:
+        """Return all arrays under a prefix, by the rest of their names; of any kind and shape."""
+        found = sorted(name for name in self.names if name.startswith(prefix))
+        return {name.removeprefix(prefix): self._read(name) for name in found}
+
+    def _read(self, name: str) -> Array:
+        # the check sum is that of all bytes, so they are read before they are interpreted
+        with _damaged(self.path, name):
+            content = BytesIO(self.archive.read(f"{name}.npy"))
+            array: Array = np.load(content, allow_pickle=False)
+        return array
+
+
+@contextmanager
+def open_arrays(path: str | os.PathLike[str], file_format: str) -> Iterator[ArrayFile]:
+    """Open an npz file that `write_arrays` or another program has written.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    file_format : str
+        What its entry ``format`` has to be.
+
+    Raises
+    ------
+    InputError
+        If it is no such file, or damaged.
+    OSError
+        If it cannot be read.
+    """
+    with Path(path).open("rb") as file:
+        try:
+            archive = zipfile.ZipFile(file)
+        except (zipfile.BadZipFile, ValueError) as error:
+            raise InputError(
+                f"{path}: not an npz file, or one that is cut off ({error}); expected the format "
+                f"{file_format!r}"
+            ) from None
+        with archive:
+            names = frozenset(name.removesuffix(".npy") for name in archive.namelist())
+            arrays = ArrayFile(Path(path), names - {_FORMAT}, archive)
+            _check_format(ArrayFile(Path(path), names, archive), file_format)
+            yield arrays
+
+
+def _check_format(arrays: ArrayFile, file_format: str) -> None:
+    if _FORMAT not in arrays.names:
+        raise InputError(f"{arrays.path}: the entry 'format' is missing, expected {file_format!r}")
+    found = str(arrays.read(_FORMAT, "strings", ()))
+    if found != file_format:
+        raise InputError(f"{arrays.path}: the format is {found!r}, expected {file_format!r}")
+
+
+@contextmanager
+def _damaged(path: Path, name: str) -> Iterator[None]:
+    """Say which array of which file cannot be read."""
+    try:
+        yield
+    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, ValueError, RuntimeError) as error:
+        raise InputError(f"{path}: the array {name!r} is damaged: {error}") from None

@@ -1,0 +1,86 @@
+"""What the iterations tell while they run: to the history, the log and the user's function."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+from fenics_tfeti.feti.dual.active_set import ActiveSetStep
+from fenics_tfeti.feti.solution.states import History
+from fenics_tfeti.qp import OuterIteration
+
+__all__ = ["Monitor", "MonitorFunction", "describe_step"]
+
+logger = logging.getLogger(__name__)
+
+MonitorFunction = Callable[[ActiveSetStep | OuterIteration], None]
+
+
+@dataclass(frozen=True)
+class Monitor:
+    """Those that are told of each step.
+
+    Attributes
+    ----------
+    history : History
+        Of the report.
+    comm : MPI.Intracomm
+        The ranks, of which rank 0 writes.
+    function : callable or None
+        The user's, called with each step on all ranks.
+    prints : bool
+        Whether to print a line for each step.
+    """
+
+    history: History
+    comm: MPI.Intracomm
+    function: MonitorFunction | None = None
+    prints: bool = False
+
+    def face(self, step: ActiveSetStep) -> None:
+        """Tell of a face of the active set method."""
+        self.history.faces.append(step)
+        self._tell(step, len(self.history.faces) - 1)
+
+    def outer(self, step: OuterIteration) -> None:
+        """Tell of an outer iteration of SMALBE-M."""
+        self.history.outer.append(step)
+        self._tell(step, len(self.history.outer) - 1)
+
+    def _tell(self, step: ActiveSetStep | OuterIteration, number: int) -> None:
+        if self.comm.rank == 0:
+            line = describe_step(step, number)
+            logger.info(line)
+            if self.prints:
+                print(line, flush=True)
+        if self.function is not None:
+            self.function(step)
+
+
+def describe_step(step: ActiveSetStep | OuterIteration, number: int) -> str:
+    """Return a line about a step.
+
+    Parameters
+    ----------
+    step : ActiveSetStep or OuterIteration
+        The step.
+    number : int
+        Its number in the solve, from 0.
+
+    Examples
+    --------
+    >>> describe_step(ActiveSetStep(products=12, residual=3e-7, active=40, changed=2), 3)
+    'face    3  products   12  residual 3.00e-07  active 40  changed 2'
+    """
+    if isinstance(step, ActiveSetStep):
+        return (
+            f"face  {number:3d}  products {step.products:4d}  residual {step.residual:.2e}  "
+            f"active {step.active}  changed {step.changed}"
+        )
+    return (
+        f"outer {number:3d}  products {step.products:4d}  |g^P| {step.gradient:.2e}  "
+        f"|Gx| {step.constraint:.2e}  M {step.M:.1e}  active {step.active}"
+    )

@@ -1,0 +1,273 @@
+"""Torn systems in files, for matrices from any program: an npz file of named arrays.
+
+docs/solver_alone.rst has the table of the names.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.feti.files import ArrayFile, open_arrays, write_arrays
+from fenics_tfeti.feti.system import ContactRows, Prescribed, Subdomain, TornSystem
+from fenics_tfeti.feti.system_checks import check_system
+from fenics_tfeti.parallel import raise_collectively
+
+__all__ = ["load_system", "save_system"]
+
+Arrays = dict[str, NDArray[Any]]
+
+_FORMAT = "fenics_tfeti torn system 1"
+_ROWS = ("offsets", "nodes", "coefficients", "gap", "contact", "slaves")
+_PRESCRIBED = ("nodes", "components", "values", "condition")
+# patterns of all names; k is a number
+_NAMES = [
+    "gdim",
+    *(f"matrices/k/{name}" for name in ("data", "indices", "indptr")),
+    *(f"subdomains/k/{name}" for name in ("matrix", "load", "coordinates", "nodes", "body")),
+    *(f"prescribed/{name}" for name in _PRESCRIBED),
+    *(f"{rows}/{name}" for rows in ("contacts", "tied") for name in _ROWS),
+    *(f"names/{things}" for things in ("bodies", "contacts", "conditions")),
+]
+
+
+def save_system(path: str | os.PathLike[str], system: TornSystem) -> None:
+    """Write a torn system to a file, or nothing. Collective; rank 0 writes.
+
+    Subdomains, contact rows and tied rows are written in the order of ranks. Subdomains of a rank
+    that share a stiffness matrix share it in the file.
+
+    Parameters
+    ----------
+    path : path-like
+        File to write or replace.
+    system : TornSystem
+        The system. It is checked first.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the system is wrong.
+    OSError
+        On all ranks, if rank 0 cannot write the file; a file that exists is left as it is.
+    """
+    check_system(system)
+    comm = system.comm
+    parts = comm.gather((_parts_of_subdomains(system), _conditions(system)))
+    with raise_collectively(comm):
+        if parts is not None:
+            arrays = {"gdim": np.array(system.gdim), **_names(system)}
+            arrays |= _numbered([subdomains for subdomains, _ in parts])
+            arrays |= _joined([conditions for _, conditions in parts])
+            write_arrays(path, "the torn system", _FORMAT, arrays)
+
+
+def load_system(path: str | os.PathLike[str], comm: MPI.Intracomm | None = None) -> TornSystem:
+    """Read a torn system from a file. Collective; every rank reads its part.
+
+    Each rank gets as many subdomains, contact rows and tied rows as the others, in the order of the
+    file, so that the results of the ranks one after the other are in this order too.
+
+    Parameters
+    ----------
+    path : path-like
+        The file, of `save_system` or of another program.
+    comm : MPI.Intracomm, optional
+        The ranks; by default this rank alone.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the file is of another format, damaged or incomplete, or if an array has an
+        unknown name or is of another type or shape.
+    OSError
+        On all ranks, if the file cannot be read.
+    """
+    comm = MPI.COMM_SELF if comm is None else comm
+    system: TornSystem | None = None
+    with raise_collectively(comm), open_arrays(path, _FORMAT) as file:
+        system = _read(file, comm)
+    assert system is not None
+    return system
+
+
+def _parts_of_subdomains(system: TornSystem) -> tuple[list[Arrays], list[Arrays]]:
+    """Return the distinct matrices, and the subdomains with the positions of theirs."""
+    matrices: dict[int, int] = {}
+    stored, subdomains = list[Arrays](), list[Arrays]()
+    for s in system.subdomains:
+        K = s.stiffness
+        if id(K) not in matrices:
+            matrices[id(K)] = len(stored)
+            stored.append({"data": K.data, "indices": K.indices, "indptr": K.indptr})
+        subdomains.append(
+            {
+                "matrix": np.array(matrices[id(K)]),
+                "load": s.load,
+                "coordinates": s.coordinates,
+                "nodes": s.nodes,
+                "body": np.array(s.body),
+            }
+        )
+    return stored, subdomains
+
+
+def _conditions(system: TornSystem) -> Mapping[str, Arrays]:
+    parts: list[tuple[str, Any, Sequence[str]]] = [
+        ("prescribed", system.prescribed, _PRESCRIBED),
+        ("contacts", system.contacts, _ROWS),
+        ("tied", system.tied, _ROWS),
+    ]
+    return {part: {name: getattr(of, name) for name in names} for part, of, names in parts}
+
+
+def _names(system: TornSystem) -> Arrays:
+    lists = {
+        "bodies": system.body_names,
+        "contacts": system.contact_names,
+        "conditions": system.condition_names,
+    }
+    return {f"names/{things}": np.array(list(of), dtype=np.str_) for things, of in lists.items()}
+
+
+def _numbered(ranks: Sequence[tuple[list[Arrays], list[Arrays]]]) -> Arrays:
+    """Return the matrices and subdomains of all ranks, numbered one after the other."""
+    arrays, matrices, count = Arrays(), 0, 0
+    for stored, subdomains in ranks:
+        for number, matrix in enumerate(stored, matrices):
+            arrays |= {f"matrices/{number}/{name}": array for name, array in matrix.items()}
+        for number, subdomain in enumerate(subdomains, count):
+            shifted = {**subdomain, "matrix": subdomain["matrix"] + matrices}
+            arrays |= {f"subdomains/{number}/{name}": array for name, array in shifted.items()}
+        matrices, count = matrices + len(stored), count + len(subdomains)
+    return arrays
+
+
+def _joined(ranks: Sequence[Mapping[str, Arrays]]) -> Arrays:
+    """Return prescribed displacements and rows of all ranks, one after the other."""
+    arrays = Arrays()
+    for rows in ("contacts", "tied"):
+        whole = ContactRows.concatenate([ContactRows(**rank[rows]) for rank in ranks])
+        arrays |= {f"{rows}/{name}": getattr(whole, name) for name in _ROWS}
+    for name in _PRESCRIBED:
+        arrays[f"prescribed/{name}"] = np.concatenate([rank["prescribed"][name] for rank in ranks])
+    return arrays
+
+
+def _read(file: ArrayFile, comm: MPI.Intracomm) -> TornSystem:
+    """Return this rank's part of the system."""
+    _check_names(file)
+    gdim = file.integer("gdim")
+    if gdim not in (2, 3):
+        raise InputError(f"{file.path}: 'gdim' is {gdim}, expected 2 or 3")
+    numbers = np.array_split(np.arange(_count(file, "subdomains")), comm.size)[comm.rank]
+    matrices: dict[int, sp.csr_matrix] = {}
+    return TornSystem(
+        [_subdomain(file, int(number), gdim, matrices) for number in numbers],
+        _prescribed(file),
+        _rows(file, "contacts", gdim, comm),
+        gdim,
+        file.strings("names/bodies"),
+        file.strings("names/contacts"),
+        comm,
+        file.strings("names/conditions"),
+        _rows(file, "tied", gdim, comm),
+    )
+
+
+def _check_names(file: ArrayFile) -> None:
+    """Refuse arrays that nothing reads, such as optional ones with a misspelt name."""
+    patterns = {name: re.sub(r"(?<=/)\d+(?=/)", "k", name) for name in file.names}
+    unknown = sorted(name for name, pattern in patterns.items() if pattern not in _NAMES)
+    if unknown:
+        close = difflib.get_close_matches(patterns[unknown[0]], _NAMES, n=1)
+        hint = f" Did you mean {close[0]!r}?" if close else ""
+        raise InputError(f"{file.path}: there is no array {unknown[0]!r} in this format.{hint}")
+
+
+def _count(file: ArrayFile, things: str) -> int:
+    """Return how many matrices or subdomains there are, numbered from 0 without gaps."""
+    found = {int(name.split("/")[1]) for name in file.names if name.startswith(f"{things}/")}
+    missing = sorted(set(range(len(found))) - found)
+    if missing:
+        raise InputError(f"{file.path}: '{things}/{missing[0]}' is missing; {max(found)} is there")
+    return len(found)
+
+
+def _subdomain(
+    file: ArrayFile, number: int, gdim: int, matrices: dict[int, sp.csr_matrix]
+) -> Subdomain:
+    at = f"subdomains/{number}"
+    nodes = file.read(f"{at}/nodes", "integers", (None,))
+    matrix, n = file.integer(f"{at}/matrix"), gdim * nodes.size
+    if matrix not in matrices:
+        matrices[matrix] = _matrix(file, matrix)
+    if matrices[matrix].shape != (n, n):
+        raise InputError(
+            f"{file.path}: 'matrices/{matrix}' has {matrices[matrix].shape[0]} rows, but "
+            f"subdomain {number} has {nodes.size} nodes with {gdim} unknowns each"
+        )
+    return Subdomain(
+        matrices[matrix],
+        file.read(f"{at}/load", "numbers", (n,)),
+        file.read(f"{at}/coordinates", "numbers", (nodes.size, gdim)),
+        nodes,
+        file.integer(f"{at}/body"),
+    )
+
+
+def _matrix(file: ArrayFile, number: int) -> sp.csr_matrix:
+    at = f"matrices/{number}"
+    indptr = file.read(f"{at}/indptr", "integers", (None,))
+    indices = file.read(f"{at}/indices", "integers", (None,))
+    data = file.read(f"{at}/data", "numbers", indices.shape).astype(np.float64, copy=False)
+    n = indptr.size - 1
+    try:
+        matrix = sp.csr_matrix((data, indices, indptr), shape=(n, n))
+        matrix.check_format(full_check=True)
+    except ValueError as error:
+        raise InputError(f"{file.path}: '{at}' is not a csr matrix: {error}") from None
+    return matrix
+
+
+def _prescribed(file: ArrayFile) -> Prescribed:
+    if not any(name.startswith("prescribed/") for name in file.names):
+        return Prescribed()
+    nodes = file.read("prescribed/nodes", "integers", (None,))
+    condition = None
+    if "prescribed/condition" in file.names:
+        condition = file.read("prescribed/condition", "integers", nodes.shape)
+    components = file.read("prescribed/components", "integers", nodes.shape)
+    values = file.read("prescribed/values", "numbers", nodes.shape)
+    return Prescribed(nodes, components, values, condition)
+
+
+def _rows(file: ArrayFile, part: str, gdim: int, comm: MPI.Intracomm) -> ContactRows:
+    """Return this rank's contact or tied rows."""
+    if not any(name.startswith(f"{part}/") for name in file.names):
+        return ContactRows.none(gdim)
+    gap = file.read(f"{part}/gap", "numbers", (None,))
+    nodes = file.read(f"{part}/nodes", "integers", (None,))
+    offsets = file.read(f"{part}/offsets", "integers", (gap.size + 1,)).astype(np.int64)
+    if offsets[0] != 0 or offsets[-1] != nodes.size or (np.diff(offsets) < 1).any():
+        raise InputError(
+            f"{file.path}: '{part}/offsets' has to begin with 0, to end with the number of nodes, "
+            f"{nodes.size}, and to increase in between"
+        )
+    slaves = None
+    if f"{part}/slaves" in file.names:
+        slaves = file.read(f"{part}/slaves", "integers", gap.shape)
+    coefficients = file.read(f"{part}/coefficients", "numbers", (nodes.size, gdim))
+    contact = file.read(f"{part}/contact", "integers", gap.shape)
+    rows = ContactRows(offsets, nodes, coefficients, gap, contact, slaves)
+    return rows.chosen(np.array_split(np.arange(rows.size), comm.size)[comm.rank])

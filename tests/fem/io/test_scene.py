@@ -1,0 +1,80 @@
+"""The outer faces of deformed bodies."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import scenes
+
+from dolfinx import fem
+
+from fenics_tfeti import InputError
+from fenics_tfeti.fem.io.scene import gather_scene
+from fenics_tfeti.io import displacement_space
+
+COMM = MPI.COMM_SELF
+
+
+def displaced(cell: str, degree: int = 1):
+    """Return a displacement field u = (x, 0, ...) / 100 of two beams."""
+    mesh = scenes.beams_mesh(COMM, cell, 2, 0.0, 1.0)[0]
+    u = fem.Function(displacement_space(mesh, degree))
+    u.interpolate(lambda x: np.stack([0.01 * x[0], *(0 * x[1 : mesh.geometry.dim])]))
+    return u
+
+
+def areas(scene):
+    """Return the oriented areas of the triangles."""
+    a, b, c = (scene.points[corner] for corner in scene.triangles.T)
+    return 0.5 * np.cross(b - a, c - a)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_outer_faces_are_closed_and_outward(cell, degree):
+    """Two beams of 2 m x 1 m x 1 m: by Gauss' theorem, int x.n = 3 V."""
+    scene = gather_scene(displaced(cell, degree))
+    areas_of = areas(scene)
+    np.testing.assert_allclose(areas_of.sum(axis=0), 0.0, atol=1e-12)
+    assert np.linalg.norm(areas_of, axis=1).sum() == pytest.approx(2 * 10.0)
+    middles = scene.points[scene.triangles].mean(axis=1)
+    assert np.sum(middles * areas_of) == pytest.approx(3 * 4.0)
+    np.testing.assert_allclose(scene.displacement[:, 0], 0.01 * scene.points[:, 0], atol=1e-15)
+    assert not scene.flat
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_cells_of_two_dimensions(cell, degree):
+    scene = gather_scene(displaced(cell, degree))
+    areas_of = areas(scene)
+    assert areas_of[:, 2].sum() == pytest.approx(4.0)
+    assert (areas_of[:, 2] > 0.0).all() and scene.flat
+    assert not scene.displacement[:, 1:].any()
+
+
+def test_fields_of_nodes_and_cells():
+    u = displaced("hexahedron")
+    mesh = u.function_space.mesh
+    by_node = fem.Function(scenes.scalar_space(mesh), name="height")
+    by_node.interpolate(lambda x: x[2])
+    by_cell = fem.Function(scenes.scalar_space(mesh, "DG", 0), name="body")
+    by_cell.interpolate(lambda x: np.where(x[2] < 1.0, 1.0, 2.0))
+    scene = gather_scene(u, [by_node, by_cell])
+    assert list(scene.fields) == ["displacement", "height", "body"]
+    np.testing.assert_allclose(scene.fields["height"], scene.points[:, 2], atol=1e-14)
+    np.testing.assert_allclose(scene.fields["displacement"], 0.01 * scene.points[:, 0], atol=1e-14)
+    middles = scene.points[scene.triangles].mean(axis=1)
+    lower = middles[:, 2] < 1.0 - 1e-9
+    assert len(scene.fields["body"]) == len(scene.triangles)
+    assert (scene.fields["body"][lower] == 1.0).all()
+
+
+def test_wrong_fields_are_refused():
+    u = displaced("triangle")
+    with pytest.raises(InputError, match="a scalar is expected"):
+        gather_scene(u, [u])
+    with pytest.raises(InputError, match="not a displacement"):
+        gather_scene(fem.Function(scenes.scalar_space(u.function_space.mesh)))

@@ -1,0 +1,53 @@
+"""What a solve tells: to the user's function and the log; it prints nothing unless asked."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+from torn import column
+
+from fenics_tfeti.feti import ActiveSetStep, Options, TornSolver
+from fenics_tfeti.feti.solution.monitor import describe_step
+from fenics_tfeti.qp import OuterIteration
+
+
+@pytest.mark.parametrize("method", ["active_set", "smalbe"])
+def test_function_gets_the_steps_of_the_report(method):
+    steps = []
+    report = TornSolver(column(), Options(method=method)).solve(steps.append).report
+    if method == "smalbe":
+        assert steps == report.history and isinstance(steps[0], OuterIteration)
+    else:
+        assert steps == report.faces and isinstance(steps[0], ActiveSetStep)
+    assert len(steps) > 1 or method == "active_set"
+
+
+def test_nothing_is_printed_unasked(capfd):
+    TornSolver(column()).solve()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_option_prints_a_line_for_each_step(capfd):
+    steps = []
+    TornSolver(column(), Options(monitor=True, method="smalbe")).solve(steps.append)
+    lines = capfd.readouterr().out.splitlines()
+    assert lines == [describe_step(step, number) for number, step in enumerate(steps)]
+    assert lines[-1].startswith(f"outer {len(steps) - 1:3d}  products")
+
+
+def test_log_has_the_same_lines(caplog):
+    steps = []
+    with caplog.at_level(logging.INFO, logger="fenics_tfeti"):
+        TornSolver(column()).solve(steps.append)
+    assert [record.message for record in caplog.records] == [
+        describe_step(step, number) for number, step in enumerate(steps)
+    ]
+
+
+def test_error_of_the_function_is_the_users_own():
+    def fail(step):
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        TornSolver(column()).solve(fail)

@@ -1,0 +1,153 @@
+"""Torn systems written and read again."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from torn import column
+
+from fenics_tfeti import InputError
+from fenics_tfeti.feti import (
+    ContactRows,
+    Options,
+    TornSolver,
+    TornSystem,
+    load_system,
+    save_system,
+)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "system.npz"
+
+
+def everything() -> TornSystem:
+    """Return a system in which every field of every part has other values than by default."""
+    system = column(n=2, height=2)
+    rows, second = system.contacts, 10**9
+    upper = system.subdomains[-1]
+    side = upper.nodes[np.isclose(upper.coordinates[:, 2], 2.5)][:2]
+    tied = ContactRows.node_to_node(side, [-1, -1], np.tile([1.0, 0, 0], (2, 1)), [0, 0], [1, 1])
+    two = dataclasses.replace(rows, gap=np.append(rows.gap[:-1], np.inf))
+    condition = (system.prescribed.nodes >= second).astype(np.int64)
+    return dataclasses.replace(
+        system,
+        contacts=two,
+        tied=tied,
+        prescribed=dataclasses.replace(system.prescribed, condition=condition),
+        contact_names=["joint", "tie"],
+        condition_names=["bottom", "top"],
+    )
+
+
+def assert_same(one, other):
+    """Compare data classes, lists and arrays of any depth."""
+    assert type(one) is type(other)
+    if dataclasses.is_dataclass(one):
+        for f in dataclasses.fields(one):
+            if f.name != "comm":
+                assert_same(getattr(one, f.name), getattr(other, f.name))
+    elif isinstance(one, list):
+        assert len(one) == len(other)
+        for a, b in zip(one, other, strict=True):
+            assert_same(a, b)
+    elif hasattr(one, "toarray"):
+        assert_same(one.toarray(), other.toarray())
+    elif isinstance(one, np.ndarray):
+        assert one.dtype == other.dtype
+        np.testing.assert_array_equal(one, other)
+    else:
+        assert one == other
+
+
+def test_round_trip(path):
+    system = everything()
+    save_system(path, system)
+    assert_same(load_system(path), system)
+
+
+def test_solution_is_the_same_to_the_last_bit(path):
+    system = column(load=(0.1, 0, -1.0))
+    save_system(path, system)
+    one, other = (TornSolver(s, Options(rtol=1e-8)).solve() for s in (system, load_system(path)))
+    np.testing.assert_array_equal(one.multipliers, other.multipliers)
+    assert one.report.contact_force == other.report.contact_force
+
+
+def test_shared_matrices_stay_shared(path):
+    """As subdomains that share their matrix share its factor."""
+    system = column(n=2, height=3)
+    K = system.subdomains[0].stiffness
+    shared = [dataclasses.replace(s, stiffness=K) for s in system.subdomains]
+    save_system(path, dataclasses.replace(system, subdomains=shared))
+    read = load_system(path).subdomains
+    assert len(read) == 4 and len({id(s.stiffness) for s in read}) == 1
+    assert sum("matrices" in name for name in np.load(path).files) == 3
+
+
+def test_optional_arrays_may_be_left_out(path):
+    save_system(path, column(n=2))
+    arrays = dict(np.load(path))
+    for name in list(arrays):
+        if name.startswith(("tied/", "names/")) or name in ("contacts/slaves",):
+            del arrays[name]
+    del arrays["prescribed/condition"]
+    np.savez(path, **arrays)
+    system = load_system(path)
+    assert system.body_names == [] and system.tied.size == 0
+    assert TornSolver(system).solve().report.converged
+
+
+def test_no_contact_and_no_support(path):
+    save_system(path, column(n=2, contact=False))
+    arrays = {
+        name: array
+        for name, array in np.load(path).items()
+        if not name.startswith(("contacts/", "prescribed/"))
+    }
+    np.savez(path, **arrays)
+    system = load_system(path)
+    assert system.contacts.size == 0 and system.prescribed.nodes.size == 0
+
+
+WRONG = [
+    ("gdim", np.array(4), "'gdim' is 4"),
+    ("gdim", np.array(3.0), "'gdim' is of type float64, expected integers"),
+    ("subdomains/1/load", None, "'subdomains/1/load' is missing"),
+    ("subdomains/1/load", np.zeros(5), r"'subdomains/1/load' has shape \(5,\)"),
+    ("subdomains/1/nodes", np.arange(3), "27 nodes|3 nodes"),
+    ("subdomains/4/nodes", np.arange(3), "'subdomains/3' is missing"),
+    ("subdomains/0/matrix", np.array(9), "'matrices/9/indptr' is missing"),
+    ("matrices/0/data", np.zeros(2), "'matrices/0/data' has shape"),
+    ("matrices/0/indptr", np.arange(82)[::-1].copy(), "'matrices/0' is not a csr matrix"),
+    ("contacts/offsets", np.zeros(10, dtype=int), "'contacts/offsets' has to begin with 0"),
+    ("contacts/gaps", np.zeros(9), "no array 'contacts/gaps' .* mean 'contacts/gap'"),
+    ("subdomains/x/load", np.zeros(9), "no array 'subdomains/x/load'"),
+    ("names/bodies", np.arange(2), "'names/bodies' is of type int64, expected strings"),
+    ("format", np.array("something else"), "the format is 'something else'"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "message"), WRONG)
+def test_wrong_array_is_named(path, name, value, message):
+    save_system(path, column(n=2))
+    arrays = dict(np.load(path))
+    arrays.pop(name, None)
+    if value is not None:
+        arrays[name] = value
+    np.savez(path, **arrays)
+    with pytest.raises(InputError, match=message) as caught:
+        load_system(path)
+    assert str(path) in str(caught.value)
+
+
+def test_wrong_system_is_not_written(path):
+    system = column(n=2)
+    load = np.full(system.subdomains[0].size, np.nan)
+    wrong = [dataclasses.replace(system.subdomains[0], load=load), *system.subdomains[1:]]
+    with pytest.raises(InputError, match="NaN"):
+        save_system(path, dataclasses.replace(system, subdomains=wrong))
+    assert not path.exists()

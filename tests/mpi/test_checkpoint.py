@@ -1,0 +1,67 @@
+"""Checkpoints of several ranks."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from killed_run import HEIGHTS, Disc, block_on_disc, run
+
+from fenics_tfeti import InputError
+
+COMM = MPI.COMM_WORLD
+
+
+@pytest.fixture
+def path():
+    """Return a path in an empty folder that all ranks share."""
+    folder = Path(COMM.bcast(tempfile.mkdtemp() if COMM.rank == 0 else None))
+    yield folder / "checkpoint.npz"
+    COMM.barrier()
+    if COMM.rank == 0:
+        shutil.rmtree(folder)
+
+
+def test_run_goes_on(path):
+    whole = list(run(COMM, path))
+    COMM.barrier()
+    if COMM.rank == 0:
+        path.unlink()
+    COMM.barrier()
+    steps = run(COMM, path)
+    first = [next(steps), next(steps)]
+    steps.close()
+    COMM.barrier()
+    for found, expected in zip([*first, *run(COMM, path)], whole, strict=True):
+        assert found["step"] == expected["step"]
+        assert found["energy"] == pytest.approx(expected["energy"], rel=1e-7, abs=1e-12)
+        assert found["force"] == pytest.approx(expected["force"], rel=1e-7, abs=1e-9)
+
+
+def test_wrong_checkpoints_are_refused_on_all_ranks(path):
+    disc = Disc()
+    disc.height = HEIGHTS[-1]
+    problem = block_on_disc(COMM, disc)
+    problem.solve(checkpoint=path)
+    COMM.barrier()
+    with pytest.raises(InputError, match="subdomains differ"):
+        block_on_disc(COMM, disc, divisions=8).restore(path)
+    alone = block_on_disc(MPI.COMM_SELF, disc)
+    with pytest.raises(InputError, match=f"a run on {COMM.size} ranks, this one has 1"):
+        alone.restore(path)
+    COMM.barrier()
+    if COMM.rank == 0:
+        arrays = dict(np.load(path))
+        # the part of the last rank alone is wrong
+        arrays[f"{COMM.size - 1}/numbers"] = np.zeros(1, dtype=np.int64)
+        np.savez(path, **arrays)
+    COMM.barrier()
+    with pytest.raises(InputError, match="do not fit"):
+        block_on_disc(COMM, disc).restore(path)
+    with pytest.raises(OSError, match="the checkpoint cannot be written"):
+        block_on_disc(COMM, disc).solve(checkpoint=path.parent / "missing" / path.name)

@@ -1,0 +1,40 @@
+"""The page of a problem on several ranks."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import tempfile
+from pathlib import Path
+
+from mpi4py import MPI
+
+import pytest
+import scenes
+
+from fenics_tfeti import InputError
+from fenics_tfeti.io import contact_fields
+
+COMM = MPI.COMM_WORLD
+
+
+def test_rank_0_writes_the_whole():
+    folder = Path(COMM.bcast(tempfile.mkdtemp() if COMM.rank == 0 else None))
+    scene = scenes.two_beams(COMM, "quadrilateral", 2)
+    problem = scene.problem()
+    uh = problem.solve()
+    pressure = contact_fields(scene.V, problem.contact)[0]
+    problem.report.to_html(folder / "page.html", uh, [pressure])
+    with pytest.raises(OSError, match="the page cannot be written"):
+        problem.report.to_html(folder / "missing" / "page.html", uh)
+    with pytest.raises(InputError, match="a scalar is expected"):
+        problem.report.to_html(folder / "page.html", uh, [uh])
+    COMM.barrier()
+    text = (folder / "page.html").read_text()
+    data = json.loads(re.search(r'id="data">(.*?)</script>', text).group(1))
+    # two beams of 4 x 2 squares in two triangles each; 4 bytes are 16 / 3 characters
+    assert len(data["scene"]["triangles"][0]) * 3 // 4 // 4 == 2 * 2 * 8
+    COMM.barrier()
+    if COMM.rank == 0:
+        shutil.rmtree(folder)

@@ -1,0 +1,87 @@
+"""A block pressed onto a disc that moves in steps, with exact non-penetration; the run may die.
+
+    python killed_run.py CHECKPOINT REPORTS [STEP PASS]
+
+goes on from the checkpoint if there is one, writes a line of JSON for each step that it has
+finished, and kills its last rank in the given pass of the given step.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+from scenes import CLAMPED, SLAVE, at, elasticity, fixed, vector_space
+
+import ufl
+
+from fenics_tfeti import ContactProblem, RigidObstacle, Sphere
+from fenics_tfeti.io import Box, boxes, tag_facets
+
+OPTIONS = {"rtol": 1e-9, "non_penetration": "exact", "non_penetration_tolerance": 1e-8}
+HEIGHTS = [-1.02, -1.01, -1.0]
+
+
+class Disc:
+    """A disc whose centre moves."""
+
+    height = HEIGHTS[0]
+
+    def __call__(self, x):
+        return Sphere((0.6, self.height, 0.0), 1.0)(x)
+
+
+def block_on_disc(comm, disc, divisions: int = 12) -> ContactProblem:
+    """Return a block whose upper face is held, shifted by 0.05 m, over a disc."""
+    box = Box((0, 0), (1, 0.5), (divisions, divisions // 2))
+    mesh = boxes(comm, [box], "quadrilateral").mesh
+    tags = tag_facets(mesh, [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))])
+    V = vector_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    bcs = [fixed(V, tags, CLAMPED, i, value) for i, value in enumerate((0.05, -0.02))]
+    contact = RigidObstacle(tags, slave=SLAVE, obstacle=disc)
+    options = {**OPTIONS, "subdomain_size": 60}
+    return ContactProblem(elasticity(u, v, 1e6), 0, bcs=bcs, contacts=[contact], options=options)
+
+
+def run(comm, checkpoint: Path, dies_in: tuple[int, int] | None = None):
+    """Solve the steps that are left; yield step and problem after each."""
+    disc = Disc()
+    problem = block_on_disc(comm, disc)
+    begin = problem.restore(checkpoint) if checkpoint.exists() else 0
+
+    def die(step):
+        here = (len(reports), len(problem._passes))
+        if here == dies_in and comm.rank == comm.size - 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    reports = list(range(begin))
+    for step in range(begin, len(HEIGHTS)):
+        disc.height = HEIGHTS[step]
+        uh = problem.solve(monitor=die, checkpoint=checkpoint)
+        reports.append(step)
+        size = comm.allreduce(float(np.abs(uh.x.array).max(initial=0.0)), MPI.MAX)
+        report = problem.report
+        yield {
+            "step": step,
+            "passes": len(report.passes),
+            "force": report.contact_force[0],
+            "energy": report.energy,
+            "reused": report.reused,
+            "size": size,
+        }
+
+
+if __name__ == "__main__":
+    dies_in = tuple(map(int, sys.argv[3:5])) or None
+    world = MPI.COMM_WORLD
+    for line in run(world, Path(sys.argv[1]), dies_in):
+        if world.rank == 0:
+            with Path(sys.argv[2]).open("a") as file:
+                file.write(json.dumps(line) + "\n")

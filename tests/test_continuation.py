@@ -1,0 +1,175 @@
+"""Runs that were killed, interrupted or stopped go on to the same answer."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from killed_run import HEIGHTS, Disc, block_on_disc, run
+
+from fenics_tfeti import InputError, Interrupted, NotConverged
+from fenics_tfeti.feti import save_checkpoint
+
+COMM = MPI.COMM_SELF
+SCRIPT = Path(__file__).parent / "support" / "killed_run.py"
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Return what a run prints that nothing ends."""
+    return list(run(COMM, tmp_path_factory.mktemp("whole") / "checkpoint.npz"))
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "checkpoint.npz"
+
+
+def mpirun() -> list[str]:
+    """Return the launcher of the MPI library that this Python's mpi4py loads."""
+    own = Path(sys.prefix) / "bin" / "mpiexec"
+    command = str(own) if own.exists() else "/usr/bin/mpirun"
+    version = subprocess.run([command, "--version"], capture_output=True, text=True).stdout
+    return [command, "--oversubscribe"] if "Open MPI" in version else [command]
+
+
+def launched(ranks: int, *arguments: object) -> int:
+    """Run the script on some ranks; return the exit code."""
+    command = [sys.executable, str(SCRIPT), *map(str, arguments)]
+    if ranks > 1:
+        command = [*mpirun(), "-n", str(ranks), *command]
+    # this process may be a run of MPI itself, which its children must not join
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMI", "HYDRA"))}
+    allowed = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=200, env={**kept, **allowed}
+    )
+    assert done.returncode in (0, -signal.SIGKILL, 128 + signal.SIGKILL, 9), done.stderr
+    return done.returncode
+
+
+@pytest.mark.parametrize(("ranks", "dies_in"), [(1, (0, 1)), (1, (1, 3)), (1, (2, 0)), (2, (1, 3))])
+def test_killed_run_goes_on(path, whole, ranks, dies_in):
+    """SIGKILL in a pass: the step begins again with that pass, and the rest is the same."""
+    reports = path.with_name("reports.jsonl")
+    assert launched(ranks, path, reports, *dies_in) != 0
+    finished = reports.read_text().splitlines() if reports.exists() else []
+    assert len(finished) == dies_in[0] and path.exists()
+    assert launched(ranks, path, reports) == 0
+    steps = [json.loads(line) for line in reports.read_text().splitlines()]
+    assert [step["step"] for step in steps] == list(range(len(HEIGHTS)))
+    for found, expected in zip(steps, whole, strict=True):
+        for name in ("force", "energy", "size"):
+            assert found[name] == pytest.approx(expected[name], rel=1e-6, abs=1e-12)
+        assert abs(found["passes"] - expected["passes"]) <= 1
+
+
+def test_first_solve_after_it_starts_from_the_checkpoint(path, whole):
+    steps = run(COMM, path)
+    next(steps)
+    next(steps)
+    steps.close()
+    (last,) = run(COMM, path)
+    assert last["step"] == 2 and last["passes"] <= whole[2]["passes"]
+    assert last["energy"] == pytest.approx(whole[2]["energy"], rel=1e-8)
+
+
+def test_passes_of_both_runs_are_in_the_report(path, whole):
+    """And the limit on passes counts them all."""
+    problem = block_on_disc(COMM, moved := Disc())
+    moved.height = HEIGHTS[-1]
+    passes = []
+
+    def stop(step):
+        passes.append(len(problem._passes))
+        if passes[-1] == 3:
+            raise Interrupted("here")
+
+    with pytest.raises(Interrupted):
+        problem.solve(monitor=stop, checkpoint=path)
+    again = block_on_disc(COMM, moved)
+    assert again.restore(path) == 0
+    again.solve()
+    assert "checkpoint" not in again.report.reused
+    assert len(again.report.passes) >= 4
+    assert [p.products for p in again.report.passes[:3]] == [
+        p.products for p in problem._passes[:3]
+    ]
+    errors = [p.error for p in again.report.passes]
+    assert errors[-1] <= 1e-8 < min(errors[:-1])
+
+
+def test_interruption_writes_the_checkpoint(path):
+    problem = block_on_disc(COMM, disc := Disc())
+    disc.height = HEIGHTS[-1]
+    signals = [signal.SIGINT]
+
+    def interrupt(step):
+        # once: a second signal would end the process at once
+        while signals:
+            os.kill(os.getpid(), signals.pop())
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(Interrupted):
+            problem.solve(monitor=interrupt, checkpoint=path)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    again = block_on_disc(COMM, disc)
+    assert again.restore(path) == 0
+    again.solve()
+    assert again.report.converged
+
+
+def test_last_iterate_of_a_limit_is_no_finished_step(path):
+    problem = block_on_disc(COMM, disc := Disc())
+    disc.height = HEIGHTS[-1]
+    problem.solve(checkpoint=path)
+    kept = path.read_bytes()
+    object.__setattr__(problem.options, "non_penetration_max_it", 1)
+    disc.height = HEIGHTS[0]
+    with pytest.raises(NotConverged):
+        problem.solve(checkpoint=path)
+    assert path.read_bytes() == kept
+
+
+def test_checkpoints_that_cannot_be_restored(path):
+    problem = block_on_disc(COMM, Disc())
+    with pytest.raises(FileNotFoundError):
+        problem.restore(path)
+    problem.solve(checkpoint=path)
+    with pytest.raises(InputError, match="not solved yet"):
+        problem.restore(path)
+    with pytest.raises(InputError, match="the subdomains differ"):
+        block_on_disc(COMM, Disc(), divisions=8).restore(path)
+    save_checkpoint(path, problem.system, problem._solver.state)
+    with pytest.raises(InputError, match="not one of a ContactProblem"):
+        block_on_disc(COMM, Disc()).restore(path)
+
+
+def test_unwritable_checkpoint_is_an_error_of_the_solve(tmp_path):
+    with pytest.raises(OSError, match="the checkpoint cannot be written"):
+        block_on_disc(COMM, Disc()).solve(checkpoint=tmp_path / "missing" / "checkpoint.npz")
+
+
+def test_solution_does_not_depend_on_what_the_checkpoint_holds(path):
+    """A checkpoint with other numbers is another start; the certificate decides."""
+    problem = block_on_disc(COMM, disc := Disc())
+    disc.height = HEIGHTS[-1]
+    exact = problem.solve(checkpoint=path)
+    arrays = dict(np.load(path))
+    rng = np.random.default_rng(0)
+    arrays["0/multipliers"] = 1e3 * rng.standard_normal(arrays["0/multipliers"].size)
+    np.savez(path, **arrays)
+    again = block_on_disc(COMM, disc)
+    again.restore(path)
+    uh = again.solve()
+    np.testing.assert_allclose(uh.x.array, exact.x.array, atol=1e-6 * np.abs(exact.x.array).max())
