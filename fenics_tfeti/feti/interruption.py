@@ -66,8 +66,6 @@ def deferred() -> Iterator[None]:
     """
     main = threading.current_thread() is threading.main_thread()
     handled = main and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if _signals.depth == 0:
-        _signals.received = _signals.agreed = False
     _signals.depth += 1
     if handled:
         signal.signal(signal.SIGINT, _set_flag)
@@ -77,9 +75,12 @@ def deferred() -> Iterator[None]:
         _signals.depth -= 1
         if handled:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-    if _signals.depth == 0 and _signals.received:
-        # after the last check of the ranks
-        raise KeyboardInterrupt
+        if _signals.depth == 0:
+            unseen = _signals.received and not _signals.agreed
+            _signals.received = _signals.agreed = False
+            if unseen:
+                # after the last check of the ranks, or another error came before one
+                raise KeyboardInterrupt
 
 
 def _set_flag(number: int, frame: FrameType | None) -> None:

@@ -103,6 +103,14 @@ def test_signal_that_no_check_has_seen_is_not_lost():
         interrupt()
 
 
+def test_signal_before_another_error_is_not_lost():
+    with pytest.raises(KeyboardInterrupt) as caught, interruption.deferred():
+        interrupt()
+        raise ValueError("of something else")
+    assert isinstance(caught.value.__context__, ValueError)
+    assert not interruption.received() and not interruption.agreed()
+
+
 def test_checks_end_the_block():
     with pytest.raises(Interrupted), interruption.deferred():
         interruption.check(COMM)
