@@ -13,7 +13,7 @@ from fenics_tfeti.feti.coarse.factor import CoarseSolverKind
 from fenics_tfeti.feti.constraints.scaling import Scaling
 from fenics_tfeti.feti.dual.operator import DualOperatorKind
 from fenics_tfeti.feti.local.cholesky import Package
-from fenics_tfeti.qp.mprgp import Expansion
+from fenics_tfeti.qp.proportioning import Expansion
 
 __all__ = ["Options", "check_range", "convert", "parse_options", "refuse_unknown"]
 

@@ -1,36 +1,50 @@
-"""Bound- and equality-constrained quadratic programmes, given as an operator and vectors.
+"""Quadratic programmes on products of intervals and discs with equalities, given by an operator.
 
-Independent of finite elements and domain decomposition: MPRGP (algorithm 8.2), SMALBE-M
-(algorithm 9.2) and a Lanczos bound of the spectrum.
+Independent of finite elements and domain decomposition: MPRGP (algorithm 8.2), MPGP for sets with
+curved boundaries, SMALBE-M (algorithm 9.2) and a Lanczos bound of the spectrum.
 """
 
-from fenics_tfeti.qp.feasible_set import Bounds
+from fenics_tfeti.qp.feasible_set import Bounds, Discs, FeasibleSet, ProductSet, Split
 from fenics_tfeti.qp.least_squares import (
     least_distance,
     least_norm_nonnegative,
     least_norm_partly_nonnegative,
     nonnegative_least_squares,
 )
-from fenics_tfeti.qp.mprgp import MPRGPOptions, MPRGPResult, Products, Unbounded, mprgp
+from fenics_tfeti.qp.mpgp import mpgp
+from fenics_tfeti.qp.mprgp import mprgp
+from fenics_tfeti.qp.proportioning import (
+    Hessian,
+    Products,
+    ProportioningOptions,
+    ProportioningResult,
+    Unbounded,
+)
 from fenics_tfeti.qp.smalbe import OuterIteration, SMALBEOptions, SMALBEResult, SMALBEState, smalbe
 from fenics_tfeti.qp.space import Space
 from fenics_tfeti.qp.spectrum import lanczos_upper_bound
 
 __all__ = [
     "Bounds",
-    "MPRGPOptions",
-    "MPRGPResult",
+    "Discs",
+    "FeasibleSet",
+    "Hessian",
     "OuterIteration",
+    "ProductSet",
     "Products",
+    "ProportioningOptions",
+    "ProportioningResult",
     "SMALBEOptions",
     "SMALBEResult",
     "SMALBEState",
     "Space",
+    "Split",
     "Unbounded",
     "lanczos_upper_bound",
     "least_distance",
     "least_norm_nonnegative",
     "least_norm_partly_nonnegative",
+    "mpgp",
     "mprgp",
     "nonnegative_least_squares",
     "smalbe",

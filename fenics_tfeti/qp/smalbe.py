@@ -1,4 +1,4 @@
-"""SMALBE-M: semimonotonic augmented Lagrangians for bounds and equalities (algorithm 9.2).
+"""SMALBE-M: semimonotonic augmented Lagrangians for separable sets and equalities (algorithm 9.2).
 
 For problems of the form (11.43), as (11.40) is; steps and tests as in theorem 11.2.
 """
@@ -12,8 +12,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fenics_tfeti.qp.feasible_set import Bounds, Split
-from fenics_tfeti.qp.mprgp import Hessian, MPRGPOptions, Products, mprgp
+from fenics_tfeti.qp.feasible_set import Bounds, FeasibleSet, Split
+from fenics_tfeti.qp.mpgp import mpgp
+from fenics_tfeti.qp.mprgp import mprgp
+from fenics_tfeti.qp.proportioning import (
+    Hessian,
+    Products,
+    ProportioningOptions,
+    ProportioningResult,
+)
 from fenics_tfeti.qp.space import Space
 
 __all__ = ["OuterIteration", "SMALBEOptions", "SMALBEResult", "SMALBEState", "smalbe"]
@@ -48,7 +55,7 @@ class SMALBEOptions:
     patience : int
         Outer iterations in a row that do not halve the smallest ||Gx||, after which the iterations
         end as slow: so many updates mu += rho Gx are as good as one.
-    inner : MPRGPOptions
+    inner : ProportioningOptions
         Parameters of the inner solver; its ``max_products`` limits the sum over all calls.
     """
 
@@ -59,7 +66,7 @@ class SMALBEOptions:
     eta: float = 0.1
     max_it: int = 200
     patience: int = 200
-    inner: MPRGPOptions = field(default_factory=MPRGPOptions)
+    inner: ProportioningOptions = field(default_factory=ProportioningOptions)
 
 
 @dataclass(frozen=True)
@@ -73,11 +80,11 @@ class OuterIteration:
     products : int
         Products with the Hessian so far.
     gradient, constraint : float
-        ||g^P|| and ||Gx||, relative to ||b||.
+        ||g^P||, or ||g~|| where the set has discs, and ||Gx||, relative to ||b||.
     M : float
         The balance parameter M_k.
     active : int
-        Number of active bounds over all ranks.
+        Number of components on the boundary of the feasible set, over all ranks.
     """
 
     number: int
@@ -135,7 +142,7 @@ class SMALBEResult:
 def smalbe(
     hessian: Hessian,
     b: Vector,
-    bounds: Bounds,
+    feasible: FeasibleSet,
     start: SMALBEState,
     *,
     norm_b: float | None = None,
@@ -145,7 +152,9 @@ def smalbe(
     products: Products | None = None,
     monitor: Callable[[OuterIteration], None] | None = None,
 ) -> SMALBEResult:
-    """Minimise 1/2 x'Ax - b'x subject to Gx = o and lower bounds by SMALBE-M (algorithm 9.2).
+    """Minimise 1/2 x'Ax - b'x subject to Gx = o on a product set by SMALBE-M (algorithm 9.2).
+
+    The inner solver is MPRGP where the set is given by `Bounds`, and MPGP for a `ProductSet`.
 
     Parameters
     ----------
@@ -154,8 +163,8 @@ def smalbe(
         an outer iteration costs no product.
     b : (n,) array
         Right-hand side.
-    bounds : Bounds
-        Bounded components and their bounds.
+    feasible : FeasibleSet
+        Bounds, or a product with discs.
     start : SMALBEState
         First iterate and multipliers; zeros for theorem 11.2.
     norm_b : float, optional
@@ -187,7 +196,7 @@ def smalbe(
     ...     np.array([1.0, 2.0]),
     ...     Bounds.from_vector(np.zeros(2)),
     ...     SMALBEState(np.zeros(2), np.zeros(2)),
-    ...     options=SMALBEOptions(rtol=1e-10, inner=MPRGPOptions(step_length=0.9)),
+    ...     options=SMALBEOptions(rtol=1e-10, inner=ProportioningOptions(step_length=0.9)),
     ... )
     >>> result.state.x.round(8).tolist()
     [1.5, 1.5]
@@ -199,9 +208,10 @@ def smalbe(
     tolerance = options.rtol * norm_b
 
     def solved(split: Split) -> bool:  # (11.47)
-        return max(split.projected_norm, split.constraint_norm) <= tolerance
+        return max(split.gradient_norm, split.constraint_norm) <= tolerance
 
-    x, q = bounds.project(start.x.copy()), start.q
+    minimise: Callable[..., ProportioningResult] = mprgp if isinstance(feasible, Bounds) else mpgp
+    x, q = feasible.project(start.x.copy()), start.q
     M = options.M0 if start.M is None else start.M
     gradient = _first_gradient(hessian, b, x, q, space, products)
     history: list[OuterIteration] = []
@@ -211,13 +221,13 @@ def smalbe(
 
         def balanced(split: Split, M: float = M) -> bool:  # (11.46)
             wanted = max(M * split.constraint_norm, _INNER_FLOOR * tolerance)
-            return split.projected_norm <= min(wanted, options.eta * norm_b)
+            return split.gradient_norm <= min(wanted, options.eta * norm_b)
 
-        # Step 1: MPRGP until ||g^P(x, mu, rho)|| <= min(M_k ||Gx||, eta), or the final test holds
-        inner = mprgp(
+        # Step 1: inner iterations until ||g^P(x, mu, rho)|| <= min(M_k ||Gx||, eta), or (11.47)
+        inner = minimise(
             hessian,
             b - q,
-            bounds,
+            feasible,
             x,
             lambda split: solved(split) or balanced(split),  # noqa: B023 - used in this pass only
             options=options.inner,
@@ -231,10 +241,10 @@ def smalbe(
             OuterIteration(
                 k,
                 products.total,
-                split.projected_norm / norm_b if norm_b > 0.0 else 0.0,
+                split.gradient_norm / norm_b if norm_b > 0.0 else 0.0,
                 split.constraint_norm / norm_b if norm_b > 0.0 else 0.0,
                 M,
-                _count_active(bounds, x, space),
+                _count_active(feasible, x, space),
             )
         )
         if monitor is not None:
@@ -273,6 +283,7 @@ def _first_gradient(
     return Ax - b + q, Qx
 
 
-def _count_active(bounds: Bounds, x: Vector, space: Space) -> int:
-    owned = None if space.owned is None else int(np.searchsorted(bounds.indices, space.owned))
-    return int(space.sums(float(np.count_nonzero(bounds.active(x)[:owned])))[0])
+def _count_active(feasible: FeasibleSet, x: Vector, space: Space) -> int:
+    on_boundary = feasible.on_boundary(x)
+    owned = on_boundary.size if space.owned is None else np.searchsorted(on_boundary, space.owned)
+    return int(space.sums(float(owned))[0])

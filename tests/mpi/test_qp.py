@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from mpi4py import MPI
 
 import numpy as np
 import pytest
-from qp_problems import Problem, random_problem
+from qp_problems import Problem, random_discs, random_intervals, random_problem
 
 from fenics_tfeti.qp import (
     Bounds,
-    MPRGPOptions,
+    Discs,
+    FeasibleSet,
     Products,
+    ProductSet,
+    ProportioningOptions,
     SMALBEOptions,
     Space,
     lanczos_upper_bound,
+    mpgp,
     mprgp,
     smalbe,
 )
@@ -25,21 +31,38 @@ N = 23
 
 
 class Shared:
-    """A vector of which each rank owns a slice and holds the next rank's first component too."""
+    """A vector of which each rank owns a slice, and holds the next rank's first components too.
+
+    Slices begin with even components, so that a disc of two neighbours is on one rank.
+    """
 
     def __init__(self, problem: Problem) -> None:
-        ends = N * np.arange(comm.size + 1) // comm.size
+        n = problem.b.size
+        ends = n * np.arange(comm.size + 1) // comm.size
+        ends[:-1] -= ends[:-1] % 2
         owned = np.arange(ends[comm.rank], ends[comm.rank + 1])
-        ghost = ends[(comm.rank + 1) % comm.size]
+        ghost = ends[(comm.rank + 1) % comm.size] + np.arange(2)
         self.held = owned if comm.size == 1 else np.append(owned, ghost)
         self.problem = problem
-        self.bounds = Bounds.from_vector(problem.lower[self.held])
+        self.feasible = self._part(problem)
         self.space = Space(
             owned.size,
             sum_over_ranks=lambda values: comm.allreduce(values),
             sum_and_min_over_ranks=lambda values: np.append(
                 comm.allreduce(values[:-1]), comm.allreduce(values[-1], MPI.MIN)
             ),
+        )
+
+    def _part(self, problem: Problem) -> FeasibleSet:
+        bounds = Bounds.from_vector(problem.lower[self.held], problem.upper[self.held])
+        discs = problem.discs
+        if not discs.radius.size:
+            return bounds
+        local = np.full(problem.b.size, -1)
+        local[self.held] = np.arange(self.held.size)
+        here = np.flatnonzero(local[discs.indices[:, 0]] >= 0)
+        return ProductSet(
+            bounds, Discs(local[discs.indices[here]], discs.centre[here], discs.radius[here])
         )
 
     def whole(self, x):
@@ -52,41 +75,88 @@ class Shared:
         return tuple(y[self.held] for y in self.problem.penalised(1.0)(self.whole(x)))
 
 
+def with_neighbours(problem: Problem) -> Problem:
+    """Return a problem with discs with their components next to each other."""
+    n, at = problem.b.size, problem.discs.indices
+    order = np.concatenate([np.setdiff1d(np.arange(n), at), at.ravel()])
+    discs = replace(problem.discs, indices=np.argsort(order)[at])
+    return Problem(
+        problem.A[np.ix_(order, order)],
+        problem.b[order],
+        problem.lower[order],
+        problem.G[:, order],
+        discs=discs,
+    )
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
-def test_mprgp(expansion, seed):
+@pytest.mark.parametrize("problem_of", [random_problem, random_intervals])
+def test_mprgp(expansion, seed, problem_of):
     """So well conditioned that the order of the sums does not change the number of iterations."""
-    problem = random_problem(seed, N, condition=10.0)
+    problem = problem_of(seed, N, condition=10.0)
     shared, alone, on_ranks = Shared(problem), Products(), Products()
-    options = MPRGPOptions(step_length=1.9, expansion=expansion)
+    options = ProportioningOptions(step_length=1.9, expansion=expansion)
 
     def stop(split):
-        return split.projected_norm <= 1e-8
+        return split.gradient_norm <= 1e-8
 
     expected = mprgp(
-        problem.hessian, problem.b, problem.bounds, np.zeros(N), stop,
+        problem.hessian, problem.b, problem.feasible, np.zeros(N), stop,
         options=options, products=alone,
     ).x  # fmt: skip
     found = mprgp(
-        shared.hessian, problem.b[shared.held], shared.bounds, np.zeros(shared.held.size), stop,
+        shared.hessian, problem.b[shared.held], shared.feasible, np.zeros(shared.held.size), stop,
+        options=options, products=on_ranks, space=shared.space,
+    ).x  # fmt: skip
+    np.testing.assert_allclose(found, expected[shared.held], atol=1e-11)
+    # a step that ends at a bound meets it up to rounding, or one step later
+    assert abs(on_ranks.total - alone.total) <= (problem_of is random_intervals)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
+def test_mpgp(expansion, seed):
+    problem = with_neighbours(random_discs(seed, condition=10.0))
+    shared, alone, on_ranks = Shared(problem), Products(), Products()
+    options = ProportioningOptions(step_length=1.9, expansion=expansion)
+
+    def stop(split):
+        return split.gradient_norm <= 1e-8
+
+    expected = mpgp(
+        problem.hessian, problem.b, problem.feasible, np.zeros(24), stop,
+        options=options, products=alone,
+    ).x  # fmt: skip
+    found = mpgp(
+        shared.hessian, problem.b[shared.held], shared.feasible, np.zeros(shared.held.size), stop,
         options=options, products=on_ranks, space=shared.space,
     ).x  # fmt: skip
     np.testing.assert_allclose(found, expected[shared.held], atol=1e-11)
     assert on_ranks.total == alone.total
+    assert min(alone.cg, alone.proportioning) > 0
 
 
-def test_smalbe():
-    problem = random_problem(1, N, equalities=3)
+@pytest.mark.parametrize(
+    "problem",
+    [
+        random_problem(1, N, equalities=3),
+        random_intervals(1, N, equalities=3),
+        with_neighbours(random_discs(1, equalities=3)),
+    ],
+    ids=["half-lines", "intervals", "discs"],
+)
+def test_smalbe(problem):
     shared, alone, on_ranks = Shared(problem), Products(), Products()
-    options = SMALBEOptions(rtol=1e-6, inner=MPRGPOptions(step_length=1.9))
-    zeros = np.zeros(N)
+    options = SMALBEOptions(rtol=1e-6, inner=ProportioningOptions(step_length=1.9))
+    zeros = np.zeros(problem.b.size)
     expected = smalbe(
-        problem.penalised(1.0), problem.b, problem.bounds, SMALBEState(zeros, zeros),
+        problem.penalised(1.0), problem.b, problem.feasible, SMALBEState(zeros, zeros),
         options=options, products=alone,
     )  # fmt: skip
     zeros = zeros[shared.held]
     found = smalbe(
-        shared.penalised, problem.b[shared.held], shared.bounds, SMALBEState(zeros, zeros),
+        shared.penalised, problem.b[shared.held], shared.feasible, SMALBEState(zeros, zeros),
         options=options, products=on_ranks, space=shared.space,
     )  # fmt: skip
     np.testing.assert_allclose(found.state.x, expected.state.x[shared.held], atol=1e-11)

@@ -1,28 +1,59 @@
-"""Projection, active set and split gradient, by their definitions, on a feasible set by hand."""
+"""Projection, boundary and split gradient, by their definitions, on feasible sets by hand."""
 
 from __future__ import annotations
 
+import hypothesis
+import hypothesis.strategies as st
 import numpy as np
 import pytest
+from qp_problems import random_discs, random_intervals
 
-from fenics_tfeti.qp import Bounds, Space
+from fenics_tfeti.qp import Bounds, Discs, ProductSet, Space
 
 INF = np.inf
 BOUNDS = Bounds.from_vector(np.array([-INF, 0.0, 1.0, -2.0]))
+# a line, a half-line downwards, an interval and a single value
+INTERVALS = Bounds.from_vector(np.array([-INF, -INF, 1.0, 2.0]), np.array([INF, 0.0, 3.0, 2.0]))
+# components 0 and 2 in a disc of radius 5 around (1, 1), 3 and 1 in the unit disc
+DISCS = Discs(np.array([[0, 2], [3, 1]]), np.array([[1.0, 1.0], [0.0, 0.0]]), np.array([5.0, 1.0]))
+accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)
 
 
 def test_bounds_from_a_vector_take_the_finite_ones():
     assert BOUNDS.indices.tolist() == [1, 2, 3]
     assert BOUNDS.lower.tolist() == [0.0, 1.0, -2.0]
+    assert INTERVALS.indices.tolist() == [1, 2, 3]
+    assert INTERVALS.upper.tolist() == [0.0, 3.0, 2.0]
 
 
 def test_projection_is_the_nearest_feasible_point():
     assert BOUNDS.project(np.array([-9.0, -9.0, 3.0, -2.0])).tolist() == [-9.0, 0.0, 3.0, -2.0]
+    assert INTERVALS.project(np.array([9.0, 9.0, 9.0, 9.0])).tolist() == [9.0, 0.0, 3.0, 2.0]
+    np.testing.assert_allclose(
+        DISCS.project(np.array([7.0, 0.0, 9.0, 0.5])), [4.0, 0.0, 5.0, 0.5], rtol=1e-15
+    )
 
 
 def test_active_bounds_hold_exactly():
     x = BOUNDS.project(np.array([0.0, -1.0, 1.0 + 1e-15, -2.0]))
     assert BOUNDS.active(x).tolist() == [True, False, True]
+    x = INTERVALS.project(np.array([0.0, 1.0, 3.0 - 1e-15, 5.0]))
+    assert INTERVALS.active(x).tolist() == [True, False, True]
+    assert INTERVALS.on_boundary(x).tolist() == [1, 3]
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])
+@pytest.mark.parametrize("far", [0.0, 1e6])
+@accurate
+@hypothesis.given(seed=st.integers(0, 10**6))
+def test_what_is_projected_on_a_circle_is_on_it(scale, far, seed):
+    rng = np.random.default_rng(seed)
+    centre = scale * (far + rng.standard_normal((1, 2)))
+    disc = Discs(np.array([[0, 1]]), centre, np.array([scale]))
+    x = centre[0] + scale * (1.0 + rng.random()) * np.array([0.8, -0.6])
+    assert disc.on_circle(disc.project(x)).all()
+    x = centre[0] + scale * (1.0 - 1e-6) * np.array([0.8, -0.6])
+    assert not disc.on_circle(x).any()
 
 
 @pytest.mark.parametrize(
@@ -39,25 +70,128 @@ def test_longest_step(direction, length):
     assert BOUNDS.longest_step(x, np.array(direction)) == length
 
 
+@pytest.mark.parametrize(
+    ("direction", "length"),
+    [
+        ((1.0, 1.0, 0.0, 0.0), INF),  # downwards
+        ((0.0, -1.0, -0.1, 0.0), 4.0),  # to the upper bound of component 1
+        ((0.0, -1.0, -1.0, 0.0), 1.0),  # to that of component 2
+        ((0.0, 0.0, 2.0, 0.0), 0.5),  # to its lower one
+        ((0.0, 1.0, 0.0, 1.0), 0.0),  # nowhere
+    ],
+)
+def test_longest_step_between_bounds(direction, length):
+    x = np.array([0.0, -4.0, 2.0, 2.0])
+    assert INTERVALS.longest_step(x, np.array(direction)) == length
+
+
+@pytest.mark.parametrize(
+    ("direction", "length"),
+    [
+        ((0.0, 0.0, 0.0, 0.0), INF),
+        ((-1.0, 0.0, 0.0, 0.0), 2.0),  # from (4, 1) to (6, 1)
+        ((1.0, 0.0, 0.0, 0.0), 8.0),  # to (-4, 1)
+        ((0.0, 0.0, -2.0, 0.0), 2.0),  # to (4, 5)
+        ((0.0, 0.0, 0.0, 1.0), 0.0),  # out of the unit disc
+        ((0.0, 0.0, 0.0, -1.0), 2.0),  # through it
+        ((0.0, 1.0, 0.0, 0.0), 0.0),  # along its tangent
+    ],
+)
+def test_longest_step_in_discs(direction, length):
+    x = np.array([4.0, 0.0, 1.0, -1.0])
+    assert DISCS.longest_step(x, np.array(direction)) == pytest.approx(length, rel=1e-15)
+
+
+@accurate
+@hypothesis.given(seed=st.integers(0, 10**6), size=st.sampled_from([1e-6, 1.0]))
+def test_longest_step_ends_on_the_circle(seed, size):
+    rng, problem = np.random.default_rng(seed), random_discs(seed, size=size)
+    x, p = problem.nearest(rng.standard_normal(24)), rng.standard_normal(24)
+    p[problem.discs.indices[0]] = 0.0  # radius 0
+    step = problem.discs.longest_step(x, p)
+    assert np.isfinite(step)
+    inside, outside = x - (1.0 - 1e-9) * step * p, x - (step + 1e-9 * size) * p
+    at, centre, radius = problem.discs.indices, problem.discs.centre, problem.discs.radius
+    assert np.all(np.hypot(*(inside[at] - centre).T) <= radius * (1.0 + 1e-12))
+    assert np.any(np.hypot(*(outside[at] - centre).T) > radius)
+
+
 def test_split_of_the_gradient():
     """Component 1 is active and wants to leave, 2 is active and stays, 3 is near its bound."""
     x, g = np.array([7.0, 0.0, 1.0, -1.5]), np.array([3.0, -4.0, 5.0, 6.0])
     Qx, Ap = np.array([1.0, 2.0, 0.0, 0.0]), np.array([1.0, 1.0, 1.0, 1.0])
     split = BOUNDS.split(x, g, 0.25, Space(), Qx, Ap)
     assert split.free.tolist() == [3.0, 0.0, 0.0, 6.0]
-    assert split.chopped.tolist() == [-4.0, 0.0, 0.0]
-    assert split.free2 == 9.0 + 36.0
-    assert split.chopped2 == 16.0
+    assert BOUNDS.chopped_gradient(x, g).tolist() == [-4.0, 0.0, 0.0]
+    assert split.boundary2 == 16.0
     assert split.reduced_free == 3.0 * 3.0 + (0.5 / 0.25) * 6.0
     assert split.constraint2 == 5.0
     assert split.conjugation == 9.0
-    assert split.projected_norm == pytest.approx(np.sqrt(61.0), rel=1e-15)
+    assert split.gradient_norm == pytest.approx(np.sqrt(61.0), rel=1e-15)
     assert split.constraint_norm == pytest.approx(np.sqrt(5.0), rel=1e-15)
+
+
+def test_split_of_the_gradient_between_bounds():
+    """Component 1 leaves its upper bound, 2 is near both, 3 has nowhere to go."""
+    x, g = np.array([7.0, 0.0, 1.5, 2.0]), np.array([3.0, 4.0, -8.0, 6.0])
+    split = INTERVALS.split(x, g, 0.25, Space())
+    assert split.free.tolist() == [3.0, 0.0, -8.0, 0.0]
+    assert INTERVALS.chopped_gradient(x, g).tolist() == [4.0, 0.0, 0.0]
+    assert INTERVALS.chopped_gradient(x, -g).tolist() == [0.0, 0.0, 0.0]
+    assert split.boundary2 == 16.0
+    assert split.reduced_free == 9.0 + (1.5 / 0.25) * 8.0
+
+
+def test_split_of_the_gradient_on_discs():
+    """The first disc is inside, its step is not; the second on the boundary, along the tangent."""
+    feasible = ProductSet(discs=DISCS)
+    x, g = np.array([5.0, 0.0, 1.0, 1.0]), np.array([-4.0, 3.0, 0.0, 0.0])
+    split = feasible.split(x, g, 1.0, Space(), Ap=np.ones(4))
+    assert split.free.tolist() == [-4.0, 0.0, 0.0, 0.0]
+    tangential = np.array([3.0, 1.0]) / np.sqrt(10.0) - [0.0, 1.0]
+    assert split.reduced_free == pytest.approx(4.0)  # (9, 1) is cut to (6, 1): phi~ = -1
+    assert split.boundary2 == pytest.approx(tangential @ tangential, rel=1e-15)
+    assert split.gradient_norm == pytest.approx(np.sqrt(1.0 + tangential @ tangential), rel=1e-15)
+    assert split.conjugation == -4.0
+
+
+@accurate
+@hypothesis.given(
+    seed=st.integers(0, 10**6),
+    step_length=st.sampled_from([1e-3, 1.0]),
+    discs=st.booleans(),
+)
+def test_reduced_gradient_is_the_projected_step(seed, step_length, discs):
+    rng = np.random.default_rng(seed)
+    problem = random_discs(seed) if discs else random_intervals(seed, 24)
+    x, g = problem.nearest(rng.standard_normal(24)), rng.standard_normal(24)
+    feasible = ProductSet(problem.bounds, problem.discs)
+    expected = (x - problem.nearest(x - step_length * g)) / step_length
+    reduced = feasible.reduced_gradient(x, g, step_length)
+    np.testing.assert_allclose(reduced, expected, atol=1e-14 / step_length)
+
+
+@pytest.mark.parametrize("gamma", [1e-12, 1.0, 1e12])
+def test_reduced_gradient_vanishes_without_rounding_of_the_point(gamma):
+    """An outward normal descent: rounding is relative to g, though x is much larger."""
+    disc = Discs(np.array([[0, 1]]), np.array([[1e6, -1e6]]), np.array([3e5]))
+    x = disc.project(np.array([4e6, 3e6]))
+    normal = (x - disc.centre[0]) / 3e5
+    reduced = disc.reduced_gradient(x, -gamma * normal, 1.0)
+    assert np.linalg.norm(reduced) <= 1e-14 * gamma
 
 
 def test_split_counts_owned_components_only():
     x, g = np.array([7.0, 0.0, 1.0, -1.5]), np.array([3.0, -4.0, 5.0, 6.0])
     split = BOUNDS.split(x, g, 0.25, Space(owned=2))
     assert split.free.tolist() == [3.0, 0.0, 0.0, 6.0]
-    assert (split.free2, split.chopped2, split.reduced_free) == (9.0, 16.0, 9.0)
+    assert (split.gradient2, split.boundary2, split.reduced_free) == (25.0, 16.0, 9.0)
     assert (split.constraint2, split.conjugation) == (0.0, 0.0)
+
+
+def test_split_on_discs_counts_owned_components_only():
+    unit = Discs(np.array([[0, 1], [2, 3]]), np.zeros((2, 2)), np.ones(2))
+    x, g = np.array([0.0, 1.0, 0.0, 1.0]), np.array([0.0, 5.0, 0.0, 7.0])
+    split = ProductSet(discs=unit).split(x, g, 0.25, Space(owned=2))
+    # from (0, 1) by 5/4 to (0, -1/4): inside, so that the reduced gradient is g
+    assert (split.gradient2, split.boundary2, split.reduced_free) == (25.0, 25.0, 0.0)

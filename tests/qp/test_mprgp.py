@@ -6,9 +6,9 @@ import hypothesis
 import hypothesis.strategies as st
 import numpy as np
 import pytest
-from qp_problems import Problem, random_problem, string
+from qp_problems import Problem, random_intervals, random_problem, string
 
-from fenics_tfeti.qp import MPRGPOptions, Products, mprgp
+from fenics_tfeti.qp import Products, ProportioningOptions, mprgp
 
 both_expansions = pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
 accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)
@@ -24,8 +24,8 @@ def solve(problem: Problem, rtol: float = 1e-12, x=None, products=None, **option
         problem.b,
         problem.bounds,
         np.zeros_like(problem.b) if x is None else x,
-        lambda split: split.projected_norm <= tolerance,
-        options=MPRGPOptions(**options),
+        lambda split: split.gradient_norm <= tolerance,
+        options=ProportioningOptions(**options),
         products=products,
         **arguments,
     )
@@ -65,6 +65,32 @@ def test_random_problem_against_quadprog(expansion, seed, n, bounded, condition)
 
 @both_expansions
 @accurate
+@hypothesis.given(
+    seed=st.integers(0, 10**6), n=st.integers(2, 30), condition=st.sampled_from([1.0, 1e2, 1e4])
+)
+def test_random_intervals_against_quadprog(expansion, seed, n, condition):
+    problem = random_intervals(seed, n, condition)
+    result = solve(problem, expansion=expansion)
+    assert result.converged
+    assert np.all((problem.lower <= result.x) & (result.x <= problem.upper))
+    expected = problem.solution()
+    np.testing.assert_allclose(result.x, expected, atol=1e-8 * max(np.abs(expected).max(), 0.1))
+    gradient = problem.projected_gradient(result.x, problem.A @ result.x - problem.b)
+    assert np.linalg.norm(gradient) <= 1.1e-12 * np.linalg.norm(problem.b)
+
+
+@pytest.mark.parametrize("right", [0.5, 5.0])
+def test_proportioning_step_ends_at_the_opposite_bound(right):
+    """From x = 0 the minimiser along the chopped gradient is 2, inside [0, 5], not [0, 0.5]."""
+    problem = Problem(np.eye(1), np.array([2.0]), np.zeros(1), upper=np.array([right]))
+    products = Products()
+    result = solve(problem, step_length=1.0, products=products)
+    assert result.x.tolist() == [min(2.0, right)]
+    assert (products.cg, products.proportioning) == (1, 1)
+
+
+@both_expansions
+@accurate
 @hypothesis.given(seed=st.integers(0, 10**6), n=st.integers(1, 30))
 def test_kkt_conditions(expansion, seed, n):
     problem = random_problem(seed, n)
@@ -81,7 +107,7 @@ def test_returned_gradient_and_split_belong_to_the_returned_point():
     gradient = problem.A @ result.x - problem.b
     np.testing.assert_allclose(result.gradient, gradient, atol=1e-14)
     projected = problem.projected_gradient(result.x, gradient)
-    np.testing.assert_allclose(result.split.projected_norm, np.linalg.norm(projected), rtol=1e-12)
+    np.testing.assert_allclose(result.split.gradient_norm, np.linalg.norm(projected), rtol=1e-12)
 
 
 @both_expansions

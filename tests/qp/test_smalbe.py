@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import hypothesis
 import hypothesis.strategies as st
 import numpy as np
 import pytest
 import quadprog
-from qp_problems import Problem, membranes, random_problem
+from qp_problems import Problem, membranes, random_discs, random_intervals, random_problem
 
-from fenics_tfeti.qp import Bounds, MPRGPOptions, Products, SMALBEOptions, smalbe
+from fenics_tfeti.qp import Bounds, Products, ProportioningOptions, SMALBEOptions, smalbe
 from fenics_tfeti.qp.smalbe import SMALBEState
 
 both_expansions = pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
@@ -20,7 +22,7 @@ def projected(problem: Problem) -> Problem:
     """Return the problem with PAP and Pb, which is the same where Gx = o."""
     P = np.eye(problem.b.size) - problem.G.T @ problem.G
     A = P @ problem.A @ P
-    return Problem(0.5 * (A + A.T), P @ problem.b, problem.lower, problem.G)
+    return replace(problem, A=0.5 * (A + A.T), b=P @ problem.b, calls=0)
 
 
 def solve(problem: Problem, rtol: float = 1e-9, start=None, products=None, monitor=None, **options):
@@ -35,10 +37,10 @@ def solve(problem: Problem, rtol: float = 1e-9, start=None, products=None, monit
     return smalbe(
         problem.penalised(options["rho"]),
         problem.b,
-        problem.bounds,
+        problem.feasible,
         SMALBEState(zeros, zeros) if start is None else start,
         options=SMALBEOptions(
-            rtol=rtol, inner=MPRGPOptions(step_length=step_length, **inner), **options
+            rtol=rtol, inner=ProportioningOptions(step_length=step_length, **inner), **options
         ),
         products=products,
         monitor=monitor,
@@ -61,6 +63,25 @@ def test_random_problem_against_quadprog(
     problem = random_problem(seed, n, bounded, condition, equalities)
     expected = problem.solution()
     result = solve(projected(problem) if project else problem, expansion=expansion)
+    assert result.converged
+    np.testing.assert_allclose(result.state.x, expected, atol=1e-6 * max(1.0, abs(expected).max()))
+
+
+@both_expansions
+@accurate
+@hypothesis.given(
+    seed=st.integers(0, 10**6),
+    equalities=st.integers(1, 5),
+    discs=st.booleans(),
+    project=st.booleans(),
+)
+def test_intervals_and_discs_against_a_conic_solver(expansion, seed, equalities, discs, project):
+    make = random_discs if discs else random_intervals
+    problem = make(seed, equalities=equalities)
+    expected = problem.conic_solution()
+    result = solve(
+        projected(problem) if project else problem, expansion=expansion, max_products=100_000
+    )
     assert result.converged
     np.testing.assert_allclose(result.state.x, expected, atol=1e-6 * max(1.0, abs(expected).max()))
 
@@ -241,10 +262,10 @@ def test_patience_ends_where_the_constraint_does_not_decrease():
     result = smalbe(
         lambda x: (P @ x + Q @ x, Q @ x),
         b,
-        Bounds(np.array([0]), np.zeros(1)),
+        Bounds.from_below(np.array([0]), np.zeros(1)),
         SMALBEState(np.zeros(2), np.zeros(2)),
         options=SMALBEOptions(
-            rtol=1e-9, patience=5, inner=MPRGPOptions(step_length=1.9, max_products=1000)
+            rtol=1e-9, patience=5, inner=ProportioningOptions(step_length=1.9, max_products=1000)
         ),
     )
     assert result.reason == "slow"

@@ -1,4 +1,4 @@
-"""Quadratic programmes with known solutions, and an independent solver."""
+"""Quadratic programmes with known solutions, and independent solvers."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import clarabel
 import numpy as np
 import quadprog
 import scipy.linalg
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fenics_tfeti.qp import Bounds
+from fenics_tfeti.qp import Bounds, Discs, FeasibleSet, ProductSet
 
 DATA = Path(__file__).parent.parent / "data"
 Vector = NDArray[np.float64]
@@ -20,20 +21,28 @@ Vector = NDArray[np.float64]
 
 @dataclass
 class Problem:
-    """min 1/2 x'Ax - b'x subject to Gx = o and x >= lower (-inf: no bound)."""
+    """min 1/2 x'Ax - b'x subject to Gx = o, lower <= x <= upper (infinite: no bound) and discs."""
 
     A: Vector
     b: Vector
     lower: Vector
     G: Vector = field(default_factory=lambda: np.zeros((0, 0)))
+    upper: Vector = field(default_factory=lambda: np.full(1, np.inf))
+    discs: Discs = field(default_factory=Discs.none)
     calls: int = 0
 
     def __post_init__(self) -> None:
         self.G = self.G.reshape(-1, self.b.size)
+        self.upper = np.broadcast_to(self.upper, self.lower.shape)
 
     @property
     def bounds(self) -> Bounds:
-        return Bounds.from_vector(self.lower)
+        return Bounds.from_vector(self.lower, self.upper)
+
+    @property
+    def feasible(self) -> FeasibleSet:
+        """The bounds, with the discs where there are some."""
+        return ProductSet(self.bounds, self.discs) if self.discs.radius.size else self.bounds
 
     @property
     def norm(self) -> float:
@@ -60,19 +69,78 @@ class Problem:
     def projected_gradient(self, x: Vector, g: Vector) -> Vector:
         """Return the projected gradient by its definition, component by component."""
         return np.array(
-            [min(gi, 0.0) if xi == li else gi for xi, li, gi in zip(x, self.lower, g, strict=True)]
+            [
+                0.0 if (xi == li and gi > 0.0) or (xi == ui and gi < 0.0) else gi
+                for xi, li, ui, gi in zip(x, self.lower, self.upper, g, strict=True)
+            ]
         )
 
+    def nearest(self, x: Vector) -> Vector:
+        """Project on bounds and discs by their definitions, block by block."""
+        y = np.clip(x, self.lower, self.upper)
+        for at, centre, radius in zip(
+            self.discs.indices, self.discs.centre, self.discs.radius, strict=True
+        ):
+            away = x[at] - centre
+            y[at] = centre + away * min(1.0, radius / np.hypot(*away)) if away.any() else centre
+        return y
+
     def solution(self) -> Vector:
-        """Solve by Goldfarb and Idnani's dual active set method (quadprog)."""
-        bounded = np.flatnonzero(np.isfinite(self.lower))
-        rows = np.vstack([self.G, np.eye(self.b.size)[bounded]])
-        right = np.concatenate([np.zeros(len(self.G)), self.lower[bounded]])
+        """Solve by Goldfarb and Idnani's dual active set method (quadprog), without discs."""
+        assert self.discs.radius.size == 0
+        fixed, given = self._equalities()
+        rows, right = self._inequalities()
+        rows, right = np.vstack([fixed, rows]), np.append(given, right)
         # G'G changes nothing where Gx = o, but makes a Hessian definite that is so only there.
         scale = np.abs(self.A).max()
         hessian = self.A / scale + self.G.T @ self.G
-        constraints = (rows.T, right, len(self.G)) if len(rows) else ()
+        constraints = (rows.T, right, len(fixed)) if len(rows) else ()
         return quadprog.solve_qp(hessian, self.b / scale, *constraints)[0]
+
+    def _equalities(self) -> tuple[Vector, Vector]:
+        """Return Gx = o and intervals of size 0 as rows @ x = right."""
+        fixed = self.lower == self.upper
+        rows = np.vstack([self.G, np.eye(self.b.size)[fixed]])
+        return rows, np.append(np.zeros(len(self.G)), self.lower[fixed])
+
+    def _inequalities(self) -> tuple[Vector, Vector]:
+        """Return rows and right-hand sides of the other bounds as rows @ x >= right."""
+        unit, open_ = np.eye(self.b.size), self.lower < self.upper
+        below, above = np.isfinite(self.lower) & open_, np.isfinite(self.upper) & open_
+        rows = np.vstack([unit[below], -unit[above]])
+        return rows, np.concatenate([self.lower[below], -self.upper[above]])
+
+    def conic_solution(self) -> Vector:
+        """Solve by an interior point method for second-order cones (clarabel)."""
+        fixed, given = self._equalities()
+        rows, right = self._inequalities()
+        # A x + s = b with s in the cones: zero, nonnegative, and (r, x - centre) for each disc
+        discs = [
+            (np.vstack([np.zeros(self.b.size), -np.eye(self.b.size)[at]]), np.append(r, -centre))
+            for at, centre, r in zip(
+                self.discs.indices, self.discs.centre, self.discs.radius, strict=True
+            )
+        ]
+        matrix = np.vstack([fixed, -rows, *(block for block, _ in discs)])
+        vector = np.concatenate([given, -right, *(part for _, part in discs)])
+        cones = [clarabel.ZeroConeT(len(fixed)), clarabel.NonnegativeConeT(len(rows))]
+        cones += [clarabel.SecondOrderConeT(3)] * len(discs)
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
+        scale = np.abs(self.A).max()
+        hessian = self.A / scale + self.G.T @ self.G
+        solver = clarabel.DefaultSolver(
+            sp.csc_matrix(np.triu(hessian)),
+            -self.b / scale,
+            sp.csc_matrix(matrix),
+            vector,
+            cones,
+            settings,
+        )
+        solution = solver.solve()
+        assert "Solved" in str(solution.status)
+        return np.array(solution.x)
 
 
 def random_problem(
@@ -85,6 +153,36 @@ def random_problem(
     lower = np.where(rng.random(n) < bounded, -rng.random(n), -np.inf)
     G = np.linalg.qr(rng.standard_normal((n, equalities)))[0].T
     return Problem(0.5 * (A + A.T), rng.standard_normal(n), lower, G)
+
+
+def random_intervals(seed: int, n: int = 20, condition: float = 1e2, **more: int) -> Problem:
+    """Return a random problem with lines, half-lines on both sides, and intervals, also of size 0.
+
+    x = o is feasible.
+    """
+    problem, rng = random_problem(seed, n, 0.6, condition, **more), np.random.default_rng(seed + 1)
+    problem.upper = np.where(rng.random(n) < 0.6, 0.5 * rng.random(n), np.inf)
+    problem.lower[:2] = problem.upper[:2] = 0.0
+    return problem
+
+
+def random_discs(
+    seed: int, discs: int = 6, condition: float = 1e2, size: float = 1.0, **more: int
+) -> Problem:
+    """Return a random problem with discs of radii up to `size`, one of them zero, and bounds.
+
+    x = o is feasible. The discs take the last components, each its two far apart.
+    """
+    rng = np.random.default_rng(seed + 1)
+    problem = random_problem(seed, 4 * discs, 0.5, condition, **more)
+    at = np.arange(2 * discs, 4 * discs).reshape(2, discs).T
+    problem.lower[at] = -np.inf
+    radius = size * rng.random(discs)
+    radius[0] = 0.0
+    direction = rng.standard_normal((discs, 2))
+    away = 0.9 * radius * rng.random(discs) / np.linalg.norm(direction, axis=1)
+    problem.discs = Discs(at, away[:, None] * direction, radius)
+    return problem
 
 
 def string(n: int = 32, height: float = -1.0 / 32.0) -> tuple[Problem, Vector, Vector]:

@@ -19,9 +19,9 @@ from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.qp import (
     Bounds,
-    MPRGPOptions,
     OuterIteration,
     Products,
+    ProportioningOptions,
     SMALBEOptions,
     SMALBEResult,
     SMALBEState,
@@ -89,7 +89,7 @@ def solve_by_smalbe(
     result = smalbe(
         _until_interrupted(augmented_hessian(problem, options.smalbe_rho)),
         problem.projector.P(d) / norm,
-        Bounds(rows, -feasible[rows]),
+        Bounds.from_below(rows, -feasible[rows]),
         replace(start, q=start.q / norm),
         norm_b=norm_b / norm,
         options=_smalbe_options(options, rtol, outer_so_far, patience),
@@ -152,7 +152,7 @@ def _augmented_preconditioner(
 def _smalbe_options(
     options: Options, rtol: float, outer_so_far: int, patience: int
 ) -> SMALBEOptions:
-    inner = MPRGPOptions(
+    inner = ProportioningOptions(
         Gamma=options.mprgp_gamma,
         step_length=options.mprgp_alpha / max(1.0, options.smalbe_rho),
         expansion=options.mprgp_expansion,
