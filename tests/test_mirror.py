@@ -31,6 +31,7 @@ ELSEWHERE = {
 }
 # Tests of what several modules do together.
 TOGETHER = {
+    "feti/test_friction.py",
     "feti/test_sparse_rows.py",
     "feti/test_springs.py",
     "feti/test_units.py",

@@ -20,6 +20,7 @@ from fenics_tfeti.feti.solver import TornSolution, TornSolver
 from fenics_tfeti.feti.system import (
     ContactGuess,
     ContactRows,
+    Friction,
     Prescribed,
     Subdomain,
     TornSystem,
@@ -34,6 +35,7 @@ __all__ = [
     "Checkpoint",
     "ContactGuess",
     "ContactRows",
+    "Friction",
     "MonitorFunction",
     "Options",
     "Prescribed",

@@ -18,13 +18,14 @@ import scipy
 
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
+from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.active_set import ActiveSetStep
 from fenics_tfeti.feti.files import write_whole
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.resultants import Resultant, resultants
 from fenics_tfeti.feti.solution.setup import DualSetup
-from fenics_tfeti.feti.solution.states import ContactData, History, Outcome
+from fenics_tfeti.feti.solution.states import Candidate, ContactData, History, Outcome
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
@@ -49,7 +50,8 @@ class Report:
         Numbers of ``primal``, ``torn`` and ``dual`` unknowns, of ``inequalities``, ``active`` ones,
         of ``tied`` rows, of the ``coarse`` problem, of contact and tied rows dropped as
         ``redundant``, of others that depend linearly on the rest (``dependent``), and of those
-        dropped for their ``infinite_gaps``.
+        dropped for their ``infinite_gaps``; of contact rows with ``friction`` and those among them
+        that are ``sticking``, below their slip bound.
     reused : list of str
         What was reused from the last solve; ``contact guess`` if one was given.
     subdomains : int
@@ -73,7 +75,9 @@ class Report:
     peak_memory_bytes : int
         Peak resident memory, summed over the ranks.
     energy : float
-        1/2 u'Ku - f'u [J].
+        1/2 u'Ku - f'u, with friction and the work of the slip bounds on the slips [J].
+    friction_work : list of float
+        For each contact the work that friction dissipates: tangential forces times slips [J].
     contact_force : list of float
         Sum of the normal forces for each contact [N]; [N/m] in plane problems; zero for tied pairs.
         In axisymmetric ones all forces are those of the whole body if the forms have the factor
@@ -129,6 +133,7 @@ class Report:
     seconds: dict[str, float]
     peak_memory_bytes: int
     energy: float
+    friction_work: list[float]
     contact_force: list[float]
     contact_forces: list[list[float]]
     on_slaves: list[Resultant]
@@ -226,7 +231,8 @@ def build_report(
 ) -> Report:
     """Gather the figures of a solve from all ranks. Collective."""
     constraints, comm, candidate = setup.constraints, system.comm, outcome.candidate
-    owned = constraints.owned_inequalities
+    layout = constraints.layout
+    owned, rubbing = constraints.owned_inequalities, constraints.friction.owned(layout.owned)
     force = constraints.scale * candidate.multipliers[constraints.inequality]
     explicit, classes = comm.allreduce(setup.F.explicit), comm.allreduce(len(setup.local.classes))
     subdomains = comm.allreduce(len(system.subdomains))
@@ -247,6 +253,10 @@ def build_report(
             "redundant": constraints.redundant,
             "dependent": constraints.dependent,
             "infinite_gaps": constraints.infinite_gaps,
+            "friction": comm.allreduce(int(np.count_nonzero(rubbing))),
+            "sticking": comm.allreduce(
+                int(np.count_nonzero(rubbing & candidate.recovered.sticking))
+            ),
         },
         reused=reused,
         subdomains=subdomains,
@@ -269,6 +279,7 @@ def build_report(
         seconds=timer.slowest(comm),
         peak_memory_bytes=peak_memory(comm),
         energy=candidate.energy,
+        friction_work=_friction_work(constraints, candidate, len(sums.normal_forces)),
         contact_force=sums.normal_forces,
         contact_forces=[side.force for side in sums.on_slaves],
         on_slaves=sums.on_slaves,
@@ -299,6 +310,16 @@ def build_report(
         faces=history.faces,
         comm=comm,
     )
+
+
+def _friction_work(constraints: Constraints, candidate: Candidate, contacts: int) -> list[float]:
+    """Return the work of tangential forces on slips for each contact [J]. Collective."""
+    friction = constraints.friction
+    mine = friction.owned(constraints.layout.owned)
+    work = np.sum(candidate.slips * friction.at_sites(candidate.multipliers), axis=1)[mine]
+    sums = np.bincount(friction.contact[mine], weights=work, minlength=contacts)
+    total: list[float] = constraints.layout.comm.allreduce(sums).tolist()
+    return total
 
 
 def versions() -> dict[str, str]:

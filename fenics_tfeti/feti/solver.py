@@ -24,7 +24,11 @@ from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.report import Report, build_report
 from fenics_tfeti.feti.solution.monitor import Monitor, MonitorFunction
 from fenics_tfeti.feti.solution.outer import LANCZOS_STEPS, iterate_until_certified
-from fenics_tfeti.feti.solution.resultants import normal_forces, tied_forces
+from fenics_tfeti.feti.solution.resultants import (
+    normal_forces,
+    tangential_forces,
+    tied_forces,
+)
 from fenics_tfeti.feti.solution.setup import (
     DualSetup,
     LocalSetup,
@@ -66,6 +70,14 @@ class TornSolution:
     tied_force : (tied rows of this rank,) array
         Force of each tied row that this rank gave, on the slave against the direction of the
         slave's sum [N].
+    tangential_force : (sites of this rank, gdim - 1) array
+        Friction force at each contact row with friction that this rank gave, on the slave against
+        the tangents [N].
+    slip : (sites of this rank, gdim - 1) array
+        Its slip along the tangents [m]; zero where it sticks, and where it is not a part of the
+        problem: nothing to touch there, or a direction that prescribed displacements decide.
+    sticking : (sites of this rank,) bool array
+        Whether the tangential force is below its bound.
     multipliers : (m,) array
         lambda, as far as this rank holds it.
     report : Report
@@ -77,6 +89,9 @@ class TornSolution:
     normal_force: Vector
     active: NDArray[np.bool_]
     tied_force: Vector
+    tangential_force: Vector
+    slip: Vector
+    sticking: NDArray[np.bool_]
     multipliers: Vector
     report: Report
 
@@ -172,7 +187,7 @@ class TornSolver:
                 else build_projector(system, options, local, constraints, package)
             )
         with phase("feasible start"):
-            data = self._data(local, projector, c)
+            data = self._data(local, projector, c, constraints.friction.bound)
         with phase("factorisation"):
             if same_B:
                 return same_B, data, ["factors", "coarse problem", "norm"]
@@ -190,7 +205,9 @@ class TornSolver:
             yield
         interruption.check(self.system.comm)
 
-    def _data(self, local: LocalSetup, projector: Projector, c: Vector) -> ContactData:
+    def _data(
+        self, local: LocalSetup, projector: Projector, c: Vector, radius: Vector
+    ) -> ContactData:
         """Return loads and right-hand sides, after checking that the load can be balanced."""
         system, coarse_space = self.system, projector.coarse_space
         load = local.unknowns.with_ground(
@@ -198,8 +215,8 @@ class TornSolver:
         )
         e = coarse_space.coarse_load(load)
         check_load(system, local.kernels, projector, e)
-        feasible = feasible_start(system, local.kernels, coarse_space, e, c, local.unit)
-        return ContactData(load, c, e, coarse_space.coarse_load_size(load), feasible)
+        feasible = feasible_start(system, local.kernels, coarse_space, e, c, local.unit, radius)
+        return ContactData(load, c, e, coarse_space.coarse_load_size(load), feasible, radius)
 
     def _first_state(
         self, previous: TornSolver | None, guess: ContactGuess | None, start: SavedState | None
@@ -343,12 +360,16 @@ class TornSolver:
         unknowns = self.setup.local.unknowns
         recovered = outcome.candidate.recovered
         normal_force = normal_forces(self.setup.constraints, multipliers)
+        friction = self.setup.constraints.friction
         return TornSolution(
             unknowns.split(recovered.displacement),
             unknowns.split(recovered.torn),
             normal_force,
             normal_force > 0.0,
             tied_forces(self.setup.constraints, multipliers),
+            tangential_forces(self.setup.constraints, multipliers),
+            friction.given(outcome.candidate.slips / friction.scale[:, None]),
+            friction.given(recovered.sticking.astype(float)) > 0.0,
             multipliers,
             report,
         )
@@ -394,6 +415,11 @@ def _check_guess(guess: ContactGuess | None, system: TornSystem, options: Option
                 "ContactGuess of empty arrays"
             )
         check_guess(guess, system.contacts.size)
+        if system.friction.size:
+            raise InputError(
+                "a guess of the contact is the start of the active set method, which does not "
+                "treat friction; leave it out"
+            )
         if options.method != "active_set":
             raise InputError(
                 "a guess of the contact is the start of method='active_set'; with "

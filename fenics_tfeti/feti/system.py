@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fenics_tfeti.errors import InputError
 
-__all__ = ["ContactGuess", "ContactRows", "Prescribed", "Subdomain", "TornSystem"]
+__all__ = ["ContactGuess", "ContactRows", "Friction", "Prescribed", "Subdomain", "TornSystem"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -271,6 +271,73 @@ class ContactRows:
 
 
 @dataclass(frozen=True)
+class Friction:
+    """Friction with a given bound (Tresca) at some of this rank's contact rows.
+
+    The tangential force at such a row is at most the bound. Below it nothing slips; at it the
+    slave slips along its force on the master. The slip is that of the nodes of the row, with the
+    weights of the row, and counted from `slip`: in a sequence of loads, from the last step.
+
+    Attributes
+    ----------
+    row : (k,) integer array
+        Position of each among the contact rows of this rank, ascending.
+    tangents : (k, gdim - 1, gdim) array
+        Orthonormal, and orthogonal to the normal of the row. In three dimensions each is along or
+        across the components that are prescribed at the nodes of the row.
+    bound : (k,) array
+        Slip bound [N]: the tangential force at which the node slips.
+    slip : (k, gdim - 1) array, optional
+        Tangential displacement of the slave relative to the master, in the directions of the
+        tangents, from which slip is counted [m]; 0 by default.
+
+    Examples
+    --------
+    >>> Friction(row=[0], tangents=[[[1.0, 0.0]]], bound=[2.0]).slip.tolist()
+    [[0.0]]
+    """
+
+    row: Numbers
+    tangents: Vector
+    bound: Vector
+    slip: Vector | None = None
+
+    def __post_init__(self) -> None:
+        """Convert lists and other types of numbers to arrays."""
+        _convert(self, row=np.int64, tangents=np.float64, bound=np.float64)
+        if self.slip is None:
+            _set(self, "slip", np.zeros(np.shape(self.tangents)[:2]))
+        _convert(self, slip=np.float64)
+
+    @staticmethod
+    def none(gdim: int) -> Friction:
+        """Return no friction."""
+        empty = np.zeros(0, dtype=np.int64)
+        return Friction(empty, np.zeros((0, gdim - 1, gdim)), np.zeros(0))
+
+    @property
+    def size(self) -> int:
+        """Number of rows with friction."""
+        return int(self.bound.size)
+
+    def tangential_rows(self, contacts: ContactRows) -> ContactRows:
+        """Return sum_k (c_k'n) t'u(node_k) = D slip for each tangent t, row by row.
+
+        Parameters
+        ----------
+        contacts : ContactRows
+            The contact rows of this rank, with normals n and lengths D.
+        """
+        directions = self.tangents.shape[1]
+        rows = contacts.chosen(np.repeat(self.row, directions))
+        weight = np.sum(rows.coefficients * rows.normal[rows.row], axis=1)
+        tangents = self.tangents.reshape(-1, self.tangents.shape[2])
+        coefficients = weight[:, None] * tangents[rows.row]
+        gap = rows.length * np.asarray(self.slip).ravel()
+        return ContactRows(rows.offsets, rows.nodes, coefficients, gap, rows.contact, rows.slaves)
+
+
+@dataclass(frozen=True)
 class ContactGuess:
     """Expected force and gap of each contact row of this rank, such as those of a coarser mesh.
 
@@ -319,6 +386,8 @@ class TornSystem:
         The same rows as equalities sum_k c_k'u(node_k) = gap: surfaces that stay together. A slave
         node has as many rows as components; the direction of the slave's sum is any, its length the
         node's area. Contacts and tied pairs are numbered together. None by default.
+    friction : Friction, optional
+        At which contact rows there is friction. None by default.
     """
 
     subdomains: Sequence[Subdomain]
@@ -330,6 +399,7 @@ class TornSystem:
     comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF)
     condition_names: Sequence[str] = ()
     tied: ContactRows = field(default_factory=lambda: ContactRows.none(0))
+    friction: Friction = field(default_factory=lambda: Friction.none(1))
 
     def body_name(self, body: int) -> str:
         """Return the name of a body."""
@@ -355,6 +425,8 @@ class TornSystem:
         if isinstance(self.tied, ContactRows) and np.shape(self.tied.coefficients) == (0, 0):
             # the default
             _set(self, "tied", ContactRows.none(self.gdim if isinstance(self.gdim, int) else 0))
+        if isinstance(self.friction, Friction) and np.shape(self.friction.tangents) == (0, 0, 1):
+            _set(self, "friction", Friction.none(self.gdim if isinstance(self.gdim, int) else 1))
 
 
 def _convert(part: Any, **dtypes: type[np.generic]) -> None:

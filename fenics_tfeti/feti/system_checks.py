@@ -21,6 +21,7 @@ from fenics_tfeti.feti.local.rigid_body_modes import kernel
 from fenics_tfeti.feti.system import (
     ContactGuess,
     ContactRows,
+    Friction,
     Prescribed,
     Subdomain,
     TornSystem,
@@ -39,6 +40,8 @@ _LARGEST_NODE = 2**61
 _MOST_CONDITIONS = 10**6
 # length of the sum of the slave's coefficients, relative to the longest of the row, that is none
 _NO_LENGTH = 1e-12
+# deviation of products of tangents and normals from the identity
+_NOT_ORTHONORMAL = 1e-8
 
 
 def check_system(system: TornSystem, stiffness: bool = True) -> None:
@@ -130,6 +133,7 @@ def _check_parts(system: TornSystem) -> None:
         )
     _check_rows("tied", system.tied, gdim, system.contact_names)
     _check_finite("tied.gap", system.tied.gap, "Leave rows out where there is nothing to tie to")
+    _check_friction(system.friction, system.contacts, gdim)
 
 
 def _check_matrices(system: TornSystem) -> None:
@@ -432,6 +436,40 @@ def _check_normals(what: str, rows: ContactRows, names: Sequence[str]) -> None:
             f"{rows.slave[k]} with a sum of length {rows.length[k]:.3e} and coefficients of up to "
             f"{largest[k]:.3e}. The slave's terms come first and add up to a vector along the "
             "normal; leave other rows out"
+        )
+
+
+def _check_friction(friction: Friction, contacts: ContactRows, gdim: int) -> None:
+    """Check friction against the contact rows of this rank, which have been checked."""
+    if not isinstance(friction, Friction):
+        raise InputError(
+            f"friction: got {_kind(friction)}, expected Friction; leave it out where nothing rubs"
+        )
+    k, directions = np.size(friction.row), gdim - 1
+    _check_array("friction.row", friction.row, (None,), np.int64)
+    _check_array("friction.tangents", friction.tangents, (k, directions, gdim), np.float64)
+    _check_array("friction.bound", friction.bound, (k,), np.float64)
+    _check_array("friction.slip", friction.slip, (k, directions), np.float64)
+    _check_range("friction.row", friction.row, 0, contacts.size)
+    if np.any(np.diff(friction.row) <= 0):
+        raise InputError("friction.row: positions must ascend, each contact row once")
+    _check_finite("friction.tangents", friction.tangents)
+    _check_finite("friction.bound", friction.bound)
+    _check_finite("friction.slip", np.asarray(friction.slip))
+    if np.any(friction.bound < 0.0):
+        worst = int(np.argmin(friction.bound))
+        raise InputError(
+            f"friction.bound: {friction.bound[worst]:g} N at position {worst}; a slip bound is at "
+            "least 0"
+        )
+    frame = np.concatenate([friction.tangents, contacts.normal[friction.row][:, None]], axis=1)
+    error = np.abs(frame @ frame.transpose(0, 2, 1) - np.eye(gdim)).max(axis=(1, 2), initial=0.0)
+    if np.any(error > _NOT_ORTHONORMAL):
+        worst = int(np.argmax(error))
+        raise InputError(
+            f"friction.tangents: at position {worst} tangents and normal are not orthonormal: "
+            f"their products differ by {error[worst]:g} from the identity. Give unit tangents that "
+            "are orthogonal to each other and to the normal of the contact row"
         )
 
 

@@ -5,6 +5,7 @@ curved boundaries, SMALBE-M (algorithm 9.2) and a Lanczos bound of the spectrum.
 """
 
 from fenics_tfeti.qp.feasible_set import Bounds, Discs, FeasibleSet, ProductSet, Split
+from fenics_tfeti.qp.least_norm import least_norm_in_set, smallest_factor
 from fenics_tfeti.qp.least_squares import (
     least_distance,
     least_norm_nonnegative,
@@ -42,10 +43,12 @@ __all__ = [
     "Unbounded",
     "lanczos_upper_bound",
     "least_distance",
+    "least_norm_in_set",
     "least_norm_nonnegative",
     "least_norm_partly_nonnegative",
     "mpgp",
     "mprgp",
     "nonnegative_least_squares",
     "smalbe",
+    "smallest_factor",
 ]

@@ -110,6 +110,24 @@ class Bounds:
         x[self.indices] = np.minimum(np.maximum(x[self.indices], self.lower), self.upper)
         return x
 
+    def scaled(self, factor: float) -> Bounds:
+        """Return the set with all finite bounds multiplied by a positive factor."""
+        return Bounds(self.indices, factor * self.lower, factor * self.upper)
+
+    def derivative_times(self, x: Vector, columns: Vector) -> Vector:
+        """Return the bounded rows of P'(x) columns, for any x; at a bound a generalized derivative.
+
+        Parameters
+        ----------
+        x : (n,) array
+            Any point.
+        columns : (n, r) array
+            Directions.
+        """
+        bounded = x[self.indices]
+        inside = (bounded > self.lower) & (bounded < self.upper)
+        return np.where(inside[:, None], columns[self.indices], 0.0)
+
     def active(self, x: Vector) -> Mask:
         """Tell which components are at a bound; exact, since `project` assigns it."""
         bounded = x[self.indices]
@@ -228,6 +246,24 @@ class Discs:
         x[self.indices[outside]] = self.centre[outside] + factor[:, None] * y[outside]
         return x
 
+    def scaled(self, factor: float) -> Discs:
+        """Return the set with centres and radii multiplied by a positive factor."""
+        return Discs(self.indices, factor * self.centre, factor * self.radius)
+
+    def derivative_times(self, x: Vector, columns: Vector) -> Vector:
+        """Return the rows (discs, 2, r) of P'(x) columns of the discs, for any x.
+
+        Outside of a disc the derivative is r / |y| times the projection on the tangent.
+        """
+        y, distance = self._from_centre(x)
+        moved = columns[self.indices]
+        outside = distance > self.radius
+        n = y[outside] / distance[outside, None]
+        tangential = moved[outside]
+        tangential -= n[:, :, None] * np.sum(n[:, :, None] * tangential, axis=1, keepdims=True)
+        moved[outside] = (self.radius[outside] / distance[outside])[:, None, None] * tangential
+        return moved
+
     def on_circle(self, x: Vector) -> Mask:
         """Tell of which discs the point is on the boundary, up to rounding of the projection."""
         distance = self._from_centre(x)[1]
@@ -303,6 +339,17 @@ class ProductSet:
     def project(self, x: Vector) -> Vector:
         """Project x in place onto the feasible set and return it."""
         return self.discs.project(self.bounds.project(x))
+
+    def scaled(self, factor: float) -> ProductSet:
+        """Return the set with all finite bounds, centres and radii times a positive factor."""
+        return ProductSet(self.bounds.scaled(factor), self.discs.scaled(factor))
+
+    def derivative_times(self, x: Vector, columns: Vector) -> Vector:
+        """Return P'(x) columns for any x and columns (n, r); a generalized derivative at edges."""
+        moved = columns.copy()
+        moved[self.bounds.indices] = self.bounds.derivative_times(x, columns)
+        moved[self.discs.indices] = self.discs.derivative_times(x, columns)
+        return moved
 
     def on_boundary(self, x: Vector) -> Numbers:
         """Return the components at a bound or on the boundary of their disc, ascending."""

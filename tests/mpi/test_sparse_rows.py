@@ -106,7 +106,8 @@ def test_preconditioner_is_that_of_one_rank():
         on_face = np.zeros(constraints.size)
         on_face[constraints.own_rows] = active[mine]
         x, on_face = constraints.layout.sum(x), constraints.layout.sum(on_face)
-        M = solver.setup.preconditioner.on_face(on_face[constraints.inequality] > 0.0)
+        rows = constraints.equality | (on_face > 0.0)
+        M = solver.setup.preconditioner.on_face(rows)
         return constraints.layout.space.dots((x, constraints.layout.sum(M(x))))[0]
 
     mine = slice(COMM.rank, None, COMM.size)

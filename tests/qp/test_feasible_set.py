@@ -195,3 +195,30 @@ def test_split_on_discs_counts_owned_components_only():
     split = ProductSet(discs=unit).split(x, g, 0.25, Space(owned=2))
     # from (0, 1) by 5/4 to (0, -1/4): inside, so that the reduced gradient is g
     assert (split.gradient2, split.boundary2, split.reduced_free) == (25.0, 25.0, 0.0)
+
+
+@accurate
+@hypothesis.given(seed=st.integers(0, 10**6), discs=st.booleans())
+def test_derivative_of_the_projection_is_that_of_differences(seed, discs):
+    rng = np.random.default_rng(seed)
+    problem = random_discs(seed) if discs else random_intervals(seed, 24)
+    feasible = ProductSet(problem.bounds, problem.discs)
+    x, columns, step = rng.standard_normal(24), rng.standard_normal((24, 3)), 1e-7
+    found = feasible.derivative_times(x, columns)
+    expected = np.column_stack(
+        [
+            (problem.nearest(x + step * p) - problem.nearest(x - step * p)) / (2 * step)
+            for p in columns.T
+        ]
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+@accurate
+@hypothesis.given(seed=st.integers(0, 10**6), factor=st.sampled_from([1e-3, 0.5, 7.0]))
+def test_scaled_set_is_that_of_scaled_points(seed, factor):
+    x, problem = np.random.default_rng(seed).standard_normal(24), random_discs(seed)
+    scaled = ProductSet(problem.bounds, problem.discs).scaled(factor)
+    np.testing.assert_allclose(
+        scaled.project(factor * x), factor * problem.nearest(x), atol=1e-15 * factor
+    )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.random import Generator
 from torn import cube, glued
 
-from fenics_tfeti.feti import ContactRows, Prescribed, Subdomain, TornSystem
+from fenics_tfeti.feti import ContactRows, Friction, Prescribed, Subdomain, TornSystem
 
 SECOND = 10**9
 LENGTHS = (-6.0, 6.0)
@@ -106,12 +106,18 @@ def distributed(system: TornSystem, comm: MPI.Comm) -> TornSystem:
         rows.chosen(np.arange(rows.size)[mine]) for rows in (system.contacts, system.tied)
     )
     prescribed = system.prescribed if comm.rank == comm.size - 1 else Prescribed()
+    given = system.friction
+    here = np.flatnonzero(np.isin(given.row, np.arange(system.contacts.size)[mine]))
+    friction = Friction(
+        given.row[here] // comm.size, given.tangents[here], given.bound[here], given.slip[here]
+    )
     return dataclasses.replace(
         system,
         subdomains=system.subdomains[mine],
         prescribed=prescribed,
         contacts=contacts,
         tied=tied,
+        friction=friction,
         comm=comm,
     )
 

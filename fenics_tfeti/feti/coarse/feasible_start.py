@@ -4,6 +4,9 @@ Gluing and supports resist all but a few rigid motions of bodies; forces of cont
 load on those. Least-norm contact forces that do are the solution of a small problem; the equality
 multipliers then follow from (11.38). In the coercive case there are no such motions, the contact
 forces are zero, and the start is that of lemma 11.1.
+
+Friction takes part within its bounds. Whether contact and friction together can balance the load is
+decided here.
 """
 
 from __future__ import annotations
@@ -26,7 +29,15 @@ from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import NO_WORK, UNRESISTED
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
-from fenics_tfeti.qp import least_norm_nonnegative, least_norm_partly_nonnegative
+from fenics_tfeti.qp import (
+    Bounds,
+    Discs,
+    ProductSet,
+    least_norm_in_set,
+    least_norm_nonnegative,
+    least_norm_partly_nonnegative,
+    smallest_factor,
+)
 
 __all__ = ["check_load", "feasible_start", "least_norm_nonnegative"]
 
@@ -72,8 +83,9 @@ def feasible_start(
     e: Vector,
     c: Vector,
     unit: float,
+    radius: Vector,
 ) -> Vector:
-    """Return lambda~ with G lambda~ = e and lambda~_I >= o.
+    """Return lambda~ with G lambda~ = e, lambda~_I >= o and |lambda~_T| <= r.
 
     Where equality rows resist motions weakly, as soft springs do, contact and springs share the
     load as they do between rigid bodies: F is replaced by 1 / unit.
@@ -92,6 +104,8 @@ def feasible_start(
         Right-hand sides of the constraints.
     unit : float
         The stiffness that a weight of 1 stands for [N/m].
+    radius : (k,) array
+        r of each site of friction.
 
     Returns
     -------
@@ -101,7 +115,8 @@ def feasible_start(
     Raises
     ------
     UnresistedMotion
-        If no contact forces balance the load (11.16), naming body and motion.
+        If no contact forces, and no friction within its bounds, balance the load (11.16), naming
+        body and motion, and how much friction it would take.
     """
     constraints = coarse_space.constraints
     supports = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
@@ -111,8 +126,13 @@ def feasible_start(
     if free.shape[1] + weak.shape[1]:
         prescribed = coarse_space.prolong(supports.without_free_motions(supports.coefficients(c)))
         gaps = unit * (c - prescribed)[constraints.inequality]
-        for group in _groups(system, coarse_space, sp.hstack([free, weak], format="csc"), e):
-            start += _contact_forces(system, kernels, coarse_space, group, free, gaps)
+        if coarse_space.comm.allreduce(int(np.count_nonzero(radius))):
+            # soft supports carry what contact and friction need not
+            for group in _groups(system, coarse_space, free, e):
+                start += _forces_with_friction(system, kernels, coarse_space, group, gaps, radius)
+        else:
+            for group in _groups(system, coarse_space, sp.hstack([free, weak], format="csc"), e):
+                start += _contact_forces(system, kernels, coarse_space, group, free, gaps)
     # (11.38) for what the contact forces leave
     left = supports.without_free_motions(e - coarse_space.restrict(start))
     return start + supports.least_norm(left)
@@ -218,6 +238,59 @@ def _side_by_side(comm: MPI.Intracomm, rows: sp.csr_matrix) -> tuple[sp.csc_matr
     return sum_sparse(comm, shifted).tocsc(), first
 
 
+def _forces_with_friction(
+    system: TornSystem,
+    kernels: Sequence[Vector],
+    coarse_space: CoarseSpace,
+    group: _Group,
+    gaps: Vector,
+    radius: Vector,
+) -> Vector:
+    """Return the least-norm multipliers of contact and friction that balance the load on a group.
+
+    The equality rows do not resist its motions.
+    """
+    constraints, comm = coarse_space.constraints, coarse_space.comm
+    multipliers, friction = np.zeros(constraints.size), constraints.friction
+    if np.linalg.norm(group.work) <= NO_WORK * group.force:
+        return multipliers
+    moved_rows = _moved_rows(coarse_space, group.motions)[: constraints.layout.owned].toarray()
+    owned = constraints.inequality[: constraints.owned_inequalities]
+    closing = np.isfinite(gaps[: owned.size])
+    pressing = np.where(closing[:, None], moved_rows[owned], 0.0)
+    mine = friction.owned(constraints.layout.owned)
+    present = friction.present[mine]
+    # a direction without a row is a column of zeros
+    rubbing = np.where(present[:, :, None], moved_rows[friction.rows[mine]], 0.0)
+    contact, tangential, radii = (
+        concatenate_ranks(comm, part) for part in (pressing, rubbing, radius[mine])
+    )
+    C = np.concatenate([contact, tangential.reshape(-1, contact.shape[1])]).T
+    feasible = _contact_and_friction(len(contact), radii, friction.rows.shape[1])
+    forces, residual = least_norm_in_set(C, group.work, feasible)
+    if np.linalg.norm(residual) > NO_WORK * group.force:
+        factor = smallest_factor(C, group.work, feasible) if radii.any() else np.inf
+        _raise_unresisted(system, kernels, coarse_space, group.motions @ residual, factor)
+    before = [np.sum(comm.allgather(len(part))[: comm.rank]) for part in (pressing, rubbing)]
+    first = int(before[0])
+    multipliers[owned] = forces[first : first + owned.size]
+    of_sites = forces[len(contact) :].reshape(tangential.shape[:2])
+    first = int(before[1])
+    multipliers[friction.rows[mine][present]] = of_sites[first : first + len(rubbing)][present]
+    return constraints.layout.sum(multipliers)
+
+
+def _contact_and_friction(contact: int, radius: Vector, directions: int) -> ProductSet:
+    """Return the set of contact forces, and after them those of each site of friction."""
+    at = contact + np.arange(directions * radius.size).reshape(-1, directions)
+    if directions == 2:
+        bounds = Bounds.from_below(np.arange(contact), np.zeros(contact))
+        return ProductSet(bounds, Discs(at, np.zeros(at.shape), radius))
+    lower = np.concatenate([np.zeros(contact), -radius])
+    upper = np.concatenate([np.full(contact, np.inf), radius])
+    return ProductSet(Bounds(np.arange(lower.size), lower, upper))
+
+
 def _moved_rows(coarse_space: CoarseSpace, motions: sp.csc_matrix) -> sp.csr_matrix:
     """Return B R T z without what rounding leaves where parts of a motion cancel."""
     bodies, lengths = coarse_space.bodies, coarse_space.constraints.row_lengths
@@ -240,10 +313,21 @@ def _weak_columns(coarse_space: CoarseSpace, motions: sp.csc_matrix) -> Vector:
 
 
 def _raise_unresisted(
-    system: TornSystem, kernels: Sequence[Vector], coarse_space: CoarseSpace, z: Vector
+    system: TornSystem,
+    kernels: Sequence[Vector],
+    coarse_space: CoarseSpace,
+    z: Vector,
+    factor: float = np.inf,
 ) -> None:
+    """Raise the error; friction times `factor` would balance the load."""
     own_motion = coarse_space.own_part(coarse_space.coarse_motions(z))
     motions = describe_body_motion(system, kernels, own_motion)
+    if np.isfinite(factor):
+        raise UnresistedMotion(
+            "friction cannot hold the load, which slides " + "; ".join(motions) + ". It would take "
+            f"{factor:.4g} times the slip bounds. Raise them, prescribe displacements that hold "
+            "the body, or reduce the load"
+        )
     raise UnresistedMotion(
         "the load does work on a rigid motion that no support and no contact resists (11.16): "
         + "; ".join(motions)

@@ -1,7 +1,7 @@
 """Projector preconditioning: Q onto the natural coarse space Im G' and P onto Ker G (sec. 11.8).
 
-The rows of G are those of the equality constraints and of some contact rows: of all of them for the
-dual problem, of the active ones for a face of it.
+The rows of G are those of the equality constraints, of some contact rows and of some tangential
+rows: of all of them for the dual problem, for a face of it of the active ones and those that stick.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class WeakMotions:
 
 @dataclass(frozen=True)
 class Projector:
-    """Q = G'(GG')^+ G and P = I - Q for the equality rows and some contact rows.
+    """Q = G'(GG')^+ G and P = I - Q for the equality rows and some contact and tangential rows.
 
     Attributes
     ----------
@@ -77,23 +77,33 @@ class Projector:
     weak: WeakMotions | None = None
 
     @staticmethod
-    def build(coarse_space: CoarseSpace, active: Mask | None = None) -> Projector:
-        """Factor GG' of the equality rows and the chosen contact rows. Collective.
+    def build(
+        coarse_space: CoarseSpace, active: Mask | None = None, sticking: Mask | None = None
+    ) -> Projector:
+        """Factor GG' of the equality rows and the chosen others. Collective.
 
         Parameters
         ----------
         coarse_space : CoarseSpace
             G.
         active : (i,) bool array, optional
-            The contact rows; all by default.
+            The contact rows; by default all of them and all tangential rows.
+        sticking : (k,) bool array, optional
+            The sites of friction whose tangential rows are meant; none by default, if contact rows
+            are given.
         """
         constraints = coarse_space.constraints
+        everything = active is None
         chosen = np.ones(constraints.inequality.size, dtype=bool) if active is None else active
-        rows = constraints.equality
-        rows[constraints.inequality] = chosen
+        if sticking is None:
+            sticking = np.full(constraints.friction.size, everything)
+        rows = constraints.face(chosen, sticking)
         z, weak = coarse_space.weakly_resisted(rows)
         free = orthonormal_columns(coarse_space.coarse_motions(z))
         contact = coarse_space.contact[:, np.flatnonzero(chosen)]
+        if constraints.friction.size:
+            stuck = np.flatnonzero(rows & ~constraints.equality)
+            contact = sp.hstack([contact, coarse_space.friction[:, stuck]], format="csr")
         layout = coarse_space.layout
         gram = coarse_space.equality + layout.rows((contact[layout.own] @ contact.T).tocsr())
         pinned = sp.hstack([free, coarse_space.coarse_motions(weak)], format="csr")

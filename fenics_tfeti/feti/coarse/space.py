@@ -61,6 +61,8 @@ class CoarseSpace:
         The rows of G of other ranks' subdomains in the columns that this rank holds.
     contact : (coarse, i) scipy.sparse.csr_matrix
         All rows of G in the inequality columns that this rank holds.
+    friction : (coarse, m) scipy.sparse.csr_matrix
+        All rows of G in the columns of tangential rows; the others are empty.
     equality : (coarse or own, coarse) scipy.sparse.csr_matrix
         GG' of the equality rows alone, the rows that this rank keeps.
     bodies : BodyMotions
@@ -76,6 +78,7 @@ class CoarseSpace:
     layout: CoarseLayout
     others: sp.csr_matrix
     contact: sp.csr_matrix
+    friction: sp.csr_matrix
     equality: sp.csr_matrix
     bodies: BodyMotions
     constraints: Constraints
@@ -134,6 +137,7 @@ class CoarseSpace:
             layout,
             everyone.T.tocsr()[others],
             everyone[constraints.inequality].T.tocsr(),
+            (_chosen_rows(constraints.friction.flat, constraints.size) @ everyone).T.tocsr(),
             layout.rows(rows),
             body_motions(system, kernels, constraints, everyone),
             constraints,
@@ -258,6 +262,13 @@ class CoarseSpace:
         """Return B R T z on the rows that this rank holds, without traces of rounding."""
         moved: Vector = self.constraints.row_lengths[:, None] * (self.bodies.moved @ z)
         return moved
+
+
+def _chosen_rows(rows: Numbers, size: int) -> sp.csr_matrix:
+    """Return the diagonal matrix that is 1 at some rows."""
+    diagonal = np.zeros(size)
+    diagonal[rows] = 1.0
+    return sp.diags(diagonal, format="csr")
 
 
 def _packed_kernels(interface: Interface, traces: Sequence[Vector], ends: Numbers) -> sp.csr_matrix:

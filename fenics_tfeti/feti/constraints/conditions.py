@@ -1,10 +1,11 @@
-"""Contact and tied rows: conditions between weighted means of the copies of nodes.
+"""Contact, tied and tangential rows: conditions between weighted means of the copies of nodes.
 
 A condition is a sum over nodes, sum_k c_k'u(node_k) <= gap, or = gap where surfaces are tied: two
 nodes with coefficients n and -n, one node with n for a rigid obstacle, a slave node and some master
 nodes. It is divided by the length of its slave's sum, so that gaps are distances and
 multipliers forces. Its row takes the weighted mean of the copies of each node. On glued
-displacements that is the row of the chapter, and it is orthogonal to every contrast.
+displacements that is the row of the chapter, and it is orthogonal to every contrast. Tangential
+rows, of contact rows with friction, are terms of the same form (`friction`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.entries import Entries
+from fenics_tfeti.feti.constraints.friction import Tangential, check_discs, common_scale
 from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable, largest_coordinate
 from fenics_tfeti.feti.constraints.redundancy import ContactConditions, Redundancy, find_redundant
 from fenics_tfeti.feti.system import ContactRows, TornSystem
@@ -35,7 +37,7 @@ _NEGLIGIBLE_ROW = 1e-10
 
 @dataclass(frozen=True)
 class ConditionRows:
-    """The contact and tied rows that this rank gives, or that have entries on it.
+    """The contact, tied and tangential rows that this rank gives, or that have entries on it.
 
     Attributes
     ----------
@@ -54,8 +56,13 @@ class ConditionRows:
         Rounding of the right-hand sides of the rows that this rank gives, scaled.
     tied : (r,) bool array
         Whether it is an equality.
+    tangential : Tangential
+        Which rows are tangential rows.
     given_tied : (rows of this rank,) bool array
-        The same for the contact rows that this rank gives and, after them, its tied rows.
+        Whether it is an equality, for the contact rows that this rank gives, after them its tied
+        rows, and its tangential rows in the end.
+    given_sites : (rows of this rank,) integer array
+        Number of the site of each tangential row that this rank gives, -1 for others.
     kept : (rows of this rank,) bool array
         Those of them that became rows of B.
     infinite_gaps : int
@@ -71,7 +78,9 @@ class ConditionRows:
     rhs: Vector
     tolerance: Vector
     tied: Mask
+    tangential: Tangential
     given_tied: Mask
+    given_sites: Numbers
     kept: Mask
     infinite_gaps: int
     redundancy: Redundancy
@@ -119,8 +128,7 @@ def condition_rows(
         On all ranks, if a row names a node of no subdomain, prescribed displacements violate it, or
         two rows exclude each other.
     """
-    contacts = ContactRows.concatenate([system.contacts, system.tied])
-    tied = np.arange(contacts.size) >= system.contacts.size
+    contacts, tied, tangential = _all_conditions(system)
     terms = _terms(system, contacts, directory, table)
     # prescribed displacements go to the right-hand side: the row stays orthogonal to their rows
     gap = contacts.gap / contacts.length
@@ -135,12 +143,20 @@ def condition_rows(
     np.add.at(free2, terms.row, lengths2)
     np.add.at(norm2, terms.row, lengths2 / terms.weight)
     finite, free = np.isfinite(gap), free2 > _NEGLIGIBLE_ROW**2 * squares
+    infinite_gaps = int(system.comm.allreduce(int(np.count_nonzero(~finite))))
+    # there is no friction where there is nothing to touch
+    rubbing = np.repeat(system.friction.row, system.gdim - 1)
+    finite[tangential.mask] &= finite[rubbing]
+    decided = finite & ~free & ~tangential.mask
     with raise_collectively(system.comm):
-        _check_decided_rows(contacts, tied, gap, tolerance, finite & ~free)
+        _check_decided_rows(contacts, tied, gap, tolerance, decided)
+        check_discs(contacts, tangential, terms.coefficients, terms.weight, gap, tolerance, free)
     kept = finite & free
-    scale = 1.0 / np.sqrt(np.where(kept, norm2, 1.0))
+    scale = common_scale(1.0 / np.sqrt(np.where(kept, norm2, 1.0)), tangential, kept)
     redundancy = find_redundant(
-        _conditions(terms, kept, scale, gap, tolerance, tied), directory, system.comm
+        _conditions(terms, kept, scale, gap, tolerance, tied, tangential.mask),
+        directory,
+        system.comm,
     )
     kept &= ~redundancy.dropped
 
@@ -151,15 +167,23 @@ def condition_rows(
     row = terms.row[here]
     coefficients = (terms.coefficients / terms.weight[:, None])[here] * scale[row][:, None]
     # the holders of a row's nodes need the row
-    given = (number, contacts.contact, scale, rhs, tied)
+    given = (
+        number,
+        contacts.contact,
+        scale,
+        rhs,
+        tied,
+        tangential.site,
+        tangential.direction,
+        tangential.bound,
+    )
     nodes, coefficients, *held = directory.forward(
         terms.node[here], coefficients, *(column[row] for column in given)
     )
     entries = _spread_over_copies(copies, nodes, held[0], coefficients)
-    number, contact, scale, rhs, equality = (
+    number, contact, scale, rhs, equality, *of_site = (
         np.concatenate([own[kept], others]) for own, others in zip(given, held, strict=True)
     )
-    infinite_gaps = int(system.comm.allreduce(int(np.count_nonzero(~finite))))
     return ConditionRows(
         entries,
         number,
@@ -168,11 +192,31 @@ def condition_rows(
         rhs,
         rounding,
         equality,
+        Tangential(*of_site),
         tied,
+        tangential.site,
         kept,
         infinite_gaps,
         redundancy,
     )
+
+
+def _all_conditions(system: TornSystem) -> tuple[ContactRows, Mask, Tangential]:
+    """Return contact, tied and tangential rows, and which are which. Collective."""
+    friction, directions = system.friction, system.gdim - 1
+    tangential = friction.tangential_rows(system.contacts)
+    contacts = ContactRows.concatenate([system.contacts, system.tied, tangential])
+    before = contacts.size - tangential.size
+    number = np.arange(contacts.size)
+    tied = (number >= system.contacts.size) & (number < before)
+    none = np.full(before, -1, dtype=np.int64)
+    sites = first_of_rank(system.comm, friction.size)[0] + np.arange(friction.size)
+    of_site = Tangential(
+        np.append(none, np.repeat(sites, directions)),
+        np.append(none, np.tile(np.arange(directions), friction.size)),
+        np.append(none.astype(float), np.repeat(friction.bound, directions)),
+    )
+    return contacts, tied, of_site
 
 
 def _terms(
@@ -197,7 +241,13 @@ def _terms(
 
 
 def _conditions(
-    terms: _Terms, kept: Mask, scale: Vector, gap: Vector, tolerance: Vector, tied: Mask
+    terms: _Terms,
+    kept: Mask,
+    scale: Vector,
+    gap: Vector,
+    tolerance: Vector,
+    tied: Mask,
+    tangential: Mask,
 ) -> ContactConditions:
     """Return the kept rows in the coordinates D^{-1/2} of the nodes, where they have length 1."""
     chosen = kept[terms.row] & np.any(terms.coefficients != 0.0, axis=1)
@@ -210,6 +260,7 @@ def _conditions(
         scale * gap,
         scale * tolerance,
         tied,
+        tangential,
     )
 
 

@@ -56,6 +56,8 @@ class Coupling:
         linearly on others.
     tied : (w,) bool array
         Which of them are equalities.
+    tangential : (w,) bool array
+        Which of them are tangential rows of friction.
     tolerance : (w,) array
         Rounding of their right-hand sides.
     rows : (h,) integer array
@@ -71,6 +73,7 @@ class Coupling:
     numbers: Numbers
     gram: sp.csr_matrix
     tied: Mask
+    tangential: Mask
     tolerance: Vector
     rows: Numbers
     positions: Numbers

@@ -47,7 +47,9 @@ def check_conditions(system: TornSystem, constraints: Constraints, c: Vector) ->
     if not coupling.groups:
         return
     (gaps,) = coupling.gather(c)
-    for members in coupling.groups:
+    for group in coupling.groups:
+        # friction demands nothing of displacements
+        members = group[~coupling.tangential[group]]
         # a tied row is two conditions
         tied = np.flatnonzero(coupling.tied[members])
         both = np.append(np.arange(members.size), tied)

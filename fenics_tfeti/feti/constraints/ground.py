@@ -115,6 +115,7 @@ def hold_ground(
         weights=weights,
         tied=tied,
         coupling=coupling,
+        friction=constraints.friction.moved(moved(np.arange(constraints.size))),
     )
     return extended, np.insert(c, layout.owned, np.zeros(new))
 

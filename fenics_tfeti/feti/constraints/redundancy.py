@@ -4,7 +4,8 @@ Each condition of a node that is in several contacts is a row of its own. The ro
 not be orthogonal to each other: their Gram matrix W is the part of B D^{-1} B' = blockdiag(I, W)
 that differs from the identity. A contact row that a parallel row with the same or a smaller gap
 implies is dropped: with it the multipliers would not be unique. So is a row that a tied row
-decides, parallel or opposite to it.
+decides, parallel or opposite to it. Tangential rows of friction imply nothing and are implied by
+nothing: their forces are limited.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class ContactConditions:
-    """The contact and tied rows of this rank, in coordinates where B D^{-1} B' is a dot product.
+    """The conditions of this rank, in coordinates where B D^{-1} B' is a dot product.
 
     Attributes
     ----------
@@ -47,6 +48,8 @@ class ContactConditions:
         Rounding of the right-hand sides.
     tied : (k,) bool array
         Which rows are equalities.
+    tangential : (k,) bool array
+        Which rows are tangential rows of friction.
     """
 
     row: Numbers
@@ -55,6 +58,7 @@ class ContactConditions:
     rhs: Vector
     tolerance: Vector
     tied: Mask
+    tangential: Mask
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,13 @@ def find_redundant(
     rows = _Rows(
         *(
             concatenate_ranks(comm, column[chosen])
-            for column in (number, conditions.rhs, conditions.tolerance, conditions.tied)
+            for column in (
+                number,
+                conditions.rhs,
+                conditions.tolerance,
+                conditions.tied,
+                conditions.tangential,
+            )
         )
     )
     taken = np.isin(row, number[chosen])
@@ -135,6 +145,7 @@ class _Rows:
     rhs: Vector
     tolerance: Vector
     tied: Mask
+    tangential: Mask
 
 
 def _in_several_rows(directory: Directory, node: Numbers, row: Numbers) -> Mask:
@@ -160,12 +171,14 @@ def _examine(
         (coefficients.ravel(), (at, columns)), (rows.number.size, int(columns.max()) + 1)
     )
     gram = (C @ C.T).tocoo()
-    _check_room(rows, gram, node, row)
-    _check_tied(rows, gram, node, row)
+    limited = (rows.tangential[gram.row] | rows.tangential[gram.col]) & (gram.row != gram.col)
+    implying = sp.coo_matrix((np.where(limited, 0.0, gram.data), (gram.row, gram.col)), gram.shape)
+    _check_room(rows, implying, node, row)
+    _check_tied(rows, implying, node, row)
 
     # a tied row decides those that are opposite to it, too
-    cosine = np.where(rows.tied[gram.row] | rows.tied[gram.col], np.abs(gram.data), gram.data)
-    parallel = cosine > 1.0 - PARALLEL
+    either = rows.tied[gram.row] | rows.tied[gram.col]
+    parallel = np.where(either, np.abs(implying.data), implying.data) > 1.0 - PARALLEL
     alike = sp.coo_matrix(
         (gram.data[parallel], (gram.row[parallel], gram.col[parallel])), gram.shape
     )

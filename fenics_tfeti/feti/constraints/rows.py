@@ -1,4 +1,4 @@
-"""Constraint rows B = [B_E; B_I] with B D^{-1} B' = blockdiag(I, W) (sec. 11.5, remark 11.1).
+"""Constraint rows B = [B_E; B_I; B_T] with B D^{-1} B' = blockdiag(I, W) (sec. 11.5, remark 11.1).
 
 D holds a weight for each copy of a node; with weights of 1 this is (11.22). Rows follow from global
 node numbers and weights alone: gluing and Dirichlet rows by `equality`, contact and tied rows by
@@ -21,6 +21,7 @@ from fenics_tfeti.feti.constraints.coupling import Coupling
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.constraints.entries import Entries
 from fenics_tfeti.feti.constraints.equality import equality_rows
+from fenics_tfeti.feti.constraints.friction import FrictionRows
 from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
@@ -58,6 +59,8 @@ class TiedRows:
 class Constraints:
     """B of Bu <= c (inequality rows) and Bu = c (equality rows), on this rank's torn unknowns.
 
+    Friction has rows of its own, whose jumps Bu - c are slips.
+
     Attributes
     ----------
     matrix : (m, n) scipy.sparse.csr_matrix
@@ -85,7 +88,9 @@ class Constraints:
     tied : TiedRows
         The equality rows of tied surfaces.
     coupling : Coupling
-        Contact and tied rows that are not orthogonal to all others.
+        Contact, tied and tangential rows that are not orthogonal to all others.
+    friction : FrictionRows
+        The tangential rows of contact rows with friction.
     """
 
     matrix: sp.csr_matrix
@@ -100,6 +105,7 @@ class Constraints:
     infinite_gaps: int
     tied: TiedRows
     coupling: Coupling
+    friction: FrictionRows
 
     @property
     def size(self) -> int:
@@ -119,6 +125,7 @@ class Constraints:
         """Mask of the equality rows."""
         mask = np.ones(self.size, dtype=bool)
         mask[self.inequality] = False
+        mask[self.friction.flat] = False
         return mask
 
     @cached_property
@@ -133,6 +140,8 @@ class Constraints:
             (self.layout.numbers, other.layout.numbers),
             (self.own_rows, other.own_rows),
             (self.tied.own_rows, other.tied.own_rows),
+            (self.friction.rows, other.friction.rows),
+            (self.friction.own, other.friction.own),
         )
         same = all(np.array_equal(*pair) for pair in pairs)
         return bool(self.layout.comm.allreduce(same, MPI.LAND))
@@ -144,8 +153,23 @@ class Constraints:
             and (self.matrix != other.matrix).nnz == 0
             and np.array_equal(self.contact, other.contact)
             and np.array_equal(self.tied.contact, other.tied.contact)
+            and np.array_equal(self.friction.contact, other.friction.contact)
         )
         return self.same_numbering(other) and bool(self.layout.comm.allreduce(same, MPI.LAND))
+
+    def face(self, active: NDArray[np.bool_], sticking: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return the mask (m,) of the rows of a face.
+
+        Parameters
+        ----------
+        active : (i,) bool array
+            The inequality rows on it.
+        sticking : (k,) bool array
+            The sites of friction whose rows are on it.
+        """
+        rows = self.equality | self.friction.on_rows(sticking, self.size)
+        rows[self.inequality] = active
+        return rows
 
     def on_inequalities(self, values: Vector | NDArray[np.bool_]) -> Vector:
         """Return a vector (m,) with values (i,) on the inequality rows, zero elsewhere."""
@@ -214,21 +238,32 @@ def build_constraints(
     own_rows[kept] = at[: np.count_nonzero(kept)]
     # each row once
     rows, first = np.unique(at, return_index=True)
-    tied = conditions.tied[first]
+    tied, tangential = conditions.tied[first], conditions.tangential.chosen(first)
     contact, scale = conditions.contact[first], conditions.scale[first]
+    pressing, slip = ~tied & ~tangential.mask, tangential.mask
+    given_contact = ~conditions.given_tied & (conditions.given_sites < 0)
     constraints = Constraints(
         matrix,
         layout,
-        inequality=rows[~tied],
-        contact=contact[~tied],
-        scale=scale[~tied],
-        own_rows=own_rows[~conditions.given_tied],
+        inequality=rows[pressing],
+        contact=contact[pressing],
+        scale=scale[pressing],
+        own_rows=own_rows[given_contact],
         weights=np.repeat(copies.weight, system.gdim),
         nodes=first_of_rank(system.comm, directory.keys.size)[1],
         redundant=conditions.redundancy.dropped_total,
         infinite_gaps=conditions.infinite_gaps,
         tied=TiedRows(rows[tied], contact[tied], scale[tied], own_rows[conditions.given_tied]),
         coupling=_coupling(layout, conditions),
+        friction=FrictionRows.build(
+            rows[slip],
+            tangential.chosen(slip),
+            contact[slip],
+            scale[slip],
+            system.gdim - 1,
+            np.unique(conditions.given_sites[conditions.given_sites >= 0]),
+            system.comm,
+        ),
     )
     return constraints, c
 
@@ -238,11 +273,21 @@ def _coupling(layout: DualLayout, conditions: ConditionRows) -> Coupling:
     kept, redundancy = conditions.kept, conditions.redundancy
     own = redundancy.coupled[kept]
     numbers = concatenate_ranks(layout.comm, conditions.number[: own.size][own])
-    tied, tolerance = (
+    tied, tangential, tolerance = (
         concatenate_ranks(layout.comm, column[kept][own])
-        for column in (conditions.given_tied, conditions.tolerance)
+        for column in (conditions.given_tied, conditions.given_sites >= 0, conditions.tolerance)
     )
     positions = np.flatnonzero(np.isin(numbers, layout.numbers))
     rows = layout.local(numbers[positions])
     owned = rows < layout.owned
-    return Coupling(numbers, redundancy.gram, tied, tolerance, rows, positions, owned, layout.comm)
+    return Coupling(
+        numbers,
+        redundancy.gram,
+        tied,
+        tangential,
+        tolerance,
+        rows,
+        positions,
+        owned,
+        layout.comm,
+    )

@@ -2,8 +2,8 @@
 
     minimise 1/2 x'(PFP + rho Q)x - x'Pd_0  subject to  Gx = o,  x_I >= -lambda~_I,
 
-with lambda = lambda~ + x, the feasible lambda~ of (11.37) and d_0 = d - F lambda~. F is scaled by
-||PFP||, so that ||PFP + rho Q|| = max(1, rho).
+and |lambda~_T + x_T| <= r where there is friction, with lambda = lambda~ + x, the feasible lambda~
+of (11.37) and d_0 = d - F lambda~. F is scaled by ||PFP||, so that ||PFP + rho Q|| = max(1, rho).
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.qp import (
-    Bounds,
     OuterIteration,
     Products,
     ProportioningOptions,
@@ -85,11 +84,11 @@ def solve_by_smalbe(
     Stopped
         If a rank was interrupted.
     """
-    norm, rows = problem.norm, problem.constraints.inequality
+    norm = problem.norm
     result = smalbe(
         _until_interrupted(augmented_hessian(problem, options.smalbe_rho)),
         problem.projector.P(d) / norm,
-        Bounds.from_below(rows, -feasible[rows]),
+        problem.multiplier_set(feasible),
         replace(start, q=start.q / norm),
         norm_b=norm_b / norm,
         options=_smalbe_options(options, rtol, outer_so_far, patience),
@@ -140,7 +139,8 @@ def _augmented_preconditioner(
         return None
 
     def apply(x: Vector, on_bounds: Numbers) -> Vector:
-        free = ~np.isin(problem.constraints.inequality, on_bounds)
+        free = np.ones(x.size, dtype=bool)
+        free[on_bounds] = False
         part, Qx = projector.part_of_Q(x)
         y = projector.part_of_P(preconditioner.on_face(free)(x - Qx))
         z = problem.constraints.layout.sum(problem.norm * y + part / rho)

@@ -63,7 +63,7 @@ class Face:
     def build(problem: DualProblem, active: Mask, projector: Projector) -> Face:
         """Make the preconditioner of a face. Collective."""
         kind = problem.preconditioner
-        return Face(active, projector, None if kind is None else kind.on_face(active))
+        return Face(active, projector, None if kind is None else kind.on_face(projector.rows))
 
 
 @dataclass(frozen=True)

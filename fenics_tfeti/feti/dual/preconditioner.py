@@ -49,19 +49,19 @@ class Preconditioner:
     constraints: Constraints
     _inverse: GramInverse | None = field(init=False, repr=False, default=None)
 
-    def on_face(self, active: Mask) -> Callable[[Vector], Vector]:
+    def on_face(self, rows: Mask) -> Callable[[Vector], Vector]:
         """Return x -> this rank's part of B_D S B_D'x, x zero off the face. Collective.
 
         Parameters
         ----------
-        active : (i,) bool array
-            The contact rows on the face, beside all equality rows.
+        rows : (m,) bool array
+            The rows of the face, see `Constraints.face`.
         """
         coupling = self.constraints.coupling
         if not coupling.numbers.size:
             return self.apply
-        (on_rows,) = coupling.gather(self.constraints.on_inequalities(active))
-        inverse = self._inverse_of((on_rows > 0.0) | coupling.tied)
+        (on_rows,) = coupling.gather(rows.astype(float))
+        inverse = self._inverse_of(on_rows > 0.0)
 
         def precondition(x: Vector) -> Vector:
             x = x.copy()
@@ -74,7 +74,7 @@ class Preconditioner:
 
         return precondition
 
-    def kernel_part(self, x: Vector, active: Mask) -> Vector | float:
+    def kernel_part(self, x: Vector, rows: Mask) -> Vector | float:
         """Return the part of x that the preconditioner of a face takes to zero. Collective.
 
         It is that in the kernel of W_RR, along which the face has neither forces nor energy.
@@ -83,14 +83,14 @@ class Preconditioner:
         ----------
         x : (m,) array
             Multipliers.
-        active : (i,) bool array
-            The contact rows on the face.
+        rows : (m,) bool array
+            The rows of the face.
         """
         coupling = self.constraints.coupling
         if not coupling.groups:
             return 0.0
-        (on_rows,) = coupling.gather(self.constraints.on_inequalities(active))
-        null = self._inverse_of((on_rows > 0.0) | coupling.tied).null
+        (on_rows,) = coupling.gather(rows.astype(float))
+        null = self._inverse_of(on_rows > 0.0).null
         part = np.zeros_like(x)
         part[coupling.rows] = (null @ (null.T @ coupling.gather(x)[0]))[coupling.positions]
         return part

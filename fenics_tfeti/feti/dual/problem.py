@@ -16,7 +16,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.preconditioner import Preconditioner
-from fenics_tfeti.qp import Space
+from fenics_tfeti.qp import FeasibleSet, Space
 
 __all__ = ["DualProblem"]
 
@@ -25,7 +25,7 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DualProblem:
-    """Minimise 1/2 l'Fl - d'l subject to Gl = e and l_I >= o, (11.36).
+    """Minimise 1/2 l'Fl - d'l subject to Gl = e, l_I >= o and |l_T| <= r, (11.36) with friction.
 
     Attributes
     ----------
@@ -45,6 +45,8 @@ class DualProblem:
         ||PFP||, roughly: the scale of gaps against forces.
     preconditioner : Preconditioner or None
         B_D S B_D' on faces.
+    radius : (k,) array
+        r of each site of friction.
     """
 
     F: Callable[[Vector], Vector]
@@ -55,6 +57,7 @@ class DualProblem:
     projector: Projector
     norm: float
     preconditioner: Preconditioner | None
+    radius: Vector
 
     @property
     def coarse_space(self) -> CoarseSpace:
@@ -65,6 +68,11 @@ class DualProblem:
     def constraints(self) -> Constraints:
         """B."""
         return self.projector.coarse_space.constraints
+
+    def multiplier_set(self, shift: Vector) -> FeasibleSet:
+        """Return {x : shift + x is feasible}, without regard to Gl = e."""
+        constraints = self.constraints
+        return constraints.friction.multiplier_set(constraints.inequality, shift, self.radius)
 
     @property
     def space(self) -> Space:

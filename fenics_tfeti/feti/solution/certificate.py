@@ -8,6 +8,8 @@ minus the dual value of lambda is
 
 the last term zero where the contacts that press are closed. As J(u) >= J(u*) >= D(lambda), the
 error of u in the energy norm is at most ||u - u_t||_K (Prager and Synge, on the discrete problem).
+With friction J includes r |s| of the slips s = B_T u - c_T, and twice r |s| - lambda_T's is added
+to the square of the bound: zero where nothing slips, or the slip is along a force of size r.
 
 Soft elastic supports are a part of K, with their ground as unknowns that equality rows hold
 (`local.elastic_supports`): u is on y = o, u_t moves the ground a little, and the bound is the same.
@@ -115,6 +117,14 @@ class Certificate:
     complementarity : float
         Largest product of force and distance, relative to the largest force of the contact and the
         deformation of its bodies.
+    friction_excess : float
+        Largest excess of a tangential force over its bound, relative to the largest bound of the
+        contact.
+    slip_below_bound : float
+        Largest slip where the tangential force is below its bound, relative to the deformation of
+        the bodies that touch there.
+    slip_across_force : float
+        Largest part of a slip that is not along the tangential force, relative to the same.
     """
 
     bound: float
@@ -125,6 +135,9 @@ class Certificate:
     penetration: float
     smallest_force: float
     complementarity: float
+    friction_excess: float = 0.0
+    slip_below_bound: float = 0.0
+    slip_across_force: float = 0.0
 
     def numbers(self) -> dict[str, float]:
         """Return what the tolerance limits, by name; of groups and bodies the largest error."""
@@ -136,6 +149,9 @@ class Certificate:
             "penetration": self.penetration,
             "negative force": max(0.0, -self.smallest_force),
             "complementarity": self.complementarity,
+            "friction above its bound": self.friction_excess,
+            "slip below the bound": self.slip_below_bound,
+            "slip across the force": self.slip_across_force,
         }
 
     @property
@@ -164,6 +180,8 @@ class RowBodies:
         bodies of a row, whichever rank has them.
     tied : (2, q) integer array
         Pairs of bodies that tied rows of this rank connect.
+    site, site_body : (p,) integer arrays
+        The bodies of each site of friction that this rank holds, as those of inequality rows.
     """
 
     bodies: int
@@ -172,6 +190,8 @@ class RowBodies:
     row: Numbers
     body: Numbers
     tied: Numbers
+    site: Numbers
+    site_body: Numbers
 
     @staticmethod
     def build(system: TornSystem, constraints: Constraints, ends: Numbers) -> RowBodies:
@@ -191,13 +211,31 @@ class RowBodies:
         of_unknown = np.repeat(of_subdomain, np.diff(ends))
         row, body = _bodies_of_rows(constraints, constraints.inequality, of_unknown)
         pairs = _pairs(*_bodies_of_rows(constraints, constraints.tied.rows, of_unknown))
-        contacts = system.comm.allreduce(int(constraints.contact.max(initial=-1)), MPI.MAX) + 1
-        return RowBodies(count, contacts, of_subdomain, row, body, pairs)
+        numbers = np.append(constraints.contact, constraints.friction.contact)
+        contacts = system.comm.allreduce(int(numbers.max(initial=-1)), MPI.MAX) + 1
+        sites = _bodies_of_rows(constraints, constraints.friction.rows.max(axis=1), of_unknown)
+        return RowBodies(count, contacts, of_subdomain, row, body, pairs, *sites)
 
-    def groups(self, comm: MPI.Intracomm, closed: Mask) -> Numbers:
-        """Return the group of each body, given the contact rows that are closed. Collective."""
-        chosen = closed[self.row]
-        pairs = np.hstack([_pairs(self.row[chosen], self.body[chosen]), self.tied])
+    def groups(self, comm: MPI.Intracomm, closed: Mask, rubbing: Mask) -> Numbers:
+        """Return the group of each body. Collective.
+
+        Parameters
+        ----------
+        comm : MPI.Intracomm
+            The ranks.
+        closed : (i,) bool array
+            The contact rows that are closed.
+        rubbing : (k,) bool array
+            The sites of friction that may have a force.
+        """
+        chosen, rubs = closed[self.row], rubbing[self.site]
+        pairs = np.hstack(
+            [
+                _pairs(self.row[chosen], self.body[chosen]),
+                _pairs(self.site[rubs], self.site_body[rubs]),
+                self.tied,
+            ]
+        )
         first, last = concatenate_buffers(comm, *pairs)
         graph = sp.coo_matrix(
             (np.ones(first.size), (first, last)), shape=(self.bodies, self.bodies)
@@ -209,6 +247,12 @@ class RowBodies:
         """Return the largest value among the bodies of each inequality row, of `rows` rows."""
         largest = np.zeros(rows)
         np.maximum.at(largest, self.row, of_body[self.body])
+        return largest
+
+    def largest_at_sites(self, of_body: Vector, sites: int) -> Vector:
+        """Return the largest value among the bodies of each of `sites` sites of friction."""
+        largest = np.zeros(sites)
+        np.maximum.at(largest, self.site, of_body[self.site_body])
         return largest
 
 
@@ -256,6 +300,8 @@ class PrimalProblem:
         Names of the bodies.
     unit : float
         The stiffness that a weight of 1 stands for [N/m].
+    radius : (k,) array
+        r of each site of friction.
     """
 
     stiffness: list[sp.csr_matrix]
@@ -266,6 +312,7 @@ class PrimalProblem:
     row_bodies: RowBodies
     body_names: Sequence[str]
     unit: float
+    radius: Vector
 
     def internal_forces(self, u: Vector) -> Vector:
         """Return Ku."""
@@ -285,14 +332,16 @@ class PrimalProblem:
             That of the equality rows and the contact rows with a force.
         """
         measures = self._body_measures(recovered, multipliers, face)
-        group = self.row_bodies.groups(self._comm, recovered.closed)
+        group = self.row_bodies.groups(self._comm, recovered.closed, self.radius > 0.0)
         groups, bodies = self._errors(measures, group)
         bound, norm = np.sqrt([measures.error2.sum(), measures.energy2.sum()]).tolist()
         moved = measures.energy2 > UNDEFORMED**2 * measures.rounding2
         equilibrium = np.sqrt(measures.residual2 / np.where(moved, measures.force2, np.inf))
+        deformation = np.where(moved, measures.deformation, 0.0)
         penetration, smallest, complementarity = self._contact_measures(
-            recovered, multipliers, np.where(moved, measures.deformation, 0.0)
+            recovered, multipliers, deformation
         )
+        excess, below, across = self._friction_measures(recovered, multipliers, deformation)
         return Certificate(
             bound=bound,
             error=bound / norm if moved.any() else max((g.error for g in groups), default=0.0),
@@ -302,6 +351,9 @@ class PrimalProblem:
             penetration=penetration,
             smallest_force=smallest,
             complementarity=complementarity,
+            friction_excess=excess,
+            slip_below_bound=below,
+            slip_across_force=across,
         )
 
     @property
@@ -363,6 +415,7 @@ class PrimalProblem:
         if starts.size:
             by_subdomain = np.add.reduceat(by_unknown, starts, axis=1)
             np.add.at(sums.T, self.row_bodies.of_subdomain, by_subdomain.T)
+        np.add.at(sums[0], *self._unused_friction(recovered, multipliers))
         self._comm.Allreduce(MPI.IN_PLACE, sums)
         error2, energy2, residual2, force2, rounding2 = np.maximum(sums, 0.0)
         # where G lambda = e does not hold, there is no bound
@@ -375,6 +428,7 @@ class PrimalProblem:
         constraints, closing = self.F.constraints, self.c.copy()
         rows = constraints.inequality
         closing[rows] = np.where(recovered.closed, closing[rows], np.minimum(closing[rows], 0.0))
+        closing[constraints.friction.on_rows(~recovered.sticking, closing.size)] = 0.0
         space = constraints.layout.space
         closed2, removed2 = space.dots((closing, closing), (self.removed, self.removed))
         motions2 = self.unit * (closed2 + _ROUNDED_ONCE**2 * removed2)
@@ -425,10 +479,70 @@ class PrimalProblem:
         smallest = -float(numbers[1]) if np.isfinite(numbers[1]) else 0.0
         return float(numbers[0]), smallest, float(numbers[2])
 
+    def slips(self, recovered: Recovered) -> Vector:
+        """Return s = B_T u - c_T at the sites of friction, (k, gdim - 1), scaled as the rows.
+
+        It is zero where the rows were closed.
+        """
+        jumps = self.F.jumps(recovered.displacement) - self.c
+        slips = self.F.constraints.friction.at_sites(jumps)
+        slips[recovered.sticking] = 0.0
+        return slips
+
+    def _unused_friction(self, recovered: Recovered, multipliers: Vector) -> tuple[Numbers, Vector]:
+        """Return 2 (r |s| - lambda_T's) of each owned site, with one of its bodies [J]."""
+        friction, owned = self.F.constraints.friction, self.F.constraints.layout.owned
+        slip, along = self.slips(recovered), friction.directions(multipliers)
+        size, forwards = np.linalg.norm(slip, axis=1), np.sum(slip * along, axis=1)
+        # |s| - s'l for a unit vector l; without the difference where s is almost along l
+        across = np.linalg.norm(slip - forwards[:, None] * along, axis=1)
+        unused = np.where(
+            forwards > 0.0,
+            np.divide(across**2, size + forwards, out=np.zeros_like(size), where=forwards > 0.0),
+            size - forwards,
+        )
+        mine = friction.owned(owned)
+        site, first = np.unique(self.row_bodies.site, return_index=True)
+        body = np.zeros(friction.size, dtype=np.int64)
+        body[site] = self.row_bodies.site_body[first]
+        return body[mine], (2.0 * self.radius * unused)[mine]
+
+    def _friction_measures(
+        self, recovered: Recovered, multipliers: Vector, deformation: Vector
+    ) -> tuple[float, float, float]:
+        """Return excess over the bound, slip below it and slip across the force, relative."""
+        friction, bodies = self.F.constraints.friction, self.row_bodies
+        jumps = self.F.jumps(recovered.displacement) - self.c
+        slip = friction.at_sites(jumps) / friction.scale[:, None]
+        force = np.linalg.norm(friction.at_sites(multipliers), axis=1)
+        largest = np.zeros(bodies.contacts)
+        np.maximum.at(largest, friction.contact, friction.scale * self.radius)
+        self._comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+        bound = largest[friction.contact]
+        scale = bodies.largest_at_sites(deformation, friction.size)
+        scale = np.where(scale > 0.0, scale, np.inf)
+        along = friction.directions(multipliers)
+        forwards = np.maximum(np.sum(slip * along, axis=1, keepdims=True), 0.0)
+        across = np.linalg.norm(slip - forwards * along, axis=1) / scale
+        slipping = ~recovered.sticking & (self.radius > 0.0)
+        excess = friction.scale * (force - self.radius) / np.where(bound > 0.0, bound, 1.0)
+        below = np.linalg.norm(slip, axis=1) / scale
+        numbers = np.array(
+            [
+                excess.max(initial=0.0),
+                below[recovered.sticking].max(initial=0.0),
+                across[slipping].max(initial=0.0),
+            ]
+        )
+        self._comm.Allreduce(MPI.IN_PLACE, numbers, MPI.MAX)
+        return float(numbers[0]), float(numbers[1]), float(numbers[2])
+
     def energy(self, recovered: Recovered) -> float:
-        """Return 1/2 u'Ku - f'u [J]."""
+        """Return 1/2 u'Ku - f'u, with friction and the sum of r |s| [J]."""
         u = recovered.displacement
         part = u @ (0.5 * self.internal_forces(u) - self.load)
+        mine = self.F.constraints.friction.owned(self.F.constraints.layout.owned)
+        part += self.radius[mine] @ np.linalg.norm(self.slips(recovered)[mine], axis=1)
         space = self.F.constraints.layout.space
         return float(space.sum_over_ranks(np.array([part]))[0])
 

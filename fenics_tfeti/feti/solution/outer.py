@@ -151,7 +151,7 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
     if forces is not None:
         return loop.at_rest(forces)
     stage = _Stage(loop.first_state(start), solved=False)
-    by_active_set = options.method == "active_set"
+    by_active_set = options.method == "active_set" and not loop.with_friction
     scale, limit = loop.scale, max(options.rtol, ROUNDING)
     tolerance, rounding = options.rtol * scale.energy_norm, scale.rounding_at(scale.energy_norm)
     changed_method = False
@@ -171,7 +171,7 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
         progress.update(candidate.certificate, tolerance)
         rounding = min(rounding, scale.rounding_at(candidate.certificate.energy_norm))
         limited = progress.stagnates or tolerance <= rounding
-        if limited and not by_active_set and not changed_method:
+        if limited and not (by_active_set or changed_method or loop.with_friction):
             by_active_set = changed_method = True
             progress = Progress()
         elif limited:
@@ -236,9 +236,16 @@ class _Loop:
             setup.row_bodies,
             body_names,
             setup.local.unit,
+            data.radius,
         )
         scale = EnergyScale.of(setup, data, feasible, far, timer, monitor.history)
         return _Loop(setup, data, options, timer, monitor, primal, feasible.jumps - data.c, scale)
+
+    @property
+    def with_friction(self) -> bool:
+        """Whether there is friction, with which SMALBE-M is the method. Collective."""
+        radius, comm = self.data.radius, self.setup.constraints.layout.comm
+        return bool(comm.allreduce(bool(radius.any()), MPI.LOR))
 
     def at_rest(self, multipliers: Vector) -> Outcome:
         """Return u = o, with multipliers that balance the load."""
@@ -246,9 +253,11 @@ class _Loop:
         active = np.zeros(setup.constraints.inequality.size, dtype=bool)
         with self.timer.phase("recovery"):
             face = Projector.build(setup.projector.coarse_space, active)
-            recovered = Recovered(none, none, none, active)
+            sticking = np.zeros(setup.constraints.friction.size, dtype=bool)
+            recovered = Recovered(none, none, none, active, sticking)
             certificate = self.primal.certify(recovered, multipliers, face)
-        candidate = Candidate(recovered, multipliers, certificate, 0.0, face)
+            slips = self.primal.slips(recovered)
+        candidate = Candidate(recovered, multipliers, certificate, 0.0, face, slips)
         state = DualState(multipliers, np.zeros_like(multipliers))
         return Outcome(candidate, state, True, "converged", 0.0)
 
@@ -265,6 +274,8 @@ class _Loop:
             if stage.solved or interruption.agreed():
                 return stage
         patience = self.options.smalbe_patience
+        if self.with_friction:
+            return self.smalbe(stage.state, tolerance, self.options.smalbe_max_it)
         while True:
             stage = self.smalbe(stage.state, tolerance, patience)
             if stage.flat and self.setup.deflation is not None:
@@ -330,8 +341,9 @@ class _Loop:
             "max_products": f"limit of {self.options.max_products} products (max_products)",
         }
         multipliers = feasible + result.state.x
-        cancelled = multipliers <= _CANCELLED * (np.abs(feasible) + np.abs(result.state.x))
-        cancelled[self.setup.constraints.equality] = False
+        cancelled = np.zeros(multipliers.size, dtype=bool)
+        rows, size = self.setup.constraints.inequality, np.abs(feasible) + np.abs(result.state.x)
+        cancelled[rows] = multipliers[rows] <= _CANCELLED * size[rows]
         with self.timer.phase("iterations"):
             multipliers = self._completed(np.where(cancelled, 0.0, multipliers))
         return _Stage(
@@ -343,18 +355,22 @@ class _Loop:
 
     def recover(self, state: DualState) -> Candidate:
         """Recover displacements, and measure how well they and lambda solve (11.21)."""
-        setup, data, rows = self.setup, self.data, self.setup.constraints.inequality
-        multipliers = state.multipliers.copy()
-        multipliers[rows] = np.maximum(multipliers[rows], 0.0)
+        setup, data, constraints = self.setup, self.data, self.setup.constraints
+        feasible = constraints.friction.multiplier_set(
+            constraints.inequality, np.zeros(constraints.size), data.radius
+        )
+        multipliers = feasible.project(state.multipliers.copy())
+        multipliers = constraints.friction.at_bound(multipliers, data.radius)
         with self.timer.phase("recovery"):
             coarse_space = setup.projector.coarse_space
-            multipliers, face = balance_multipliers(coarse_space, data.e, multipliers)
+            multipliers, face = balance_multipliers(coarse_space, data.e, multipliers, data.radius)
             # F makes jumps of what the balance has added, large ones in the deflated directions
             multipliers = self._completed(multipliers)
             recovered = recover_displacement(setup.F, face, data.load, data.c, multipliers)
             certificate = self.primal.certify(recovered, multipliers, face)
             energy = self.primal.energy(recovered)
-        return Candidate(recovered, multipliers, certificate, energy, face)
+            slips = self.primal.slips(recovered)
+        return Candidate(recovered, multipliers, certificate, energy, face, slips)
 
     def _completed(self, multipliers: Vector) -> Vector:
         """Return the multipliers with their part in the deflated directions."""

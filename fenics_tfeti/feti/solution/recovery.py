@@ -3,7 +3,8 @@
 The torn displacement u_t = K^+(f - B'lambda) + R alpha is in equilibrium with the multipliers, but
 copies of a node differ a little, and contacts gape or penetrate. The displacement u that is
 returned is the nearest one, in the norm of D, on which all constraints hold: glued, with the
-prescribed values, closed where contact forces press, and without penetration. The energy of the
+prescribed values, closed where contact forces press, without penetration, and without slip where
+friction is below its bound. The energy of the
 difference bounds the error of u (see `certificate`), provided that lambda_I >= o and that the
 multipliers balance the load on all rigid motions, G lambda = e.
 """
@@ -54,21 +55,26 @@ class Recovered:
         u: all copies of a node are equal, and no contact is penetrated [m].
     closed : (i,) bool array
         The contact rows that were closed: those with a force, and those that u_t penetrates.
+    sticking : (k,) bool array
+        The sites of friction whose slip is zero.
     """
 
     strained: Vector
     torn: Vector
     displacement: Vector
     closed: Mask
+    sticking: Mask
 
 
 def balance_multipliers(
-    coarse_space: CoarseSpace, e: Vector, multipliers: Vector
+    coarse_space: CoarseSpace, e: Vector, multipliers: Vector, radius: Vector
 ) -> tuple[Vector, Projector]:
-    """Return the multipliers with G lambda = e and lambda_I >= o, and the projector of their face.
+    """Return the feasible multipliers with G lambda = e, and the projector of their face.
 
-    What is missing of G lambda = e is added in the least squares sense on the equality rows and on
-    the contact rows with a force; contact rows whose force would become negative leave the face.
+    What is missing of G lambda = e is added in the least squares sense on the equality rows, on the
+    contact rows with a force, and on the tangential rows with a force below its bound. Contact rows
+    whose force would become negative leave the face, and sites of friction that would exceed their
+    bound.
 
     Parameters
     ----------
@@ -77,29 +83,38 @@ def balance_multipliers(
     e : (coarse,) array
         R'f.
     multipliers : (m,) array
-        lambda, with lambda_I >= o.
+        lambda, with lambda_I >= o and |lambda_T| <= r.
+    radius : (k,) array
+        r of each site of friction.
 
     Returns
     -------
     (m,) array
         Balanced multipliers; the given ones where no face can take what is missing.
     Projector
-        That of the equality rows and the contact rows with a force.
+        That of the equality rows, the contact rows with a force, and the sites that stick.
     """
     rows, space = coarse_space.constraints.inequality, coarse_space.constraints.layout.space
-    balanced = multipliers
+    friction, balanced = coarse_space.constraints.friction, multipliers
+    none = np.zeros_like(multipliers)
+    limits = friction.multiplier_set(rows[:0], none, radius)
     while True:
-        face = Projector.build(coarse_space, balanced[rows] > 0.0)
+        sticking = friction.sticking(balanced, radius)
+        face = Projector.build(coarse_space, balanced[rows] > 0.0, sticking)
         corrected = balanced
         # the second time for what rounding leaves where contact rows resist much less than others
         for _ in range(2):
             missing = face.without_free_motions(e - coarse_space.restrict(corrected))
             corrected = corrected + face.least_norm(missing)
-        negative = corrected[rows] < 0.0
-        if not space.sums(float(np.count_nonzero(negative)))[0]:
+        negative, limited = corrected[rows] < 0.0, limits.project(corrected.copy())
+        sliding = sticking & ~friction.sticking(limited, radius)
+        left = np.count_nonzero(negative) + np.count_nonzero(sliding)
+        if not space.sums(float(left))[0]:
             return corrected, face
         balanced = balanced.copy()
         balanced[rows[negative]] = 0.0
+        slipping = friction.on_rows(sliding, balanced.size)
+        balanced[slipping] = limited[slipping]
 
 
 def recover_displacement(
@@ -142,8 +157,11 @@ def recover_displacement(
     if pressing.free.shape[1]:
         away = _smallest_without_penetration(pressing, c - F.jumps(torn))
         torn += coarse_space.rigid_motion(pressing.free @ away)
-    displacement, closed = close_constraints(F, c, torn, multipliers[rows] > 0.0)
-    return Recovered(strained, torn, displacement, closed)
+    friction = F.constraints.friction
+    along = friction.directions(multipliers)
+    displacement, closed = close_constraints(F, c, torn, pressing.rows, along)
+    sticking = friction.within(pressing.rows)
+    return Recovered(strained, torn, displacement, closed[rows], sticking)
 
 
 def _motions(face: Projector, jumps: Vector) -> tuple[Projector, Vector]:
@@ -155,6 +173,7 @@ def _motions(face: Projector, jumps: Vector) -> tuple[Projector, Vector]:
     """
     coarse_space = face.coarse_space
     rows, layout = coarse_space.constraints.inequality, coarse_space.constraints.layout
+    sticking = coarse_space.constraints.friction.within(face.rows)
     alpha, pressing = face.coefficients(jumps), face.rows[rows]
     for _ in range(_NEWTON_STEPS):
         if face.weak is None:
@@ -166,7 +185,7 @@ def _motions(face: Projector, jumps: Vector) -> tuple[Projector, Vector]:
         active = pressing | (penetration > np.where(joined, -negligible, negligible))
         if not layout.space.sums(float(np.count_nonzero(active != joined)))[0]:
             break
-        face = Projector.build(coarse_space, active)
+        face = Projector.build(coarse_space, active, sticking)
         alpha = face.coefficients(jumps)
     return face, alpha
 
@@ -200,6 +219,7 @@ def forces_at_rest(F: DualOperator, load: Vector, c: Vector) -> Vector | None:
     left = np.abs(load - F.constraint_forces(forces))
     rest = (
         not c[constraints.equality].any()
+        and not c[constraints.friction.flat].any()
         and bool((c[constraints.inequality] >= 0.0).all())
         and bool((left <= _SHARED_OUT * np.abs(load).max(initial=0.0)).all())
     )
@@ -207,13 +227,14 @@ def forces_at_rest(F: DualOperator, load: Vector, c: Vector) -> Vector | None:
 
 
 def close_constraints(
-    F: DualOperator, c: Vector, torn: Vector, pressing: Mask
+    F: DualOperator, c: Vector, torn: Vector, face: Mask, along: Vector
 ) -> tuple[Vector, Mask]:
     """Return the nearest displacement on which the constraints hold, and the rows closed for that.
 
-    u = u_t - D^{-1} B_R' W_R^{-1} (B_R u_t - c_R), with R the equality rows, the contact rows that
-    press and those that u_t penetrates. B_R D^{-1} B_R' = W_R is the identity but for contact and
-    tied rows that share a node.
+    u = u_t - D^{-1} B_R' W_R^{-1} (B_R u_t - c_R), with R the rows of the face and the contact rows
+    that u_t penetrates. B_R D^{-1} B_R' = W_R is the identity but for contact, tied and tangential
+    rows that share a node. Where friction is at its bound the part of the slip is removed that is
+    not along the force, except for rows that share a node.
 
     Parameters
     ----------
@@ -223,37 +244,47 @@ def close_constraints(
         Right-hand sides of the constraints.
     torn : (n,) array
         u_t [m].
-    pressing : (i,) bool array
-        The contact rows with a force.
+    face : (m,) bool array
+        The equality rows, the contact rows with a force, and the tangential rows that stick.
+    along : (k, gdim - 1) array
+        Unit vectors of the friction forces.
+
+    Returns
+    -------
+    (n,) array
+        u [m].
+    (m,) bool array
+        R.
     """
     constraints, rows = F.constraints, F.constraints.inequality
     jump = F.jumps(torn) - c
-    closed = pressing | (jump[rows] > 0.0)
-    correction = np.where(constraints.equality, jump, 0.0)
-    correction[rows] = np.where(closed, jump[rows], 0.0)
-    closed = _close_coupled_rows(constraints, jump, correction, pressing, closed)
+    closed = face.copy()
+    closed[rows] |= jump[rows] > 0.0
+    correction = np.where(closed, jump, 0.0)
+    slip = constraints.friction.at_sites(jump)
+    slip -= np.maximum(np.sum(slip * along, axis=1, keepdims=True), 0.0) * along
+    wrong = constraints.friction.present & along.any(axis=1, keepdims=True)
+    wrong &= ~constraints.friction.within(face)[:, None]
+    correction[constraints.friction.rows[wrong]] = slip[wrong]
+    _close_coupled_rows(constraints, jump, correction, closed)
     u: Vector = torn - F.constraint_forces(correction) / constraints.weights
     return u, closed
 
 
 def _close_coupled_rows(
-    constraints: Constraints, jump: Vector, correction: Vector, pressing: Mask, closed: Mask
-) -> Mask:
-    """Replace the correction of the coupled rows by W_R^{-1} (B_R u_t - c_R).
+    constraints: Constraints, jump: Vector, correction: Vector, closed: Mask
+) -> None:
+    """Replace the correction of the coupled rows by W_R^{-1} (B_R u_t - c_R), in place.
 
     Rows that closing others would penetrate are added to R. Every rank computes all coupled rows.
     """
     coupling = constraints.coupling
     if not coupling.numbers.size:
-        return closed
-    jumps, on_rows = coupling.gather(jump, constraints.on_inequalities(pressing | closed))
+        return
+    jumps, on_rows = coupling.gather(jump, closed.astype(float))
     y, R = close_with_gram(coupling, jumps, on_rows > 0.0)
     correction[coupling.rows] = y[coupling.positions]
-    closed = closed.copy()
-    contact = ~coupling.tied[coupling.positions]
-    at = np.searchsorted(constraints.inequality, coupling.rows[contact])
-    closed[at] = R[coupling.positions[contact]]
-    return closed
+    closed[coupling.rows] = R[coupling.positions]
 
 
 def close_with_gram(coupling: Coupling, jump: Vector, closed: Mask) -> tuple[Vector, Mask]:
@@ -274,7 +305,7 @@ def close_with_gram(coupling: Coupling, jump: Vector, closed: Mask) -> tuple[Vec
     np.maximum.at(negligible, block, np.where(R, np.abs(jump), np.maximum(jump, 0.0)))
     while True:
         y = coupling.inverse(R).solve(jump)
-        penetrated = ~R & (jump - W @ y > 1e-14 * negligible[block])
+        penetrated = ~(R | coupling.tangential) & (jump - W @ y > 1e-14 * negligible[block])
         if not penetrated.any():
             return y, R
         R = R | penetrated

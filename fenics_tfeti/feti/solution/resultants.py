@@ -23,7 +23,14 @@ from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.system import ContactRows, TornSystem
 from fenics_tfeti.parallel import Directory
 
-__all__ = ["Resultant", "Resultants", "normal_forces", "resultants", "tied_forces"]
+__all__ = [
+    "Resultant",
+    "Resultants",
+    "normal_forces",
+    "resultants",
+    "tangential_forces",
+    "tied_forces",
+]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -114,6 +121,16 @@ def tied_forces(constraints: Constraints, multipliers: Vector) -> Vector:
     return _given(multipliers, tied.rows, tied.scale, tied.own_rows)
 
 
+def tangential_forces(constraints: Constraints, multipliers: Vector) -> Vector:
+    """Return the tangential force at each site of friction that this rank gave, (k, gdim - 1) [N].
+
+    It acts on the slave against the tangents. It is zero where there is nothing to touch, and in
+    directions that prescribed displacements decide.
+    """
+    friction = constraints.friction
+    return friction.given(friction.scale[:, None] * friction.at_sites(multipliers))
+
+
 def _given(multipliers: Vector, rows: Numbers, scale: Vector, own: Numbers) -> Vector:
     """Return the multipliers of the rows that this rank gave, times their scale."""
     # -1 is the last one, zero; a rank may give rows without holding a single row of B
@@ -149,12 +166,19 @@ def resultants(
         lambda.
     """
     gdim, comm = system.gdim, system.comm
-    rows = ContactRows.concatenate([system.contacts, system.tied])
+    tangential = system.friction.tangential_rows(system.contacts)
+    rows = ContactRows.concatenate([system.contacts, system.tied, tangential])
     x = np.concatenate([np.zeros((0, gdim)), *(s.coordinates for s in system.subdomains)])
     loads = load[unknowns.displacements].reshape(-1, gdim)
     held = -F.constraint_forces(multipliers)[unknowns.displacements].reshape(-1, gdim)
     normal = normal_forces(F.constraints, multipliers)
-    force = np.append(normal, tied_forces(F.constraints, multipliers))
+    force = np.concatenate(
+        [
+            normal,
+            tied_forces(F.constraints, multipliers),
+            tangential_forces(F.constraints, multipliers).ravel(),
+        ]
+    )
     on_nodes = -(force / rows.length)[rows.row][:, None] * rows.coefficients
     on_slave = np.zeros((rows.size, gdim))
     np.add.at(on_slave, rows.row[rows.on_slave], on_nodes[rows.on_slave])

@@ -112,19 +112,22 @@ def _energy_of_jumps(
 ) -> float:
     """Return r'Mr of the jumps r = B u_t - c at lambda~ that have to be closed [J].
 
-    These are the jumps on the face of lambda~, and on other contact rows the penetrations. Rows
-    with a far gap are expected to stay open, whatever lambda~ is there.
+    These are the jumps on the face of lambda~, with slips where friction is below its bound, and on
+    other contact rows the penetrations. Rows with a far gap are expected to stay open, whatever
+    lambda~ is there.
     """
     layout, rows = setup.constraints.layout, setup.constraints.inequality
     pressing = (data.feasible[rows] > 0.0) & ~far
-    face = Projector.build(setup.projector.coarse_space, pressing)
+    sticking = setup.constraints.friction.sticking(data.feasible, data.radius)
+    face = Projector.build(setup.projector.coarse_space, pressing, sticking)
     r = face.remove_rigid_motion(layout.owned_part(d), d)[0]
     r[rows] = np.where(pressing, r[rows], np.maximum(r[rows], 0.0))
+    r[setup.constraints.friction.on_rows(~sticking, r.size)] = 0.0
     if setup.preconditioner is None:
         with timer.phase("norm"):
             norm = setup.norm(ROUGH_LANCZOS_STEPS)
         return layout.space.dots((r, r))[0] / (norm or 1.0)
     history.products.preconditioner += 1
-    precondition = setup.preconditioner.on_face(r[rows] != 0.0)
+    precondition = setup.preconditioner.on_face(setup.constraints.equality | (r != 0.0))
     part = np.array([r @ precondition(r)])
     return float(layout.space.sum_over_ranks(part)[0])

@@ -281,6 +281,7 @@ def dual_problem(setup: DualSetup, data: ContactData, norm: float) -> DualProble
         setup.projector,
         norm,
         setup.preconditioner,
+        data.radius,
     )
 
 

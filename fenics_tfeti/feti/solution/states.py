@@ -34,7 +34,9 @@ class ContactData:
     e_size : (coarse,) array
         |R|'|f|, which the rounding of e is relative to.
     feasible : (m,) array
-        lambda~ with G lambda~ = e and lambda~_I >= o.
+        lambda~ with G lambda~ = e, lambda~_I >= o and |lambda~_T| <= r.
+    radius : (k,) array
+        r of each site of friction: its slip bound in units of multipliers.
     removed : (m,) array or float
         B R a of prescribed motions that were taken out of c.
     """
@@ -44,6 +46,7 @@ class ContactData:
     e: Vector
     e_size: Vector
     feasible: Vector
+    radius: Vector
     removed: Vector | float = 0.0
 
 
@@ -79,10 +82,12 @@ class Candidate:
     certificate : Certificate
         How well they solve (11.21).
     energy : float
-        1/2 u'Ku - f'u [J].
+        1/2 u'Ku - f'u, with friction and the sum of r |s| [J].
     face : Projector
-        That of the equality rows and the contact rows with a force; its ``free`` motions are
-        undetermined.
+        That of the equality rows, the contact rows with a force and the sites that stick; its
+        ``free`` motions are undetermined.
+    slips : (k, gdim - 1) array
+        s at the sites of friction, scaled as the rows.
     """
 
     recovered: Recovered
@@ -90,6 +95,7 @@ class Candidate:
     certificate: Certificate
     energy: float
     face: Projector
+    slips: Vector
 
 
 @dataclass(frozen=True)

@@ -68,6 +68,7 @@ def primal_problem(solver: TornSolver) -> PrimalProblem:
         setup.row_bodies,
         solver.system.body_names,
         setup.local.unit,
+        data.radius,
     )
 
 
@@ -209,7 +210,9 @@ def test_no_bound_where_contact_forces_do_not_balance_the_load():
     multipliers = solution.multipliers.copy()
     multipliers[constraints.inequality] = 0.0
     problem = primal_problem(solver)
-    multipliers, face = balance_multipliers(coarse_space, solver.data.e, multipliers)
+    multipliers, face = balance_multipliers(
+        coarse_space, solver.data.e, multipliers, solver.data.radius
+    )
     data = solver.data
     recovered = recover_displacement(solver.setup.F, face, data.load, data.c, multipliers)
     certificate = problem.certify(recovered, multipliers, face)

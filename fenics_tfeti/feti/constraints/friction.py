@@ -1,0 +1,313 @@
+"""Tangential rows: the slip of contact rows with friction, and the set of tangential forces.
+
+A contact row with friction has gdim - 1 tangential rows T u - slip, on the same nodes and with the
+same weights as the contact row. Both of a node have the same scale t, so that the disc of forces
+|t lambda_T| <= Psi is a disc |lambda_T| <= r = Psi / t of multipliers. A direction in which
+prescribed displacements decide the slip has no row; the set of the other one is an interval.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.feti.system import ContactRows
+from fenics_tfeti.qp import Bounds, Discs, FeasibleSet, ProductSet
+
+__all__ = ["FrictionRows", "Tangential", "check_discs", "common_scale"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# difference of the squared lengths of the tangential rows of a node, and their product, relative to
+# these: a disc of forces would be an ellipse
+_NOT_A_DISC = 1e-9
+# distance from the bound, relative to it, below which a node slips
+_AT_BOUND = 1e-9
+
+
+@dataclass(frozen=True)
+class Tangential:
+    """What tangential rows are, beside conditions on nodes; -1 for contact and tied rows.
+
+    Attributes
+    ----------
+    site : (r,) integer array
+        Global number of the contact row with friction, counted from 0.
+    direction : (r,) integer array
+        Number of the tangent.
+    bound : (r,) array
+        Psi [N].
+    """
+
+    site: Numbers
+    direction: Numbers
+    bound: Vector
+
+    @property
+    def mask(self) -> Mask:
+        """Which rows are tangential."""
+        mask: Mask = self.site >= 0
+        return mask
+
+    def chosen(self, rows: Numbers | Mask) -> Tangential:
+        """Return those of some rows."""
+        return Tangential(self.site[rows], self.direction[rows], self.bound[rows])
+
+
+@dataclass(frozen=True)
+class FrictionRows:
+    """The tangential rows that this rank holds, by sites; it holds all rows of a site.
+
+    Attributes
+    ----------
+    rows : (k, gdim - 1) integer array
+        Local positions; -1 in a direction without a row. Those of the first direction that has one
+        ascend.
+    contact : (k,) integer array
+        Number of the contact.
+    scale : (k,) array
+        Factor t: a jump divided by t is a slip [m], and t lambda_T a force [N].
+    bound : (k,) array
+        r = Psi / t, as given.
+    own : (sites of this rank,) integer array
+        Position of each site that this rank gave; -1 where it has no rows.
+    curved : bool
+        Whether any rank has a site with two rows, and so a disc.
+    """
+
+    rows: Numbers
+    contact: Numbers
+    scale: Vector
+    bound: Vector
+    own: Numbers
+    curved: bool
+
+    @staticmethod
+    def build(
+        rows: Numbers,
+        tangential: Tangential,
+        contact: Numbers,
+        scale: Vector,
+        directions: int,
+        own_sites: Numbers,
+        comm: MPI.Intracomm,
+    ) -> FrictionRows:
+        """Collect the rows of each site. Collective.
+
+        Parameters
+        ----------
+        rows : (r,) integer array
+            Local positions of tangential rows, ascending.
+        tangential, contact, scale
+            Site, direction and bound of each; number of the contact; factor.
+        directions : int
+            gdim - 1.
+        own_sites : (given,) integer array
+            The sites that this rank gave.
+        comm : MPI.Intracomm
+            The ranks.
+        """
+        sites, first, at = np.unique(tangential.site, return_index=True, return_inverse=True)
+        table = np.full((sites.size, directions), -1, dtype=np.int64)
+        table[at.ravel(), tangential.direction] = rows
+        order = np.argsort(first)
+        position = np.full(sites.size + 1, -1, dtype=np.int64)
+        position[order] = np.arange(sites.size)
+        found = np.searchsorted(sites, own_sites)
+        there = np.zeros(own_sites.size, dtype=bool)
+        inside = found < sites.size
+        there[inside] = sites[found[inside]] == own_sites[inside]
+        first = first[order]
+        return FrictionRows(
+            table[order],
+            contact[first],
+            scale[first],
+            tangential.bound[first] / scale[first],
+            position[np.where(there, found, sites.size)],
+            bool(comm.allreduce(directions == 2 and (table >= 0).all(axis=1).any(), MPI.LOR)),
+        )
+
+    @property
+    def size(self) -> int:
+        """Number of sites that this rank holds."""
+        return int(self.scale.size)
+
+    @property
+    def present(self) -> Mask:
+        """Which directions of each site have a row, (k, gdim - 1)."""
+        mask: Mask = self.rows >= 0
+        return mask
+
+    @property
+    def flat(self) -> Numbers:
+        """The local positions of all rows."""
+        positions: Numbers = self.rows[self.present]
+        return positions
+
+    def owned(self, owned: int) -> Mask:
+        """Tell which sites this rank owns, of a layout with so many owned rows."""
+        mask: Mask = self.rows.max(axis=1, initial=-1) < owned
+        return mask
+
+    def at_sites(self, x: Vector) -> Vector:
+        """Return a vector (m,) at the sites, (k, gdim - 1), zero in directions without a row."""
+        return np.where(self.present, x[self.rows], 0.0)
+
+    def given(self, at_sites: Vector) -> Vector:
+        """Return values at sites (k, ...) for those that this rank gave, in its order."""
+        with_none = np.concatenate([at_sites, np.zeros((1, *at_sites.shape[1:]))])
+        values: Vector = with_none[self.own]
+        return values
+
+    def on_rows(self, sites: Mask, size: int) -> Mask:
+        """Return the mask (m,) of the rows of some sites (k,)."""
+        mask = np.zeros(size, dtype=bool)
+        mask[self.rows[self.present & sites[:, None]]] = True
+        return mask
+
+    def sticking(self, multipliers: Vector, radius: Vector) -> Mask:
+        """Tell at which sites the force is below the bound r; at the others there may be slip."""
+        force = np.linalg.norm(self.at_sites(multipliers), axis=1)
+        mask: Mask = force < (1.0 - _AT_BOUND) * radius
+        return mask
+
+    def at_bound(self, multipliers: Vector, radius: Vector) -> Vector:
+        """Return the multipliers with forces that are at the bound up to rounding exactly there."""
+        force = self.at_sites(multipliers)
+        length = np.linalg.norm(force, axis=1)
+        slipping = ~self.sticking(multipliers, radius) & (length > 0.0)
+        factor = np.divide(radius, length, out=np.ones_like(length), where=slipping)
+        multipliers = multipliers.copy()
+        multipliers[self.flat] = (factor[:, None] * force)[self.present]
+        return multipliers
+
+    def directions(self, multipliers: Vector) -> Vector:
+        """Return the unit vectors of the forces at the sites, (k, gdim - 1), or zeros."""
+        force = self.at_sites(multipliers)
+        length = np.linalg.norm(force, axis=1, keepdims=True)
+        return np.divide(force, length, out=np.zeros_like(force), where=length > 0.0)
+
+    def within(self, rows: Mask) -> Mask:
+        """Tell of which sites the rows are in a mask (m,)."""
+        mask: Mask = (rows[self.rows] & self.present).any(axis=1)
+        return mask
+
+    def moved(self, places: Numbers) -> FrictionRows:
+        """Return the rows at new local positions, by the old ones."""
+        return replace(self, rows=np.where(self.present, places[self.rows], -1))
+
+    def multiplier_set(self, inequality: Numbers, shift: Vector, radius: Vector) -> FeasibleSet:
+        """Return {x : shift + x is feasible}, with lambda_I >= o and |lambda_T| <= r.
+
+        Parameters
+        ----------
+        inequality : (i,) integer array
+            Local positions of the inequality rows, ascending.
+        shift : (m,) array
+            lambda~.
+        radius : (k,) array
+            r of each site.
+
+        Returns
+        -------
+        FeasibleSet
+            Bounds where no rank has a disc.
+        """
+        below = np.full(shift.size, -np.inf)
+        above = np.full(shift.size, np.inf)
+        below[inequality] = -shift[inequality]
+        several = self.present.all(axis=1) & (self.rows.shape[1] == 2)
+        alone = self.present & ~several[:, None]
+        rows, half = self.rows[alone], np.broadcast_to(radius[:, None], alone.shape)[alone]
+        below[rows], above[rows] = -half - shift[rows], half - shift[rows]
+        bounds = Bounds.from_vector(below, above)
+        # the same kind of set on all ranks: the method depends on it
+        if not self.curved:
+            return bounds
+        at = self.rows[several]
+        return ProductSet(bounds, Discs(at, -shift[at], radius[several]))
+
+
+def check_discs(
+    contacts: ContactRows,
+    tangential: Tangential,
+    coefficients: Vector,
+    weight: Vector,
+    gap: Vector,
+    tolerance: Vector,
+    free: Mask,
+) -> None:
+    """Check that the tangential rows of each site have orthogonal free parts of equal length.
+
+    Parameters
+    ----------
+    contacts : ContactRows
+        All conditions of this rank, for the terms of each row.
+    tangential : Tangential
+        Which of them are tangential rows; those of a site follow each other.
+    coefficients : (t, gdim) array
+        The terms' coefficients of components that are not prescribed.
+    weight : (t,) array
+        Sum of the weights of the copies of the terms' nodes.
+    gap, tolerance : (r,) array
+        Right-hand sides without what prescribed displacements decide, and their rounding.
+    free : (r,) bool array
+        Whether a row has a free part at all.
+
+    Raises
+    ------
+    InputError
+        On this rank, naming the first slave node.
+    """
+    first = np.flatnonzero(tangential.mask & (tangential.direction == 0))
+    second = np.flatnonzero(tangential.mask & (tangential.direction == 1))
+    if not second.size:
+        return
+    both = free[first] & free[second]
+    row = contacts.row
+    at = np.full(contacts.size, -1, dtype=np.int64)
+    at[first] = at[second] = np.arange(first.size)
+    one, other = np.flatnonzero(np.isin(row, first)), np.flatnonzero(np.isin(row, second))
+
+    def product(a: Numbers, b: Numbers) -> Vector:
+        terms = np.sum(coefficients[a] * coefficients[b], axis=1) / weight[a]
+        sums = np.zeros(first.size)
+        np.add.at(sums, at[row[a]], terms)
+        return sums
+
+    lengths = product(one, one), product(other, other)
+    size = np.maximum(lengths[0], lengths[1])
+    unequal = np.maximum(np.abs(lengths[0] - lengths[1]), np.abs(product(one, other)))
+    bad = np.flatnonzero(both & (unequal > _NOT_A_DISC * size))
+    if bad.size:
+        raise InputError(
+            f"friction: at {bad.size} contact rows, the first of slave node "
+            f"{contacts.slave[first[bad[0]]]}, a tangential displacement is prescribed at some "
+            "nodes only, or in a direction between the tangents. Prescribe it at all nodes of the "
+            "row, choose the tangents along and across it, or take friction out of the row"
+        )
+    decided = np.where(free[first], second, first)
+    sliding = (free[first] != free[second]) & (np.abs(gap[decided]) > tolerance[decided])
+    if sliding.any():
+        k = decided[np.flatnonzero(sliding)[0]]
+        raise InputError(
+            f"friction: prescribed displacements slide {np.count_nonzero(sliding)} contact rows in "
+            f"one tangential direction and leave the other free, the first by {-gap[k]:g} m at "
+            f"slave node {contacts.slave[k]}. Prescribe both directions, or take friction out"
+        )
+
+
+def common_scale(scale: Vector, tangential: Tangential, kept: Mask) -> Vector:
+    """Return factors that are the same for both tangential rows of a site, up to the last bit."""
+    second = np.flatnonzero(kept & (tangential.direction == 1))
+    second = second[kept[second - 1]]
+    scale = scale.copy()
+    scale[second] = scale[second - 1]
+    return scale

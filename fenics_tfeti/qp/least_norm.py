@@ -1,0 +1,137 @@
+"""The smallest point of a product of half-lines, intervals and discs with Cx = d, of few rows.
+
+With friction: the smallest contact forces that balance a load, or the part of it that no forces
+within their bounds can balance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.qp.feasible_set import ProductSet
+
+__all__ = ["least_norm_in_set", "smallest_factor"]
+
+Vector = NDArray[np.float64]
+
+# decreasing regularisation, relative to ||C||^2, and steps of Newton's method for each
+_REGULARISATION = 10.0 ** -np.arange(1.0, 14.0)
+_NEWTON_STEPS = 60
+# ||Cx + delta y - d|| / ||d|| with which Newton's method ends, and ||Cx - d|| / ||d|| of a solution
+_NEWTON = 1e-12
+_SOLVED = 1e-10
+# largest factor of the radii, and relative accuracy of the smallest one
+_LARGEST_FACTOR = 2.0**40
+_ACCURACY = 1e-4
+
+
+def least_norm_in_set(C: Vector, d: Vector, feasible: ProductSet) -> tuple[Vector, Vector]:
+    """Minimise 1/2 ||x||^2 subject to Cx = d on a product set that contains o.
+
+    The dual problem, maximise d'y - h(C'y) with h(v) = v'P(v) - 1/2 ||P(v)||^2 and the projection P
+    onto the set, is regularised by delta/2 ||y||^2 with delta tending to zero. The semismooth
+    Newton method solves it. Then x = P(C'y) and Cx + delta y = d: without a solution delta y tends
+    to the smallest residual.
+
+    Parameters
+    ----------
+    C : (r, n) array
+        Few rows.
+    d : (r,) array
+        Right-hand side.
+    feasible : ProductSet
+        The set.
+
+    Returns
+    -------
+    x : (n,) array
+        The solution; if there is none, a minimiser of ||Cx - d||.
+    residual : (r,) array
+        d - Cx.
+
+    Examples
+    --------
+    A weight of 1 is held against a push of 0.3 by friction of at most 0.2, and by a side wall.
+
+    >>> import numpy as np
+    >>> from fenics_tfeti.qp import Bounds, Discs, ProductSet
+    >>> C = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 1.0, 0.0]])
+    >>> wall = Bounds.from_below(np.array([0, 1]), np.zeros(2))
+    >>> disc = Discs(np.array([[2, 3]]), np.zeros((1, 2)), np.array([0.1]))
+    >>> x, residual = least_norm_in_set(C, np.array([1.0, 0.3]), ProductSet(wall, disc))
+    >>> (x.round(9) + 0.0).tolist(), bool(np.abs(residual).max() < 1e-9)
+    ([1.0, 0.2, 0.1, 0.0], True)
+    """
+    size, stiffness = float(np.linalg.norm(d)), float(np.sum(C**2))
+    y = np.zeros(d.size)
+    if size == 0.0 or stiffness == 0.0:
+        return np.zeros(C.shape[1]), d.copy()
+    for delta in stiffness * _REGULARISATION:
+        y = _newton(C, d, feasible, y, delta, _NEWTON * size)
+    x = feasible.project(C.T @ y)
+    return x, d - C @ x
+
+
+def smallest_factor(C: Vector, d: Vector, feasible: ProductSet) -> float:
+    """Return the smallest factor of all radii and intervals with which Cx = d has a solution.
+
+    Parameters
+    ----------
+    C, d, feasible
+        As in `least_norm_in_set`; intervals contain 0 inside, half-lines begin there.
+
+    Returns
+    -------
+    float
+        To a relative accuracy of 1e-4, from above; infinite if there is none.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fenics_tfeti.qp import Discs, ProductSet
+    >>> disc = Discs(np.array([[0, 1]]), np.zeros((1, 2)), np.array([0.5]))
+    >>> round(smallest_factor(np.identity(2), np.array([0.6, 0.8]), ProductSet(discs=disc)), 3)
+    2.0
+    """
+
+    def solvable(factor: float) -> bool:
+        residual = least_norm_in_set(C, d, feasible.scaled(factor))[1]
+        return bool(np.linalg.norm(residual) <= _SOLVED * np.linalg.norm(d))
+
+    upper = 1.0
+    while not solvable(upper):
+        upper *= 2.0
+        if upper > _LARGEST_FACTOR:
+            return np.inf
+    lower = 0.5 * upper if upper > 1.0 else 0.0
+    while upper - lower > _ACCURACY * upper:
+        middle = 0.5 * (lower + upper)
+        lower, upper = (lower, middle) if solvable(middle) else (middle, upper)
+    return upper
+
+
+def _newton(
+    C: Vector, d: Vector, feasible: ProductSet, y: Vector, delta: float, tolerance: float
+) -> Vector:
+    """Maximise d'y - h(C'y) - delta/2 ||y||^2 by the semismooth Newton method."""
+
+    def cost(y: Vector) -> float:
+        v = C.T @ y
+        x = feasible.project(v.copy())
+        return float(v @ x - 0.5 * (x @ x) + 0.5 * delta * (y @ y) - d @ y)
+
+    for _ in range(_NEWTON_STEPS):
+        v = C.T @ y
+        gradient = C @ feasible.project(v.copy()) + delta * y - d
+        if np.linalg.norm(gradient) <= tolerance:
+            break
+        H = C @ feasible.derivative_times(v, C.T) + delta * np.eye(d.size)
+        p = np.linalg.solve(H, -gradient)
+        slope, length, before = float(gradient @ p), 1.0, cost(y)
+        # near the solution the decrease drowns in rounding
+        limit = before + 1e-12 * abs(before)
+        while cost(y + length * p) > limit + 1e-4 * length * slope and length > 1e-12:
+            length *= 0.5
+        y = y + length * p
+    return y

@@ -1,0 +1,148 @@
+"""Tangential rows, their scale, and the set of tangential forces."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from friction_problems import (
+    blocks_that_do_not_match,
+    held_block,
+    on_the_ground,
+    pulled_strip,
+    pushed_block,
+)
+
+from fenics_tfeti.feti import Prescribed
+from fenics_tfeti.feti.constraints.friction import FrictionRows
+from fenics_tfeti.feti.constraints.rows import build_constraints
+from fenics_tfeti.qp import Bounds, ProductSet
+
+SYSTEMS = {
+    "pushed": pushed_block,
+    "do not match": blocks_that_do_not_match,
+    "ground": on_the_ground,
+    "strip": pulled_strip,
+}
+every_system = pytest.mark.parametrize("name", SYSTEMS)
+
+
+@every_system
+@pytest.mark.parametrize("weighted", [False, True])
+def test_rows_are_the_tangential_jumps_of_glued_displacements(name, weighted):
+    system, rng = SYSTEMS[name](), np.random.default_rng(0)
+    copies = sum(s.nodes.size for s in system.subdomains)
+    weights = rng.uniform(0.5, 2.0, copies) if weighted else None
+    constraints, c = build_constraints(system, weights)
+    nodes = np.unique(np.concatenate([s.nodes for s in system.subdomains]))
+    glued = rng.standard_normal((nodes.size, system.gdim))
+    held = system.prescribed
+    glued[np.searchsorted(nodes, held.nodes), held.components] = held.values
+    torn = np.concatenate([glued[np.searchsorted(nodes, s.nodes)] for s in system.subdomains])
+    friction = constraints.friction
+    jumps = constraints.matrix @ torn.ravel() - c
+    slips = friction.given(friction.at_sites(jumps) / friction.scale[:, None])
+    rows = system.friction.tangential_rows(system.contacts)
+    expected = np.zeros(rows.size)
+    values = np.sum(rows.coefficients * glued[np.searchsorted(nodes, rows.nodes)], axis=1)
+    np.add.at(expected, rows.row, values)
+    expected /= rows.length
+    np.testing.assert_allclose(slips.ravel(), expected, atol=1e-13)
+
+
+@every_system
+def test_rows_are_orthonormal_but_for_the_coupled_ones(name):
+    constraints, _ = build_constraints(SYSTEMS[name]())
+    B = constraints.matrix.toarray() / np.sqrt(constraints.weights)
+    gram = np.eye(constraints.size)
+    coupling = constraints.coupling
+    gram[np.ix_(coupling.rows, coupling.rows)] = coupling.gram.toarray()
+    np.testing.assert_allclose(B @ B.T, gram, atol=1e-9)
+    assert np.count_nonzero(coupling.tangential) == (56 if name == "do not match" else 0)
+
+
+@every_system
+def test_both_tangential_rows_have_one_scale_and_one_bound(name):
+    system = SYSTEMS[name]()
+    friction = build_constraints(system)[0].friction
+    assert friction.rows.shape == (system.friction.size, system.gdim - 1)
+    assert friction.present.all()
+    np.testing.assert_allclose(
+        friction.given(friction.bound * friction.scale), system.friction.bound, rtol=1e-14
+    )
+
+
+def test_slip_offset_and_prescribed_displacements_are_on_the_right_hand_side():
+    system = pushed_block(slip=(0.01, -0.02))
+    top = held_block().prescribed
+    moved = Prescribed(top.nodes, top.components, np.full(top.values.size, 0.5))
+    for prescribed in (system.prescribed, moved):
+        constraints, c = build_constraints(dataclasses.replace(system, prescribed=prescribed))
+        friction = constraints.friction
+        np.testing.assert_allclose(
+            friction.at_sites(c) / friction.scale[:, None], np.tile([0.01, -0.02], (16, 1))
+        )
+
+
+def test_direction_that_prescribed_displacements_decide_has_no_row():
+    system = pushed_block()
+    nodes = np.concatenate([s.nodes[s.coordinates[:, 1] == 0.0] for s in system.subdomains])
+    given = system.prescribed
+    held = Prescribed(
+        np.append(given.nodes, nodes),
+        np.append(given.components, np.ones(nodes.size, int)),
+        np.append(given.values, np.zeros(nodes.size)),
+    )
+    constraints, _ = build_constraints(dataclasses.replace(system, prescribed=held))
+    friction = constraints.friction
+    assert np.count_nonzero(~friction.present[:, 1]) == 4
+    assert friction.present[:, 0].all()
+    feasible = friction.multiplier_set(
+        constraints.inequality, np.zeros(constraints.size), friction.bound
+    )
+    assert isinstance(feasible, ProductSet)
+    assert feasible.discs.radius.size == 12
+    assert np.count_nonzero(np.isfinite(feasible.bounds.upper)) == 4
+
+
+SITES = FrictionRows(
+    rows=np.array([[1, 2], [3, -1], [5, 4]]),
+    contact=np.zeros(3, dtype=np.int64),
+    scale=np.ones(3),
+    bound=np.array([5.0, 2.0, 0.0]),
+    own=np.array([2, -1, 0]),
+    curved=True,
+)
+
+
+def test_set_of_multipliers_is_shifted():
+    shift = np.array([1.0, 0.5, -0.5, 3.0, 0.1, 0.2])
+    feasible = SITES.multiplier_set(np.array([0]), shift, SITES.bound)
+    x = feasible.project(np.array([-9.0, 5.5, 8.5, -9.0, 7.0, 7.0]))
+    np.testing.assert_allclose(shift + x, [0.0, 3.0, 4.0, -2.0, 0.0, 0.0], atol=1e-14)
+    plane = dataclasses.replace(SITES, rows=SITES.rows[:, :1], curved=False)
+    assert isinstance(plane.multiplier_set(np.array([0]), shift, SITES.bound), Bounds)
+
+
+def test_state_of_sites():
+    inside = np.array([9.0, 3.0, 4.0 - 1e-6, 1.9, 0.0, 0.0])
+    assert SITES.sticking(inside, SITES.bound).tolist() == [True, True, False]
+    rounded = np.array([9.0, 3.0, 4.0 - 1e-12, -2.0 + 1e-13, 0.0, 0.0])
+    assert SITES.sticking(rounded, SITES.bound).tolist() == [False, False, False]
+    at_bound = SITES.at_bound(rounded, SITES.bound)
+    np.testing.assert_allclose(np.linalg.norm(SITES.at_sites(at_bound), axis=1), [5.0, 2.0, 0.0])
+    np.testing.assert_allclose(SITES.directions(at_bound), [[0.6, 0.8], [-1.0, 0.0], [0.0, 0.0]])
+    assert SITES.at_bound(inside, SITES.bound).tolist() == inside.tolist()
+
+
+def test_values_at_sites_rows_and_what_was_given():
+    x = np.arange(10.0, 16.0)
+    assert SITES.at_sites(x).tolist() == [[11.0, 12.0], [13.0, 0.0], [15.0, 14.0]]
+    assert SITES.given(SITES.at_sites(x)).tolist() == [[15.0, 14.0], [0.0, 0.0], [11.0, 12.0]]
+    assert SITES.flat.tolist() == [1, 2, 3, 5, 4]
+    assert SITES.owned(4).tolist() == [True, True, False]
+    mask = SITES.on_rows(np.array([False, True, True]), 6)
+    assert mask.tolist() == [False, False, False, True, True, True]
+    assert SITES.within(mask).tolist() == [False, True, True]
+    assert SITES.moved(np.arange(6) + 10).rows.tolist() == [[11, 12], [13, -1], [15, 14]]

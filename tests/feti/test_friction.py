@@ -1,0 +1,336 @@
+"""Friction with a given bound: whole torn problems against a solver for second-order cones."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from friction_problems import (
+    blocks_that_do_not_match,
+    held_block,
+    on_the_ground,
+    pulled_strip,
+    pushed_block,
+    solve_by_cones,
+)
+
+from fenics_tfeti import InputError, UnresistedMotion
+from fenics_tfeti.feti import (
+    ContactGuess,
+    Friction,
+    Options,
+    Prescribed,
+    TornSolver,
+    TornSystem,
+)
+
+
+def slave_held_across() -> TornSystem:
+    """Return the pushed block with symmetry planes y = 0 of both bodies."""
+    system = pushed_block(load=(0.15, 0.0, -1.0))
+    y0 = np.concatenate([s.nodes[s.coordinates[:, 1] == 0.0] for s in system.subdomains])
+    given = system.prescribed
+    held = Prescribed(
+        np.append(given.nodes, y0),
+        np.append(given.components, np.ones(y0.size, int)),
+        np.append(given.values, np.zeros(y0.size)),
+    )
+    return dataclasses.replace(system, prescribed=held)
+
+
+def moved_support() -> TornSystem:
+    """Return the pushed block on a support that moves by more than the bodies deform."""
+    system = pushed_block()
+    given = system.prescribed
+    values = np.choose(given.components, [0.3, -0.2, 0.1])
+    return dataclasses.replace(system, prescribed=Prescribed(given.nodes, given.components, values))
+
+
+def some_without_friction() -> TornSystem:
+    """Return the pushed block with friction at every other row, of various bounds."""
+    system = pushed_block()
+    rows = np.arange(0, system.contacts.size, 2)
+    bound = np.linspace(0.0, 0.06, rows.size)
+    tangents = system.friction.tangents[rows]
+    return dataclasses.replace(system, friction=Friction(rows, tangents, bound))
+
+
+def turned_tangents() -> TornSystem:
+    """Return the pushed block with tangents turned by another angle at each row."""
+    system = pushed_block()
+    angle = np.arange(system.friction.size)
+    along = np.stack([np.cos(angle), np.sin(angle), np.zeros(angle.size)], axis=1)
+    across = np.stack([-np.sin(angle), np.cos(angle), np.zeros(angle.size)], axis=1)
+    friction = dataclasses.replace(system.friction, tangents=np.stack([along, across], axis=1))
+    return dataclasses.replace(system, friction=friction)
+
+
+SYSTEMS = {
+    "pushed": pushed_block,
+    "earlier slip": lambda: pushed_block(slip=(0.01, -0.003)),
+    "held": held_block,
+    "do not match": blocks_that_do_not_match,
+    "ground": on_the_ground,
+    "strip": pulled_strip,
+    "symmetry": slave_held_across,
+    "moved": moved_support,
+    "some": some_without_friction,
+    "turned": turned_tangents,
+}
+every_system = pytest.mark.parametrize("name", SYSTEMS)
+
+
+@cache
+def expected(name: str):
+    return solve_by_cones(SYSTEMS[name]())
+
+
+@cache
+def solved(name: str, preconditioner: str = "lumped"):
+    return TornSolver(SYSTEMS[name](), Options(rtol=1e-8, preconditioner=preconditioner)).solve()
+
+
+@pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet", "none"])
+@every_system
+def test_energy_and_forces_are_those_of_the_conic_solver(name, preconditioner):
+    found, exact = solved(name, preconditioner), expected(name)
+    assert found.report.energy == pytest.approx(exact.energy, rel=1e-8)
+    for force, other in (
+        (found.normal_force, exact.normal_force),
+        (found.tangential_force, exact.tangential_force),
+    ):
+        np.testing.assert_allclose(force, other, rtol=0.0, atol=1e-6 * np.abs(other).max())
+    size = np.abs(np.concatenate(found.displacements)).max()
+    np.testing.assert_allclose(found.slip, exact.slip, rtol=0.0, atol=1e-6 * size)
+
+
+@every_system
+def test_friction_conditions(name):
+    """At most the bound; below it no slip; at it the slip is along the force."""
+    found, friction = solved(name), SYSTEMS[name]().friction
+    force = np.linalg.norm(found.tangential_force, axis=1)
+    slip = np.linalg.norm(found.slip, axis=1)
+    assert np.all(force <= friction.bound * (1.0 + 1e-12))
+    assert not slip[found.sticking].any()
+    np.testing.assert_allclose(force[slip > 0.0], friction.bound[slip > 0.0], rtol=1e-12)
+    clear = (slip > 1e-4 * slip.max()) & (friction.bound > 0.0)
+    cosine = np.sum(found.slip * found.tangential_force, axis=1)[clear] / (force * slip)[clear]
+    np.testing.assert_allclose(cosine, 1.0, atol=1e-6)
+
+
+@every_system
+def test_certificate_and_report(name):
+    report, friction = solved(name).report, SYSTEMS[name]().friction
+    found = solved(name)
+    numbers = report.certificate.numbers()
+    assert report.converged
+    assert max(numbers.values()) <= 1e-8
+    assert {"friction above its bound", "slip below the bound", "slip across the force"} <= set(
+        numbers
+    )
+    assert report.unknowns["friction"] == friction.size
+    assert report.unknowns["sticking"] == np.count_nonzero(found.sticking)
+    work = float(np.sum(found.slip * found.tangential_force))
+    assert report.friction_work == [pytest.approx(work, rel=1e-12, abs=1e-15)]
+    assert report.equilibrium < 1e-8
+
+
+def test_problems_have_both_states():
+    """Otherwise the tests of this file say nothing about one of them."""
+    mixed = [name for name in SYSTEMS if np.count_nonzero(solved(name).sticking) > 0]
+    slipping = [name for name in mixed if not solved(name).sticking.all()]
+    assert len(slipping) >= 7
+
+
+@pytest.mark.parametrize("rtol", [1e-2, 1e-4])
+@pytest.mark.parametrize("name", ["pushed", "do not match", "strip", "turned"])
+def test_bound_of_the_error_is_one(name, rtol):
+    system = SYSTEMS[name]()
+    found, exact = TornSolver(system, Options(rtol=rtol)).solve(), solved(name)
+    error2 = 0.0
+    for subdomain, u, v in zip(
+        system.subdomains, found.displacements, exact.displacements, strict=True
+    ):
+        error2 += (u - v) @ (subdomain.stiffness @ (u - v))
+    assert np.sqrt(error2) <= found.report.certificate.bound * 1.001 + 1e-8
+    assert found.report.certificate.error <= rtol
+
+
+def test_forces_on_both_sides_are_opposite_and_balance_the_load():
+    report = solved("pushed").report
+    np.testing.assert_allclose(report.on_slaves[0].force, [-0.15, -0.05, 1.0], atol=1e-9)
+    np.testing.assert_allclose(report.on_masters[0].force, [0.15, 0.05, -1.0], atol=1e-9)
+    np.testing.assert_allclose(report.reactions[0].force, [-0.15, -0.05, 1.0], atol=1e-9)
+    assert report.contact_force == [pytest.approx(1.0, rel=1e-9)]
+
+
+def test_no_bound_is_no_friction():
+    system = held_block(bound=0.0)
+    plain = dataclasses.replace(system, friction=Friction.none(3))
+    options = Options(rtol=1e-9, method="smalbe")
+    found, other = TornSolver(system, options).solve(), TornSolver(plain, options).solve()
+    for u, v in zip(found.displacements, other.displacements, strict=True):
+        np.testing.assert_allclose(u, v, atol=1e-8)
+    assert not found.tangential_force.any()
+    assert found.report.friction_work == [0.0]
+    assert not found.sticking.any()
+
+
+def test_large_bound_ties_tangentially():
+    system = dataclasses.replace(held_block(bound=1e3))
+    found = TornSolver(system, Options(rtol=1e-8)).solve()
+    assert found.sticking.all()
+    np.testing.assert_allclose(found.displacements[0].sum(), solved("held").displacements[0].sum())
+
+
+def test_rows_without_anything_to_touch_have_no_friction():
+    system = held_block()
+    gap = np.where(np.arange(system.contacts.size) % 3 == 0, np.inf, system.contacts.gap)
+    contacts = dataclasses.replace(system.contacts, gap=gap)
+    found = TornSolver(dataclasses.replace(system, contacts=contacts)).solve()
+    far = np.isinf(gap)
+    assert found.report.unknowns["friction"] == np.count_nonzero(~far)
+    assert not found.tangential_force[far].any()
+    assert not found.slip[far].any()
+    assert not found.sticking[far].any()
+    assert found.tangential_force[~far].any()
+
+
+def test_next_load_starts_from_the_last_multipliers():
+    """Slip is counted from the last step: taken back by the same load in the other direction."""
+    options = Options(rtol=1e-8)
+    first = TornSolver(pushed_block(), options)
+    before = first.solve()
+    system = first.system
+    again = TornSolver(dataclasses.replace(system), options, previous=first)
+    assert set(again.reused) >= {"factors", "coarse problem", "norm", "multipliers"}
+    repeated = again.solve()
+    assert repeated.report.products["total"] <= 0.5 * before.report.products["total"]
+    np.testing.assert_allclose(repeated.slip, before.slip, atol=1e-6 * np.abs(before.slip).max())
+    # the same load once more, slip counted from here: nothing slips, the same displacement
+    friction = dataclasses.replace(system.friction, slip=before.slip)
+    after = TornSolver(
+        dataclasses.replace(system, friction=friction), options, previous=again
+    ).solve()
+    size = np.abs(np.concatenate(before.displacements)).max()
+    for u, v in zip(after.displacements, before.displacements, strict=True):
+        np.testing.assert_allclose(u, v, atol=1e-6 * size)
+    assert np.abs(after.slip).max() <= 1e-6 * np.abs(before.slip).max()
+
+
+# -- loads that friction cannot hold -------------------------------------------------------------
+
+
+def test_load_that_friction_cannot_hold_names_body_motion_and_how_much_it_would_take():
+    """16 nodes of bound 0.0095 hold 0.152, against a push of 0.1581."""
+    total = np.hypot(0.15, 0.05)
+    with pytest.raises(
+        UnresistedMotion, match=rf"slides upper: translation along .* {total / 0.152:.4g} times"
+    ):
+        TornSolver(pushed_block(bound=0.152 / 16))
+
+
+@pytest.mark.parametrize("part", [0.9, 0.999, 1.001])
+def test_limit_of_what_friction_holds(part):
+    system = pushed_block(load=(0.16 * part, 0.0, -1.0), bound=0.01)
+    if part > 1.0:
+        with pytest.raises(UnresistedMotion, match=r"friction cannot hold"):
+            TornSolver(system)
+        return
+    solver = TornSolver(system, Options(rtol=1e-6))
+    friction, start = solver.setup.constraints.friction, solver.data.feasible
+    coarse_space = solver.setup.projector.coarse_space
+    np.testing.assert_allclose(coarse_space.restrict(start), solver.data.e, atol=1e-9)
+    force = np.linalg.norm(friction.at_sites(start), axis=1)
+    assert np.all(force <= friction.bound * (1.0 + 1e-12))
+    assert np.all(start[solver.setup.constraints.inequality] >= 0.0)
+
+
+def test_load_close_to_the_limit():
+    """Four of 16 nodes stick."""
+    system = pushed_block(load=(0.16 * 0.9, 0.0, -1.0), bound=0.01)
+    found = TornSolver(system, Options(rtol=1e-8)).solve()
+    assert found.report.energy == pytest.approx(solve_by_cones(system).energy, rel=1e-8)
+    assert 0 < np.count_nonzero(found.sticking) <= 4
+
+
+def test_load_that_no_friction_holds():
+    with pytest.raises(UnresistedMotion, match=r"upper: translation along \(0, 0, 1\)") as raised:
+        TornSolver(pushed_block(load=(0.0, 0.0, 1.0)))
+    assert "times the slip bounds" not in str(raised.value)
+
+
+def test_twist_is_held_by_friction_too():
+    """A couple about the vertical axis: discs take it as far as their lever arms reach."""
+    system = pushed_block(bound=0.02)
+    upper = system.subdomains[-1]
+    x = upper.coordinates - upper.coordinates.mean(axis=0)
+    load = upper.load.reshape(-1, 3).copy()
+    load[:, :2] = 2e-3 * np.stack([-x[:, 1], x[:, 0]], axis=1)
+    twisted = dataclasses.replace(upper, load=load.ravel())
+    system = dataclasses.replace(system, subdomains=[*system.subdomains[:-1], twisted])
+    found, exact = TornSolver(system, Options(rtol=1e-8)).solve(), solve_by_cones(system)
+    assert found.report.energy == pytest.approx(exact.energy, rel=1e-8)
+    assert abs(found.report.on_slaves[0].moment[2]) > 1e-3
+
+
+# -- input ----------------------------------------------------------------------------------------
+
+FRAME = np.tile([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], (2, 1, 1))
+
+
+@pytest.mark.parametrize(
+    ("friction", "message"),
+    [
+        (None, "friction: got NoneType"),
+        (Friction([0, 1], FRAME, [1.0]), r"friction.bound: got shape \(1,\)"),
+        (Friction([0, 1], FRAME[:, :1], [1.0, 1.0]), "friction.tangents: got shape"),
+        (
+            Friction([0, 99], FRAME, [1.0, 1.0]),
+            r"friction.row: 1 of 2 numbers are not in \[0, 16\)",
+        ),
+        (Friction([1, 0], FRAME, [1.0, 1.0]), "must ascend"),
+        (Friction([0, 1], FRAME, [1.0, -1.0]), "-1 N at position 1; a slip bound is at least 0"),
+        (Friction([0, 1], FRAME, [1.0, np.nan]), "friction.bound: 1 of 2 numbers are NaN"),
+        (Friction([0, 1], 2.0 * FRAME, [1.0, 1.0]), "not orthonormal"),
+        (Friction([0, 1], FRAME[:, :, ::-1], [1.0, 1.0]), "not orthonormal"),
+        (Friction([0, 1], np.nan * FRAME, [1.0, 1.0]), "friction.tangents: 12 of 12"),
+        (Friction([0, 1], FRAME, [1.0, 1.0], [[0.0, 0.0]]), r"friction.slip: got shape \(1, 2\)"),
+    ],
+)
+def test_wrong_friction_is_named(friction, message):
+    system = dataclasses.replace(pushed_block(), friction=friction)
+    with pytest.raises(InputError, match=message):
+        TornSolver(system)
+
+
+def prescribed_too(system: TornSystem, body: int, component: int, value: float) -> TornSystem:
+    """Prescribe a component of the contact nodes of one body."""
+    z1 = system.subdomains[body]
+    nodes = z1.nodes[z1.coordinates[:, 2] == 1.0]
+    given = system.prescribed
+    held = Prescribed(
+        np.append(given.nodes, nodes),
+        np.append(given.components, np.full(nodes.size, component)),
+        np.append(given.values, np.full(nodes.size, value)),
+    )
+    return dataclasses.replace(system, prescribed=held)
+
+
+def test_component_prescribed_on_one_side_only_is_an_error():
+    with pytest.raises(InputError, match="prescribed at some nodes only"):
+        TornSolver(prescribed_too(pushed_block(), 0, 1, 0.0))
+
+
+def test_prescribed_slip_in_one_direction_is_an_error():
+    system = prescribed_too(prescribed_too(pushed_block(), 0, 1, 0.0), 1, 1, 0.1)
+    with pytest.raises(InputError, match="slide 16 contact rows in one tangential direction"):
+        TornSolver(system)
+
+
+def test_guess_is_for_contact_without_friction():
+    guess = ContactGuess(np.ones(16), np.zeros(16))
+    with pytest.raises(InputError, match="does not treat friction"):
+        TornSolver(pushed_block(), guess=guess)

@@ -1,0 +1,91 @@
+"""The smallest point of a product set with Cx = d, and the smallest set that has one."""
+
+from __future__ import annotations
+
+import hypothesis
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from qp_problems import Problem
+
+from fenics_tfeti.qp import Bounds, Discs, ProductSet, least_norm_in_set, smallest_factor
+
+accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)
+
+
+def random_set(rng, half_lines: int = 5, intervals: int = 3, discs: int = 4) -> ProductSet:
+    """Return half-lines from 0 on, intervals and discs around 0, and a line."""
+    n = half_lines + intervals
+    lower = np.append(np.zeros(half_lines), -rng.random(intervals))
+    upper = np.append(np.full(half_lines, np.inf), rng.random(intervals))
+    at = n + np.arange(2 * discs).reshape(-1, 2)
+    return ProductSet(
+        Bounds(np.arange(n), lower, upper), Discs(at, np.zeros(at.shape), rng.random(discs))
+    )
+
+
+@accurate
+@hypothesis.given(
+    seed=st.integers(0, 10**6), rows=st.integers(1, 5), scale=st.sampled_from([1e-9, 1.0, 1e9])
+)
+def test_solution_against_a_conic_solver(seed, rows, scale):
+    rng = np.random.default_rng(seed)
+    feasible, C = random_set(rng), rng.standard_normal((rows, 17))
+    d = C @ feasible.project(rng.standard_normal(17))
+    x, residual = least_norm_in_set(scale * C, scale * d, feasible)
+    assert np.linalg.norm(residual) <= 1e-9 * scale * np.linalg.norm(d)
+    np.testing.assert_allclose(feasible.project(x.copy()), x, atol=1e-13)
+    # with orthonormal rows, and the constant d moved into x
+    Q, R = np.linalg.qr(C.T)
+    shift = Q @ np.linalg.solve(R.T, d)
+    lower, upper = np.full(17, -np.inf), np.full(17, np.inf)
+    lower[:8], upper[:8] = feasible.bounds.lower - shift[:8], feasible.bounds.upper - shift[:8]
+    at = feasible.discs.indices
+    discs = Discs(at, -shift[at], feasible.discs.radius)
+    expected = Problem(np.eye(17), -shift, lower, Q.T, upper, discs).conic_solution() + shift
+    np.testing.assert_allclose(x, expected, atol=1e-5)
+
+
+@accurate
+@hypothesis.given(seed=st.integers(0, 10**6))
+def test_residual_certifies_that_there_is_no_solution(seed):
+    """residual'd is more than residual'Cx of any x of the set."""
+    rng = np.random.default_rng(seed)
+    feasible, C = random_set(rng, half_lines=0), rng.standard_normal((3, 12))
+    feasible = ProductSet(
+        Bounds(np.arange(3), feasible.bounds.lower, feasible.bounds.upper), feasible.discs
+    )
+    C = C[:, :11]
+    d = 100.0 * rng.standard_normal(3)
+    _, residual = least_norm_in_set(C, d, feasible)
+    v = C.T @ residual
+    farthest = np.maximum(v[:3] * feasible.bounds.lower, v[:3] * feasible.bounds.upper).sum()
+    farthest += feasible.discs.radius @ np.linalg.norm(v[3:].reshape(-1, 2), axis=1)
+    assert residual @ d > farthest * (1.0 + 1e-9)
+
+
+def test_nothing_to_balance():
+    feasible = random_set(np.random.default_rng(0))
+    x, residual = least_norm_in_set(np.ones((2, 17)), np.zeros(2), feasible)
+    assert not x.any()
+    assert not residual.any()
+    x, residual = least_norm_in_set(np.zeros((1, 17)), np.ones(1), feasible)
+    assert not x.any()
+    assert residual.tolist() == [1.0]
+
+
+@pytest.mark.parametrize("push", [1e-3, 0.5, 2.0, 1e3])
+def test_factor_is_the_push_over_what_the_radii_hold(push):
+    """Two discs of radii 0.2 and 0.3 along the push, and one that the push does not reach."""
+    discs = Discs(np.arange(6).reshape(3, 2), np.zeros((3, 2)), np.array([0.2, 0.3, 9.0]))
+    C = np.array([[0.6, 0.8, 1.0, 0.0, 0.0, 0.0]])
+    found = smallest_factor(C, np.array([push]), ProductSet(discs=discs))
+    assert found == pytest.approx(push / 0.5, rel=2e-4)
+
+
+def test_no_factor_is_enough_where_only_half_lines_resist():
+    feasible = ProductSet(
+        Bounds.from_below(np.array([0]), np.zeros(1)),
+        random_set(np.random.default_rng(0), half_lines=1, intervals=0, discs=1).discs,
+    )
+    assert smallest_factor(np.array([[1.0, 0.0, 0.0]]), np.array([-1.0]), feasible) == np.inf
