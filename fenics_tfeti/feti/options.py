@@ -30,8 +30,9 @@ class Options:
         Relative error of the displacement in the energy norm, of the whole and of each body, and
         the limit of every other number of the certificate.
     method : {"active_set", "smalbe"}
-        The primal-dual active set method first, continued by SMALBE-M over MPRGP where it cycles;
-        or SMALBE-M first, continued by the active set method where it is slow.
+        The primal-dual active set method first, continued by SMALBE-M where it cycles; or SMALBE-M
+        first, continued by the active set method where it is slow. SMALBE-M is over MPRGP, for
+        friction in three dimensions over MPGP.
     preconditioner : {"lumped", "dirichlet", "none"}
         Preconditioner in the face.
     scaling : {"stiffness", "multiplicity"}

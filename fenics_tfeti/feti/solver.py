@@ -415,11 +415,6 @@ def _check_guess(guess: ContactGuess | None, system: TornSystem, options: Option
                 "ContactGuess of empty arrays"
             )
         check_guess(guess, system.contacts.size)
-        if system.friction.size:
-            raise InputError(
-                "a guess of the contact is the start of the active set method, which does not "
-                "treat friction; leave it out"
-            )
         if options.method != "active_set":
             raise InputError(
                 "a guess of the contact is the start of method='active_set'; with "

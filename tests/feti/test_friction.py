@@ -10,11 +10,13 @@ import pytest
 from friction_problems import (
     blocks_that_do_not_match,
     held_block,
+    horizontal,
     on_the_ground,
     pulled_strip,
     pushed_block,
     solve_by_cones,
 )
+from sparse_rows import clamped, random_rows, two_blocks
 
 from fenics_tfeti import InputError, UnresistedMotion
 from fenics_tfeti.feti import (
@@ -88,14 +90,16 @@ def expected(name: str):
 
 
 @cache
-def solved(name: str, preconditioner: str = "lumped"):
-    return TornSolver(SYSTEMS[name](), Options(rtol=1e-8, preconditioner=preconditioner)).solve()
+def solved(name: str, preconditioner: str = "lumped", method: str = "active_set"):
+    options = Options(rtol=1e-8, preconditioner=preconditioner, method=method)
+    return TornSolver(SYSTEMS[name](), options).solve()
 
 
+@pytest.mark.parametrize("method", ["active_set", "smalbe"])
 @pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet", "none"])
 @every_system
-def test_energy_and_forces_are_those_of_the_conic_solver(name, preconditioner):
-    found, exact = solved(name, preconditioner), expected(name)
+def test_energy_and_forces_are_those_of_the_conic_solver(name, preconditioner, method):
+    found, exact = solved(name, preconditioner, method), expected(name)
     assert found.report.energy == pytest.approx(exact.energy, rel=1e-8)
     for force, other in (
         (found.normal_force, exact.normal_force),
@@ -137,6 +141,29 @@ def test_certificate_and_report(name):
     assert report.equilibrium < 1e-8
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_random_rows_that_depend_on_each_other(seed):
+    """Any coefficients, tangents, bounds and slips; more rows than components at some nodes."""
+    rng = np.random.default_rng(seed)
+    subdomains = two_blocks(1, 2, (*rng.normal(0.0, 0.1, 2), -rng.uniform(0.2, 1.0)))
+    rows = random_rows(subdomains, rng, int(rng.integers(2, 12)), lengths=(-1, 1))
+    first = np.cross(rows.normal, rng.standard_normal(3))
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    tangents = np.stack([first, np.cross(rows.normal, first)], axis=1)
+    bound = 0.1 * 10.0 ** rng.uniform(-2, 1, rows.size) * (rng.random(rows.size) < 0.9)
+    slip = 0.01 * rng.standard_normal((rows.size, 2))
+    system = TornSystem(
+        subdomains,
+        clamped(subdomains, (2, 0.0), (2, 2.0)),
+        rows,
+        3,
+        friction=Friction(np.arange(rows.size), tangents, bound, slip),
+    )
+    found = TornSolver(system, Options(rtol=1e-7)).solve()
+    assert found.report.energy == pytest.approx(solve_by_cones(system).energy, rel=1e-9)
+    assert found.report.outer_iterations == 0
+
+
 def test_problems_have_both_states():
     """Otherwise the tests of this file say nothing about one of them."""
     mixed = [name for name in SYSTEMS if np.count_nonzero(solved(name).sticking) > 0]
@@ -164,6 +191,34 @@ def test_forces_on_both_sides_are_opposite_and_balance_the_load():
     np.testing.assert_allclose(report.on_masters[0].force, [0.15, 0.05, -1.0], atol=1e-9)
     np.testing.assert_allclose(report.reactions[0].force, [-0.15, -0.05, 1.0], atol=1e-9)
     assert report.contact_force == [pytest.approx(1.0, rel=1e-9)]
+
+
+@every_system
+def test_products_of_the_active_set_method(name):
+    """It ends by itself, and takes less than SMALBE-M."""
+    found, other = solved(name).report, solved(name, method="smalbe").report
+    assert found.outer_iterations == 0
+    assert other.faces == []
+    assert found.products["total"] <= 0.6 * other.products["total"]
+
+
+def test_products_are_at_most_three_times_those_of_tied_surfaces():
+    """Two of four subdomains slip in part, on three meshes."""
+    for n in (3, 5, 7):
+        system = pushed_block(n, bound=0.32 / (n + 1) ** 2 * (0.95 if n == 3 else 0.6))
+        tied = dataclasses.replace(system, friction=horizontal(system.contacts, 1e3))
+        rubbing, sticking = (TornSolver(s, Options(rtol=1e-6)).solve() for s in (system, tied))
+        assert 0 < np.count_nonzero(rubbing.sticking) < rubbing.sticking.size
+        assert rubbing.report.products["total"] <= 3 * sticking.report.products["total"]
+
+
+def test_guess_of_the_contact_is_taken():
+    """A guess that is the solution saves the search for what presses."""
+    system, exact = pushed_block(), solved("pushed")
+    guess = ContactGuess(exact.normal_force, np.where(exact.active, 0.0, 1.0))
+    found = TornSolver(system, Options(rtol=1e-8), guess=guess).solve()
+    assert "contact guess" in found.report.reused
+    assert found.report.energy == pytest.approx(exact.report.energy, rel=1e-12)
 
 
 def test_no_bound_is_no_friction():
@@ -248,12 +303,20 @@ def test_limit_of_what_friction_holds(part):
     assert np.all(start[solver.setup.constraints.inequality] >= 0.0)
 
 
-def test_load_close_to_the_limit():
-    """Four of 16 nodes stick."""
-    system = pushed_block(load=(0.16 * 0.9, 0.0, -1.0), bound=0.01)
+@pytest.mark.parametrize("part", [0.9, 0.99, 0.999])
+def test_load_close_to_the_limit(part):
+    """Few nodes stick, or none: then the directions of the forces balance the load."""
+    system = pushed_block(load=(0.16 * part, 0.0, -1.0), bound=0.01)
     found = TornSolver(system, Options(rtol=1e-8)).solve()
     assert found.report.energy == pytest.approx(solve_by_cones(system).energy, rel=1e-8)
-    assert 0 < np.count_nonzero(found.sticking) <= 4
+    assert np.count_nonzero(found.sticking) <= 4
+    assert found.report.outer_iterations == 0
+
+
+def test_load_close_to_the_limit_by_smalbe():
+    system = pushed_block(load=(0.16 * 0.9, 0.0, -1.0), bound=0.01)
+    found = TornSolver(system, Options(rtol=1e-8, method="smalbe")).solve()
+    assert found.report.energy == pytest.approx(solve_by_cones(system).energy, rel=1e-8)
 
 
 def test_load_that_no_friction_holds():
@@ -328,9 +391,3 @@ def test_prescribed_slip_in_one_direction_is_an_error():
     system = prescribed_too(prescribed_too(pushed_block(), 0, 1, 0.0), 1, 1, 0.1)
     with pytest.raises(InputError, match="slide 16 contact rows in one tangential direction"):
         TornSolver(system)
-
-
-def test_guess_is_for_contact_without_friction():
-    guess = ContactGuess(np.ones(16), np.zeros(16))
-    with pytest.raises(InputError, match="does not treat friction"):
-        TornSolver(pushed_block(), guess=guess)

@@ -2,6 +2,7 @@
 
 The rows of G are those of the equality constraints, of some contact rows and of some tangential
 rows: of all of them for the dual problem, for a face of it of the active ones and those that stick.
+Where a site of friction slips, the combination of its rows across its force may be added.
 """
 
 from __future__ import annotations
@@ -67,6 +68,9 @@ class Projector:
         That of GG'; None where no subdomain can move.
     weak : WeakMotions or None
         Motions that are resisted too weakly for the factor.
+    across : (k, gdim - 1) array or None
+        Unit vectors at sites of friction, zero at most: the combinations of their rows that are
+        meant as well.
     """
 
     coarse_space: CoarseSpace
@@ -75,10 +79,14 @@ class Projector:
     free_bodies: sp.csr_matrix
     factor: CoarseFactor | None
     weak: WeakMotions | None = None
+    across: Vector | None = None
 
     @staticmethod
     def build(
-        coarse_space: CoarseSpace, active: Mask | None = None, sticking: Mask | None = None
+        coarse_space: CoarseSpace,
+        active: Mask | None = None,
+        sticking: Mask | None = None,
+        across: Vector | None = None,
     ) -> Projector:
         """Factor GG' of the equality rows and the chosen others. Collective.
 
@@ -91,6 +99,8 @@ class Projector:
         sticking : (k,) bool array, optional
             The sites of friction whose tangential rows are meant; none by default, if contact rows
             are given.
+        across : (k, gdim - 1) array, optional
+            Unit vectors at sites that do not stick, zero at others: combinations of their rows.
         """
         constraints = coarse_space.constraints
         everything = active is None
@@ -98,12 +108,20 @@ class Projector:
         if sticking is None:
             sticking = np.full(constraints.friction.size, everything)
         rows = constraints.face(chosen, sticking)
-        z, weak = coarse_space.weakly_resisted(rows)
+        combined = None if across is None else constraints.friction.combined(across, rows.size)
+        own = (
+            None
+            if combined is None
+            else combined[constraints.friction.owned(constraints.layout.owned)]
+        )
+        z, weak = coarse_space.weakly_resisted(rows, combinations=own)
         free = orthonormal_columns(coarse_space.coarse_motions(z))
         contact = coarse_space.contact[:, np.flatnonzero(chosen)]
         if constraints.friction.size:
             stuck = np.flatnonzero(rows & ~constraints.equality)
             contact = sp.hstack([contact, coarse_space.friction[:, stuck]], format="csr")
+        if combined is not None:
+            contact = sp.hstack([contact, coarse_space.friction @ combined.T], format="csr")
         layout = coarse_space.layout
         gram = coarse_space.equality + layout.rows((contact[layout.own] @ contact.T).tocsr())
         pinned = sp.hstack([free, coarse_space.coarse_motions(weak)], format="csr")
@@ -114,7 +132,7 @@ class Projector:
                 gram, pivot_rows(pinned), _pin(coarse_space, gram, bool(weak.shape[1]))
             )
         factor = layout.factor(gram) if layout.size else None
-        projector = Projector(coarse_space, rows, free, z, factor)
+        projector = Projector(coarse_space, rows, free, z, factor, across=across)
         return projector._with_weak_motions(weak.toarray()) if weak.shape[1] else projector
 
     def _with_weak_motions(self, z: Vector) -> Projector:
@@ -124,8 +142,9 @@ class Projector:
         moved = coarse_space.moved_rows(z)
         follow = np.column_stack([self.coefficients(column) for column in moved.T])
         W = moved - np.column_stack([coarse_space.prolong(column) for column in follow.T])
-        owned = np.flatnonzero(self.rows[: coarse_space.constraints.layout.owned])
-        gram = space.sum_over_ranks(W[owned].T @ W[owned])
+        own = np.column_stack([self.on_rows(column) for column in W.T])
+        own = own[: coarse_space.constraints.layout.owned]
+        gram = space.sum_over_ranks(own.T @ own)
         # Z and W times V S^{-1/2} with W'W = VSV'; motions that only springs resist move no row
         squares, V = np.linalg.eigh(gram)
         moving = squares > np.finfo(float).eps * squares.max(initial=0.0)
@@ -205,8 +224,13 @@ class Projector:
     # -- multipliers ------------------------------------------------------------------------------
 
     def on_rows(self, x: Vector) -> Vector:
-        """Return x with zeros outside the rows."""
-        return np.where(self.rows, x, 0.0)
+        """Return x with zeros outside the rows, but for the combinations across."""
+        chosen = np.where(self.rows, x, 0.0)
+        if self.across is not None:
+            friction = self.coarse_space.constraints.friction
+            size = np.sum(friction.at_sites(x) * self.across, axis=1, keepdims=True)
+            chosen[friction.flat] += (size * self.across)[friction.present]
+        return chosen
 
     def Q(self, x: Vector) -> Vector:
         """Return Qx = G'(GG')^+ Gx."""

@@ -224,7 +224,7 @@ class CoarseSpace:
         return places
 
     def weakly_resisted(
-        self, rows: Mask, below: float = 1e-4
+        self, rows: Mask, below: float = 1e-4, combinations: sp.csr_matrix | None = None
     ) -> tuple[sp.csr_matrix, sp.csr_matrix]:
         """Return the rigid motions of bodies that some rows resist not at all, and weakly.
 
@@ -235,6 +235,8 @@ class CoarseSpace:
         below : float
             Largest resistance that counts as weak; by default those which, squared in GG', would be
             lost to rounding.
+        combinations : (q, m) scipy.sparse.csr_matrix, optional
+            Combinations of rows, of unit length, that this rank owns, and that resist as well.
 
         Returns
         -------
@@ -244,9 +246,12 @@ class CoarseSpace:
         """
         owned = np.flatnonzero(rows[: self.constraints.layout.owned])
         unresisted = max(UNRESISTED, self.bodies.rounding)
+        moved = self.bodies.moved[owned]
+        if combinations is not None:
+            moved = sp.vstack([moved, combinations @ self.bodies.moved], format="csr")
         resistance, z = weak_motions(
             self.comm,
-            self.bodies.moved[owned],
+            moved,
             self.bodies.supports,
             below,
             unresisted,

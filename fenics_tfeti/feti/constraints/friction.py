@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from mpi4py import MPI
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
@@ -178,11 +179,35 @@ class FrictionRows:
         mask: Mask = force < (1.0 - _AT_BOUND) * radius
         return mask
 
+    def off_face(self, sticking: Mask, multipliers: Vector) -> Vector:
+        """Return the multipliers (m,) of the sites that slip, with zeros elsewhere."""
+        fixed = np.zeros_like(multipliers)
+        slipping = self.on_rows(~sticking, multipliers.size)
+        fixed[slipping] = multipliers[slipping]
+        return fixed
+
+    def combined(self, across: Vector, size: int) -> sp.csr_matrix:
+        """Return the combinations (k, m) of the rows of each site with coefficients across."""
+        sites = np.broadcast_to(np.arange(self.size)[:, None], self.rows.shape)[self.present]
+        entries = across[self.present], (sites, self.flat)
+        return sp.csr_matrix(entries, (self.size, size))
+
+    def projected(self, forces: Vector, radius: Vector) -> Vector:
+        """Return the projections of forces (k, gdim - 1) onto the sets |lambda_T| <= r."""
+        length = np.linalg.norm(forces, axis=1)
+        outside = length > radius
+        factor = np.divide(radius, length, out=np.ones_like(length), where=outside)
+        return factor[:, None] * forces
+
     def at_bound(self, multipliers: Vector, radius: Vector) -> Vector:
         """Return the multipliers with forces that are at the bound up to rounding exactly there."""
+        return self.back_on_circles(multipliers, radius, self.sticking(multipliers, radius))
+
+    def back_on_circles(self, multipliers: Vector, radius: Vector, sticking: Mask) -> Vector:
+        """Return the multipliers with forces of sites that slip scaled to their bound."""
         force = self.at_sites(multipliers)
         length = np.linalg.norm(force, axis=1)
-        slipping = ~self.sticking(multipliers, radius) & (length > 0.0)
+        slipping = ~sticking & (length > 0.0)
         factor = np.divide(radius, length, out=np.ones_like(length), where=slipping)
         multipliers = multipliers.copy()
         multipliers[self.flat] = (factor[:, None] * force)[self.present]
@@ -193,6 +218,18 @@ class FrictionRows:
         force = self.at_sites(multipliers)
         length = np.linalg.norm(force, axis=1, keepdims=True)
         return np.divide(force, length, out=np.zeros_like(force), where=length > 0.0)
+
+    def across(self, multipliers: Vector, sticking: Mask) -> Vector | None:
+        """Return the unit vectors across the forces of sites that slip, (k, 2); zeros at others.
+
+        A force of a given size turns in this direction, and its slip has no part in it. There is
+        none where the sets are intervals, on any rank.
+        """
+        if not self.curved:
+            return None
+        along = self.directions(multipliers) * self.present.all(axis=1, keepdims=True)
+        turned = np.column_stack([-along[:, 1], along[:, 0]])
+        return np.where(sticking[:, None], 0.0, turned)
 
     def within(self, rows: Mask) -> Mask:
         """Tell of which sites the rows are in a mask (m,)."""

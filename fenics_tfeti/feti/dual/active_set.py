@@ -1,10 +1,14 @@
-"""Primal-dual active set method (semismooth Newton) for the dual problem (11.36).
+"""Primal-dual active set method (semismooth Newton) for the dual problem (11.36), with friction.
 
 Each step takes the active contact rows as equalities and drops the others, and solves that linear
 problem by PCPG with the projector of these rows. The signs of forces and gaps give the next active
 set. The method alone may cycle: then one row changes at a time, the last one with a wrong sign,
 until fewer signs are wrong than before. For definite problems that ends (Murty's rule); where it
 takes too long, SMALBE-M continues from the last iterate.
+
+With friction sites stick, their tangential rows being equalities, or slip with a force of size r
+in the direction of l - g / ||PFP||, which turns in the linear problem (Newton's method). Where the
+directions do not come to rest, too, SMALBE-M continues.
 
 After Hintermueller, Ito, Kunisch, SIAM J. Optim. 13 (2002) 865-888, and Judice, Pires, Comput.
 Oper. Res. 21 (1994) 587-596.
@@ -13,7 +17,7 @@ Oper. Res. 21 (1994) 587-596.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mpi4py import MPI
 
@@ -23,7 +27,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.coupling import null_space
-from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, pcpg
+from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Signs, friction_step, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.tolerances import NO_WORK
 from fenics_tfeti.qp import Products
@@ -52,7 +56,8 @@ class ActiveSetStep:
     active : int
         Active contact rows of the face.
     changed : int
-        Rows that enter or leave the set after it.
+        Rows that enter or leave the set after it, and sites of friction that stick or slip
+        after it.
     """
 
     products: int
@@ -68,7 +73,7 @@ class ActiveSetResult:
     Attributes
     ----------
     multipliers : (m,) array
-        Nonnegative on the inequality rows, and G l = e except for what cutting negative forces
+        Feasible on contact and tangential rows, and G l = e except for what cutting forces there
         changes.
     coarse_gradient : (m,) array
         Q(Fl - d) + G'a with the rigid motions a: the equalities' part of the gradient.
@@ -88,7 +93,7 @@ class ActiveSetResult:
 def primal_dual_active_set(
     problem: DualProblem,
     start: Vector | PCPGIterate,
-    active: Mask,
+    signs: Signs,
     *,
     tolerance: float,
     max_products: int,
@@ -103,8 +108,8 @@ def primal_dual_active_set(
         The dual problem (11.36).
     start : (m,) array or PCPGIterate
         First multipliers, or the last iterate of an earlier run to a larger tolerance.
-    active : (i,) bool array
-        First active set; of an earlier run, its last one.
+    signs : Signs
+        First active set, and what sticks; of an earlier run, its last ones.
     tolerance : float
         Tolerance of the energy of the residual [sqrt(J)].
     max_products : int
@@ -119,13 +124,14 @@ def primal_dual_active_set(
     ActiveSetResult
         The solution, or the last iterate.
     """
-    rows = problem.constraints.inequality
+    rows, friction = problem.constraints.inequality, problem.constraints.friction
+    rubs = bool(_counts(problem, np.zeros(rows.size, dtype=bool), sites=problem.radius > 0.0)[-1])
     progress, pivots, previous_sets = _Progress(), _SinglePivots(), list[Mask]()
-    gap, resume = problem.c[rows], isinstance(start, PCPGIterate)
+    gradient, resume = problem.c, isinstance(start, PCPGIterate)
     # the violation of signs in units of energy: F ~ ||PFP|| at worst
     negligible = tolerance * np.sqrt(problem.norm)
     while True:
-        face = close_first_gaps(problem, active, gap)
+        face = close_first_gaps(problem, signs, gradient)
         start = iterate = pcpg(
             problem,
             face,
@@ -136,13 +142,28 @@ def primal_dual_active_set(
             products=products,
             resume=resume,
         )
-        gap = iterate.gradient[rows]
-        following = iterate.multipliers[rows] > gap / problem.norm
-        changed, size = _counts(problem, following != face.active, face.active)
+        gradient = iterate.gradient
+        following = iterate.multipliers[rows] > gradient[rows] / problem.norm
+        forces = friction_step(problem, face, iterate.multipliers, gradient)
+        rubbing = np.zeros_like(gradient)
+        rubbing[friction.flat] = forces[friction.present]
+        sticking = friction.sticking(rubbing, problem.radius)
+        changed, size, turned = _counts(
+            problem,
+            following != face.signs.active,
+            face.signs.active,
+            sites=sticking != face.signs.sticking,
+        )
+        changed += turned
         monitor(ActiveSetStep(products.total, iterate.residual, size, changed))
         exact = iterate.energy <= tolerance
         solved = exact and iterate.violation <= negligible
-        cycles = exact and any(_counts(problem, following != s)[0] == 0 for s in previous_sets)
+        # sets with other directions of friction forces may come back
+        cycles = (
+            exact
+            and not rubs
+            and any(_counts(problem, following != s)[0] == 0 for s in previous_sets)
+        )
         progress.update(iterate.violation)
         stuck = cycles or progress.stagnates
         if (
@@ -150,16 +171,20 @@ def primal_dual_active_set(
             or iterate.at_limit
             or products.total >= max_products
             or interruption.agreed()
+            or (stuck and rubs)
             or not pivots.update(changed, stuck)
         ):
             return _result(problem, iterate, solved)
         if pivots.active:
-            following = _change_last(problem, face.active, following)
+            following = _change_last(problem, face.signs.active, following)
             progress, previous_sets = _Progress(), []
         elif exact:
-            previous_sets.append(face.active)
-        resume = changed == 0
+            previous_sets.append(face.signs.active)
+        resume = changed == 0 and not (rubs and _turned(problem, face, iterate, forces))
         active = without_dependent_rows(problem, following, iterate.multipliers)
+        signs = _signs(problem, active, sticking, rubbing, gradient)
+        if resume:
+            signs = replace(face.signs, active=active)
 
 
 @dataclass
@@ -219,17 +244,28 @@ class _Progress:
 
 
 def _result(problem: DualProblem, iterate: PCPGIterate, solved: bool) -> ActiveSetResult:
-    rows = problem.constraints.inequality
-    multipliers = iterate.multipliers.copy()
-    multipliers[rows] = np.maximum(multipliers[rows], 0.0)
+    none = np.zeros_like(iterate.multipliers)
+    multipliers = problem.multiplier_set(none).project(iterate.multipliers.copy())
     return ActiveSetResult(multipliers, problem.projector.Q(iterate.gradient), solved, iterate)
 
 
-def _counts(problem: DualProblem, *masks: Mask) -> list[int]:
-    """Count the entries of masks over the inequality rows of all ranks; one reduction."""
-    owned = problem.constraints.owned_inequalities
-    part = np.array([float(np.count_nonzero(mask[:owned])) for mask in masks])
+def _counts(problem: DualProblem, *masks: Mask, sites: Mask | None = None) -> list[int]:
+    """Count masks over the inequality rows, and one over sites, of all ranks; one reduction."""
+    owned, friction = problem.constraints.owned_inequalities, problem.constraints.friction
+    part = [float(np.count_nonzero(mask[:owned])) for mask in masks]
+    if sites is not None:
+        mine = friction.owned(problem.constraints.layout.owned)
+        part.append(float(np.count_nonzero(sites & mine)))
     return [int(n) for n in problem.space.sums(*part)]
+
+
+def _turned(problem: DualProblem, face: Face, iterate: PCPGIterate, forces: Vector) -> bool:
+    """Tell whether the forces of slips change by more than the residual on the face. Collective."""
+    friction = problem.constraints.friction
+    change = np.zeros_like(iterate.gradient)
+    slipping = friction.present & ~face.signs.sticking[:, None]
+    change[friction.rows[slipping]] = (forces - friction.at_sites(face.signs.forces))[slipping]
+    return problem.norm * problem.space.norm(change) > iterate.residual
 
 
 def _change_last(problem: DualProblem, active: Mask, following: Mask) -> Mask:
@@ -269,12 +305,13 @@ def without_dependent_rows(problem: DualProblem, active: Mask, multipliers: Vect
     on_rows, forces, gaps = coupling.gather(on_rows, multipliers, problem.c)
     chosen = (on_rows > 0.0) | coupling.tied
     forces = np.maximum(forces, 0.0)
-    for members in coupling.groups:
+    for group in coupling.groups:
+        members = group[~coupling.tangential[group]]
         W = coupling.gram[members][:, members].toarray()
         chosen[members] = _independent(
             W, chosen[members], forces[members], gaps[members], coupling.tied[members]
         )
-    contact = ~coupling.tied[coupling.positions]
+    contact = ~(coupling.tied | coupling.tangential)[coupling.positions]
     active = active.copy()
     at = np.searchsorted(constraints.inequality, coupling.rows[contact])
     active[at] = chosen[coupling.positions[contact]]
@@ -298,39 +335,70 @@ def _independent(W: Vector, chosen: Mask, force: Vector, gap: Vector, tied: Mask
     return chosen
 
 
-def close_first_gaps(problem: DualProblem, active: Mask, gap: Vector) -> Face:
+def close_first_gaps(problem: DualProblem, signs: Signs, gradient: Vector) -> Face:
     """Return the face of a set, with the rows added that bodies close when the load moves them.
 
     Where the load does work on motions that the rows leave free, the bodies move until the first
-    gaps close; these rows join the set, and so on until the load is balanced.
+    gaps close, or the first slips are taken back; these rows join the set, and so on until the load
+    is balanced.
 
     Parameters
     ----------
     problem : DualProblem
         The dual problem.
-    active : (i,) bool array
+    signs : Signs
         The set.
-    gap : (i,) array
-        Gap of each row, scaled as the row; negative gaps count as closed.
+    gradient : (m,) array
+        On contact rows the gap, scaled as the row; negative gaps count as closed. On tangential
+        rows minus the slip.
 
     Returns
     -------
     Face
         The set with the rows that closed, its projector and preconditioner.
     """
-    coarse_space = problem.coarse_space
-    gap = np.maximum(gap, 0.0)
+    coarse_space, friction = problem.coarse_space, problem.constraints.friction
+    gap = np.maximum(gradient[problem.constraints.inequality], 0.0)
+    along = friction.directions(signs.forces)
+    slip = np.maximum(np.sum(-friction.at_sites(gradient) * along, axis=1), 0.0)
+    active, sticking = signs.active, signs.sticking
     while True:
-        projector = Projector.build(coarse_space, active)
-        work = projector.unresisted(problem.e, problem.e_size)
+        across = friction.across(signs.forces, sticking)
+        projector = Projector.build(coarse_space, active, sticking, across)
+        signs = replace(signs, active=active, sticking=sticking)
+        work = projector.unresisted(_load(problem, signs), problem.e_size)
         if not work.any():
-            return Face.build(problem, active, projector)
+            return Face.build(problem, signs, projector)
         speed = coarse_space.contact.T @ work
         closing = ~active & (speed > NO_WORK * np.linalg.norm(work))
         way = np.divide(gap, speed, out=np.full(gap.size, np.inf), where=closing)
-        first = problem.space.dots_and_min(value=float(way.min(initial=np.inf)))[0]
+        back = -np.sum(friction.at_sites(coarse_space.friction.T @ work) * along, axis=1)
+        returning = ~sticking & (back > NO_WORK * np.linalg.norm(work))
+        way_back = np.divide(slip, back, out=np.full(slip.size, np.inf), where=returning)
+        nearest = min(way.min(initial=np.inf), way_back.min(initial=np.inf))
+        first = problem.space.dots_and_min(value=float(nearest))[0]
         if not np.isfinite(first):
-            return Face.build(problem, active, projector)
+            return Face.build(problem, signs, projector)
         # rows that close at once, up to rounding, join together
         active = active | (way <= first * (1.0 + NO_WORK))
+        sticking = sticking | (way_back <= first * (1.0 + NO_WORK))
         gap = np.where(active, 0.0, np.maximum(gap - first * speed, 0.0))
+        slip = np.maximum(slip - first * back, 0.0)
+
+
+def _signs(
+    problem: DualProblem, active: Mask, sticking: Mask, forces: Vector, gradient: Vector
+) -> Signs:
+    """Return a set with the curvature that the slips of a gradient have along the forces."""
+    friction = problem.constraints.friction
+    slip = -np.sum(friction.at_sites(gradient) * friction.directions(forces), axis=1)
+    curvature = np.zeros(friction.size)
+    np.divide(np.maximum(slip, 0.0), problem.radius, out=curvature, where=problem.radius > 0.0)
+    return Signs(active, sticking, forces, curvature)
+
+
+def _load(problem: DualProblem, signs: Signs) -> Vector:
+    """Return e without what the forces of slips carry."""
+    fixed = problem.constraints.friction.off_face(signs.sticking, signs.forces)
+    carried = problem.space.sums(float(np.count_nonzero(fixed)))[0]
+    return problem.e - problem.coarse_space.restrict(fixed) if carried else problem.e

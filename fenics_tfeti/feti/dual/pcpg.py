@@ -4,7 +4,10 @@ On a face the active contact rows are equalities and the multipliers of the othe
 
     minimise 1/2 l'Fl - d'l  subject to  Gl = e,  l = o off the face,
 
-with G and the projector P of the rows on the face. The gradient is kept on *all* rows, as
+with G and the projector P of the rows on the face. With friction the tangential rows of sites that
+stick are on the face. Where a site slips, its force turns on the circle |l_T| = r: to first order
+it moves along the tangent, with the curvature |slip| / r of the cost. The gradient is kept on all
+rows, as
 g = Fl - d + G'a with the rigid motions a of the face: where l = o it is the gap that is left, whose
 sign tells whether the face is the right one.
 
@@ -27,7 +30,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.qp import Products
 
-__all__ = ["Face", "PCPGIterate", "pcpg"]
+__all__ = ["Face", "PCPGIterate", "Signs", "friction_step", "pcpg"]
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -42,28 +45,100 @@ _NO_CURVATURE = 64 * 2.0**-52
 
 
 @dataclass(frozen=True)
+class Signs:
+    """Which conditions of contact and friction hold with equality: the choice of a face.
+
+    Attributes
+    ----------
+    active : (i,) bool array
+        The contact rows that are closed.
+    sticking : (k,) bool array
+        The sites of friction that do not slip.
+    forces : (m,) array
+        The friction forces of the sites that slip, as multipliers; other rows do not matter.
+    curvature : (k,) array
+        Slip along the force divided by r: at the sites that slip the second derivative of the cost
+        for a force that turns.
+    """
+
+    active: Mask
+    sticking: Mask
+    forces: Vector
+    curvature: Vector
+
+    @staticmethod
+    def of(problem: DualProblem, multipliers: Vector, active: Mask | None = None) -> Signs:
+        """Return those of multipliers, with forces of sites that slip at the bound."""
+        constraints = problem.constraints
+        friction = constraints.friction
+        if active is None:
+            active = multipliers[constraints.inequality] > 0.0
+        forces = problem.multiplier_set(np.zeros_like(multipliers)).project(multipliers.copy())
+        forces = friction.at_bound(forces, problem.radius)
+        sticking = friction.sticking(forces, problem.radius)
+        return Signs(active, sticking, forces, np.zeros(friction.size))
+
+
+@dataclass(frozen=True)
 class Face:
     """A face of the dual feasible set.
 
     Attributes
     ----------
-    active : (i,) bool array
-        The inequality rows on the face.
+    signs : Signs
+        Which rows are on it; its forces are the multipliers off the face.
     projector : Projector
-        P and Q of the equality rows and the active rows.
+        P and Q of the rows on the face, and of the tangents of sites that slip.
     precondition : callable or None
-        x -> this rank's part of B_D S B_D'x on the face.
+        x -> this rank's part of B_D S B_D'x on the face, scaled where forces turn.
     """
 
-    active: Mask
+    signs: Signs
     projector: Projector
     precondition: Callable[[Vector], Vector] | None
 
     @staticmethod
-    def build(problem: DualProblem, active: Mask, projector: Projector) -> Face:
+    def build(problem: DualProblem, signs: Signs, projector: Projector) -> Face:
         """Make the preconditioner of a face. Collective."""
-        kind = problem.preconditioner
-        return Face(active, projector, None if kind is None else kind.on_face(projector.rows))
+        kind, friction = problem.preconditioner, problem.constraints.friction
+        rows = projector.rows
+        if projector.across is not None:
+            rows = rows | friction.on_rows(projector.across.any(axis=1), rows.size)
+        fixed = friction.off_face(signs.sticking, signs.forces)
+        precondition = None if kind is None else kind.on_face(rows)
+        if precondition is not None and projector.across is not None:
+            precondition = _scaled(problem, precondition, signs.curvature, projector.across)
+        return Face(replace(signs, forces=fixed), projector, precondition)
+
+    def bent(self, multipliers: Vector) -> Vector:
+        """Return the gradient of 1/2 sum of curvatures times squared tangential parts of forces."""
+        derivative = np.zeros_like(multipliers)
+        across = self.projector.across
+        if across is not None:
+            friction = self.projector.coarse_space.constraints.friction
+            size = self.signs.curvature * np.sum(friction.at_sites(multipliers) * across, axis=1)
+            derivative[friction.flat] = (size[:, None] * across)[friction.present]
+        return derivative
+
+
+def _scaled(
+    problem: DualProblem, apply: Callable[[Vector], Vector], curvature: Vector, across: Vector
+) -> Callable[[Vector], Vector]:
+    """Return the preconditioner with forces that turn scaled for their curvature.
+
+    Where F has an inverse m, which is about the unit of stiffness for rows of length 1, the inverse
+    of F + curvature is m / (1 + curvature m).
+    """
+    friction = problem.constraints.friction
+    less = 1.0 - 1.0 / np.sqrt(1.0 + problem.unit * curvature)
+
+    def scale(x: Vector) -> Vector:
+        size = less * np.sum(friction.at_sites(x) * across, axis=1)
+        scaled = x.copy()
+        scaled[friction.flat] -= (size[:, None] * across)[friction.present]
+        return scaled
+
+    return lambda x: scale(apply(scale(x)))
 
 
 @dataclass(frozen=True)
@@ -72,16 +147,17 @@ class PCPGIterate:
 
     Attributes
     ----------
-    active : (i,) bool array
-        The inequality rows on the face.
+    signs : Signs
+        The face.
     multipliers : (m,) array
-        l, with Gl = e and zeros off the face.
+        l, with Gl = e and the fixed ones off the face.
     gradient : (m,) array
         Fl - d + G'a.
     residual : float
         ||P(d - Fl)|| on the face [m].
     violation : float
-        Norm of negative forces (times ||PFP||) on the face and negative gaps off it.
+        Norm of negative forces (times ||PFP||) on the face and negative gaps off it; with friction
+        also of forces above the bound, and of changes of forces that a slip asks for.
     direction : (m,) array
         The last search direction.
     rz_of_direction : float
@@ -96,7 +172,7 @@ class PCPGIterate:
         Whether the residual is rounding: more steps do not reduce it.
     """
 
-    active: Mask
+    signs: Signs
     multipliers: Vector
     gradient: Vector
     residual: float
@@ -200,14 +276,16 @@ def _step(
     # 2. direction: p = z + (r'z / r'z of the last step) p
     p = z + rz / iterate.rz_of_direction * iterate.direction
     # 3. product: PFp on the face, off it what the gaps change by; p'Fp
-    change, curvature = face.projector.remove_rigid_motion(_product(problem, p, products), p)
+    bent = face.bent(p)
+    part = _product(problem, p, products) + problem.constraints.layout.owned_part(bent)
+    change, curvature = face.projector.remove_rigid_motion(part, p)
     if curvature <= _NO_CURVATURE * rz:
         return None
     # 4. step: l += alpha p, g += alpha PFp with alpha = r'z / p'Fp
     alpha = rz / curvature
-    l, g = l + alpha * p, g + alpha * change
+    l, g = l + alpha * p, g + alpha * (change - bent)
     lengths = (*iterate.step_lengths, alpha)
-    return PCPGIterate(face.active, l, g, *_norms(problem, face, l, g), p, rz, lengths)
+    return PCPGIterate(face.signs, l, g, *_norms(problem, face, l, g), p, rz, lengths)
 
 
 def _with_preconditioned_residual(
@@ -216,7 +294,8 @@ def _with_preconditioned_residual(
     """Return the iterate with z = PMr and r'z of its residual r = -g on the face."""
     if iterate.preconditioned is not None:
         return iterate
-    z, rz = _precondition(face, -face.projector.on_rows(iterate.gradient), products)
+    gradient = iterate.gradient + face.bent(iterate.multipliers)
+    z, rz = _precondition(face, -face.projector.on_rows(gradient), products)
     if rz is None:
         # without preconditioner z = r in units of ||PFP||, so that r'z is an energy
         z, rz = z / problem.norm, iterate.residual**2 / problem.norm
@@ -252,16 +331,17 @@ def _iterate_at(
 ) -> PCPGIterate:
     """Return the iterate at l, from the known gradient at other multipliers; one product."""
     part = _product(problem, l - known_at, products)
-    part = part + problem.constraints.layout.owned_part(known)
-    g = face.projector.remove_rigid_motion(part, l)[0]
+    bent = face.bent(l)
+    part = part + problem.constraints.layout.owned_part(known + bent)
+    g = face.projector.remove_rigid_motion(part, l)[0] - bent
     none = np.zeros_like(l)
-    return PCPGIterate(face.active, l, g, *_norms(problem, face, l, g), none, 1.0, step_lengths)
+    return PCPGIterate(face.signs, l, g, *_norms(problem, face, l, g), none, 1.0, step_lengths)
 
 
 def _nearest_on_face(problem: DualProblem, face: Face, multipliers: Vector) -> Vector:
-    """Return the nearest multipliers with Gl = e and zeros off the face."""
+    """Return the nearest multipliers with Gl = e and the fixed ones off the face."""
     projector = face.projector
-    l = projector.on_rows(multipliers)
+    l = projector.on_rows(multipliers) + face.signs.forces
     missing = problem.e - problem.coarse_space.restrict(l)
     nearest: Vector = l + projector.least_norm(projector.without_free_motions(missing))
     return nearest
@@ -280,6 +360,20 @@ def _precondition(face: Face, r: Vector, products: Products) -> tuple[Vector, fl
     return face.projector.P_of_sum(face.precondition(r), r)
 
 
+def friction_step(
+    problem: DualProblem, face: Face, multipliers: Vector, gradient: Vector
+) -> Vector:
+    """Return the friction forces that the slips of an iterate ask for, (k, gdim - 1).
+
+    These are the projections of l - g / ||PFP|| onto the discs. On the face g is a residual that
+    vanishes, and is left out.
+    """
+    friction = problem.constraints.friction
+    slip = np.where(face.signs.sticking[:, None], 0.0, friction.at_sites(gradient))
+    step = friction.at_sites(multipliers) - slip / (problem.norm or 1.0)
+    return friction.projected(step, problem.radius)
+
+
 def _norms(
     problem: DualProblem, face: Face, multipliers: Vector, gradient: Vector
 ) -> tuple[float, float]:
@@ -287,7 +381,12 @@ def _norms(
     rows = problem.constraints.inequality
     wrong = np.zeros_like(gradient)
     force = problem.norm * multipliers[rows]
-    wrong[rows] = np.minimum(np.where(face.active, force, gradient[rows]), 0.0)
-    residual = face.projector.on_rows(gradient)
+    wrong[rows] = np.minimum(np.where(face.signs.active, force, gradient[rows]), 0.0)
+    friction, sites = (
+        problem.constraints.friction,
+        friction_step(problem, face, multipliers, gradient),
+    )
+    wrong[friction.flat] = problem.norm * (friction.at_sites(multipliers) - sites)[friction.present]
+    residual = face.projector.on_rows(gradient + face.bent(multipliers))
     squares = problem.space.dots((residual, residual), (wrong, wrong))
     return float(np.sqrt(squares[0])), float(np.sqrt(squares[1]))

@@ -47,6 +47,8 @@ class DualProblem:
         B_D S B_D' on faces.
     radius : (k,) array
         r of each site of friction.
+    unit : float
+        The stiffness that a weight of 1 stands for [N/m].
     """
 
     F: Callable[[Vector], Vector]
@@ -58,6 +60,7 @@ class DualProblem:
     norm: float
     preconditioner: Preconditioner | None
     radius: Vector
+    unit: float
 
     @property
     def coarse_space(self) -> CoarseSpace:

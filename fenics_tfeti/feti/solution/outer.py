@@ -23,7 +23,7 @@ from fenics_tfeti.feti.coarse.prescribed_motion import prescribed_motion
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.active_set import primal_dual_active_set
 from fenics_tfeti.feti.dual.augmented import Stopped, solve_by_smalbe
-from fenics_tfeti.feti.dual.pcpg import PCPGIterate
+from fenics_tfeti.feti.dual.pcpg import PCPGIterate, Signs
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.solution.certificate import PrimalProblem
@@ -70,7 +70,8 @@ class _Stage:
         """Return the stage without residuals, in whose recurrences rounding has added up."""
         if self.iterate is None:
             return self
-        return replace(self, state=replace(self.state, active=self.iterate.active), iterate=None)
+        active = self.iterate.signs.active
+        return replace(self, state=replace(self.state, active=active), iterate=None)
 
 
 def iterate_until_certified(
@@ -151,7 +152,7 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
     if forces is not None:
         return loop.at_rest(forces)
     stage = _Stage(loop.first_state(start), solved=False)
-    by_active_set = options.method == "active_set" and not loop.with_friction
+    by_active_set = options.method == "active_set"
     scale, limit = loop.scale, max(options.rtol, ROUNDING)
     tolerance, rounding = options.rtol * scale.energy_norm, scale.rounding_at(scale.energy_norm)
     changed_method = False
@@ -171,7 +172,7 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
         progress.update(candidate.certificate, tolerance)
         rounding = min(rounding, scale.rounding_at(candidate.certificate.energy_norm))
         limited = progress.stagnates or tolerance <= rounding
-        if limited and not (by_active_set or changed_method or loop.with_friction):
+        if limited and not by_active_set and not changed_method:
             by_active_set = changed_method = True
             progress = Progress()
         elif limited:
@@ -241,12 +242,6 @@ class _Loop:
         scale = EnergyScale.of(setup, data, feasible, far, timer, monitor.history)
         return _Loop(setup, data, options, timer, monitor, primal, feasible.jumps - data.c, scale)
 
-    @property
-    def with_friction(self) -> bool:
-        """Whether there is friction, with which SMALBE-M is the method. Collective."""
-        radius, comm = self.data.radius, self.setup.constraints.layout.comm
-        return bool(comm.allreduce(bool(radius.any()), MPI.LOR))
-
     def at_rest(self, multipliers: Vector) -> Outcome:
         """Return u = o, with multipliers that balance the load."""
         setup, none = self.setup, np.zeros_like(self.data.load)
@@ -274,8 +269,6 @@ class _Loop:
             if stage.solved or interruption.agreed():
                 return stage
         patience = self.options.smalbe_patience
-        if self.with_friction:
-            return self.smalbe(stage.state, tolerance, self.options.smalbe_max_it)
         while True:
             stage = self.smalbe(stage.state, tolerance, patience)
             if stage.flat and self.setup.deflation is not None:
@@ -292,13 +285,13 @@ class _Loop:
 
     def active_set(self, stage: _Stage, tolerance: float) -> _Stage:
         """Run the primal-dual active set method on (11.36)."""
-        start, active = self._first_face(stage)
         problem = self._problem(ROUGH_LANCZOS_STEPS)
+        start, signs = self._first_face(stage, problem)
         with self.timer.phase("iterations"):
             result = primal_dual_active_set(
                 problem,
                 start,
-                active,
+                signs,
                 tolerance=tolerance,
                 max_products=self.options.max_products,
                 products=self.monitor.history.products,
@@ -385,11 +378,11 @@ class _Loop:
         with self.timer.phase("iterations"):
             return dual_problem(self.setup, self.data, norm)
 
-    def _first_face(self, stage: _Stage) -> tuple[Vector | PCPGIterate, Mask]:
+    def _first_face(
+        self, stage: _Stage, problem: DualProblem
+    ) -> tuple[Vector | PCPGIterate, Signs]:
         """Return where the active set method starts."""
         if stage.iterate is not None:
-            return stage.iterate, stage.iterate.active
-        multipliers, active = stage.state.multipliers, stage.state.active
-        if active is None:
-            active = multipliers[self.setup.constraints.inequality] > 0.0
-        return multipliers, active
+            return stage.iterate, stage.iterate.signs
+        multipliers = stage.state.multipliers
+        return multipliers, Signs.of(problem, multipliers, stage.state.active)

@@ -39,6 +39,8 @@ _SHARED_OUT = 1e-15
 _LAST_PLACES = 16 * 2.0**-52
 # limit on the changes of the rows that determine the rigid motions
 _NEWTON_STEPS = 20
+# limit on the corrections of forces that turn, and ||G lambda - e|| / ||e|| that is rounding
+_TURNS, _BALANCED = 8, 1e-13
 
 
 @dataclass(frozen=True)
@@ -72,9 +74,9 @@ def balance_multipliers(
     """Return the feasible multipliers with G lambda = e, and the projector of their face.
 
     What is missing of G lambda = e is added in the least squares sense on the equality rows, on the
-    contact rows with a force, and on the tangential rows with a force below its bound. Contact rows
-    whose force would become negative leave the face, and sites of friction that would exceed their
-    bound.
+    contact rows with a force, and on the tangential rows with a force below its bound; forces at
+    their bound turn. Contact rows whose force would become negative leave the face, and sites of
+    friction that would exceed their bound.
 
     Parameters
     ----------
@@ -92,25 +94,35 @@ def balance_multipliers(
     (m,) array
         Balanced multipliers; the given ones where no face can take what is missing.
     Projector
-        That of the equality rows, the contact rows with a force, and the sites that stick.
+        That of the equality rows, the contact rows with a force, the sites that stick, and the
+        directions across the forces of the others.
     """
     rows, space = coarse_space.constraints.inequality, coarse_space.constraints.layout.space
     friction, balanced = coarse_space.constraints.friction, multipliers
-    none = np.zeros_like(multipliers)
-    limits = friction.multiplier_set(rows[:0], none, radius)
+    limits = friction.multiplier_set(rows[:0], np.zeros_like(multipliers), radius)
+    turns = 0
     while True:
         sticking = friction.sticking(balanced, radius)
-        face = Projector.build(coarse_space, balanced[rows] > 0.0, sticking)
+        across = friction.across(balanced, sticking)
+        face = Projector.build(coarse_space, balanced[rows] > 0.0, sticking, across)
         corrected = balanced
         # the second time for what rounding leaves where contact rows resist much less than others
         for _ in range(2):
             missing = face.without_free_motions(e - coarse_space.restrict(corrected))
             corrected = corrected + face.least_norm(missing)
+            corrected = friction.back_on_circles(corrected, radius, sticking)
         negative, limited = corrected[rows] < 0.0, limits.project(corrected.copy())
         sliding = sticking & ~friction.sticking(limited, radius)
         left = np.count_nonzero(negative) + np.count_nonzero(sliding)
         if not space.sums(float(left))[0]:
-            return corrected, face
+            if across is None or turns == _TURNS:
+                return corrected, face
+            missing = face.without_free_motions(e - coarse_space.restrict(corrected))
+            if np.linalg.norm(missing) <= _BALANCED * np.linalg.norm(e):
+                return corrected, face
+            # Newton's method for forces that turn on circles
+            balanced, turns = corrected, turns + 1
+            continue
         balanced = balanced.copy()
         balanced[rows[negative]] = 0.0
         slipping = friction.on_rows(sliding, balanced.size)
@@ -185,7 +197,7 @@ def _motions(face: Projector, jumps: Vector) -> tuple[Projector, Vector]:
         active = pressing | (penetration > np.where(joined, -negligible, negligible))
         if not layout.space.sums(float(np.count_nonzero(active != joined)))[0]:
             break
-        face = Projector.build(coarse_space, active, sticking)
+        face = Projector.build(coarse_space, active, sticking, face.across)
         alpha = face.coefficients(jumps)
     return face, alpha
 

@@ -282,6 +282,7 @@ def dual_problem(setup: DualSetup, data: ContactData, norm: float) -> DualProble
         norm,
         setup.preconditioner,
         data.radius,
+        setup.local.unit,
     )
 
 

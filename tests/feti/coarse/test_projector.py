@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from dense import DenseSystem
+from friction_problems import blocks_that_do_not_match, pushed_block
 from torn import column, cube
 
 from fenics_tfeti.feti import ContactRows, Prescribed, TornSolver
@@ -106,3 +107,35 @@ def test_load_on_motions_that_no_row_resists():
         assert projector.unresisted(e, size).any() == unresisted
         # rounding of a load is none
         assert not projector.unresisted(e, 1e16 * size).any()
+
+
+# -- sites of friction that stick, and that slip with a force that turns ---------------------------
+
+
+@pytest.mark.parametrize("sticking", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("turning", [False, True])
+@pytest.mark.parametrize("system", [pushed_block, blocks_that_do_not_match])
+def test_friction_on_a_face(system, turning, sticking):
+    """S takes rows of sites that stick, and of the others the part across the force."""
+    solver, rng = TornSolver(system()), np.random.default_rng(1)
+    dense, constraints = DenseSystem.of(solver), solver.setup.constraints
+    friction = constraints.friction
+    active = rng.random(constraints.inequality.size) < 0.7
+    stick = np.arange(friction.size) < sticking * friction.size
+    forces = rng.standard_normal(constraints.size)
+    across = friction.across(forces, stick) if turning else None
+    S = np.diag(constraints.face(active, stick).astype(float))
+    for rows, sticks in zip(friction.rows, stick, strict=True):
+        if turning and not sticks:
+            t = np.array([-forces[rows[1]], forces[rows[0]]])
+            S[np.ix_(rows, rows)] = np.outer(t, t) / (t @ t)
+    G = dense.G @ S
+    P = S - np.linalg.pinv(G, rcond=1e-10) @ G
+    projector = Projector.build(solver.setup.projector.coarse_space, active, stick, across)
+    x, y = rng.standard_normal((2, constraints.size))
+    np.testing.assert_allclose(projector.on_rows(x), S @ x, atol=1e-13)
+    np.testing.assert_allclose(projector.P(S @ x), P @ x, atol=1e-11)
+    np.testing.assert_allclose(projector.P_of_sum(y, x)[0], P @ y, atol=1e-11)
+    np.testing.assert_allclose(projector.part_of_P(y), P @ y, atol=1e-11)
+    free = np.linalg.matrix_rank(dense.G @ dense.G.T) - np.linalg.matrix_rank(G, tol=1e-9)
+    assert projector.free.shape[1] == free

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from friction_problems import pushed_block
 from scipy.optimize import nnls
 from torn import column
 
@@ -19,8 +20,8 @@ from fenics_tfeti.feti import (
     TornSystem,
 )
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.dual.active_set import _independent
-from fenics_tfeti.feti.dual.pcpg import Face, pcpg
+from fenics_tfeti.feti.dual.active_set import _independent, close_first_gaps
+from fenics_tfeti.feti.dual.pcpg import Face, Signs, pcpg
 from fenics_tfeti.feti.solution.setup import dual_problem
 from fenics_tfeti.qp import Products
 
@@ -111,7 +112,8 @@ WHATEVER_THE_SIGNS = {"sign_factor": 0.0, "max_products": 10_000}
 def linear_products(solver: TornSolver, active: np.ndarray, tolerance: float) -> Products:
     """Count what the linear problem with these rows costs, from nothing."""
     problem = dual_problem(solver.setup, solver.data, solver.setup.norm(3))
-    face = Face.build(problem, active, Projector.build(solver.setup.projector.coarse_space, active))
+    signs = Signs.of(problem, np.zeros_like(problem.d), active)
+    face = Face.build(problem, signs, Projector.build(solver.setup.projector.coarse_space, active))
     products = Products()
     start = np.zeros_like(problem.d)
     pcpg(problem, face, start, tolerance=tolerance, **WHATEVER_THE_SIGNS, products=products)
@@ -185,7 +187,8 @@ def test_smaller_tolerance_goes_on_where_the_larger_one_ended():
     solver = TornSolver(system, options)
     active = solver.solve().multipliers[solver.setup.constraints.inequality] > 0.0
     problem, start = solver.dual_problem(), np.zeros(solver.setup.constraints.size)
-    face = Face.build(problem, active, Projector.build(solver.setup.projector.coarse_space, active))
+    signs = Signs.of(problem, np.zeros_like(problem.d), active)
+    face = Face.build(problem, signs, Projector.build(solver.setup.projector.coarse_space, active))
     once, twice = Products(), Products()
     scale = np.linalg.norm(solver.setup.projector.P(problem.d))
     coarse, fine = (
@@ -255,3 +258,65 @@ def test_dependent_rows_that_close_together_stay():
     every = np.ones(3, dtype=bool)
     gap = normals @ [0.3, -0.2]
     assert _independent(normals @ normals.T, every, np.ones(3), gap, ~every).all()
+
+
+# -- friction --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("preconditioner", ["none", "lumped", "dirichlet"])
+def test_face_with_forces_that_turn_is_a_linear_problem(preconditioner):
+    """Minimise 1/2 l'(F + S_D)l - d'l, G l = e, l the given forces but for S l."""
+    solver = TornSolver(pushed_block(), Options(preconditioner=preconditioner))
+    problem, rng = solver.dual_problem(), np.random.default_rng(0)
+    constraints, n = problem.constraints, problem.d.size
+    friction = constraints.friction
+    active = np.ones(constraints.inequality.size, dtype=bool)
+    sticking = np.arange(friction.size) % 2 == 0
+    forces = friction.back_on_circles(rng.standard_normal(n), problem.radius, sticking)
+    curvature = np.where(sticking, 0.0, 10.0 ** rng.uniform(-2, 2, friction.size))
+    across = friction.across(forces, sticking)
+    projector = Projector.build(problem.coarse_space, active, sticking, across)
+    face = Face.build(problem, Signs(active, sticking, forces, curvature), projector)
+    found = pcpg(
+        problem, face, np.zeros(n), tolerance=1e-12, **WHATEVER_THE_SIGNS, products=Products()
+    )
+    unit = np.eye(n)
+    F = np.column_stack([problem.F(x) for x in unit])
+    S = np.column_stack([projector.on_rows(x) for x in unit])
+    bent = np.column_stack([face.bent(x) for x in unit])
+    np.testing.assert_allclose(bent, bent.T, atol=1e-15)
+    G = np.column_stack([problem.coarse_space.restrict(x) for x in unit])
+    basis = np.linalg.svd(S)[0][:, : round(np.trace(S))]
+    fixed = friction.off_face(sticking, forces)
+    k = len(G)
+    matrix = np.block(
+        [[basis.T @ (F + bent) @ basis, basis.T @ G.T], [G @ basis, np.zeros((k, k))]]
+    )
+    right = np.append(basis.T @ (problem.d - F @ fixed), problem.e - G @ fixed)
+    exact = fixed + basis @ np.linalg.lstsq(matrix, right, rcond=1e-12)[0][: basis.shape[1]]
+    np.testing.assert_allclose(found.multipliers, exact, atol=1e-7 * np.abs(exact).max())
+
+
+def test_slip_is_taken_back_where_the_load_needs_it():
+    """All sites slip against the load; the first one that a motion along the load stops sticks."""
+    solver = TornSolver(pushed_block(load=(0.1, 0.0, -1.0), bound=1e-4 + 0.1 / 16))
+    problem = solver.dual_problem()
+    constraints, friction = problem.constraints, problem.constraints.friction
+    forces, gradient = np.zeros(problem.d.size), np.zeros(problem.d.size)
+    # forces push along the load, and so are the slips: a motion takes them farther back
+    forces[friction.rows[:, 0]] = -problem.radius
+    gradient[friction.rows[:, 0]] = 1e-3 * (1.0 + np.arange(16))
+    signs = Signs(
+        np.ones(constraints.inequality.size, dtype=bool),
+        np.zeros(16, dtype=bool),
+        forces,
+        np.zeros(16),
+    )
+    face = close_first_gaps(problem, signs, gradient)
+    first = np.argmin(gradient[friction.rows[:, 0]])
+    assert face.signs.sticking[first]
+    assert 1 <= np.count_nonzero(face.signs.sticking) < 16
+    assert not face.signs.forces[friction.rows[first]].any()
+    assert not face.projector.unresisted(
+        problem.e - problem.coarse_space.restrict(face.signs.forces), problem.e_size
+    ).any()

@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 from daqp import solve as daqp_solve
+from friction_problems import pushed_block
 from torn import column, cube
 
 from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver
-from fenics_tfeti.feti.solution.recovery import least_distance
+from fenics_tfeti.feti.solution.recovery import balance_multipliers, least_distance
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -55,3 +56,21 @@ def test_loose_body_gives_way_by_the_smallest_motion(overlap):
     solution = TornSolver(two_blocks(overlap), Options(rtol=1e-8)).solve()
     u = solution.displacements[1].reshape(-1, 3)
     np.testing.assert_allclose(u, np.tile([max(overlap, 0.0), 0, 0], (len(u), 1)), atol=1e-9)
+
+
+def test_forces_at_their_bound_turn_to_balance_the_load():
+    """All sites slip, in directions that fan out: G lambda = e is not linear in these."""
+    solver = TornSolver(pushed_block(load=(0.16 * 0.99, 0.0, -1.0), bound=0.01))
+    coarse_space, radius = solver.setup.projector.coarse_space, solver.data.radius
+    friction, start = solver.setup.constraints.friction, solver.data.feasible.copy()
+    angle = 0.2 * (-1.0) ** np.arange(friction.size)
+    start[friction.rows] = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    if friction.at_sites(solver.data.feasible)[:, 0].sum() < 0.0:
+        start[friction.rows[:, 0]] *= -1.0
+    multipliers, face = balance_multipliers(coarse_space, solver.data.e, start, radius)
+    missing = solver.data.e - coarse_space.restrict(multipliers)
+    assert np.linalg.norm(missing) <= 1e-12 * np.linalg.norm(solver.data.e)
+    force = np.linalg.norm(friction.at_sites(multipliers), axis=1)
+    np.testing.assert_allclose(force, radius, rtol=1e-12)
+    assert not friction.within(face.rows).any()
+    assert face.free.shape[1] == 0
