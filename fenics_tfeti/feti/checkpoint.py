@@ -112,12 +112,20 @@ def fingerprint(system: TornSystem) -> dict[str, str]:
     -------
     dict
         Check sums of the "subdomains" (node numbers, coordinates, bodies), the "supports" (nodes
-        and components), the "contacts" and "tied surfaces" (nodes), over all ranks.
+        and components), the "contacts" (nodes, friction) and "tied surfaces" (nodes), over all
+        ranks.
     """
     parts: dict[str, list[Any]] = {
         "subdomains": [(s.nodes, s.coordinates, s.body) for s in system.subdomains],
         "supports": [(system.prescribed.nodes, system.prescribed.components)],
-        "contacts": [(system.contacts.offsets, system.contacts.nodes, system.contacts.contact)],
+        "contacts": [
+            (
+                system.contacts.offsets,
+                system.contacts.nodes,
+                system.contacts.contact,
+                system.friction.row,
+            )
+        ],
         "tied surfaces": [(system.tied.offsets, system.tied.nodes, system.tied.contact)],
     }
     own = {name: _check_sum(part) for name, part in parts.items()}

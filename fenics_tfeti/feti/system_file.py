@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.files import ArrayFile, open_arrays, write_arrays
-from fenics_tfeti.feti.system import ContactRows, Prescribed, Subdomain, TornSystem
+from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed, Subdomain, TornSystem
 from fenics_tfeti.feti.system_checks import check_system
 from fenics_tfeti.parallel import raise_collectively
 
@@ -29,6 +29,7 @@ Arrays = dict[str, NDArray[Any]]
 
 _FORMAT = "fenics_tfeti torn system 1"
 _ROWS = ("offsets", "nodes", "coefficients", "gap", "contact", "slaves")
+_FRICTION = ("row", "tangents", "bound", "slip")
 _PRESCRIBED = ("nodes", "components", "values", "condition")
 # patterns of all names; k is a number
 _NAMES = [
@@ -37,6 +38,7 @@ _NAMES = [
     *(f"subdomains/k/{name}" for name in ("matrix", "load", "coordinates", "nodes", "body")),
     *(f"prescribed/{name}" for name in _PRESCRIBED),
     *(f"{rows}/{name}" for rows in ("contacts", "tied") for name in _ROWS),
+    *(f"friction/{name}" for name in _FRICTION),
     *(f"names/{things}" for things in ("bodies", "contacts", "conditions")),
 ]
 
@@ -127,6 +129,7 @@ def _conditions(system: TornSystem) -> Mapping[str, Arrays]:
         ("prescribed", system.prescribed, _PRESCRIBED),
         ("contacts", system.contacts, _ROWS),
         ("tied", system.tied, _ROWS),
+        ("friction", system.friction, _FRICTION),
     ]
     return {part: {name: getattr(of, name) for name in names} for part, of, names in parts}
 
@@ -161,6 +164,14 @@ def _joined(ranks: Sequence[Mapping[str, Arrays]]) -> Arrays:
         arrays |= {f"{rows}/{name}": getattr(whole, name) for name in _ROWS}
     for name in _PRESCRIBED:
         arrays[f"prescribed/{name}"] = np.concatenate([rank["prescribed"][name] for rank in ranks])
+    for name in _FRICTION:
+        arrays[f"friction/{name}"] = np.concatenate([rank["friction"][name] for rank in ranks])
+    # positions among the contact rows of all ranks
+    sizes = [rank["contacts"]["gap"].size for rank in ranks]
+    before = np.repeat(
+        np.cumsum([0, *sizes[:-1]]), [rank["friction"]["row"].size for rank in ranks]
+    )
+    arrays["friction/row"] = arrays["friction/row"] + before
     return arrays
 
 
@@ -182,6 +193,7 @@ def _read(file: ArrayFile, comm: MPI.Intracomm) -> TornSystem:
         comm,
         file.strings("names/conditions"),
         _rows(file, "tied", gdim, comm),
+        _friction(file, gdim, comm),
     )
 
 
@@ -271,3 +283,27 @@ def _rows(file: ArrayFile, part: str, gdim: int, comm: MPI.Intracomm) -> Contact
     contact = file.read(f"{part}/contact", "integers", gap.shape)
     rows = ContactRows(offsets, nodes, coefficients, gap, contact, slaves)
     return rows.chosen(np.array_split(np.arange(rows.size), comm.size)[comm.rank])
+
+
+def _friction(file: ArrayFile, gdim: int, comm: MPI.Intracomm) -> Friction:
+    """Return the friction of this rank's contact rows."""
+    given = any(name.startswith("friction/") for name in file.names)
+    if not given or not file.read("friction/row", "integers", (None,)).size:
+        return Friction.none(gdim)
+    contacts = file.read("contacts/gap", "numbers", (None,)).size
+    row = file.read("friction/row", "integers", (None,)).astype(np.int64)
+    tangents = file.read("friction/tangents", "numbers", (row.size, gdim - 1, gdim))
+    bound = file.read("friction/bound", "numbers", row.shape)
+    slip = np.zeros((row.size, gdim - 1))
+    if "friction/slip" in file.names:
+        slip = file.read("friction/slip", "numbers", slip.shape)
+    outside = np.flatnonzero((row < 0) | (row >= contacts))
+    if outside.size:
+        raise InputError(
+            f"{file.path}: 'friction/row' has {row[outside[0]]}, but there are {contacts} contact "
+            "rows, numbered from 0"
+        )
+    mine = np.array_split(np.arange(contacts), comm.size)[comm.rank]
+    here = np.flatnonzero(np.isin(row, mine))
+    first = int(mine[0]) if mine.size else 0
+    return Friction(row[here] - first, tangents[here], bound[here], slip[here])

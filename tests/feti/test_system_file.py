@@ -11,6 +11,7 @@ from torn import column
 from fenics_tfeti import InputError
 from fenics_tfeti.feti import (
     ContactRows,
+    Friction,
     Options,
     TornSolver,
     TornSystem,
@@ -32,11 +33,15 @@ def everything() -> TornSystem:
     side = upper.nodes[np.isclose(upper.coordinates[:, 2], 2.5)][:2]
     tied = ContactRows.node_to_node(side, [-1, -1], np.tile([1.0, 0, 0], (2, 1)), [0, 0], [1, 1])
     two = dataclasses.replace(rows, gap=np.append(rows.gap[:-1], np.inf))
+    rubbing = np.arange(0, rows.size, 2)
+    tangents = np.tile([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], (rubbing.size, 1, 1))
+    friction = Friction(rubbing, tangents, 0.1 + rubbing, 1e-3 * np.ones((rubbing.size, 2)))
     condition = (system.prescribed.nodes >= second).astype(np.int64)
     return dataclasses.replace(
         system,
         contacts=two,
         tied=tied,
+        friction=friction,
         prescribed=dataclasses.replace(system.prescribed, condition=condition),
         contact_names=["joint", "tie"],
         condition_names=["bottom", "top"],
@@ -92,13 +97,22 @@ def test_optional_arrays_may_be_left_out(path):
     save_system(path, column(n=2))
     arrays = dict(np.load(path))
     for name in list(arrays):
-        if name.startswith(("tied/", "names/")) or name in ("contacts/slaves",):
+        if name.startswith(("tied/", "friction/", "names/")) or name in ("contacts/slaves",):
             del arrays[name]
     del arrays["prescribed/condition"]
     np.savez(path, **arrays)
     system = load_system(path)
     assert system.body_names == [] and system.tied.size == 0
     assert TornSolver(system).solve().report.converged
+
+
+def test_friction_at_a_row_that_is_not_there(path):
+    save_system(path, everything())
+    arrays = dict(np.load(path))
+    arrays["friction/row"] = arrays["friction/row"] + 4
+    np.savez(path, **arrays)
+    with pytest.raises(InputError, match="'friction/row' has 10, but there are 9 contact rows"):
+        load_system(path)
 
 
 def test_no_contact_and_no_support(path):

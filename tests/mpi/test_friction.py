@@ -12,7 +12,7 @@ from friction_problems import blocks_that_do_not_match, on_the_ground, pulled_st
 from sparse_rows import distributed
 
 from fenics_tfeti import UnresistedMotion
-from fenics_tfeti.feti import Options, TornSolver
+from fenics_tfeti.feti import Options, TornSolver, load_system, save_system
 from fenics_tfeti.feti.constraints.rows import build_constraints
 
 COMM = MPI.COMM_WORLD
@@ -77,3 +77,15 @@ def test_load_that_friction_cannot_hold_is_an_error_on_all_ranks():
     system = distributed(on_the_ground(bound=0.003), COMM)
     with pytest.raises(UnresistedMotion, match=r"It would take 1\.333 times the slip bounds"):
         TornSolver(system)
+
+
+def test_friction_in_a_file(tmp_path):
+    """Rows are written in the order of ranks, and dealt out to them in blocks."""
+    path = COMM.bcast(tmp_path / "system.npz")
+    system = blocks_that_do_not_match()
+    save_system(path, distributed(system, COMM))
+    read = load_system(path, COMM)
+    assert COMM.allreduce(read.friction.size) == system.friction.size
+    found, exact = (TornSolver(s, Options(rtol=1e-8)).solve().report for s in (read, system))
+    assert found.energy == pytest.approx(exact.energy, rel=1e-12)
+    assert found.unknowns["sticking"] == exact.unknowns["sticking"]
