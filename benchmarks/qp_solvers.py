@@ -32,8 +32,8 @@ import scipy.sparse as sp
 
 from fenics_tfeti.qp import (
     Bounds,
-    MPRGPOptions,
     Products,
+    ProportioningOptions,
     SMALBEOptions,
     SMALBEState,
     lanczos_upper_bound,
@@ -104,7 +104,9 @@ def by_mprgp(problem: Problem, tolerance: float) -> tuple[np.ndarray, int]:
     products, bounds = Products(), Bounds.from_vector(problem.lower)
     start = np.random.default_rng(0).standard_normal(b.size)
     norm = lanczos_upper_bound(lambda x: A @ x, start, LANCZOS_STEPS)
-    inner = MPRGPOptions(step_length=1.9 / norm, expansion="projected_cg", max_products=10**6)
+    inner = ProportioningOptions(
+        step_length=1.9 / norm, expansion="projected_cg", max_products=10**6
+    )
     if not len(G):
         limit = tolerance * np.linalg.norm(b)
         found = mprgp(
@@ -112,7 +114,7 @@ def by_mprgp(problem: Problem, tolerance: float) -> tuple[np.ndarray, int]:
             b,
             bounds,
             np.zeros_like(b),
-            lambda split: split.projected_norm <= limit,
+            lambda split: split.gradient_norm <= limit,
             options=inner,
             products=products,
         )
