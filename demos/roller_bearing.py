@@ -22,8 +22,9 @@ This demo illustrates how to
 
 There is no cage here. Without it and without friction, a roller between rings that are not
 concentric is pushed slowly towards the wider gap: there the normals of its two contacts differ by
-about 1e-4. Each pass of the exact non-penetration follows it by some micrometres. The forces have
-converged long before, and `non_penetration_tolerance` is not smaller than necessary.
+1e-4 to 1e-3. Each pass of the exact non-penetration follows it by some micrometres along the
+raceway, up to 2 % of a facet, while penetration and forces have converged.
+`non_penetration_tolerance` is therefore 3e-2; a tighter one is not reached.
 
 Run it by `python demos/roller_bearing.py`, or on several processes by
 `mpirun -n 2 python demos/roller_bearing.py`. It writes the mesh, made by
@@ -146,7 +147,7 @@ contacts = [
 options = {
     "rtol": 1e-4,
     "non_penetration": "exact",
-    "non_penetration_tolerance": 5e-3,
+    "non_penetration_tolerance": 3e-2,
     "preconditioner": "dirichlet",
     "deflation": "on",
 }
