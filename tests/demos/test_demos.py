@@ -165,6 +165,21 @@ def test_scikit_fem_rollers(demo):
     assert demo["p_fit"] == pytest.approx(demo["p_0"], rel=0.005)
 
 
+def test_roller_bearing(demo):
+    """Balance; the largest loads of the model of rigid rings; none outside its loaded zone."""
+    assert demo["balance"] < 1e-6 * demo["radial"]
+    assert demo["report"].converged
+    loads = np.array([demo["loads"][f"outer raceway {row}"] for row in (1, 2)])
+    rigid = demo["rigid"]
+    np.testing.assert_allclose(loads.max(axis=1), rigid.max(axis=1), rtol=0.1)
+    assert (rigid == 0.0).any()
+    assert (loads[rigid == 0.0] < 1e-3 * loads.max()).all()
+    # each roller spins and slides freely
+    motions = demo["report"].free_motions
+    assert sum("translation" in motion for motion in motions) >= 16
+    assert sum(motion.count("rotation") == 1 for motion in motions) >= 16
+
+
 def test_each_demo_has_a_test():
     names = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
     demos = {path.stem for path in DEMOS.glob("*.py")}

@@ -1,0 +1,279 @@
+"""Roller bearings: balance, free motions, loads of the rollers, pressures along a roller."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scenes import POISSON, elasticity, vector_space
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle
+from fenics_tfeti.io import read_msh
+
+pytest.importorskip("gmsh")
+YOUNG = 2.1e11
+SCRIPT = Path(__file__).parents[2] / "meshes" / "roller_bearing.py"
+
+
+@pytest.fixture(scope="module")
+def meshes():
+    """Return the script that makes the meshes."""
+    spec = importlib.util.spec_from_file_location("meshes_of_roller_bearings", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+def read(meshes, path, solids):
+    if MPI.COMM_WORLD.rank == 0:
+        meshes.write(solids, path)
+    return read_msh(path, MPI.COMM_SELF, 3)
+
+
+def young(bodies, stiffer=1.0):
+    """Return E, larger by a factor in the rings."""
+    E = fem.Function(fem.FunctionSpace(bodies.mesh, ("DG", 0)))
+    E.x.array[:] = YOUNG
+    for ring in ("outer ring", "inner ring"):
+        if ring in bodies.names:
+            E.x.array[bodies.cell_tags.find(bodies.names[ring])] *= stiffer
+    return E
+
+
+class Loaded:
+    """A bearing with its loads of rollers.
+
+    Attributes
+    ----------
+    problem : ContactProblem
+        The problem, solved.
+    loads : (rows, rollers) array
+        Loads of the rollers by the outer raceway [N].
+    """
+
+    def __init__(self, meshes, path, bearing, load, stiffer=1.0):
+        bodies = read(meshes, path, meshes.solids_of(bearing))
+        mesh, tags, names = bodies.mesh, bodies.facet_tags, bodies.names
+        self.bearing = bearing
+        V = vector_space(mesh)
+        bore = ufl.Measure("ds", domain=mesh, subdomain_data=tags)(names["bore"])
+        area = fem.assemble_scalar(fem.form(fem.Constant(mesh, 1.0) * bore))
+        v = ufl.TestFunction(V)
+        outside = fem.locate_dofs_topological(V, 2, tags.find(names["outside"]))
+        pairs = [
+            ContactPair(
+                tags,
+                names[f"rollers {row} {side}"],
+                names[f"{side} raceway {row}"],
+                f"{side} {row}",
+                normal=self.normals(row),
+            )
+            for row in range(1, bearing.rows + 1)
+            for side in ("outer", "inner")
+        ]
+        self.problem = ContactProblem(
+            elasticity(ufl.TrialFunction(V), v, young(bodies, stiffer)),
+            ufl.inner(fem.Constant(mesh, np.asarray(load) / area), v) * bore,
+            bcs=[fem.dirichletbc(np.zeros(3), outside, V)],
+            contacts=pairs,
+            cell_tags=bodies.cell_tags,
+            options={"rtol": 1e-4, "preconditioner": "dirichlet", "deflation": "on"},
+        )
+        self.problem.solve()
+        self.forces = [c.normal_force @ c.normal for c in self.problem.contact]
+        self.loads = np.array([self.of_rollers(c) for c in self.problem.contact[::2]])
+
+    def roller_of(self, x):
+        turn = (np.arctan2(x[1], x[0]) + np.pi / 2) * self.bearing.rollers / (2 * np.pi)
+        return np.rint(turn).astype(int) % self.bearing.rollers
+
+    def of_rollers(self, contact):
+        force, k = (
+            contact.normal_force[:, None] * contact.normal,
+            self.roller_of(contact.coordinates.T),
+        )
+        return np.linalg.norm(
+            [np.bincount(k, f, minlength=self.bearing.rollers) for f in force.T], axis=0
+        )
+
+    def lines(self, row):
+        """Return centres, axes and directions to the outer raceway of the rollers of a row."""
+        angle = np.array([self.bearing.azimuth(k) for k in range(self.bearing.rollers)])
+        sign = 1.0 if row == 1 else -1.0
+        return [
+            np.stack([r * np.cos(angle), r * np.sin(angle), np.full(angle.size, sign * z)], axis=1)
+            for r, z in (self.bearing.centre, *self.bearing.directions)
+        ]
+
+    def normals(self, row):
+        centres, axes, _ = self.lines(row)
+
+        def normal(x):
+            k = self.roller_of(x)
+            across = x.T - centres[k]
+            return (across - np.sum(across * axes[k], axis=1)[:, None] * axes[k]).T
+
+        return normal
+
+
+def coarse(meshes, **changes):
+    changes = {"layers": 4, "growth": 1.2, "coarsest": 0.03, **changes}
+    return replace(meshes.small_bearing(), **changes)
+
+
+def test_single_row_in_thrust(meshes, tmp_path):
+    """An axial load is shared equally, balanced, and the rollers spin and slide freely."""
+    bearing = coarse(meshes, rows=1)
+    load = np.array([0.0, 0.0, -200e3])
+    found = Loaded(meshes, tmp_path / "a.msh", bearing, load)
+    outer, inner = found.forces
+    np.testing.assert_allclose(outer, load, atol=1e-6 * 200e3)
+    np.testing.assert_allclose(inner, -load, atol=1e-6 * 200e3)
+    share = 200e3 / (8 * np.sin(bearing.alpha))
+    np.testing.assert_allclose(found.loads, share, rtol=2e-3)
+    report = found.problem.report
+    assert report.converged
+    assert report.unknowns["redundant"] == report.unknowns["dependent"] == 0
+    motions = report.free_motions
+    assert any(motion.startswith("body 1 ") and "rotation" in motion for motion in motions)
+    for roller in range(2, 10):
+        own = [motion for motion in motions if motion.startswith(f"body {roller} ")]
+        assert any("translation" in motion and "rotation" not in motion for motion in own)
+        assert any("rotation" in motion and "translation" not in motion for motion in own)
+
+
+def test_meshes_have_the_bodies_and_sizes_asked_for(meshes):
+    full = meshes.Bearing()
+    assert full.bodies == 73
+    bearing = replace(coarse(meshes), rollers=12, cage=True, spacing=0.03)
+    solids = meshes.solids_of(bearing)
+    assert len(solids) == bearing.bodies == 27
+    for name, solid in solids.items():
+        corners = solid.points[solid.cells]
+        # at a corner of a hexahedron in Gmsh's order
+        edges = corners[:, [1, 3, 4]] - corners[:, :1]
+        assert (np.linalg.det(edges) > 0).all(), name
+    r = np.linalg.norm(solids["roller 1"].points[:, :2] - [0, -bearing.pitch_radius], axis=1)
+    assert r.max() < bearing.length
+    two = [solids[f"roller {k}"].points for k in (1, 13)]
+    np.testing.assert_allclose(two[0] * [1, 1, -1], two[1], atol=1e-15)
+
+
+def single_roller(meshes, path, bearing, approach):
+    """Press a roller between rigid planes; return stations, their peaks and nodal forces."""
+    solid = meshes.solids_of(replace(bearing, rollers=8, rows=1, cage=False))["roller 1"]
+    bodies = read(meshes, path, {"roller": solid})
+    tags, names = bodies.facet_tags, bodies.names
+    s, c = np.sin(bearing.alpha), np.cos(bearing.alpha)
+    # the first roller is at -y: its axis and the direction outwards
+    centre = np.array([0.0, -bearing.centre[0], bearing.centre[1]])
+    axis, out = np.array([0.0, -s, c]), np.array([0.0, -c, -s])
+    reach = bearing.radius - bearing.clearance / 2 - approach / 2
+    V = vector_space(bodies.mesh)
+    v = ufl.TestFunction(V)
+    planes = [
+        RigidObstacle(
+            tags, names[f"rollers 1 {side}"], Plane(centre + sign * reach * out, -sign * out)
+        )
+        for side, sign in (("outer", 1), ("inner", -1))
+    ]
+    problem = ContactProblem(
+        elasticity(ufl.TrialFunction(V), v, young(bodies)),
+        0,
+        contacts=planes,
+        options={"rtol": 1e-5},
+    )
+    problem.solve()
+    outer, inner = problem.contact
+    assert outer.normal_force.sum() == pytest.approx(inner.normal_force.sum(), rel=1e-6)
+    along = ((outer.coordinates - centre) @ axis).round(9)
+    stations = np.unique(along)
+    peaks = np.array([outer.pressure[along == x].max() for x in stations])
+    line = np.array([outer.normal_force[along == x].sum() for x in stations])
+    return stations, peaks, line
+
+
+def test_line_contact(meshes, tmp_path):
+    """Hertz's pressure in the middle of a roller between rigid planes, from the force there."""
+    shape = {"elements": 6, "layers": 8, "growth": 1.0, "coarsest": 0.016}
+    bearing = replace(meshes.Bearing(), crowning=10e-6, **shape)
+    x, pressure, line = single_roller(meshes, tmp_path / "a.msh", bearing, 60e-6)
+    middle = len(x) // 2
+    q = line[middle] / np.gradient(x)[middle]
+    hertz = np.sqrt(q * YOUNG / (1 - POISSON**2) / (np.pi * bearing.radius))
+    assert pressure[middle] == pytest.approx(hertz, rel=0.05)
+
+
+@pytest.mark.heavy
+def test_edge_pressure(meshes, tmp_path):
+    """Straight rollers press most at their ends on the longer raceway, crowned ones do not."""
+    ratios = []
+    for crowning in (0.0, 60e-6):
+        bearing = coarse(meshes, rows=1, layers=10, shortest=0.3, crowning=crowning)
+        name = tmp_path / f"{crowning}.msh"
+        found = Loaded(meshes, name, bearing, np.array([0.0, 0.0, -400e3]))
+        contact = found.problem.contact[1]
+        first = found.roller_of(contact.coordinates.T) == 0
+        centres, axes, _ = found.lines(1)
+        x = ((contact.coordinates[first] - centres[0]) @ axes[0]).round(9)
+        stations = np.unique(x)
+        line = np.array([contact.normal_force[first][x == place].sum() for place in stations])
+        # half a mesh size belongs to the nodes at the ends
+        size = np.gradient(stations)
+        size[[0, -1]] *= 0.5
+        line /= size
+        ratios.append(line[[0, -1]].max() / line[len(line) // 2])
+    assert ratios[0] > 1.3
+    assert ratios[1] < 0.7
+
+
+def rigid_rings(found, load, stiffness):
+    """Return the loads of the rollers between rigid rings, for Q = stiffness d^(10/9)."""
+    from scipy.optimize import fsolve
+
+    bearing = found.bearing
+    rows = range(1, bearing.rows + 1)
+    centres, _, out = (np.concatenate(parts) for parts in zip(*map(found.lines, rows), strict=True))
+    levers = np.cross(centres, out)[:, :2]
+
+    def loads(motion):
+        approach = 1e-3 * (out @ motion[:3] + levers @ motion[3:]) - bearing.clearance
+        return stiffness * np.maximum(approach, 0.0) ** (10 / 9)
+
+    def missing(motion):
+        Q = loads(motion)
+        return np.append(load - Q @ out, -Q @ levers) / np.linalg.norm(load)
+
+    return loads(fsolve(missing, [0.0, -0.1, -0.05, 0.0, 0.0])).reshape(bearing.rows, -1)
+
+
+@pytest.mark.heavy
+def test_load_distribution_of_rigid_rings(meshes, tmp_path):
+    """The loads by Sjövall's model, and nothing outside its loaded zone; balance.
+
+    Without clearance and crowning the model's loads do not depend on its stiffness. It leaves out
+    that rollers resist a tilt of the rings, and the elastic rings.
+    """
+    bearing = coarse(meshes, layers=6, clearance=0.0, crowning=0.0)
+    load = np.array([0.0, -800e3, -160e3])
+    palmgren = 80.6e3 * (1e3 * bearing.length) ** (8 / 9) * 1e3 ** (10 / 9)
+    for stiffer in (1.0, 30.0):
+        found = Loaded(meshes, tmp_path / f"{stiffer}.msh", bearing, load, stiffer)
+        outer = found.forces[0] + found.forces[2]
+        inner = found.forces[1] + found.forces[3]
+        np.testing.assert_allclose(outer, load, atol=1e-6 * 800e3)
+        np.testing.assert_allclose(inner, -load, atol=1e-6 * 800e3)
+        rigid = rigid_rings(found, load, palmgren)
+        np.testing.assert_allclose(found.loads, rigid, atol=0.08 * rigid.max())
+        assert (found.loads[rigid == 0.0] < 0.01 * rigid.max()).all()
