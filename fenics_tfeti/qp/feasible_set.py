@@ -210,7 +210,7 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Discs:
-    """The feasible set {x : |x[indices[k]] - centre[k]| <= radius[k] for all k}.
+    """The feasible set of the x with ``|x[indices[k]] - centre[k]| <= radius[k]`` for all k.
 
     Attributes
     ----------
