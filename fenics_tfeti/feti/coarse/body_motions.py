@@ -52,6 +52,11 @@ class BodyMotions:
     rounding: float
 
     @property
+    def modes(self) -> int:
+        """Number of motions of a body."""
+        return self.supports.shape[1]
+
+    @property
     def of_coarse(self) -> NDArray[np.int64]:
         """The body of each coarse unknown."""
         first = self.basis.indices[self.basis.indptr[:-1]]

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.factor import CoarseFactor
-from fenics_tfeti.feti.coarse.resistance import orthonormal_columns, pivot_rows
+from fenics_tfeti.feti.coarse.resistance import of_one_body, orthonormal_columns, pivot_rows
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.tolerances import NO_WORK
 
@@ -115,7 +115,9 @@ class Projector:
             else combined[constraints.friction.owned(constraints.layout.owned)]
         )
         z, weak = coarse_space.weakly_resisted(rows, combinations=own)
-        free = orthonormal_columns(coarse_space.coarse_motions(z))
+        alone = of_one_body(z.tocsc(), coarse_space.bodies.modes)
+        moves = coarse_space.coarse_motions(z)
+        free = orthonormal_columns(moves[:, alone], moves[:, ~alone])
         contact = coarse_space.contact[:, np.flatnonzero(chosen)]
         if constraints.friction.size:
             stuck = np.flatnonzero(rows & ~constraints.equality)
@@ -124,12 +126,16 @@ class Projector:
             contact = sp.hstack([contact, coarse_space.friction @ combined.T], format="csr")
         layout = coarse_space.layout
         gram = coarse_space.equality + layout.rows((contact[layout.own] @ contact.T).tocsr())
-        pinned = sp.hstack([free, coarse_space.coarse_motions(weak)], format="csr")
-        if pinned.shape[1]:
+        if free.shape[1] + weak.shape[1]:
+            single, others = np.split(np.arange(free.shape[1]), [np.count_nonzero(alone)])
+            pinned = pivot_rows(
+                free[:, single],
+                sp.hstack([free[:, others], coarse_space.coarse_motions(weak)], format="csr"),
+            )
             # the matrix is definite then, and for right-hand sides without a part in `free` the
             # pinned unknowns are zero: its inverse is a generalized inverse of GG'
             gram = layout.add_to_diagonal(
-                gram, pivot_rows(pinned), _pin(coarse_space, gram, bool(weak.shape[1]))
+                gram, pinned, _pin(coarse_space, gram, bool(weak.shape[1]))
             )
         factor = layout.factor(gram) if layout.size else None
         projector = Projector(coarse_space, rows, free, z, factor, across=across)

@@ -8,7 +8,7 @@ them is sparse.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -22,13 +22,25 @@ from scipy.sparse.linalg import splu
 
 from fenics_tfeti.parallel import concatenate_buffers
 
-__all__ = ["column_groups", "orthonormal_columns", "pivot_rows", "sum_sparse", "weak_motions"]
+__all__ = [
+    "ColumnGroups",
+    "column_groups",
+    "of_one_body",
+    "orthonormal_columns",
+    "pivot_rows",
+    "sum_sparse",
+    "weak_motions",
+]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 # each pass reduces the errors of the Gram matrix's eigenvectors by a factor of 1e-5 or less
 _PASSES = 3
+# bodies whose numbers of rows are the same up to this are treated together
+_ROWS = 8
+# entry of a vector of length 1 that is rounding
+_NO_PART = 1e-16
 # order up to which the eigenvectors of a Gram matrix are found by dense algebra
 _LARGE = 200
 # inverse iteration for larger ones: first number of vectors, steps, and shift relative to the limit
@@ -84,26 +96,44 @@ def _of_single_bodies(
     Triangles of the ranks' rows are put together: nothing is squared.
     """
     bodies, modes, _ = supports.shape
-    triangles = supports.copy()
-    starts = rows.indptr[::modes]
-    touched = np.flatnonzero(np.diff(starts))
-    own = np.zeros((touched.size, modes, modes))
-    for triangle, body in zip(own, touched, strict=True):
-        entries = slice(starts[body], starts[body + 1])
-        local, at = np.unique(rows.indices[entries], return_inverse=True)
-        column = np.repeat(
-            np.arange(modes), np.diff(rows.indptr[body * modes : (body + 1) * modes + 1])
-        )
-        dense = np.zeros((max(local.size, modes), modes))
-        dense[at, column] = rows.data[entries]
-        triangle[:] = np.linalg.qr(dense, mode="r")
-    of_body, gathered = _gathered(comm, touched, own.reshape(-1, modes**2))
-    for body, entry in zip(of_body, gathered.reshape(-1, modes, modes), strict=True):
-        triangles[body] = np.linalg.qr(np.vstack([triangles[body], entry]), mode="r")
     if not bodies:
-        return np.zeros((0, modes)), triangles
+        return np.zeros((0, modes)), supports
+    triangles = np.zeros_like(supports)
+    for of_body, blocks in _rows_of_bodies(rows, modes):
+        triangles[of_body] = _triangles(blocks)
+    if comm.size > 1:
+        touched = np.flatnonzero(np.diff(rows.indptr[::modes]))
+        of_body, gathered = _gathered(comm, touched, triangles[touched].reshape(-1, modes**2))
+        triangles = np.zeros_like(supports)
+        for body, part in zip(of_body, gathered.reshape(-1, 1, modes, modes), strict=True):
+            triangles[[body]] = _triangles(triangles[[body]], part)
+    triangles = _triangles(supports, triangles)
     _, values, vectors = np.linalg.svd(triangles)
     return values, np.swapaxes(vectors, 1, 2)
+
+
+def _triangles(*parts: Vector) -> Vector:
+    """Return the triangular factors (k, modes, modes) of matrices (k, n, modes) put together."""
+    factors: Vector = np.asarray(np.linalg.qr(np.concatenate(parts, axis=1), mode="r"))
+    return factors
+
+
+def _rows_of_bodies(rows: sp.csc_matrix, modes: int) -> Iterator[tuple[Numbers, Vector]]:
+    """Yield bodies and their rows (k, n, modes), for all bodies with about as many rows at once."""
+    column = np.repeat(np.arange(rows.shape[1]), np.diff(rows.indptr))
+    body, mode = np.divmod(column, modes)
+    pairs, at = np.unique(body * rows.shape[0] + rows.indices, return_inverse=True)
+    counts = np.bincount(pairs // max(rows.shape[0], 1), minlength=rows.shape[1] // modes)
+    local = at.ravel() - (np.cumsum(counts) - counts)[body]
+    lengths = -(-counts // _ROWS) * _ROWS
+    for length in np.unique(lengths[lengths > 0]):
+        chosen = np.flatnonzero(lengths == length)
+        slot = np.full(counts.size, -1)
+        slot[chosen] = np.arange(chosen.size)
+        entry = slot[body] >= 0
+        blocks = np.zeros((chosen.size, length, modes))
+        blocks[slot[body[entry]], local[entry], mode[entry]] = rows.data[entry]
+        yield chosen, blocks
 
 
 def _translations_first(motions: Vector) -> Vector:
@@ -259,65 +289,138 @@ def sum_sparse(comm: MPI.Intracomm, part: sp.spmatrix) -> sp.csr_matrix:
     return sp.csr_matrix((data, (row, column)), shape=part.shape)
 
 
-def column_groups(columns: sp.csr_matrix) -> list[tuple[Numbers, Numbers, Vector]]:
+@dataclass(frozen=True)
+class ColumnGroups:
+    """Groups of columns that share no rows with other groups; of one shape.
+
+    Attributes
+    ----------
+    rows : (g, n) integer array
+        The rows of each group.
+    columns : (g, k) integer array
+        Its columns.
+    dense : (g, n, k) array
+        Its entries.
+    """
+
+    rows: Numbers
+    columns: Numbers
+    dense: Vector
+
+
+def column_groups(columns: sp.csr_matrix) -> list[ColumnGroups]:
     """Split columns into groups that share no rows.
 
     Parameters
     ----------
     columns : (n, k) scipy.sparse.csr_matrix
-        The columns; entries that are stored count, also zero ones.
-
-    Returns
-    -------
-    list of (integer array, integer array, array)
-        Rows and columns of each group, and the group as a dense matrix.
+        The columns, none of them empty; entries that are stored count, also zero ones.
     """
-    ones = np.ones(columns.nnz, dtype=np.int64)
-    pattern = sp.csr_matrix((ones, columns.indices, columns.indptr), columns.shape)
-    csc = columns.tocsc()
+    if not columns.shape[1]:
+        return []
+    coo = columns.tocoo()
+    rows, row = np.unique(coo.row, return_inverse=True)
+    # a graph of rows and columns: products of sparse columns may be dense
+    size = rows.size + columns.shape[1]
+    edges = (np.ones(row.size, dtype=np.int8), (row.ravel(), rows.size + coo.col))
+    group = connected_components(sp.coo_matrix(edges, (size, size)), directed=False)[1]
+    of_column = group[rows.size :]
+    row_order, row_place, heights = _sorted_by(group[: rows.size])
+    column_order, column_place, widths = _sorted_by(of_column)
+    group, row = of_column[coo.col], row_place[row.ravel()]
     found = []
-    for members in _connected((pattern.T @ pattern).tocsr()):
-        entries = [np.arange(csc.indptr[j], csc.indptr[j + 1]) for j in members]
-        at = np.concatenate(entries)
-        rows, row = np.unique(csc.indices[at], return_inverse=True)
-        dense = np.zeros((rows.size, members.size))
-        dense[row, np.repeat(np.arange(members.size), [e.size for e in entries])] = csc.data[at]
-        found.append((rows.astype(np.int64), members, dense))
+    for height, width in np.unique(np.stack([heights, widths], axis=1), axis=0):
+        chosen = np.flatnonzero((heights == height) & (widths == width))
+        slot = np.full(heights.size, -1)
+        slot[chosen] = np.arange(chosen.size)
+        entry = slot[group] >= 0
+        dense = np.zeros((chosen.size, height, width))
+        dense[slot[group[entry]], row[entry], column_place[coo.col[entry]]] = coo.data[entry]
+        of_rows = rows[row_order][(np.cumsum(heights) - heights)[chosen, None] + np.arange(height)]
+        of_columns = column_order[(np.cumsum(widths) - widths)[chosen, None] + np.arange(width)]
+        found.append(ColumnGroups(of_rows.astype(np.int64), of_columns, dense))
     return found
 
 
-def orthonormal_columns(columns: sp.csr_matrix) -> sp.csr_matrix:
-    """Return an orthonormal basis of the range of independent sparse columns.
+def _sorted_by(group: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+    """Return items by groups, the place of each item in its group, and the groups' sizes."""
+    order, sizes = np.argsort(group, kind="stable"), np.bincount(group)
+    place = np.empty(group.size, dtype=np.int64)
+    place[order] = np.arange(group.size) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    return order, place, sizes
+
+
+def of_one_body(motions: sp.csc_matrix, modes: int) -> NDArray[np.bool_]:
+    """Tell which motions (modes * bodies, k), none of them empty, move one body only."""
+    body, starts = motions.indices // modes, motions.indptr[:-1]
+    if not starts.size:
+        return np.zeros(0, dtype=bool)
+    alone: NDArray[np.bool_] = np.minimum.reduceat(body, starts) == np.maximum.reduceat(
+        body, starts
+    )
+    return alone
+
+
+def orthonormal_columns(columns: sp.csr_matrix, others: sp.csr_matrix) -> sp.csr_matrix:
+    """Return an orthonormal basis of the range of independent columns.
 
     Parameters
     ----------
     columns : (n, k) scipy.sparse.csr_matrix
-        The columns.
+        Many columns in small groups.
+    others : (n, l) scipy.sparse.csr_matrix
+        Few others, which may share rows with all of them.
 
     Returns
     -------
-    (n, k) scipy.sparse.csr_matrix
-        As sparse as groups of columns that share rows allow.
+    (n, k + l) scipy.sparse.csr_matrix
+        The first k as sparse as groups of columns that share rows allow.
     """
     data, row, column = [np.zeros(0)], [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)]
-    for rows, members, dense in column_groups(columns):
-        data.append(np.linalg.qr(dense)[0].ravel())
-        row.append(np.repeat(rows, members.size))
-        column.append(np.tile(members, rows.size))
+    for groups in column_groups(columns):
+        Q = np.linalg.qr(groups.dense)[0]
+        data.append(Q.ravel())
+        row.append(np.broadcast_to(groups.rows[:, :, None], Q.shape).ravel())
+        column.append(np.broadcast_to(groups.columns[:, None, :], Q.shape).ravel())
     where = (np.concatenate(row), np.concatenate(column))
-    return sp.csr_matrix((np.concatenate(data), where), shape=columns.shape)
+    first = sp.csr_matrix((np.concatenate(data), where), shape=columns.shape)
+    rest = others.toarray()
+    # twice: what rounding leaves of a projection that takes most of a column away
+    for _ in range(2):
+        rest = np.linalg.qr(rest - first @ (first.T @ rest))[0]
+    # where a group has no part in the others, rounding leaves none
+    rest[np.abs(rest) <= _NO_PART] = 0.0
+    return sp.hstack([first, sp.csr_matrix(rest)], format="csr")
 
 
-def pivot_rows(columns: sp.csr_matrix) -> Numbers:
+def pivot_rows(columns: sp.csr_matrix, others: sp.csr_matrix) -> Numbers:
     """Return as many rows as there are columns, which are independent there.
 
     Parameters
     ----------
     columns : (n, k) scipy.sparse.csr_matrix
-        Independent columns.
+        Many independent columns in small groups.
+    others : (n, l) scipy.sparse.csr_matrix
+        Few others, which may share rows with all of them.
     """
     found = [np.zeros(0, dtype=np.int64)]
-    for rows, members, dense in column_groups(columns):
-        pivots = qr(dense.T, mode="r", pivoting=True)[1]
-        found.append(rows[pivots[: members.size]])
-    return np.concatenate(found)
+    for groups in column_groups(columns):
+        rest = groups.dense.copy()
+        every = np.arange(len(rest))
+        # QR with pivoting of the transposes: the row that is farthest from those chosen comes next
+        for _ in range(rest.shape[2]):
+            lengths = np.linalg.norm(rest, axis=2)
+            pivot = np.argmax(lengths, axis=1)
+            found.append(groups.rows[every, pivot])
+            along = rest[every, pivot] / lengths[every, pivot, None]
+            rest -= (rest @ along[:, :, None]) * along[:, None, :]
+    first = np.concatenate(found)
+    if not others.shape[1]:
+        return first
+    rest = others.toarray()
+    if first.size:
+        # combinations that vanish in the rows chosen
+        rest -= columns @ splu(columns[first].tocsc()).solve(rest[first])
+        rest[first] = 0.0
+    pivots = qr(rest.T, mode="r", pivoting=True)[1][: others.shape[1]]
+    return np.concatenate([first, pivots.astype(np.int64)])
