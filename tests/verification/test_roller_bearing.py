@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import POISSON, elasticity, vector_space
+from scenes import POISSON, elasticity, scalar_space, vector_space
 
 import ufl
 from dolfinx import fem
@@ -43,7 +43,7 @@ def read(meshes, path, solids):
 
 def young(bodies, stiffer=1.0):
     """Return E, larger by a factor in the rings."""
-    E = fem.Function(fem.FunctionSpace(bodies.mesh, ("DG", 0)))
+    E = fem.Function(scalar_space(bodies.mesh, "DG", 0))
     E.x.array[:] = YOUNG
     for ring in ("outer ring", "inner ring"):
         if ring in bodies.names:
