@@ -146,7 +146,6 @@ def test_single_row_in_thrust(meshes, tmp_path):
     assert report.converged
     assert report.unknowns["redundant"] == report.unknowns["dependent"] == 0
     motions = report.free_motions
-    assert any(motion.startswith("body 1 ") and "rotation" in motion for motion in motions)
     for roller in range(2, 10):
         own = [motion for motion in motions if motion.startswith(f"body {roller} ")]
         assert any("translation" in motion and "rotation" not in motion for motion in own)
