@@ -12,11 +12,11 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from interruptions import interrupt_after
 from torn import column
 
 from fenics_tfeti import Interrupted
 from fenics_tfeti.feti import Options, TornSolver, interruption, save_system, solver
-from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.solution.setup import factor_subdomains
 
 COMM = MPI.COMM_SELF
@@ -24,20 +24,6 @@ COMM = MPI.COMM_SELF
 
 def interrupt():
     os.kill(os.getpid(), signal.SIGINT)
-
-
-def interrupt_after(monkeypatch, products: int):
-    """Send SIGINT to this process during a product with F."""
-    apply, count = DualOperator.packed, 0
-
-    def counting(self, x):
-        nonlocal count
-        count += 1
-        if count == products:
-            interrupt()
-        return apply(self, x)
-
-    monkeypatch.setattr(DualOperator, "packed", counting)
 
 
 @pytest.fixture(autouse=True)
@@ -55,7 +41,7 @@ def test_interrupted_solve(monkeypatch, method):
     exact = TornSolver(column(), options).solve()
     torn = TornSolver(column(), options)
     with monkeypatch.context() as patch:
-        interrupt_after(patch, torn.setup.norm.products + 4)
+        interrupt_after(patch, torn.setup.norm.products + 4, interrupt)
         with pytest.raises(Interrupted) as caught:
             torn.solve()
     report, solution = caught.value.report, caught.value.solution
@@ -72,7 +58,7 @@ def test_active_set_method_goes_on_from_its_last_iterate(monkeypatch):
     whole = TornSolver(column(n=4), options).solve().report.products["total"]
     torn = TornSolver(column(n=4), options)
     with monkeypatch.context() as patch:
-        interrupt_after(patch, whole - 2)
+        interrupt_after(patch, whole - 2, interrupt)
         with pytest.raises(Interrupted) as caught:
             torn.solve()
     assert caught.value.report.certificate.worst < 1e-3

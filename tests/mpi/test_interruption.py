@@ -11,11 +11,11 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import scenes
+from interruptions import interrupt_after
 from torn import column
 
 from fenics_tfeti import Interrupted
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, solver
-from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.solution.setup import factor_subdomains
 
 COMM = MPI.COMM_WORLD
@@ -26,20 +26,6 @@ def interrupt():
     """Send SIGINT to the last rank alone."""
     if COMM.rank == LAST:
         os.kill(os.getpid(), signal.SIGINT)
-
-
-def interrupt_after(monkeypatch, products: int):
-    """Send SIGINT to the last rank during a product with F."""
-    apply, count = DualOperator.packed, 0
-
-    def counting(self, x):
-        nonlocal count
-        count += 1
-        if count == products:
-            interrupt()
-        return apply(self, x)
-
-    monkeypatch.setattr(DualOperator, "packed", counting)
 
 
 def distributed():
@@ -59,7 +45,7 @@ def test_one_rank_is_interrupted(monkeypatch, method):
     exact = TornSolver(distributed(), options).solve().report
     torn = TornSolver(distributed(), options)
     with monkeypatch.context() as patch:
-        interrupt_after(patch, torn.setup.norm.products + 5)
+        interrupt_after(patch, torn.setup.norm.products + 5, interrupt)
         with pytest.raises(Interrupted) as caught:
             torn.solve()
     report = caught.value.report
@@ -87,7 +73,7 @@ def test_interrupted_problem_goes_on(monkeypatch):
     exact.solve()
     problem = scene.problem(options={"rtol": 1e-9})
     with monkeypatch.context() as patch:
-        interrupt_after(patch, 8)
+        interrupt_after(patch, 8, interrupt)
         with pytest.raises(Interrupted) as caught:
             problem.solve()
     assert caught.value.report is problem.report and not problem.report.converged
