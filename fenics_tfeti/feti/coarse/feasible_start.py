@@ -168,8 +168,7 @@ def _groups(
 ) -> list[_Group]:
     """Split unresisted motions by groups of bodies, each with a scale of forces of its own."""
     comm, bodies = system.comm, coarse_space.bodies
-    modes = 3 * (system.gdim - 1)
-    number = free.shape[0] // modes
+    modes, number = bodies.modes, len(bodies.supports)
     force = np.zeros(number)
     for subdomain in system.subdomains:
         nodal = np.linalg.norm(subdomain.load.reshape(-1, system.gdim), axis=1)
@@ -271,11 +270,10 @@ def _forces_with_friction(
     if np.linalg.norm(residual) > NO_WORK * group.force:
         factor = smallest_factor(C, group.work, feasible) if radii.any() else np.inf
         _raise_unresisted(system, kernels, coarse_space, group.motions @ residual, factor)
-    before = [np.sum(comm.allgather(len(part))[: comm.rank]) for part in (pressing, rubbing)]
-    first = int(before[0])
+    first = first_of_rank(comm, len(pressing))[0]
     multipliers[owned] = forces[first : first + owned.size]
     of_sites = forces[len(contact) :].reshape(tangential.shape[:2])
-    first = int(before[1])
+    first = first_of_rank(comm, len(rubbing))[0]
     multipliers[friction.rows[mine][present]] = of_sites[first : first + len(rubbing)][present]
     return constraints.layout.sum(multipliers)
 
