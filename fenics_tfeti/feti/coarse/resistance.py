@@ -79,8 +79,10 @@ def weak_motions(
     """
     values, vectors = _of_single_bodies(comm, rows.tocsc(), supports)
     free = values <= unresisted
-    for body in np.flatnonzero(free.sum(axis=1) > 1):
-        vectors[body][:, free[body]] = _translations_first(vectors[body][:, free[body]])
+    number = free.sum(axis=1)
+    # singular values descend: the last vectors of a body are the free ones
+    for k in np.unique(number[number > 1]):
+        vectors[number == k, :, -k:] = _translations_first(vectors[number == k, :, -k:])
     alone, others = _block_columns(vectors, free), _block_columns(vectors, ~free)
     E = sp.block_diag([*supports, sp.csr_matrix((0, 0))], format="csr")
     resistance, together = _of_several_bodies(comm, rows @ others, E @ others, below)
@@ -137,9 +139,10 @@ def _rows_of_bodies(rows: sp.csc_matrix, modes: int) -> Iterator[tuple[Numbers, 
 
 
 def _translations_first(motions: Vector) -> Vector:
-    """Return another basis (modes, k) of motions of a body: those that turn it least first."""
-    translations = 2 if len(motions) == 3 else 3
-    basis: Vector = motions @ np.linalg.svd(motions[translations:])[2][::-1].T
+    """Return other bases of motions (g, modes, k) of a body: those that turn it least first."""
+    translations = 2 if motions.shape[1] == 3 else 3
+    turns = np.linalg.svd(motions[:, translations:])[2]
+    basis: Vector = motions @ np.swapaxes(turns[:, ::-1], 1, 2)
     return basis
 
 
