@@ -2,8 +2,9 @@
 
     mpirun -n 4 python benchmarks/coarse.py [--subdomains-per-metre 3 5 7] [--json out.json]
 
-Redundant on every rank with CHOLMOD, and distributed over all ranks with MUMPS. The calls of MUMPS
-are counted if `count_calls.so` (see `count_calls.c`) is preloaded: mpirun -x LD_PRELOAD=...
+Every second contact row is on the face. Redundant on every rank with CHOLMOD; distributed over all
+ranks with MUMPS; the inverse by rows, made once and changed for the face. The calls of MUMPS are
+counted if `count_calls.so` (see `count_calls.c`) is preloaded: mpirun -x LD_PRELOAD=...
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ import ladder
 import numpy as np
 from communication import dealt
 
-from fenics_tfeti.feti.coarse.factor import distribution_pays
+from fenics_tfeti.feti.coarse.factor import choose_coarse_solver
+from fenics_tfeti.feti.coarse.inverse import independent_columns
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.interface import Interface
@@ -35,7 +37,7 @@ SOLVES = 10
 
 
 class Counts:
-    """Messages, bytes and collective calls of MUMPS on this rank, if the counter is preloaded."""
+    """Messages, bytes and collective calls of this rank, if the counter is preloaded."""
 
     def __init__(self) -> None:
         preloaded = os.environ.get("LD_PRELOAD", "")
@@ -65,11 +67,19 @@ def coarse_space(m: int, solver: str) -> CoarseSpace:
 
 
 def measure(m: int, solver: str) -> dict[str, Any]:
-    """Factor the matrix and solve with it; return the largest processor times, and counts."""
+    """Factor the matrix of a face and solve with it; return the largest times, and counts."""
     space, counts = coarse_space(m, solver), Counts()
+    if solver == "inverse":
+        begin = time.process_time()
+        space = Projector.build(space).coarse_space
+        inverting = time.process_time() - begin
+    else:
+        inverting = 0.0
+    first_half = np.arange(space.constraints.inequality.size) % 2 == 0
+    changes = independent_columns(space.contact[:, ~first_half]).shape[1]
     counts.reset()
     begin = time.process_time()
-    factor = Projector.build(space).factor
+    factor = Projector.build(space, first_half).factor
     factoring = time.process_time() - begin
     of_factor = counts.largest()
     b = np.random.default_rng(0).standard_normal(space.size)
@@ -86,11 +96,12 @@ def measure(m: int, solver: str) -> dict[str, Any]:
         "subdomains": 4 * m**3,
         "size": space.size,
         "entries": comm.allreduce(factor.entries, MPI.MAX),
+        "inversion": comm.allreduce(inverting, MPI.MAX),
         "factorisation": comm.allreduce(factoring, MPI.MAX),
         "solve": comm.allreduce(solving, MPI.MAX),
         "calls of the factorisation": of_factor,
         "calls of a solve": None if of_solves is None else [n / SOLVES for n in of_solves],
-        "auto": "distributed" if distribution_pays(comm.size, space.size) else "redundant",
+        "auto": choose_coarse_solver(comm.size, space.size, comm.allreduce(changes)),
     }
 
 
@@ -100,14 +111,15 @@ def main() -> None:
     parser.add_argument("--json", metavar="FILE")
     arguments = parser.parse_args()
     table = []
-    for solver in ("redundant", "distributed"):
+    for solver in ("redundant", "distributed", "inverse"):
         for m in arguments.subdomains_per_metre:
             row = measure(m, solver)
             table.append(row)
             if comm.rank == 0:
                 print(
                     f"{row['ranks']:3} {solver:11} {row['subdomains']:5} {row['size']:6} entries "
-                    f"{row['entries']:9,}  factorisation {row['factorisation']:.3f} s, solve "
+                    f"{row['entries']:9,}  inversion {row['inversion']:.3f} s, "
+                    f"factorisation or change {row['factorisation']:.3f} s, solve "
                     f"{1e3 * row['solve']:.2f} ms  messages, bytes, collective calls: "
                     f"{row['calls of the factorisation']}, {row['calls of a solve']}; "
                     f"auto: {row['auto']}",

@@ -42,8 +42,9 @@ class Options:
         congruent subdomains; auto counts the bytes that either moves.
     factor : {"auto", "cholmod", "mumps"}
         Package of the sparse Cholesky factors; auto takes the first that is available.
-    coarse_solver : {"auto", "redundant", "distributed"}
-        Coarse matrices whole on every rank, or by rows on all of them, with MUMPS; auto counts.
+    coarse_solver : {"auto", "redundant", "distributed", "inverse"}
+        Factors of coarse matrices on every rank, or distributed over the ranks with MUMPS, or the
+        inverse by rows, changed for each face; auto counts.
     deflation : {"auto", "on", "off"}
         Deflation of the directions in which subdomains make F large: of the subdomains on whose
         interface the material jumps (with weights of stiffness), of all, or of none.

@@ -1,5 +1,7 @@
 """Coarse matrices and their factors: redundant on every rank, or distributed over the ranks.
 
+Their inverse by rows, which is changed for each face instead of factored, is in `inverse`.
+
 Outside the iterations coarse vectors are whole on every rank. Within the iterations right-hand
 sides are sums of the ranks' parts, and a rank needs only its own subdomains' part of the solution.
 """
@@ -23,11 +25,11 @@ from fenics_tfeti.feti.local.cholesky import (
 )
 from fenics_tfeti.parallel import concatenate_buffers
 
-__all__ = ["CoarseFactor", "CoarseLayout", "CoarseSolverKind", "distribution_pays"]
+__all__ = ["CoarseFactor", "CoarseLayout", "CoarseSolverKind", "choose_coarse_solver"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
-CoarseSolverKind = Literal["auto", "redundant", "distributed"]
+CoarseSolverKind = Literal["auto", "redundant", "distributed", "inverse"]
 
 # Counted on lattices of 108 to 2916 cubes, 1 to 16 ranks (benchmarks/coarse.py):
 # entries of the factor / size^1.5
@@ -38,6 +40,9 @@ _SOLVES, _FACTORISATION, _SLOWER = 10, 80, 2
 _COLLECTIVES, _MESSAGES = 86, 3
 # messages of a factorisation by MUMPS, in solves
 _MESSAGES_OF_FACTORISATION = 4
+# faces of a solve; time to solve for one of many columns, in solves; solves by the inverse for one,
+# with a refinement; bytes read of memory while its change for a face is prepared: 5 ms
+_FACES, _COLUMN, _REFINED, _CHANGE = 10, 0.25, 2, 50_000_000
 # bytes read of memory while a message is under way: 5 us at 10 GB/s
 _LATENCY = 50_000
 # what has to be spared for it to pay; less is not worth another package
@@ -91,8 +96,8 @@ class CoarseLayout:
         Other ranks' unknowns that this rank's multipliers act on, ascending.
     send_to, receive_from : mapping from int to integer array
         By rank: positions of its unknowns in `others`; the own unknowns that are in its `others`.
-    distributed : bool
-        Whether a rank keeps its own rows of coarse matrices only.
+    solver : {"redundant", "distributed", "inverse"}
+        Where coarse matrices and their factors are kept.
     package : str
         Package for the factors of whole matrices.
     """
@@ -102,12 +107,12 @@ class CoarseLayout:
     others: Numbers
     send_to: Mapping[int, Numbers]
     receive_from: Mapping[int, Numbers]
-    distributed: bool
+    solver: CoarseSolverKind
     package: str
 
     @staticmethod
     def build(
-        comm: MPI.Intracomm, own: int, others: Numbers, distributed: bool, package: str
+        comm: MPI.Intracomm, own: int, others: Numbers, solver: CoarseSolverKind, package: str
     ) -> CoarseLayout:
         """Find out which ranks share unknowns; collective.
 
@@ -119,8 +124,8 @@ class CoarseLayout:
             Number of this rank's unknowns.
         others : (h,) integer array
             Other ranks' unknowns that this rank's multipliers act on, ascending.
-        distributed : bool
-            Whether a rank keeps its own rows of coarse matrices only.
+        solver : {"redundant", "distributed", "inverse"}
+            Where coarse matrices and their factors are kept.
         package : str
             Package for the factors of whole matrices.
         """
@@ -131,7 +136,12 @@ class CoarseLayout:
         to = {int(r): np.flatnonzero(rank == r) for r in np.unique(rank)}
         asked = comm.alltoall([others[to[r]] if r in to else others[:0] for r in range(comm.size)])
         of = {r: numbers - first for r, numbers in enumerate(asked) if numbers.size}
-        return CoarseLayout(comm, tuple(counts), others, to, of, distributed, package)
+        return CoarseLayout(comm, tuple(counts), others, to, of, solver, package)
+
+    @property
+    def by_rows(self) -> bool:
+        """Whether a rank keeps its own rows of coarse matrices only."""
+        return self.solver != "redundant"
 
     @property
     def first(self) -> int:
@@ -200,7 +210,7 @@ class CoarseLayout:
 
     def rows(self, own_rows: sp.csr_matrix) -> sp.csr_matrix:
         """Return the rows of a coarse matrix that this rank keeps, from each rank's own rows."""
-        if self.distributed or self.comm.size == 1:
+        if self.by_rows or self.comm.size == 1:
             return own_rows
         coo = own_rows.tocoo()
         row, column, data = concatenate_buffers(
@@ -210,20 +220,23 @@ class CoarseLayout:
 
     def largest_diagonal(self, rows: sp.csr_matrix) -> float:
         """Return the largest diagonal entry of a matrix, given the rows that this rank keeps."""
-        largest = np.array([rows.diagonal(self.first if self.distributed else 0).max(initial=0.0)])
+        largest = np.array([rows.diagonal(self.first if self.by_rows else 0).max(initial=0.0)])
         self.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
         return float(largest[0])
 
-    def add_to_diagonal(self, rows: sp.csr_matrix, places: Numbers, value: float) -> sp.csr_matrix:
-        """Return the rows that this rank keeps with a number added at some places."""
-        begin = self.first if self.distributed else 0
+    def add_to_diagonal(self, rows: sp.csr_matrix, diagonal: Vector) -> sp.csr_matrix:
+        """Return the rows that this rank keeps with numbers (size,) added to the diagonal."""
+        if not diagonal.any():
+            return rows
+        places = np.flatnonzero(diagonal)
+        begin = self.first if self.by_rows else 0
         kept = places[(places >= begin) & (places < begin + rows.shape[0])]
-        values = np.full(kept.size, value)
-        return (rows + sp.csr_matrix((values, (kept - begin, kept)), shape=rows.shape)).tocsr()
+        more = sp.csr_matrix((diagonal[kept], (kept - begin, kept)), shape=rows.shape)
+        return (rows + more).tocsr()
 
     def factor(self, rows: sp.csr_matrix) -> CoarseFactor:
         """Factor a symmetric positive definite matrix, given the rows that this rank keeps."""
-        if self.distributed:
+        if self.solver == "distributed":
             return _Distributed(self, DistributedCholesky(self.comm, rows))
         return _Redundant(self, SparseCholesky(rows.tocsr(), self.package))
 
@@ -283,11 +296,11 @@ class _Distributed:
         return self.shared.solve(self.layout.sum_own(own, others)), sums
 
 
-def distribution_pays(ranks: int, size: int) -> bool:
-    """Tell whether MUMPS over all ranks moves less than a whole factor on each of them.
+def choose_coarse_solver(ranks: int, size: int, changes: int) -> CoarseSolverKind:
+    """Return the coarse solver that moves the least, or "redundant" where it is within a factor.
 
-    For one face of the active set method, in bytes: what factor and solves read of memory, without
-    the share that MUMPS reads too, against what could be read while its messages are under way.
+    For one face of the active set method, in bytes: what factors and solves read of memory, and
+    what could be read while their messages are under way.
 
     Parameters
     ----------
@@ -295,15 +308,26 @@ def distribution_pays(ranks: int, size: int) -> bool:
         Number of ranks.
     size : int
         Coarse unknowns.
+    changes : int
+        Independent columns of contact and tangential rows in G.
 
     Examples
     --------
-    >>> [distribution_pays(ranks, 6 * 1000) for ranks in (2, 8, 64, 1000)]
-    [False, True, True, False]
+    >>> [choose_coarse_solver(ranks, 6 * 1000, 200) for ranks in (1, 8, 64, 1000)]
+    ['redundant', 'distributed', 'inverse', 'inverse']
     """
-    # each solve reads the entries twice
+    rounds = _LATENCY * np.log2(ranks)
+    # each solve reads the entries of a factor twice
     solve = 16.0 * _ENTRIES * size**1.5
-    spared = (_SOLVES + _FACTORISATION) * solve * max(0.0, 1.0 - _SLOWER / ranks)
-    rounds = (_COLLECTIVES + ranks) * np.log2(ranks) + _MESSAGES * ranks
-    messages = (_SOLVES + _MESSAGES_OF_FACTORISATION) * rounds * _LATENCY
-    return bool("mumps" in available_packages() and spared > _GAIN * messages)
+    bytes_of: dict[CoarseSolverKind, float] = {"redundant": (_SOLVES + _FACTORISATION) * solve}
+    if ranks > 1:
+        columns = _FACTORISATION + _COLUMN * size / ranks
+        own = _REFINED * (8.0 * (size**2 / ranks + size + changes**2) + 2 * rounds)
+        change = _CHANGE + 8.0 * changes * (size / ranks + 2 * changes) + changes**3
+        bytes_of["inverse"] = columns * solve / _FACES + _SOLVES * own + change
+    if ranks > 1 and "mumps" in available_packages():
+        calls = (_COLLECTIVES + ranks) * rounds + _MESSAGES * ranks * _LATENCY
+        part = (_SOLVES + _FACTORISATION) * solve * min(1.0, _SLOWER / ranks)
+        bytes_of["distributed"] = part + (_SOLVES + _MESSAGES_OF_FACTORISATION) * calls
+    least = min(bytes_of, key=lambda kind: bytes_of[kind])
+    return least if bytes_of["redundant"] > _GAIN * bytes_of[least] else "redundant"

@@ -14,6 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.factor import CoarseFactor
+from fenics_tfeti.feti.coarse.inverse import InverseByRows
 from fenics_tfeti.feti.coarse.resistance import of_one_body, orthonormal_columns, pivot_rows
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.tolerances import NO_WORK
@@ -118,14 +119,10 @@ class Projector:
         alone = of_one_body(z.tocsc(), coarse_space.bodies.modes)
         moves = coarse_space.coarse_motions(z)
         free = orthonormal_columns(moves[:, alone], moves[:, ~alone])
-        contact = coarse_space.contact[:, np.flatnonzero(chosen)]
-        if constraints.friction.size:
-            stuck = np.flatnonzero(rows & ~constraints.equality)
-            contact = sp.hstack([contact, coarse_space.friction[:, stuck]], format="csr")
-        if combined is not None:
-            contact = sp.hstack([contact, coarse_space.friction @ combined.T], format="csr")
+        columns = _columns(coarse_space, rows, combined)
         layout = coarse_space.layout
-        gram = coarse_space.equality + layout.rows((contact[layout.own] @ contact.T).tocsr())
+        gram = coarse_space.equality + layout.rows((columns[layout.own] @ columns.T).tocsr())
+        pins = np.zeros(layout.size)
         if free.shape[1] + weak.shape[1]:
             single, others = np.split(np.arange(free.shape[1]), [np.count_nonzero(alone)])
             pinned = pivot_rows(
@@ -134,10 +131,15 @@ class Projector:
             )
             # the matrix is definite then, and for right-hand sides without a part in `free` the
             # pinned unknowns are zero: its inverse is a generalized inverse of GG'
-            gram = layout.add_to_diagonal(
-                gram, pinned, _pin(coarse_space, gram, bool(weak.shape[1]))
-            )
-        factor = layout.factor(gram) if layout.size else None
+            pins[pinned] = _pin(coarse_space, gram, bool(weak.shape[1]))
+        factor: CoarseFactor | None = None
+        if layout.size and layout.solver == "inverse":
+            if everything:
+                inverse = InverseByRows.build(layout, gram, pins)
+                coarse_space = replace(coarse_space, inverse=inverse)
+            factor = _changed_inverse(coarse_space, gram, rows, combined, pins)
+        elif layout.size:
+            factor = layout.factor(layout.add_to_diagonal(gram, pins))
         projector = Projector(coarse_space, rows, free, z, factor, across=across)
         return projector._with_weak_motions(weak.toarray()) if weak.shape[1] else projector
 
@@ -321,6 +323,40 @@ class Projector:
 
     def _sum(self, part: Vector) -> Vector:
         return self.coarse_space.constraints.layout.sum(part)
+
+
+def _columns(
+    coarse_space: CoarseSpace, rows: Mask, combined: sp.csr_matrix | None, owned: bool = False
+) -> sp.csr_matrix:
+    """Return the columns of G of contact and tangential rows, and of combinations of the latter.
+
+    They are all that this rank holds, or those that it owns.
+    """
+    constraints = coarse_space.constraints
+    if owned:
+        rows = rows & (np.arange(rows.size) < constraints.layout.owned)
+    columns = [coarse_space.contact[:, np.flatnonzero(rows[constraints.inequality])]]
+    if constraints.friction.size:
+        columns.append(coarse_space.friction[:, np.flatnonzero(rows & ~constraints.equality)])
+    if combined is not None:
+        mine = constraints.friction.owned(constraints.layout.owned) if owned else slice(None)
+        columns.append(coarse_space.friction @ combined[mine].T)
+    return sp.hstack(columns, format="csr")
+
+
+def _changed_inverse(
+    coarse_space: CoarseSpace,
+    gram: sp.csr_matrix,
+    rows: Mask,
+    combined: sp.csr_matrix | None,
+    pins: Vector,
+) -> InverseByRows:
+    """Return the inverse of GG' of a face, as a change of that of all rows. Collective."""
+    assert coarse_space.inverse is not None, "the projector of all rows is built first"
+    removed = _columns(coarse_space, ~rows & ~coarse_space.constraints.equality, None, owned=True)
+    nothing = np.zeros_like(rows)
+    added = _columns(coarse_space, nothing, combined, owned=True)
+    return coarse_space.inverse.changed(gram, removed, added, pins)
 
 
 def _pin(coarse_space: CoarseSpace, gram: sp.csr_matrix, weak: bool) -> float:

@@ -21,8 +21,9 @@ from fenics_tfeti.feti.coarse.body_motions import BodyMotions, body_motions
 from fenics_tfeti.feti.coarse.factor import (
     CoarseLayout,
     CoarseSolverKind,
-    distribution_pays,
+    choose_coarse_solver,
 )
+from fenics_tfeti.feti.coarse.inverse import InverseByRows, independent_columns
 from fenics_tfeti.feti.coarse.resistance import weak_motions
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
@@ -69,6 +70,9 @@ class CoarseSpace:
         Rigid motions of bodies.
     constraints : Constraints
         The columns.
+    inverse : InverseByRows or None
+        The inverse of GG' of all rows, if faces are to be changes of it; `Projector.build` of all
+        rows makes it.
     """
 
     interface: Interface
@@ -82,6 +86,7 @@ class CoarseSpace:
     equality: sp.csr_matrix
     bodies: BodyMotions
     constraints: Constraints
+    inverse: InverseByRows | None = None
 
     @staticmethod
     def build(
@@ -106,8 +111,8 @@ class CoarseSpace:
             R_i of this rank's subdomains.
         package : str
             Package for the factors of coarse matrices that are whole on every rank.
-        solver : {"auto", "redundant", "distributed"}
-            Where coarse matrices are kept.
+        solver : {"auto", "redundant", "distributed", "inverse"}
+            Where coarse matrices and their factors are kept.
         """
         ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
         first, size = first_of_rank(system.comm, int(ends[-1]))
@@ -121,13 +126,12 @@ class CoarseSpace:
         equality = constraints.equality
         rows = (own.T.tocsr()[:, equality] @ everyone[equality]).tocsr()
         others = np.setdiff1d(everyone.indices, first + np.arange(ends[-1]))
+        if solver == "auto":
+            changing = everyone[: constraints.layout.owned][~equality[: constraints.layout.owned]]
+            changes = system.comm.allreduce(independent_columns(changing.T).shape[1])
+            solver = choose_coarse_solver(system.comm.size, size, changes)
         layout = CoarseLayout.build(
-            system.comm,
-            int(ends[-1]),
-            others.astype(np.int64),
-            solver == "distributed"
-            or (solver == "auto" and distribution_pays(system.comm.size, size)),
-            package,
+            system.comm, int(ends[-1]), others.astype(np.int64), solver, package
         )
         return CoarseSpace(
             interface,

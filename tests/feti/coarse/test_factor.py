@@ -6,24 +6,32 @@ from torn import column
 from fenics_tfeti.errors import FactorizationError
 from fenics_tfeti.feti import Options, TornSolver
 from fenics_tfeti.feti.coarse import factor
-from fenics_tfeti.feti.coarse.factor import distribution_pays
+from fenics_tfeti.feti.coarse.factor import choose_coarse_solver
 from fenics_tfeti.feti.local import cholesky
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
-def test_one_or_two_ranks_never_distribute(ranks):
-    assert not distribution_pays(ranks, 10**6)
+def test_one_rank_has_the_whole_factor():
+    assert choose_coarse_solver(1, 10**6, 100) == "redundant"
 
 
-@pytest.mark.parametrize("ranks", [3, 30, 300, 3000])
-def test_small_matrices_stay_whole_and_large_ones_do_not(ranks):
-    assert not distribution_pays(ranks, 600)
-    assert distribution_pays(ranks, 10**5)
+@pytest.mark.parametrize("ranks", [2, 3, 30, 300, 3000])
+def test_small_matrices_stay_whole(ranks):
+    assert choose_coarse_solver(ranks, 600, 60) == "redundant"
 
 
-def test_without_mumps_matrices_stay_whole(monkeypatch):
+@pytest.mark.parametrize("ranks", [30, 300, 3000])
+def test_large_matrices_do_not(ranks):
+    assert choose_coarse_solver(ranks, 10**5, 1000) != "redundant"
+
+
+@pytest.mark.parametrize(("changes", "solver"), [(100, "inverse"), (10_000, "distributed")])
+def test_faces_are_changes_where_these_are_few(changes, solver):
+    assert choose_coarse_solver(500, 30_000, changes) == solver
+
+
+def test_nothing_is_distributed_without_mumps(monkeypatch):
     monkeypatch.setattr(factor, "available_packages", lambda: ["cholmod"])
-    assert not distribution_pays(100, 10**6)
+    assert choose_coarse_solver(500, 30_000, 10_000) == "redundant"
 
 
 def test_distributed_without_mumps_is_an_error(monkeypatch):
@@ -32,6 +40,7 @@ def test_distributed_without_mumps_is_an_error(monkeypatch):
         TornSolver(column(), Options(coarse_solver="distributed"))
 
 
-def test_distributed_on_one_rank():
-    report = TornSolver(column(), Options(coarse_solver="distributed")).solve().report
+@pytest.mark.parametrize("solver", ["distributed", "inverse"])
+def test_on_one_rank(solver):
+    report = TornSolver(column(), Options(coarse_solver=solver)).solve().report
     assert report.converged
