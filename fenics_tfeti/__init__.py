@@ -24,10 +24,12 @@ _LAZY = {
     "ContactProblem": "fenics_tfeti.problem",
     "ContactResult": "fenics_tfeti.fem.contact.contact",
     "Cylinder": "fenics_tfeti.fem.contact.obstacles",
+    "FrictionResult": "fenics_tfeti.fem.contact.contact",
     "Plane": "fenics_tfeti.fem.contact.obstacles",
     "RigidObstacle": "fenics_tfeti.fem.contact.contact",
     "Sphere": "fenics_tfeti.fem.contact.obstacles",
     "TiedPair": "fenics_tfeti.fem.contact.tied",
+    "Tresca": "fenics_tfeti.fem.contact.friction",
 }
 
 __all__ = [
@@ -37,6 +39,7 @@ __all__ = [
     "ContactResult",
     "Cylinder",
     "FactorizationError",
+    "FrictionResult",
     "InputError",
     "Interrupted",
     "NotConverged",
@@ -44,6 +47,7 @@ __all__ = [
     "RigidObstacle",
     "Sphere",
     "TiedPair",
+    "Tresca",
     "UnresistedMotion",
 ]
 

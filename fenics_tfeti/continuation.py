@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.deformed import GeometryPass
+from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.feti import SavedState, TornSystem, load_checkpoint, save_checkpoint
 from fenics_tfeti.parallel import raise_collectively
 
@@ -31,6 +32,8 @@ class Continuation:
         The last displacement at the degrees of freedom that this rank owns [m].
     solves : int
         Finished calls of `solve`.
+    origin : SlipOrigin
+        From where friction counts slip.
     passes : list of GeometryPass
         The finished passes of the call that was not.
     """
@@ -38,6 +41,7 @@ class Continuation:
     state: SavedState
     displacement: Vector
     solves: int
+    origin: SlipOrigin
     passes: Sequence[GeometryPass] = ()
 
 
@@ -56,7 +60,11 @@ def write_continuation(
         path,
         system,
         continuation.state,
-        own={"displacement": continuation.displacement},
+        own={
+            "displacement": continuation.displacement,
+            "slip_origin": continuation.origin.displacement,
+            "slip_origin_obstacles": continuation.origin.obstacles.ravel(),
+        },
         common={
             "solves": np.array(continuation.solves),
             "passes": rows.reshape(-1, len(fields(GeometryPass))),
@@ -64,7 +72,9 @@ def write_continuation(
     )
 
 
-def read_continuation(path: str | os.PathLike[str], system: TornSystem, size: int) -> Continuation:
+def read_continuation(
+    path: str | os.PathLike[str], system: TornSystem, size: int, contacts: int
+) -> Continuation:
     """Read the part of this rank from a checkpoint. Collective.
 
     Parameters
@@ -75,6 +85,8 @@ def read_continuation(path: str | os.PathLike[str], system: TornSystem, size: in
         The problem.
     size : int
         Number of degrees of freedom that this rank owns.
+    contacts : int
+        Number of contacts.
 
     Raises
     ------
@@ -87,12 +99,17 @@ def read_continuation(path: str | os.PathLike[str], system: TornSystem, size: in
     own, common = found.own, found.common
     with raise_collectively(system.comm):
         # a checkpoint of a torn system has none of these
-        displacement = own.get("displacement", np.zeros(0))
+        displacement, slip_origin, obstacles = (
+            own.get(name, np.zeros(0))
+            for name in ("displacement", "slip_origin", "slip_origin_obstacles")
+        )
         passes = common.get("passes", np.zeros(0))
         columns = len(fields(GeometryPass))
-        expected = ((size,), "f"), ((len(passes), columns), "f")
-        if tuple((x.shape, x.dtype.kind) for x in (displacement, passes)) != expected:
+        numbers = displacement, slip_origin, obstacles, passes
+        shapes = (size,), (size,), (contacts * size,), (len(passes), columns)
+        if tuple(x.shape for x in numbers) != shapes or any(x.dtype.kind != "f" for x in numbers):
             raise InputError(f"{path}: the checkpoint is not one of a ContactProblem")
     finished = [GeometryPass(*row) for row in passes.tolist()]
     finished = [replace(one, products=int(one.products)) for one in finished]
-    return Continuation(found.state, displacement, int(common["solves"]), finished)
+    origin = SlipOrigin(slip_origin, obstacles.reshape(contacts, size))
+    return Continuation(found.state, displacement, int(common["solves"]), origin, finished)

@@ -31,6 +31,7 @@ from fenics_tfeti.fem.contact.contact import (
     ContactPair,
     ContactPairing,
     ContactResult,
+    FrictionResult,
     contact_name,
 )
 from fenics_tfeti.fem.contact.deformed import (
@@ -41,6 +42,14 @@ from fenics_tfeti.fem.contact.deformed import (
 )
 from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
 from fenics_tfeti.fem.contact.roles import ALIKE, exchanged, roles_ratio, warn_of_roles
+from fenics_tfeti.fem.contact.slip import (
+    NodalFriction,
+    SlipOrigin,
+    friction_result,
+    friction_rows,
+    moved_obstacles,
+    nodal_friction,
+)
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.contact.tied import TiedPair, TiedPairing, tie_pairs, tied_name, tied_rows
 from fenics_tfeti.fem.contact.transfer import check_same_contacts, expected_contact, gather_solved
@@ -75,7 +84,7 @@ __all__ = ["ContactProblem"]
 
 
 class ContactProblem:
-    """Frictionless contact of linear elastic bodies, solved by Total FETI.
+    """Contact of linear elastic bodies, with or without friction, solved by Total FETI.
 
     Parameters
     ----------
@@ -113,7 +122,8 @@ class ContactProblem:
     Attributes
     ----------
     contact : list of ContactResult
-        For each contact the nodes with gaps, normals, forces and pressures, after `solve`.
+        For each contact the nodes with gaps, normals, forces and pressures, and with friction its
+        forces and slips, after `solve`.
     report : ContactReport
         Sizes, iterations, residuals and times, after `solve`.
 
@@ -162,6 +172,8 @@ class ContactProblem:
         self._matched: list[ContactPairing] = []
         self._moved: list[ContactPairing] = []
         self._used: list[ContactPairing] = []
+        # friction at the conditions of `_matched`
+        self._rubbing: list[NodalFriction | None] = []
         self._solver: TornSolver | None = None
         self._displacement: Function | None = None
         self._monitor: MonitorFunction | None = None
@@ -169,6 +181,7 @@ class ContactProblem:
         self._continued: Continuation | None = None
         self._solves = 0
         self._passes = list[GeometryPass]()
+        self._origin = SlipOrigin.undeformed(self.space, len(self.contacts))
         prescribed = prescribed_values(self.space, self.bcs)
         with self._timer.phase("partition"):
             bodies = self._bodies = find_bodies(self.space.mesh, cell_tags)
@@ -208,6 +221,9 @@ class ContactProblem:
         solve again: what did not change is reused, and the iterations start from the last contact
         forces. Changed data of `a` and moved nodes (``mesh.geometry.x``) are noticed too, and cost
         a new assembly and factorisation.
+
+        With friction each solve that converges is a load step: the next one counts slip from its
+        end. `reset_slip` and moved nodes make the undeformed state the origin again.
 
         Parameters
         ----------
@@ -259,6 +275,9 @@ class ContactProblem:
                     self._save(error.solution, self._passes)
                 raise
             self._solves += 1
+            if self.report.converged:
+                moved = moved_obstacles(self.space, self._matched, self._rubbing)
+                self._origin = SlipOrigin(owned_values(uh), moved)
             self._save(uh, [])
             try:
                 interruption.check(self.space.mesh.comm)
@@ -267,6 +286,10 @@ class ContactProblem:
         if self.options.view and self.space.mesh.comm.rank == 0:
             print(self.report.summary(), flush=True)
         return uh
+
+    def reset_slip(self) -> None:
+        """Count slip from the undeformed state in the next solve, as in the first one."""
+        self._origin = SlipOrigin.undeformed(self.space, len(self.contacts))
 
     def restore(self, checkpoint: str | os.PathLike[str]) -> int:
         """Go on from a checkpoint that an earlier run of the same problem has written. Collective.
@@ -303,15 +326,18 @@ class ContactProblem:
         if self._solved_before:
             raise InputError("a checkpoint is for a problem that was not solved yet")
         uh = Function(self.space)
-        saved = read_continuation(checkpoint, self.system, owned_values(uh).size)
+        saved = read_continuation(
+            checkpoint, self.system, owned_values(uh).size, len(self.contacts)
+        )
         self._continued, self._solves = saved, saved.solves
+        self._origin = saved.origin
         return saved.solves
 
     def _save(self, uh: Function, passes: Sequence[GeometryPass]) -> None:
         """Write the checkpoint, if there is to be one."""
         if self._checkpoint is not None and self._solver is not None:
             state = self._solver.state
-            saved = Continuation(state, owned_values(uh), self._solves, passes)
+            saved = Continuation(state, owned_values(uh), self._solves, self._origin, passes)
             write_continuation(self._checkpoint, self.system, saved)
 
     def _solve(self, coarse: ContactProblem | None) -> Function:
@@ -369,7 +395,16 @@ class ContactProblem:
             self._matched = match_contacts(self._boundary, contacts, known, prescribed)
             check_depth(self.space, self._bodies, self._matched)
             self._searched = contacts
+            self._rubbing = self._nodal_friction(self._matched, prescribed)
             self._tied = tie_pairs(self._boundary, self.tied, self._tied, prescribed)
+
+    def _nodal_friction(
+        self, matched: Sequence[ContactPairing], prescribed: Prescribed
+    ) -> list[NodalFriction | None]:
+        return [
+            nodal_friction(self.space, contact, match, prescribed)
+            for contact, match in zip(self._searched, matched, strict=True)
+        ]
 
     def _judge_roles(self, torn: Sequence[Subdomain], prescribed: Prescribed) -> None:
         """Exchange slave and master of new pairs where that is better and wanted, or warn."""
@@ -404,16 +439,18 @@ class ContactProblem:
 
     def _torn_system(self, torn: Sequence[Subdomain], prescribed: Prescribed) -> TornSystem:
         gdim = self.space.mesh.geometry.dim
+        rows = contact_rows(self._matched, gdim)
         return TornSystem(
             torn,
             prescribed,
-            contact_rows(self._matched, gdim),
+            rows,
             gdim,
             self._body_names,
             [*(matched.name for matched in self._matched), *(one.name for _, one in self._tied)],
             self.space.mesh.comm,
             [f"Dirichlet condition {i}" for i in range(len(self.bcs))],
             tied_rows([one for _, one in self._tied], gdim, len(self._matched)),
+            friction_rows(self.space, rows, self._matched, self._rubbing, self._origin),
         )
 
     def _refresh(self) -> None:
@@ -421,6 +458,7 @@ class ContactProblem:
         with raise_collectively(self.space.mesh.comm):
             self.bcs, self.contacts = given_conditions(self.bcs), given_contacts(self.contacts)
             self.tied = given_tied(self.tied)
+        self._origin = self._origin.of_contacts(len(self.contacts))
         moved = self._take_moved_mesh()
         prescribed = prescribed_values(self.space, self.bcs)
         self._match_contacts(prescribed)
@@ -458,6 +496,7 @@ class ContactProblem:
         with self._timer.phase("contact search"):
             self._boundary = MeshBoundary.of(self.space)
         self._searched, self._matched, self._moved, self._tied = [], [], [], []
+        self.reset_slip()
         with self._timer.phase("partition"):
             self._parts = self._numbered_parts()
         # last: after an error above, the nodes count as moved in the next solve too
@@ -468,7 +507,11 @@ class ContactProblem:
         self, matched: Sequence[ContactPairing], coarse: ContactProblem | None = None
     ) -> Function:
         rows = contact_rows(matched, self.system.gdim)
-        system = replace(self.system, contacts=rows)
+        rubbing = self._rubbing
+        if matched is not self._matched:
+            rubbing = self._nodal_friction(matched, self.system.prescribed)
+        friction = friction_rows(self.space, rows, matched, rubbing, self._origin)
+        system = replace(self.system, contacts=rows, friction=friction)
         guess = self._guess(coarse, matched)
         start = None if self._continued is None else self._continued.state
         solver = self.options.solver
@@ -479,10 +522,10 @@ class ContactProblem:
         except (NotConverged, Interrupted) as error:
             if error.solution is None:
                 raise
-            error.solution = self._take(error.solution, matched)
+            error.solution = self._take(error.solution, matched, rubbing)
             error.report = self.report
             raise
-        return self._take(solution, matched)
+        return self._take(solution, matched, rubbing)
 
     def _solve_exactly(self, coarse: ContactProblem | None) -> Function:
         """Repeat with normals, gaps and partners of the deformed surfaces, sec. 11.1, 11.11.2."""
@@ -546,7 +589,12 @@ class ContactProblem:
             )
         return uh
 
-    def _take(self, solution: TornSolution, matched: Sequence[ContactPairing]) -> Function:
+    def _take(
+        self,
+        solution: TornSolution,
+        matched: Sequence[ContactPairing],
+        rubbing: Sequence[NodalFriction | None],
+    ) -> Function:
         versions = {**solution.report.versions, "dolfinx": _compat.version()}
         pairing = self._pairing_entries()
         self.report = ContactReport(
@@ -557,12 +605,25 @@ class ContactProblem:
             },
             pairing=pairing,
         )
-        ends = np.cumsum([match.slave.size for match in self._matched])[:-1]
-        forces = np.split(solution.normal_force, ends)
+        forces = _split(solution.normal_force, [match.slave.size for match in matched])
+        sizes = [0 if one is None else one.bound.size for one in rubbing]
+        of_friction = zip(
+            _split(solution.tangential_force, sizes),
+            _split(solution.slip, sizes),
+            _split(solution.sticking, sizes),
+            strict=True,
+        )
         self.contact = [
             # the gap of the undeformed surfaces, with the normal that the force acts along
-            _contact_result(_with_gap_of(match, first), force, self.space.mesh.comm)
-            for match, first, force in zip(matched, self._matched, forces, strict=False)
+            _contact_result(
+                _with_gap_of(match, first),
+                force,
+                friction_result(one, match, *values),
+                self.space.mesh.comm,
+            )
+            for match, first, force, one, values in zip(
+                matched, self._matched, forces, rubbing, of_friction, strict=True
+            )
         ]
         self._used = list(matched)
         self._displacement = displacement_function(
@@ -589,8 +650,17 @@ def _with_gap_of(match: ContactPairing, first: ContactPairing) -> ContactPairing
     return replace(match, gap=gap)
 
 
+def _split(values: NDArray[Any], sizes: Sequence[int]) -> list[NDArray[Any]]:
+    """Split rows into parts of these sizes."""
+    parts: list[NDArray[Any]] = np.split(values, np.cumsum([0, *sizes])[1:])[: len(sizes)]
+    return parts
+
+
 def _contact_result(
-    matched: ContactPairing, force: NDArray[np.float64], comm: MPI.Intracomm
+    matched: ContactPairing,
+    force: NDArray[np.float64],
+    friction: FrictionResult | None,
+    comm: MPI.Intracomm,
 ) -> ContactResult:
     return ContactResult(
         matched.name,
@@ -602,5 +672,6 @@ def _contact_result(
         pressure=force / matched.area,
         active=force > 0.0,
         area=matched.area,
+        friction=friction,
         comm=comm,
     )

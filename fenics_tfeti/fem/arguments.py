@@ -16,6 +16,7 @@ from dolfinx.fem import Constant, Function, FunctionSpace
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import Contact, ContactPair, RigidObstacle, contact_name
+from fenics_tfeti.fem.contact.friction import check_friction
 from fenics_tfeti.fem.contact.tied import TiedPair, tied_name
 
 __all__ = [
@@ -84,7 +85,8 @@ def given_contacts(contacts: Any) -> list[Contact]:
     Raises
     ------
     InputError
-        With the first thing that is no contact, or a contact's tags or obstacle that are none.
+        With the first thing that is no contact, or a contact's tags, obstacle or friction that are
+        none.
     """
     found = _listed(contacts, _is_contact, "contacts", "ContactPair or RigidObstacle")
     for number, contact in enumerate(found):
@@ -182,6 +184,14 @@ def _check_contact(contact: Contact, name: str) -> None:
         raise InputError(
             f"{name}: the obstacle is a {type(contact.obstacle).__name__}; a function of x that "
             "returns (gap, normal) or the gap is expected, such as Plane(point, normal)"
+        )
+    check_friction(contact.friction, name)
+    moves = isinstance(contact, RigidObstacle) and contact.displacement is not None
+    if moves and contact.friction is None:
+        raise InputError(
+            f"{name}: the obstacle's displacement has no effect without friction: leave it out, or "
+            "give friction=Tresca(slip_bound). Gaps to a moving obstacle are those that its "
+            "function returns"
         )
 
 

@@ -169,10 +169,13 @@ class Report:
         lines = {
             "unknowns": f"{unknowns['primal']}, in {self.subdomains} subdomains",
             "contact": f"{unknowns['active']} of {unknowns['inequalities']} rows active",
+            "friction": f"{unknowns['sticking']} of {unknowns['friction']} nodes stick",
             "products with F": f"{products['total']}, and {products['norm']} for its norm",
             "error": f"at most {self.certificate.worst:.1e}, relative, in the energy norm",
             "time": f"{self.seconds['total']:.2f} s, MPI ranks: {self.ranks}",
         }
+        if not unknowns["friction"]:
+            del lines["friction"]
         rows = list(lines.items())
         rows += [
             ("force on slave", f"{format_point(r.force)} of {r.name!r}") for r in self.on_slaves

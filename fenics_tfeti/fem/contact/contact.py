@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.friction import FrictionLaw
 from fenics_tfeti.fem.contact.obstacles import Obstacle
 from fenics_tfeti.fem.contact.surfaces.tagged import GivenNormal, Surface
 from fenics_tfeti.parallel import concatenate_ranks
@@ -21,6 +22,7 @@ __all__ = [
     "ContactPair",
     "ContactPairing",
     "ContactResult",
+    "FrictionResult",
     "InitialGap",
     "MortarTerms",
     "RigidObstacle",
@@ -92,6 +94,9 @@ class ContactPair:
         ``r``, with ``r = SpatialCoordinate(mesh)[0]``, in axisymmetric forms, the thickness in
         forms of a thin sheet. By default 1. Mortar conditions integrate with it, linearly
         interpolated between the nodes of a facet.
+    friction : Tresca, optional
+        The law of friction; by default there is none. In load steps slip is counted from the end of
+        the last solve.
     """
 
     facet_tags: Any
@@ -108,6 +113,7 @@ class ContactPair:
     discretisation: Literal["auto", "node_to_node", "mortar"] = "auto"
     initial_gap: InitialGap = "geometric"
     roles: Literal["given", "auto"] = "given"
+    friction: FrictionLaw | None = None
 
 
 @dataclass(frozen=True)
@@ -129,6 +135,12 @@ class RigidObstacle:
         For messages and the report.
     measure_weight : UFL expression or number, optional
         Factor of ``ds`` in the forms, see `ContactPair`. By default 1.
+    friction : Tresca, optional
+        The law of friction; by default there is none.
+    displacement : (gdim,) array-like or callable, optional
+        How far the obstacle has moved at each point since the undeformed state [m], for friction:
+        slip is relative to the obstacle. A callable gets x (3, n) and returns (gdim, n). By default
+        the obstacle is at rest. Where it moves along its normal, `obstacle` has to say so too.
     """
 
     facet_tags: Any
@@ -136,6 +148,8 @@ class RigidObstacle:
     obstacle: Obstacle
     name: str = ""
     measure_weight: Any = None
+    friction: FrictionLaw | None = None
+    displacement: VectorField | None = None
 
 
 Contact = ContactPair | RigidObstacle
@@ -244,6 +258,42 @@ class ContactPairing:
 
 
 @dataclass(frozen=True)
+class FrictionResult:
+    """Friction at the nodes of a `ContactResult`.
+
+    Attributes
+    ----------
+    force : (k, gdim) array
+        Friction force on the slave, in the units of the normal force [N].
+    traction : (k, gdim) array
+        The force over the area that belongs to the node [Pa].
+    bound : (k,) array
+        Slip bound: the force at which the node slips [N].
+    slip : (k, gdim) array
+        Tangential displacement of the slave relative to the master or obstacle since the last
+        solve, in the direction opposite to the force [m]; zero where it sticks.
+    sticking : (k,) bool array
+        Whether the force is below its bound.
+    work : (k,) array
+        Work that friction dissipates since the last solve: force times slip [J].
+    """
+
+    force: Vector
+    traction: Vector
+    bound: Vector
+    slip: Vector
+    sticking: NDArray[np.bool_]
+    work: Vector
+
+    @property
+    def state(self) -> Numbers:
+        """1 where a node sticks, 2 where it slips, 0 where friction has no force, (k,)."""
+        slipping = ~self.sticking & (self.bound > 0.0) & self.force.any(axis=1)
+        states: Numbers = self.sticking + 2 * slipping.astype(np.int64)
+        return states
+
+
+@dataclass(frozen=True)
 class ContactResult:
     """The solution at the slave nodes that this rank owns.
 
@@ -271,6 +321,8 @@ class ContactResult:
     area : (k,) array
         The area by which the normal force is divided [m^2; m in 2D]. With mortar conditions that of
         the covered part of the surface around the node.
+    friction : FrictionResult or None
+        Friction forces and slips; None for a contact without friction.
     comm : MPI.Intracomm
         The ranks.
     """
@@ -284,12 +336,26 @@ class ContactResult:
     pressure: Vector
     active: NDArray[np.bool_]
     area: Vector
+    friction: FrictionResult | None = None
     comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF, repr=False)
 
     def gather(self) -> ContactResult:
         """Return the nodes of all ranks, by node number, on every rank. Collective."""
-        names = [f.name for f in fields(self) if f.name not in ("name", "comm")]
-        columns = [concatenate_ranks(self.comm, getattr(self, name)) for name in names]
-        order = np.argsort(columns[0])
-        whole: dict[str, Any] = {n: c[order] for n, c in zip(names, columns, strict=True)}
+        order = np.argsort(concatenate_ranks(self.comm, self.nodes))
+        whole = _gathered(self, self.comm, order)
+        if self.friction is not None:
+            rubbing = _gathered(self.friction, self.comm, order)
+            whole["friction"] = replace(self.friction, **rubbing)
         return replace(self, comm=MPI.COMM_SELF, **whole)
+
+
+def _gathered(
+    result: ContactResult | FrictionResult, comm: MPI.Intracomm, order: Numbers
+) -> dict[str, Any]:
+    """Return the arrays of all ranks, in an order. Collective."""
+    arrays = {f.name: getattr(result, f.name) for f in fields(result)}
+    return {
+        name: concatenate_ranks(comm, array)[order]
+        for name, array in arrays.items()
+        if isinstance(array, np.ndarray)
+    }

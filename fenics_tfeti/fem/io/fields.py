@@ -250,7 +250,9 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
         report, where it is covered wholly; where the slave sticks out of the master, the sum of
         ``pressure * area`` of the `ContactResult` is. They are of degree 1: for displacements of
         degree 2 as well, contact is at the vertices. Some versions of dolfinx compile no form of a
-        field whose name has spaces.
+        field whose name has spaces. Where a contact has friction also "friction_traction" [Pa], on
+        the slave, and "slip" [m], vectors, and "friction_state": 1 where a node sticks, 2 where it
+        slips, 0 where friction has no force.
     """
     scalar = _compat.lagrange_space(space.mesh, 1)
     pressure, gap = Function(scalar, name="contact_pressure"), Function(scalar, name="initial_gap")
@@ -264,6 +266,8 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
     to_vector[vertex_nodes(space)] = vertex_nodes(vector)
     first = space.dofmap.index_map.local_range[0]
     finite, infinite = (np.zeros(len(gap.x.array), dtype=bool) for _ in range(2))
+    traction, slip = (Function(vector, name=name) for name in ("friction_traction", "slip"))
+    state = Function(scalar, name="friction_state")
     for contact in contacts:
         nodes = contact.nodes - first
         at = to_scalar[nodes]
@@ -273,7 +277,14 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
         finite[at[there]], infinite[at[~there]] = True, True
         components = block * to_vector[nodes][:, None] + np.arange(block)
         force.x.array[components] -= contact.normal_force[:, None] * contact.normal
+        if contact.friction is not None:
+            traction.x.array[components] += contact.friction.traction
+            slip.x.array[components] += contact.friction.slip
+            state.x.array[at] = np.maximum(state.x.array[at], contact.friction.state)
     gap.x.array[infinite & ~finite] = np.nan
-    for field in (pressure, gap, force):
+    found = [pressure, force, gap]
+    if any(contact.friction is not None for contact in contacts):
+        found += [traction, slip, state]
+    for field in found:
         field.x.scatter_forward()
-    return [pressure, force, gap]
+    return found

@@ -76,11 +76,13 @@ def _verdict(report: Mapping[str, Any], title: str) -> str:
     kind = "verdict" if report["converged"] else "verdict open"
     error = _number(report["certificate"]["error"])
     unknowns, products = report["unknowns"], report["products"]
+    friction = f"{unknowns['sticking']} of {unknowns['friction']} nodes stick"
     facts = [
         ("result", report["reason"]),
         ("error of the displacement", f"at most {error}, relative, in the energy norm"),
         ("unknowns", f"{unknowns['primal']} in {report['subdomains']} subdomains"),
         ("contact", f"{unknowns['active']} of {unknowns['inequalities']} conditions active"),
+        *([("friction", friction)] if unknowns["friction"] else []),
         ("products with F", products["total"]),
         ("time", f"{report['seconds']['total']:.3g} s, MPI ranks: {report['ranks']}"),
         ("potential energy", f"{_number(report['energy'])} J"),
@@ -108,9 +110,13 @@ def _contacts(report: Mapping[str, Any]) -> list[str]:
         return []
     rows: list[Sequence[Any]] = [("contact", "normal force [N]", "force on the slave [N]", "pairs")]
     pairs = [entry["pairs"] for entry in report["pairing"]] or [""] * len(names)
-    columns = (names, report["contact_force"], report["contact_forces"], pairs)
-    for name, force, vector, count in zip(*columns, strict=False):
-        rows.append((name, _number(force), ", ".join(map(_number, vector)), count))
+    work: list[tuple[str, ...]] = [()] * len(names)
+    if report["unknowns"]["friction"]:
+        rows = [(*rows[0], "work of friction [J]")]
+        work = [(_number(value),) for value in report["friction_work"]]
+    columns = (names, report["contact_force"], report["contact_forces"], pairs, work)
+    for name, force, vector, count, dissipated in zip(*columns, strict=False):
+        rows.append((name, _number(force), ", ".join(map(_number, vector)), count, *dissipated))
     return ["<h2>Contact</h2>", f'<div class="wide">{_table(rows, head=True)}</div>']
 
 
@@ -124,7 +130,9 @@ def _iterations(report: Mapping[str, Any]) -> list[str]:
 def _certificate(report: Mapping[str, Any]) -> list[str]:
     certificate, rtol = report["certificate"], report["options"]["rtol"]
     rows: list[Sequence[Any]] = [("", f"relative; at most rtol = {_number(rtol)}")]
-    names = ("error", "equilibrium", "penetration", "smallest_force", "complementarity")
+    names = ["error", "equilibrium", "penetration", "smallest_force", "complementarity"]
+    if report["unknowns"]["friction"]:
+        names += ["friction_excess", "slip_below_bound", "slip_across_force"]
     rows += [(name.replace("_", " "), _number(certificate[name])) for name in names]
     rows += [
         (f"error of {', '.join(group['bodies'])}", _number(group["error"]))

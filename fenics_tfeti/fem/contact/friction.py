@@ -1,0 +1,173 @@
+"""Laws of friction as users give them, and their values at the nodes of a contact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dolfinx.fem import Function, FunctionSpace
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.topology import vertex_nodes
+from fenics_tfeti.fem.user_data import evaluate
+from fenics_tfeti.parallel import raise_collectively
+
+__all__ = ["FrictionLaw", "Tresca", "check_friction", "values_at_nodes"]
+
+Vector = NDArray[np.float64]
+# or a Function
+NodalValue = float | Callable[[Vector], ArrayLike] | Any
+
+
+@dataclass(frozen=True)
+class Tresca:
+    """Friction with a given bound: the tangential traction is at most the slip bound.
+
+    It acts at all nodes that may touch, whether they are pressed or not.
+
+    Attributes
+    ----------
+    slip_bound : float, callable or dolfinx.fem.Function
+        Largest tangential traction [Pa]: a number, a function of x (3, n) [m] that returns (n,), or
+        values at the nodes: a scalar Function of degree 1 on the mesh. With the `measure_weight` of
+        the contact it becomes the largest nodal force.
+
+    Examples
+    --------
+    >>> Tresca(slip_bound=2e6)
+    Tresca(slip_bound=2000000.0)
+    """
+
+    slip_bound: NodalValue
+
+
+FrictionLaw: TypeAlias = Tresca
+
+
+def check_friction(given: Any, name: str) -> None:
+    """Check a law of friction, as far as its numbers do not depend on the mesh.
+
+    Parameters
+    ----------
+    given : Tresca or None
+        What the user gave as `friction` of a contact.
+    name : str
+        Name of the contact.
+
+    Raises
+    ------
+    InputError
+        What is no law of friction, or a bound that is no number at least 0, function of x or
+        Function.
+    """
+    if given is None:
+        return
+    if not isinstance(given, FrictionLaw):
+        raise InputError(
+            f"{name}: friction is a {type(given).__name__}; Tresca(slip_bound) or None is expected"
+        )
+    what, value = _value(given)
+    if callable(value) or isinstance(value, Function):
+        return
+    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not number or not 0.0 <= float(value) < np.inf:
+        raise InputError(
+            f"{name}: {what} is {value!r}; a finite number, at least 0, a function x (3, n) -> "
+            "(n,) or a scalar Function of degree 1 is expected"
+        )
+
+
+def values_at_nodes(
+    space: FunctionSpace, law: FrictionLaw, nodes: NDArray[np.int64], points: Vector, name: str
+) -> Vector:
+    """Return a law's bound at nodes that this rank owns. Collective.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    law : Tresca
+        The law, checked by `check_friction`.
+    nodes : (k,) integer array
+        Global nodes of the space, at vertices.
+    points : (k, 3) array
+        Their coordinates [m].
+    name : str
+        Name of the contact.
+
+    Returns
+    -------
+    (k,) array
+        At least 0.
+
+    Raises
+    ------
+    InputError
+        On all ranks: a wrong shape, values that are negative, NaN or infinite, a Function on
+        another mesh or of another element, an exception of the user's function.
+    """
+    what, given = _value(law)
+    what = f"{name}: {what}"
+    with raise_collectively(space.mesh.comm):
+        if isinstance(given, Function):
+            values = _nodal_values(space, given, nodes, what)
+        elif callable(given):
+            values = _evaluated(given, points, what)
+        else:
+            values = np.full(nodes.size, float(given))
+    raise_where(
+        space.mesh.comm,
+        ~(np.isfinite(values) & (values >= 0.0)),
+        points[:, : space.dofmap.index_map_bs],
+        lambda number, place: (
+            f"{what} is negative, NaN or infinite at {number} nodes, the first at {place}"
+        ),
+    )
+    return values
+
+
+def _value(law: FrictionLaw) -> tuple[str, Any]:
+    """Return name and value of a law's bound."""
+    return "slip_bound", law.slip_bound
+
+
+def _evaluated(given: Callable[[Vector], ArrayLike], points: Vector, what: str) -> Vector:
+    if not len(points):
+        # a user's function may fail for no points
+        return np.zeros(0)
+    values = evaluate(given, points, what)
+    try:
+        values = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{what} has to return numbers, one for each point") from None
+    if values.shape != (len(points),):
+        raise InputError(
+            f"{what} returned shape {values.shape} for points of shape (3, {len(points)}); "
+            f"({len(points)},) is expected"
+        )
+    return values
+
+
+def _nodal_values(
+    space: FunctionSpace, given: Function, nodes: NDArray[np.int64], what: str
+) -> Vector:
+    own = given.function_space
+    if own.mesh is not space.mesh:
+        raise InputError(f"{what} is a Function on another mesh than the displacement")
+    family, degree, shape = _compat.element_facts(own)
+    if (family, degree) != ("Lagrange", 1) or shape:
+        raise InputError(
+            f"{what} is a Function of {family} elements of degree {degree} and shape {shape}; a "
+            "scalar one of Lagrange elements of degree 1 is expected"
+        )
+    # the two spaces may number their nodes differently
+    dofs = np.zeros(int(_compat.cell_dofs(space).max(initial=-1)) + 1, dtype=np.int64)
+    dofs[vertex_nodes(space)] = vertex_nodes(own)
+    values: Vector = given.x.array[dofs[nodes - space.dofmap.index_map.local_range[0]]]
+    return values

@@ -1,0 +1,289 @@
+"""Friction at the conditions of contacts: tangents, bounds, and from where slip is counted.
+
+Slip is the tangential displacement of the slave relative to the master or obstacle since the last
+load step. With the tangential row T of a condition and the displacement u_0 at the end of that step
+it is T(u - u_0), less what the obstacle has moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx.fem import FunctionSpace
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.contact import (
+    Contact,
+    ContactPairing,
+    FrictionResult,
+    RigidObstacle,
+)
+from fenics_tfeti.fem.contact.friction import values_at_nodes
+from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
+from fenics_tfeti.fem.user_data import vectors_at
+from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed
+from fenics_tfeti.parallel import raise_collectively, values_of_owners
+
+__all__ = [
+    "NodalFriction",
+    "SlipOrigin",
+    "friction_result",
+    "friction_rows",
+    "moved_obstacles",
+    "nodal_friction",
+    "obstacle_motion",
+    "tangents",
+]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# squared length of the tangential part of a prescribed direction that counts as none
+_NORMAL_ONLY = 1e-12
+
+
+@dataclass(frozen=True)
+class SlipOrigin:
+    """The state from which slip is counted: the end of the last load step.
+
+    Attributes
+    ----------
+    displacement : (n,) array
+        At the degrees of freedom that this rank owns [m].
+    obstacles : (contacts, n) array
+        What each obstacle had moved at the slave's nodes, zero elsewhere [m].
+    """
+
+    displacement: Vector
+    obstacles: Vector
+
+    @staticmethod
+    def undeformed(space: FunctionSpace, contacts: int) -> SlipOrigin:
+        """Return the state without displacements."""
+        size = space.dofmap.index_map_bs * space.dofmap.index_map.size_local
+        return SlipOrigin(np.zeros(size), np.zeros((contacts, size)))
+
+    def of_contacts(self, contacts: int) -> SlipOrigin:
+        """Return the state for another number of contacts; further ones have not moved."""
+        obstacles = np.zeros((contacts, self.displacement.size))
+        known = min(contacts, len(self.obstacles))
+        obstacles[:known] = self.obstacles[:known]
+        return SlipOrigin(self.displacement, obstacles)
+
+
+@dataclass(frozen=True)
+class NodalFriction:
+    """Friction at the conditions of one contact, this rank's part.
+
+    Attributes
+    ----------
+    tangents : (k, gdim - 1, gdim) array
+        Orthonormal tangents.
+    bound : (k,) array
+        Slip bound [N].
+    moved : (k, gdim) array
+        What the obstacle has moved [m]; zero for pairs.
+    """
+
+    tangents: Vector
+    bound: Vector
+    moved: Vector
+
+
+def tangents(normal: Vector, prescribed: Mask) -> Vector:
+    """Return orthonormal tangents (k, gdim - 1, gdim) at nodes with unit normals (k, gdim).
+
+    Where components are prescribed, one tangent is along the tangential part of such a direction: a
+    plane of symmetry then decides the slip along one tangent and leaves the other free.
+
+    Examples
+    --------
+    >>> normal = np.array([[0.0, 0.0, -1.0]])
+    >>> np.abs(tangents(normal, np.array([[False, True, False]])))[0].tolist()
+    [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
+    """
+    k, gdim = normal.shape
+    if gdim == 2:
+        return np.stack([-normal[:, 1], normal[:, 0]], axis=1)[:, None, :]
+    along2 = 1.0 - normal**2
+    axis = np.argmax(along2 + 2.0 * (prescribed & (along2 > _NORMAL_ONLY)), axis=1)
+    first = np.identity(3)[axis] - normal[np.arange(k), axis][:, None] * normal
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    both: Vector = np.stack([first, np.cross(normal, first)], axis=1)
+    return both
+
+
+def nodal_friction(
+    space: FunctionSpace, contact: Contact, pairing: ContactPairing, prescribed: Prescribed
+) -> NodalFriction | None:
+    """Evaluate the friction of a contact at its conditions; None without friction. Collective.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    contact : ContactPair or RigidObstacle
+        The contact.
+    pairing : ContactPairing
+        Its conditions.
+    prescribed : Prescribed
+        Prescribed displacements of this rank's nodes.
+
+    Raises
+    ------
+    InputError
+        On all ranks, for wrong values of the user's functions.
+    """
+    if contact.friction is None:
+        return None
+    nodes, points, name = pairing.slave, pairing.coordinates, pairing.name
+    bound = values_at_nodes(space, contact.friction, nodes, points, name)
+    at = np.searchsorted(pairing.surface.nodes, nodes)
+    held = prescribed_components(pairing.surface, prescribed)[at]
+    return NodalFriction(
+        tangents(pairing.normal, held),
+        bound * pairing.area,
+        obstacle_motion(space, contact, points, name),
+    )
+
+
+def obstacle_motion(space: FunctionSpace, contact: Contact, points: Vector, name: str) -> Vector:
+    """Return what an obstacle has moved at points (k, 3), (k, gdim) [m]. Collective.
+
+    Raises
+    ------
+    InputError
+        On all ranks: a wrong shape, NaN or infinite values, an exception of the user's function.
+    """
+    gdim = space.dofmap.index_map_bs
+    given: Any = contact.displacement if isinstance(contact, RigidObstacle) else None
+    what = f"{name}: the obstacle's displacement"
+    if callable(given):
+        return vectors_at(space.mesh.comm, given, points, gdim, what)
+    with raise_collectively(space.mesh.comm):
+        try:
+            values = np.asarray(np.zeros(gdim) if given is None else given, dtype=float)
+        except (TypeError, ValueError):
+            values = np.zeros(0)
+        if values.shape != (gdim,) or not np.isfinite(values).all():
+            raise InputError(
+                f"{what} is {given!r}; {gdim} finite numbers [m] or a function x (3, n) -> "
+                f"({gdim}, n) is expected"
+            )
+    return np.tile(values, (len(points), 1))
+
+
+def friction_rows(
+    space: FunctionSpace,
+    rows: ContactRows,
+    pairings: Sequence[ContactPairing],
+    friction: Sequence[NodalFriction | None],
+    origin: SlipOrigin,
+) -> Friction:
+    """Return where the contact rows have friction, and from where slip is counted. Collective.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    rows : ContactRows
+        The conditions of all contacts, one contact after the other.
+    pairings : sequence of ContactPairing
+        The contacts.
+    friction : sequence of NodalFriction or None
+        Of each contact.
+    origin : SlipOrigin
+        The end of the last load step.
+    """
+    gdim = space.dofmap.index_map_bs
+    first = np.cumsum([0, *(pairing.slave.size for pairing in pairings)])
+    parts = [
+        (start + np.arange(pairing.slave.size), one, pairing, before)
+        for start, pairing, one, before in zip(
+            first[:-1], pairings, friction, origin.obstacles, strict=True
+        )
+        if one is not None
+    ]
+    if not parts:
+        return Friction.none(gdim)
+    new = Friction(
+        np.concatenate([at for at, *_ in parts]),
+        np.concatenate([one.tangents for _, one, *_ in parts]),
+        np.concatenate([one.bound for _, one, *_ in parts]),
+    )
+    tangential = new.tangential_rows(rows)
+    slip = _row_values(space, tangential, origin.displacement).reshape(-1, gdim - 1)
+    slip /= tangential.length.reshape(-1, gdim - 1)
+    first_node = space.dofmap.index_map.local_range[0]
+    moved = np.concatenate(
+        [
+            one.moved - before.reshape(-1, gdim)[pairing.slave - first_node]
+            for _, one, pairing, before in parts
+        ]
+    )
+    return replace(new, slip=slip + np.einsum("kta,ka->kt", new.tangents, moved))
+
+
+def _row_values(space: FunctionSpace, rows: ContactRows, displacement: Vector) -> Vector:
+    """Return sum_k c_k'u(node_k) of rows whose nodes may be on any rank. Collective."""
+    index_map, gdim = space.dofmap.index_map, space.dofmap.index_map_bs
+    nodes = np.unique(rows.nodes)
+    values = displacement.reshape(-1, gdim)
+    found = values_of_owners(space.mesh.comm, index_map.local_range, values, nodes)
+    terms = np.sum(rows.coefficients * found[np.searchsorted(nodes, rows.nodes)], axis=1)
+    sums = np.zeros(rows.size)
+    np.add.at(sums, rows.row, terms)
+    return sums
+
+
+def moved_obstacles(
+    space: FunctionSpace,
+    pairings: Sequence[ContactPairing],
+    friction: Sequence[NodalFriction | None],
+) -> Vector:
+    """Return what each obstacle has moved at the slave's nodes, as in `SlipOrigin`."""
+    gdim, index_map = space.dofmap.index_map_bs, space.dofmap.index_map
+    moved = np.zeros((len(pairings), index_map.size_local, gdim))
+    for values, pairing, one in zip(moved, pairings, friction, strict=True):
+        if one is not None:
+            values[pairing.slave - index_map.local_range[0]] = one.moved
+    return moved.reshape(len(pairings), -1)
+
+
+def friction_result(
+    friction: NodalFriction | None,
+    pairing: ContactPairing,
+    force: Vector,
+    slip: Vector,
+    sticking: Mask,
+) -> FrictionResult | None:
+    """Return the results of friction at the conditions of a contact; None without friction.
+
+    Parameters
+    ----------
+    friction : NodalFriction or None
+        The friction of the contact.
+    pairing : ContactPairing
+        Its conditions.
+    force, slip : (k, gdim - 1) arrays
+        Friction forces on the slave against the tangents [N], and slips along them [m].
+    sticking : (k,) bool array
+        Where the force is below its bound.
+    """
+    if friction is None:
+        return None
+    on_slave = -np.einsum("kt,kta->ka", force, friction.tangents)
+    return FrictionResult(
+        force=on_slave,
+        traction=on_slave / pairing.area[:, None],
+        bound=friction.bound,
+        slip=np.einsum("kt,kta->ka", slip, friction.tangents),
+        sticking=sticking,
+        work=np.sum(force * slip, axis=1),
+    )

@@ -1,0 +1,277 @@
+"""Tangents, slip from the last load step, moving obstacles, results and fields."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from friction_scenes import SLAVE, pushed_cube
+from scenes import elasticity
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactProblem, InputError, Plane, RigidObstacle, Tresca
+from fenics_tfeti.fem.contact.slip import tangents
+from fenics_tfeti.io import contact_fields
+
+
+@pytest.mark.parametrize("held", [(), (0,), (1,), (2,), (0, 1), (0, 1, 2)])
+def test_tangents_are_orthonormal_and_along_what_is_held(held):
+    rng = np.random.default_rng(1)
+    normal = np.concatenate([rng.normal(size=(20, 3)), np.identity(3), -np.identity(3)])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    prescribed = np.zeros(normal.shape, dtype=bool)
+    prescribed[:, held] = True
+    found = tangents(normal, prescribed)
+    frames = np.concatenate([normal[:, None], found], axis=1)
+    np.testing.assert_allclose(
+        frames @ frames.transpose(0, 2, 1), np.tile(np.identity(3), (len(normal), 1, 1)), atol=1e-12
+    )
+    for k in held:
+        # the other tangent has no part of a held direction across the normal
+        across = np.abs(normal[:, k]) < 1e-12
+        parts = np.sort(np.abs(found[across][:, :, k]), axis=1)
+        np.testing.assert_allclose(parts, np.tile([0.0, 1.0], (len(parts), 1)), atol=1e-12)
+
+
+def test_tangents_in_the_plane():
+    normal = np.array([[0.0, -1.0], [0.6, 0.8]])
+    found = tangents(normal, np.zeros((2, 2), dtype=bool))[:, 0]
+    np.testing.assert_allclose(np.sum(found * normal, axis=1), 0.0, atol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0)
+
+
+# -- sequences of loads ---------------------------------------------------------------------------
+
+
+@pytest.fixture(params=[None, 4], ids=["ground", "mortar"])
+def pushed(request):
+    scene = pushed_cube("triangle", 5, request.param, friction=Tresca(0.035))
+    return scene, scene.problem.solve()
+
+
+def test_slip_is_counted_from_the_last_solve(pushed):
+    """The same load again slips nothing; after a reset it is the first step once more."""
+    scene, first = pushed
+    problem = scene.problem
+    u, slip = first.x.array.copy(), problem.contact[0].friction.slip
+    assert np.abs(slip).max() > 0.0
+    again = problem.solve()
+    np.testing.assert_allclose(again.x.array, u, atol=1e-6 * np.abs(u).max())
+    assert np.abs(problem.contact[0].friction.slip).max() <= 1e-6 * np.abs(slip).max()
+    assert problem.report.friction_work[0] <= 1e-6 * np.abs(slip).max()
+    problem.reset_slip()
+    anew = problem.solve()
+    np.testing.assert_allclose(anew.x.array, u, atol=1e-6 * np.abs(u).max())
+    np.testing.assert_allclose(
+        problem.contact[0].friction.slip, slip, atol=1e-6 * np.abs(slip).max()
+    )
+
+
+def test_friction_keeps_what_has_slipped(pushed):
+    """Without the push the body does not go back all the way, and friction turns round."""
+    scene, first = pushed
+    scene.traction.value[0] = 0.0
+    back = scene.problem.solve()
+    assert np.abs(back.x.array).max() > 1e-3 * np.abs(first.x.array).max()
+    force = scene.problem.contact[0].friction.force
+    assert force[:, 0].sum() == pytest.approx(0.0, abs=1e-9)
+    assert force[:, 0].max() > 1e-3
+    assert force[:, 0].min() < -1e-3
+
+
+def test_step_that_does_not_converge_is_no_step():
+    scene = pushed_cube(
+        "triangle",
+        5,
+        friction=Tresca(0.035),
+        options={"rtol": 1e-8, "max_products": 2, "error_if_not_converged": False},
+    )
+    scene.problem.solve()
+    assert not scene.problem.report.converged
+    assert not scene.problem._origin.displacement.any()
+
+
+def test_moved_mesh_counts_slip_anew(pushed):
+    scene, _ = pushed
+    mesh = scene.problem.space.mesh
+    mesh.geometry.x[:, 0] *= 1.0 + 1e-9
+    scene.problem.solve()
+    assert np.abs(scene.problem.contact[0].friction.slip).max() > 0.0
+
+
+def test_checkpoint_has_the_origin_of_slip(tmp_path, pushed):
+    """A run that goes on counts slip from where the other one stopped."""
+    scene, _ = pushed
+    scene.traction.value[0] = 0.01
+    scene.problem.solve(checkpoint=tmp_path / "step")
+    scene.traction.value[0] = 0.02
+    expected = scene.problem.solve().x.array
+    lower = None if isinstance(scene.problem.contacts[0], RigidObstacle) else 4
+    other = pushed_cube("triangle", 5, lower, friction=Tresca(0.035), push=(0.02, 0.0))
+    assert other.problem.restore(tmp_path / "step") == 2
+    found = other.problem.solve().x.array
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        other.problem.contact[0].friction.slip, scene.problem.contact[0].friction.slip, atol=1e-7
+    )
+
+
+# -- moving obstacles -----------------------------------------------------------------------------
+
+
+def held_square(displacement, held: float = 0.0):
+    """Return a square that is pressed on a plane, its top held at a displacement sideways."""
+    scene = pushed_cube("quadrilateral", 4)
+    V, tags = scene.problem.space, scene.tags
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    top = fem.Constant(V.mesh, np.array([held, -0.01]))
+    dofs = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 1.0))
+    plane = RigidObstacle(
+        tags, SLAVE, Plane((0, 0), (0, 1)), friction=Tresca(0.003), displacement=displacement
+    )
+    supports = [fem.dirichletbc(top, dofs, V)]
+    options = {"rtol": 1e-9}
+    return ContactProblem(elasticity(u, v, 1.0), 0, supports, [plane], options=options), top
+
+
+@pytest.fixture(scope="module")
+def conveyor():
+    """Return friction of two steps with a moving plane, and with a body that moves the other way.
+
+    In the second step the plane goes back by half.
+    """
+    way = [0.0]
+    problem, _ = held_square(lambda x: np.stack([np.full(x.shape[1], way[0]), 0.0 * x[1]]))
+    other, top = held_square(None)
+    steps = []
+    for moved in (0.04, 0.02):
+        way[0] = moved
+        problem.solve()
+        top.value[0] = -moved
+        other.solve()
+        steps.append((problem.contact[0].friction, other.contact[0].friction))
+    return steps
+
+
+def test_slip_is_relative_to_the_obstacle(conveyor):
+    """A plane that moves to the right is a body that moves to the left."""
+    for moving, at_rest in conveyor:
+        size = np.abs(at_rest.force).max()
+        np.testing.assert_allclose(moving.force, at_rest.force, atol=1e-6 * size)
+        np.testing.assert_allclose(moving.slip, at_rest.slip, atol=1e-9)
+
+
+def test_obstacle_drags_the_body_along(conveyor):
+    """Forth it slips at all nodes, with the whole bound; back it turns the force."""
+    (first, _), (second, _) = conveyor
+    assert first.force[:, 0].sum() == pytest.approx(0.003, rel=1e-6)
+    assert np.all(first.slip[:, 0] <= 0.0)
+    assert second.force[:, 0].sum() < -0.002
+    assert np.all(second.slip[:, 0] >= 0.0)
+
+
+def test_displacement_may_be_a_vector():
+    problem, _ = held_square((0.04, 0.0))
+    problem.solve()
+    assert problem.contact[0].friction.force[:, 0].sum() == pytest.approx(0.003, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("displacement", "message"),
+    [
+        ((0.1, 0.0, 0.0), r"the obstacle's displacement is .*; 2 finite numbers"),
+        ((np.nan, 0.0), "2 finite numbers"),
+        ("far", "2 finite numbers"),
+        (lambda x: x[0], r"the obstacle's displacement returned shape \(5,\)"),
+        (lambda x: np.full((2, x.shape[1]), np.inf), "displacement is NaN or infinite at 5 points"),
+        (lambda x: 1 / 0, "ZeroDivisionError"),
+    ],
+)
+def test_wrong_displacements_of_obstacles(displacement, message):
+    with pytest.raises(InputError, match=message):
+        held_square(displacement)
+
+
+def test_displacement_without_friction_is_an_error():
+    scene = pushed_cube("triangle", 2)
+    (contact,) = scene.problem.contacts
+    scene.problem.contacts = [replace(contact, friction=None, displacement=(0.1, 0.0))]
+    with pytest.raises(InputError, match="has no effect without friction"):
+        scene.problem.solve()
+
+
+# -- results --------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def solved():
+    scene = pushed_cube("tetrahedron", 3, 2, friction=Tresca(0.037))
+    return scene.problem, scene.problem.solve()
+
+
+def test_fields(solved):
+    """Friction traction on a surface covered wholly integrates to the force."""
+    problem, uh = solved
+    fields = {field.name: field for field in contact_fields(uh.function_space, problem.contact)}
+    assert {"friction_traction", "slip", "friction_state"} < set(fields)
+    tags, comm = problem.contacts[0].facet_tags, uh.function_space.mesh.comm
+    ds = ufl.Measure("ds", domain=uh.function_space.mesh, subdomain_data=tags)
+    for k in range(3):
+        form = fem.form(fields["friction_traction"][k] * ds(SLAVE))
+        total = comm.allreduce(fem.assemble_scalar(form))
+        expected = problem.contact[0].friction.force[:, k].sum()
+        assert total == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    assert set(np.unique(fields["friction_state"].x.array)) == {0.0, 1.0, 2.0}
+    size = np.linalg.norm(problem.contact[0].friction.slip, axis=1).max()
+    found = np.linalg.norm(fields["slip"].x.array.reshape(-1, 3), axis=1).max()
+    assert found == pytest.approx(size, rel=1e-12)
+
+
+def test_contact_without_friction_has_none():
+    scene = pushed_cube("triangle", 3)
+    (contact,) = scene.problem.contacts
+    scene.problem.contacts = [replace(contact, friction=None)]
+    scene.traction.value[0] = 0.0
+    uh = scene.problem.solve()
+    assert scene.problem.contact[0].friction is None
+    assert scene.problem.contact[0].gather().friction is None
+    names = {field.name for field in contact_fields(uh.function_space, scene.problem.contact)}
+    assert "slip" not in names
+    assert "stick" not in scene.problem.report.summary()
+
+
+def test_gathered_results_are_by_node(solved):
+    contact = solved[0].contact[0]
+    whole = contact.gather()
+    order = np.argsort(contact.nodes)
+    np.testing.assert_array_equal(whole.friction.force, contact.friction.force[order])
+    np.testing.assert_array_equal(whole.friction.state, contact.friction.state[order])
+
+
+def test_page_has_friction(tmp_path, solved):
+    problem, _ = solved
+    problem.report.to_html(tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    for words in ("nodes stick", "work of friction [J]", "slip across force"):
+        assert words in text
+
+
+def test_deformed_surfaces_rub(solved):
+    """Passes with exact non-penetration balance the load as well, with the deformed normals."""
+    options = {"rtol": 1e-8, "non_penetration": "exact"}
+    scene = pushed_cube("triangle", 4, 3, friction=Tresca(0.04), young=10.0, options=options)
+    scene.problem.solve()
+    assert scene.problem.report.passes[-1].error <= 1e-3
+    force = scene.problem.report.on_slaves[0].force
+    np.testing.assert_allclose(force, [-0.03, 0.1], rtol=1e-6)
+
+
+def test_displacements_of_degree_2():
+    scene = pushed_cube("triangle", 3, 2, friction=Tresca(0.04), degree=2)
+    scene.problem.solve()
+    found = scene.problem.contact[0].friction
+    assert found.force[:, 0].sum() == pytest.approx(-0.03, rel=1e-8)
+    assert 0 < np.count_nonzero(found.sticking) < found.sticking.size

@@ -1,0 +1,72 @@
+"""Friction of contact problems on several ranks: the solution of one rank; errors on all ranks."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from friction_scenes import pushed_cube
+
+from fenics_tfeti import InputError, Tresca, UnresistedMotion
+
+COMM = MPI.COMM_WORLD
+CASES = {
+    "ground": ("quadrilateral", 4, None),
+    "matching": ("hexahedron", 3, 3),
+    "mortar of triangles": ("triangle", 4, 3),
+    "mortar of tetrahedra": ("tetrahedron", 3, 2),
+}
+
+
+def steps(case, comm):
+    """Push, and let go by half; return the results by place after each step."""
+    scene = pushed_cube(*CASES[case], friction=Tresca(0.037), comm=comm, options={"rtol": 1e-10})
+    found = []
+    for part in (1.0, 0.5):
+        scene.traction.value[0] = 0.03 * part
+        scene.problem.solve()
+        contact = scene.problem.contact[0].gather()
+        order = np.lexsort(np.round(contact.coordinates, 9).T)
+        friction = contact.friction
+        found.append(
+            {
+                "normal force": contact.normal_force[order],
+                "force": friction.force[order],
+                "slip": friction.slip[order],
+                "bound": friction.bound[order],
+                "state": friction.state[order],
+                "work": np.array(scene.problem.report.friction_work),
+            }
+        )
+    return found
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_solution_does_not_depend_on_ranks(case):
+    here, alone = steps(case, COMM), steps(case, MPI.COMM_SELF)
+    sizes = {name: np.abs(values).max() for name, values in alone[0].items()}
+    assert set(alone[0]["state"]) == {1, 2}
+    for found, expected in zip(here, alone, strict=True):
+        for name, values in expected.items():
+            atol = (1e-6 if name == "work" else 1e-8) * sizes[name]
+            np.testing.assert_allclose(found[name], values, rtol=0.0, atol=atol, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        (Tresca(lambda x: x[0] - 0.01), "negative, NaN or infinite at [0-9]+ nodes, the first at"),
+        (Tresca(lambda x: x), "returned shape|slip_bound has to|negative"),
+        (Tresca(-1.0), "slip_bound is -1.0"),
+    ],
+)
+def test_misuse_is_an_error_on_all_ranks(law, message):
+    with pytest.raises(InputError, match=message):
+        pushed_cube("triangle", 6, 5, friction=law, comm=COMM)
+
+
+def test_load_that_friction_cannot_hold_is_an_error_on_all_ranks():
+    scene = pushed_cube("triangle", 6, 5, friction=Tresca(0.025), comm=COMM)
+    with pytest.raises(UnresistedMotion, match=r"which slides .*It would take 1\.2 times"):
+        scene.problem.solve()

@@ -1,0 +1,128 @@
+"""Friction: blocks, and a strip whose slip has a formula."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from friction_scenes import SHEAR_STRENGTH, THICKNESS, pulled_strip, pushed_cube
+
+from fenics_tfeti import Tresca, UnresistedMotion
+
+CASES = {
+    "square on the ground": ("quadrilateral", 6, None),
+    "cube on the ground": ("hexahedron", 3, None),
+    "matching triangles": ("triangle", 5, 5),
+    "mortar of triangles": ("triangle", 5, 4),
+    "matching hexahedra": ("hexahedron", 3, 3),
+    "mortar of tetrahedra": ("tetrahedron", 3, 2),
+}
+
+
+@pytest.fixture(scope="module", params=CASES)
+def rubbing(request):
+    scene = pushed_cube(*CASES[request.param], friction=Tresca(0.037))
+    scene.problem.solve()
+    return scene
+
+
+def test_friction_holds_the_load(rubbing):
+    contact, push = rubbing.problem.contact[0], rubbing.traction.value[:-1]
+    np.testing.assert_allclose(contact.friction.force.sum(axis=0)[:-1], -push, rtol=1e-8)
+    np.testing.assert_allclose(contact.normal_force.sum(), 0.1, rtol=1e-8)
+    on_slave = rubbing.problem.report.on_slaves[0].force
+    np.testing.assert_allclose(on_slave[:-1], -push, rtol=1e-8)
+
+
+def test_conditions_of_friction(rubbing):
+    """At most the bound; nothing slips below it; slip is opposite to the force at it."""
+    found = rubbing.problem.contact[0].friction
+    size, slip = np.linalg.norm(found.force, axis=1), np.linalg.norm(found.slip, axis=1)
+    assert np.all(size <= found.bound * (1.0 + 1e-12))
+    assert 0 < np.count_nonzero(found.sticking) < found.sticking.size
+    assert np.array_equal(found.state, np.where(found.sticking, 1, 2))
+    assert slip[found.sticking].max() <= 1e-6 * slip.max()
+    clear = slip > 1e-4 * slip.max()
+    assert clear.any()
+    cosine = -np.sum(found.force * found.slip, axis=1)[clear] / (size * slip)[clear]
+    np.testing.assert_allclose(cosine, 1.0, atol=1e-6)
+    np.testing.assert_allclose(found.bound.sum(), 0.037, rtol=1e-12)
+    area = rubbing.problem.contact[0].area
+    np.testing.assert_allclose(found.traction * area[:, None], found.force, atol=1e-15)
+
+
+def test_work_of_friction(rubbing):
+    found, report = rubbing.problem.contact[0].friction, rubbing.problem.report
+    work = -np.sum(found.force * found.slip)
+    assert work > 0.0
+    assert found.work.sum() == pytest.approx(work, rel=1e-9)
+    assert report.friction_work == [pytest.approx(work, rel=1e-9)]
+    assert report.unknowns["sticking"] == np.count_nonzero(found.sticking)
+    assert report.unknowns["friction"] == found.sticking.size
+    assert f"{report.unknowns['sticking']} of {found.sticking.size} nodes stick" in report.summary()
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_limit_of_what_friction_holds(case):
+    """Only just less than the push of sqrt(0.03^2 + 0.009^2) on an area of 1."""
+    cell, n, lower = CASES[case]
+    push = 0.03 if cell in ("triangle", "quadrilateral") else np.hypot(0.03, 0.009)
+    # a large pressure: the couple of the push lifts nothing
+    scene = pushed_cube(cell, n, lower, friction=Tresca(push / 0.999), press=1.0)
+    scene.problem.solve()
+    assert scene.problem.report.converged
+    tight = pushed_cube(cell, n, lower, friction=Tresca(push / 1.001), press=1.0)
+    with pytest.raises(UnresistedMotion, match=r"slides .*It would take 1\.001 times"):
+        tight.problem.solve()
+
+
+# -- a strip on the ground: shear lag -------------------------------------------------------------
+
+FORCE = 0.8 * SHEAR_STRENGTH  # slips over 0.8 of the length
+
+
+def slip_length(contact):
+    """Return the length over which the strip slips: slip is a parabola from its end on."""
+    slip, x = np.linalg.norm(contact.friction.slip, axis=1), contact.coordinates[:, 0]
+    clear = slip > 0.05 * slip.max()
+    slope, constant = np.polyfit(x[clear], np.sqrt(slip[clear]), 1)
+    return 1.0 + constant / slope
+
+
+@pytest.fixture(scope="module")
+def strip():
+    """Return end displacements, lengths that slip and works of a cycle of loads."""
+    scene = pulled_strip()
+    ends, lengths, work = [], [], []
+    for part in (1.0, 0.0, 1.0):
+        scene.traction.value[0] = part * FORCE / THICKNESS
+        uh = scene.problem.solve()
+        x = uh.function_space.tabulate_dof_coordinates()
+        u = uh.x.array.reshape(-1, 2)[: len(x), 0]
+        ends.append(u[np.isclose(x[:, 0], 1.0)].mean())
+        lengths.append(slip_length(scene.problem.contact[0]))
+        work.append(scene.problem.report.friction_work[0])
+    return ends, lengths, work
+
+
+def test_strip_slips_as_far_as_friction_balances_the_force(strip):
+    """u'' = psi / (E t) over F / psi from the end, which moves by F^2 / (2 E t psi)."""
+    ends, lengths, _ = strip
+    assert lengths[0] == pytest.approx(FORCE / SHEAR_STRENGTH, rel=0.02)
+    assert ends[0] == pytest.approx(FORCE**2 / (2.0 * THICKNESS * SHEAR_STRENGTH), rel=0.002)
+
+
+def test_strip_slips_back_over_half_of_the_length(strip):
+    """Friction turns round, twice as much of it: half of the end's displacement stays."""
+    ends, lengths, _ = strip
+    assert lengths[1] == pytest.approx(0.5 * FORCE / SHEAR_STRENGTH, rel=0.02)
+    assert ends[1] == pytest.approx(0.5 * ends[0], rel=0.002)
+
+
+def test_strip_loaded_again_is_where_it_was(strip):
+    """The loop is closed: slips forth and back are the same, and so is their work."""
+    ends, lengths, work = strip
+    assert ends[2] == pytest.approx(ends[0], rel=1e-4)
+    assert lengths[2] == pytest.approx(lengths[1], rel=1e-3)
+    # the integral of psi times slip: F^3 / (6 E t psi) at first, a quarter of it each way after it
+    first = FORCE**3 / (6.0 * THICKNESS * SHEAR_STRENGTH)
+    np.testing.assert_allclose(work, [first, 0.25 * first, 0.25 * first], rtol=0.01)
