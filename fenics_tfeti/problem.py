@@ -611,6 +611,7 @@ class ContactProblem:
             _split(solution.tangential_force, sizes),
             _split(solution.slip, sizes),
             _split(solution.sticking, sizes),
+            _split(solution.slip_bound, sizes),
             strict=True,
         )
         self.contact = [

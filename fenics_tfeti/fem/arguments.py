@@ -190,7 +190,7 @@ def _check_contact(contact: Contact, name: str) -> None:
     if moves and contact.friction is None:
         raise InputError(
             f"{name}: the obstacle's displacement has no effect without friction: leave it out, or "
-            "give friction=Tresca(slip_bound). Gaps to a moving obstacle are those that its "
+            "give it friction. Gaps to a moving obstacle are those that its "
             "function returns"
         )
 

@@ -16,6 +16,7 @@ from fenics_tfeti.feti.report import Report
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.monitor import MonitorFunction
 from fenics_tfeti.feti.solution.resultants import Resultant
+from fenics_tfeti.feti.solution.states import SlipBoundStep
 from fenics_tfeti.feti.solver import TornSolution, TornSolver
 from fenics_tfeti.feti.system import (
     ContactGuess,
@@ -42,6 +43,7 @@ __all__ = [
     "Report",
     "Resultant",
     "SavedState",
+    "SlipBoundStep",
     "Subdomain",
     "Timer",
     "TornSolution",

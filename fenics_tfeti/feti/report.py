@@ -25,7 +25,13 @@ from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.resultants import Resultant, resultants
 from fenics_tfeti.feti.solution.setup import DualSetup
-from fenics_tfeti.feti.solution.states import Candidate, ContactData, History, Outcome
+from fenics_tfeti.feti.solution.states import (
+    Candidate,
+    ContactData,
+    History,
+    Outcome,
+    SlipBoundStep,
+)
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
@@ -118,6 +124,8 @@ class Report:
         One entry for each outer iteration.
     faces : list of ActiveSetStep
         One entry for each face of the primal-dual active set method.
+    slip_bounds : list of SlipBoundStep
+        One entry for each step of the fixed point on the slip bounds of Coulomb's law.
     comm : MPI.Intracomm
         The ranks of the problem, of which rank 0 writes files.
     """
@@ -152,6 +160,7 @@ class Report:
     options: dict[str, Any]
     history: list[OuterIteration]
     faces: list[ActiveSetStep]
+    slip_bounds: list[SlipBoundStep]
     comm: MPI.Intracomm | None = field(
         default_factory=lambda: MPI.COMM_SELF, repr=False, compare=False
     )
@@ -311,6 +320,7 @@ def build_report(
         options=asdict(options),
         history=history.outer,
         faces=history.faces,
+        slip_bounds=history.slip_bounds,
         comm=comm,
     )
 

@@ -17,13 +17,15 @@ from fenics_tfeti.feti.checkpoint import SavedState
 from fenics_tfeti.feti.coarse.feasible_start import check_load, feasible_start
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.feasibility import check_conditions
+from fenics_tfeti.feti.constraints.friction import FrictionRows, SlipBound
 from fenics_tfeti.feti.constraints.ground import hold_ground
 from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.report import Report, build_report
+from fenics_tfeti.feti.solution.coulomb import iterate_slip_bounds
 from fenics_tfeti.feti.solution.monitor import Monitor, MonitorFunction
-from fenics_tfeti.feti.solution.outer import LANCZOS_STEPS, iterate_until_certified
+from fenics_tfeti.feti.solution.outer import LANCZOS_STEPS
 from fenics_tfeti.feti.solution.resultants import (
     normal_forces,
     tangential_forces,
@@ -78,6 +80,8 @@ class TornSolution:
         problem: nothing to touch there, or a direction that prescribed displacements decide.
     sticking : (sites of this rank,) bool array
         Whether the tangential force is below its bound.
+    slip_bound : (sites of this rank,) array
+        Its slip bound; with Coulomb's law that of the last normal forces [N].
     multipliers : (m,) array
         lambda, as far as this rank holds it.
     report : Report
@@ -92,6 +96,7 @@ class TornSolution:
     tangential_force: Vector
     slip: Vector
     sticking: NDArray[np.bool_]
+    slip_bound: Vector
     multipliers: Vector
     report: Report
 
@@ -187,7 +192,7 @@ class TornSolver:
                 else build_projector(system, options, local, constraints, package)
             )
         with phase("feasible start"):
-            data = self._data(local, projector, c, constraints.friction.bound)
+            data = self._data(local, projector, c, constraints.friction)
         with phase("factorisation"):
             if same_B:
                 return same_B, data, ["factors", "coarse problem", "norm"]
@@ -206,7 +211,7 @@ class TornSolver:
         interruption.check(self.system.comm)
 
     def _data(
-        self, local: LocalSetup, projector: Projector, c: Vector, radius: Vector
+        self, local: LocalSetup, projector: Projector, c: Vector, friction: FrictionRows
     ) -> ContactData:
         """Return loads and right-hand sides, after checking that the load can be balanced."""
         system, coarse_space = self.system, projector.coarse_space
@@ -215,8 +220,19 @@ class TornSolver:
         )
         e = coarse_space.coarse_load(load)
         check_load(system, local.kernels, projector, e)
-        feasible = feasible_start(system, local.kernels, coarse_space, e, c, local.unit, radius)
-        return ContactData(load, c, e, coarse_space.coarse_load_size(load), feasible, radius)
+        bound = friction.bound
+        feasible = feasible_start(system, local.kernels, coarse_space, e, c, local.unit, bound)
+        radius = bound.at(friction.pressing(feasible, coarse_space.constraints.layout))
+        size = coarse_space.coarse_load_size(load)
+        return ContactData(load, c, e, size, feasible, bound, radius)
+
+    def _balance(self, bound: SlipBound) -> Vector:
+        """Return the feasible start for other slip bounds."""
+        local, data = self.setup.local, self.data
+        coarse_space = self.setup.projector.coarse_space
+        return feasible_start(
+            self.system, local.kernels, coarse_space, data.e, data.c, local.unit, bound, False
+        )
 
     def _first_state(
         self, previous: TornSolver | None, guess: ContactGuess | None, start: SavedState | None
@@ -321,7 +337,7 @@ class TornSolver:
             return self._solve(Monitor(history, self.system.comm, monitor, self.options.monitor))
 
     def _solve(self, monitor: Monitor) -> TornSolution:
-        outcome = iterate_until_certified(
+        outcome = iterate_slip_bounds(
             self.setup,
             self.data,
             self._start,
@@ -329,6 +345,7 @@ class TornSolver:
             self.timer,
             monitor,
             self.system.body_names,
+            self._balance,
         )
         self._start = outcome.state
         report = build_report(
@@ -370,6 +387,7 @@ class TornSolver:
             tangential_forces(self.setup.constraints, multipliers),
             friction.given(outcome.candidate.slips / friction.scale[:, None]),
             friction.given(recovered.sticking.astype(float)) > 0.0,
+            friction.given(friction.scale * outcome.candidate.radius),
             multipliers,
             report,
         )

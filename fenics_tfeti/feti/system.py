@@ -272,11 +272,12 @@ class ContactRows:
 
 @dataclass(frozen=True)
 class Friction:
-    """Friction with a given bound (Tresca) at some of this rank's contact rows.
+    """Friction at some of this rank's contact rows: with a given bound (Tresca), or Coulomb's.
 
-    The tangential force at such a row is at most the bound. Below it nothing slips; at it the
-    slave slips along its force on the master. The slip is that of the nodes of the row, with the
-    weights of the row, and counted from `slip`: in a sequence of loads, from the last step.
+    The tangential force at such a row is at most the bound plus the coefficient times the normal
+    force. Below it nothing slips; at it the slave slips along its force on the master. The slip is
+    that of the nodes of the row, with the weights of the row, and counted from `slip`: in a
+    sequence of loads, from the last step.
 
     Attributes
     ----------
@@ -290,6 +291,8 @@ class Friction:
     slip : (k, gdim - 1) array, optional
         Tangential displacement of the slave relative to the master, in the directions of the
         tangents, from which slip is counted [m]; 0 by default.
+    coefficient : (k,) array, optional
+        Coefficient of friction (Coulomb); 0 by default.
 
     Examples
     --------
@@ -301,13 +304,16 @@ class Friction:
     tangents: Vector
     bound: Vector
     slip: Vector | None = None
+    coefficient: Vector | None = None
 
     def __post_init__(self) -> None:
         """Convert lists and other types of numbers to arrays."""
         _convert(self, row=np.int64, tangents=np.float64, bound=np.float64)
         if self.slip is None:
             _set(self, "slip", np.zeros(np.shape(self.tangents)[:2]))
-        _convert(self, slip=np.float64)
+        if self.coefficient is None:
+            _set(self, "coefficient", np.zeros(np.shape(self.bound)))
+        _convert(self, slip=np.float64, coefficient=np.float64)
 
     @staticmethod
     def none(gdim: int) -> Friction:

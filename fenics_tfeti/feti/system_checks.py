@@ -450,17 +450,26 @@ def _check_friction(friction: Friction, contacts: ContactRows, gdim: int) -> Non
     _check_array("friction.tangents", friction.tangents, (k, directions, gdim), np.float64)
     _check_array("friction.bound", friction.bound, (k,), np.float64)
     _check_array("friction.slip", friction.slip, (k, directions), np.float64)
+    coefficient = np.asarray(friction.coefficient)
+    _check_array("friction.coefficient", coefficient, (k,), np.float64)
     _check_range("friction.row", friction.row, 0, contacts.size)
     if np.any(np.diff(friction.row) <= 0):
         raise InputError("friction.row: positions must ascend, each contact row once")
     _check_finite("friction.tangents", friction.tangents)
     _check_finite("friction.bound", friction.bound)
     _check_finite("friction.slip", np.asarray(friction.slip))
+    _check_finite("friction.coefficient", coefficient)
     if np.any(friction.bound < 0.0):
         worst = int(np.argmin(friction.bound))
         raise InputError(
             f"friction.bound: {friction.bound[worst]:g} N at position {worst}; a slip bound is at "
             "least 0"
+        )
+    if np.any(coefficient < 0.0):
+        worst = int(np.argmin(coefficient))
+        raise InputError(
+            f"friction.coefficient: {coefficient[worst]:g} at position {worst}; a coefficient of "
+            "friction is at least 0"
         )
     frame = np.concatenate([friction.tangents, contacts.normal[friction.row][:, None]], axis=1)
     error = np.abs(frame @ frame.transpose(0, 2, 1) - np.eye(gdim)).max(axis=(1, 2), initial=0.0)

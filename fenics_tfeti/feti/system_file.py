@@ -29,7 +29,7 @@ Arrays = dict[str, NDArray[Any]]
 
 _FORMAT = "fenics_tfeti torn system 1"
 _ROWS = ("offsets", "nodes", "coefficients", "gap", "contact", "slaves")
-_FRICTION = ("row", "tangents", "bound", "slip")
+_FRICTION = ("row", "tangents", "bound", "slip", "coefficient")
 _PRESCRIBED = ("nodes", "components", "values", "condition")
 # patterns of all names; k is a number
 _NAMES = [
@@ -297,6 +297,9 @@ def _friction(file: ArrayFile, gdim: int, comm: MPI.Intracomm) -> Friction:
     slip = np.zeros((row.size, gdim - 1))
     if "friction/slip" in file.names:
         slip = file.read("friction/slip", "numbers", slip.shape)
+    coefficient = np.zeros(row.size)
+    if "friction/coefficient" in file.names:
+        coefficient = file.read("friction/coefficient", "numbers", row.shape)
     outside = np.flatnonzero((row < 0) | (row >= contacts))
     if outside.size:
         raise InputError(
@@ -306,4 +309,4 @@ def _friction(file: ArrayFile, gdim: int, comm: MPI.Intracomm) -> Friction:
     mine = np.array_split(np.arange(contacts), comm.size)[comm.rank]
     here = np.flatnonzero(np.isin(row, mine))
     first = int(mine[0]) if mine.size else 0
-    return Friction(row[here] - first, tangents[here], bound[here], slip[here])
+    return Friction(row[here] - first, tangents[here], bound[here], slip[here], coefficient[here])

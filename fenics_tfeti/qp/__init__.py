@@ -4,6 +4,7 @@ Independent of finite elements and domain decomposition: MPRGP (algorithm 8.2), 
 curved boundaries, SMALBE-M (algorithm 9.2) and a Lanczos bound of the spectrum.
 """
 
+from fenics_tfeti.qp.cones import FrictionCones
 from fenics_tfeti.qp.feasible_set import Bounds, Discs, FeasibleSet, ProductSet, Split
 from fenics_tfeti.qp.least_norm import least_norm_in_set, smallest_factor
 from fenics_tfeti.qp.least_squares import (
@@ -29,6 +30,7 @@ __all__ = [
     "Bounds",
     "Discs",
     "FeasibleSet",
+    "FrictionCones",
     "Hessian",
     "OuterIteration",
     "ProductSet",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fenics_tfeti.qp.cones import FrictionCones
 from fenics_tfeti.qp.feasible_set import ProductSet
 
 __all__ = ["least_norm_in_set", "smallest_factor"]
@@ -26,8 +27,10 @@ _LARGEST_FACTOR = 2.0**40
 _ACCURACY = 1e-4
 
 
-def least_norm_in_set(C: Vector, d: Vector, feasible: ProductSet) -> tuple[Vector, Vector]:
-    """Minimise 1/2 ||x||^2 subject to Cx = d on a product set that contains o.
+def least_norm_in_set(
+    C: Vector, d: Vector, feasible: ProductSet | FrictionCones
+) -> tuple[Vector, Vector]:
+    """Minimise 1/2 ||x||^2 subject to Cx = d on a convex set that contains o.
 
     The dual problem, maximise d'y - h(C'y) with h(v) = v'P(v) - 1/2 ||P(v)||^2 and the projection P
     onto the set, is regularised by delta/2 ||y||^2 with delta tending to zero. The semismooth
@@ -40,7 +43,7 @@ def least_norm_in_set(C: Vector, d: Vector, feasible: ProductSet) -> tuple[Vecto
         Few rows.
     d : (r,) array
         Right-hand side.
-    feasible : ProductSet
+    feasible : ProductSet or FrictionCones
         The set.
 
     Returns
@@ -73,8 +76,8 @@ def least_norm_in_set(C: Vector, d: Vector, feasible: ProductSet) -> tuple[Vecto
     return x, d - C @ x
 
 
-def smallest_factor(C: Vector, d: Vector, feasible: ProductSet) -> float:
-    """Return the smallest factor of all radii and intervals with which Cx = d has a solution.
+def smallest_factor(C: Vector, d: Vector, feasible: ProductSet | FrictionCones) -> float:
+    """Return the smallest factor of radii, intervals and slopes with which Cx = d has a solution.
 
     Parameters
     ----------
@@ -99,20 +102,25 @@ def smallest_factor(C: Vector, d: Vector, feasible: ProductSet) -> float:
         residual = least_norm_in_set(C, d, feasible.scaled(factor))[1]
         return bool(np.linalg.norm(residual) <= _SOLVED * np.linalg.norm(d))
 
-    upper = 1.0
+    lower, upper = 0.0, 1.0
     while not solvable(upper):
-        upper *= 2.0
+        # 2, 4, 16, 256, ...
+        lower, upper = upper, max(2.0, upper**2)
         if upper > _LARGEST_FACTOR:
             return np.inf
-    lower = 0.5 * upper if upper > 1.0 else 0.0
     while upper - lower > _ACCURACY * upper:
-        middle = 0.5 * (lower + upper)
+        middle = np.sqrt(lower * upper) if lower else 0.5 * upper
         lower, upper = (lower, middle) if solvable(middle) else (middle, upper)
-    return upper
+    return float(upper)
 
 
 def _newton(
-    C: Vector, d: Vector, feasible: ProductSet, y: Vector, delta: float, tolerance: float
+    C: Vector,
+    d: Vector,
+    feasible: ProductSet | FrictionCones,
+    y: Vector,
+    delta: float,
+    tolerance: float,
 ) -> Vector:
     """Maximise d'y - h(C'y) - delta/2 ||y||^2 by the semismooth Newton method."""
 

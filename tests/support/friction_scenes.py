@@ -11,9 +11,18 @@ import numpy as np
 from scenes import at, dimension, elasticity, fixed, vector_space
 
 import ufl
+from dolfinx import fem
 from dolfinx.fem import Constant
 
-from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle, Tresca
+from fenics_tfeti import (
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    Plane,
+    RigidObstacle,
+    Sphere,
+    Tresca,
+)
 from fenics_tfeti.io import Box, boxes, tag_facets
 
 CLAMPED, LOADED, SLAVE, MASTER, TOP = 1, 3, 5, 6, 4
@@ -100,3 +109,114 @@ def pulled_strip(n: int = 50, comm: MPI.Intracomm = MPI.COMM_SELF) -> Rubbing:
         options={"rtol": 1e-6, "subdomain_size": 60},
     )
     return Rubbing(problem, traction, tags)
+
+
+def mapped_boxes(comm: MPI.Intracomm, parts: list[Box], shape: Any) -> Any:
+    """Return boxes of quadrilaterals with nodes moved by x (2, n) -> (2, n)."""
+    tagged = boxes(comm, parts, "quadrilateral")
+    x = tagged.mesh.geometry.x
+    x[:, :2] = shape(x[:, :2].T).T
+    return tagged
+
+
+RADIUS, HALF_WIDTH = 40.0, 8.0
+
+
+def half_planes(n: int = 44, friction: Any = None, comm: MPI.Intracomm = MPI.COMM_SELF) -> Rubbing:
+    """Return two equal blocks with the gap of a cylinder between them, the upper one to be moved.
+
+    The elements grow away from the contact; E = 1, and `traction` is the displacement of the top.
+    """
+
+    def graded(x: Any) -> Any:
+        return HALF_WIDTH * np.sinh(3.0 * x) / np.sinh(3.0)
+
+    layers = n // 2
+    parts = [Box((-1, 0), (1, 1), (n, layers)), Box((-1, -1), (1, 0), (n, layers))]
+    tagged = mapped_boxes(comm, parts, graded)
+    marks = [
+        (SLAVE, lambda x: np.isclose(x[1], 0.0) & (np.abs(x[0]) < 3.0), 1),
+        (MASTER, lambda x: np.isclose(x[1], 0.0) & (np.abs(x[0]) < 3.0), 2),
+        (TOP, at(1, HALF_WIDTH), 1),
+        (CLAMPED, at(1, -HALF_WIDTH), 2),
+    ]
+    tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
+    V = vector_space(tagged.mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    moved = Constant(tagged.mesh, np.zeros(2))
+    top = fem.locate_dofs_topological(V, 1, tags.find(TOP))
+    pair = ContactPair(
+        tags,
+        SLAVE,
+        MASTER,
+        initial_gap=lambda x: x[0] ** 2 / (2.0 * RADIUS),
+        friction=friction,
+    )
+    problem = ContactProblem(
+        elasticity(u, v, 1.0),
+        0,
+        [fixed(V, tags, CLAMPED, None), fem.dirichletbc(moved, top, V)],
+        [pair],
+        tagged.cell_tags,
+        options={"rtol": 1e-5, "subdomain_size": 400},
+    )
+    return Rubbing(problem, moved, tags)
+
+
+def belt(n: int = 60, mu: float = 0.3, angle: float = np.pi, thickness: float = 0.01) -> Rubbing:
+    """Return a belt on a drum of radius 1, held at one end and pulled at the other; E = 1, nu = 0.
+
+    The force is 1e-4 at the end that is pulled.
+    """
+
+    def round_drum(x: Any) -> Any:
+        return (1.0 + x[1]) * np.stack([np.cos(x[0]), np.sin(x[0])])
+
+    tagged = mapped_boxes(MPI.COMM_SELF, [Box((0, 0), (angle, thickness), (n, 1))], round_drum)
+
+    def at_angle(phi: float) -> Any:
+        return lambda x: np.isclose(np.arctan2(x[1], x[0]), phi)
+
+    marks = [
+        (SLAVE, lambda x: np.isclose(np.hypot(x[0], x[1]), 1.0)),
+        (CLAMPED, at_angle(0.0)),
+        (LOADED, at_angle(angle)),
+    ]
+    tags = tag_facets(tagged.mesh, marks)
+    V = vector_space(tagged.mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    pull = 1e-4 / thickness * np.array([-np.sin(angle), np.cos(angle)])
+    traction = Constant(tagged.mesh, pull)
+    ds = ufl.Measure("ds", domain=tagged.mesh, subdomain_data=tags)
+    drum = RigidObstacle(tags, SLAVE, Sphere((0.0, 0.0), 1.0), friction=Coulomb(mu))
+    problem = ContactProblem(
+        ufl.inner(ufl.sym(ufl.grad(u)), ufl.grad(v)) * ufl.dx,
+        ufl.inner(traction, v) * ds(LOADED),
+        [fixed(V, tags, CLAMPED, None)],
+        [drum],
+        options={"rtol": 1e-5, "subdomain_size": 60},
+    )
+    return Rubbing(problem, traction, tags)
+
+
+def sheared_square(
+    friction: Any,
+    move: tuple[float, float],
+    n: int = 3,
+    fibre: float | None = None,
+    **arguments: Any,
+) -> ContactProblem:
+    """Return a square on a rigid line whose top is moved; with stiff fibres at an angle."""
+    square = boxes(MPI.COMM_SELF, [Box((0, 0), (1, 1), (n, n))], "quadrilateral")
+    tags = tag_facets(square.mesh, [(SLAVE, at(1, 0.0)), (TOP, at(1, 1.0))])
+    V = vector_space(square.mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    a = elasticity(u, v, 1.0)
+    if fibre is not None:
+        d = ufl.as_vector([np.cos(fibre), np.sin(fibre)])
+        along, other = (ufl.inner(d, ufl.dot(ufl.sym(ufl.grad(w)), d)) for w in (u, v))
+        a += 100.0 * along * other * ufl.dx
+    moved = Constant(square.mesh, np.array(move))
+    top = fem.locate_dofs_topological(V, 1, tags.find(TOP))
+    line = RigidObstacle(tags, SLAVE, Plane((0, 0), (0, 1)), friction=friction)
+    return ContactProblem(a, 0, [fem.dirichletbc(moved, top, V)], [line], **arguments)

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from friction_scenes import SHEAR_STRENGTH, THICKNESS, pulled_strip, pushed_cube
+from friction_scenes import (
+    SHEAR_STRENGTH,
+    THICKNESS,
+    belt,
+    half_planes,
+    pulled_strip,
+    pushed_cube,
+    sheared_square,
+)
 
-from fenics_tfeti import Tresca, UnresistedMotion
+from fenics_tfeti import Coulomb, NotConverged, Tresca, UnresistedMotion
 
 CASES = {
     "square on the ground": ("quadrilateral", 6, None),
@@ -126,3 +134,153 @@ def test_strip_loaded_again_is_where_it_was(strip):
     # the integral of psi times slip: F^3 / (6 E t psi) at first, a quarter of it each way after it
     first = FORCE**3 / (6.0 * THICKNESS * SHEAR_STRENGTH)
     np.testing.assert_allclose(work, [first, 0.25 * first, 0.25 * first], rtol=0.01)
+
+
+# -- Coulomb's law --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=CASES)
+def coulomb(request):
+    scene = pushed_cube(*CASES[request.param], friction=Coulomb(0.37), options={"rtol": 1e-7})
+    scene.problem.solve()
+    return scene
+
+
+def test_coulomb_bounds_are_those_of_the_normal_forces(coulomb):
+    """The forces hold the push; where something slips they are 0.37 times the normal force."""
+    contact, report = coulomb.problem.contact[0], coulomb.problem.report
+    found = contact.friction
+    push = coulomb.traction.value[:-1]
+    np.testing.assert_allclose(found.force.sum(axis=0)[:-1], -push, rtol=1e-8)
+    size, slip = np.linalg.norm(found.force, axis=1), np.linalg.norm(found.slip, axis=1)
+    bound = 0.37 * contact.normal_force
+    assert 0 < np.count_nonzero(found.sticking) < found.sticking.size
+    error = np.where(slip > 0.0, size - bound, np.maximum(size - bound, 0.0))
+    assert np.linalg.norm(error) <= 1e-6 * np.linalg.norm(bound)
+    np.testing.assert_allclose(found.bound, bound, atol=1e-6 * bound.max())
+    assert report.certificate.slip_bound_error <= 1e-7
+
+
+def test_contraction_is_in_the_report(coulomb):
+    steps = coulomb.problem.report.slip_bounds
+    assert 3 <= len(steps) <= 20
+    assert sum(step.products for step in steps) == coulomb.problem.report.products["total"]
+    assert min(step.ratio for step in steps if step.ratio is not None) < 0.5
+    assert steps[-1].change <= 1e-7
+    assert steps[-1].rtol <= 1e-7
+
+
+@pytest.mark.parametrize("case", ["square on the ground", "mortar of triangles"])
+def test_limit_of_coulomb(case):
+    """A block slides where the push is more than the coefficient times its weight."""
+    cell, n, lower = CASES[case]
+    low = {"friction": Coulomb(0.03 / 0.999), "press": 1.0, "options": {"rtol": 1e-6}}
+    scene = pushed_cube(cell, n, lower, **low)
+    scene.problem.solve()
+    assert scene.problem.report.converged
+    high = pushed_cube(cell, n, lower, friction=Coulomb(0.03 / 1.001), press=1.0)
+    with pytest.raises(UnresistedMotion, match=r"slides .* 1\.001 times the coefficients of fri"):
+        high.problem.solve()
+
+
+def test_block_that_topples_before_it_slides():
+    """Friction cannot help: what turns the block over its edge is named."""
+    scene = pushed_cube("quadrilateral", 4, friction=Coulomb(2.0), push=(0.08, 0.0))
+    with pytest.raises(UnresistedMotion, match="rotation through") as raised:
+        scene.problem.solve()
+    assert "coefficient" not in str(raised.value)
+
+
+@pytest.mark.parametrize(("mu", "angle"), [(0.5, 2.2), (1.0, 1.2), (2.0, 0.9)])
+def test_bounds_that_swing(mu, angle):
+    """Slip across stiff fibres changes the pressure by up to 2.6 times the friction that it makes.
+
+    Steps of the whole difference would swing more and more.
+    """
+    problem = sheared_square(Coulomb(mu), (0.05, -0.01), fibre=angle)
+    problem.solve()
+    contact = problem.contact[0]
+    np.testing.assert_allclose(
+        np.abs(contact.friction.force[:, 0]),
+        mu * contact.normal_force,
+        atol=1e-5 * mu * contact.normal_force.max(),
+    )
+    assert contact.normal_force.sum() > 1e-3
+
+
+def test_bounds_that_do_not_contract_are_an_error():
+    """Slip along the fibres presses them on the ground, by more the more friction holds them."""
+    problem = sheared_square(Coulomb(0.5), (0.05, -0.01), fibre=1.9)
+    with pytest.raises(
+        NotConverged, match=r"slip bounds .* factor of [0-9.]+ a step only"
+    ) as raised:
+        problem.solve()
+    assert not raised.value.report.converged
+    assert raised.value.report.certificate.slip_bound_error > 0.1
+    assert len(raised.value.report.slip_bounds) >= 6
+
+
+# -- Cattaneo and Mindlin -------------------------------------------------------------------------
+
+MU = 0.3
+
+
+@pytest.fixture(scope="module")
+def rolling_contact():
+    """Return the contact of two half planes, pressed by a cylinder's gap and then pushed."""
+    scene = half_planes(friction=Coulomb(MU))
+    scene.traction.value[:] = 0.0, -0.06
+    scene.problem.solve()
+    assert np.abs(scene.problem.contact[0].friction.force).max() < 1e-8
+    scene.traction.value[:] = 0.02, -0.06
+    scene.problem.solve()
+    return scene.problem
+
+
+def hertz(contact):
+    """Return half-width and largest pressure by a fit of p^2 over x^2."""
+    x, p = contact.coordinates[:, 0], contact.pressure
+    inner = p > 0.3 * p.max()
+    slope, constant = np.polyfit(x[inner] ** 2, p[inner] ** 2, 1)
+    return np.sqrt(-constant / slope), np.sqrt(constant)
+
+
+def test_stick_zone_of_cattaneo_and_mindlin(rolling_contact):
+    """c / a = sqrt(1 - Q / (mu P)), within one element."""
+    contact = rolling_contact.contact[0].gather()
+    a, _ = hertz(contact)
+    P, Q = contact.normal_force.sum(), -contact.friction.force[:, 0].sum()
+    assert 0.5 < Q / (MU * P) < 0.8
+    x = np.sort(np.abs(contact.coordinates[contact.friction.sticking, 0]))[-1]
+    size = contact.area[np.abs(contact.coordinates[:, 0]) < a].max()
+    c = a * np.sqrt(1.0 - Q / (MU * P))
+    assert abs(x - c) <= size
+    reaction = rolling_contact.report.reactions[0].force
+    np.testing.assert_allclose(reaction, [-Q, P], rtol=1e-6)
+
+
+def test_traction_of_cattaneo_and_mindlin(rolling_contact):
+    contact = rolling_contact.contact[0].gather()
+    a, p0 = hertz(contact)
+    P, Q = contact.normal_force.sum(), -contact.friction.force[:, 0].sum()
+    c, x = a * np.sqrt(1.0 - Q / (MU * P)), contact.coordinates[:, 0]
+    q = np.sqrt(np.maximum(1.0 - (x / a) ** 2, 0.0))
+    q -= c / a * np.sqrt(np.maximum(1.0 - (x / c) ** 2, 0.0))
+    difference = -contact.friction.traction[:, 0] - MU * p0 * q
+    error = np.sqrt(
+        np.sum(contact.area * difference**2) / np.sum(contact.area * (MU * p0 * q) ** 2)
+    )
+    assert error < 0.05
+
+
+# -- belt on a drum -------------------------------------------------------------------------------
+
+
+def test_belt_on_a_drum():
+    """The held end of a belt that slips has e^(-mu phi) of the force at the other one."""
+    scene = belt(mu=MU)
+    scene.problem.solve()
+    held = np.linalg.norm(scene.problem.report.reactions[0].force)
+    assert held == pytest.approx(1e-4 * np.exp(-MU * np.pi), rel=0.02)
+    friction = scene.problem.contact[0].friction
+    assert not friction.sticking[friction.bound > 0.0].any()

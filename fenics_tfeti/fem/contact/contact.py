@@ -94,7 +94,7 @@ class ContactPair:
         ``r``, with ``r = SpatialCoordinate(mesh)[0]``, in axisymmetric forms, the thickness in
         forms of a thin sheet. By default 1. Mortar conditions integrate with it, linearly
         interpolated between the nodes of a facet.
-    friction : Tresca, optional
+    friction : Tresca or Coulomb, optional
         The law of friction; by default there is none. In load steps slip is counted from the end of
         the last solve.
     """
@@ -135,7 +135,7 @@ class RigidObstacle:
         For messages and the report.
     measure_weight : UFL expression or number, optional
         Factor of ``ds`` in the forms, see `ContactPair`. By default 1.
-    friction : Tresca, optional
+    friction : Tresca or Coulomb, optional
         The law of friction; by default there is none.
     displacement : (gdim,) array-like or callable, optional
         How far the obstacle has moved at each point since the undeformed state [m], for friction:

@@ -18,7 +18,7 @@ from fenics_tfeti.fem.topology import vertex_nodes
 from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["FrictionLaw", "Tresca", "check_friction", "values_at_nodes"]
+__all__ = ["Coulomb", "FrictionLaw", "Tresca", "check_friction", "values_at_nodes"]
 
 Vector = NDArray[np.float64]
 # or a Function
@@ -47,7 +47,26 @@ class Tresca:
     slip_bound: NodalValue
 
 
-FrictionLaw: TypeAlias = Tresca
+@dataclass(frozen=True)
+class Coulomb:
+    """Coulomb's law: the tangential traction is at most the coefficient times the pressure.
+
+    Attributes
+    ----------
+    coefficient : float, callable or dolfinx.fem.Function
+        Coefficient of friction: a number, a function of x (3, n) [m] that returns (n,), or values
+        at the nodes: a scalar Function of degree 1 on the mesh.
+
+    Examples
+    --------
+    >>> Coulomb(coefficient=0.3)
+    Coulomb(coefficient=0.3)
+    """
+
+    coefficient: NodalValue
+
+
+FrictionLaw: TypeAlias = Tresca | Coulomb
 
 
 def check_friction(given: Any, name: str) -> None:
@@ -55,7 +74,7 @@ def check_friction(given: Any, name: str) -> None:
 
     Parameters
     ----------
-    given : Tresca or None
+    given : Tresca, Coulomb or None
         What the user gave as `friction` of a contact.
     name : str
         Name of the contact.
@@ -63,14 +82,15 @@ def check_friction(given: Any, name: str) -> None:
     Raises
     ------
     InputError
-        What is no law of friction, or a bound that is no number at least 0, function of x or
-        Function.
+        What is no law of friction, or a bound or coefficient that is no number at least 0, function
+        of x or Function.
     """
     if given is None:
         return
     if not isinstance(given, FrictionLaw):
         raise InputError(
-            f"{name}: friction is a {type(given).__name__}; Tresca(slip_bound) or None is expected"
+            f"{name}: friction is a {type(given).__name__}; Tresca(slip_bound), "
+            "Coulomb(coefficient) or None is expected"
         )
     what, value = _value(given)
     if callable(value) or isinstance(value, Function):
@@ -86,13 +106,13 @@ def check_friction(given: Any, name: str) -> None:
 def values_at_nodes(
     space: FunctionSpace, law: FrictionLaw, nodes: NDArray[np.int64], points: Vector, name: str
 ) -> Vector:
-    """Return a law's bound at nodes that this rank owns. Collective.
+    """Return a law's bound or coefficient at nodes that this rank owns. Collective.
 
     Parameters
     ----------
     space : FunctionSpace
         The displacement's space.
-    law : Tresca
+    law : Tresca or Coulomb
         The law, checked by `check_friction`.
     nodes : (k,) integer array
         Global nodes of the space, at vertices.
@@ -133,8 +153,10 @@ def values_at_nodes(
 
 
 def _value(law: FrictionLaw) -> tuple[str, Any]:
-    """Return name and value of a law's bound."""
-    return "slip_bound", law.slip_bound
+    """Return name and value of a law's bound or coefficient."""
+    if isinstance(law, Tresca):
+        return "slip_bound", law.slip_bound
+    return "coefficient", law.coefficient
 
 
 def _evaluated(given: Callable[[Vector], ArrayLike], points: Vector, what: str) -> Vector:

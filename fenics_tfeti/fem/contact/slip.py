@@ -23,7 +23,7 @@ from fenics_tfeti.fem.contact.contact import (
     FrictionResult,
     RigidObstacle,
 )
-from fenics_tfeti.fem.contact.friction import values_at_nodes
+from fenics_tfeti.fem.contact.friction import Tresca, values_at_nodes
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
 from fenics_tfeti.fem.user_data import vectors_at
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed
@@ -86,13 +86,16 @@ class NodalFriction:
     tangents : (k, gdim - 1, gdim) array
         Orthonormal tangents.
     bound : (k,) array
-        Slip bound [N].
+        Slip bound [N]; 0 with Coulomb's law.
+    coefficient : (k,) array
+        Coefficient of friction; 0 with Tresca's law.
     moved : (k, gdim) array
         What the obstacle has moved [m]; zero for pairs.
     """
 
     tangents: Vector
     bound: Vector
+    coefficient: Vector
     moved: Vector
 
 
@@ -110,7 +113,8 @@ def tangents(normal: Vector, prescribed: Mask) -> Vector:
     """
     k, gdim = normal.shape
     if gdim == 2:
-        return np.stack([-normal[:, 1], normal[:, 0]], axis=1)[:, None, :]
+        across: Vector = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
+        return across[:, None, :]
     along2 = 1.0 - normal**2
     axis = np.argmax(along2 + 2.0 * (prescribed & (along2 > _NORMAL_ONLY)), axis=1)
     first = np.identity(3)[axis] - normal[np.arange(k), axis][:, None] * normal
@@ -143,12 +147,15 @@ def nodal_friction(
     if contact.friction is None:
         return None
     nodes, points, name = pairing.slave, pairing.coordinates, pairing.name
-    bound = values_at_nodes(space, contact.friction, nodes, points, name)
+    law = contact.friction
+    values = values_at_nodes(space, law, nodes, points, name)
+    given = isinstance(law, Tresca)
     at = np.searchsorted(pairing.surface.nodes, nodes)
     held = prescribed_components(pairing.surface, prescribed)[at]
     return NodalFriction(
         tangents(pairing.normal, held),
-        bound * pairing.area,
+        np.where(given, values * pairing.area, 0.0),
+        np.where(given, 0.0, values),
         obstacle_motion(space, contact, points, name),
     )
 
@@ -216,6 +223,7 @@ def friction_rows(
         np.concatenate([at for at, *_ in parts]),
         np.concatenate([one.tangents for _, one, *_ in parts]),
         np.concatenate([one.bound for _, one, *_ in parts]),
+        coefficient=np.concatenate([one.coefficient for _, one, *_ in parts]),
     )
     tangential = new.tangential_rows(rows)
     slip = _row_values(space, tangential, origin.displacement).reshape(-1, gdim - 1)
@@ -262,6 +270,7 @@ def friction_result(
     force: Vector,
     slip: Vector,
     sticking: Mask,
+    bound: Vector,
 ) -> FrictionResult | None:
     """Return the results of friction at the conditions of a contact; None without friction.
 
@@ -275,6 +284,8 @@ def friction_result(
         Friction forces on the slave against the tangents [N], and slips along them [m].
     sticking : (k,) bool array
         Where the force is below its bound.
+    bound : (k,) array
+        The slip bounds [N].
     """
     if friction is None:
         return None
@@ -282,7 +293,7 @@ def friction_result(
     return FrictionResult(
         force=on_slave,
         traction=on_slave / pairing.area[:, None],
-        bound=friction.bound,
+        bound=bound,
         slip=np.einsum("kt,kta->ka", slip, friction.tangents),
         sticking=sticking,
         work=np.sum(force * slip, axis=1),

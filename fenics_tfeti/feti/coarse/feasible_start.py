@@ -26,13 +26,12 @@ from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.friction import SlipBound
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import NO_WORK, UNRESISTED
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.qp import (
-    Bounds,
-    Discs,
-    ProductSet,
+    FrictionCones,
     least_norm_in_set,
     least_norm_nonnegative,
     least_norm_partly_nonnegative,
@@ -42,6 +41,7 @@ from fenics_tfeti.qp import (
 __all__ = ["check_load", "feasible_start", "least_norm_nonnegative"]
 
 Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
 
 # ||B R z|| of equality rows below which contact takes the load first
 _SOFTLY = 0.1
@@ -83,9 +83,10 @@ def feasible_start(
     e: Vector,
     c: Vector,
     unit: float,
-    radius: Vector,
+    bound: SlipBound,
+    explain: bool = True,
 ) -> Vector:
-    """Return lambda~ with G lambda~ = e, lambda~_I >= o and |lambda~_T| <= r.
+    """Return lambda~ with G lambda~ = e, lambda~_I >= o and |lambda~_T| <= r + m lambda~_N.
 
     Where equality rows resist motions weakly, as soft springs do, contact and springs share the
     load as they do between rigid bodies: F is replaced by 1 / unit.
@@ -104,8 +105,10 @@ def feasible_start(
         Right-hand sides of the constraints.
     unit : float
         The stiffness that a weight of 1 stands for [N/m].
-    radius : (k,) array
-        r of each site of friction.
+    bound : SlipBound
+        r and m of each site of friction.
+    explain : bool
+        Whether an error says how much friction it would take, which takes time.
 
     Returns
     -------
@@ -126,10 +129,12 @@ def feasible_start(
     if free.shape[1] + weak.shape[1]:
         prescribed = coarse_space.prolong(supports.without_free_motions(supports.coefficients(c)))
         gaps = unit * (c - prescribed)[constraints.inequality]
-        if coarse_space.comm.allreduce(int(np.count_nonzero(radius))):
+        if coarse_space.comm.allreduce(int(np.count_nonzero(bound.radius + bound.slope))):
             # soft supports carry what contact and friction need not
             for group in _groups(system, coarse_space, free, e):
-                start += _forces_with_friction(system, kernels, coarse_space, group, gaps, radius)
+                start += _forces_with_friction(
+                    system, kernels, coarse_space, group, gaps, bound, explain
+                )
         else:
             for group in _groups(system, coarse_space, sp.hstack([free, weak], format="csc"), e):
                 start += _contact_forces(system, kernels, coarse_space, group, free, gaps)
@@ -243,7 +248,8 @@ def _forces_with_friction(
     coarse_space: CoarseSpace,
     group: _Group,
     gaps: Vector,
-    radius: Vector,
+    bound: SlipBound,
+    explain: bool,
 ) -> Vector:
     """Return the least-norm multipliers of contact and friction that balance the load on a group.
 
@@ -261,32 +267,67 @@ def _forces_with_friction(
     present = friction.present[mine]
     # a direction without a row is a column of zeros
     rubbing = np.where(present[:, :, None], moved_rows[friction.rows[mine]], 0.0)
-    contact, tangential, radii = (
-        concatenate_ranks(comm, part) for part in (pressing, rubbing, radius[mine])
+    layout = constraints.layout
+    contact, number, tangential, radius, slope, normal = (
+        concatenate_ranks(comm, part)
+        for part in (
+            pressing,
+            layout.numbers[owned],
+            rubbing,
+            bound.radius[mine],
+            bound.slope[mine],
+            friction.normal_numbers(layout)[mine],
+        )
     )
-    C = np.concatenate([contact, tangential.reshape(-1, contact.shape[1])]).T
-    feasible = _contact_and_friction(len(contact), radii, friction.rows.shape[1])
+    feasible, columns = _contact_and_friction(number, normal, radius, slope, tangential.shape[1])
+    C = np.zeros((contact.shape[1], columns))
+    C[:, : len(contact)] = contact.T
+    C[:, feasible.tangential.ravel()] = tangential.reshape(-1, contact.shape[1]).T
     forces, residual = least_norm_in_set(C, group.work, feasible)
     if np.linalg.norm(residual) > NO_WORK * group.force:
-        factor = smallest_factor(C, group.work, feasible) if radii.any() else np.inf
-        _raise_unresisted(system, kernels, coarse_space, group.motions @ residual, factor)
+        some = explain and (radius.any() or slope.any())
+        factor = smallest_factor(C, group.work, feasible) if some else np.inf
+        kinds = ["slip bounds"] * bool(radius.any()) + ["coefficients of friction"] * bool(
+            slope.any()
+        )
+        motion = group.motions @ residual
+        _raise_unresisted(system, kernels, coarse_space, motion, factor, " and ".join(kinds))
     first = first_of_rank(comm, len(pressing))[0]
     multipliers[owned] = forces[first : first + owned.size]
-    of_sites = forces[len(contact) :].reshape(tangential.shape[:2])
+    of_sites = forces[feasible.tangential]
     first = first_of_rank(comm, len(rubbing))[0]
     multipliers[friction.rows[mine][present]] = of_sites[first : first + len(rubbing)][present]
     return constraints.layout.sum(multipliers)
 
 
-def _contact_and_friction(contact: int, radius: Vector, directions: int) -> ProductSet:
-    """Return the set of contact forces, and after them those of each site of friction."""
-    at = contact + np.arange(directions * radius.size).reshape(-1, directions)
-    if directions == 2:
-        bounds = Bounds.from_below(np.arange(contact), np.zeros(contact))
-        return ProductSet(bounds, Discs(at, np.zeros(at.shape), radius))
-    lower = np.concatenate([np.zeros(contact), -radius])
-    upper = np.concatenate([np.full(contact, np.inf), radius])
-    return ProductSet(Bounds(np.arange(lower.size), lower, upper))
+def _contact_and_friction(
+    number: Numbers, normal: Numbers, radius: Vector, slope: Vector, directions: int
+) -> tuple[FrictionCones, int]:
+    """Return the set of contact forces, after them those of friction, and their number.
+
+    A site whose bound does not depend on a normal force has one of its own, which does nothing.
+
+    Parameters
+    ----------
+    number : (c,) integer array
+        Global numbers of the contact rows.
+    normal : (k,) integer array
+        Global number of the contact row of each site; -1 for none.
+    radius, slope : (k,) arrays
+        r and m.
+    directions : int
+        Tangential components of each site.
+    """
+    contact, k = number.size, radius.size
+    tangential = contact + np.arange(directions * k).reshape(k, directions)
+    at = contact + directions * k + np.arange(k)
+    order = np.argsort(number)
+    found = np.searchsorted(number[order], normal)
+    pressed = np.flatnonzero((slope > 0.0) & np.isin(normal, number))
+    at[pressed] = order[found[pressed]]
+    below = np.setdiff1d(np.arange(contact), at[pressed])
+    slope = np.where(at < contact, slope, 0.0)
+    return FrictionCones(below, at, tangential, radius, slope), contact + (directions + 1) * k
 
 
 def _moved_rows(coarse_space: CoarseSpace, motions: sp.csc_matrix) -> sp.csr_matrix:
@@ -316,14 +357,15 @@ def _raise_unresisted(
     coarse_space: CoarseSpace,
     z: Vector,
     factor: float = np.inf,
+    friction: str = "",
 ) -> None:
-    """Raise the error; friction times `factor` would balance the load."""
+    """Raise the error; `friction`, what limits it, times `factor` would balance the load."""
     own_motion = coarse_space.own_part(coarse_space.coarse_motions(z))
     motions = describe_body_motion(system, kernels, own_motion)
     if np.isfinite(factor):
         raise UnresistedMotion(
             "friction cannot hold the load, which slides " + "; ".join(motions) + ". It would take "
-            f"{factor:.4g} times the slip bounds. Raise them, prescribe displacements that hold "
+            f"{factor:.4g} times the {friction}. Raise them, prescribe displacements that hold "
             "the body, or reduce the load"
         )
     raise UnresistedMotion(

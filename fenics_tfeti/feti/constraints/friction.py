@@ -17,10 +17,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.system import ContactRows
 from fenics_tfeti.qp import Bounds, Discs, FeasibleSet, ProductSet
 
-__all__ = ["FrictionRows", "Tangential", "check_discs", "common_scale"]
+__all__ = ["FrictionRows", "SlipBound", "Tangential", "check_discs", "common_scale"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -63,6 +64,25 @@ class Tangential:
 
 
 @dataclass(frozen=True)
+class SlipBound:
+    """The law of friction |lambda_T| <= r + m lambda_N at the sites that a rank holds.
+
+    Attributes
+    ----------
+    radius, slope : (k,) arrays
+        r and m.
+    """
+
+    radius: Vector
+    slope: Vector
+
+    def at(self, pressing: Vector) -> Vector:
+        """Return the bound (k,) at normal multipliers lambda_N."""
+        radius: Vector = self.radius + self.slope * pressing
+        return radius
+
+
+@dataclass(frozen=True)
 class FrictionRows:
     """The tangential rows that this rank holds, by sites; it holds all rows of a site.
 
@@ -75,20 +95,28 @@ class FrictionRows:
         Number of the contact.
     scale : (k,) array
         Factor t: a jump divided by t is a slip [m], and t lambda_T a force [N].
-    bound : (k,) array
+    radius : (k,) array
         r = Psi / t, as given.
     own : (sites of this rank,) integer array
         Position of each site that this rank gave; -1 where it has no rows.
     curved : bool
         Whether any rank has a site with two rows, and so a disc.
+    normal : (sites of this rank,) integer array
+        Local position of the contact row of each site that this rank gave; -1 where it is no row of
+        B.
+    slope : (k,) array
+        m of Coulomb's law |lambda_T| <= r + m lambda_N: its coefficient times the factor of the
+        contact row over t.
     """
 
     rows: Numbers
     contact: Numbers
     scale: Vector
-    bound: Vector
+    radius: Vector
     own: Numbers
     curved: bool
+    normal: Numbers
+    slope: Vector
 
     @staticmethod
     def build(
@@ -133,7 +161,28 @@ class FrictionRows:
             tangential.bound[first] / scale[first],
             position[np.where(there, found, sites.size)],
             bool(comm.allreduce(directions == 2 and (table >= 0).all(axis=1).any(), MPI.LOR)),
+            np.full(own_sites.size, -1, dtype=np.int64),
+            np.zeros(sites.size),
         )
+
+    def with_normals(
+        self, normal: Numbers, factor: Vector, coefficient: Vector, layout: DualLayout
+    ) -> FrictionRows:
+        """Return the rows with the contact rows and coefficients of their sites. Collective.
+
+        Parameters
+        ----------
+        normal : (sites of this rank,) integer array
+            Local positions of the contact rows of the sites that this rank gave, or -1.
+        factor : (sites of this rank,) array
+            Factors of these rows.
+        coefficient : (sites of this rank,) array
+            Coefficients of friction.
+        layout : DualLayout
+            Of the rows.
+        """
+        slope = self.from_given(np.where(normal >= 0, coefficient * factor, 0.0), layout)
+        return replace(self, normal=normal, slope=slope / self.scale)
 
     @property
     def size(self) -> int:
@@ -160,6 +209,30 @@ class FrictionRows:
     def at_sites(self, x: Vector) -> Vector:
         """Return a vector (m,) at the sites, (k, gdim - 1), zero in directions without a row."""
         return np.where(self.present, x[self.rows], 0.0)
+
+    @property
+    def bound(self) -> SlipBound:
+        """The law of friction, as given."""
+        return SlipBound(self.radius, self.slope)
+
+    def from_given(self, values: Vector, layout: DualLayout) -> Vector:
+        """Return the values (k,) of all sites from those that each rank gave. Collective."""
+        part, at = np.zeros(layout.numbers.size), self.rows.max(axis=1, initial=-1)
+        here = self.own >= 0
+        part[at[self.own[here]]] = values[here]
+        at_sites: Vector = layout.sum(part)[at]
+        return at_sites
+
+    def pressing(self, multipliers: Vector, layout: DualLayout) -> Vector:
+        """Return lambda_N >= 0 at the sites, (k,); 0 without a contact row. Collective."""
+        with_none = np.append(np.maximum(multipliers, 0.0), 0.0)
+        return self.from_given(with_none[self.normal], layout)
+
+    def normal_numbers(self, layout: DualLayout) -> Numbers:
+        """Return the global numbers of the sites' contact rows, (k,); -1 for none. Collective."""
+        numbers = np.append(layout.numbers, -1)[self.normal]
+        found: Numbers = self.from_given(numbers + 1.0, layout).astype(np.int64) - 1
+        return found
 
     def given(self, at_sites: Vector) -> Vector:
         """Return values at sites (k, ...) for those that this rank gave, in its order."""
@@ -238,7 +311,8 @@ class FrictionRows:
 
     def moved(self, places: Numbers) -> FrictionRows:
         """Return the rows at new local positions, by the old ones."""
-        return replace(self, rows=np.where(self.present, places[self.rows], -1))
+        rows = np.where(self.present, places[self.rows], -1)
+        return replace(self, rows=rows, normal=np.append(places, -1)[self.normal])
 
     def multiplier_set(self, inequality: Numbers, shift: Vector, radius: Vector) -> FeasibleSet:
         """Return {x : shift + x is feasible}, with lambda_I >= o and |lambda_T| <= r.

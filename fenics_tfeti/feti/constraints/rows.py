@@ -16,6 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.conditions import ConditionRows, condition_rows
 from fenics_tfeti.feti.constraints.coupling import Coupling
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
@@ -24,7 +25,7 @@ from fenics_tfeti.feti.constraints.equality import equality_rows
 from fenics_tfeti.feti.constraints.friction import FrictionRows
 from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
+from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank, raise_collectively
 
 __all__ = ["Constraints", "TiedRows", "build_constraints"]
 
@@ -142,6 +143,7 @@ class Constraints:
             (self.tied.own_rows, other.tied.own_rows),
             (self.friction.rows, other.friction.rows),
             (self.friction.own, other.friction.own),
+            (self.friction.normal, other.friction.normal),
         )
         same = all(np.array_equal(*pair) for pair in pairs)
         return bool(self.layout.comm.allreduce(same, MPI.LAND))
@@ -242,12 +244,31 @@ def build_constraints(
     contact, scale = conditions.contact[first], conditions.scale[first]
     pressing, slip = ~tied & ~tangential.mask, tangential.mask
     given_contact = ~conditions.given_tied & (conditions.given_sites < 0)
+    inequality, factor = rows[pressing], scale[pressing]
+    friction = FrictionRows.build(
+        rows[slip],
+        tangential.chosen(slip),
+        contact[slip],
+        scale[slip],
+        system.gdim - 1,
+        np.unique(conditions.given_sites[conditions.given_sites >= 0]),
+        system.comm,
+    )
+    normal = own_rows[given_contact][system.friction.row]
+    _check_pressed(system, friction, normal)
+    with_none = np.append(factor, 0.0)
+    friction = friction.with_normals(
+        normal,
+        with_none[np.where(normal >= 0, np.searchsorted(inequality, normal), -1)],
+        np.asarray(system.friction.coefficient),
+        layout,
+    )
     constraints = Constraints(
         matrix,
         layout,
-        inequality=rows[pressing],
+        inequality=inequality,
         contact=contact[pressing],
-        scale=scale[pressing],
+        scale=factor,
         own_rows=own_rows[given_contact],
         weights=np.repeat(copies.weight, system.gdim),
         nodes=first_of_rank(system.comm, directory.keys.size)[1],
@@ -255,17 +276,23 @@ def build_constraints(
         infinite_gaps=conditions.infinite_gaps,
         tied=TiedRows(rows[tied], contact[tied], scale[tied], own_rows[conditions.given_tied]),
         coupling=_coupling(layout, conditions),
-        friction=FrictionRows.build(
-            rows[slip],
-            tangential.chosen(slip),
-            contact[slip],
-            scale[slip],
-            system.gdim - 1,
-            np.unique(conditions.given_sites[conditions.given_sites >= 0]),
-            system.comm,
-        ),
+        friction=friction,
     )
     return constraints, c
+
+
+def _check_pressed(system: TornSystem, friction: FrictionRows, normal: Numbers) -> None:
+    """Check that the normal force is known wherever the bound depends on it. Collective."""
+    with raise_collectively(system.comm):
+        lost = (friction.own >= 0) & (normal < 0) & (np.asarray(system.friction.coefficient) > 0.0)
+        if lost.any():
+            row = system.friction.row[np.flatnonzero(lost)[0]]
+            raise InputError(
+                f"friction: at {np.count_nonzero(lost)} contact rows with a coefficient of "
+                f"friction, the first of slave node {system.contacts.slave[row]}, the normal force "
+                "is not known: prescribed displacements or another contact decide the gap. Take "
+                "friction out of these rows, or give them a slip bound"
+            )
 
 
 def _coupling(layout: DualLayout, conditions: ConditionRows) -> Coupling:

@@ -125,6 +125,9 @@ class Certificate:
         the bodies that touch there.
     slip_across_force : float
         Largest part of a slip that is not along the tangential force, relative to the same.
+    slip_bound_error : float
+        With Coulomb's law, difference between the friction forces and the bounds that the normal
+        forces make, as root of the sum of squares, relative to the bounds.
     """
 
     bound: float
@@ -138,6 +141,7 @@ class Certificate:
     friction_excess: float = 0.0
     slip_below_bound: float = 0.0
     slip_across_force: float = 0.0
+    slip_bound_error: float = 0.0
 
     def numbers(self) -> dict[str, float]:
         """Return what the tolerance limits, by name; of groups and bodies the largest error."""
@@ -152,6 +156,7 @@ class Certificate:
             "friction above its bound": self.friction_excess,
             "slip below the bound": self.slip_below_bound,
             "slip across the force": self.slip_across_force,
+            "slip bound": self.slip_bound_error,
         }
 
     @property

@@ -9,14 +9,15 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 from fenics_tfeti.feti.dual.active_set import ActiveSetStep
-from fenics_tfeti.feti.solution.states import History
+from fenics_tfeti.feti.solution.states import History, SlipBoundStep
 from fenics_tfeti.qp import OuterIteration
 
 __all__ = ["Monitor", "MonitorFunction", "describe_step"]
 
 logger = logging.getLogger(__name__)
 
-MonitorFunction = Callable[[ActiveSetStep | OuterIteration], None]
+Step = ActiveSetStep | OuterIteration | SlipBoundStep
+MonitorFunction = Callable[[Step], None]
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,12 @@ class Monitor:
         self.history.outer.append(step)
         self._tell(step, len(self.history.outer) - 1)
 
-    def _tell(self, step: ActiveSetStep | OuterIteration, number: int) -> None:
+    def slip_bounds(self, step: SlipBoundStep) -> None:
+        """Tell of a step of Coulomb's law."""
+        self.history.slip_bounds.append(step)
+        self._tell(step, len(self.history.slip_bounds) - 1)
+
+    def _tell(self, step: Step, number: int) -> None:
         if self.comm.rank == 0:
             line = describe_step(step, number)
             logger.info(line)
@@ -60,12 +66,12 @@ class Monitor:
             self.function(step)
 
 
-def describe_step(step: ActiveSetStep | OuterIteration, number: int) -> str:
+def describe_step(step: Step, number: int) -> str:
     """Return a line about a step.
 
     Parameters
     ----------
-    step : ActiveSetStep or OuterIteration
+    step : ActiveSetStep, OuterIteration or SlipBoundStep
         The step.
     number : int
         Its number in the solve, from 0.
@@ -79,6 +85,12 @@ def describe_step(step: ActiveSetStep | OuterIteration, number: int) -> str:
         return (
             f"face  {number:3d}  products {step.products:4d}  residual {step.residual:.2e}  "
             f"active {step.active}  changed {step.changed}"
+        )
+    if isinstance(step, SlipBoundStep):
+        ratio = "" if step.ratio is None else f"  ratio {step.ratio:.2f}"
+        return (
+            f"slip  {number:3d}  products {step.products:4d}  change {step.change:.2e}{ratio}  "
+            f"rtol {step.rtol:.1e}"
         )
     return (
         f"outer {number:3d}  products {step.products:4d}  |g^P| {step.gradient:.2e}  "

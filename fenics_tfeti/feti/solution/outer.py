@@ -252,7 +252,9 @@ class _Loop:
             recovered = Recovered(none, none, none, active, sticking)
             certificate = self.primal.certify(recovered, multipliers, face)
             slips = self.primal.slips(recovered)
-        candidate = Candidate(recovered, multipliers, certificate, 0.0, face, slips)
+        candidate = Candidate(
+            recovered, multipliers, certificate, 0.0, face, slips, self.data.radius
+        )
         state = DualState(multipliers, np.zeros_like(multipliers))
         return Outcome(candidate, state, True, "converged", 0.0)
 
@@ -363,7 +365,7 @@ class _Loop:
             certificate = self.primal.certify(recovered, multipliers, face)
             energy = self.primal.energy(recovered)
             slips = self.primal.slips(recovered)
-        return Candidate(recovered, multipliers, certificate, energy, face, slips)
+        return Candidate(recovered, multipliers, certificate, energy, face, slips, data.radius)
 
     def _completed(self, multipliers: Vector) -> Vector:
         """Return the multipliers with their part in the deflated directions."""

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.friction import SlipBound
 from fenics_tfeti.feti.dual.active_set import ActiveSetStep
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.recovery import Recovered
 from fenics_tfeti.qp import OuterIteration, Products
 
-__all__ = ["Candidate", "ContactData", "DualState", "History", "Outcome"]
+__all__ = ["Candidate", "ContactData", "DualState", "History", "Outcome", "SlipBoundStep"]
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -35,8 +36,11 @@ class ContactData:
         |R|'|f|, which the rounding of e is relative to.
     feasible : (m,) array
         lambda~ with G lambda~ = e, lambda~_I >= o and |lambda~_T| <= r.
+    bound : SlipBound
+        The law of friction.
     radius : (k,) array
-        r of each site of friction: its slip bound in units of multipliers.
+        r of each site of friction: its slip bound in units of multipliers, with Coulomb's law that
+        of some normal forces.
     removed : (m,) array or float
         B R a of prescribed motions that were taken out of c.
     """
@@ -46,6 +50,7 @@ class ContactData:
     e: Vector
     e_size: Vector
     feasible: Vector
+    bound: SlipBound
     radius: Vector
     removed: Vector | float = 0.0
 
@@ -88,6 +93,8 @@ class Candidate:
         ``free`` motions are undetermined.
     slips : (k, gdim - 1) array
         s at the sites of friction, scaled as the rows.
+    radius : (k,) array
+        r of each site of friction.
     """
 
     recovered: Recovered
@@ -96,6 +103,7 @@ class Candidate:
     energy: float
     face: Projector
     slips: Vector
+    radius: Vector
 
 
 @dataclass(frozen=True)
@@ -123,6 +131,29 @@ class Outcome:
     tolerance: float
 
 
+@dataclass(frozen=True)
+class SlipBoundStep:
+    """A step of the fixed point on the slip bounds of Coulomb's law.
+
+    Attributes
+    ----------
+    products : int
+        Applications of F in the solution with the bounds of this step.
+    change : float
+        Difference between the friction forces and the bounds that the normal forces make, relative
+        to these.
+    ratio : float or None
+        The change over that of the step before: the contraction.
+    rtol : float
+        Tolerance of the solution.
+    """
+
+    products: int
+    change: float
+    ratio: float | None
+    rtol: float
+
+
 @dataclass
 class History:
     """Counters and histories of one solve.
@@ -135,6 +166,8 @@ class History:
         One entry for each outer iteration of SMALBE-M.
     faces : list of ActiveSetStep
         One entry for each face of the active set method.
+    slip_bounds : list of SlipBoundStep
+        One entry for each step of Coulomb's law.
     norm_products_before : int
         Products for ||PFP|| that were spent before.
     deflation_solves : int
@@ -144,5 +177,6 @@ class History:
     products: Products = field(default_factory=Products)
     outer: list[OuterIteration] = field(default_factory=list)
     faces: list[ActiveSetStep] = field(default_factory=list)
+    slip_bounds: list[SlipBoundStep] = field(default_factory=list)
     norm_products_before: int = 0
     deflation_solves: int = 0

@@ -11,7 +11,7 @@ from scenes import scalar_space, vector_space
 
 from dolfinx.fem import Function
 
-from fenics_tfeti import InputError, Tresca
+from fenics_tfeti import Coulomb, InputError, Tresca
 from fenics_tfeti.io import Box, boxes
 
 
@@ -48,6 +48,8 @@ def on_other_mesh(scene):
 @pytest.mark.parametrize(
     ("friction", "message"),
     [
+        (Coulomb(-0.1), "coefficient is -0.1; a finite number, at least 0"),
+        (Coulomb(lambda x: -x[0]), "coefficient is negative, NaN or infinite at [0-9] nodes"),
         (0.3, r"contact 0 \(obstacle\): friction is a float; Tresca"),
         (Tresca, "friction is a type"),
         (Tresca(-1.0), r"slip_bound is -1.0; a finite number, at least 0"),

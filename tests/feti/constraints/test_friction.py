@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 from friction_problems import (
@@ -15,6 +17,7 @@ from friction_problems import (
 )
 
 from fenics_tfeti.feti import Prescribed
+from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.constraints.friction import FrictionRows
 from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.qp import Bounds, ProductSet
@@ -69,7 +72,7 @@ def test_both_tangential_rows_have_one_scale_and_one_bound(name):
     assert friction.rows.shape == (system.friction.size, system.gdim - 1)
     assert friction.present.all()
     np.testing.assert_allclose(
-        friction.given(friction.bound * friction.scale), system.friction.bound, rtol=1e-14
+        friction.given(friction.radius * friction.scale), system.friction.bound, rtol=1e-14
     )
 
 
@@ -99,7 +102,7 @@ def test_direction_that_prescribed_displacements_decide_has_no_row():
     assert np.count_nonzero(~friction.present[:, 1]) == 4
     assert friction.present[:, 0].all()
     feasible = friction.multiplier_set(
-        constraints.inequality, np.zeros(constraints.size), friction.bound
+        constraints.inequality, np.zeros(constraints.size), friction.radius
     )
     assert isinstance(feasible, ProductSet)
     assert feasible.discs.radius.size == 12
@@ -110,30 +113,32 @@ SITES = FrictionRows(
     rows=np.array([[1, 2], [3, -1], [5, 4]]),
     contact=np.zeros(3, dtype=np.int64),
     scale=np.ones(3),
-    bound=np.array([5.0, 2.0, 0.0]),
+    radius=np.array([5.0, 2.0, 0.0]),
     own=np.array([2, -1, 0]),
     curved=True,
+    normal=np.array([0, -1, -1]),
+    slope=np.array([0.0, 0.5, 0.5]),
 )
 
 
 def test_set_of_multipliers_is_shifted():
     shift = np.array([1.0, 0.5, -0.5, 3.0, 0.1, 0.2])
-    feasible = SITES.multiplier_set(np.array([0]), shift, SITES.bound)
+    feasible = SITES.multiplier_set(np.array([0]), shift, SITES.radius)
     x = feasible.project(np.array([-9.0, 5.5, 8.5, -9.0, 7.0, 7.0]))
     np.testing.assert_allclose(shift + x, [0.0, 3.0, 4.0, -2.0, 0.0, 0.0], atol=1e-14)
     plane = dataclasses.replace(SITES, rows=SITES.rows[:, :1], curved=False)
-    assert isinstance(plane.multiplier_set(np.array([0]), shift, SITES.bound), Bounds)
+    assert isinstance(plane.multiplier_set(np.array([0]), shift, SITES.radius), Bounds)
 
 
 def test_state_of_sites():
     inside = np.array([9.0, 3.0, 4.0 - 1e-6, 1.9, 0.0, 0.0])
-    assert SITES.sticking(inside, SITES.bound).tolist() == [True, True, False]
+    assert SITES.sticking(inside, SITES.radius).tolist() == [True, True, False]
     rounded = np.array([9.0, 3.0, 4.0 - 1e-12, -2.0 + 1e-13, 0.0, 0.0])
-    assert SITES.sticking(rounded, SITES.bound).tolist() == [False, False, False]
-    at_bound = SITES.at_bound(rounded, SITES.bound)
+    assert SITES.sticking(rounded, SITES.radius).tolist() == [False, False, False]
+    at_bound = SITES.at_bound(rounded, SITES.radius)
     np.testing.assert_allclose(np.linalg.norm(SITES.at_sites(at_bound), axis=1), [5.0, 2.0, 0.0])
     np.testing.assert_allclose(SITES.directions(at_bound), [[0.6, 0.8], [-1.0, 0.0], [0.0, 0.0]])
-    assert SITES.at_bound(inside, SITES.bound).tolist() == inside.tolist()
+    assert SITES.at_bound(inside, SITES.radius).tolist() == inside.tolist()
 
 
 def test_values_at_sites_rows_and_what_was_given():
@@ -145,4 +150,19 @@ def test_values_at_sites_rows_and_what_was_given():
     mask = SITES.on_rows(np.array([False, True, True]), 6)
     assert mask.tolist() == [False, False, False, True, True, True]
     assert SITES.within(mask).tolist() == [False, True, True]
-    assert SITES.moved(np.arange(6) + 10).rows.tolist() == [[11, 12], [13, -1], [15, 14]]
+    moved = SITES.moved(np.arange(6) + 10)
+    assert moved.rows.tolist() == [[11, 12], [13, -1], [15, 14]]
+    assert moved.normal.tolist() == [10, -1, -1]
+
+
+def test_bounds_follow_the_normal_forces():
+    """Site 2 was given first, with the contact row 0; the others have no contact row."""
+    layout = DualLayout(MPI.COMM_SELF, np.array([7, 8, 9, 20, 21, 22]))
+    multipliers = np.array([4.0, 9.0, 9.0, 9.0, 9.0, 9.0])
+    pressing = SITES.pressing(multipliers, layout)
+    assert pressing.tolist() == [0.0, 0.0, 4.0]
+    assert SITES.bound.at(pressing).tolist() == [5.0, 2.0, 2.0]
+    assert SITES.pressing(-multipliers, layout).tolist() == [0.0, 0.0, 0.0]
+    assert SITES.normal_numbers(layout).tolist() == [-1, -1, 7]
+    given = SITES.with_normals(SITES.normal, np.array([2.0, 1, 1]), np.full(3, 0.3), layout)
+    assert given.slope.tolist() == [0.0, 0.0, 0.6]
