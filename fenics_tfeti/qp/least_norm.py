@@ -21,7 +21,7 @@ _REGULARISATION = 10.0 ** -np.arange(1.0, 14.0)
 _NEWTON_STEPS = 60
 # ||Cx + delta y - d|| / ||d|| with which Newton's method ends, and ||Cx - d|| / ||d|| of a solution
 _NEWTON = 1e-12
-_SOLVED = 1e-10
+_SOLVED = 1e-9
 # largest factor of the radii, and relative accuracy of the smallest one
 _LARGEST_FACTOR = 2.0**40
 _ACCURACY = 1e-4

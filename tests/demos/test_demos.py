@@ -51,6 +51,26 @@ def test_flat_punch(demo):
     assert demo["F"] == pytest.approx(demo["exact"], rel=0.025)
 
 
+def test_cattaneo_mindlin(demo):
+    """What sticks, within an element of the formula."""
+    assert len(demo["sticking"]) == 3
+    for stick, c, size in demo["sticking"]:
+        assert abs(stick - c) <= size
+
+
+def test_belt_on_drum(demo):
+    """The formula of Euler and Eytelwein."""
+    for mu, ratio in demo["ratios"].items():
+        assert ratio == pytest.approx(np.exp(-mu * np.pi), rel=0.02)
+
+
+def test_brick_wall(demo):
+    """The upper course slides where the push is more than the coefficient of its weight."""
+    assert demo["limit"] == 0.36
+    assert [push for push, _ in demo["moved"]][-1] == 0.33
+    assert demo["balance"] < 1e-6
+
+
 def test_stack_of_blocks(demo):
     """Each face carries its column: statics, exactly."""
     assert demo["worst"] < 1e-10

@@ -266,7 +266,7 @@ def test_next_load_starts_from_the_last_multipliers():
     again = TornSolver(dataclasses.replace(system), options, previous=first)
     assert set(again.reused) >= {"factors", "coarse problem", "norm", "multipliers"}
     repeated = again.solve()
-    assert repeated.report.products["total"] <= 0.6 * before.report.products["total"]
+    assert repeated.report.products["total"] <= 0.5 * before.report.products["total"]
     np.testing.assert_allclose(repeated.slip, before.slip, atol=1e-6 * np.abs(before.slip).max())
     # the same load once more, slip counted from here: nothing slips, the same displacement
     friction = dataclasses.replace(system.friction, slip=before.slip)
@@ -385,7 +385,7 @@ def test_next_load_with_coulomb_starts_from_the_last_bounds(coulomb):
     first = TornSolver(system, Options(rtol=1e-7))
     first.solve()
     again = TornSolver(dataclasses.replace(system), Options(rtol=1e-7), previous=first).solve()
-    assert again.report.products["total"] <= 0.5 * before.report.products["total"]
+    assert again.report.products["total"] <= 0.6 * before.report.products["total"]
     assert len(again.report.slip_bounds) <= 3
 
 

@@ -1,0 +1,188 @@
+"""A dry wall of bricks under a horizontal load: how far it can be pushed before it slides.
+
+# Brick wall
+
+Bricks of 240 x 120 mm lie in running bond on the ground, without mortar. Each is a body of its own;
+friction acts in all bed joints, head joints and on the ground. A pressure on the top holds the wall
+down, and a horizontal traction pushes its top. No displacement is prescribed.
+
+The wall is pushed until friction cannot hold it and its upper course slides. Whether it can is decided with rigid bricks,
+before any stiffness matrix is factored; the error names the bricks that slide or turn, and how much
+friction it would take.
+
+This demo illustrates how to
+
+- give many contact pairs friction;
+- increase a load step by step, with slips that stay;
+- catch the error for a load that friction cannot hold.
+
+Run it by `python demos/brick_wall.py`; it writes pictures, fields and a report into `results/`.
+All units are SI; forces are per metre of the wall's thickness.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import (
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    Plane,
+    RigidObstacle,
+    UnresistedMotion,
+)
+from fenics_tfeti.io import (
+    Box,
+    boxes,
+    contact_fields,
+    displacement_space,
+    draw_deformed,
+    draw_profile,
+    tag_facets,
+    write_fields,
+)
+
+results = Path("results")
+
+# ## Bricks
+#
+# Every other course begins and ends with half a brick.
+
+length, height, courses, bricks_per_course = 0.24, 0.12, 4, 2
+bricks = []
+for course in range(courses):
+    ends = np.arange(bricks_per_course + 1) * length
+    if course % 2:
+        ends = np.concatenate([[0.0], ends[:-1] + length / 2, [ends[-1]]])
+    for left, right in zip(ends[:-1], ends[1:], strict=True):
+        bricks.append((left, right, course * height))
+
+half = length / 2
+parts = [
+    Box((left, low), (right, low + height), (4 * round((right - left) / half), 4), f"brick {k}")
+    for k, (left, right, low) in enumerate(bricks, start=1)
+]
+wall = boxes(MPI.COMM_WORLD, parts, "quadrilateral")
+mesh = wall.mesh
+
+# ## Joints
+#
+# Two bricks touch where an edge of one lies on an edge of the other. Each side of a joint gets a
+# tag of its own.
+
+LOADED, GROUND = 1, 2
+
+
+def on_segment(one, other):
+    """Return a marker of the points on a segment along an axis."""
+    lower, upper = np.minimum(one, other) - 1e-9, np.maximum(one, other) + 1e-9
+    return lambda x: np.all((x[:2] >= lower[:, None]) & (x[:2] <= upper[:, None]), axis=0)
+
+
+markers, joints = [], []
+for k, (left, right, low) in enumerate(bricks, start=1):
+    if low == 0:
+        markers.append((GROUND, on_segment((left, 0), (right, 0)), k))
+    if low + 1.5 * height > courses * height:
+        top = low + height
+        markers.append((LOADED, on_segment((left, top), (right, top)), k))
+    for j, (other_left, other_right, other_low) in enumerate(bricks, start=1):
+        begin, end = max(left, other_left), min(right, other_right)
+        bed = np.isclose(other_low + height, low) and end - begin > 1e-6
+        head = np.isclose(other_right, left) and other_low == low
+        if bed or head:
+            segment = ((begin, low), (end, low)) if bed else ((left, low), (left, low + height))
+            slave = 10 + 2 * len(joints)
+            markers += [(slave, on_segment(*segment), k), (slave + 1, on_segment(*segment), j)]
+            joints.append((slave, slave + 1, f"brick {k} {'on' if bed else 'beside'} brick {j}"))
+facet_tags = tag_facets(mesh, markers, wall.cell_tags)
+
+friction = Coulomb(0.35)
+contacts = [
+    ContactPair(facet_tags, slave, master, name, friction=friction)
+    for slave, master, name in joints
+]
+ground = Plane(point=(0, 0), normal=(0, 1))
+contacts.append(RigidObstacle(facet_tags, GROUND, ground, "ground", friction=friction))
+
+# ## Linear elasticity, plane strain
+
+E, nu = 5e9, 0.2
+mu = fem.Constant(mesh, E / (2 * (1 + nu)))
+lmbda = fem.Constant(mesh, E * nu / ((1 + nu) * (1 - 2 * nu)))
+V = displacement_space(mesh)
+u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+strain = ufl.sym(ufl.grad(u))
+a = (2 * mu * ufl.inner(strain, ufl.grad(v)) + lmbda * ufl.div(u) * ufl.div(v)) * ufl.dx
+
+weight = fem.Constant(mesh, np.array([0.0, -18e3]))
+pressure = 200e3
+traction = fem.Constant(mesh, np.array([0.0, -pressure]))
+ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
+L = ufl.inner(weight, v) * ufl.dx + ufl.inner(traction, v) * ds(LOADED)
+
+problem = ContactProblem(a, L, [], contacts, wall.cell_tags, options={"rtol": 1e-5})
+
+# ## Pushed until it gives way
+
+moved, energy, limit = [], [], None
+for push in (0.0, 0.1, 0.2, 0.25, 0.3, 0.33, 0.36, 0.4):
+    traction.value[0] = push * pressure
+    try:
+        solution = problem.solve()
+    except UnresistedMotion as error:
+        limit = push
+        if mesh.comm.rank == 0:
+            print(f"push {push:.2f} of the pressure: {error}")
+        break
+    uh = solution
+    uh.name = "displacement"
+    top = mesh.comm.allreduce(float(np.max(uh.x.array.reshape(-1, 2)[:, 0], initial=0)), MPI.MAX)
+    moved.append((push, top))
+    energy.append(sum(problem.report.friction_work))
+    report = problem.report
+    if mesh.comm.rank == 0:
+        unknowns = report.unknowns
+        print(
+            f"push {push:.2f} of the pressure: moves by {1e6 * top:6.1f} um, "
+            f"{unknowns['active']} of {unknowns['inequalities']} conditions press, "
+            f"{unknowns['sticking']} of {unknowns['friction']} nodes stick, work of friction "
+            f"{energy[-1]:.1e} J; {report.products['total']} products, "
+            f"{len(report.slip_bounds)} steps"
+        )
+
+# The ground carries the load on the top and the weight.
+
+width = bricks_per_course * length
+load = np.array([moved[-1][0], -1.0]) * pressure * width
+load[1] -= 18e3 * width * courses * height
+balance = np.abs(np.array(report.on_slaves[-1].force) + load).max() / np.abs(load).max()
+
+# ## Pictures
+
+write_fields(results / "brick_wall.pvd", [uh, *contact_fields(V, problem.contact)])
+report.to_json(results / "brick_wall.json")
+share, top = np.array(moved).T
+draw_profile(
+    results / "brick_wall_push.png",
+    {"top of the wall": (1e6 * top, share, "o-")},
+    xlabel="largest displacement [µm]",
+    ylabel="horizontal load / vertical load",
+    title="Dry wall under a horizontal load",
+    comm=mesh.comm,
+)
+draw_deformed(
+    results / "brick_wall.png",
+    uh,
+    label="displacement",
+    unit="mm",
+    title=f"Dry wall pushed by {moved[-1][0]:g} of its vertical load",
+)
