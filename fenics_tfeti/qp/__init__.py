@@ -7,6 +7,7 @@ curved boundaries, SMALBE-M (algorithm 9.2) and a Lanczos bound of the spectrum.
 from fenics_tfeti.qp.cones import FrictionCones
 from fenics_tfeti.qp.feasible_set import Bounds, Discs, FeasibleSet, ProductSet, Split
 from fenics_tfeti.qp.least_norm import least_norm_in_set, smallest_factor
+from fenics_tfeti.qp.least_penetration import least_penetration
 from fenics_tfeti.qp.least_squares import (
     least_distance,
     least_norm_nonnegative,
@@ -48,6 +49,7 @@ __all__ = [
     "least_norm_in_set",
     "least_norm_nonnegative",
     "least_norm_partly_nonnegative",
+    "least_penetration",
     "mpgp",
     "mprgp",
     "nonnegative_least_squares",

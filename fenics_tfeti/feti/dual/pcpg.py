@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.dual.loose_bodies import LooseBodies
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.qp import Products
 
@@ -91,11 +92,14 @@ class Face:
         P and Q of the rows on the face, and of the tangents of sites that slip.
     precondition : callable or None
         x -> this rank's part of B_D S B_D'x on the face, scaled where forces turn.
+    loose : LooseBodies or None
+        Bodies whose position the rows on the face do not determine.
     """
 
     signs: Signs
     projector: Projector
     precondition: Callable[[Vector], Vector] | None
+    loose: LooseBodies | None
 
     @staticmethod
     def build(problem: DualProblem, signs: Signs, projector: Projector) -> Face:
@@ -108,7 +112,8 @@ class Face:
         precondition = None if kind is None else kind.on_face(rows)
         if precondition is not None and projector.across is not None:
             precondition = _scaled(problem, precondition, signs.curvature, projector.across)
-        return Face(replace(signs, forces=fixed), projector, precondition)
+        signs, loose = replace(signs, forces=fixed), LooseBodies.of(projector)
+        return Face(signs, projector, precondition, loose)
 
     def bent(self, multipliers: Vector) -> Vector:
         """Return the gradient of 1/2 sum of curvatures times squared tangential parts of forces."""
@@ -245,18 +250,28 @@ def pcpg(
         if interruption.agreed():
             return iterate
         if iterate.residual <= test_below:
+            iterate = _settled(problem, face, iterate)
             if iterate.residual <= sign_factor * iterate.violation:
                 return iterate
             test_below = 0.5 * iterate.residual
         iterate = _with_preconditioned_residual(problem, face, iterate, products)
         if iterate.energy <= tolerance:
-            return iterate
+            break
         best = iterate if iterate.rz <= 0.5 * best.rz else best
         following = None if _is_rounding(iterate, best) else _step(problem, face, iterate, products)
         if following is None:
-            return replace(best, at_limit=True)
+            return _settled(problem, face, replace(best, at_limit=True))
         iterate = following
-    return iterate
+    return _settled(problem, face, iterate)
+
+
+def _settled(problem: DualProblem, face: Face, iterate: PCPGIterate) -> PCPGIterate:
+    """Return the iterate with gaps and their signs in the position that loose bodies settle in."""
+    if face.loose is None:
+        return iterate
+    gradient = face.loose.settled(iterate.gradient)
+    _, violation = _norms(problem, face, iterate.multipliers, gradient)
+    return replace(iterate, gradient=gradient, violation=violation)
 
 
 def _is_rounding(iterate: PCPGIterate, best: PCPGIterate) -> bool:

@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from torn import column, cube
+
+from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.dual.pcpg import Face, Signs
+
+WALLS = np.concatenate([np.identity(3), -np.identity(3)])
+
+
+def with_loose_cubes(clearance: float, shifts: np.ndarray) -> TornSystem:
+    """Add cubes without load, each in a box that it penetrates as it is drawn.
+
+    The walls of a box are `clearance` away from a cube that is shifted by -shift.
+    """
+    system, rows = column(n=2), column(n=2).contacts
+    number = len(shifts)
+    first = [2 * 10**9 + k * 10**8 for k in range(number)]
+    cubes = [cube(2, (3 * k + 3, 0, 0), 2 + k, at) for k, at in enumerate(first)]
+    slaves, normals, gaps = [], [], []
+    for loose, shift in zip(cubes, shifts, strict=True):
+        middle = loose.coordinates.mean(axis=0)
+        for outwards in WALLS:
+            on_side = (loose.coordinates - middle) @ outwards > 0.49
+            slaves.append(loose.nodes[on_side])
+            normals.append(np.tile(outwards, (slaves[-1].size, 1)))
+            gaps.append(np.full(slaves[-1].size, clearance + outwards @ shift))
+    k = rows.gap.size
+    slave = np.concatenate([rows.slave, *slaves])
+    contacts = ContactRows.node_to_node(
+        slave,
+        np.concatenate([rows.nodes.reshape(-1, 2)[:, 1], np.full(slave.size - k, -1)]),
+        np.concatenate([rows.coefficients[::2], *normals]),
+        np.concatenate([rows.gap, *gaps]),
+        (np.arange(slave.size) >= k).astype(np.int64),
+    )
+    return replace(
+        system,
+        subdomains=[*system.subdomains, *cubes],
+        contacts=contacts,
+        body_names=(),
+        contact_names=("joint", "walls"),
+    )
+
+
+SHIFTS = np.array([[0.2, -0.1, 0.05], [-0.02, 0.0, 0.3], [0.0, 0.1, 0.0]])
+
+
+@pytest.mark.parametrize("clearance", [0.01, 0.1])
+def test_bodies_that_have_a_position_change_no_faces(clearance):
+    """No row of the loose cubes is ever active: the faces are those of the column alone."""
+    alone = TornSolver(column(n=2), Options(rtol=1e-6)).solve().report
+    solution = TornSolver(with_loose_cubes(clearance, SHIFTS), Options(rtol=1e-6)).solve()
+    faces = [(face.active, face.changed) for face in solution.report.faces]
+    assert faces == [(face.active, face.changed) for face in alone.faces]
+    assert solution.report.products["total"] == alone.products["total"]
+    # recovery moves them by what is missing
+    assert solution.report.certificate.penetration <= 1e-9
+
+
+def test_bodies_that_have_none_are_squeezed_on_both_sides():
+    """Walls that are too near: the rows of the next set balance each other."""
+    solver = TornSolver(with_loose_cubes(-0.01, SHIFTS))
+    problem = solver.dual_problem()
+    coarse_space, rows = problem.coarse_space, problem.constraints.inequality
+    none = np.zeros(rows.size, dtype=bool)
+    signs = Signs.of(problem, np.zeros_like(problem.d), none)
+    face = Face.build(problem, signs, Projector.build(coarse_space, none))
+    assert face.loose is not None
+    settled = face.loose.settled(problem.c)
+    penetration = np.where(problem.constraints.contact == 1, np.maximum(-settled[rows], 0.0), 0.0)
+    squeezing = np.zeros_like(settled)
+    squeezing[rows] = penetration
+    assert np.count_nonzero(penetration) == len(SHIFTS) * len(WALLS) * 9
+    depth = penetration / problem.constraints.row_lengths[rows]
+    np.testing.assert_allclose(depth[depth > 0.0], 0.01, rtol=1e-8)
+    balance = face.projector.free.T @ coarse_space.restrict(squeezing)
+    np.testing.assert_allclose(balance, 0.0, atol=1e-8 * np.linalg.norm(squeezing))
+
+
+def test_faces_that_hold_all_bodies_have_none():
+    solver = TornSolver(column(n=2))
+    problem = solver.dual_problem()
+    every = np.ones(problem.constraints.inequality.size, dtype=bool)
+    signs = Signs.of(problem, np.zeros_like(problem.d), every)
+    assert Face.build(problem, signs, Projector.build(problem.coarse_space, every)).loose is None

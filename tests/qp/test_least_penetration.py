@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.optimize import lsq_linear
+
+from fenics_tfeti.qp import least_penetration
+
+
+def cost(S: np.ndarray, gap: np.ndarray, z: np.ndarray) -> float:
+    return float(np.sum(np.maximum(S @ z - gap, 0.0) ** 2))
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e9])
+@pytest.mark.parametrize("seed", range(10))
+def test_smallest_sum_of_squares(seed, scale):
+    """Against an independent solver: the smallest ||Sz + s - gap|| over z and s >= o."""
+    rng = np.random.default_rng(seed)
+    m, k = rng.integers(5, 40), rng.integers(1, 6)
+    S, gap = rng.standard_normal((m, k)), rng.standard_normal(m)
+    whole = np.hstack([S, np.identity(m)])
+    lower = np.append(np.full(k, -np.inf), np.zeros(m))
+    found = lsq_linear(whole, gap, (lower, np.inf), tol=1e-14, method="bvls")
+    z = least_penetration(sp.csr_matrix(scale * S), scale * gap)
+    assert cost(S, gap, z) == pytest.approx(2 * found.cost, rel=1e-7, abs=1e-14)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_weak_and_strong_rows(seed):
+    """A position without penetration is found, whatever the lengths of the rows."""
+    rng = np.random.default_rng(seed)
+    S = rng.standard_normal((30, 5)) * 10.0 ** rng.uniform(-3, 0, 30)[:, None]
+    inside = 10.0 * rng.standard_normal(5)
+    gap = S @ inside + 0.01 * np.abs(S).max(axis=1) * rng.random(30)
+    z = least_penetration(sp.csr_matrix(S), gap)
+    assert (S @ z - gap <= 1e-9 * np.linalg.norm(S, axis=1) * np.linalg.norm(inside)).all()
+
+
+def test_nothing_penetrates():
+    S = sp.csr_matrix(np.array([[1.0, 2.0]]))
+    assert not least_penetration(S, np.array([0.0])).any()
+    assert least_penetration(S[:, :0], np.array([-1.0])).size == 0
+    assert not least_penetration(S[:0], np.zeros(0)).any()
