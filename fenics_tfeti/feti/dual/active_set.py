@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.coupling import null_space
+from fenics_tfeti.feti.dual.loose_bodies import LooseBodies, rigid_start
 from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Signs, friction_step, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.tolerances import NO_WORK
@@ -39,6 +40,8 @@ Mask = NDArray[np.bool_]
 
 # limit on changes of one row
 _SINGLE_STEPS = 100
+# force, relative to the largest one, that is rounding
+_NO_FORCE = 1e-14
 # part of the gaps of dependent rows that is rounding
 _CONSISTENT = 1e-9
 
@@ -128,6 +131,11 @@ def primal_dual_active_set(
     rubs = bool(_counts(problem, np.zeros(rows.size, dtype=bool), sites=problem.radius > 0.0)[-1])
     progress, pivots, previous_sets = _Progress(), _SinglePivots(), list[Mask]()
     gradient, resume = problem.c, isinstance(start, PCPGIterate)
+    if isinstance(start, np.ndarray) and not _counts(problem, signs.active)[0]:
+        pressing = rigid_start(problem)
+        if pressing is not None:
+            active = pressing[rows] > 0.0
+            start, signs = start + pressing, replace(signs, active=active)
     # the violation of signs in units of energy: F ~ ||PFP|| at worst
     negligible = tolerance * np.sqrt(problem.norm)
     while True:
@@ -142,7 +150,7 @@ def primal_dual_active_set(
             products=products,
             resume=resume,
         )
-        gradient = iterate.gradient
+        gradient = _without_pulling_rows(problem, face, iterate)
         following = iterate.multipliers[rows] > gradient[rows] / problem.norm
         forces = friction_step(problem, face, iterate.multipliers, gradient)
         rubbing = np.zeros_like(gradient)
@@ -241,6 +249,23 @@ class _Progress:
     def stagnates(self) -> bool:
         """Whether the violation has not decreased for more than eight faces."""
         return self.failures > 8
+
+
+def _without_pulling_rows(problem: DualProblem, face: Face, iterate: PCPGIterate) -> Vector:
+    """Return the gradient after the motion with the least penetration of what pushes do not hold.
+
+    Rows that pull will leave the set. The position of a body that only they hold is no more known
+    than that of a loose one.
+    """
+    constraints, active = problem.constraints, face.signs.active
+    forces = iterate.multipliers[constraints.inequality]
+    largest = float(constraints.layout.comm.allreduce(forces.max(initial=0.0), MPI.MAX))
+    pushing = active & (forces > _NO_FORCE * largest)
+    if constraints.friction.size or not _counts(problem, active & ~pushing)[0]:
+        return iterate.gradient
+    rows = constraints.face(pushing, np.zeros(0, dtype=bool))
+    loose = LooseBodies.without(problem.coarse_space, rows)
+    return iterate.gradient if loose is None else loose.settled(iterate.gradient)
 
 
 def _result(problem: DualProblem, iterate: PCPGIterate, solved: bool) -> ActiveSetResult:

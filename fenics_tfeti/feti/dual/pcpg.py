@@ -112,7 +112,7 @@ class Face:
         precondition = None if kind is None else kind.on_face(rows)
         if precondition is not None and projector.across is not None:
             precondition = _scaled(problem, precondition, signs.curvature, projector.across)
-        signs, loose = replace(signs, forces=fixed), LooseBodies.of(projector)
+        signs, loose = replace(signs, forces=fixed), LooseBodies.on_face(projector)
         return Face(signs, projector, precondition, loose)
 
     def bent(self, multipliers: Vector) -> Vector:
