@@ -6,9 +6,9 @@ Bricks of 240 x 120 mm lie in running bond on the ground, without mortar. Each i
 friction acts in all bed joints, head joints and on the ground. A pressure on the top holds the wall
 down, and a horizontal traction pushes its top. No displacement is prescribed.
 
-The wall is pushed until friction cannot hold it and its upper course slides. Whether it can is decided with rigid bricks,
-before any stiffness matrix is factored; the error names the bricks that slide or turn, and how much
-friction it would take.
+The wall is pushed until friction cannot hold it and its upper course slides. Whether it can is
+decided with rigid bricks, before any stiffness matrix is factored; the error names the bricks that
+slide or turn, and how much friction it would take.
 
 This demo illustrates how to
 

@@ -284,8 +284,8 @@ class Friction:
     row : (k,) integer array
         Position of each among the contact rows of this rank, ascending.
     tangents : (k, gdim - 1, gdim) array
-        Orthonormal, and orthogonal to the normal of the row. In three dimensions each is along or
-        across the components that are prescribed at the nodes of the row.
+        Orthonormal, and orthogonal to the normal of the row. Where the same component is prescribed
+        at all nodes of a row, each is along or across it, in three dimensions.
     bound : (k,) array
         Slip bound [N]: the tangential force at which the node slips.
     slip : (k, gdim - 1) array, optional

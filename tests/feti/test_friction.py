@@ -73,6 +73,34 @@ def turned_tangents() -> TornSystem:
     return dataclasses.replace(system, friction=friction)
 
 
+def prescribed_too(system: TornSystem, body: int, component: int, value: float) -> TornSystem:
+    """Prescribe a component of the contact nodes of one body."""
+    z1 = system.subdomains[body]
+    nodes = z1.nodes[z1.coordinates[:, 2] == 1.0]
+    given = system.prescribed
+    held = Prescribed(
+        np.append(given.nodes, nodes),
+        np.append(given.components, np.full(nodes.size, component)),
+        np.append(given.values, np.full(nodes.size, value)),
+    )
+    return dataclasses.replace(system, prescribed=held)
+
+
+def one_side_held_across() -> TornSystem:
+    """Return the pushed block, of which one side alone cannot move along y: rows of two lengths."""
+    return prescribed_too(pushed_block(), 0, 1, 0.0)
+
+
+def one_side_held_across_tangents() -> TornSystem:
+    """Return the same with turned tangents: rows that are not orthogonal."""
+    return prescribed_too(turned_tangents(), 1, 1, 0.0)
+
+
+def half_held() -> TornSystem:
+    """Return blocks that do not match, the lower one held along x where they touch."""
+    return prescribed_too(blocks_that_do_not_match(), 0, 0, 0.0)
+
+
 SYSTEMS = {
     "pushed": pushed_block,
     "earlier slip": lambda: pushed_block(slip=(0.01, -0.003)),
@@ -84,6 +112,9 @@ SYSTEMS = {
     "moved": moved_support,
     "some": some_without_friction,
     "turned": turned_tangents,
+    "one side": one_side_held_across,
+    "one side, turned": one_side_held_across_tangents,
+    "half": half_held,
 }
 every_system = pytest.mark.parametrize("name", SYSTEMS)
 
@@ -450,24 +481,6 @@ def test_wrong_friction_is_named(friction, message):
     system = dataclasses.replace(pushed_block(), friction=friction)
     with pytest.raises(InputError, match=message):
         TornSolver(system)
-
-
-def prescribed_too(system: TornSystem, body: int, component: int, value: float) -> TornSystem:
-    """Prescribe a component of the contact nodes of one body."""
-    z1 = system.subdomains[body]
-    nodes = z1.nodes[z1.coordinates[:, 2] == 1.0]
-    given = system.prescribed
-    held = Prescribed(
-        np.append(given.nodes, nodes),
-        np.append(given.components, np.full(nodes.size, component)),
-        np.append(given.values, np.full(nodes.size, value)),
-    )
-    return dataclasses.replace(system, prescribed=held)
-
-
-def test_component_prescribed_on_one_side_only_is_an_error():
-    with pytest.raises(InputError, match="prescribed at some nodes only"):
-        TornSolver(prescribed_too(pushed_block(), 0, 1, 0.0))
 
 
 def test_prescribed_slip_in_one_direction_is_an_error():

@@ -25,7 +25,7 @@ from fenics_tfeti import (
 )
 from fenics_tfeti.io import Box, boxes, tag_facets
 
-CLAMPED, LOADED, SLAVE, MASTER, TOP = 1, 3, 5, 6, 4
+CLAMPED, LOADED, SLAVE, MASTER, TOP, SIDE = 1, 3, 5, 6, 4, 7
 
 
 @dataclass
@@ -47,11 +47,12 @@ def pushed_cube(
     comm: MPI.Intracomm = MPI.COMM_SELF,
     degree: int = 1,
     young: float = 1.0,
+    symmetry: bool = False,
     **arguments: Any,
 ) -> Rubbing:
     """Return a unit cube (square) on a rigid plane, or on a cube of `lower` elements an edge.
 
-    Its top is pressed and pushed sideways.
+    Its top is pressed and pushed sideways. With `symmetry` the plane y = 0 is one.
     """
     d = dimension(cell)
     parts = [Box((0.0,) * d, (1.0,) * d, (n,) * d, "upper")]
@@ -59,6 +60,8 @@ def pushed_cube(
     if lower:
         parts += [Box((*(0.0,) * (d - 1), -1.0), (*(1.0,) * (d - 1), 0.0), (lower,) * d, "lower")]
         marks += [(MASTER, at(d - 1, 0.0), 2), (CLAMPED, at(d - 1, -1.0), 2)]
+    if symmetry:
+        marks += [(SIDE, at(1, 0.0))]
     tagged = boxes(comm, parts, cell)
     tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
     V = vector_space(tagged.mesh, degree)
@@ -71,10 +74,12 @@ def pushed_cube(
     else:
         ground = Plane((0.0,) * d, (*(0.0,) * (d - 1), 1.0))
         contact = RigidObstacle(tags, SLAVE, ground, friction=friction)
+    supports = [fixed(V, tags, CLAMPED, None)] if lower else []
+    supports += [fixed(V, tags, SIDE, 1)] if symmetry else []
     problem = ContactProblem(
         elasticity(u, v, young),
         ufl.inner(traction, v) * ds(LOADED),
-        [fixed(V, tags, CLAMPED, None)] if lower else [],
+        supports,
         [contact],
         tagged.cell_tags,
         **{"options": {"rtol": 1e-8}, **arguments},

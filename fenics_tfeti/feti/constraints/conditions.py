@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.entries import Entries
-from fenics_tfeti.feti.constraints.friction import Tangential, check_discs, common_scale
+from fenics_tfeti.feti.constraints.friction import Tangential, check_slides, common_scale
 from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable, largest_coordinate
 from fenics_tfeti.feti.constraints.redundancy import ContactConditions, Redundancy, find_redundant
 from fenics_tfeti.feti.system import ContactRows, TornSystem
@@ -150,7 +150,7 @@ def condition_rows(
     decided = finite & ~free & ~tangential.mask
     with raise_collectively(system.comm):
         _check_decided_rows(contacts, tied, gap, tolerance, decided)
-        check_discs(contacts, tangential, terms.coefficients, terms.weight, gap, tolerance, free)
+        check_slides(contacts, tangential, gap, tolerance, free)
     kept = finite & free
     scale = common_scale(1.0 / np.sqrt(np.where(kept, norm2, 1.0)), tangential, kept)
     redundancy = find_redundant(

@@ -52,8 +52,8 @@ class Coupling:
     numbers : (w,) integer array
         Global numbers of the coupled rows, ascending; the same on all ranks.
     gram : (w, w) scipy.sparse.csr_matrix
-        W in this order, with a diagonal of 1; the same on all ranks. Singular if rows depend
-        linearly on others.
+        W in this order, with a diagonal of 1, or less for tangential rows; the same on all ranks.
+        Singular if rows depend linearly on others.
     tied : (w,) bool array
         Which of them are equalities.
     tangential : (w,) bool array

@@ -21,15 +21,12 @@ from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.system import ContactRows
 from fenics_tfeti.qp import Bounds, Discs, FeasibleSet, ProductSet
 
-__all__ = ["FrictionRows", "SlipBound", "Tangential", "check_discs", "common_scale"]
+__all__ = ["FrictionRows", "SlipBound", "Tangential", "check_slides", "common_scale"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# difference of the squared lengths of the tangential rows of a node, and their product, relative to
-# these: a disc of forces would be an ellipse
-_NOT_A_DISC = 1e-9
 # distance from the bound, relative to it, below which a node slips
 _AT_BOUND = 1e-9
 
@@ -346,28 +343,18 @@ class FrictionRows:
         return ProductSet(bounds, Discs(at, -shift[at], radius[several]))
 
 
-def check_discs(
-    contacts: ContactRows,
-    tangential: Tangential,
-    coefficients: Vector,
-    weight: Vector,
-    gap: Vector,
-    tolerance: Vector,
-    free: Mask,
+def check_slides(
+    contacts: ContactRows, tangential: Tangential, gap: Vector, tolerance: Vector, free: Mask
 ) -> None:
-    """Check that the tangential rows of each site have orthogonal free parts of equal length.
+    """Check that prescribed displacements slide nothing that may slip in another direction.
 
     Parameters
     ----------
     contacts : ContactRows
-        All conditions of this rank, for the terms of each row.
+        All conditions of this rank.
     tangential : Tangential
         Which of them are tangential rows; those of a site follow each other.
-    coefficients : (t, gdim) array
-        The terms' coefficients of components that are not prescribed.
-    weight : (t,) array
-        Sum of the weights of the copies of the terms' nodes.
-    gap, tolerance : (r,) array
+    gap, tolerance : (r,) arrays
         Right-hand sides without what prescribed displacements decide, and their rounding.
     free : (r,) bool array
         Whether a row has a free part at all.
@@ -381,29 +368,6 @@ def check_discs(
     second = np.flatnonzero(tangential.mask & (tangential.direction == 1))
     if not second.size:
         return
-    both = free[first] & free[second]
-    row = contacts.row
-    at = np.full(contacts.size, -1, dtype=np.int64)
-    at[first] = at[second] = np.arange(first.size)
-    one, other = np.flatnonzero(np.isin(row, first)), np.flatnonzero(np.isin(row, second))
-
-    def product(a: Numbers, b: Numbers) -> Vector:
-        terms = np.sum(coefficients[a] * coefficients[b], axis=1) / weight[a]
-        sums = np.zeros(first.size)
-        np.add.at(sums, at[row[a]], terms)
-        return sums
-
-    lengths = product(one, one), product(other, other)
-    size = np.maximum(lengths[0], lengths[1])
-    unequal = np.maximum(np.abs(lengths[0] - lengths[1]), np.abs(product(one, other)))
-    bad = np.flatnonzero(both & (unequal > _NOT_A_DISC * size))
-    if bad.size:
-        raise InputError(
-            f"friction: at {bad.size} contact rows, the first of slave node "
-            f"{contacts.slave[first[bad[0]]]}, a tangential displacement is prescribed at some "
-            "nodes only, or in a direction between the tangents. Prescribe it at all nodes of the "
-            "row, choose the tangents along and across it, or take friction out of the row"
-        )
     decided = np.where(free[first], second, first)
     sliding = (free[first] != free[second]) & (np.abs(gap[decided]) > tolerance[decided])
     if sliding.any():
@@ -416,9 +380,13 @@ def check_discs(
 
 
 def common_scale(scale: Vector, tangential: Tangential, kept: Mask) -> Vector:
-    """Return factors that are the same for both tangential rows of a site, up to the last bit."""
+    """Return factors that are the same for both tangential rows of a site, up to the last bit.
+
+    The longer row has length 1. Where displacements are prescribed at some nodes of a site, the
+    other one is shorter.
+    """
     second = np.flatnonzero(kept & (tangential.direction == 1))
     second = second[kept[second - 1]]
     scale = scale.copy()
-    scale[second] = scale[second - 1]
+    scale[second] = scale[second - 1] = np.minimum(scale[second], scale[second - 1])
     return scale

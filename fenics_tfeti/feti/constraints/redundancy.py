@@ -41,7 +41,8 @@ class ContactConditions:
     node : (t,) integer array
         Global node number of the term.
     coefficients : (t, gdim) array
-        Row of B times D^{-1/2} at the node; those of a row have length 1 together.
+        Row of B times D^{-1/2} at the node; those of a row have length 1 together, of a tangential
+        row 1 at most.
     rhs : (k,) array
         Right-hand sides of this rank's rows, in the same scale.
     tolerance : (k,) array
@@ -190,7 +191,9 @@ def _examine(
 
     gram = gram.tocsr()[stays][:, stays]
     gram.eliminate_zeros()
-    coupled = np.flatnonzero(np.diff(gram.indptr) > 1)
+    # a tangential row may be shorter than the other one of its site
+    shorter = np.abs(gram.diagonal() - 1.0) > PARALLEL
+    coupled = np.flatnonzero((np.diff(gram.indptr) > 1) | shorter)
     return dropped, rows.number[stays[coupled]], gram[coupled][:, coupled]
 
 

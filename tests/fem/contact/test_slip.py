@@ -275,3 +275,18 @@ def test_displacements_of_degree_2():
     found = scene.problem.contact[0].friction
     assert found.force[:, 0].sum() == pytest.approx(-0.03, rel=1e-8)
     assert 0 < np.count_nonzero(found.sticking) < found.sticking.size
+
+
+@pytest.mark.parametrize("lower", [None, 2, 3], ids=["ground", "mortar", "matching"])
+def test_plane_of_symmetry(lower):
+    """Nothing slips across it, also where mortar conditions couple nodes in it with others."""
+    law = Tresca(0.034)
+    scene = pushed_cube("hexahedron", 3, lower, friction=law, push=(0.03, 0.0), symmetry=True)
+    scene.problem.solve()
+    contact = scene.problem.contact[0]
+    assert contact.friction.force[:, 0].sum() == pytest.approx(-0.03, rel=1e-8)
+    inside = contact.coordinates[:, 1] < 1e-9
+    assert np.count_nonzero(inside) == 4
+    if lower != 2:
+        np.testing.assert_allclose(contact.friction.slip[inside, 1], 0.0, atol=1e-12)
+    assert 0 < np.count_nonzero(contact.friction.sticking) < 16

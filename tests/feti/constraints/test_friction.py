@@ -166,3 +166,20 @@ def test_bounds_follow_the_normal_forces():
     assert SITES.normal_numbers(layout).tolist() == [-1, -1, 7]
     given = SITES.with_normals(SITES.normal, np.array([2.0, 1, 1]), np.full(3, 0.3), layout)
     assert given.slope.tolist() == [0.0, 0.0, 0.6]
+
+
+def test_rows_of_different_lengths_have_one_scale():
+    """The lower block cannot move along y: half of the second rows is missing."""
+    system = pushed_block()
+    lower = system.subdomains[0]
+    nodes = lower.nodes[lower.coordinates[:, 2] == 1.0]
+    given = system.prescribed
+    held = Prescribed(
+        np.append(given.nodes, nodes),
+        np.append(given.components, np.ones(nodes.size, dtype=np.int64)),
+        np.append(given.values, np.zeros(nodes.size)),
+    )
+    constraints, _ = build_constraints(dataclasses.replace(system, prescribed=held))
+    assert constraints.friction.present.all()
+    lengths = np.unique(constraints.coupling.gram.diagonal().round(9))
+    np.testing.assert_allclose(lengths, [0.5])
