@@ -54,9 +54,9 @@ def main():
     given = parser.parse_args()
     laws = {
         "none": None,
-        "Tresca, some slip": Tresca(2e-3),
+        "Tresca, some slip": Tresca(1.2e-3),
         "Tresca, all slip": Tresca(5e-4),
-        "Coulomb, some slip": Coulomb(0.15),
+        "Coulomb, some slip": Coulomb(0.1),
         "Coulomb, all slip": Coulomb(0.05),
     }
     print("law                 n   subdomains  products  of none   stick        steps  outer")
