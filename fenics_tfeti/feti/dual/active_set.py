@@ -131,7 +131,8 @@ def primal_dual_active_set(
     rubs = bool(_counts(problem, np.zeros(rows.size, dtype=bool), sites=problem.radius > 0.0)[-1])
     progress, pivots, previous_sets = _Progress(), _SinglePivots(), list[Mask]()
     gradient, resume = problem.c, isinstance(start, PCPGIterate)
-    if isinstance(start, np.ndarray) and not _counts(problem, signs.active)[0]:
+    # contact alone balances no load that friction holds
+    if isinstance(start, np.ndarray) and not rubs and not _counts(problem, signs.active)[0]:
         pressing = rigid_start(problem)
         if pressing is not None:
             active = pressing[rows] > 0.0
