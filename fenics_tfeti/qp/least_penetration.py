@@ -37,7 +37,7 @@ def least_penetration(
     sum_matrices: Callable[[sp.csr_matrix], sp.csr_matrix] = _same,
     load: Vector | None = None,
 ) -> Vector:
-    """Minimise 1/2 ||max(Sz - gap, o)||^2 - load'z, by the semismooth Newton method with proximal steps.
+    """Minimise 1/2 ||max(Sz - gap, o)||^2 - load'z by the proximal semismooth Newton method.
 
     Of several minimisers one near z = o is found.
 

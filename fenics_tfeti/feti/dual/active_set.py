@@ -262,7 +262,9 @@ def _without_pulling_rows(problem: DualProblem, face: Face, iterate: PCPGIterate
     forces = iterate.multipliers[constraints.inequality]
     largest = float(constraints.layout.comm.allreduce(forces.max(initial=0.0), MPI.MAX))
     pushing = active & (forces > _NO_FORCE * largest)
-    if constraints.friction.size or not _counts(problem, active & ~pushing)[0]:
+    everywhere = np.ones(constraints.friction.size, dtype=bool)
+    pulling, sites = _counts(problem, active & ~pushing, sites=everywhere)
+    if sites or not pulling:
         return iterate.gradient
     rows = constraints.face(pushing, np.zeros(0, dtype=bool))
     loose = LooseBodies.without(problem.coarse_space, rows)
