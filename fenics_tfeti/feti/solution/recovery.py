@@ -19,12 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.coupling import Coupling
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.parallel import concatenate_ranks
-from fenics_tfeti.qp import least_distance
+from fenics_tfeti.qp import least_distance, least_penetration
 
 __all__ = ["Recovered", "balance_multipliers", "forces_at_rest", "recover_displacement"]
 
@@ -39,6 +40,8 @@ _SHARED_OUT = 1e-15
 _LAST_PLACES = 16 * 2.0**-52
 # limit on the changes of the rows that determine the rigid motions
 _NEWTON_STEPS = 20
+# rounds in which the worst condition of each contact is added for loose bodies
+_CONDITIONS = 100
 # limit on the corrections of forces that turn, and ||G lambda - e|| / ||e|| that is rounding
 _TURNS, _BALANCED = 8, 1e-13
 
@@ -342,7 +345,7 @@ def _smallest_without_penetration(active: Projector, gap: Vector) -> Vector:
     z = np.zeros(active.free.shape[1])
     conditions, limits = np.zeros((0, z.size)), np.zeros(0)
     negligible = 1e-9 * comm.allreduce(float((-gap).max(initial=0.0)), MPI.MAX)
-    for _ in range(100):
+    for _ in range(_CONDITIONS):
         excess = closing @ z - gap
         order = np.lexsort((-excess, contact))
         worst = order[np.unique(contact[order], return_index=True)[1]]
@@ -353,4 +356,12 @@ def _smallest_without_penetration(active: Projector, gap: Vector) -> Vector:
         conditions = np.concatenate([conditions, new])
         limits = np.concatenate([limits, concatenate_ranks(comm, gap[worst])])
         z = least_distance(conditions, limits)
+    else:
+        # too many conditions to take them in one by one: from here all of them at once
+        z = z + least_penetration(
+            closing,
+            gap - closing @ z,
+            constraints.layout.space.sum_over_ranks,
+            lambda part: sum_sparse(comm, part),
+        )
     return z

@@ -91,6 +91,15 @@ def test_bodies_that_have_none_are_squeezed_on_both_sides():
     np.testing.assert_allclose(balance, 0.0, atol=1e-8 * np.linalg.norm(squeezing))
 
 
+def test_positions_of_many_bodies():
+    """More conditions than recovery takes in one by one."""
+    shifts = 0.3 * np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3))
+    alone = TornSolver(column(n=2), Options(rtol=1e-6)).solve().report
+    report = TornSolver(with_loose_cubes(0.01, shifts), Options(rtol=1e-6)).solve().report
+    assert report.products["total"] == alone.products["total"]
+    assert report.certificate.worst <= 1e-6
+
+
 @pytest.mark.parametrize("force, holds", [(-1.0, False), (0.0, False), (1.0, True)])
 def test_rows_that_do_not_push_hold_no_body(force, holds):
     """Cubes at their first walls that penetrate others: only rows that push hold them there."""
