@@ -6,7 +6,7 @@ RANKS ?= 1
 FIRST ?= 0
 
 .DEFAULT_GOAL := help
-.PHONY: help env env-wheel demo demos test test-wheel test-debian13 fuzz doctest verify check format docs clean
+.PHONY: help env env-wheel demo demos demo-runs dist test test-wheel test-debian13 fuzz doctest verify check format docs clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  \1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -50,10 +50,18 @@ format: env  ## let ruff rewrite what it can
 	$(PY) -m ruff check --fix .
 	$(PY) -m ruff format .
 
-docs: env  ## HTML pages in docs/_build/html
-	$(PY) -m sphinx -b html $(SPHINXOPTS) docs docs/_build/html
+docs: env  ## HTML pages in docs/_build/html, with all links between them checked
+	$(PY) -m sphinx -q -b html $(SPHINXOPTS) docs docs/_build/html
+	$(PY) tools/check_links.py docs/_build/html
+
+demo-runs: env  ## run all demos for the pages about them: output and pictures to docs/runs/
+	$(PY) tools/demo_runs.py
+
+dist: env  ## wheel and sdist in dist/
+	$(PY) tools/build_dists.py dist
 
 clean:  ## remove the environments and what runs leave behind
 	rm -rf .venv .venv.lock .venv-wheel .venv-wheel.lock .debian13 .debian13.lock
-	rm -rf *.egg-info build docs/_build results
+	rm -rf *.egg-info build dist docs/_build docs/_generated docs/demos/*.md docs/demos/notebooks
+	rm -rf results
 	rm -rf .pytest_cache .hypothesis .mypy_cache .ruff_cache

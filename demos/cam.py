@@ -42,7 +42,14 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem
-from fenics_tfeti.io import displacement_space, draw_deformed, draw_profile, read_msh, von_mises
+from fenics_tfeti.io import (
+    displacement_space,
+    draw_deformed,
+    draw_profile,
+    progress,
+    read_msh,
+    von_mises,
+)
 
 here = Path(__file__).parent
 results = Path("results")
@@ -137,19 +144,17 @@ def moment_of(problem, uh):
 turn(0)
 problem = ContactProblem(a(u, v), 0, bcs=bcs, contacts=[contact], options=options)
 M, energy, passes = [], [], []
-if comm.rank == 0:
-    print("angle  moment [N m/m]  energy [J/m]  passes  products")
-for step, t in enumerate(angles):
+table = ["angle  moment [N m/m]  energy [J/m]  passes  products"]
+for step, t in enumerate(progress(angles, "angle", comm)):
     turn(t)
     uh = problem.solve()
     M.append(moment_of(problem, uh))
     energy.append(comm.allreduce(fem.assemble_scalar(fem.form(0.5 * a(uh, uh)))))
     passes.append(len(problem.report.passes))
     products = sum(one.products for one in problem.report.passes)
-    if comm.rank == 0:
-        print(
-            f"{np.degrees(t):5.0f} {M[-1]:15.1f} {energy[-1]:13.2f} {passes[-1]:7d} {products:9d}"
-        )
+    table.append(
+        f"{np.degrees(t):5.0f} {M[-1]:15.1f} {energy[-1]:13.2f} {passes[-1]:7d} {products:9d}"
+    )
     if 2 * step == len(angles) - 1:
         draw_deformed(
             results / "cam.png",
@@ -178,6 +183,7 @@ def rigid(t):
 
 
 if comm.rank == 0:
+    print("\n".join(table))
     print(problem.report.pairing_table())
     print(f"work of the moment   {work[-1]:9.1f} J/m")
     print(f"energy stored        {stored[-1]:9.1f} J/m")

@@ -43,7 +43,14 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem
-from fenics_tfeti.io import displacement_space, draw_deformed, draw_profile, read_msh, von_mises
+from fenics_tfeti.io import (
+    displacement_space,
+    draw_deformed,
+    draw_profile,
+    progress,
+    read_msh,
+    von_mises,
+)
 
 here = Path(__file__).parent
 results = Path("results")
@@ -134,8 +141,8 @@ def error(one):
     return 1e3 * max(one.penetration, one.separation)
 
 
-tell("position   H [N/m]  F [N/m]  products  linearised  penetration or gap of each pass [mm]")
-for step, s in enumerate(steps):
+table = ["position   H [N/m]  F [N/m]  products  linearised  penetration or gap of each pass [mm]"]
+for step, s in enumerate(progress(steps, "position", comm)):
     shift.value = s
     uh = problem.solve()
     found = problem.contact[0].gather()
@@ -146,7 +153,7 @@ for step, s in enumerate(steps):
     other = ContactProblem(a, L, bcs=bcs, contacts=[contact], options=linearised)
     other.solve()
     passes = problem.report.passes
-    tell(
+    table.append(
         f"{s + start:+8.3f} {H[-1]:9.1f} {F[-1]:8.1f} {sum(one.products for one in passes):9d}"
         f" {error(other.report.passes[0]):11.3f}  "
         + " ".join(f"{error(one):.4f}" for one in passes)
@@ -178,6 +185,7 @@ rigid = pressure * width * np.gradient(rise, fine)
 top = len(H) // 2
 rigid_work = pressure * width * height
 parts = 0.5 * (H[1:] + H[:-1]) * np.diff(position)
+tell("\n".join(table))
 tell(f"largest force              {np.abs(H).max():9.1f} N/m  rigid {np.abs(rigid).max():.1f}")
 tell(f"force at the top           {H[top]:9.1f} N/m")
 tell(f"force on the flats         {np.abs(H[[0, 1, -2, -1]]).max():9.1f} N/m")

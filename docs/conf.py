@@ -2,10 +2,28 @@
 
 from __future__ import annotations
 
+import sys
+import tomllib
+from pathlib import Path
+
+here = Path(__file__).parent
+sys.path.insert(0, str(here))
+
+import literate
+
+literate.make_pages()
+
 project = "fenics_tfeti"
 author = "the fenics_tfeti authors"
-extensions = ["sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc"]
+release = tomllib.loads((here.parent / "pyproject.toml").read_text())["project"]["version"]
+version = release
+extensions = ["sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc", "myst_parser"]
 html_theme = "furo"
+html_title = f"fenics_tfeti {release}"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
 autodoc_typehints = "none"
 numpydoc_show_class_members = False
-exclude_patterns = ["_build"]
+myst_enable_extensions = ["dollarmath", "deflist"]
+myst_heading_anchors = 3
+exclude_patterns = ["_build", "_generated"]

@@ -1,47 +1,159 @@
-"""The code in the documentation runs as it stands there, block after block."""
+"""The code in the documentation runs block after block, and prints what is shown.
+
+Pages that continue the tutorial are given its variables: it is run once.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import io
 import logging
 import re
 import subprocess
 import sys
-import textwrap
 from pathlib import Path
 
 from mpi4py import MPI
 
+import gmsh
+import literate
 import numpy as np
 import pytest
 import scenes
 
+import dolfinx
+import ufl
+from dolfinx import fem
+
+import fenics_tfeti
+import fenics_tfeti.io
 from fenics_tfeti import ContactProblem
+from fenics_tfeti.fem.io import pictures
+from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 
 DOCS = Path(__file__).parent.parent / "docs"
-BLOCK = re.compile(r"^( *)\.\. code-block:: (python|console)\n\n((?:\1 +\S.*\n|\s*\n)+)", re.M)
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+
+# Numbers that differ between versions and machines: products, times, and what rounding leaves.
+VARYING = ("time", "products", "error")
+ROUNDING = 1e-5
 
 
 def run_blocks(page: str, given: dict[str, object] | None = None) -> dict[str, object]:
-    """Run the blocks of a page, with some variables; return those of its Python code."""
+    """Run the blocks of a page, with some variables; return those of its Python code.
+
+    In Markdown a block of text after one of Python has to be what that one prints.
+    """
     variables: dict[str, object] = dict(given or {})
-    blocks = [(kind, textwrap.dedent(body).strip()) for _, kind, body in BLOCK.findall(page)]
-    assert blocks
-    for kind, code in blocks:
-        if kind == "python":
-            exec(compile(code, "<docs>", "exec"), variables)
-            continue
-        for line in code.splitlines():
-            command = line.removeprefix("$ ").split()
-            assert line.startswith("$ ") and command[0] == "python"
-            subprocess.run([sys.executable, *command[1:]], check=True, timeout=100)
+    cells = literate.page_cells(page)
+    assert any(cell.kind != "text" for cell in cells)
+    printed = ""
+    for cell in cells:
+        if cell.kind == "python":
+            code = literate.code_for(dolfinx.__version__, cell.content)
+            with contextlib.redirect_stdout(io.StringIO()) as out:
+                exec(compile(code, "<docs>", "exec"), variables)
+            printed = out.getvalue()
+            print(printed)
+        elif cell.kind == "text" and not cell.content.startswith(("mpirun", "python")):
+            check_output(cell.content, printed)
+        elif cell.kind == "console":
+            for line in cell.content.splitlines():
+                command = line.removeprefix("$ ").split()
+                assert line.startswith("$ ") and command[0] == "python"
+                subprocess.run([sys.executable, *command[1:]], check=True, timeout=100)
     return variables
+
+
+def check_output(shown: str, printed: str) -> None:
+    """Compare words, and numbers where they do not depend on rounding."""
+    shown_lines, printed_lines = shown.splitlines(), printed.rstrip("\n").splitlines()
+    assert len(shown_lines) == len(printed_lines), printed
+    for one, other in zip(shown_lines, printed_lines, strict=True):
+        assert NUMBER.sub("#", one).split() == NUMBER.sub("#", other).split()
+        if any(word in one for word in VARYING):
+            continue
+        numbers = [np.array(NUMBER.findall(line), dtype=float) for line in (one, other)]
+        np.testing.assert_allclose(numbers[1], numbers[0], rtol=0.02, atol=ROUNDING, err_msg=one)
+
+
+@pytest.fixture
+def no_rendering(tmp_path, monkeypatch):
+    """Work in a folder of its own, and render no pictures of meshes, which takes seconds."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(pictures, "_render", lambda path, data: None)
+
+
+@pytest.fixture(scope="module")
+def after_tutorial(tmp_path_factory):
+    """Run the tutorial; return its variables."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("tutorial"))
+        patch.setattr(pictures, "_render", lambda path, data: None)
+        return run_blocks((DOCS / "tutorial.md").read_text())
+
+
+@pytest.fixture
+def tutorial(after_tutorial, no_rendering):
+    """Return the tutorial's variables, with its load."""
+    after_tutorial["force"].value[2] = -2e6
+    return after_tutorial
 
 
 def test_a_block_that_fails_is_an_error():
     with pytest.raises(ZeroDivisionError):
         run_blocks("Text\n\n.. code-block:: python\n\n    x = 1\n\n    x / 0\n\nMore text\n")
+    with pytest.raises(ZeroDivisionError):
+        run_blocks("Text\n\n```python\nx = 1\n\nx / 0\n```\n")
     with pytest.raises(subprocess.CalledProcessError):
         run_blocks(".. code-block:: console\n\n    $ python -c exit(3)\n")
+
+
+@pytest.mark.parametrize("printed", ["4 cats", "3 dogs", "3 cats\n3 cats", ""])
+def test_other_output_is_an_error(printed):
+    check_output("3 cats", "3 cats\n")
+    with pytest.raises(AssertionError):
+        check_output("3 cats", printed)
+
+
+def test_tutorial(tutorial):
+    """The wall and the floor carry the load, 2 MN/m^3 on 0.01 m^3; so do the wall and the block."""
+    report = tutorial["problem"].report
+    wall, ground = (reaction.force[2] for reaction in report.reactions)
+    assert wall + ground == pytest.approx(2e4, rel=1e-8)
+    assert ground == pytest.approx(report.contact_force[0], rel=1e-8)
+
+
+CONTINUING = [
+    "obstacles",
+    "slave_and_master",
+    "materials",
+    "load_steps",
+    "mpi",
+    "report",
+    "convergence",
+    "errors",
+]
+ALONE = ["cad_mesh", "many_bodies"]
+
+
+@pytest.mark.parametrize("page", CONTINUING)
+def test_pages_that_continue_the_tutorial(page, tutorial):
+    run_blocks((DOCS / "howto" / f"{page}.md").read_text(), tutorial)
+
+
+@pytest.mark.parametrize("page", ALONE)
+def test_pages_of_their_own(page, no_rendering):
+    run_blocks((DOCS / "howto" / f"{page}.md").read_text())
+
+
+def test_all_pages_with_code_are_run():
+    source = Path(__file__).read_text()
+    pages = [*DOCS.glob("*.md"), *DOCS.glob("*.rst"), *(DOCS / "howto").glob("*")]
+    for page in pages:
+        if any(cell.kind == "python" for cell in literate.page_cells(page.read_text())):
+            named = f'"{page.name}"' in source
+            assert named or page.stem in [*CONTINUING, *ALONE], page.name
 
 
 def test_solver_alone(tmp_path, monkeypatch, capsys):
@@ -77,3 +189,83 @@ def test_running(tmp_path, monkeypatch):
     assert {"step.pvd", "state.npz", "step.html"} <= {p.name for p in Path("results").iterdir()}
     problem = ContactProblem(scene.a, scene.L, bcs=scene.bcs, contacts=given["contacts"])
     assert problem.restore("results/state.npz") == 2
+
+
+def test_options(tutorial):
+    """Two problems with prefixes of their own."""
+    given = {key: tutorial[key] for key in ("a", "L", "bcs", "ContactProblem")}
+    given |= {f"{key}_c": given[key] for key in ("a", "L", "bcs")}
+    given |= {"contacts": [tutorial["pair"]], "contacts_c": [tutorial["pair"]]}
+    variables = run_blocks((DOCS / "options.rst").read_text(), given)
+    assert variables["problem"].options.solver.rtol == 1e-8
+
+
+def test_axisymmetry(no_rendering):
+    """A cylinder of radius 1 pressed on the ground: the force is that of the whole body."""
+    TOP, BOTTOM, AXIS = 1, 2, 3
+    body = boxes(MPI.COMM_SELF, [Box((0, 0), (1, 1), (3, 3))], "quadrilateral")
+    sides = {TOP: (1, 1.0), BOTTOM: (1, 0.0), AXIS: (0, 0.0)}
+    tags = tag_facets(
+        body.mesh, {t: lambda x, k=k, at=at: np.isclose(x[k], at) for t, (k, at) in sides.items()}
+    )
+    V = displacement_space(body.mesh)
+    on_axis = fem.locate_dofs_topological(V.sub(0), 1, tags.find(AXIS))
+    given = {name: getattr(fenics_tfeti, name) for name in fenics_tfeti.__all__}
+    given |= {"ufl": ufl, "mesh": body.mesh, "lmbda": 1.0, "mu": 1.0, "facet_tags": tags}
+    given |= {"u": ufl.TrialFunction(V), "v": ufl.TestFunction(V), "top": TOP, "bottom": BOTTOM}
+    given |= {"traction": fem.Constant(body.mesh, -1e-3)}
+    given |= {"ds": ufl.Measure("ds", domain=body.mesh, subdomain_data=tags)}
+    given |= {"ground": fenics_tfeti.Plane((0, 0), (0, 1))}
+    given |= {"on_the_axis": fem.dirichletbc(0.0, on_axis, V.sub(0))}
+    problem = run_blocks((DOCS / "axisymmetry.rst").read_text(), given)["problem"]
+    problem.solve()
+    assert problem.report.contact_force == pytest.approx([1e-3 * np.pi], rel=1e-6)
+    assert problem.contact[0].pressure == pytest.approx(1e-3, rel=1e-4)
+
+
+def draw_bolt_in_block(path: Path) -> None:
+    """Mesh a disc in a square, which share the nodes of the circle."""
+    occ = gmsh.model.occ
+    square, disc = occ.addRectangle(-2, -2, 0, 4, 4), occ.addDisk(0, 0, 0, 1, 1)
+    occ.fragment([(2, square)], [(2, disc)])
+    occ.synchronize()
+    for name, body in (("bolt", disc), ("block", square)):
+        bodies = [tag for _, tag in gmsh.model.getEntities(2) if (tag == disc) == (body == disc)]
+        gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, bodies), name)
+
+
+def draw_rings(path: Path) -> None:
+    """Mesh a disc with cells of degree 2."""
+    gmsh.model.occ.addDisk(0, 0, 0, 1, 1)
+    gmsh.model.occ.synchronize()
+    gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, [1]), "ring")
+
+
+def test_surfaces(no_rendering):
+    """Pairs, an interface that is opened, ties, and displacements of degree 2."""
+    for draw, path, order in (
+        (draw_bolt_in_block, Path("bolt_in_block.msh"), 1),
+        (draw_rings, Path("rings.msh"), 2),
+    ):
+        gmsh.initialize()
+        try:
+            gmsh.option.setNumber("General.Terminal", 0)
+            gmsh.option.setNumber("Mesh.MeshSizeMin", 0.5)
+            draw(path)
+            gmsh.model.mesh.generate(2)
+            gmsh.model.mesh.setOrder(order)
+            gmsh.write(str(path))
+        finally:
+            gmsh.finalize()
+    scene = scenes.two_beams(MPI.COMM_SELF, "quadrilateral", 2)
+    given = {name: getattr(fenics_tfeti, name) for name in fenics_tfeti.__all__}
+    given |= {name: getattr(fenics_tfeti.io, name) for name in fenics_tfeti.io.__all__}
+    given |= {"facet_tags": scene.facet_tags, "a": scene.a, "L": scene.L, "bcs": scene.bcs}
+    page = (DOCS / "surfaces.rst").read_text().replace('.msh"', '.msh", gdim=2')
+    variables = run_blocks(page, given)
+    names = variables["parts"].names
+    tags = variables["parts"].facet_tags
+    assert {"bolt", "block"} <= set(names)
+    assert len(tags.find(11)) == len(tags.find(12)) > 0
+    degree_2 = variables["V"].dofmap.index_map.size_local
+    assert degree_2 > variables["mesh"].topology.index_map(0).size_local

@@ -9,6 +9,7 @@ from fenics_tfeti.fem.io.fields import (
 from fenics_tfeti.fem.io.gmsh import read_msh
 from fenics_tfeti.fem.io.interfaces import Interface, split_interfaces
 from fenics_tfeti.fem.io.pictures import draw_deformed, draw_profile
+from fenics_tfeti.fem.io.progress import progress
 from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
 from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
 
@@ -21,6 +22,7 @@ __all__ = [
     "displacement_space",
     "draw_deformed",
     "draw_profile",
+    "progress",
     "read_msh",
     "split_interfaces",
     "tag_facets",

@@ -1,0 +1,71 @@
+"""The bar of a loop: what a terminal shows, and nothing elsewhere."""
+
+from __future__ import annotations
+
+import io
+import sys
+from types import SimpleNamespace
+
+from mpi4py import MPI
+
+import pytest
+
+from fenics_tfeti.io import progress
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+    def lines(self) -> list[str]:
+        """Return what stood in the line, one after the other."""
+        return self.getvalue().replace("\x1b[K", "").split("\r")[1:]
+
+
+def test_steps_and_bar(monkeypatch):
+    """Each step takes 30 s: the bar shows the steps done, the time and what is left."""
+    clock = iter(range(0, 1000, 30))
+    module = sys.modules["fenics_tfeti.fem.io.progress"]  # the function has its name
+    monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    terminal = Terminal()
+    bar = progress("abc", "load step", MPI.COMM_SELF, terminal)
+    assert list(bar) == ["a", "b", "c"]
+    assert terminal.lines() == [
+        f"load step [{'.' * 30}] 0/3, 0:30",
+        f"load step [{'#' * 10}{'.' * 20}] 1/3, 1:00, 2:00 left",
+        f"load step [{'#' * 20}{'.' * 10}] 2/3, 1:30, 0:45 left",
+        "",
+    ]
+
+
+def test_the_line_is_cleared_after_an_exception():
+    terminal = Terminal()
+    with pytest.raises(ZeroDivisionError):
+        for step in (bar := progress([1, 0], "", MPI.COMM_SELF, terminal)):
+            1 / step
+    bar.close()
+    assert terminal.lines()[-1] == ""
+    assert terminal.lines()[0].startswith("[")
+
+
+def test_nothing_is_written_to_files():
+    file = io.StringIO()
+    assert list(progress([1, 2], "step", MPI.COMM_SELF, file)) == [1, 2]
+    assert file.getvalue() == ""
+
+
+def test_no_steps():
+    terminal = Terminal()
+    assert list(progress([], "step", MPI.COMM_SELF, terminal)) == []
+    assert terminal.lines() == [""]
+
+
+def test_other_ranks_write_nothing():
+    class Rank1:
+        rank = 1
+
+    terminal = Terminal()
+    assert list(progress([1], "step", Rank1(), terminal)) == [1]
+    assert terminal.getvalue() == ""
