@@ -19,6 +19,7 @@ release = tomllib.loads((here.parent / "pyproject.toml").read_text())["project"]
 version = release
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc", "myst_parser"]
 html_theme = "furo"
+html_show_copyright = False
 html_title = f"fenics_tfeti {release}"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
