@@ -11,7 +11,8 @@ echo "== $venv: doctests"
 "$python" -m pytest -q --doctest-modules fenics_tfeti/qp fenics_tfeti/feti
 echo "== $venv: serial tests"
 # A file is run by one process, since its tests share what they have solved.
-"$python" -m pytest tests --ignore=tests/mpi -m "not heavy" -n auto --maxprocesses=4 --dist=loadfile
+"$python" -m pytest tests --ignore=tests/mpi -m "not heavy" -n auto --maxprocesses=4 --dist=loadfile \
+    --no-loadscope-reorder  # the long files first: demos, which have few tests
 
 # The mpirun must belong to the MPI library that mpi4py loads: the environment's own, or Debian's.
 mpirun=$venv/bin/mpiexec
