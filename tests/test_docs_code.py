@@ -11,6 +11,7 @@ import logging
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from mpi4py import MPI
@@ -221,6 +222,18 @@ def test_axisymmetry(no_rendering):
     problem.solve()
     assert problem.report.contact_force == pytest.approx([1e-3 * np.pi], rel=1e-6)
     assert problem.contact[0].pressure == pytest.approx(1e-3, rel=1e-4)
+
+
+def test_friction(tutorial):
+    """Contacts with friction; a load step and back, with the tutorial's block of rubber."""
+    given = dict(tutorial) | {name: getattr(fenics_tfeti, name) for name in fenics_tfeti.__all__}
+    contact = replace(given["pair"], friction=fenics_tfeti.Tresca(1e3))
+    problem = ContactProblem(given["a"], given["L"], given["bcs"], contacts=[contact])
+    given |= {"problem": problem, "load": given["force"], "full_load": np.array([0, 0, -2e6])}
+    given |= {"plane": fenics_tfeti.Plane((0, 0, 0), (0, 0, 1)), "travel": 1.0, "along": np.copy}
+    run_blocks((DOCS / "friction.rst").read_text(), given)
+    assert problem.report.converged
+    assert np.abs(problem.contact[0].friction.slip).max() > 0.0
 
 
 def draw_bolt_in_block(path: Path) -> None:
