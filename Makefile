@@ -51,7 +51,7 @@ format: env  ## let ruff rewrite what it can
 	$(PY) -m ruff format .
 
 docs: env  ## HTML pages in docs/_build/html, with all links between them checked
-	$(PY) -m sphinx -q -b html $(SPHINXOPTS) docs docs/_build/html
+	$(PY) -m sphinx -q -E -b html $(SPHINXOPTS) docs docs/_build/html
 	$(PY) tools/check_links.py docs/_build/html
 
 demo-runs: env  ## run all demos for the pages about them: output and pictures to docs/runs/
