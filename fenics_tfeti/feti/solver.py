@@ -81,7 +81,7 @@ class TornSolution:
     sticking : (sites of this rank,) bool array
         Whether the tangential force is below its bound.
     slip_bound : (sites of this rank,) array
-        Its slip bound; with Coulomb's law that of the last normal forces [N].
+        Its slip bound; with Coulomb's law that of its normal force [N].
     multipliers : (m,) array
         lambda, as far as this rank holds it.
     report : Report
@@ -378,6 +378,9 @@ class TornSolver:
         recovered = outcome.candidate.recovered
         normal_force = normal_forces(self.setup.constraints, multipliers)
         friction = self.setup.constraints.friction
+        # where nothing slips the last bounds may be those of other normal forces
+        pressing = friction.pressing(multipliers, self.setup.constraints.layout)
+        bound = friction.scale * friction.bound.at(pressing)
         return TornSolution(
             unknowns.split(recovered.displacement),
             unknowns.split(recovered.torn),
@@ -387,7 +390,7 @@ class TornSolver:
             tangential_forces(self.setup.constraints, multipliers),
             friction.given(outcome.candidate.slips / friction.scale[:, None]),
             friction.given(recovered.sticking.astype(float)) > 0.0,
-            friction.given(friction.scale * outcome.candidate.radius),
+            friction.given(bound),
             multipliers,
             report,
         )
