@@ -380,7 +380,7 @@ class TornSolver:
         friction = self.setup.constraints.friction
         # where nothing slips the last bounds may be those of other normal forces
         pressing = friction.pressing(multipliers, self.setup.constraints.layout)
-        bound = friction.scale * friction.bound.at(pressing)
+        bound = friction.scale * self.data.bound.at(pressing)
         return TornSolution(
             unknowns.split(recovered.displacement),
             unknowns.split(recovered.torn),

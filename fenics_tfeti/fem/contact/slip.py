@@ -261,7 +261,7 @@ def moved_obstacles(
     for values, pairing, one in zip(moved, pairings, friction, strict=True):
         if one is not None:
             values[pairing.slave - index_map.local_range[0]] = one.moved
-    return moved.reshape(len(pairings), -1)
+    return moved.reshape(len(pairings), index_map.size_local * gdim)
 
 
 def friction_result(
