@@ -100,7 +100,7 @@ def test_load_steps(demo):
     np.testing.assert_allclose(radii, hertz, rtol=0.015)
     np.testing.assert_allclose(radii[[4, 5]], radii[[1, 0]], rtol=1e-5)
     # the start from rigid bodies is as good as the contact of half or twice the load
-    assert demo["again"] < 1.1 * demo["scratch"]
+    assert demo["again"] < 1.25 * demo["scratch"]
 
 
 def test_finer_meshes(demo):

@@ -118,8 +118,7 @@ class LooseBodies:
         moved[self.coarse_space.constraints.equality] = 0.0
         settled: Vector = gradient - moved
         # bodies that find their position touch others without pressing on them
-        rounding = np.abs(settled) <= _CLOSED * np.abs(moved)
-        settled[rounding] = 0.0
+        settled[np.abs(settled) <= self._rounding(np.abs(moved))] = 0.0
         return settled
 
     def pressing(self, gap: Vector, load: Vector) -> Vector:
@@ -140,12 +139,15 @@ class LooseBodies:
         z = self._motion(gap, self.motions.T @ load)
         moved = self.coarse_space.prolong(self.motions @ z)
         rows, forces = self.coarse_space.constraints.inequality, np.zeros_like(gap)
-        size = np.abs(moved[rows])
-        largest = float(self.coarse_space.comm.allreduce(size.max(initial=0.0), MPI.MAX))
         depth = (moved - gap)[rows]
-        touching = np.maximum(_CLOSED * size, np.finfo(float).eps * largest)
+        touching = self._rounding(np.abs(moved[rows]))
         forces[rows] = np.where(depth > touching, depth, 0.0)
         return forces - self.held(forces)
+
+    def _rounding(self, size: Vector) -> Vector:
+        """Return the penetration that rounding leaves in rows that moved so far. Collective."""
+        largest = float(self.coarse_space.comm.allreduce(size.max(initial=0.0), MPI.MAX))
+        return np.maximum(_CLOSED * size, np.finfo(float).eps * largest)
 
     def _motion(self, gap: Vector, load: Vector | None = None) -> Vector:
         coarse_space = self.coarse_space

@@ -249,7 +249,7 @@ def close_constraints(
     u = u_t - D^{-1} B_R' W_R^{-1} (B_R u_t - c_R), with R the rows of the face and the contact rows
     that u_t penetrates. B_R D^{-1} B_R' = W_R is the identity but for contact, tied and tangential
     rows that share a node. Where friction is at its bound the part of the slip is removed that is
-    not along the force, except for rows that share a node.
+    not along the force; of rows that share a node only slip against it.
 
     Parameters
     ----------
@@ -276,11 +276,15 @@ def close_constraints(
     closed = face.copy()
     closed[rows] |= jump[rows] > 0.0
     correction = np.where(closed, jump, 0.0)
-    slip = constraints.friction.at_sites(jump)
-    slip -= np.maximum(np.sum(slip * along, axis=1, keepdims=True), 0.0) * along
-    wrong = constraints.friction.present & along.any(axis=1, keepdims=True)
-    wrong &= ~constraints.friction.within(face)[:, None]
-    correction[constraints.friction.rows[wrong]] = slip[wrong]
+    friction = constraints.friction
+    slip = friction.at_sites(jump)
+    forwards = np.sum(slip * along, axis=1)
+    slip -= np.maximum(forwards, 0.0)[:, None] * along
+    slipping = along.any(axis=1) & ~friction.within(face)
+    wrong = friction.present & slipping[:, None]
+    correction[friction.rows[wrong]] = slip[wrong]
+    # slip against the force is taken back; of a coupled row that costs all of its slip
+    closed |= friction.on_rows(slipping & (forwards < 0.0), closed.size)
     _close_coupled_rows(constraints, jump, correction, closed)
     u: Vector = torn - F.constraint_forces(correction) / constraints.weights
     return u, closed
