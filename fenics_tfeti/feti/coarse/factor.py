@@ -45,7 +45,7 @@ _MESSAGES_OF_FACTORISATION = 4
 _FACES, _COLUMN, _REFINED, _CHANGE = 10, 0.25, 2, 50_000_000
 # bytes read of memory while a message is under way: 5 us at 10 GB/s
 _LATENCY = 50_000
-# what has to be spared for it to pay; less is not worth another package
+# what has to be spared; less is not worth another package or more memory
 _GAIN = 2.0
 
 
@@ -297,10 +297,11 @@ class _Distributed:
 
 
 def choose_coarse_solver(ranks: int, size: int, changes: int) -> CoarseSolverKind:
-    """Return the coarse solver that moves the least, or "redundant" where it is within a factor.
+    """Return the coarse solver that moves the least.
 
     For one face of the active set method, in bytes: what factors and solves read of memory, and
-    what could be read while their messages are under way.
+    what could be read while their messages are under way. Messages count twice, and so does all of
+    the inverse by rows.
 
     Parameters
     ----------
@@ -321,13 +322,13 @@ def choose_coarse_solver(ranks: int, size: int, changes: int) -> CoarseSolverKin
     solve = 16.0 * _ENTRIES * size**1.5
     bytes_of: dict[CoarseSolverKind, float] = {"redundant": (_SOLVES + _FACTORISATION) * solve}
     if ranks > 1:
-        columns = _FACTORISATION + _COLUMN * size / ranks
+        columns = (_FACTORISATION + _COLUMN * size / ranks) * solve / _FACES
         own = _REFINED * (8.0 * (size**2 / ranks + size + changes**2) + 2 * rounds)
         change = _CHANGE + 8.0 * changes * (size / ranks + 2 * changes) + changes**3
-        bytes_of["inverse"] = columns * solve / _FACES + _SOLVES * own + change
+        bytes_of["inverse"] = _GAIN * (columns + _SOLVES * own + change)
     if ranks > 1 and "mumps" in available_packages():
-        calls = (_COLLECTIVES + ranks) * rounds + _MESSAGES * ranks * _LATENCY
         part = (_SOLVES + _FACTORISATION) * solve * min(1.0, _SLOWER / ranks)
-        bytes_of["distributed"] = part + (_SOLVES + _MESSAGES_OF_FACTORISATION) * calls
-    least = min(bytes_of, key=lambda kind: bytes_of[kind])
-    return least if bytes_of["redundant"] > _GAIN * bytes_of[least] else "redundant"
+        calls = (_COLLECTIVES + ranks) * rounds + _MESSAGES * ranks * _LATENCY
+        messages = (_SOLVES + _MESSAGES_OF_FACTORISATION) * calls
+        bytes_of["distributed"] = part + _GAIN * messages
+    return min(bytes_of, key=lambda kind: bytes_of[kind])
