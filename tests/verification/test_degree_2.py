@@ -156,7 +156,7 @@ def test_exact_passes(cell):
 
 @pytest.mark.parametrize("cell", ["triangle", "tetrahedron"])
 def test_start_from_a_coarse_problem_of_degree_1(cell):
-    n = 8 if cell == "triangle" else 4
+    n = 12 if cell == "triangle" else 4
     blocks = Blocks(cell, n, n + 1, degree=2)
     expected, problem = uneven(blocks), uneven_problem(blocks)
     problem.solve(coarse=uneven(Blocks(cell, n // 2, n // 2 + 1)))
@@ -164,7 +164,7 @@ def test_start_from_a_coarse_problem_of_degree_1(cell):
         problem.report.contact_force, expected.report.contact_force, rtol=1e-8
     )
     if cell == "triangle":
-        assert problem.report.products["total"] <= expected.report.products["total"]
+        assert problem.report.products["total"] < expected.report.products["total"]
 
 
 def test_load_steps():
