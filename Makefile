@@ -4,6 +4,13 @@ SPHINXOPTS ?= -W --keep-going
 N ?= 1000
 RANKS ?= 1
 FIRST ?= 0
+# Which tests run, and on how many ranks those of tests/mpi. What no other environment can change,
+# and three ranks, run with Debian's dolfinx alone, unless one says otherwise:
+# make test-wheel OTHERS='not heavy' OTHER_RANKS='2 3'
+MARKS ?= not heavy
+MPI_RANKS ?= 2 3
+OTHERS ?= not heavy and not once
+OTHER_RANKS ?= 2
 
 .DEFAULT_GOAL := help
 .PHONY: help env env-wheel demo demos demo-runs dist test test-wheel test-debian13 fuzz doctest verify check format docs clean
@@ -24,13 +31,13 @@ demos: env  ## all demos; write to results/
 	for demo in demos/*.py; do $(PY) $$demo || exit 1; done
 
 test: env  ## doctests, serial tests, then the MPI tests on 2 and 3 ranks
-	@tools/test.sh .venv
+	@MARKS="$(MARKS)" MPI_RANKS="$(MPI_RANKS)" tools/test.sh .venv
 
-test-wheel: env-wheel  ## the same tests with the dolfinx wheel
-	@tools/test.sh .venv-wheel
+test-wheel: env-wheel  ## what depends on the environment, with the dolfinx wheel
+	@MARKS="$(OTHERS)" MPI_RANKS="$(OTHER_RANKS)" tools/test.sh .venv-wheel
 
-test-debian13:  ## the same tests in Debian 13 (dolfinx 0.9), which debootstrap makes; needs root
-	@tools/debian13.sh make test
+test-debian13:  ## the same in Debian 13 (dolfinx 0.9), which debootstrap makes; needs root
+	@tools/debian13.sh make test MARKS="$(OTHERS)" MPI_RANKS="$(OTHER_RANKS)"
 
 fuzz: env  ## N random problems on RANKS ranks, from seed FIRST, against an independent solver
 	$(PY) tests/fuzz/run.py -n $(N) --ranks $(RANKS) --first $(FIRST)

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from new_process import run_python
 
+pytestmark = pytest.mark.once
+
 PACKAGE = Path(__file__).parent.parent / "fenics_tfeti"
 FINITE_ELEMENTS = {"dolfinx", "ufl", "basix", "ffcx"}
 

@@ -18,6 +18,8 @@ from killed_run import HEIGHTS, Disc, block_on_disc, run
 from fenics_tfeti import InputError, Interrupted, NotConverged
 from fenics_tfeti.feti import save_checkpoint
 
+pytestmark = pytest.mark.once
+
 COMM = MPI.COMM_SELF
 SCRIPT = Path(__file__).parent / "support" / "killed_run.py"
 

@@ -14,6 +14,8 @@ ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 from build_dists import build, project_files
 
+pytestmark = pytest.mark.once
+
 
 @pytest.fixture(scope="module")
 def dists(tmp_path_factory):

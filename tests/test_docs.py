@@ -11,6 +11,8 @@ import pytest
 from fenics_tfeti.feti import Options
 from fenics_tfeti.options import ContactOptions
 
+pytestmark = pytest.mark.once
+
 ROOT = Path(__file__).parent.parent
 
 

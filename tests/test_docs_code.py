@@ -32,6 +32,8 @@ from fenics_tfeti import ContactProblem
 from fenics_tfeti.fem.io import pictures
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 
+pytestmark = pytest.mark.once
+
 DOCS = Path(__file__).parent.parent / "docs"
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.once
+
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "howto" / "errors.md"
 ERRORS = ("InputError", "UnresistedMotion", "FactorizationError", "NotConverged")

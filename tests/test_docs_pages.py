@@ -14,6 +14,8 @@ ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 from check_links import broken_links
 
+pytestmark = pytest.mark.once
+
 DEMOS = sorted((ROOT / "demos").glob("*.py"))
 SCRIPT = '''"""One line.
 

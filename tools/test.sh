@@ -1,9 +1,11 @@
 #!/usr/bin/env bash
-# All tests that are not heavy, with the Python of one environment: tools/test.sh .venv
+# The tests with the Python of one environment: tools/test.sh .venv
+# MARKS selects tests as `pytest -m` does, MPI_RANKS lists the numbers of ranks.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 venv=$1
 python=$venv/bin/python
+marks=${MARKS:-not heavy}
 # One thread per process and rank.
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
@@ -11,7 +13,7 @@ echo "== $venv: doctests"
 "$python" -m pytest -q --doctest-modules fenics_tfeti/qp fenics_tfeti/feti
 echo "== $venv: serial tests"
 # A file is run by one process, since its tests share what they have solved.
-"$python" -m pytest tests --ignore=tests/mpi -m "not heavy" -n auto --maxprocesses=4 --dist=loadfile \
+"$python" -m pytest tests --ignore=tests/mpi -m "$marks" -n auto --maxprocesses=4 --dist=loadfile \
     --no-loadscope-reorder  # the long files first: demos, which have few tests
 
 # The mpirun must belong to the MPI library that mpi4py loads: the environment's own, or Debian's.
@@ -26,9 +28,9 @@ if "$mpirun" --version | grep -q "Open MPI"; then
 fi
 # A hang that neither pytest_ranks nor pytest-timeout ends, timeout does.
 export PYTHONPATH=tools${PYTHONPATH:+:$PYTHONPATH}
-for ranks in 2 3; do
+for ranks in ${MPI_RANKS:-2 3}; do
     echo "== $venv: MPI tests on $ranks ranks"
     timeout --kill-after=20 "${MPI_TIMEOUT:-1200}" "$mpirun" "${options[@]}" -n "$ranks" \
         "$python" -m pytest -p pytest_ranks --color="$color" --timeout-method=thread \
-        tests/mpi -m "not heavy"
+        tests/mpi -m "$marks"
 done

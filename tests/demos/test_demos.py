@@ -51,6 +51,7 @@ def test_flat_punch(demo):
     assert demo["F"] == pytest.approx(demo["exact"], rel=0.025)
 
 
+@pytest.mark.once
 def test_cattaneo_mindlin(demo):
     """What sticks, within an element of the formula."""
     assert len(demo["sticking"]) == 3
@@ -58,12 +59,14 @@ def test_cattaneo_mindlin(demo):
         assert abs(stick - c) <= size
 
 
+@pytest.mark.once
 def test_belt_on_drum(demo):
     """The formula of Euler and Eytelwein."""
     for mu, ratio in demo["ratios"].items():
         assert ratio == pytest.approx(np.exp(-mu * np.pi), rel=0.02)
 
 
+@pytest.mark.once
 def test_brick_wall(demo):
     """The upper course slides where the push is more than the coefficient of its weight."""
     assert demo["limit"] == 0.36
@@ -93,6 +96,7 @@ def test_roller(demo):
     assert "rotation" in demo["report"].free_motions[0]
 
 
+@pytest.mark.once
 def test_load_steps(demo):
     """The radius by Hertz's formula, the same in unloading as in loading, for as many products."""
     forces, radii = np.array(demo["forces"]), np.array(demo["radii"])
@@ -113,6 +117,7 @@ def test_finer_meshes(demo):
     assert saved.products["total"] < alone.products["total"]
 
 
+@pytest.mark.once
 def test_sliding_block(demo):
     """The force is antisymmetric, its work that of lifting the block, and zero in the end."""
     H, largest = demo["H"], np.abs(demo["H"]).max()
@@ -122,6 +127,7 @@ def test_sliding_block(demo):
     np.testing.assert_allclose(demo["F"], demo["pressure"] * demo["width"], rtol=1e-4)
 
 
+@pytest.mark.once
 def test_cam(demo):
     """The work of the moment is the energy stored; elastic bodies differ little from rigid ones."""
     assert demo["miss"] < 0.01
@@ -186,6 +192,7 @@ def test_scikit_fem_rollers(demo):
     assert demo["p_fit"] == pytest.approx(demo["p_0"], rel=0.005)
 
 
+@pytest.mark.once
 def test_roller_bearing(demo):
     """Balance; the largest loads of the model of rigid rings; none outside its loaded zone."""
     assert demo["balance"] < 1e-6 * demo["radial"]
@@ -212,6 +219,7 @@ def test_demos_say_how_they_are_run():
         assert f"python demos/{path.name}" in path.read_text()
 
 
+@pytest.mark.once
 def test_fibre_block(demo):
     """Cords cost no more than half as many products again; the same energy without deflation."""
     counts = {name: products[-1] for name, products in demo["products"].items()}

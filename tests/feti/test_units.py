@@ -10,6 +10,8 @@ from torn import column, cube
 
 from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
 
+pytestmark = pytest.mark.once
+
 METHODS = pytest.mark.parametrize("method", ["active_set", "smalbe"])
 
 

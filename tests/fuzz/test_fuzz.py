@@ -13,7 +13,9 @@ RUN = Path(__file__).with_name("run.py")
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize(("level", "count"), [("feti", 160), ("mesh", 40)])
+@pytest.mark.parametrize(
+    ("level", "count"), [pytest.param("feti", 160, marks=pytest.mark.once), ("mesh", 40)]
+)
 def test_random_problems(level, count, tmp_path):
     results = tmp_path / "results.jsonl"
     command = [sys.executable, str(RUN), "-n", str(count), "--level", level, "--jobs", "1"]

@@ -14,6 +14,8 @@ from torn_problems import draw_torn
 
 from fenics_tfeti.errors import InputError, UnresistedMotion
 
+pytestmark = pytest.mark.once
+
 RTOL = 1e-6
 
 

@@ -40,11 +40,16 @@ def test_first_face_is_that_of_one_rank(name):
     assert face.active == expected.active
 
 
+def changes_of_the_set(problem):
+    """Return how many faces were found wrong; a right one may be solved again, more precisely."""
+    return sum(face.changed > 0 for face in problem.report.faces)
+
+
 @every_scene
-def test_no_more_faces_than_from_nothing(name):
+def test_no_more_changes_of_the_set_than_from_nothing(name):
     cold = problem_on(COMM, name, 2)
     cold.solve()
-    assert len(started(name).report.faces) <= len(cold.report.faces)
+    assert changes_of_the_set(started(name)) <= changes_of_the_set(cold)
     np.testing.assert_allclose(
         started(name).report.contact_force, cold.report.contact_force, rtol=1e-5
     )

@@ -7,6 +7,8 @@ import pytest
 
 from fenics_tfeti.qp import FrictionCones, least_norm_in_set, smallest_factor
 
+pytestmark = pytest.mark.once
+
 
 def cones(d: int, rng=None, k: int = 40) -> FrictionCones:
     """Return random sets on 2 + k (1 + d) + 1 components; some have m = 0, r = 0, or both."""

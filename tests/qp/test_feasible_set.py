@@ -10,6 +10,8 @@ from qp_problems import random_discs, random_intervals
 
 from fenics_tfeti.qp import Bounds, Discs, ProductSet, Space
 
+pytestmark = pytest.mark.once
+
 INF = np.inf
 BOUNDS = Bounds.from_vector(np.array([-INF, 0.0, 1.0, -2.0]))
 # a line, a half-line downwards, an interval and a single value

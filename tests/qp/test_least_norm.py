@@ -10,6 +10,8 @@ from qp_problems import Problem
 
 from fenics_tfeti.qp import Bounds, Discs, ProductSet, least_norm_in_set, smallest_factor
 
+pytestmark = pytest.mark.once
+
 accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)
 
 

@@ -7,6 +7,8 @@ from scipy.optimize import lsq_linear
 
 from fenics_tfeti.qp import least_penetration
 
+pytestmark = pytest.mark.once
+
 
 def cost(S: np.ndarray, gap: np.ndarray, z: np.ndarray) -> float:
     return float(np.sum(np.maximum(S @ z - gap, 0.0) ** 2))

@@ -16,6 +16,8 @@ from fenics_tfeti.qp.least_squares import (
     nonnegative_least_squares,
 )
 
+pytestmark = pytest.mark.once
+
 seeds = st.integers(0, 2**32 - 1)
 decades = st.sampled_from([0, 3, 6])
 

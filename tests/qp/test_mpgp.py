@@ -10,6 +10,8 @@ from qp_problems import Problem, random_discs, random_intervals
 
 from fenics_tfeti.qp import Discs, Products, ProductSet, ProportioningOptions, mpgp, mprgp
 
+pytestmark = pytest.mark.once
+
 both_expansions = pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
 accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)
 

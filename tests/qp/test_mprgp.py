@@ -10,6 +10,8 @@ from qp_problems import Problem, random_intervals, random_problem, string
 
 from fenics_tfeti.qp import Products, ProportioningOptions, mprgp
 
+pytestmark = pytest.mark.once
+
 both_expansions = pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
 accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)
 

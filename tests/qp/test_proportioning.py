@@ -9,6 +9,8 @@ from qp_problems import Problem, random_problem
 from fenics_tfeti.qp import Products, ProportioningOptions, Space
 from fenics_tfeti.qp.proportioning import Proportioning
 
+pytestmark = pytest.mark.once
+
 
 def begin(problem: Problem, x, precondition=None, **options) -> Proportioning:
     options.setdefault("step_length", 1.9 / problem.norm)

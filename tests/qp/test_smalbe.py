@@ -14,6 +14,8 @@ from qp_problems import Problem, membranes, random_discs, random_intervals, rand
 from fenics_tfeti.qp import Bounds, Products, ProportioningOptions, SMALBEOptions, smalbe
 from fenics_tfeti.qp.smalbe import SMALBEState
 
+pytestmark = pytest.mark.once
+
 both_expansions = pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
 accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)
 

@@ -7,6 +7,8 @@ import pytest
 
 from fenics_tfeti.qp import Space
 
+pytestmark = pytest.mark.once
+
 X, Y = np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0])
 
 

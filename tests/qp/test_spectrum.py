@@ -8,6 +8,8 @@ from qp_problems import membranes
 
 from fenics_tfeti.qp import lanczos_upper_bound
 
+pytestmark = pytest.mark.once
+
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("steps", [10, 15])

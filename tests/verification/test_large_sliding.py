@@ -11,6 +11,8 @@ import pytest
 from large_sliding import MASTER, SLAVE, cam, pushed_block, rolling
 from stepped_blocks import two_blocks
 
+pytestmark = pytest.mark.once
+
 heavy = pytest.mark.heavy
 
 

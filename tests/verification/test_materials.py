@@ -37,6 +37,8 @@ from dolfinx import fem
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.io import tag_facets
 
+pytestmark = pytest.mark.once
+
 pytest.importorskip("gmsh")
 
 SIZE = 0.35  # of the edges

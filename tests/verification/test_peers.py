@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.once
+
 # largest differences from the reference; GetFEM's multipliers and quadrature are others
 LIMITS = {
     "getfem-mortar": {"difference": 1e-2, "work_difference": 1e-2, "pressure_difference": 0.2},

@@ -19,6 +19,8 @@ from dolfinx import fem
 from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle
 from fenics_tfeti.io import read_msh
 
+pytestmark = pytest.mark.once
+
 pytest.importorskip("gmsh")
 YOUNG = 2.1e11
 SCRIPT = Path(__file__).parents[2] / "meshes" / "roller_bearing.py"

@@ -18,6 +18,8 @@ from dolfinx.fem import petsc
 
 from fenics_tfeti.io import Box, boxes, tag_facets
 
+pytestmark = pytest.mark.once
+
 PRESSURE, WEIGHT = 20e6, 24e4
 CUBES = [(i, j, k) for k, j, i in itertools.product(range(3), repeat=3)]
 TOTAL = 1e8  # the scale of the loads [N]

@@ -20,6 +20,8 @@ from fenics_tfeti.fem.io.page import page_of_report
 from fenics_tfeti.feti.report import without_nan
 from fenics_tfeti.io import contact_fields, von_mises
 
+pytestmark = pytest.mark.once
+
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 with_browser = pytest.mark.skipif(
     CHROMIUM is None, reason="no Chromium in the path: apt-get install chromium"

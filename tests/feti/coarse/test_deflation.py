@@ -22,6 +22,8 @@ from fenics_tfeti.feti.coarse.local_spectra import LocalVectors
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.solution import setup
 
+pytestmark = pytest.mark.once
+
 RATIOS = [1e4, 1e6]
 METHODS = ["active_set", "smalbe"]
 every_gdim = pytest.mark.parametrize("gdim", [2, 3])

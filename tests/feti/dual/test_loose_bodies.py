@@ -18,6 +18,8 @@ from fenics_tfeti.feti.dual.active_set import _without_pulling_rows
 from fenics_tfeti.feti.dual.loose_bodies import rigid_start
 from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Signs
 
+pytestmark = pytest.mark.once
+
 WALLS = np.concatenate([np.identity(3), -np.identity(3)])
 
 

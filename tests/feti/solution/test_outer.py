@@ -10,6 +10,8 @@ from torn import column
 
 from fenics_tfeti.feti import Options, TornSolver, TornSystem
 
+pytestmark = pytest.mark.once
+
 
 def stiff_block_over_uneven_gaps() -> TornSystem:
     """Return a block that falls, tilts and comes to rest on three nodes."""
