@@ -284,7 +284,7 @@ class ContactProblem:
             except Interrupted:
                 raise Interrupted("interrupted", uh, self.report) from None
         if self.options.view and self.space.mesh.comm.rank == 0:
-            print(self.report.summary(), flush=True)
+            print(self.report, flush=True)
         return uh
 
     def reset_slip(self) -> None:

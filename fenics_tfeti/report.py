@@ -46,10 +46,10 @@ class ContactReport(Report):
     passes: list[GeometryPass] = field(default_factory=list)
     pairing: list[dict[str, Any]] = field(default_factory=list)
 
-    def summary(self) -> str:
+    def __str__(self) -> str:
         """Return the main figures and the pairing as lines to read."""
         table = [self.pairing_table()] if self.pairing else []
-        return "\n".join([*table, super().summary()])
+        return "\n".join([*table, super().__str__()])
 
     def to_html(
         self,

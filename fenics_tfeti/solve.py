@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None, comm: MPI.Intracomm = MPI.COMM_
     except Interrupted as error:
         _print(comm, f"error: {error}", sys.stderr)
         return _INTERRUPTED
-    _print(comm, solution.report.summary())
+    _print(comm, str(solution.report))
     if interrupted:
         return _INTERRUPTED
     return _SOLVED if solution.report.converged else _NOT_CONVERGED

@@ -172,7 +172,7 @@ class Report:
         del whole["comm"]
         return whole
 
-    def summary(self) -> str:
+    def __str__(self) -> str:
         """Return the main figures as lines to read."""
         unknowns, products = self.unknowns, self.products
         lines = {

@@ -66,7 +66,7 @@ def test_work_of_friction(rubbing):
     assert report.friction_work == [pytest.approx(work, rel=1e-9)]
     assert report.unknowns["sticking"] == np.count_nonzero(found.sticking)
     assert report.unknowns["friction"] == found.sticking.size
-    assert f"{report.unknowns['sticking']} of {found.sticking.size} nodes stick" in report.summary()
+    assert f"{report.unknowns['sticking']} of {found.sticking.size} nodes stick" in str(report)
 
 
 @pytest.mark.parametrize("case", CASES)
