@@ -117,14 +117,15 @@ def pulled_strip(n: int = 50, comm: MPI.Intracomm = MPI.COMM_SELF) -> Rubbing:
 
 
 def mapped_boxes(comm: MPI.Intracomm, parts: list[Box], shape: Any) -> Any:
-    """Return boxes of quadrilaterals with nodes moved by x (2, n) -> (2, n)."""
-    tagged = boxes(comm, parts, "quadrilateral")
+    """Return boxes of quadrilaterals or hexahedra with nodes moved by x (d, n) -> (d, n)."""
+    d = len(parts[0].divisions)
+    tagged = boxes(comm, parts, "quadrilateral" if d == 2 else "hexahedron")
     x = tagged.mesh.geometry.x
-    x[:, :2] = shape(x[:, :2].T).T
+    x[:, :d] = shape(x[:, :d].T).T
     return tagged
 
 
-RADIUS, HALF_WIDTH = 40.0, 8.0
+RADIUS, BALL_RADIUS, HALF_WIDTH = 40.0, 40.0, 8.0
 
 
 def half_planes(n: int = 44, friction: Any = None, comm: MPI.Intracomm = MPI.COMM_SELF) -> Rubbing:
@@ -138,32 +139,70 @@ def half_planes(n: int = 44, friction: Any = None, comm: MPI.Intracomm = MPI.COM
 
     layers = n // 2
     parts = [Box((-1, 0), (1, 1), (n, layers)), Box((-1, -1), (1, 0), (n, layers))]
-    tagged = mapped_boxes(comm, parts, graded)
-    marks = [
-        (SLAVE, lambda x: np.isclose(x[1], 0.0) & (np.abs(x[0]) < 3.0), 1),
-        (MASTER, lambda x: np.isclose(x[1], 0.0) & (np.abs(x[0]) < 3.0), 2),
-        (TOP, at(1, HALF_WIDTH), 1),
-        (CLAMPED, at(1, -HALF_WIDTH), 2),
+    return _pressed_blocks(comm, parts, graded, friction, RADIUS, subdomain_size=400)
+
+
+def half_spaces(n: int = 12, friction: Any = None, comm: MPI.Intracomm = MPI.COMM_SELF) -> Rubbing:
+    """Return two equal blocks with the gap of a ball between them, the upper one to be moved.
+
+    The half y > 0 of them: y = 0 is a plane of symmetry. Otherwise as `half_planes`.
+    """
+
+    def graded(x: Any) -> Any:
+        # equal elements where they may touch
+        core = 1.6 * x / 0.6
+        beyond = np.maximum(np.abs(x) - 0.6, 0.0) / 0.4
+        return core + np.sign(x) * (HALF_WIDTH - 1.6 / 0.6) * beyond**3
+
+    parts = [
+        Box((-1, 0, 0), (1, 1, 1), (2 * n, n, n)),
+        Box((-1, 0, -1), (1, 1, 0), (2 * n, n, n)),
     ]
+    return _pressed_blocks(comm, parts, graded, friction, BALL_RADIUS, subdomain_size=1500)
+
+
+def _pressed_blocks(
+    comm: MPI.Intracomm,
+    parts: list[Box],
+    graded: Any,
+    friction: Any,
+    radius: float,
+    subdomain_size: int,
+) -> Rubbing:
+    """Return graded blocks below and above the plane of the last coordinate, with a round gap."""
+
+    def distance(x: Any) -> Any:
+        return np.linalg.norm(x[:up], axis=0)
+
+    tagged, up = mapped_boxes(comm, parts, graded), len(parts[0].divisions) - 1
+    marks = [
+        (SLAVE, lambda x: np.isclose(x[up], 0.0) & (distance(x) < 3.0), 1),
+        (MASTER, lambda x: np.isclose(x[up], 0.0) & (distance(x) < 3.0), 2),
+        (TOP, at(up, HALF_WIDTH), 1),
+        (CLAMPED, at(up, -HALF_WIDTH), 2),
+    ]
+    marks += [(SIDE, at(1, 0.0))] if up == 2 else []
     tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
     V = vector_space(tagged.mesh)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    moved = Constant(tagged.mesh, np.zeros(2))
-    top = fem.locate_dofs_topological(V, 1, tags.find(TOP))
+    moved = Constant(tagged.mesh, np.zeros(up + 1))
+    top = fem.locate_dofs_topological(V, up, tags.find(TOP))
     pair = ContactPair(
         tags,
         SLAVE,
         MASTER,
-        initial_gap=lambda x: x[0] ** 2 / (2.0 * RADIUS),
+        initial_gap=lambda x: distance(x) ** 2 / (2.0 * radius),
         friction=friction,
     )
+    supports = [fixed(V, tags, CLAMPED, None), fem.dirichletbc(moved, top, V)]
+    supports += [fixed(V, tags, SIDE, 1)] if up == 2 else []
     problem = ContactProblem(
         elasticity(u, v, 1.0),
         0,
-        [fixed(V, tags, CLAMPED, None), fem.dirichletbc(moved, top, V)],
+        supports,
         [pair],
         tagged.cell_tags,
-        options={"rtol": 1e-5, "subdomain_size": 400},
+        options={"rtol": 1e-5, "subdomain_size": subdomain_size},
     )
     return Rubbing(problem, moved, tags)
 

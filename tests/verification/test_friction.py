@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from friction_scenes import (
+    BALL_RADIUS,
     SHEAR_STRENGTH,
     THICKNESS,
     belt,
     half_planes,
+    half_spaces,
     pulled_strip,
     pushed_cube,
     sheared_square,
 )
+from scenes import POISSON
 
 from fenics_tfeti import Coulomb, NotConverged, Tresca, UnresistedMotion
 
@@ -271,6 +274,41 @@ def test_traction_of_cattaneo_and_mindlin(rolling_contact):
         np.sum(contact.area * difference**2) / np.sum(contact.area * (MU * p0 * q) ** 2)
     )
     assert error < 0.05
+
+
+@pytest.mark.parametrize(
+    ("n", "limit"), [(8, 0.15), pytest.param(15, 0.06, marks=pytest.mark.heavy)]
+)
+def test_ball_of_cattaneo_and_mindlin(n, limit):
+    """c / a = (1 - Q / (mu P))^(1/3), within one element; the traction in L2.
+
+    The formula leaves out slip across the push, which Poisson's ratio of 0.3 makes.
+    """
+    scene = half_spaces(n, friction=Coulomb(MU))
+    scene.traction.value[:] = 0.0, 0.0, -0.05
+    scene.problem.solve()
+    assert np.abs(scene.problem.contact[0].friction.force).max() < 1e-8
+    scene.traction.value[:] = 0.01, 0.0, -0.05
+    scene.problem.solve()
+    contact = scene.problem.contact[0].gather()
+    P, Q = contact.normal_force.sum(), -contact.friction.force[:, 0].sum()
+    reaction = scene.problem.report.reactions[0].force
+    np.testing.assert_allclose((reaction[0], reaction[2]), (-Q, P), rtol=1e-6)
+    assert 0.5 < Q / (MU * P) < 0.8
+    # Hertz's formulas for the whole ball, of which the mesh has one half
+    a = (3.0 * 2.0 * P * BALL_RADIUS * 2.0 * (1.0 - POISSON**2) / 4.0) ** (1.0 / 3.0)
+    p0, c = 3.0 * 2.0 * P / (2.0 * np.pi * a**2), a * (1.0 - Q / (MU * P)) ** (1.0 / 3.0)
+    r = np.linalg.norm(contact.coordinates[:, :2], axis=1)
+    size = np.sqrt(contact.area[r < a].max())
+    sticking = contact.friction.sticking & (contact.pressure > 0.0)
+    assert abs(r[sticking].max() - c) <= size
+    q = np.sqrt(np.maximum(1.0 - (r / a) ** 2, 0.0))
+    q -= c / a * np.sqrt(np.maximum(1.0 - (r / c) ** 2, 0.0))
+    exact = np.stack([MU * p0 * q, np.zeros_like(q)], axis=1)
+    square = np.sum((-contact.friction.traction[:, :2] - exact) ** 2, axis=1)
+    error = np.sqrt(contact.area @ square / (contact.area @ np.sum(exact**2, axis=1)))
+    print(f"a/h {a / size:.1f}, c/a {c / a:.3f}, traction {error:.3f}")
+    assert error < limit
 
 
 # -- belt on a drum -------------------------------------------------------------------------------
