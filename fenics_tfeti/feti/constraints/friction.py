@@ -301,6 +301,31 @@ class FrictionRows:
         turned = np.column_stack([-along[:, 1], along[:, 0]])
         return np.where(sticking[:, None], 0.0, turned)
 
+    def curvature(self, forces: Vector, slips: Vector, radius: Vector) -> Vector:
+        """Return the second derivative of the cost (k,) for forces that turn, |s| / r.
+
+        Parameters
+        ----------
+        forces : (m,) array
+            Multipliers.
+        slips : (k, gdim - 1) array
+            s; the part along the force counts.
+        radius : (k,) array
+            r.
+        """
+        along = np.maximum(np.sum(slips * self.directions(forces), axis=1), 0.0)
+        return np.divide(along, radius, out=np.zeros_like(radius), where=radius > 0.0)
+
+    def turned_to(self, slips: Vector, multipliers: Vector, sites: Mask, radius: Vector) -> Vector:
+        """Return the multipliers with forces of some sites at the bound, along their slips."""
+        length = np.linalg.norm(slips, axis=1)
+        moving = sites & (length > 0.0)
+        factor = np.divide(radius, length, out=np.zeros_like(length), where=moving)
+        force = np.where(moving[:, None], factor[:, None] * slips, self.at_sites(multipliers))
+        multipliers = multipliers.copy()
+        multipliers[self.flat] = force[self.present]
+        return multipliers
+
     def within(self, rows: Mask) -> Mask:
         """Tell of which sites the rows are in a mask (m,)."""
         mask: Mask = (rows[self.rows] & self.present).any(axis=1)

@@ -419,10 +419,8 @@ def _signs(
 ) -> Signs:
     """Return a set with the curvature that the slips of a gradient have along the forces."""
     friction = problem.constraints.friction
-    slip = -np.sum(friction.at_sites(gradient) * friction.directions(forces), axis=1)
-    curvature = np.zeros(friction.size)
-    np.divide(np.maximum(slip, 0.0), problem.radius, out=curvature, where=problem.radius > 0.0)
-    return Signs(active, sticking, forces, curvature)
+    slips = -friction.at_sites(gradient)
+    return Signs(active, sticking, forces, friction.curvature(forces, slips, problem.radius))
 
 
 def _load(problem: DualProblem, signs: Signs) -> Vector:

@@ -68,8 +68,16 @@ class Signs:
     curvature: Vector
 
     @staticmethod
-    def of(problem: DualProblem, multipliers: Vector, active: Mask | None = None) -> Signs:
-        """Return those of multipliers, with forces of sites that slip at the bound."""
+    def of(
+        problem: DualProblem,
+        multipliers: Vector,
+        active: Mask | None = None,
+        slips: Vector | None = None,
+    ) -> Signs:
+        """Return those of multipliers, with forces of sites that slip at the bound.
+
+        Without `slips` (k, gdim - 1) the forces may turn freely.
+        """
         constraints = problem.constraints
         friction = constraints.friction
         if active is None:
@@ -77,7 +85,11 @@ class Signs:
         forces = problem.multiplier_set(np.zeros_like(multipliers)).project(multipliers.copy())
         forces = friction.at_bound(forces, problem.radius)
         sticking = friction.sticking(forces, problem.radius)
-        return Signs(active, sticking, forces, np.zeros(friction.size))
+        curvature = np.zeros(friction.size)
+        if slips is not None:
+            slipping = np.where(sticking, 0.0, 1.0)
+            curvature = slipping * friction.curvature(forces, slips, problem.radius)
+        return Signs(active, sticking, forces, curvature)
 
 
 @dataclass(frozen=True)

@@ -111,7 +111,7 @@ def iterate_slip_bounds(
         if not held:
             reason = "no slip bounds near those of the last step can hold the load"
             return replace(outcome, converged=False, reason=reason)
-        state = loop.moved(outcome.state, outcome.candidate.radius, data.radius)
+        state = loop.moved(outcome, data.radius)
         least = options.rtol if change <= options.rtol else finest
         rtol = max(least, min(rtol, _INEXACT * change))
     return replace(outcome, converged=False, reason=f"limit of {_MAX_STEPS} steps of Coulomb's law")
@@ -192,11 +192,17 @@ class _FixedPoint:
             return None
         return replace(self._given, radius=radius, feasible=feasible)
 
-    def moved(self, state: DualState, before: Vector, now: Vector) -> DualState:
-        """Return a state with the forces of sites that slip at their new bounds."""
-        sticking = self._friction.sticking(state.multipliers, before)
-        multipliers = self._friction.back_on_circles(state.multipliers, now, sticking)
-        return replace(state, multipliers=multipliers)
+    def moved(self, outcome: Outcome, radius: Vector) -> DualState:
+        """Return a state with the forces of sites that slip at their new bounds.
+
+        Where they had no bound, their slips give the directions.
+        """
+        friction, state, slips = self._friction, outcome.state, outcome.candidate.slips
+        before = outcome.candidate.radius
+        sticking = friction.sticking(state.multipliers, before)
+        multipliers = friction.back_on_circles(state.multipliers, radius, sticking)
+        multipliers = friction.turned_to(slips, multipliers, before == 0.0, radius)
+        return replace(state, multipliers=multipliers, slips=slips)
 
     def error(self, candidate: Candidate, radius: Vector) -> float:
         """Return how far forces are from the law with these bounds, relative to the bounds.

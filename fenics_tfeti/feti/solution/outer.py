@@ -387,4 +387,4 @@ class _Loop:
         if stage.iterate is not None:
             return stage.iterate, stage.iterate.signs
         multipliers = stage.state.multipliers
-        return multipliers, Signs.of(problem, multipliers, stage.state.active)
+        return multipliers, Signs.of(problem, multipliers, stage.state.active, stage.state.slips)

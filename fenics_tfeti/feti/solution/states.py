@@ -67,11 +67,15 @@ class DualState:
         The equality multipliers' part G'mu of the gradient.
     active : (i,) bool array or None
         Active set to start from; None for the rows with positive multipliers.
+    slips : (k, gdim - 1) array or None
+        Slips of the sites of friction to start from, scaled as the rows; None if they are not
+        known.
     """
 
     multipliers: Vector
     coarse_gradient: Vector
     active: Mask | None = None
+    slips: Vector | None = None
 
 
 @dataclass(frozen=True)
