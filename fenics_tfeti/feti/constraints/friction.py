@@ -301,6 +301,15 @@ class FrictionRows:
         turned = np.column_stack([-along[:, 1], along[:, 0]])
         return np.where(sticking[:, None], 0.0, turned)
 
+    def misaligned(self, slips: Vector, along: Vector) -> Vector:
+        """Return |s| - s'l (k,) for slips s and unit vectors l, both (k, gdim - 1)."""
+        size, forwards = np.linalg.norm(slips, axis=1), np.sum(slips * along, axis=1)
+        # without the difference where s is almost along l
+        across = np.linalg.norm(slips - forwards[:, None] * along, axis=1)
+        ahead = forwards > 0.0
+        quotient = np.divide(across**2, size + forwards, out=np.zeros_like(size), where=ahead)
+        return np.where(ahead, quotient, size - forwards)
+
     def curvature(self, forces: Vector, slips: Vector, radius: Vector) -> Vector:
         """Return the second derivative of the cost (k,) for forces that turn, |s| / r.
 

@@ -130,7 +130,7 @@ def primal_dual_active_set(
     rows, friction = problem.constraints.inequality, problem.constraints.friction
     rubs = bool(_counts(problem, np.zeros(rows.size, dtype=bool), sites=problem.radius > 0.0)[-1])
     progress, pivots, previous_sets = _Progress(), _SinglePivots(), list[Mask]()
-    gradient, resume = problem.c, isinstance(start, PCPGIterate)
+    gradient, resume, turns = problem.c, isinstance(start, PCPGIterate), False
     # contact alone balances no load that friction holds
     if isinstance(start, np.ndarray) and not rubs and not _counts(problem, signs.active)[0]:
         pressing = rigid_start(problem)
@@ -166,7 +166,10 @@ def primal_dual_active_set(
         changed += turned
         monitor(ActiveSetStep(products.total, iterate.residual, size, changed))
         exact = iterate.energy <= tolerance
-        solved = exact and iterate.violation <= negligible
+        nearly = exact and iterate.violation <= negligible
+        # slips beside their forces: one more step of Newton's method
+        turns = nearly and rubs and not turns and _unused_friction(problem, face, iterate) > tolerance
+        solved = nearly and not turns
         # sets with other directions of friction forces may come back
         cycles = (
             exact
@@ -189,7 +192,8 @@ def primal_dual_active_set(
             progress, previous_sets = _Progress(), []
         elif exact:
             previous_sets.append(face.signs.active)
-        resume = changed == 0 and not (rubs and _turned(problem, face, iterate, forces))
+        turns_now = turns or (rubs and _turned(problem, face, iterate, forces))
+        resume = changed == 0 and not turns_now
         active = without_dependent_rows(problem, following, iterate.multipliers)
         signs = _signs(problem, active, sticking, rubbing, gradient)
         if resume:
@@ -285,6 +289,18 @@ def _counts(problem: DualProblem, *masks: Mask, sites: Mask | None = None) -> li
         mine = friction.owned(problem.constraints.layout.owned)
         part.append(float(np.count_nonzero(sites & mine)))
     return [int(n) for n in problem.space.sums(*part)]
+
+
+def _unused_friction(problem: DualProblem, face: Face, iterate: PCPGIterate) -> float:
+    """Return the square root of the sum of 2 (r |s| - l_T's) over the sites that slip. Collective.
+
+    It is part of the error of the displacement; zero where slips s are along the forces.
+    """
+    friction = problem.constraints.friction
+    slips, along = -friction.at_sites(iterate.gradient), friction.directions(iterate.multipliers)
+    unused = problem.radius * friction.misaligned(slips, along)
+    counted = ~face.signs.sticking & friction.owned(problem.constraints.layout.owned)
+    return float(np.sqrt(2.0 * max(problem.space.sums(float(unused @ counted))[0], 0.0)))
 
 
 def _turned(problem: DualProblem, face: Face, iterate: PCPGIterate, forces: Vector) -> bool:

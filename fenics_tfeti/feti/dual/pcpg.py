@@ -43,6 +43,10 @@ _DIVERGED = 1e12
 _PATIENCE, _PATIENCE_FACTOR = 200, 3
 # p'Fp relative to r'z, about 1 with a good preconditioner, that is rounding: P leaves nothing of F
 _NO_CURVATURE = 64 * 2.0**-52
+# stiffness of a slip against a friction force, relative to that of a weight of 1. 1 / ||PFP||, that
+# of the whole body, is much too small where the body is thin: directions of forces then follow
+# those of slips too slowly
+_SLIP_STIFFNESS = 0.03
 
 
 @dataclass(frozen=True)
@@ -392,12 +396,16 @@ def friction_step(
 ) -> Vector:
     """Return the friction forces that the slips of an iterate ask for, (k, gdim - 1).
 
-    These are the projections of l - g / ||PFP|| onto the discs. On the face g is a residual that
-    vanishes, and is left out.
+    These are the projections of l - k g onto the discs, with a stiffness k. On the face g is a
+    residual that vanishes, and is left out. Slip against the force does not turn it round: the
+    site sticks first.
     """
     friction = problem.constraints.friction
-    slip = np.where(face.signs.sticking[:, None], 0.0, friction.at_sites(gradient))
-    step = friction.at_sites(multipliers) - slip / (problem.norm or 1.0)
+    sticking, along = face.signs.sticking, friction.directions(face.signs.forces)
+    slip = np.where(sticking[:, None], 0.0, friction.at_sites(gradient))
+    step = friction.at_sites(multipliers) - _SLIP_STIFFNESS * problem.unit * slip
+    back = np.where(sticking, 0.0, np.minimum(np.sum(step * along, axis=1), 0.0))
+    step -= back[:, None] * along
     return friction.projected(step, problem.radius)
 
 
@@ -413,7 +421,9 @@ def _norms(
         problem.constraints.friction,
         friction_step(problem, face, multipliers, gradient),
     )
-    wrong[friction.flat] = problem.norm * (friction.at_sites(multipliers) - sites)[friction.present]
+    wrong[friction.flat] = (friction.at_sites(multipliers) - sites)[friction.present] / (
+        _SLIP_STIFFNESS * problem.unit
+    )
     residual = face.projector.on_rows(gradient + face.bent(multipliers))
     squares = problem.space.dots((residual, residual), (wrong, wrong))
     return float(np.sqrt(squares[0])), float(np.sqrt(squares[1]))

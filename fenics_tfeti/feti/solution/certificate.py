@@ -497,15 +497,7 @@ class PrimalProblem:
     def _unused_friction(self, recovered: Recovered, multipliers: Vector) -> tuple[Numbers, Vector]:
         """Return 2 (r |s| - lambda_T's) of each owned site, with one of its bodies [J]."""
         friction, owned = self.F.constraints.friction, self.F.constraints.layout.owned
-        slip, along = self.slips(recovered), friction.directions(multipliers)
-        size, forwards = np.linalg.norm(slip, axis=1), np.sum(slip * along, axis=1)
-        # |s| - s'l for a unit vector l; without the difference where s is almost along l
-        across = np.linalg.norm(slip - forwards[:, None] * along, axis=1)
-        unused = np.where(
-            forwards > 0.0,
-            np.divide(across**2, size + forwards, out=np.zeros_like(size), where=forwards > 0.0),
-            size - forwards,
-        )
+        unused = friction.misaligned(self.slips(recovered), friction.directions(multipliers))
         mine = friction.owned(owned)
         site, first = np.unique(self.row_bodies.site, return_index=True)
         body = np.zeros(friction.size, dtype=np.int64)
@@ -530,7 +522,10 @@ class PrimalProblem:
         forwards = np.maximum(np.sum(slip * along, axis=1, keepdims=True), 0.0)
         across = np.linalg.norm(slip - forwards * along, axis=1) / scale
         slipping = ~recovered.sticking & (self.radius > 0.0)
-        excess = friction.scale * (force - self.radius) / np.where(bound > 0.0, bound, 1.0)
+        bound = np.where(bound > 0.0, bound, 1.0)
+        # of small forces the direction matters little
+        across *= friction.scale * self.radius / bound
+        excess = friction.scale * (force - self.radius) / bound
         below = np.linalg.norm(slip, axis=1) / scale
         numbers = np.array(
             [

@@ -178,7 +178,9 @@ class _FixedPoint:
         self._length = min(max(self._length, _SHORTEST), _LONGEST)
         self._last, part = way, self._length
         for _ in range(_MAX_HALVINGS):
-            found = self._held(np.maximum(data.radius + part * way / scale, 0.0))
+            bounds = np.maximum(data.radius + part * way / scale, 0.0)
+            # no parts of bounds where nothing presses any more: they would have large curvatures
+            found = self._held(np.where(radius > 0.0, bounds, 0.0))
             if found is not None:
                 return found, True
             part *= 0.5

@@ -361,7 +361,9 @@ class _Loop:
             multipliers, face = balance_multipliers(coarse_space, data.e, multipliers, data.radius)
             # F makes jumps of what the balance has added, large ones in the deflated directions
             multipliers = self._completed(multipliers)
-            recovered = recover_displacement(setup.F, face, data.load, data.c, multipliers)
+            recovered = recover_displacement(
+                setup.F, face, data.load, data.c, multipliers, setup.local.unit
+            )
             certificate = self.primal.certify(recovered, multipliers, face)
             energy = self.primal.energy(recovered)
             slips = self.primal.slips(recovered)

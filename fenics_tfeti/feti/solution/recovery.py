@@ -133,7 +133,7 @@ def balance_multipliers(
 
 
 def recover_displacement(
-    F: DualOperator, face: Projector, load: Vector, c: Vector, multipliers: Vector
+    F: DualOperator, face: Projector, load: Vector, c: Vector, multipliers: Vector, unit: float
 ) -> Recovered:
     """Return u_t of (11.29), and the nearest displacement on which the constraints hold.
 
@@ -153,6 +153,8 @@ def recover_displacement(
         Right-hand sides of the constraints.
     multipliers : (m,) array
         lambda.
+    unit : float
+        The stiffness that a weight of 1 stands for [N/m].
     """
     coarse_space, rows = face.coarse_space, F.constraints.inequality
     forces = load - F.constraint_forces(multipliers)
@@ -172,10 +174,8 @@ def recover_displacement(
     if pressing.free.shape[1]:
         away = _smallest_without_penetration(pressing, c - F.jumps(torn))
         torn += coarse_space.rigid_motion(pressing.free @ away)
-    friction = F.constraints.friction
-    along = friction.directions(multipliers)
-    displacement, closed = close_constraints(F, c, torn, pressing.rows, along)
-    sticking = friction.within(pressing.rows)
+    displacement, closed = close_constraints(F, c, torn, pressing.rows, multipliers, unit)
+    sticking = F.constraints.friction.within(pressing.rows)
     return Recovered(strained, torn, displacement, closed[rows], sticking)
 
 
@@ -242,14 +242,15 @@ def forces_at_rest(F: DualOperator, load: Vector, c: Vector) -> Vector | None:
 
 
 def close_constraints(
-    F: DualOperator, c: Vector, torn: Vector, face: Mask, along: Vector
+    F: DualOperator, c: Vector, torn: Vector, face: Mask, multipliers: Vector, unit: float
 ) -> tuple[Vector, Mask]:
     """Return the nearest displacement on which the constraints hold, and the rows closed for that.
 
     u = u_t - D^{-1} B_R' W_R^{-1} (B_R u_t - c_R), with R the rows of the face and the contact rows
     that u_t penetrates. B_R D^{-1} B_R' = W_R is the identity but for contact, tied and tangential
     rows that share a node. Where friction is at its bound the part of the slip is removed that is
-    not along the force; of rows that share a node only slip against it.
+    not along the force, if that takes less energy than friction loses by it, 2 (r |s| - l_T's); of
+    rows that share a node only slip against it.
 
     Parameters
     ----------
@@ -261,8 +262,10 @@ def close_constraints(
         u_t [m].
     face : (m,) bool array
         The equality rows, the contact rows with a force, and the tangential rows that stick.
-    along : (k, gdim - 1) array
-        Unit vectors of the friction forces.
+    multipliers : (m,) array
+        lambda.
+    unit : float
+        The stiffness that a weight of 1 stands for [N/m].
 
     Returns
     -------
@@ -277,10 +280,13 @@ def close_constraints(
     closed[rows] |= jump[rows] > 0.0
     correction = np.where(closed, jump, 0.0)
     friction = constraints.friction
-    slip = friction.at_sites(jump)
+    slip, along = friction.at_sites(jump), friction.directions(multipliers)
+    radius = np.linalg.norm(friction.at_sites(multipliers), axis=1)
+    unused = 2.0 * radius * friction.misaligned(slip, along)
     forwards = np.sum(slip * along, axis=1)
     slip -= np.maximum(forwards, 0.0)[:, None] * along
-    slipping = along.any(axis=1) & ~friction.within(face)
+    cheaper = unit * np.sum(slip**2, axis=1) < unused
+    slipping = cheaper & ~friction.within(face)
     wrong = friction.present & slipping[:, None]
     correction[friction.rows[wrong]] = slip[wrong]
     # slip against the force is taken back; of a coupled row that costs all of its slip
