@@ -116,6 +116,27 @@ def pulled_strip(n: int = 50, comm: MPI.Intracomm = MPI.COMM_SELF) -> Rubbing:
     return Rubbing(problem, traction, tags)
 
 
+def pulled_plate(friction: Any, n: int = 4) -> ContactProblem:
+    """Return a plate of 8 x 1 x 1/4 pressed on a rigid plane, pulled at x = 8."""
+    tagged = boxes(MPI.COMM_SELF, [Box((0, 0, 0), (8, 1, 0.25), (8 * n, n, max(n // 4, 1)))])
+    mesh = tagged.mesh
+    tags = tag_facets(mesh, [(SIDE, at(0, 8.0)), (SLAVE, at(2, 0.0)), (TOP, at(2, 0.25))])
+    V = vector_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
+    pressure = Constant(mesh, np.array([0.0, 0.0, -1e-3]))
+    end = fem.locate_dofs_topological(V, 2, tags.find(SIDE))
+    moved = Constant(mesh, np.array([0.02, 0.003, 0.0]))
+    ground = RigidObstacle(tags, SLAVE, Plane((0, 0, 0), (0, 0, 1)), friction=friction)
+    return ContactProblem(
+        elasticity(u, v, 1.0),
+        ufl.inner(pressure, v) * ds(TOP),
+        [fem.dirichletbc(moved, end, V)],
+        [ground],
+        options={"subdomain_size": 375},
+    )
+
+
 def mapped_boxes(comm: MPI.Intracomm, parts: list[Box], shape: Any) -> Any:
     """Return boxes of quadrilaterals or hexahedra with nodes moved by x (d, n) -> (d, n)."""
     d = len(parts[0].divisions)

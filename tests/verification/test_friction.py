@@ -11,6 +11,7 @@ from friction_scenes import (
     belt,
     half_planes,
     half_spaces,
+    pulled_plate,
     pulled_strip,
     pushed_cube,
     sheared_square,
@@ -194,6 +195,21 @@ def test_block_that_topples_before_it_slides():
     assert "coefficient" not in str(raised.value)
 
 
+def test_thin_plate_that_slips_in_varying_directions():
+    """Its free end contracts by Poisson's ratio: few nodes stick there, and slips point to them."""
+    for friction, products in ((Tresca(2e-4), 250), (Coulomb(0.2), 400)):
+        problem = pulled_plate(friction)
+        problem.solve()
+        assert problem.report.products["total"] < products
+        found, slip = problem.contact[0].friction, problem.contact[0].friction.slip
+        size, length = np.linalg.norm(found.force, axis=1), np.linalg.norm(slip, axis=1)
+        assert 0 < np.count_nonzero(found.sticking & (found.bound > 0.0)) < 20
+        assert np.all(size <= found.bound + 1e-5 * found.bound.max())
+        clear = (length > 1e-3 * length.max()) & (found.bound > 1e-3 * found.bound.max())
+        cosine = -np.sum(found.force * slip, axis=1)[clear] / (size * length)[clear]
+        np.testing.assert_allclose(cosine, 1.0, atol=1e-6)
+
+
 @pytest.mark.parametrize(("mu", "angle"), [(0.5, 2.2), (1.0, 1.2), (2.0, 0.9)])
 def test_bounds_that_swing(mu, angle):
     """Slip across stiff fibres changes the pressure by up to 2.6 times the friction that it makes.
@@ -211,9 +227,20 @@ def test_bounds_that_swing(mu, angle):
     assert contact.normal_force.sum() > 1e-3
 
 
-def test_bounds_that_do_not_contract_are_an_error():
+@pytest.mark.parametrize(("mu", "angle"), [(0.3, 1.81), (0.5, 1.9), (1.0, 2.19)])
+def test_bounds_that_grow_until_something_sticks(mu, angle):
     """Slip along the fibres presses them on the ground, by more the more friction holds them."""
-    problem = sheared_square(Coulomb(0.5), (0.05, -0.01), fibre=1.9)
+    problem = sheared_square(Coulomb(mu), (0.05, -0.01), fibre=angle)
+    problem.solve()
+    contact = problem.contact[0]
+    assert contact.friction.sticking[contact.normal_force > 0.0].any()
+    force, bound = np.abs(contact.friction.force[:, 0]), mu * contact.normal_force
+    assert np.all(force <= bound + 1e-5 * bound.max())
+    assert contact.normal_force.sum() > 0.1
+
+
+def test_bounds_that_do_not_contract_are_an_error():
+    problem = sheared_square(Coulomb(10.0), (0.05, -0.01), fibre=1.24)
     with pytest.raises(
         NotConverged, match=r"slip bounds .* factor of [0-9.]+ a step only"
     ) as raised:
@@ -314,11 +341,19 @@ def test_ball_of_cattaneo_and_mindlin(n, limit):
 # -- belt on a drum -------------------------------------------------------------------------------
 
 
-def test_belt_on_a_drum():
-    """The held end of a belt that slips has e^(-mu phi) of the force at the other one."""
-    scene = belt(mu=MU)
+@pytest.mark.parametrize("mu", [0.3, 0.6])
+def test_belt_on_a_drum(mu):
+    """The held end of a belt that slips has e^(-mu phi) of the force at the other one.
+
+    phi is less by half an element at the held node, where displacements are prescribed. Friction
+    acts below the middle of the belt, of thickness t: the exponent has a factor of 1 / (1 + t / 2).
+    """
+    n, thickness = 60, 0.01
+    scene = belt(n, mu, thickness=thickness)
     scene.problem.solve()
     held = np.linalg.norm(scene.problem.report.reactions[0].force)
-    assert held == pytest.approx(1e-4 * np.exp(-MU * np.pi), rel=0.02)
+    assert held == pytest.approx(1e-4 * np.exp(-mu * np.pi), rel=0.03)
+    exponent = mu * np.pi * (1.0 - 0.5 / n) / (1.0 + 0.5 * thickness)
+    assert held == pytest.approx(1e-4 * np.exp(-exponent), rel=0.005)
     friction = scene.problem.contact[0].friction
     assert not friction.sticking[friction.bound > 0.0].any()

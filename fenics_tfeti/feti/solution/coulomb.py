@@ -46,11 +46,11 @@ _FINER, _FINEST = 0.1, 1e-9
 # change below this part of the tolerance: nothing was iterated
 _NOTHING = 1e-3
 # the fixed point does not contract if so many steps reduce its changes by less than the ratio each
-_STEPS, _RATIO = 5, 0.9
+_STEPS, _RATIO = 15, 0.9
 # limits on the steps, and on halvings of one whose bounds could not hold the load
 _MAX_STEPS, _MAX_HALVINGS = 100, 30
 # lengths of a step of the fixed point
-_SHORTEST, _LONGEST = 0.1, 3.0
+_SHORTEST, _LONGEST = 0.1, 10.0
 
 
 def iterate_slip_bounds(
@@ -173,8 +173,8 @@ class _FixedPoint:
             if turn2 > 0.0:
                 self._length *= -self._dot(self._last, turn) / turn2
             if self._length <= 0.0:
-                # bounds that grow more and more may end where all sticks
-                self._length = 1.0
+                # bounds that grow more and more: the sooner the better where all sticks in the end
+                self._length = _LONGEST
         self._length = min(max(self._length, _SHORTEST), _LONGEST)
         self._last, part = way, self._length
         for _ in range(_MAX_HALVINGS):
