@@ -7,7 +7,7 @@ until fewer signs are wrong than before. For definite problems that ends (Murty'
 takes too long, SMALBE-M continues from the last iterate.
 
 With friction sites stick, their tangential rows being equalities, or slip with a force of size r
-in the direction of l - g / ||PFP||, which turns in the linear problem (Newton's method). Where the
+in the direction of l - k g with a stiffness k, which turns in the linear problem (Newton's method). Where the
 directions do not come to rest, too, SMALBE-M continues.
 
 After Hintermueller, Ito, Kunisch, SIAM J. Optim. 13 (2002) 865-888, and Judice, Pires, Comput.
@@ -168,7 +168,9 @@ def primal_dual_active_set(
         exact = iterate.energy <= tolerance
         nearly = exact and iterate.violation <= negligible
         # slips beside their forces: one more step of Newton's method
-        turns = nearly and rubs and not turns and _unused_friction(problem, face, iterate) > tolerance
+        turns = (
+            nearly and rubs and not turns and _unused_friction(problem, face, iterate) > tolerance
+        )
         solved = nearly and not turns
         # sets with other directions of friction forces may come back
         cycles = (
@@ -192,8 +194,8 @@ def primal_dual_active_set(
             progress, previous_sets = _Progress(), []
         elif exact:
             previous_sets.append(face.signs.active)
-        turns_now = turns or (rubs and _turned(problem, face, iterate, forces))
-        resume = changed == 0 and not turns_now
+        # a face that is solved exactly makes no more progress: its directions have to change
+        resume = changed == 0 and not (rubs and (exact or _turned(problem, face, iterate, forces)))
         active = without_dependent_rows(problem, following, iterate.multipliers)
         signs = _signs(problem, active, sticking, rubbing, gradient)
         if resume:
