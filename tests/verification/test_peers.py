@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
+import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -46,3 +49,16 @@ def test_codes_agree(peers, scene, codes):
         assert row["force_difference"] < 1e-8
         for name, limit in LIMITS[row["code"]].items():
             assert row[name] < limit, (row["code"], name)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("getfem") is None, reason="needs GetFEM")
+def test_friction_agrees_with_getfem():
+    """In a process of its own: GetFEM brings another MUMPS than PETSc's."""
+    script = Path(__file__).parents[2] / "benchmarks" / "peers_friction.py"
+    command = [sys.executable, str(script), "--divisions", "5"]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    found = {name: float(value) for name, value in re.findall(r"of (\w+): (\S+)", printed)}
+    assert re.search(r"4 of 21 nodes stick", printed)
+    assert found["displacement"] < 1e-7
+    assert found["normal"] < 1e-6
+    assert found["tangential"] < 1e-6
