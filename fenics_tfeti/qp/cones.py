@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 __all__ = ["FrictionCones"]
@@ -81,6 +82,22 @@ class FrictionCones:
         moved[self.normal] = ds
         moved[self.tangential] = np.where(outside[:, None, None], turned, dt)
         return moved
+
+    def derivative(self, x: Vector) -> sp.csr_matrix:
+        """Return P'(x) as a sparse matrix, see `derivative_times`."""
+        # the blocks do not overlap: one product for each place in a block has all of their columns
+        blocks = np.column_stack([self.normal, self.tangential])
+        size = blocks.shape[1]
+        alone = np.setdiff1d(np.arange(x.size), blocks)
+        columns = np.zeros((x.size, size + 1))
+        columns[alone, size] = 1.0
+        for j in range(size):
+            columns[blocks[:, j], j] = 1.0
+        moved = self.derivative_times(x, columns)
+        rows, at = np.repeat(blocks, size, axis=1), np.tile(blocks, (1, size))
+        entries = np.concatenate([moved[blocks, :size].ravel(), moved[alone, size]])
+        places = np.append(rows.ravel(), alone), np.append(at.ravel(), alone)
+        return sp.csr_matrix((entries, places), (x.size, x.size))
 
     def scaled(self, factor: float) -> FrictionCones:
         """Return the set with r and m multiplied by a positive factor."""

@@ -7,6 +7,8 @@ within their bounds can balance.
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spl
 from numpy.typing import NDArray
 
 from fenics_tfeti.qp.cones import FrictionCones
@@ -28,7 +30,7 @@ _ACCURACY = 1e-4
 
 
 def least_norm_in_set(
-    C: Vector, d: Vector, feasible: ProductSet | FrictionCones
+    C: Vector | sp.csr_matrix, d: Vector, feasible: ProductSet | FrictionCones
 ) -> tuple[Vector, Vector]:
     """Minimise 1/2 ||x||^2 subject to Cx = d on a convex set that contains o.
 
@@ -39,8 +41,8 @@ def least_norm_in_set(
 
     Parameters
     ----------
-    C : (r, n) array
-        Few rows.
+    C : (r, n) array or scipy.sparse.csr_matrix
+        Few rows; a sparse matrix of many rows with `FrictionCones` only.
     d : (r,) array
         Right-hand side.
     feasible : ProductSet or FrictionCones
@@ -66,7 +68,8 @@ def least_norm_in_set(
     >>> (x.round(9) + 0.0).tolist(), bool(np.abs(residual).max() < 1e-9)
     ([1.0, 0.2, 0.1, 0.0], True)
     """
-    size, stiffness = float(np.linalg.norm(d)), float(np.sum(C**2))
+    size = float(np.linalg.norm(d))
+    stiffness = float((C.multiply(C) if isinstance(C, sp.csr_matrix) else C**2).sum())
     y = np.zeros(d.size)
     if size == 0.0 or stiffness == 0.0:
         return np.zeros(C.shape[1]), d.copy()
@@ -76,7 +79,9 @@ def least_norm_in_set(
     return x, d - C @ x
 
 
-def smallest_factor(C: Vector, d: Vector, feasible: ProductSet | FrictionCones) -> float:
+def smallest_factor(
+    C: Vector | sp.csr_matrix, d: Vector, feasible: ProductSet | FrictionCones
+) -> float:
     """Return the smallest factor of radii, intervals and slopes with which Cx = d has a solution.
 
     Parameters
@@ -115,7 +120,7 @@ def smallest_factor(C: Vector, d: Vector, feasible: ProductSet | FrictionCones) 
 
 
 def _newton(
-    C: Vector,
+    C: Vector | sp.csr_matrix,
     d: Vector,
     feasible: ProductSet | FrictionCones,
     y: Vector,
@@ -134,8 +139,7 @@ def _newton(
         gradient = C @ feasible.project(v.copy()) + delta * y - d
         if np.linalg.norm(gradient) <= tolerance:
             break
-        H = C @ feasible.derivative_times(v, C.T) + delta * np.eye(d.size)
-        p = np.linalg.solve(H, -gradient)
+        p = _newton_step(C, feasible, v, delta, -gradient)
         slope, length, before = float(gradient @ p), 1.0, cost(y)
         # near the solution the decrease drowns in rounding
         limit = before + 1e-12 * abs(before)
@@ -143,3 +147,19 @@ def _newton(
             length *= 0.5
         y = y + length * p
     return y
+
+
+def _newton_step(
+    C: Vector | sp.csr_matrix,
+    feasible: ProductSet | FrictionCones,
+    v: Vector,
+    delta: float,
+    b: Vector,
+) -> Vector:
+    """Solve (C P'(v) C' + delta) p = b."""
+    if sp.issparse(C):
+        assert isinstance(feasible, FrictionCones)
+        H = (C @ feasible.derivative(v) @ C.T + delta * sp.identity(b.size)).tocsc()
+        step: Vector = spl.splu(H).solve(b)
+        return step
+    return np.linalg.solve(C @ feasible.derivative_times(v, C.T) + delta * np.eye(b.size), b)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from fenics_tfeti.qp import FrictionCones, least_norm_in_set, smallest_factor
 
@@ -61,6 +62,14 @@ def test_derivative_is_that_of_differences(d):
             assert np.count_nonzero(wrong) <= 2 * (1 + d)
 
 
+@pytest.mark.parametrize("d", [1, 2])
+def test_sparse_derivative(d):
+    cone, size = cones(d), 3 + 40 * (1 + d)
+    x = 2.0 * np.random.default_rng(20 + d).standard_normal(size)
+    expected = cone.derivative_times(x, np.identity(size))
+    np.testing.assert_allclose(cone.derivative(x).toarray(), expected, atol=1e-15)
+
+
 @pytest.mark.parametrize(("push", "factor"), [(0.29, 1.0), (0.31, 0.31 / 0.3)])
 def test_weight_on_rough_ground(push, factor):
     """Two feet of coefficient 0.3 under a weight of 1 hold a push of 0.3 and no more."""
@@ -78,6 +87,9 @@ def test_weight_on_rough_ground(push, factor):
     assert contains(feet, x, 1e-9)
     assert (np.linalg.norm(residual) < 1e-9) == (factor == 1.0)
     assert smallest_factor(C, load, feet) == pytest.approx(push / 0.3, rel=2e-4)
+    sparse, rest = least_norm_in_set(sp.csr_matrix(C), load, feet)
+    np.testing.assert_allclose(sparse, x, atol=1e-9)
+    np.testing.assert_allclose(rest, residual, atol=1e-9)
 
 
 def test_ground_that_is_not_pressed_holds_nothing():

@@ -259,30 +259,30 @@ def _forces_with_friction(
     multipliers, friction = np.zeros(constraints.size), constraints.friction
     if np.linalg.norm(group.work) <= NO_WORK * group.force:
         return multipliers
-    moved_rows = _moved_rows(coarse_space, group.motions)[: constraints.layout.owned].toarray()
+    moved_rows = _moved_rows(coarse_space, group.motions)
     owned = constraints.inequality[: constraints.owned_inequalities]
     closing = np.isfinite(gaps[: owned.size])
-    pressing = np.where(closing[:, None], moved_rows[owned], 0.0)
+    pressing, first = _side_by_side(comm, sp.diags(closing.astype(float)) @ moved_rows[owned])
     mine = friction.owned(constraints.layout.owned)
     present = friction.present[mine]
     # a direction without a row is a column of zeros
-    rubbing = np.where(present[:, :, None], moved_rows[friction.rows[mine]], 0.0)
+    rubbing, first_rubbing = _side_by_side(
+        comm, sp.diags(present.ravel().astype(float)) @ moved_rows[friction.rows[mine].ravel()]
+    )
     layout = constraints.layout
-    contact, number, tangential, radius, slope, normal = (
+    number, radius, slope, normal = (
         concatenate_ranks(comm, part)
         for part in (
-            pressing,
             layout.numbers[owned],
-            rubbing,
             bound.radius[mine],
             bound.slope[mine],
             friction.normal_numbers(layout)[mine],
         )
     )
-    feasible, columns = _contact_and_friction(number, normal, radius, slope, tangential.shape[1])
-    C = np.zeros((contact.shape[1], columns))
-    C[:, : len(contact)] = contact.T
-    C[:, feasible.tangential.ravel()] = tangential.reshape(-1, contact.shape[1]).T
+    feasible, columns = _contact_and_friction(number, normal, radius, slope, present.shape[1])
+    nothing = sp.csr_matrix((group.work.size, columns - pressing.shape[1] - rubbing.shape[1]))
+    C = sp.hstack([pressing, rubbing, nothing], format="csr")
+    C = C.toarray() if group.work.size <= _DENSE else C
     forces, residual = least_norm_in_set(C, group.work, feasible)
     if np.linalg.norm(residual) > NO_WORK * group.force:
         some = explain and (radius.any() or slope.any())
@@ -292,11 +292,10 @@ def _forces_with_friction(
         )
         motion = group.motions @ residual
         _raise_unresisted(system, kernels, coarse_space, motion, factor, " and ".join(kinds))
-    first = first_of_rank(comm, len(pressing))[0]
     multipliers[owned] = forces[first : first + owned.size]
-    of_sites = forces[feasible.tangential]
-    first = first_of_rank(comm, len(rubbing))[0]
-    multipliers[friction.rows[mine][present]] = of_sites[first : first + len(rubbing)][present]
+    first = first_rubbing // present.shape[1]
+    of_sites = forces[feasible.tangential][first : first + len(present)]
+    multipliers[friction.rows[mine][present]] = of_sites[present]
     return constraints.layout.sum(multipliers)
 
 

@@ -7,8 +7,8 @@ until fewer signs are wrong than before. For definite problems that ends (Murty'
 takes too long, SMALBE-M continues from the last iterate.
 
 With friction sites stick, their tangential rows being equalities, or slip with a force of size r
-in the direction of l - k g with a stiffness k, which turns in the linear problem (Newton's method). Where the
-directions do not come to rest, too, SMALBE-M continues.
+in the direction of l - k g with a stiffness k, which turns in the linear problem (Newton's
+method). Where the directions do not come to rest, too, SMALBE-M continues.
 
 After Hintermueller, Ito, Kunisch, SIAM J. Optim. 13 (2002) 865-888, and Judice, Pires, Comput.
 Oper. Res. 21 (1994) 587-596.
