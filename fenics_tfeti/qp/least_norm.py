@@ -69,7 +69,9 @@ def least_norm_in_set(
     ([1.0, 0.2, 0.1, 0.0], True)
     """
     size = float(np.linalg.norm(d))
-    stiffness = float((C.multiply(C) if isinstance(C, sp.csr_matrix) else C**2).sum())
+    # the longest of many rows: their sum would regularise too much
+    rows = C.multiply(C).sum(axis=1) if isinstance(C, sp.csr_matrix) else np.sum(C**2)
+    stiffness = float(np.max(np.append(np.asarray(rows).ravel(), 0.0)))
     y = np.zeros(d.size)
     if size == 0.0 or stiffness == 0.0:
         return np.zeros(C.shape[1]), d.copy()
