@@ -88,8 +88,10 @@ def test_weight_on_rough_ground(push, factor):
     assert (np.linalg.norm(residual) < 1e-9) == (factor == 1.0)
     assert smallest_factor(C, load, feet) == pytest.approx(push / 0.3, rel=2e-4)
     sparse, rest = least_norm_in_set(sp.csr_matrix(C), load, feet)
-    np.testing.assert_allclose(sparse, x, atol=1e-9)
-    np.testing.assert_allclose(rest, residual, atol=1e-9)
+    # without a solution the smallest residual is a limit, to which the regularisations differ
+    accuracy = 1e-9 if factor == 1.0 else 1e-5
+    np.testing.assert_allclose(sparse, x, rtol=0.0, atol=accuracy)
+    np.testing.assert_allclose(rest, residual, rtol=0.0, atol=accuracy)
 
 
 def test_ground_that_is_not_pressed_holds_nothing():
