@@ -302,17 +302,23 @@ def meridian(bearing: Bearing, along: Points, across: Points) -> tuple[Points, P
     return r + ar * along + br * across, z + az * along + bz * across
 
 
-def ring(bearing: Bearing, side: int) -> Solid:
-    """Mesh a sector of the outer (side 1) or inner ring (-1): layers from raceway to cylinder."""
-    across = side * bearing.radius
+def along_ring(bearing: Bearing, side: int) -> Points:
+    """Divide the raceway of the outer (side 1) or inner ring (-1), as positions along a roller."""
     # from the plane between the rows to some way beyond the rollers
     (_, az), (_, bz) = bearing.directions
-    start, half = -(bearing.centre[1] + bz * across) / az, bearing.length / 2
+    start = -(bearing.centre[1] + bz * side * bearing.radius) / az
+    half = bearing.length / 2
     inside = half * along_roller(bearing, bearing.layers + 1)
     step = 2 * bearing.length / bearing.layers
     before = np.linspace(start, -half, max(2, round((-half - start) / step)) + 1)
     after = np.linspace(half, 1.25 * half, 2)
-    along = np.concatenate([before[:-1], inside, after[1:]])
+    return np.concatenate([before[:-1], inside, after[1:]])
+
+
+def ring(bearing: Bearing, side: int) -> Solid:
+    """Mesh a sector of the outer (side 1) or inner ring (-1): layers from raceway to cylinder."""
+    across, half = side * bearing.radius, bearing.length / 2
+    along = along_ring(bearing, side)
     r, z = meridian(bearing, along, np.full(along.size, across))
     cylinder = r.max() + bearing.wall if side > 0 else r.min() - bearing.wall
     thickness = abs(cylinder - bearing.pitch_radius - side * bearing.radius)
@@ -478,6 +484,49 @@ def write(bodies: dict[str, Solid], output: Path) -> None:
         gmsh.write(str(output))
     finally:
         gmsh.finalize()
+
+
+def subdomain_labels(bearing: Bearing, body: str, x: Points, slices: int) -> Numbers:
+    """Cut a body equally in all sectors, so that subdomains are images of each other.
+
+    Parameters
+    ----------
+    bearing : Bearing
+        Dimensions.
+    body : str
+        Name of the body.
+    x : (n, 3) array
+        Points of its cells, such as their midpoints [m].
+    slices : int
+        Number of slices of a roller, and of a sector of a ring with a roller of one row.
+
+    Returns
+    -------
+    (n,) integer array
+        Labels of the points; the cage has one for seven sectors, or for each.
+    """
+    turn = (np.arctan2(x[:, 1], x[:, 0]) - bearing.azimuth(0)) * bearing.rollers / (2 * np.pi)
+    sector = np.rint(turn).astype(np.int64) % bearing.rollers
+    row = (x[:, 2] < 0).astype(np.int64)
+    layer, layers = np.zeros(len(x), dtype=np.int64), 1
+    if body == "cage":
+        sector //= 7 if bearing.rollers % 7 == 0 else 1
+    else:
+        z = np.abs(x[:, 2])
+        if body.startswith("roller"):
+            ends = 0.5 * bearing.length * along_roller(bearing, bearing.layers)
+            phi = sector * 2 * np.pi / bearing.rollers + bearing.azimuth(0)
+            radial = x[:, 0] * np.cos(phi) + x[:, 1] * np.sin(phi)
+            place = np.stack([radial, z], axis=1) - bearing.centre
+            place = place @ bearing.directions[0]
+        else:
+            side = 1 if body == "outer ring" else -1
+            along = along_ring(bearing, side)
+            _, ends = meridian(bearing, along, np.full(along.size, side * bearing.radius))
+            place = z
+        layer, layers = np.searchsorted(ends, place) - 1, ends.size - 1
+    piece = np.clip(layer, 0, layers - 1) * slices // layers
+    return (row * bearing.rollers + sector) * slices + piece
 
 
 def small_bearing() -> Bearing:

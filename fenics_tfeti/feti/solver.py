@@ -418,7 +418,7 @@ def _has_same_stiffness(one: TornSystem, other: TornSystem) -> bool:
     with raise_collectively(one.comm):
         check_types(one)
     same = len(one.subdomains) == len(other.subdomains) and all(
-        s.stiffness is t.stiffness and s.nodes is t.nodes
+        s.stiffness is t.stiffness and s.nodes is t.nodes and s.frame is t.frame
         for s, t in zip(one.subdomains, other.subdomains, strict=True)
     )
     return bool(one.comm.allreduce(same, MPI.LAND))

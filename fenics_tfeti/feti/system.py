@@ -41,6 +41,10 @@ class Subdomain:
         The body that the subdomain is a part of; bodies are numbered 0, 1, ... without gaps. A
         body's subdomains have to be glued so that they can only move rigidly together, as those
         of meshes connected by facets are.
+    frame : (gdim, gdim) array, optional
+        Orthogonal matrix T if `stiffness` is not K_i but K' with K_i = T K' T', T at each node:
+        subdomains that are rotated or mirrored images of each other share K' and its factor. Loads,
+        coordinates and displacements are not turned.
     """
 
     stiffness: sp.csr_matrix
@@ -48,10 +52,13 @@ class Subdomain:
     coordinates: Vector
     nodes: Numbers
     body: int
+    frame: Vector | None = None
 
     def __post_init__(self) -> None:
         """Convert lists and other types of numbers to arrays; sort the entries of K."""
         _convert(self, load=np.float64, coordinates=np.float64, nodes=np.int64)
+        if self.frame is not None:
+            _convert(self, frame=np.float64)
         _set(self, "body", _integer(self.body))
         K = self.stiffness
         if sp.issparse(K) and K.format == "csr":
@@ -63,6 +70,11 @@ class Subdomain:
     def size(self) -> int:
         """Number of unknowns."""
         return int(self.load.size)
+
+    @property
+    def coordinates_in_frame(self) -> Vector:
+        """Coordinates in the frame of the stiffness [m]."""
+        return self.coordinates if self.frame is None else self.coordinates @ self.frame
 
 
 @dataclass(frozen=True)

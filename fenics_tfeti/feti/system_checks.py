@@ -26,7 +26,7 @@ from fenics_tfeti.feti.system import (
     Subdomain,
     TornSystem,
 )
-from fenics_tfeti.feti.tolerances import SYMMETRIC
+from fenics_tfeti.feti.tolerances import ORTHOGONAL, SYMMETRIC
 from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["check_guess", "check_system", "check_types"]
@@ -237,6 +237,13 @@ def _check_subdomain(name: str, subdomain: Subdomain, gdim: int) -> None:
     _check_finite(f"coordinates of {name}", subdomain.coordinates)
     _check_finite(f"load of {name}", subdomain.load, "a traction or body force?")
     _check_format(f"stiffness of {name}", subdomain.stiffness, gdim * n)
+    if subdomain.frame is not None:
+        _check_array(f"frame of {name}", subdomain.frame, (gdim, gdim), np.float64)
+        error = float(np.abs(subdomain.frame @ subdomain.frame.T - np.eye(gdim)).max())
+        if not error <= ORTHOGONAL:
+            raise InputError(
+                f"frame of {name}: |T T' - I| = {error:.3e}, expected an orthogonal matrix T"
+            )
 
 
 def _check_nodes(name: str, nodes: Numbers) -> None:
@@ -330,6 +337,7 @@ def _check_connected(what: str, subdomain: Subdomain, gdim: int) -> None:
             subdomain.coordinates[members],
             subdomain.nodes[members],
             subdomain.body,
+            subdomain.frame,
         )
         modes += kernel(part).shape[1]
     if modes > kernel(subdomain).shape[1]:

@@ -28,6 +28,7 @@ __all__ = ["load_system", "save_system"]
 Arrays = dict[str, NDArray[Any]]
 
 _FORMAT = "fenics_tfeti torn system 1"
+_SUBDOMAIN = ("matrix", "load", "coordinates", "nodes", "body", "frame")
 _ROWS = ("offsets", "nodes", "coefficients", "gap", "contact", "slaves")
 _FRICTION = ("row", "tangents", "bound", "slip", "coefficient")
 _PRESCRIBED = ("nodes", "components", "values", "condition")
@@ -35,7 +36,7 @@ _PRESCRIBED = ("nodes", "components", "values", "condition")
 _NAMES = [
     "gdim",
     *(f"matrices/k/{name}" for name in ("data", "indices", "indptr")),
-    *(f"subdomains/k/{name}" for name in ("matrix", "load", "coordinates", "nodes", "body")),
+    *(f"subdomains/k/{name}" for name in _SUBDOMAIN),
     *(f"prescribed/{name}" for name in _PRESCRIBED),
     *(f"{rows}/{name}" for rows in ("contacts", "tied") for name in _ROWS),
     *(f"friction/{name}" for name in _FRICTION),
@@ -119,6 +120,7 @@ def _parts_of_subdomains(system: TornSystem) -> tuple[list[Arrays], list[Arrays]
                 "coordinates": s.coordinates,
                 "nodes": s.nodes,
                 "body": np.array(s.body),
+                **({} if s.frame is None else {"frame": s.frame}),
             }
         )
     return stored, subdomains
@@ -229,12 +231,16 @@ def _subdomain(
             f"{file.path}: 'matrices/{matrix}' has {matrices[matrix].shape[0]} rows, but "
             f"subdomain {number} has {nodes.size} nodes with {gdim} unknowns each"
         )
+    frame = None
+    if f"{at}/frame" in file.names:
+        frame = file.read(f"{at}/frame", "numbers", (gdim, gdim))
     return Subdomain(
         matrices[matrix],
         file.read(f"{at}/load", "numbers", (n,)),
         file.read(f"{at}/coordinates", "numbers", (nodes.size, gdim)),
         nodes,
         file.integer(f"{at}/body"),
+        frame,
     )
 
 

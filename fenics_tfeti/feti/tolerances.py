@@ -9,6 +9,7 @@ from __future__ import annotations
 __all__ = [
     "HARDLY_DEFORMED",
     "NO_WORK",
+    "ORTHOGONAL",
     "PARALLEL",
     "ROUNDED_GAP",
     "ROUNDED_POSITION",
@@ -30,6 +31,8 @@ ROUNDED_POSITION = 16 * 2.0**-52
 ROUNDED_GAP = 1e-12
 # |K - K'| relative to |K|
 SYMMETRIC = 1e-9
+# |TT' - I| of an orthogonal matrix T
+ORTHOGONAL = 1e-12
 # energy of a rigid mode relative to the largest stiffness: what rounding leaves of none, and below
 # which a support is soft
 ZERO_ENERGY = 8 * 2.0**-52

@@ -8,7 +8,7 @@ blocks.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -24,7 +24,7 @@ from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.forms import PreparedForm, prepare_form
-from fenics_tfeti.fem.decomposition.parts import Part, find_equal
+from fenics_tfeti.fem.decomposition.parts import Part, find_equal, samples
 from fenics_tfeti.fem.topology import exterior_cell_facets
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.parallel import raise_collectively
@@ -80,22 +80,25 @@ class PreparedForms:
         -------
         list of Subdomain
             With global node numbers of the displacement's space. Subdomains share K_i if they are
-            congruent, their coefficients and tags are equal and `a` is translation invariant.
+            congruent, their coefficients and tags are equal and `a` is translation invariant; those
+            that are rotated or mirrored, if the matrices of their cells are.
         """
         loads = self._loads(parts)
         if known is not None:
             return [replace(old, load=load) for old, load in zip(known, loads, strict=True)]
         x = self.space.tabulate_dof_coordinates()[:, : self.space.mesh.geometry.dim]
         to_global = self.space.dofmap.index_map.local_to_global
+        first, stiffness = self._stiffnesses(parts, x)
         return [
             Subdomain(
-                K,
+                stiffness[j],
                 load,
                 np.ascontiguousarray(x[part.nodes]),
                 np.asarray(to_global(part.nodes), dtype=np.int64),
                 part.body,
+                _frame(part, parts[j]),
             )
-            for part, K, load in zip(parts, self._stiffnesses(parts, x), loads, strict=True)
+            for part, j, load in zip(parts, first, loads, strict=True)
         ]
 
     def values(self) -> FormValues:
@@ -109,10 +112,15 @@ class PreparedForms:
         with raise_collectively(self.space.mesh.comm):
             return FormValues(self.bilinear.values(), self.linear.values())
 
-    def _stiffnesses(self, parts: Sequence[Part], x: NDArray[np.float64]) -> list[sp.csr_matrix]:
-        """Assemble one matrix for all parts with equal data."""
+    def _stiffnesses(
+        self, parts: Sequence[Part], x: NDArray[np.float64]
+    ) -> tuple[list[int], dict[int, sp.csr_matrix]]:
+        """Assemble one matrix for all parts with equal data; return the part that it is of."""
         form = self.bilinear
-        first = find_equal(parts, x, form.cell_data(), form.translation_invariant)
+        data = form.cell_data()
+        chosen = samples(parts, data) if form.translation_invariant else {}
+        matrices = self._sample_matrices(parts, chosen)
+        first = find_equal(parts, x, data, form.translation_invariant, matrices)
         different = sorted(set(first))
         logger.info(
             "rank %d: %d subdomains have %d different stiffness matrices",
@@ -120,14 +128,49 @@ class PreparedForms:
             len(parts),
             len(different),
         )
-        V, ends = self._torn_space([parts[i] for i in different])
-        bound = form.bind([V, V], [parts[i].cells for i in different])
+        blocks = self._assembled([parts[i] for i in different])
+        return first, dict(zip(different, blocks, strict=True))
+
+    def _assembled(self, parts: Sequence[Part]) -> list[sp.csr_matrix]:
+        V, ends = self._torn_space(parts)
+        bound = self.bilinear.bind([V, V], [part.cells for part in parts])
         indptr, indices, values = _compat.assemble_stiffness(bound)
-        blocks = {
-            i: _diagonal_block(indptr, indices, values, begin, end)
-            for i, (begin, end) in zip(different, pairwise(ends), strict=True)
-        }
-        return [blocks[i] for i in first]
+        return [
+            _diagonal_block(indptr, indices, values, begin, end) for begin, end in pairwise(ends)
+        ]
+
+    def _sample_matrices(
+        self, parts: Sequence[Part], chosen: Mapping[int, NDArray[np.int64]]
+    ) -> dict[int, NDArray[np.float64]]:
+        """Return the matrices of some cells of some parts, in the frames of the parts' shapes.
+
+        Parameters
+        ----------
+        parts : sequence of Part
+            This rank's.
+        chosen : dict of int to integer arrays
+            Positions of the cells of some of them.
+        """
+        torn = list[Part]()
+        for i, rows in chosen.items():
+            # in the order that cells of images have, too
+            order = np.argsort(parts[i].table[rows], axis=1)
+            table = np.empty_like(order, dtype=np.int32)
+            np.put_along_axis(table, order, np.arange(order.size).reshape(order.shape), axis=1)
+            nodes = np.take_along_axis(parts[i].table[rows], order, axis=1)
+            torn.append(Part(parts[i].cells[rows], parts[i].nodes[nodes.ravel()], table, 0))
+        found = dict[int, NDArray[np.float64]]()
+        for i, K, part in zip(chosen, self._assembled(torn) if torn else [], torn, strict=True):
+            cells, nodes = part.table.shape
+            size = K.shape[0] // cells
+            entries = K.tocoo()
+            found[i] = np.zeros((cells, size, size))
+            found[i][entries.row // size, entries.row % size, entries.col % size] = entries.data
+            turn = parts[i].turn
+            if turn is not None:
+                T = np.kron(np.eye(nodes), turn)
+                found[i] = T.T @ found[i] @ T
+        return found
 
     def _loads(self, parts: Sequence[Part]) -> list[NDArray[np.float64]]:
         V, ends = self._torn_space(parts)
@@ -179,6 +222,15 @@ def same_values(
     """Tell whether values are unchanged on all ranks. Collective."""
     same = all(np.array_equal(x, y) for x, y in zip(before, now, strict=True))
     return bool(comm.allreduce(same, MPI.LAND))
+
+
+def _frame(part: Part, first: Part) -> NDArray[np.float64] | None:
+    """Return the matrix that turns the first part of a class to one of its members."""
+    if part.turn is first.turn:
+        return None
+    if first.turn is None:
+        return part.turn
+    return first.turn.T if part.turn is None else part.turn @ first.turn.T
 
 
 def _diagonal_block(

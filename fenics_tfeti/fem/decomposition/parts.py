@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
+from fenics_tfeti.fem.decomposition.images import find_image
+from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING
 
-__all__ = ["Part", "find_equal", "number_parts"]
+__all__ = ["Part", "find_equal", "number_parts", "samples"]
 
 Indices = NDArray[np.int32]
 Points = NDArray[np.float64]
@@ -39,6 +40,9 @@ class Part:
     shape : bytes or None
         Hash of the table and of the nodes' relative coordinates, equal for congruent parts; None
         where no other part has as many cells and nodes.
+    turn : (d, d) array or None
+        Orthogonal matrix T if the part is the image of another one of this shape, rotated or
+        mirrored by T.
     """
 
     cells: Indices
@@ -46,6 +50,7 @@ class Part:
     table: Indices
     body: int
     shape: bytes | None = None
+    turn: Points | None = None
 
 
 def number_parts(
@@ -66,7 +71,8 @@ def number_parts(
     -------
     list of Part
         Where parts have equally many cells and nodes, both are sorted in an order that depends on
-        their shape alone: congruent parts have equal tables.
+        their shape alone: congruent parts have equal tables. Rotated and mirrored parts have the
+        order of the first one of their shape; their cells have the same nodes, in any order.
     """
     dofs = _compat.cell_dofs(space)
     x = space.tabulate_dof_coordinates()[:, : space.mesh.geometry.dim]
@@ -78,11 +84,16 @@ def number_parts(
         if len(candidates) > 1:
             for i in candidates:
                 parts[i] = _sort(parts[i], x[parts[i].nodes])
+            _turn(parts, candidates, x)
     return parts
 
 
 def find_equal(
-    parts: Sequence[Part], x: Points, data: Sequence[NDArray[Any]], translation_invariant: bool
+    parts: Sequence[Part],
+    x: Points,
+    data: Sequence[NDArray[Any]],
+    translation_invariant: bool,
+    matrices: Mapping[int, Points],
 ) -> list[int]:
     """Find parts that are equal in shape and data.
 
@@ -96,6 +107,9 @@ def find_equal(
         Data of each cell of the user's mesh that have to be equal, bit by bit.
     translation_invariant : bool
         False: no two parts are equal, since they lie at different places.
+    matrices : dict of int to array
+        Matrices of sample cells of parts, see `samples`, in the frame of their shapes. Where parts
+        are turned differently, they have to be equal.
 
     Returns
     -------
@@ -112,12 +126,96 @@ def find_equal(
         # the hash stands for the data; coordinates are rounded in it and therefore compared
         candidates = known[part.shape + _hash(*(values[part.cells] for values in data))]
         for j in candidates:
-            if _is_translated(x[part.nodes], x[parts[j].nodes]):
+            same_turn = part.turn is parts[j].turn or _is_equal(matrices[i], matrices[j])
+            if same_turn and _is_translated(_in_frame(part, x), _in_frame(parts[j], x)):
                 first[i] = j
                 break
         else:
             candidates.append(i)
     return first
+
+
+def samples(parts: Sequence[Part], data: Sequence[NDArray[Any]]) -> dict[int, NDArray[np.int64]]:
+    """Choose cells that tell whether turned parts have turned stiffness matrices.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        This rank's parts.
+    data : sequence of (cells, ...) arrays
+        Data by which the matrices of cells may differ.
+
+    Returns
+    -------
+    dict of int to integer arrays
+        For each part of a shape that is there turned, positions among its cells: one cell for each
+        combination of data, and all cells with data that differ within the cell, since cells of
+        images may have their nodes in another order.
+    """
+    turned = {part.shape for part in parts if part.turn is not None}
+    chosen = {}
+    for i, part in enumerate(parts):
+        if part.shape in turned:
+            own = [values[part.cells].reshape(part.cells.size, -1) for values in data]
+            differ = np.zeros(part.cells.size, dtype=bool)
+            for values in own:
+                differ |= (values != values[:, :1]).any(axis=1)
+            number = np.where(differ, np.arange(differ.size), -1)[:, None]
+            rows = [np.ascontiguousarray(values).view(np.uint8) for values in (number, *own)]
+            chosen[i] = np.unique(np.hstack(rows), axis=0, return_index=True)[1]
+    return chosen
+
+
+def _turn(parts: list[Part], candidates: Sequence[int], x: Points) -> None:
+    """Give parts that are images of earlier ones the order of these, and their matrices."""
+    images: dict[bytes | None, Part] = {}
+    shapes = list[Part]()
+    for i in candidates:
+        part = parts[i]
+        if part.shape not in images:
+            found = (_image(part, one, x) for one in shapes)
+            image = next((image for image in found if image is not None), None)
+            if image is None:
+                shapes.append(part)
+                # positions of its own
+                image = replace(
+                    part,
+                    cells=np.arange(part.cells.size, dtype=np.int32),
+                    nodes=np.arange(part.nodes.size, dtype=np.int32),
+                )
+            images[part.shape] = image
+        image = images[part.shape]
+        parts[i] = replace(
+            image, cells=part.cells[image.cells], nodes=part.nodes[image.nodes], body=part.body
+        )
+
+
+def _image(part: Part, one: Part, x: Points) -> Part | None:
+    """Return a part in the order of another one that it is the image of, as positions."""
+    found = find_image(x[part.nodes], x[one.nodes])
+    if found is None:
+        return None
+    turn, order = found
+    place = np.empty(order.size, dtype=np.int32)
+    place[order] = np.arange(order.size, dtype=np.int32)
+    table = place[part.table]
+    own, other = np.sort(table, axis=1), np.sort(one.table, axis=1)
+    rows, others = np.lexsort(own.T), np.lexsort(other.T)
+    if not np.array_equal(own[rows], other[others]):
+        return None
+    cells = np.empty(rows.size, dtype=np.int32)
+    cells[others] = rows
+    return Part(cells, order.astype(np.int32), table[cells], part.body, one.shape, turn)
+
+
+def _in_frame(part: Part, x: Points) -> Points:
+    own = x[part.nodes]
+    return own if part.turn is None else own @ part.turn
+
+
+def _is_equal(one: Points, other: Points) -> bool:
+    """Tell whether matrices differ by no more than rounding."""
+    return bool(np.abs(one - other).max() <= RELATIVE_ROUNDING * np.abs(one).max())
 
 
 def _number(dofs: Indices, cells: Indices, body: int) -> Part:

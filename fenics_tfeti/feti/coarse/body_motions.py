@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.local.frames import in_frame, out_of_frame
 from fenics_tfeti.feti.local.rigid_body_modes import describe_motion, raw_modes
 from fenics_tfeti.feti.system import TornSystem
 
@@ -77,7 +78,7 @@ def body_motions(
     system : TornSystem
         The subdomains.
     kernels : sequence of (n_i, k_i) arrays
-        R_i of this rank's subdomains.
+        R_i of this rank's subdomains, in their frames.
     constraints : Constraints
         B.
     everyone : (m, coarse) scipy.sparse.csr_matrix
@@ -107,7 +108,8 @@ def _motions_and_supports(
     distance = 0.0
     for subdomain, R in zip(system.subdomains, kernels, strict=True):
         body = subdomain.body
-        raw = raw_modes((subdomain.coordinates - centres[body]) / sizes[body], np.zeros(gdim))
+        x = (subdomain.coordinates - centres[body]) / sizes[body]
+        raw = in_frame(raw_modes(x, np.zeros(gdim)), subdomain.frame)
         # without the rows of the ground of soft supports
         inside = R[: subdomain.size].T @ raw
         blocks.append((body, inside))
@@ -160,7 +162,7 @@ def describe_body_motion(
     system : TornSystem
         The subdomains.
     kernels : sequence of (n_i, k_i) arrays
-        R_i of this rank's subdomains.
+        R_i of this rank's subdomains, in their frames.
     own_motion : array
         This rank's part of the coarse vector xi of the motion R xi.
     either_way : bool
@@ -176,7 +178,8 @@ def describe_body_motion(
     moving = np.searchsorted(ends, np.flatnonzero(own_motion), side="right") - 1
     for i in np.unique(moving):
         subdomain, R = system.subdomains[i], kernels[i]
-        displacement = R[: subdomain.size] @ own_motion[ends[i] : ends[i + 1]]
+        turned = R[: subdomain.size] @ own_motion[ends[i] : ends[i + 1]]
+        displacement = out_of_frame(turned, subdomain.frame)
         size = float(np.abs(displacement).max(initial=0.0))
         if size > parts.get(subdomain.body, (0.0, ""))[0]:
             words = describe_motion(subdomain.coordinates, displacement, either_way)

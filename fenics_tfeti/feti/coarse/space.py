@@ -7,7 +7,7 @@ coarse matrix is singular and a generalized inverse takes its place; Q is the sa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,7 +51,7 @@ class CoarseSpace:
     interface : Interface
         B and the classes of congruent subdomains.
     kernels : sequence of (n_i, k_i) arrays
-        R_i of this rank's subdomains; congruent ones share it.
+        R_i of this rank's subdomains in their frames; congruent ones share it.
     traces : sequence of (b, k) arrays
         R_i on the interface unknowns, for each class.
     ends : (subdomains + 1,) integer array
@@ -197,16 +197,17 @@ class CoarseSpace:
 
     def coarse_load(self, forces: Vector) -> Vector:
         """Return R'f, the coarse load of forces on the torn unknowns; one gathering."""
-        return self._restricted(forces, self.kernels)
+        return self._restricted(forces, lambda part: part)
 
     def coarse_load_size(self, forces: Vector) -> Vector:
         """Return |R|'|f|, which the rounding of R'f is relative to; one gathering."""
-        return self._restricted(np.abs(forces), [np.abs(R) for R in self.kernels])
+        return self._restricted(forces, np.abs)
 
-    def _restricted(self, forces: Vector, kernels: Sequence[Vector]) -> Vector:
+    def _restricted(self, forces: Vector, measure: Callable[[Vector], Vector]) -> Vector:
         part = np.empty(int(self.ends[-1]))
         for congruent in self.interface.classes:
-            part[self._places(congruent)] = congruent.rows(forces) @ kernels[congruent.first]
+            rows, R = congruent.rows(forces), self.kernels[congruent.first]
+            part[self._places(congruent)] = measure(rows) @ measure(R)
         return self.layout.gather(part)
 
     def rigid_motion(self, coarse: Vector) -> Vector:

@@ -1,4 +1,7 @@
-"""The interface: the torn unknowns that B acts on, packed by classes of congruent subdomains."""
+"""The interface: the torn unknowns that B acts on, packed by classes of congruent subdomains.
+
+Packed vectors are in the frames of the subdomains.
+"""
 
 from __future__ import annotations
 
@@ -26,11 +29,12 @@ class Interface:
     classes : sequence of CongruenceClass
         The classes.
     unknowns : list of integer arrays
-        For each class the unknowns of a subdomain on which B has an entry, for any member.
+        For each class the unknowns of a subdomain on which B has an entry, for any member; whole
+        nodes where there are frames.
     columns : (b,) integer array
-        The torn unknown of each packed one.
+        The torn unknown of each packed one; with frames, the node counts.
     matrix : (m, b) scipy.sparse.csr_matrix
-        The columns of B.
+        The columns of B; those of a subdomain with the frame T times T.
     transposed : (b, m) scipy.sparse.csr_matrix
         The same by rows of B': a product that gathers moves less memory than one that scatters.
     """
@@ -46,7 +50,7 @@ class Interface:
         """Pack the columns of B, a (m, n) matrix of all torn unknowns."""
         touched = np.zeros(matrix.shape[1], dtype=bool)
         touched[matrix.indices] = True
-        unknowns = [np.flatnonzero(c.rows(touched).any(axis=0)) for c in classes]
+        unknowns = [_touched(c, touched) for c in classes]
         columns = np.concatenate(
             [
                 np.zeros(0, dtype=np.int64),
@@ -62,6 +66,8 @@ class Interface:
             (matrix.data, place[matrix.indices], matrix.indptr),
             shape=(matrix.shape[0], columns.size),
         )
+        if any(c.frames is not None for c in classes):
+            packed = (packed @ _turns(classes, unknowns)).tocsr()
         return Interface(classes, unknowns, columns, packed, packed.T.tocsr())
 
     @property
@@ -95,3 +101,17 @@ class Interface:
             return blocks[0].ravel()
         none = np.zeros(0)
         return np.concatenate([none, *(block.ravel() for block in blocks)])
+
+
+def _touched(congruent: CongruenceClass, touched: NDArray[np.bool_]) -> Numbers:
+    unknowns = np.flatnonzero(touched[congruent.places].any(axis=0))
+    return unknowns if congruent.frames is None else congruent.frames.whole_nodes(unknowns)
+
+
+def _turns(classes: Sequence[CongruenceClass], unknowns: Sequence[Numbers]) -> sp.csr_matrix:
+    """Return T on the packed unknowns."""
+    blocks = [
+        sp.identity(c.members.size * local.size) if c.frames is None else c.frames.matrix(local)
+        for c, local in zip(classes, unknowns, strict=True)
+    ]
+    return sp.block_diag(blocks, format="csr")

@@ -104,14 +104,12 @@ class DualOperator:
 
     def constraint_forces(self, multipliers: Vector) -> Vector:
         """Return B'lambda on this rank's torn unknowns."""
-        forces = np.zeros(self.constraints.matrix.shape[1])
-        forces[self.interface.columns] = self.interface.transposed @ multipliers
+        forces: Vector = self.constraints.matrix.T @ multipliers
         return forces
 
     def jumps(self, displacement: Vector) -> Vector:
         """Return Bu of a torn displacement; one neighbour exchange."""
-        part = self.interface.matrix @ displacement[self.interface.columns]
-        return self.constraints.layout.sum(part)
+        return self.constraints.layout.sum(self.constraints.matrix @ displacement)
 
     def generalized_inverse(self, forces: Vector) -> Vector:
         """Return K^+ forces for torn forces."""

@@ -1,6 +1,7 @@
 """Subdomains of equal shape and stiffness share their operators, and are applied together.
 
-Which are congruent is read off the matrices and coordinates, never assumed. A vector of all torn
+Which are congruent is read off the matrices and coordinates, never assumed. Rotated and mirrored
+ones are congruent in their frames, see `Subdomain.frame`; the operators are those in the frame. A vector of all torn
 unknowns, or of the packed interface ones, is a matrix with a row for each subdomain of a class.
 """
 
@@ -13,6 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from fenics_tfeti.feti.local.frames import Frames
 from fenics_tfeti.feti.local.rigid_body_modes import rigid_body_modes
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.feti.tolerances import ZERO_ENERGY
@@ -32,7 +34,7 @@ _ROWS = 64
 
 @dataclass(frozen=True)
 class CongruenceClass:
-    """Subdomains with the same stiffness matrix and, but for a translation, coordinates.
+    """Subdomains with the same stiffness and coordinates, but for translations, in their frames.
 
     Attributes
     ----------
@@ -42,31 +44,47 @@ class CongruenceClass:
         First torn unknown of each.
     size : int
         Unknowns of each.
+    frames : Frames or None
+        The frames of the members, if there are any.
     """
 
     members: Numbers
     starts: Numbers
     size: int
+    frames: Frames | None = None
 
     @property
     def first(self) -> int:
         """The subdomain that stands for all."""
         return int(self.members[0])
 
-    def rows(self, torn: Vector) -> Vector:
-        """Return the members' parts of a torn vector as the rows of a (k, n) matrix."""
+    @property
+    def places(self) -> Numbers:
+        """The torn unknowns of each member, (k, n)."""
+        places: Numbers = self.starts[:, None] + np.arange(self.size)
+        return places
+
+    @property
+    def _adjacent(self) -> slice | None:
+        """Where the members' unknowns are, if nothing is between them."""
         begin, end = int(self.starts[0]), int(self.starts[-1]) + self.size
-        if end - begin == self.members.size * self.size:
-            return torn[begin:end].reshape(-1, self.size)
-        return torn[self.starts[:, None] + np.arange(self.size)]
+        return slice(begin, end) if end - begin == self.members.size * self.size else None
+
+    def rows(self, torn: Vector) -> Vector:
+        """Return the members' parts of a torn vector, in their frames, as rows of a matrix."""
+        at = self._adjacent
+        rows = torn[self.places] if at is None else torn[at].reshape(-1, self.size)
+        return rows if self.frames is None else self.frames.turned_in(rows)
 
     def put(self, torn: Vector, rows: Vector) -> None:
         """Write the rows back into a torn vector."""
-        begin, end = int(self.starts[0]), int(self.starts[-1]) + self.size
-        if end - begin == self.members.size * self.size:
-            torn[begin:end] = rows.ravel()
+        at = self._adjacent
+        if self.frames is not None:
+            rows = self.frames.turned_out(rows)
+        if at is None:
+            torn[self.places] = rows
         else:
-            torn[self.starts[:, None] + np.arange(self.size)] = rows
+            torn[at] = rows.ravel()
 
 
 def find_congruence_classes(subdomains: Sequence[Subdomain]) -> list[CongruenceClass]:
@@ -98,9 +116,22 @@ def find_congruence_classes(subdomains: Sequence[Subdomain]) -> list[CongruenceC
             classes.append([i])
     found = sorted(members for classes in candidates.values() for members in classes)
     return [
-        CongruenceClass(np.array(members), starts[members], subdomains[members[0]].size)
+        CongruenceClass(
+            np.array(members),
+            starts[members],
+            subdomains[members[0]].size,
+            _frames([subdomains[i] for i in members]),
+        )
         for members in found
     ]
+
+
+def _frames(members: Sequence[Subdomain]) -> Frames | None:
+    if all(member.frame is None for member in members):
+        return None
+    nodes, gdim = members[0].coordinates.shape
+    turns = [np.eye(gdim) if member.frame is None else member.frame for member in members]
+    return Frames(np.array(turns), nodes)
 
 
 def _fingerprint(K: sp.csr_matrix) -> int:
@@ -123,10 +154,10 @@ def _same(one: Subdomain, other: Subdomain) -> bool:
             return False
         # a soft elastic support changes no entry by more, but the energies of rigid motions
         change = sp.csr_matrix((difference, K.indices, K.indptr), shape=K.shape)
-        R = rigid_body_modes(one.coordinates)
+        R = rigid_body_modes(one.coordinates_in_frame)
         if np.abs(R.T @ (change @ R)).max(initial=0.0) > ZERO_ENERGY * largest:
             return False
-    offset = one.coordinates - other.coordinates
+    offset = one.coordinates_in_frame - other.coordinates_in_frame
     offset -= offset[:1]
     reach = max(np.abs(one.coordinates).max(initial=0.0), np.abs(other.coordinates).max(initial=0))
     return bool(np.abs(offset).max(initial=0.0) <= _SAME * reach)

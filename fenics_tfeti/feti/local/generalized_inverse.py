@@ -85,7 +85,7 @@ class GeneralizedInverse:
         K = subdomain.stiffness if stiffness is None else stiffness
         self.size = K.shape[0]
         try:
-            nodes = fixing_nodes(subdomain.stiffness, subdomain.coordinates, number)
+            nodes = fixing_nodes(subdomain.stiffness, subdomain.coordinates_in_frame, number)
             fixed = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
             self._factor = SparseCholesky(regularized_stiffness(K, R, fixed), package)
         except FactorizationError as error:

@@ -72,7 +72,7 @@ def rigid_body_modes(coordinates: Vector) -> Vector:
 
 
 def low_energy_modes(subdomain: Subdomain) -> tuple[Vector, Vector]:
-    """Return the rigid body modes of a subdomain that K_i resists softly or not at all.
+    """Return the rigid body modes that K_i resists softly or not at all, in the frame of K_i.
 
     An elastic support (a term u.v ds in the form) resists some or all of them. Modes that it
     resists firmly are left out.
@@ -89,7 +89,7 @@ def low_energy_modes(subdomain: Subdomain) -> tuple[Vector, Vector]:
     energies : (k,) array
         R'KR is the diagonal matrix of these; 0 for modes in the kernel [N/m].
     """
-    R = rigid_body_modes(subdomain.coordinates)
+    R = rigid_body_modes(subdomain.coordinates_in_frame)
     stiffness = np.abs(subdomain.stiffness.data).max(initial=0.0)
     gram, rounding = R.T @ (subdomain.stiffness @ R), ZERO_ENERGY * stiffness
     # rounding would couple motions along a soft support with others that it leaves free

@@ -404,7 +404,8 @@ class PrimalProblem:
         difference = recovered.displacement - recovered.torn
         diagonal = np.empty_like(forces)
         for congruent, K in zip(self.F.interface.classes, self.stiffness, strict=True):
-            congruent.put(diagonal, np.tile(K.diagonal(), (congruent.members.size, 1)))
+            # that in the frame: as large
+            diagonal[congruent.places] = K.diagonal()
         applied = self.load**2 + constraint_forces**2
         by_unknown = np.stack(
             [

@@ -60,9 +60,9 @@ class LocalSetup:
     classes : list of CongruenceClass
         Classes of congruent subdomains.
     kernels : list of (n_i, k_i) arrays
-        R_i of this rank's subdomains; congruent ones share it.
+        R_i of this rank's subdomains in their frames; congruent ones share it.
     stiffness : list of (n_i, n_i) scipy.sparse.csr_matrix
-        K_i of each class [N/m].
+        K_i of each class in its frame [N/m].
     unit : float
         The stiffness that a weight of 1 stands for [N/m].
     """
@@ -92,7 +92,7 @@ class LocalSetup:
         if grounds.any():
             ends = unknowns.ends
             classes = [
-                CongruenceClass(c.members, ends[c.members], f.kernel.shape[0])
+                replace(c, starts=ends[c.members], size=f.kernel.shape[0])
                 for c, f in zip(classes, floating, strict=True)
             ]
         unit = stiffness_of_weight(system, options.scaling)

@@ -1,0 +1,127 @@
+"""Rotated and mirrored images of sets of nodes: the orthogonal matrix and the pairs of nodes.
+
+Two nodes and the centre of one set (in the plane one node) fix the matrix, up to a mirroring, once
+the nodes are known that are their images. Those have equal distances, from the centre and from each
+other. The nodes are chosen such that few others have the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING
+
+__all__ = ["find_image"]
+
+Points = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+# nodes that are compared first
+_PROBES = 16
+# entries of an orthogonal matrix that are rounding
+_ZERO = 1e-15
+
+
+def find_image(points: Points, reference: Points) -> tuple[Points, Numbers] | None:
+    """Find out whether points are the rotated or mirrored, and translated, reference points.
+
+    Of a symmetric set, one of several matrices is found.
+
+    Parameters
+    ----------
+    points, reference : (k, d) arrays
+        Coordinates in the plane or in space.
+
+    Returns
+    -------
+    turn : (d, d) array
+        Orthogonal matrix T: points[order] = reference T' but for a translation.
+    order : (k,) integer array
+        The point that is the image of each reference point.
+        None if there is no such matrix.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> corner = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 1.0]])
+    >>> turn, order = find_image(np.array([[5.0, 5.0], [5.0, 8.0], [4.0, 5.0]]), corner)
+    >>> turn.tolist(), order.tolist()
+    ([[0.0, -1.0], [1.0, 0.0]], [0, 1, 2])
+    """
+    if points.shape != reference.shape:
+        return None
+    largest = max(np.abs(points).max(), np.abs(reference).max())
+    x, y = points - points.mean(axis=0), reference - reference.mean(axis=0)
+    radii = np.linalg.norm(y, axis=1)
+    same = RELATIVE_ROUNDING * float(radii.max())
+    if np.abs(np.sort(np.linalg.norm(x, axis=1)) - np.sort(radii)).max() > same:
+        return None
+    tree = cKDTree(x)
+    probes = np.unique(np.linspace(0, len(y) - 1, _PROBES).astype(int))
+    for turn in _candidates(x, y, same):
+        if tree.query(y[probes] @ turn.T)[0].max() > same:
+            continue
+        distance, order = tree.query(y @ turn.T)
+        if distance.max() > same or np.unique(order).size < order.size:
+            continue
+        turn = _nearest_orthogonal(x[order].T @ y)
+        if np.abs(x[order] - y @ turn.T).max() <= COORDINATE_ROUNDING * largest:
+            return turn, order
+    return None
+
+
+def _candidates(x: Points, y: Points, same: float) -> Iterator[Points]:
+    """Return the orthogonal matrices that take the chosen nodes of y to nodes of x."""
+    first = _rarest(np.linalg.norm(y, axis=1)[:, None], same)
+    a = y[first]
+    at = np.flatnonzero(np.abs(np.linalg.norm(x, axis=1) - np.linalg.norm(a)) <= same)
+    if y.shape[1] == 2:
+        pairs = ((a[None], x[i][None]) for i in at)
+    else:
+        second = _rarest(_places(y, a), same)
+        b = y[second]
+        along = _places(b[None], a)
+        pairs = (
+            (np.stack([a, b]), np.stack([x[i], x[j]]))
+            for i in at
+            for j in np.flatnonzero(np.abs(_places(x, x[i]) - along).max(axis=1) <= same)
+        )
+    for own, images in pairs:
+        basis, image = _basis(own), _basis(images)
+        for side in (1.0, -1.0):
+            image[-1] *= side
+            yield image.T @ basis
+
+
+def _places(x: Points, axis: Points) -> Points:
+    """Return the distances of points from an axis through the centre, and the places along it."""
+    along = x @ (axis / np.linalg.norm(axis))
+    across = np.linalg.norm(x - along[:, None] * axis / np.linalg.norm(axis), axis=1)
+    return np.stack([across, along], axis=1)
+
+
+def _rarest(measures: Points, same: float) -> int:
+    """Return the point, far out in the first measure, that shares its measures with fewest."""
+    far = np.flatnonzero(measures[:, 0] >= 0.5 * measures[:, 0].max())
+    shared = cKDTree(measures).query_ball_point(measures[far], same, return_length=True)
+    return int(far[np.lexsort([-measures[far, 0], shared])[0]])
+
+
+def _basis(vectors: Points) -> Points:
+    """Return an orthonormal basis, as rows, whose first vectors span those given."""
+    e = vectors[0] / np.linalg.norm(vectors[0])
+    if len(vectors) == 1:
+        return np.array([e, [-e[1], e[0]]])
+    f = vectors[1] - (vectors[1] @ e) * e
+    f /= np.linalg.norm(f)
+    return np.array([e, f, np.cross(e, f)])
+
+
+def _nearest_orthogonal(matrix: Points) -> Points:
+    left, _, right = np.linalg.svd(matrix)
+    turn: Points = left @ right
+    return np.where(np.abs(turn) < _ZERO, 0.0, turn)
