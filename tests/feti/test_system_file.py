@@ -29,7 +29,7 @@ def everything() -> TornSystem:
     """Return a system in which every field of every part has other values than by default."""
     system = column(n=2, height=2)
     rows, second = system.contacts, 10**9
-    upper = system.subdomains[-1]
+    upper = dataclasses.replace(system.subdomains[-1], frame=np.eye(3)[[1, 2, 0]])
     side = upper.nodes[np.isclose(upper.coordinates[:, 2], 2.5)][:2]
     tied = ContactRows.node_to_node(side, [-1, -1], np.tile([1.0, 0, 0], (2, 1)), [0, 0], [1, 1])
     two = dataclasses.replace(rows, gap=np.append(rows.gap[:-1], np.inf))
@@ -39,6 +39,7 @@ def everything() -> TornSystem:
     condition = (system.prescribed.nodes >= second).astype(np.int64)
     return dataclasses.replace(
         system,
+        subdomains=[*system.subdomains[:-1], upper],
         contacts=two,
         tied=tied,
         friction=friction,

@@ -165,6 +165,16 @@ def coordinates_in_two_dimensions(system):
     return first(system, coordinates=system.subdomains[0].coordinates[:, :2])
 
 
+@mistake("frame of subdomain 0", "(2, 2)", "expected (3, 3)")
+def frame_in_two_dimensions(system):
+    return first(system, frame=np.eye(2))
+
+
+@mistake("frame of subdomain 0", "|T T' - I| = 3.000e+00", "orthogonal")
+def frame_that_scales(system):
+    return first(system, frame=2 * np.eye(3))
+
+
 @mistake("coordinates of subdomain 0", "1 of 192", "infinite")
 def coordinates_with_infinity(system):
     return first(system, coordinates=changed(system.subdomains[0].coordinates, (5, 1), np.inf))

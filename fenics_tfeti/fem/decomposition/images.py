@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING
 
-__all__ = ["find_image"]
+__all__ = ["find_images"]
 
 Points = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -26,40 +26,40 @@ _PROBES = 16
 _ZERO = 1e-15
 
 
-def find_image(points: Points, reference: Points) -> tuple[Points, Numbers] | None:
-    """Find out whether points are the rotated or mirrored, and translated, reference points.
+def find_images(points: Points, reference: Points) -> Iterator[tuple[Points, Numbers]]:
+    """Find the rotations and mirrorings by which points are the images of reference points.
 
-    Of a symmetric set, one of several matrices is found.
+    There are several for symmetric sets, rotations first, and some may come twice.
 
     Parameters
     ----------
     points, reference : (k, d) arrays
         Coordinates in the plane or in space.
 
-    Returns
-    -------
+    Yields
+    ------
     turn : (d, d) array
         Orthogonal matrix T: points[order] = reference T' but for a translation.
     order : (k,) integer array
         The point that is the image of each reference point.
-        None if there is no such matrix.
 
     Examples
     --------
     >>> import numpy as np
     >>> corner = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 1.0]])
-    >>> turn, order = find_image(np.array([[5.0, 5.0], [5.0, 8.0], [4.0, 5.0]]), corner)
-    >>> turn.tolist(), order.tolist()
+    >>> moved = np.array([[5.0, 5.0], [5.0, 8.0], [4.0, 5.0]])
+    >>> turn, order = next(find_images(moved, corner))
+    >>> turn.round(12).tolist(), order.tolist()
     ([[0.0, -1.0], [1.0, 0.0]], [0, 1, 2])
     """
     if points.shape != reference.shape:
-        return None
+        return
     largest = max(np.abs(points).max(), np.abs(reference).max())
     x, y = points - points.mean(axis=0), reference - reference.mean(axis=0)
     radii = np.linalg.norm(y, axis=1)
     same = RELATIVE_ROUNDING * float(radii.max())
     if np.abs(np.sort(np.linalg.norm(x, axis=1)) - np.sort(radii)).max() > same:
-        return None
+        return
     tree = cKDTree(x)
     probes = np.unique(np.linspace(0, len(y) - 1, _PROBES).astype(int))
     for turn in _candidates(x, y, same):
@@ -70,8 +70,7 @@ def find_image(points: Points, reference: Points) -> tuple[Points, Numbers] | No
             continue
         turn = _nearest_orthogonal(x[order].T @ y)
         if np.abs(x[order] - y @ turn.T).max() <= COORDINATE_ROUNDING * largest:
-            return turn, order
-    return None
+            yield turn, order
 
 
 def _candidates(x: Points, y: Points, same: float) -> Iterator[Points]:
@@ -80,19 +79,21 @@ def _candidates(x: Points, y: Points, same: float) -> Iterator[Points]:
     a = y[first]
     at = np.flatnonzero(np.abs(np.linalg.norm(x, axis=1) - np.linalg.norm(a)) <= same)
     if y.shape[1] == 2:
-        pairs = ((a[None], x[i][None]) for i in at)
+        own, pairs = a[None], [x[i][None] for i in at]
     else:
         second = _rarest(_places(y, a), same)
         b = y[second]
         along = _places(b[None], a)
-        pairs = (
-            (np.stack([a, b]), np.stack([x[i], x[j]]))
+        own = np.stack([a, b])
+        pairs = [
+            np.stack([x[i], x[j]])
             for i in at
             for j in np.flatnonzero(np.abs(_places(x, x[i]) - along).max(axis=1) <= same)
-        )
-    for own, images in pairs:
-        basis, image = _basis(own), _basis(images)
-        for side in (1.0, -1.0):
+        ]
+    basis = _basis(own)
+    for side in (1.0, -1.0):
+        for images in pairs:
+            image = _basis(images)
             image[-1] *= side
             yield image.T @ basis
 

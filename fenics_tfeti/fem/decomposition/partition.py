@@ -17,6 +17,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.decomposition.cell_graph import components, connected_groups, groups
 from fenics_tfeti.fem.decomposition.grid import Grid, block_of_cells, find_grid
+from fenics_tfeti.fem.decomposition.parts import number_parts
 from fenics_tfeti.fem.topology import cell_vertices, owned_cells
 from fenics_tfeti.parallel import raise_collectively
 
@@ -48,24 +49,30 @@ def split_into_subdomains(
     Returns
     -------
     list of integer arrays
-        The cells of each subdomain.
+        The cells of each subdomain. Bodies that are images of each other are cut equally.
     """
-    dofs = _compat.cell_dofs(space)
     block = space.dofmap.index_map_bs
     subdomains: list[Indices] = []
-    for cells in groups(components(bodies.graph, bodies.of_cell)[1]):
-        parts = round(block * np.unique(dofs[cells]).size / unknowns)
+    bodies_of_rank = groups(components(bodies.graph, bodies.of_cell)[1])
+    cuts: dict[bytes, NDArray[np.int64]] = {}
+    for body in number_parts(space, bodies_of_rank, range(len(bodies_of_rank))):
+        cells = body.cells
+        parts = round(block * body.nodes.size / unknowns)
         if parts <= 1:
             subdomains.append(cells)
             continue
         graph = bodies.graph[cells][:, cells]
-        grid = _find_grid(space.mesh, cells) if partitioner == "auto" else None
-        label = (
-            block_of_cells(grid, unknowns / block)
-            if grid is not None
-            else _compat.partition_graph(graph.indptr, graph.indices, min(parts, cells.size))
-        )
-        subdomains += connected_groups(graph, label.astype(np.int64), cells)
+        label = cuts.get(body.shape) if body.shape is not None else None
+        if label is None:
+            grid = _find_grid(space.mesh, cells) if partitioner == "auto" else None
+            label = (
+                block_of_cells(grid, unknowns / block)
+                if grid is not None
+                else _compat.partition_graph(graph.indptr, graph.indices, min(parts, cells.size))
+            ).astype(np.int64)
+            if body.shape is not None:
+                cuts[body.shape] = label
+        subdomains += connected_groups(graph, label, cells)
     return subdomains
 
 

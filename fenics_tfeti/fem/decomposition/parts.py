@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.decomposition.images import find_image
+from fenics_tfeti.fem.decomposition.images import find_images
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING
 
 __all__ = ["Part", "find_equal", "number_parts", "samples"]
@@ -192,20 +192,19 @@ def _turn(parts: list[Part], candidates: Sequence[int], x: Points) -> None:
 
 def _image(part: Part, one: Part, x: Points) -> Part | None:
     """Return a part in the order of another one that it is the image of, as positions."""
-    found = find_image(x[part.nodes], x[one.nodes])
-    if found is None:
-        return None
-    turn, order = found
-    place = np.empty(order.size, dtype=np.int32)
-    place[order] = np.arange(order.size, dtype=np.int32)
-    table = place[part.table]
-    own, other = np.sort(table, axis=1), np.sort(one.table, axis=1)
-    rows, others = np.lexsort(own.T), np.lexsort(other.T)
-    if not np.array_equal(own[rows], other[others]):
-        return None
-    cells = np.empty(rows.size, dtype=np.int32)
-    cells[others] = rows
-    return Part(cells, order.astype(np.int32), table[cells], part.body, one.shape, turn)
+    other = np.sort(one.table, axis=1)
+    others = np.lexsort(other.T)
+    for turn, order in find_images(x[part.nodes], x[one.nodes]):
+        place = np.empty(order.size, dtype=np.int32)
+        place[order] = np.arange(order.size, dtype=np.int32)
+        table = place[part.table]
+        own = np.sort(table, axis=1)
+        rows = np.lexsort(own.T)
+        if np.array_equal(own[rows], other[others]):
+            cells = np.empty(rows.size, dtype=np.int32)
+            cells[others] = rows
+            return Part(cells, order.astype(np.int32), table[cells], part.body, one.shape, turn)
+    return None
 
 
 def _in_frame(part: Part, x: Points) -> Points:

@@ -43,12 +43,12 @@ def test_unlike_subdomains_keep_the_order_of_the_mesh():
 def test_equal_data_are_found():
     row = row_of_boxes()
     data = [np.floor(row.middle) % 2]
-    assert find_equal(row.parts, coordinates(row), data, True) == [0, 1, 0, 1]
+    assert find_equal(row.parts, coordinates(row), data, True, {}) == [0, 1, 0, 1]
 
 
 def test_no_parts_are_equal_where_the_place_counts():
     row = row_of_boxes()
-    assert find_equal(row.parts, coordinates(row), [], False) == list(range(NUMBER))
+    assert find_equal(row.parts, coordinates(row), [], False, {}) == list(range(NUMBER))
 
 
 @pytest.mark.parametrize(("distance", "equal"), [(1e-15, True), (1e-12, False)])
@@ -56,4 +56,4 @@ def test_coordinates_may_differ_by_rounding_only(distance, equal):
     row = row_of_boxes()
     x = coordinates(row).copy()
     x[row.parts[1].nodes[5], 0] += distance
-    assert (find_equal(row.parts[:2], x, [], True) == [0, 0]) is equal
+    assert (find_equal(row.parts[:2], x, [], True, {}) == [0, 0]) is equal

@@ -4,11 +4,21 @@ import dataclasses
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
+from scipy.stats import ortho_group
 from springs import on_springs
 from torn import column, cube
 
 from fenics_tfeti.feti import Options, TornSolver
 from fenics_tfeti.feti.local.congruence import find_congruence_classes
+
+
+OPTIONS = [
+    {},
+    {"preconditioner": "lumped", "scaling": "stiffness"},
+    {"preconditioner": "dirichlet", "deflation": "on", "dual_operator": "explicit"},
+    {"method": "smalbe"},
+]
 
 
 def members(subdomains) -> list[list[int]]:
@@ -51,6 +61,60 @@ def test_the_same_stiffness_on_another_shape_is_not_congruent():
     points = bent.coordinates.copy()
     points[-1] += 1e-6
     assert members([cube(2), changed(bent, coordinates=points)]) == [[0], [1]]
+
+
+def turned(subdomain, seed):
+    """Return the subdomain rotated or mirrored about the origin, in the frame of the given one."""
+    turn = ortho_group.rvs(3, random_state=seed)
+    return changed(subdomain, coordinates=subdomain.coordinates @ turn.T, frame=turn)
+
+
+def test_turned_cubes_are_congruent_in_their_frames():
+    cubes = [cube(2), turned(cube(2, (1, 0, 0)), 0), turned(cube(2), 1)]
+    assert members(cubes) == [[0, 1, 2]]
+    (congruent,) = find_congruence_classes(cubes)
+    x = np.concatenate([s.coordinates.ravel() for s in cubes])
+    rows = congruent.rows(x)
+    np.testing.assert_allclose(rows[2], cubes[0].coordinates.ravel(), atol=1e-14)
+    back = np.empty_like(x)
+    congruent.put(back, rows)
+    np.testing.assert_allclose(back, x, atol=1e-14)
+
+
+def test_a_turned_cube_without_frame_is_not_congruent():
+    assert members([cube(2), changed(turned(cube(2), 0), frame=None)]) == [[0], [1]]
+
+
+def in_any_frames(system):
+    """Return the same system with stiffness matrices in frames."""
+    parts = []
+    for seed, s in enumerate(system.subdomains):
+        turn = ortho_group.rvs(3, random_state=seed)
+        T = sp.kron(sp.identity(s.nodes.size), turn).tocsr()
+        parts.append(changed(s, stiffness=(T.T @ s.stiffness @ T).tocsr(), frame=turn))
+    return dataclasses.replace(system, subdomains=parts)
+
+
+def with_weak_spring(system):
+    parts = list(system.subdomains)
+    parts[0] = on_springs(parts[0], 0.0, 1e-6)
+    return dataclasses.replace(system, subdomains=parts)
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=str)
+@pytest.mark.parametrize("with_springs", [False, True])
+def test_frames_of_the_stiffness_change_nothing(options, with_springs):
+    system = column(height=3, load=(0.1, 0.2, -1.0))
+    if with_springs:
+        system = with_weak_spring(system)
+    options = Options(rtol=1e-10, **options)
+    expected = TornSolver(system, options).solve()
+    found = TornSolver(in_any_frames(system), options).solve()
+    assert found.report.converged
+    assert found.report.certificate.worst <= 1e-10
+    for one, other in zip(found.displacements, expected.displacements, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-9 * np.abs(other).max())
+    np.testing.assert_allclose(found.normal_force, expected.normal_force, atol=1e-9)
 
 
 def test_loads_and_numbers_do_not_matter():
