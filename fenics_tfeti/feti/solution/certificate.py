@@ -178,8 +178,8 @@ class RowBodies:
     ----------
     bodies, contacts : int
         Numbers of bodies and of contacts over all ranks.
-    of_subdomain : (subdomains,) integer array
-        The body of each of this rank's subdomains.
+    of_subdomain, of_unknown : (subdomains,), (n,) integer arrays
+        The body of each of this rank's subdomains and torn unknowns.
     row, body : (p,) integer arrays
         The bodies of each inequality row that this rank holds, (row, body) in ascending order; all
         bodies of a row, whichever rank has them.
@@ -192,6 +192,7 @@ class RowBodies:
     bodies: int
     contacts: int
     of_subdomain: Numbers
+    of_unknown: Numbers
     row: Numbers
     body: Numbers
     tied: Numbers
@@ -219,7 +220,7 @@ class RowBodies:
         numbers = np.append(constraints.contact, constraints.friction.contact)
         contacts = system.comm.allreduce(int(numbers.max(initial=-1)), MPI.MAX) + 1
         sites = _bodies_of_rows(constraints, constraints.friction.rows.max(axis=1), of_unknown)
-        return RowBodies(count, contacts, of_subdomain, row, body, pairs, *sites)
+        return RowBodies(count, contacts, of_subdomain, of_unknown, row, body, pairs, *sites)
 
     def groups(self, comm: MPI.Intracomm, closed: Mask, rubbing: Mask) -> Numbers:
         """Return the group of each body. Collective.

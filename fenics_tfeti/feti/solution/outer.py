@@ -27,6 +27,7 @@ from fenics_tfeti.feti.dual.pcpg import PCPGIterate, Signs
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.solution.certificate import PrimalProblem
+from fenics_tfeti.feti.solution.idle_bodies import without_idle_forces
 from fenics_tfeti.feti.solution.monitor import Monitor
 from fenics_tfeti.feti.solution.progress import Progress
 from fenics_tfeti.feti.solution.recovery import (
@@ -360,7 +361,9 @@ class _Loop:
             coarse_space = setup.projector.coarse_space
             multipliers, face = balance_multipliers(coarse_space, data.e, multipliers, data.radius)
             # F makes jumps of what the balance has added, large ones in the deflated directions
-            multipliers = self._completed(multipliers)
+            multipliers = without_idle_forces(
+                constraints, setup.row_bodies, data.load, data.c, self._completed(multipliers)
+            )
             recovered = recover_displacement(
                 setup.F, face, data.load, data.c, multipliers, setup.local.unit
             )
