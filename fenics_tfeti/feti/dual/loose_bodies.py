@@ -6,12 +6,18 @@ body is open in another one. Their gaps are judged in the position with the smal
 of penetrations. If that sum is zero no row of these bodies has a wrong sign. If it is not, the
 body is squeezed by others, and penetrations are forces in balance on the free motions, since the
 sum's gradient with respect to them vanishes.
+
+Motions that the rows of the face resist weakly are known only as far as the residual of the face
+allows: it is least in the sense of least squares, but divided by a small resistance it may be a
+large motion. Where the penetration is larger than the residual they take part, with the squares of the residual added to the sum, as long as the residual changes by no more than a multiple of its
+norm. So a face is not left for the signs of a position that the next steps on it would correct.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 from mpi4py import MPI
 
@@ -36,6 +42,11 @@ Mask = NDArray[np.bool_]
 _OF_SURFACE = 0.3
 # closing of a row, relative to its length, by a unit motion that does not move it
 _TRACE = 1e-13
+# resistance of motions whose position takes an accurate residual: distances are known to the
+# residual divided by it
+_WEAK = 0.1
+# change of the residual by such motions, relative to the residual
+_TIMES_RESIDUAL = 10.0
 # penetration that rounding leaves, relative to what the motion changes in the row
 _CLOSED = 1e-9
 
@@ -56,6 +67,8 @@ class LooseBodies:
         By how much each motion closes them.
     held : callable
         y -> its part on the rows that leave the motions free.
+    face : Projector or None
+        That of the rows, where motions that these resist weakly may take part.
     """
 
     coarse_space: CoarseSpace
@@ -63,13 +76,17 @@ class LooseBodies:
     rows: Numbers
     closing: sp.csr_matrix
     held: Callable[[Vector], Vector]
+    face: Projector | None = None
 
     @staticmethod
     def on_face(projector: Projector) -> LooseBodies | None:
         """Return those of a face; None if it leaves no motion free."""
-        return LooseBodies._of(
+        loose = LooseBodies._of(
             projector.coarse_space, projector.free, projector.rows, projector.on_rows
         )
+        if loose is None or projector.across is not None:
+            return loose
+        return replace(loose, face=projector)
 
     @staticmethod
     def without(coarse_space: CoarseSpace, rows: Mask) -> LooseBodies | None:
@@ -110,10 +127,33 @@ class LooseBodies:
         gradient : (m,) array
             On contact rows off the face their gaps, after any free motion.
         """
-        z = self._motion(gradient)
+        settled = self._moved(gradient, self, self._motion(gradient))
+        if self.face is None:
+            return settled
+        constraints = self.coarse_space.constraints
+        owned = constraints.layout.owned
+        deep = np.minimum(settled[self.rows], 0.0)
+        own = self.held(gradient)[:owned]
+        depth2, residual2 = constraints.layout.space.sum_over_ranks(
+            np.array([deep @ deep, own @ own])
+        )
+        weak = self._weak if depth2 > residual2 else None
+        if weak is None:
+            return settled
+        limit = _TIMES_RESIDUAL * float(np.sqrt(residual2))
+        gradient = self._moved(gradient, weak.bodies, weak.motion(gradient, limit))
+        return self._moved(gradient, self, self._motion(gradient))
+
+    @cached_property
+    def _weak(self) -> WeakBodies | None:
+        assert self.face is not None
+        return WeakBodies.on_face(self.face)
+
+    def _moved(self, gradient: Vector, bodies: LooseBodies, z: Vector) -> Vector:
+        """Return the gradient after a motion."""
         if not z.any():
             return gradient
-        moved = self.coarse_space.prolong(self.motions @ z)
+        moved = self.coarse_space.prolong(bodies.motions @ z)
         moved -= self.held(moved)
         moved[self.coarse_space.constraints.equality] = 0.0
         settled: Vector = gradient - moved
@@ -159,6 +199,65 @@ class LooseBodies:
             lambda part: sum_sparse(comm, part),
             load,
         )
+
+
+@dataclass(frozen=True)
+class WeakBodies:
+    """Bodies whose position the residual on a face leaves uncertain.
+
+    Attributes
+    ----------
+    bodies : LooseBodies
+        The motions that the face leaves free, and those that it resists weakly.
+    rows : (q,) integer array
+        Rows of the face that this rank owns and that the motions move.
+    closing : (q, k) scipy.sparse.csr_matrix
+        By how much each motion closes them.
+    """
+
+    bodies: LooseBodies
+    rows: Numbers
+    closing: sp.csr_matrix
+
+    @staticmethod
+    def on_face(projector: Projector) -> WeakBodies | None:
+        """Return those of a face; None if it resists no motion weakly. Collective."""
+        coarse_space = projector.coarse_space
+        constraints, moved = coarse_space.constraints, coarse_space.bodies.moved
+        free, weak = coarse_space.weakly_resisted(projector.rows, _WEAK)
+        if not weak.shape[1]:
+            return None
+        motions = coarse_space.coarse_motions(sp.hstack([free, weak], format="csr"))
+        bodies = LooseBodies._of(coarse_space, motions, projector.rows, projector.on_rows)
+        assert bodies is not None
+        owned = np.flatnonzero(projector.rows[: constraints.layout.owned])
+        none = sp.csr_matrix((owned.size, free.shape[1]))
+        closing = sp.diags(constraints.row_lengths[owned]) @ (moved[owned] @ weak)
+        touched = np.flatnonzero(np.diff(closing.tocsr().indptr))
+        closing = sp.hstack([none, closing], format="csr")
+        return WeakBodies(bodies, owned[touched], closing[touched])
+
+    def motion(self, gradient: Vector, limit: float) -> Vector:
+        """Return the motion with the least penetration and residual. Collective.
+
+        Parameters
+        ----------
+        gradient : (m,) array
+            Gaps, and the residual on the rows of the face.
+        limit : float
+            Largest change of the residual.
+        """
+        bodies, residual = self.bodies, gradient[self.rows]
+        space, comm = bodies.coarse_space.constraints.layout.space, bodies.coarse_space.comm
+        z = least_penetration(
+            sp.vstack([bodies.closing, self.closing, -self.closing], format="csr"),
+            np.concatenate([gradient[bodies.rows], residual, -residual]),
+            space.sum_over_ranks,
+            lambda part: sum_sparse(comm, part),
+        )
+        change = self.closing @ z
+        size = float(np.sqrt(space.sum_over_ranks(np.array([change @ change]))[0]))
+        return z * (limit / size) if size > limit else z
 
 
 def rigid_start(problem: DualProblem) -> Vector | None:
