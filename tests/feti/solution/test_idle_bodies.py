@@ -1,0 +1,86 @@
+"""Multipliers of bodies without load vanish, and only these."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from torn import column, cube
+
+from fenics_tfeti.feti import ContactRows, Options, TornSolver
+from fenics_tfeti.feti.solution.certificate import RowBodies
+from fenics_tfeti.feti.solution.idle_bodies import without_idle_forces
+
+LOOSE = 2 * 10**9
+
+
+def with_idle_body(gap=0.1):
+    """Add a body of two cubes without load, between two walls."""
+    system = column(n=2)
+    loose = [cube(2, (5, 0, k), 2, LOOSE) for k in range(2)]
+    sides = [loose[0].nodes[loose[0].coordinates[:, 0] == x] for x in (5.0, 6.0)]
+    size = sides[0].size
+    walls = ContactRows.node_to_node(
+        np.concatenate(sides),
+        np.full(2 * size, -1),
+        np.repeat([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], size, axis=0),
+        np.full(2 * size, gap),
+        np.ones(2 * size, dtype=np.int64),
+    )
+    return replace(
+        system,
+        subdomains=[*system.subdomains, *loose],
+        contacts=ContactRows.concatenate([system.contacts, walls]),
+        body_names=(),
+        contact_names=("joint", "walls"),
+    )
+
+
+def changed_rows(system, force_of_walls=0.0):
+    """Return the body of each row that loses its multiplier, and of each that keeps it."""
+    constraints = TornSolver(system).dual_problem().constraints
+    ends = np.cumsum([0, *(s.size for s in system.subdomains)])
+    bodies = RowBodies.build(system, constraints, ends)
+    multipliers = np.random.default_rng(0).standard_normal(constraints.size)
+    walls = constraints.inequality[constraints.contact == 1]
+    multipliers[walls] = force_of_walls
+    c = np.zeros(constraints.size)
+    c[constraints.inequality[: system.contacts.size]] = system.contacts.gap
+    load = np.concatenate([s.load for s in system.subdomains])
+    found = without_idle_forces(constraints, bodies, load, c, multipliers)
+    lost = found == 0.0
+    np.testing.assert_array_equal(found[~lost], multipliers[~lost])
+    of_row = bodies.of_unknown[constraints.matrix.indices[constraints.matrix.indptr[:-1]]]
+    moved = multipliers != 0.0
+    return set(of_row[lost & moved]), set(of_row[~lost])
+
+
+def test_gluing_of_a_body_without_load():
+    assert changed_rows(with_idle_body()) == ({2}, {0, 1})
+
+
+def test_a_body_with_load_keeps_them():
+    system = with_idle_body()
+    *others, last = system.subdomains
+    # pulled on two nodes, one above the other
+    pulled = np.flatnonzero((last.coordinates[:, :2] == last.coordinates[0, :2]).all(axis=1))[:2]
+    load = last.load.copy()
+    load[3 * pulled + 2] = [-1e-30, 1e-30]
+    system = replace(system, subdomains=[*others, replace(last, load=load)])
+    assert changed_rows(system) == (set(), {0, 1, 2})
+
+
+@pytest.mark.parametrize(("gap", "lost"), [(0.1, {2}), (-0.1, set())])
+def test_a_squeezed_body_keeps_them(gap, lost):
+    """Walls that press although there is play; walls that are too near press with reason."""
+    assert changed_rows(with_idle_body(gap), force_of_walls=1.0)[0] == lost
+
+
+def test_bodies_without_load_do_not_tighten_the_tolerance():
+    report = TornSolver(with_idle_body(), Options(rtol=1e-4)).solve().report
+    alone = TornSolver(column(n=2), Options(rtol=1e-4)).solve().report
+    assert report.products["total"] == alone.products["total"]
+    assert report.certificate.worst <= 1e-4
+    (idle,) = (group for group in report.certificate.groups if group.bodies == ["body 2"])
+    assert idle.energy_norm == idle.error == 0.0
