@@ -177,10 +177,16 @@ def test_two_rows_of_many_rollers_in_a_cage(meshes, tmp_path):
     outer = found.forces[0] + found.forces[2]
     np.testing.assert_allclose(outer, load, atol=1e-6 * 800e3)
     np.testing.assert_allclose(found.forces[4:], 0.0, atol=1e-6 * 800e3)
-    # the row that the axial load relieves carries below the axis only
+    # the row that the axial load relieves carries below the axis only; the elastic rings share
+    # the load between the lowest rollers
     away = np.abs((np.arange(20) + 10) % 20 - 10)
-    assert (found.loads[1][away > 7] == 0.0).all()
-    assert (np.diff(found.loads[1][:7]) < 0.0).all()
+    relieved = found.loads[1]
+    assert (relieved[away > 4] == 0.0).all()
+    assert (np.diff(relieved[2:6]) < 0.0).all()
+    np.testing.assert_allclose(relieved[:3], relieved[:3].mean(), rtol=0.02)
+    np.testing.assert_allclose(
+        found.loads[:, 1:], found.loads[:, :0:-1], atol=1e-3 * relieved.max()
+    )
 
 
 def test_meshes_have_the_bodies_and_sizes_asked_for(meshes):

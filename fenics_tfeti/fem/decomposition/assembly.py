@@ -161,14 +161,14 @@ class PreparedForms:
             torn.append(Part(parts[i].cells[rows], parts[i].nodes[nodes.ravel()], table, 0))
         found = dict[int, NDArray[np.float64]]()
         for i, K, part in zip(chosen, self._assembled(torn) if torn else [], torn, strict=True):
-            cells, nodes = part.table.shape
+            cells, nodes_of_cell = part.table.shape
             size = K.shape[0] // cells
             entries = K.tocoo()
             found[i] = np.zeros((cells, size, size))
             found[i][entries.row // size, entries.row % size, entries.col % size] = entries.data
             turn = parts[i].turn
             if turn is not None:
-                T = np.kron(np.eye(nodes), turn)
+                T = np.kron(np.eye(nodes_of_cell), turn)
                 found[i] = T.T @ found[i] @ T
         return found
 

@@ -9,9 +9,9 @@ sum's gradient with respect to them vanishes.
 
 Motions that the rows of the face resist weakly are known only as far as the residual of the face
 allows: it is least in the sense of least squares, but divided by a small resistance it may be a
-large motion. Where the penetration is larger than the residual they take part, with the squares of the
-residual added to the sum, as long as the residual changes by no more than a multiple of its norm.
-So a face is not left for the signs of a position that the next steps on it would correct.
+large motion. Where the penetration is larger than the residual they take part, with the squares
+of the residual added to the sum, as long as the residual changes by no more than a multiple of its
+norm. So a face is not left for the signs of a position that the next steps on it would correct.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Subdomains of equal shape and stiffness share their operators, and are applied together.
 
 Which are congruent is read off the matrices and coordinates, never assumed. Rotated and mirrored
-ones are congruent in their frames, see `Subdomain.frame`; the operators are those in the frame. A vector of all torn
-unknowns, or of the packed interface ones, is a matrix with a row for each subdomain of a class.
+ones are congruent in their frames, see `Subdomain.frame`; the operators are those in the frame. A
+vector of all torn unknowns, or of the packed interface ones, is a matrix with a row for each
+subdomain of a class.
 """
 
 from __future__ import annotations

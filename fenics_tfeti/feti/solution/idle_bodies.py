@@ -8,8 +8,6 @@ the group, which is all error, it never becomes small.
 
 from __future__ import annotations
 
-from mpi4py import MPI
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +26,9 @@ def without_idle_forces(
     c: Vector,
     multipliers: Vector,
 ) -> Vector:
-    """Return the multipliers with zeros in groups without a load where that is no worse. Collective.
+    """Return the multipliers with zeros in groups without a load where that is no worse.
+
+    Collective.
 
     Parameters
     ----------

@@ -12,7 +12,6 @@ from torn import column, cube
 from fenics_tfeti.feti import Options, TornSolver
 from fenics_tfeti.feti.local.congruence import find_congruence_classes
 
-
 OPTIONS = [
     {},
     {"preconditioner": "lumped", "scaling": "stiffness"},

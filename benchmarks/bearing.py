@@ -1,0 +1,153 @@
+"""Roller bearings of up to 73 bodies: products with F, time and memory by phase.
+
+Run it by ``python benchmarks/bearing.py [8 20 35 73 full]``, one process for each size, or on
+several ranks. The sizes are two rows of 8 rollers, of 20 rollers in a cage, of 35 rollers without
+cage (each of coarse elements), 73 bodies of elements half as large as in the full size, and this.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import compute_midpoints
+
+from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti.io import displacement_space, read_msh
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "meshes"))
+from roller_bearing import Bearing, roller_bearing, subdomain_labels
+
+COARSE = {"elements": 2, "growth": 1.2, "coarsest": 0.03, "layers": 4}
+FINER = {"elements": 2, "growth": 1.0, "coarsest": 0.025, "layers": 6}
+SIZES = {
+    "8": (Bearing(rollers=8, cage=False, **FINER), 2),
+    "20": (Bearing(rollers=20, spacing=0.03, **COARSE), 1),
+    "35": (Bearing(cage=False, **COARSE), 1),
+    "73": (Bearing(**FINER), 2),
+    "full": (Bearing(), 4),
+}
+LOAD = np.array([0.0, -0.8e6, -0.16e6])  # N
+comm = MPI.COMM_WORLD
+
+
+def away_from_axis(bearing, row):
+    """Return the normals of the rollers of a row, a function of x."""
+    sign = 1 if row == 1 else -1
+    angles = np.array([bearing.azimuth(k) for k in range(bearing.rollers)])
+    centres, axes = (
+        np.stack([r * np.cos(angles), r * np.sin(angles), 0 * angles + sign * z], axis=1)
+        for r, z in (bearing.centre, bearing.directions[0])
+    )
+
+    def normal(x):
+        turn = (np.arctan2(x[1], x[0]) - angles[0]) * bearing.rollers / (2 * np.pi)
+        k = np.rint(turn).astype(int) % bearing.rollers
+        across = x.T - centres[k]
+        return (across - np.sum(across * axes[k], axis=1)[:, None] * axes[k]).T
+
+    return normal
+
+
+def problem_of(bearing, slices, tolerance):
+    """Return the problem of a bearing, cut equally in all sectors."""
+    path = Path(comm.bcast(tempfile.mkdtemp() if comm.rank == 0 else None)) / "bearing.msh"
+    if comm.rank == 0:
+        roller_bearing(path, bearing)
+    comm.barrier()
+    bodies = read_msh(path, comm, gdim=3)
+    comm.barrier()
+    if comm.rank == 0:
+        path.unlink()
+        path.parent.rmdir()
+    mesh, tags, names = bodies.mesh, bodies.facet_tags, bodies.names
+    V = displacement_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    mu, lmbda = 2.1e11 / 2.6, 2.1e11 * 0.3 / (1.3 * 0.4)
+    strain = ufl.sym(ufl.grad(u))
+    a = (2 * mu * ufl.inner(strain, ufl.grad(v)) + lmbda * ufl.div(u) * ufl.div(v)) * ufl.dx
+    bore = ufl.Measure("ds", domain=mesh, subdomain_data=tags)(names["bore"])
+    area = comm.allreduce(fem.assemble_scalar(fem.form(fem.Constant(mesh, 1.0) * bore)))
+    outside = fem.locate_dofs_topological(V, 2, tags.find(names["outside"]))
+    rows = range(1, bearing.rows + 1)
+    contacts = [
+        ContactPair(
+            tags,
+            slave=names[f"rollers {row} {side}"],
+            master=names[f"{side} raceway {row}"],
+            normal=away_from_axis(bearing, row),
+        )
+        for row in rows
+        for side in ("outer", "inner")
+    ]
+    if bearing.cage:
+        contacts += [
+            ContactPair(tags, slave=names[f"pockets {r}"], master=names[f"rollers {r} side"])
+            for r in rows
+        ]
+    owned = mesh.topology.index_map(3).size_local
+    middles = compute_midpoints(mesh, 3, np.arange(owned, dtype=np.int32))
+    labels = np.zeros(owned, dtype=np.int64)
+    for name, tag in names.items():
+        if name in ("outer ring", "inner ring", "cage") or name.startswith("roller "):
+            cells = bodies.cell_tags.find(tag)
+            cells = cells[cells < owned]
+            labels[cells] = subdomain_labels(bearing, name, middles[cells], slices)
+    options = {
+        "rtol": 1e-4,
+        "non_penetration": "exact",
+        "non_penetration_tolerance": tolerance,
+        "preconditioner": "dirichlet",
+        "deflation": "on",
+    }
+    return ContactProblem(
+        a,
+        ufl.inner(fem.Constant(mesh, LOAD / area), v) * bore,
+        bcs=[fem.dirichletbc(np.zeros(3), outside, V)],
+        contacts=contacts,
+        cell_tags=bodies.cell_tags,
+        subdomains=labels,
+        options=options,
+    )
+
+
+def main():
+    """Solve and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("sizes", nargs="*", choices=[*SIZES, []], default=["8"])
+    parser.add_argument("--tolerance", type=float, default=3e-2, help="of the non-penetration")
+    given = parser.parse_args()
+    logging.basicConfig(stream=sys.stdout, format="%(message)s", force=True)
+    logging.getLogger("fenics_tfeti").setLevel(logging.INFO)
+    for size in given.sizes:
+        bearing, slices = SIZES[size]
+        start = time.perf_counter()
+        problem = problem_of(bearing, slices, given.tolerance)
+        problem.solve()
+        report = problem.report
+        seconds = time.perf_counter() - start
+        if comm.rank == 0:
+            unknowns = report.unknowns
+            print(
+                f"{size}: {bearing.bodies} bodies, {unknowns['primal']} unknowns, "
+                f"{unknowns['dual']} dual, {unknowns['inequalities']} contact rows, "
+                f"{report.subdomains} subdomains of {report.classes} shapes, "
+                f"{[p.products for p in report.passes]} products, {seconds:.1f} s with the mesh, "
+                f"{report.peak_memory_bytes / 1e6:.0f} MB"
+            )
+            print({phase: round(s, 1) for phase, s in report.seconds.items() if s >= 0.05})
+            print({name: f"{x:.1e}" for name, x in report.certificate.numbers().items() if x})
+
+
+if __name__ == "__main__":
+    main()
