@@ -49,8 +49,10 @@ _NOTHING = 1e-3
 _STEPS, _RATIO = 15, 0.9
 # limits on the steps, and on halvings of one whose bounds could not hold the load
 _MAX_STEPS, _MAX_HALVINGS = 100, 30
+# growth of the changes above which the last one was small by chance
+_SUDDEN = 3.0
 # lengths of a step of the fixed point
-_SHORTEST, _LONGEST = 0.1, 10.0
+_SHORTEST, _LONG, _LONGEST = 0.1, 3.0, 10.0
 
 
 def iterate_slip_bounds(
@@ -165,7 +167,7 @@ class _FixedPoint:
         The length of the step follows from the differences of the last two by Aitken's method for
         vectors (Irons, Tuck 1969). Collective.
         """
-        scale = self._friction.scale
+        scale, longest = self._friction.scale, min(max(_LONG, 2.0 * self._length), _LONGEST)
         way = scale * (radius - data.radius)
         if self._last is not None:
             turn = way - self._last
@@ -174,8 +176,9 @@ class _FixedPoint:
                 self._length *= -self._dot(self._last, turn) / turn2
             if self._length <= 0.0:
                 # bounds that grow more and more: the sooner the better where all sticks in the end
-                self._length = _LONGEST
-        self._length = min(max(self._length, _SHORTEST), _LONGEST)
+                sudden = self._dot(way, way) > _SUDDEN**2 * self._dot(self._last, self._last)
+                self._length = longest = 1.0 if sudden else _LONGEST
+        self._length = min(max(self._length, _SHORTEST), longest)
         self._last, part = way, self._length
         for _ in range(_MAX_HALVINGS):
             bounds = np.maximum(data.radius + part * way / scale, 0.0)
