@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from fenics_tfeti import InputError
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.decomposition.partition import given_subdomains, split_into_subdomains
+from fenics_tfeti.fem.decomposition.parts import number_parts
 from fenics_tfeti.io import Box, boxes, displacement_space
 
 
@@ -71,3 +72,26 @@ def test_wrong_number_of_labels_is_refused():
     mesh = cube(2)
     with pytest.raises(InputError, match=r"shape \(3,\), but rank 0 owns 8 cells"):
         given_subdomains(mesh, find_bodies(mesh, None), [0, 1, 2])
+
+
+def test_bodies_that_are_images_are_cut_equally():
+    """A distorted block and its mirror image, turned by 40 degrees: equal cuts, two by two."""
+    n = 10
+    mesh = boxes(MPI.COMM_SELF, [Box((k, 0), (k + 1, 1), (n, n)) for k in (0, 2)], "triangle").mesh
+    x = mesh.geometry.x
+    second = np.flatnonzero(x[:, 0] > 1.5)
+    first = np.flatnonzero(x[:, 0] < 1.5)
+    x[first, 0] += 0.1 * x[first, 1] ** 2
+    c, s = np.cos(np.radians(40)), np.sin(np.radians(40))
+    # the order of the nodes of both blocks is their own
+    at = x[second, 0] - 2, x[second, 1]
+    plain = at[0] + 0.1 * at[1] ** 2, -at[1]
+    x[second, 0], x[second, 1] = 5 + c * plain[0] - s * plain[1], s * plain[0] + c * plain[1]
+    space = displacement_space(mesh)
+    parts = split_into_subdomains(space, find_bodies(mesh, None), 60)
+    numbered = number_parts(space, parts, range(len(parts)))
+    shapes = [part.shape for part in numbered]
+    assert len(parts) >= 8 and len(parts) % 2 == 0
+    assert len(set(shapes)) <= len(parts) // 2
+    assert all(shapes.count(shape) % 2 == 0 for shape in shapes)
+    assert sum(part.turn is not None for part in numbered) >= len(parts) // 2
