@@ -118,7 +118,7 @@ class Deflation:
         on_interface: Sequence[Operator],
         vectors: LocalVectors,
     ) -> Deflation | None:
-        """Make U, K^+B'U and the factor of U'FU; None if no rank has a vector. Collective.
+        """Make U, K^+B'U and the factor of U'FU; None if P_E leaves no vector. Collective.
 
         Parameters
         ----------
@@ -144,6 +144,8 @@ class Deflation:
         combination = np.vstack([np.identity(total), -X, -V])
         responses, gram = _responses(coarse_space, on_interface, forces, combination)
         kept, factor = _factor(constraints, gram, squares > _VANISHED)
+        if not kept.size:
+            return None
         solves = sum(response.columns.size for response in responses)
         return Deflation(
             coarse_space,

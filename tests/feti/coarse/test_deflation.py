@@ -259,6 +259,19 @@ def test_two_subdomains_may_have_the_same_direction():
     np.testing.assert_allclose(computed, expected, rtol=0.0, atol=1e-9 * size)
 
 
+def test_directions_that_rigid_motions_determine_are_none():
+    """P_E leaves nothing of columns of G_E', as in a chain of slender subdomains."""
+    torn, _ = solver(2)
+    coarse_space, constraints = torn.setup.projector.coarse_space, torn.setup.constraints
+    motions = coarse_space.motions_of_rows(constraints.equality).toarray()
+    motions /= np.linalg.norm(motions, axis=0)
+    rows = constraints.layout.numbers
+    vectors = LocalVectors(
+        [rows] * motions.shape[1], list(motions.T), np.ones(motions.shape[1]), solves=0
+    )
+    assert Deflation.build(coarse_space, torn.setup.F.on_interface, vectors) is None
+
+
 def test_too_many_vectors_are_an_announced_choice(monkeypatch):
     torn, found = solver(2)
     with pytest.warns(UserWarning, match=f"{found.vectors.excess.size} directions .* 5 "):
