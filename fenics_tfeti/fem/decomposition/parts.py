@@ -169,14 +169,19 @@ def samples(parts: Sequence[Part], data: Sequence[NDArray[Any]]) -> dict[int, ND
 def _turn(parts: list[Part], candidates: Sequence[int], x: Points) -> None:
     """Give parts that are images of earlier ones the order of these, and their matrices."""
     images: dict[bytes | None, Part] = {}
-    shapes = list[Part]()
+    shapes, sizes = list[Part](), list[Points]()
     for i in candidates:
         part = parts[i]
         if part.shape not in images:
-            found = (_image(part, one, x) for one in shapes)
+            # most parts that are no images have other sizes
+            size = _sizes(x[part.nodes])
+            near = np.abs(np.array(sizes).reshape(-1, size.size) - size).max(axis=1)
+            alike = np.flatnonzero(near <= RELATIVE_ROUNDING * size.max())
+            found = (_image(part, shapes[j], x) for j in alike)
             image = next((image for image in found if image is not None), None)
             if image is None:
                 shapes.append(part)
+                sizes.append(size)
                 # positions of its own
                 image = replace(
                     part,
@@ -188,6 +193,12 @@ def _turn(parts: list[Part], candidates: Sequence[int], x: Points) -> None:
         parts[i] = replace(
             image, cells=part.cells[image.cells], nodes=part.nodes[image.nodes], body=part.body
         )
+
+
+def _sizes(x: Points) -> Points:
+    """Return mean, root mean square and largest distance of points from their centre."""
+    radii = np.linalg.norm(x - x.mean(axis=0), axis=1)
+    return np.array([radii.mean(), np.sqrt(np.mean(radii**2)), radii.max()])
 
 
 def _image(part: Part, one: Part, x: Points) -> Part | None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from box_rows import NUMBER, row_of_boxes
 
+from fenics_tfeti.fem.decomposition import parts as parts_module
 from fenics_tfeti.fem.decomposition.parts import find_equal, number_parts
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
@@ -38,6 +39,22 @@ def test_unlike_subdomains_keep_the_order_of_the_mesh():
     for part, own in zip(number_parts(row.V, cells, [0, 0]), cells, strict=True):
         assert part.shape is None
         np.testing.assert_array_equal(part.cells, own)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_parts_of_other_sizes_are_not_compared_node_by_node(cell, monkeypatch):
+    """Blocks of a graded mesh have equally many nodes: many pairs of them."""
+    row = row_of_boxes(cell)
+    cells, compared = [part.cells for part in row.parts], list[int]()
+
+    def images(points, reference):
+        compared.append(len(points))
+        return iter(())
+
+    monkeypatch.setattr(parts_module, "find_images", images)
+    row.mesh.geometry.x[:, 0] **= 2
+    number_parts(row.V, cells, [0] * NUMBER)
+    assert not compared
 
 
 def test_equal_data_are_found():
