@@ -22,6 +22,9 @@ Numbers = NDArray[np.int64]
 
 # nodes that are compared first
 _PROBES = 16
+# nodes that may be the image of the first one: of sets such as spherical shells, of which there are
+# more, no images are looked for
+_MOST = 1000
 # entries of an orthogonal matrix that are rounding
 _ZERO = 1e-15
 
@@ -29,7 +32,8 @@ _ZERO = 1e-15
 def find_images(points: Points, reference: Points) -> Iterator[tuple[Points, Numbers]]:
     """Find the rotations and mirrorings by which points are the images of reference points.
 
-    There are several for symmetric sets, rotations first, and some may come twice.
+    There are several for symmetric sets, rotations first, and some may come twice. None are found
+    for sets of which more than a thousand points may be the image of any one.
 
     Parameters
     ----------
@@ -78,6 +82,8 @@ def _candidates(x: Points, y: Points, same: float) -> Iterator[Points]:
     first = _rarest(np.linalg.norm(y, axis=1)[:, None], same)
     a = y[first]
     at = np.flatnonzero(np.abs(np.linalg.norm(x, axis=1) - np.linalg.norm(a)) <= same)
+    if at.size > _MOST:
+        return
     if y.shape[1] == 2:
         own, pairs = a[None], [x[i][None] for i in at]
     else:

@@ -79,3 +79,13 @@ def test_a_point_that_moved_along_its_sphere():
 
 def test_other_numbers_of_points():
     assert find_image(grid(1, 2)[1:], grid(1, 2)) is None
+
+
+def test_shells_are_given_up_before_all_pairs_are_tried():
+    """All points of a sphere have the same distance from the centre."""
+    k = np.arange(1500) + 0.5
+    height, angle = 1.0 - 2.0 * k / k.size, np.pi * (1.0 + np.sqrt(5.0)) * k
+    across = np.sqrt(1.0 - height**2)
+    half = np.stack([across * np.cos(angle), across * np.sin(angle), height], axis=1)
+    sphere = np.concatenate([half, -half])
+    assert find_image(image_of(sphere)[1], sphere) is None
