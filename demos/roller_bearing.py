@@ -22,15 +22,16 @@ This demo illustrates how to
   of each other are found and share one stiffness matrix and one factor;
 - compute the load of each body from the forces of the nodes.
 
-There is no cage here. Without it and without friction, a roller between rings that are not
+There is no cage in the small bearing. Without it and without friction, a roller between rings that are not
 concentric is pushed slowly towards the wider gap: there the normals of its two contacts differ by
 1e-4 to 1e-3. Each pass of the exact non-penetration follows it by some micrometres along the
 raceway, 0.2 % of a facet in the second pass and more in each that follows, while penetration and
 forces have converged. `non_penetration_tolerance` is therefore 5e-3.
 
 Run it by `python demos/roller_bearing.py`, or on several processes by
-`mpirun -n 2 python demos/roller_bearing.py`. It writes the mesh, made by
-`meshes/roller_bearing.py`, and pictures into `results/`. All units are SI.
+`mpirun -n 2 python demos/roller_bearing.py`. With the argument `full` it takes the full size of
+sec. 11.11.2, 73 bodies with a cage and 2.8 million unknowns, some minutes and 5 GB. It writes the
+mesh, made by `meshes/roller_bearing.py`, and pictures into `results/`. All units are SI.
 """
 
 from __future__ import annotations
@@ -53,7 +54,12 @@ from fenics_tfeti.io import displacement_space, draw_deformed, draw_profile, rea
 
 here = Path(__file__).parent
 sys.path.insert(0, str(here.parent / "meshes"))
-from roller_bearing import roller_bearing, small_bearing, subdomain_labels  # noqa: E402
+from roller_bearing import (  # noqa: E402
+    Bearing,
+    roller_bearing,
+    small_bearing,
+    subdomain_labels,
+)
 
 results = Path("results")
 results.mkdir(exist_ok=True)
@@ -65,7 +71,8 @@ logging.getLogger("fenics_tfeti").setLevel(logging.INFO)
 
 # ## Mesh
 
-bearing = small_bearing()
+full = "full" in sys.argv[1:]
+bearing, slices = (Bearing(), 4) if full else (small_bearing(), 2)
 radial, axial = 0.8e6, 0.16e6
 name = "roller_bearing"
 if comm.rank == 0:
@@ -147,23 +154,35 @@ contacts = [
     for side in ("outer", "inner")
 ]
 
+if bearing.cage:
+    contacts += [
+        ContactPair(
+            facet_tags,
+            slave=tags[f"pockets {row}"],
+            master=tags[f"rollers {row} side"],
+            name=f"pockets {row}",
+        )
+        for row in range(1, bearing.rows + 1)
+    ]
+
 # ## Subdomains
 #
-# Labels of the cells by sectors; each roller, and each sector of a ring, is cut into two slices.
+# Labels of the cells by sectors; each roller, and each sector of a ring, is cut into slices.
 
 owned = mesh.topology.index_map(3).size_local
 middles = compute_midpoints(mesh, 3, np.arange(owned, dtype=np.int32))
 labels = np.zeros(owned, dtype=np.int64)
 for body, tag in tags.items():
-    if body in ("outer ring", "inner ring") or body.startswith("roller "):
+    if body in ("outer ring", "inner ring", "cage") or body.startswith("roller "):
         cells = bodies.cell_tags.find(tag)
         cells = cells[cells < owned]
-        labels[cells] = subdomain_labels(bearing, body, middles[cells], slices=2)
+        labels[cells] = subdomain_labels(bearing, body, middles[cells], slices)
 
 options = {
     "rtol": 1e-4,
     "non_penetration": "exact",
-    "non_penetration_tolerance": 5e-3,
+    # of the full size the second pass ends at 1.6e-2
+    "non_penetration_tolerance": 3e-2 if full else 5e-3,
     "preconditioner": "dirichlet",
     "deflation": "on",
 }
