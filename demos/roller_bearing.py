@@ -22,11 +22,11 @@ This demo illustrates how to
   of each other are found and share one stiffness matrix and one factor;
 - compute the load of each body from the forces of the nodes.
 
-There is no cage in the small bearing. Without it and without friction, a roller between rings that are not
-concentric is pushed slowly towards the wider gap: there the normals of its two contacts differ by
-1e-4 to 1e-3. Each pass of the exact non-penetration follows it by some micrometres along the
-raceway, 0.2 % of a facet in the second pass and more in each that follows, while penetration and
-forces have converged. `non_penetration_tolerance` is therefore 5e-3.
+There is no cage in the small bearing. Without it and without friction, a roller between rings that
+are not concentric is pushed slowly towards the wider gap: there the normals of its two contacts
+differ by 1e-4 to 1e-3. Each pass of the exact non-penetration follows it by some micrometres along
+the raceway, 0.2 % of a facet in the second pass and more in each that follows, while penetration
+and forces have converged. `non_penetration_tolerance` is therefore 5e-3.
 
 Run it by `python demos/roller_bearing.py`, or on several processes by
 `mpirun -n 2 python demos/roller_bearing.py`. With the argument `full` it takes the full size of

@@ -61,7 +61,7 @@ def without_idle_forces(
     owned = held < layout.owned
     forced = np.bincount(group[of_unknown[load != 0.0]], minlength=size)
     work = np.bincount(row_group[owned], (c * multipliers)[held[owned]], size)
-    sums = comm.allreduce(np.stack([forced, work]))
+    sums = layout.space.sum_over_ranks(np.concatenate([forced, work])).reshape(2, size)
     idle = (sums[0] == 0.0) & (sums[1] >= 0.0)
     here = np.zeros(multipliers.size)
     here[held] = idle[row_group]
