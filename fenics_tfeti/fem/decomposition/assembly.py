@@ -144,6 +144,8 @@ class PreparedForms:
     ) -> dict[int, NDArray[np.float64]]:
         """Return the matrices of some cells of some parts, in the frames of the parts' shapes.
 
+        Collective, also for ranks without such parts.
+
         Parameters
         ----------
         parts : sequence of Part
@@ -160,7 +162,9 @@ class PreparedForms:
             nodes = np.take_along_axis(parts[i].table[rows], order, axis=1)
             torn.append(Part(parts[i].cells[rows], parts[i].nodes[nodes.ravel()], table, 0))
         found = dict[int, NDArray[np.float64]]()
-        for i, K, part in zip(chosen, self._assembled(torn) if torn else [], torn, strict=True):
+        if not self.space.mesh.comm.allreduce(bool(torn), MPI.LOR):
+            return found
+        for i, K, part in zip(chosen, self._assembled(torn), torn, strict=True):
             cells, nodes_of_cell = part.table.shape
             size = K.shape[0] // cells
             entries = K.tocoo()
