@@ -261,7 +261,8 @@ def rolling_contact():
     scene = half_planes(friction=Coulomb(MU))
     scene.traction.value[:] = 0.0, -0.06
     scene.problem.solve()
-    assert np.abs(scene.problem.contact[0].friction.force).max() < 1e-8
+    # none by symmetry, but for the tolerance of 1e-5
+    assert np.abs(scene.problem.contact[0].friction.force).max() < 1e-6 * 0.06
     scene.traction.value[:] = 0.02, -0.06
     scene.problem.solve()
     return scene.problem
@@ -314,7 +315,7 @@ def test_ball_of_cattaneo_and_mindlin(n, limit):
     scene = half_spaces(n, friction=Coulomb(MU))
     scene.traction.value[:] = 0.0, 0.0, -0.05
     scene.problem.solve()
-    assert np.abs(scene.problem.contact[0].friction.force).max() < 1e-8
+    assert np.abs(scene.problem.contact[0].friction.force).max() < 1e-6 * 0.05
     scene.traction.value[:] = 0.01, 0.0, -0.05
     scene.problem.solve()
     contact = scene.problem.contact[0].gather()
