@@ -41,24 +41,6 @@ LOAD = np.array([0.0, -0.8e6, -0.16e6])  # N
 comm = MPI.COMM_WORLD
 
 
-def away_from_axis(bearing, row):
-    """Return the normals of the rollers of a row, a function of x."""
-    sign = 1 if row == 1 else -1
-    angles = np.array([bearing.azimuth(k) for k in range(bearing.rollers)])
-    centres, axes = (
-        np.stack([r * np.cos(angles), r * np.sin(angles), 0 * angles + sign * z], axis=1)
-        for r, z in (bearing.centre, bearing.directions[0])
-    )
-
-    def normal(x):
-        turn = (np.arctan2(x[1], x[0]) - angles[0]) * bearing.rollers / (2 * np.pi)
-        k = np.rint(turn).astype(int) % bearing.rollers
-        across = x.T - centres[k]
-        return (across - np.sum(across * axes[k], axis=1)[:, None] * axes[k]).T
-
-    return normal
-
-
 def problem_of(bearing, slices, tolerance):
     """Return the problem of a bearing, cut equally in all sectors."""
     path = Path(comm.bcast(tempfile.mkdtemp() if comm.rank == 0 else None)) / "bearing.msh"
@@ -85,7 +67,7 @@ def problem_of(bearing, slices, tolerance):
             tags,
             slave=names[f"rollers {row} {side}"],
             master=names[f"{side} raceway {row}"],
-            normal=away_from_axis(bearing, row),
+            normal=bearing.away_from_axis(row),
         )
         for row in rows
         for side in ("outer", "inner")
@@ -97,12 +79,8 @@ def problem_of(bearing, slices, tolerance):
         ]
     owned = mesh.topology.index_map(3).size_local
     middles = compute_midpoints(mesh, 3, np.arange(owned, dtype=np.int32))
-    labels = np.zeros(owned, dtype=np.int64)
-    for name, tag in names.items():
-        if name in ("outer ring", "inner ring", "cage") or name.startswith("roller "):
-            cells = bodies.cell_tags.find(tag)
-            cells = cells[cells < owned]
-            labels[cells] = subdomain_labels(bearing, name, middles[cells], slices)
+    cells = {body: bodies.cell_tags.find(names[body]) for body in bearing.names}
+    labels = subdomain_labels(bearing, cells, middles, slices)
     options = {
         "rtol": 1e-4,
         "non_penetration": "exact",

@@ -112,35 +112,7 @@ bcs = [fem.dirichletbc(np.zeros(3), outside, V)]
 
 # ## Contact
 #
-# The centres of the rollers, and for each of them its axis and the direction to the outer raceway.
-# The second row is the mirror image of the first one.
-
-azimuth = np.array([bearing.azimuth(k) for k in range(bearing.rollers)])
-
-
-def in_space(r, z, row):
-    """Return (rollers, 3) vectors that have the cylindrical components r and z in row 1."""
-    sign = 1 if row == 1 else -1
-    return np.stack([r * np.cos(azimuth), r * np.sin(azimuth), np.full(azimuth.size, sign * z)], 1)
-
-
-def roller_of(x):
-    """Return the number in its row of the roller next to each point x of shape (3, n)."""
-    turn = (np.arctan2(x[1], x[0]) - azimuth[0]) * bearing.rollers / (2 * np.pi)
-    return np.rint(turn).astype(int) % bearing.rollers
-
-
-def away_from_axis(row):
-    """Return the normals of the rollers of a row, a function of x."""
-    centre, axis = in_space(*bearing.centre, row), in_space(*bearing.directions[0], row)
-
-    def normal(x):
-        k = roller_of(x)
-        across = x.T - centre[k]
-        return (across - np.sum(across * axis[k], axis=1)[:, None] * axis[k]).T
-
-    return normal
-
+# Of each roller, the normals point away from its axis.
 
 contacts = [
     ContactPair(
@@ -148,7 +120,7 @@ contacts = [
         slave=tags[f"rollers {row} {side}"],
         master=tags[f"{side} raceway {row}"],
         name=f"{side} raceway {row}",
-        normal=away_from_axis(row),
+        normal=bearing.away_from_axis(row),
     )
     for row in range(1, bearing.rows + 1)
     for side in ("outer", "inner")
@@ -171,12 +143,8 @@ if bearing.cage:
 
 owned = mesh.topology.index_map(3).size_local
 middles = compute_midpoints(mesh, 3, np.arange(owned, dtype=np.int32))
-labels = np.zeros(owned, dtype=np.int64)
-for body, tag in tags.items():
-    if body in ("outer ring", "inner ring", "cage") or body.startswith("roller "):
-        cells = bodies.cell_tags.find(tag)
-        cells = cells[cells < owned]
-        labels[cells] = subdomain_labels(bearing, body, middles[cells], slices)
+cells = {body: bodies.cell_tags.find(tags[body]) for body in bearing.names}
+labels = subdomain_labels(bearing, cells, middles, slices)
 
 options = {
     "rtol": 1e-4,
@@ -204,7 +172,7 @@ raceways = {contact.name: contact.gather() for contact in problem.contact}
 loads = {}
 for contact_name, contact in raceways.items():
     force = contact.normal_force[:, None] * contact.normal
-    k = roller_of(contact.coordinates.T)
+    k = bearing.roller_of(contact.coordinates.T)
     sums = [np.bincount(k, force[:, i], bearing.rollers) for i in range(3)]
     loads[contact_name] = np.linalg.norm(sums, axis=0)
 
@@ -213,8 +181,7 @@ for contact_name, contact in raceways.items():
 
 stiffness = 80.6e3 * (1e3 * bearing.length) ** (8 / 9) * 1e3 ** (10 / 9)
 rows = range(1, bearing.rows + 1)
-outwards = np.concatenate([in_space(*bearing.directions[1], row) for row in rows])
-places = np.concatenate([in_space(*bearing.centre, row) for row in rows])
+places, _, outwards = np.concatenate([bearing.lines(row) for row in rows], axis=1)
 levers = np.cross(places, outwards)
 
 
@@ -262,8 +229,8 @@ if comm.rank == 0:
 row = 1 + int(np.argmax([loads[f"outer raceway {r}"].max() for r in rows]))
 top = int(np.argmax(loads[f"inner raceway {row}"]))
 inner = raceways[f"inner raceway {row}"]
-chosen = roller_of(inner.coordinates.T) == top
-centre, axis = in_space(*bearing.centre, row)[top], in_space(*bearing.directions[0], row)[top]
+chosen = bearing.roller_of(inner.coordinates.T) == top
+centre, axis, _ = bearing.lines(row)[:, top]
 along = ((inner.coordinates[chosen] - centre) @ axis).round(6)
 stations = np.unique(along)
 pressure = np.array([inner.pressure[chosen][along == station].max() for station in stations])
@@ -279,6 +246,7 @@ draw_profile(
 if comm.rank == 0:
     from matplotlib.figure import Figure
 
+    azimuth = np.array([bearing.azimuth(k) for k in range(bearing.rollers)])
     figure = Figure(figsize=(10, 5.4), dpi=160, layout="constrained")
     for column, r in enumerate(rows, start=1):
         axes = figure.add_subplot(1, bearing.rows, column, projection="polar")

@@ -19,7 +19,7 @@ cage. "outside" is that of the outer ring, "bore" that of the inner one.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -110,13 +110,51 @@ class Bearing:
         return np.array([self.pitch_radius, reach + 0.12 * self.length])
 
     @property
+    def names(self) -> list[str]:
+        """Names of the bodies."""
+        rollers = [f"roller {k + 1}" for k in range(self.rows * self.rollers)]
+        return ["outer ring", "inner ring", *(["cage"] if self.cage else []), *rollers]
+
+    @property
     def bodies(self) -> int:
         """Number of bodies."""
-        return 2 + self.cage + self.rows * self.rollers
+        return len(self.names)
 
     def azimuth(self, k: int) -> float:
         """Return the angle of roller k of a row about z; the first one is at -y [rad]."""
         return 2 * np.pi * k / self.rollers - np.pi / 2
+
+    def lines(self, row: int) -> Points:
+        """Return middles, axes and directions to the outer raceway of a row, (3, rollers, 3).
+
+        The second row is the mirror image of the first one.
+        """
+        phi = np.array([self.azimuth(k) for k in range(self.rollers)])
+        sign = 1.0 if row == 1 else -1.0
+        return np.array(
+            [
+                np.stack([r * np.cos(phi), r * np.sin(phi), np.full(phi.size, sign * z)], axis=1)
+                for r, z in (self.centre, *self.directions)
+            ]
+        )
+
+    def roller_of(self, x: Points) -> Numbers:
+        """Return the number in its row of the roller next to each point x of shape (3, n)."""
+        turn = (np.arctan2(x[1], x[0]) - self.azimuth(0)) * self.rollers / (2 * np.pi)
+        number: Numbers = np.rint(turn).astype(np.int64) % self.rollers
+        return number
+
+    def away_from_axis(self, row: int) -> Callable[[Points], Points]:
+        """Return the normals of the rollers of a row, a function of x (3, n)."""
+        centres, axes, _ = self.lines(row)
+
+        def normal(x: Points) -> Points:
+            k = self.roller_of(x)
+            across = x.T - centres[k]
+            result: Points = (across - np.sum(across * axes[k], axis=1)[:, None] * axes[k]).T
+            return result
+
+        return normal
 
 
 @dataclass
@@ -486,45 +524,53 @@ def write(bodies: dict[str, Solid], output: Path) -> None:
         gmsh.finalize()
 
 
-def subdomain_labels(bearing: Bearing, body: str, x: Points, slices: int) -> Numbers:
-    """Cut a body equally in all sectors, so that subdomains are images of each other.
+def subdomain_labels(
+    bearing: Bearing, cells: Mapping[str, Numbers], x: Points, slices: int
+) -> Numbers:
+    """Cut all bodies equally in all sectors, so that subdomains are images of each other.
 
     Parameters
     ----------
     bearing : Bearing
         Dimensions.
-    body : str
-        Name of the body.
+    cells : dict of str to integer arrays
+        The cells of the bodies, by name; those beyond the points are left out.
     x : (n, 3) array
-        Points of its cells, such as their midpoints [m].
+        Midpoints of cells [m].
     slices : int
         Number of slices of a roller, and of a sector of a ring with a roller of one row.
 
     Returns
     -------
     (n,) integer array
-        Labels of the points; the cage has one for seven sectors, or for each.
+        Labels of the cells, which repeat from body to body; the cage has one for seven sectors,
+        or for each.
     """
-    turn = (np.arctan2(x[:, 1], x[:, 0]) - bearing.azimuth(0)) * bearing.rollers / (2 * np.pi)
-    sector = np.rint(turn).astype(np.int64) % bearing.rollers
+    labels = np.zeros(len(x), dtype=np.int64)
+    for body, all_of_them in cells.items():
+        own = all_of_them[all_of_them < len(x)]
+        labels[own] = _labels_of_body(bearing, body, x[own], slices)
+    return labels
+
+
+def _labels_of_body(bearing: Bearing, body: str, x: Points, slices: int) -> Numbers:
+    sector = bearing.roller_of(x.T)
     row = (x[:, 2] < 0).astype(np.int64)
     layer, layers = np.zeros(len(x), dtype=np.int64), 1
     if body == "cage":
         sector //= 7 if bearing.rollers % 7 == 0 else 1
-    else:
-        z = np.abs(x[:, 2])
-        if body.startswith("roller"):
-            ends = 0.5 * bearing.length * along_roller(bearing, bearing.layers)
-            phi = sector * 2 * np.pi / bearing.rollers + bearing.azimuth(0)
-            radial = x[:, 0] * np.cos(phi) + x[:, 1] * np.sin(phi)
-            place = np.stack([radial, z], axis=1) - bearing.centre
-            place = place @ bearing.directions[0]
-        else:
-            side = 1 if body == "outer ring" else -1
-            along = along_ring(bearing, side)
-            _, ends = meridian(bearing, along, np.full(along.size, side * bearing.radius))
-            place = z
+    elif body.startswith("roller"):
+        mirrored = x * [1.0, 1.0, -1.0]
+        centres, axes, _ = bearing.lines(1)
+        first = np.where(row[:, None] == 0, x, mirrored)
+        place = np.sum((first - centres[sector]) * axes[sector], axis=1)
+        ends = 0.5 * bearing.length * along_roller(bearing, bearing.layers)
         layer, layers = np.searchsorted(ends, place) - 1, ends.size - 1
+    else:
+        side = 1 if body == "outer ring" else -1
+        along = along_ring(bearing, side)
+        _, ends = meridian(bearing, along, np.full(along.size, side * bearing.radius))
+        layer, layers = np.searchsorted(ends, np.abs(x[:, 2])) - 1, ends.size - 1
     piece = np.clip(layer, 0, layers - 1) * slices // layers
     return (row * bearing.rollers + sector) * slices + piece
 

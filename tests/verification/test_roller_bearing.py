@@ -79,7 +79,7 @@ class Loaded:
                 names[f"rollers {row} {side}"],
                 names[f"{side} raceway {row}"],
                 f"{side} {row}",
-                normal=self.normals(row),
+                normal=bearing.away_from_axis(row),
             )
             for row in range(1, bearing.rows + 1)
             for side in ("outer", "inner")
@@ -102,37 +102,14 @@ class Loaded:
         by_outer = self.problem.contact[: 2 * bearing.rows : 2]
         self.loads = np.array([self.of_rollers(c) for c in by_outer])
 
-    def roller_of(self, x):
-        turn = (np.arctan2(x[1], x[0]) + np.pi / 2) * self.bearing.rollers / (2 * np.pi)
-        return np.rint(turn).astype(int) % self.bearing.rollers
-
     def of_rollers(self, contact):
         force, k = (
             contact.normal_force[:, None] * contact.normal,
-            self.roller_of(contact.coordinates.T),
+            self.bearing.roller_of(contact.coordinates.T),
         )
         return np.linalg.norm(
             [np.bincount(k, f, minlength=self.bearing.rollers) for f in force.T], axis=0
         )
-
-    def lines(self, row):
-        """Return centres, axes and directions to the outer raceway of the rollers of a row."""
-        angle = np.array([self.bearing.azimuth(k) for k in range(self.bearing.rollers)])
-        sign = 1.0 if row == 1 else -1.0
-        return [
-            np.stack([r * np.cos(angle), r * np.sin(angle), np.full(angle.size, sign * z)], axis=1)
-            for r, z in (self.bearing.centre, *self.bearing.directions)
-        ]
-
-    def normals(self, row):
-        centres, axes, _ = self.lines(row)
-
-        def normal(x):
-            k = self.roller_of(x)
-            across = x.T - centres[k]
-            return (across - np.sum(across * axes[k], axis=1)[:, None] * axes[k]).T
-
-        return normal
 
 
 def coarse(meshes, **changes):
@@ -260,8 +237,8 @@ def test_edge_pressure(meshes, tmp_path):
         name = tmp_path / f"{crowning}.msh"
         found = Loaded(meshes, name, bearing, np.array([0.0, 0.0, -400e3]))
         contact = found.problem.contact[1]
-        first = found.roller_of(contact.coordinates.T) == 0
-        centres, axes, _ = found.lines(1)
+        first = bearing.roller_of(contact.coordinates.T) == 0
+        centres, axes, _ = bearing.lines(1)
         x = ((contact.coordinates[first] - centres[0]) @ axes[0]).round(9)
         stations = np.unique(x)
         line = np.array([contact.normal_force[first][x == place].sum() for place in stations])
@@ -280,7 +257,9 @@ def rigid_rings(found, load, stiffness):
 
     bearing = found.bearing
     rows = range(1, bearing.rows + 1)
-    centres, _, out = (np.concatenate(parts) for parts in zip(*map(found.lines, rows), strict=True))
+    centres, _, out = (
+        np.concatenate(parts) for parts in zip(*map(bearing.lines, rows), strict=True)
+    )
     levers = np.cross(centres, out)[:, :2]
 
     def loads(motion):
