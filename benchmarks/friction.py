@@ -1,12 +1,16 @@
 """Products with F that friction takes, beside the same problem without friction.
 
-A cube is pressed and pushed on another one by moving its top; each is cut into blocks of equal
-size, so that H/h stays while h falls. Run it by ``python benchmarks/friction.py``.
+Run it by ``python benchmarks/friction.py [--scene cubes|plate|belt] [--divisions 4 8 12]``. A cube
+is pressed and pushed on another one by moving its top; each is cut into blocks of equal size, so
+that H/h stays while h falls. A plate on a rigid plane is pulled at one end. A belt, divided once
+across, is pulled over a drum.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
+from pathlib import Path
 
 from mpi4py import MPI
 
@@ -18,8 +22,43 @@ from dolfinx import fem
 from fenics_tfeti import ContactPair, ContactProblem, Coulomb, Tresca
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
+from friction_scenes import belt, pulled_plate
 
-def cubes(n, friction, move, rtol, preconditioner):
+# laws of each scene and divisions; the belt's are coefficients
+SCENES = {
+    "cubes": (
+        {
+            "none": None,
+            "Tresca, some slip": Tresca(1.2e-3),
+            "Tresca, all slip": Tresca(5e-4),
+            "Coulomb, some slip": Coulomb(0.1),
+            "Coulomb, all slip": Coulomb(0.05),
+        },
+        [4, 8, 12],
+    ),
+    "plate": (
+        {
+            "none": None,
+            "Tresca, half slips": Tresca(1e-3),
+            "Tresca, all slip": Tresca(2e-4),
+            "Coulomb, half slips": Coulomb(1.0),
+            "Coulomb, all slip": Coulomb(0.2),
+        },
+        [4, 8, 12],
+    ),
+    "belt": ({"none": None, "Coulomb 0.3": 0.3, "Coulomb 0.6": 0.6}, [60]),
+}
+
+
+def problem_of(scene, n, law):
+    """Return the problem of a scene with its own tolerance."""
+    if scene == "cubes":
+        return cubes(n, law, (0.01, 0.003, -0.02))
+    return pulled_plate(law, n) if scene == "plate" else belt(n, law).problem
+
+
+def cubes(n, friction, move):
     """Return two cubes of n^3 hexahedra, with 4^3 of them in each subdomain."""
     parts = [Box((0, 0, 0), (1, 1, 1), (n, n, n)), Box((0, 0, -1), (1, 1, 0), (n, n, n))]
     tagged = boxes(MPI.COMM_WORLD, parts)
@@ -41,29 +80,24 @@ def cubes(n, friction, move, rtol, preconditioner):
         fem.dirichletbc(np.zeros(3), bottom, V),
     ]
     pair = ContactPair(tags, slave=5, master=6, friction=friction)
-    options = {"rtol": rtol, "preconditioner": preconditioner, "subdomain_size": 375}
+    options = {"rtol": 1e-6, "subdomain_size": 375}
     return ContactProblem(a, 0, supports, [pair], tagged.cell_tags, options=options)
 
 
 def main():
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--divisions", type=int, nargs="+", default=[4, 8, 12])
-    parser.add_argument("--rtol", type=float, default=1e-6)
-    parser.add_argument("--preconditioner", default="lumped")
-    given = parser.parse_args()
-    laws = {
-        "none": None,
-        "Tresca, some slip": Tresca(1.2e-3),
-        "Tresca, all slip": Tresca(5e-4),
-        "Coulomb, some slip": Coulomb(0.1),
-        "Coulomb, all slip": Coulomb(0.05),
-    }
-    print("law                 n   subdomains  products  of none   stick        steps  outer")
-    for n in given.divisions:
+    parser.add_argument("--scene", choices=SCENES, default="cubes")
+    parser.add_argument("--divisions", type=int, nargs="+")
+    given, rest = parser.parse_known_args()
+    # options of the solver, such as -tfeti_preconditioner dirichlet, are read from the command line
+    sys.argv[1:] = rest
+    laws, divisions = SCENES[given.scene]
+    print("law                  n   subdomains  products  of none   stick        steps  outer")
+    for n in given.divisions or divisions:
         without = 0
         for name, law in laws.items():
-            problem = cubes(n, law, (0.01, 0.003, -0.02), given.rtol, given.preconditioner)
+            problem = problem_of(given.scene, n, law)
             problem.solve()
             report = problem.report
             products = report.products["total"]
@@ -72,7 +106,7 @@ def main():
             if MPI.COMM_WORLD.rank == 0:
                 stick = f"{unknowns['sticking']} of {unknowns['friction']}"
                 print(
-                    f"{name:18}{n:3}  {report.subdomains:10}  {products:8}  "
+                    f"{name:19}{n:3}  {report.subdomains:10}  {products:8}  "
                     f"{products / without:7.2f}   {stick:11}  {len(report.slip_bounds):5}  "
                     f"{report.outer_iterations:5}",
                     flush=True,

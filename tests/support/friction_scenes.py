@@ -228,10 +228,12 @@ def _pressed_blocks(
     return Rubbing(problem, moved, tags)
 
 
-def belt(n: int = 60, mu: float = 0.3, angle: float = np.pi, thickness: float = 0.01) -> Rubbing:
+def belt(
+    n: int = 60, mu: float | None = 0.3, angle: float = np.pi, thickness: float = 0.01
+) -> Rubbing:
     """Return a belt on a drum of radius 1, held at one end and pulled at the other; E = 1, nu = 0.
 
-    The force is 1e-4 at the end that is pulled.
+    The force is 1e-4 at the end that is pulled. There is no friction with `mu` None.
     """
 
     def round_drum(x: Any) -> Any:
@@ -253,7 +255,8 @@ def belt(n: int = 60, mu: float = 0.3, angle: float = np.pi, thickness: float = 
     pull = 1e-4 / thickness * np.array([-np.sin(angle), np.cos(angle)])
     traction = Constant(tagged.mesh, pull)
     ds = ufl.Measure("ds", domain=tagged.mesh, subdomain_data=tags)
-    drum = RigidObstacle(tags, SLAVE, Sphere((0.0, 0.0), 1.0), friction=Coulomb(mu))
+    law = None if mu is None else Coulomb(mu)
+    drum = RigidObstacle(tags, SLAVE, Sphere((0.0, 0.0), 1.0), friction=law)
     problem = ContactProblem(
         ufl.inner(ufl.sym(ufl.grad(u)), ufl.grad(v)) * ufl.dx,
         ufl.inner(traction, v) * ds(LOADED),
