@@ -44,3 +44,26 @@ def test_nothing_penetrates():
     assert not least_penetration(S, np.array([0.0])).any()
     assert least_penetration(S[:, :0], np.array([-1.0])).size == 0
     assert not least_penetration(S[:0], np.zeros(0)).any()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_combinations_of_motions(seed):
+    """S and a basis T instead of ST."""
+    rng = np.random.default_rng(seed)
+    S, T, gap = rng.standard_normal((30, 6)), rng.standard_normal((6, 4)), rng.standard_normal(30)
+    z = least_penetration(sp.csr_matrix(S), gap, basis=sp.csr_matrix(T))
+    expected = least_penetration(sp.csr_matrix(S @ T), gap)
+    np.testing.assert_allclose(z, expected, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_springs_are_rows_that_resist_either_way(seed):
+    """K = C'C and the load C'r are the rows Cz - r and r - Cz."""
+    rng = np.random.default_rng(seed)
+    S, gap = rng.standard_normal((20, 4)), rng.standard_normal(20)
+    C, r = rng.standard_normal((3, 4)), rng.standard_normal(3)
+    K = sp.csr_matrix(C.T @ C)
+    z = least_penetration(sp.csr_matrix(S), gap, load=C.T @ r, stiffness=K)
+    both = sp.csr_matrix(np.vstack([S, C, -C]))
+    expected = least_penetration(both, np.concatenate([gap, r, -r]))
+    np.testing.assert_allclose(z, expected, rtol=1e-6, atol=1e-8)

@@ -37,6 +37,10 @@ Numbers = NDArray[np.int64]
 
 # each pass reduces the errors of the Gram matrix's eigenvectors by a factor of 1e-5 or less
 _PASSES = 3
+# limit of the resistance from which on they are accurate without
+_ACCURATE = 1e-2
+# share of entries from which on products of matrices are cheaper by dense algebra
+_FULL = 0.1
 # bodies whose numbers of rows are the same up to this are treated together
 _ROWS = 8
 # entry of a vector of length 1 that is rounding
@@ -200,15 +204,15 @@ def _of_several_bodies(
     if not parts:
         return np.zeros(0), sp.csr_matrix((gram.shape[0], 0))
     # eigenvectors of the Gram matrix have errors of 1e-16 / below^2; here nothing is squared
-    for _ in range(_PASSES):
+    for _ in range(_PASSES if below < _ACCURATE else 0):
         z = _assembled(parts, blocks, gram.shape[0])
         product = (sum_sparse(comm, B.T @ (B @ z)) + springs @ z).tocsr()
         for k, part in enumerate(parts):
             error = part.others(blocks[k], product[part.unknowns][:, part.columns].toarray())
             blocks[k] = np.linalg.qr(blocks[k] - error)[0]
-    z = _assembled(parts, blocks, gram.shape[0])
+    z = _dense_if_full(_assembled(parts, blocks, gram.shape[0]))
     Bz, Ez = B @ z, E @ z
-    squares = (sum_sparse(comm, Bz.T @ Bz) + Ez.T @ Ez).tocsr()
+    squares = sum_sparse(comm, sp.csr_matrix(Bz.T @ Bz)) + sp.csr_matrix(Ez.T @ Ez)
     resistance = np.zeros(number)
     for k, part in enumerate(parts):
         square = squares[part.columns][:, part.columns].toarray()
@@ -270,6 +274,12 @@ def _assembled(parts: Sequence[_Part], blocks: Sequence[Vector], size: int) -> s
     data = np.concatenate([block.ravel() for block in blocks])
     where = (np.concatenate(row), np.concatenate(column))
     return sp.csr_matrix((data, where), shape=(size, parts[-1].columns.stop))
+
+
+def _dense_if_full(matrix: sp.csr_matrix) -> sp.csr_matrix | Vector:
+    """Return a matrix as an array where that makes its products cheaper."""
+    full = matrix.nnz > _FULL * matrix.shape[0] * matrix.shape[1]
+    return matrix.toarray() if full else matrix
 
 
 def _connected(graph: sp.csr_matrix) -> list[Numbers]:

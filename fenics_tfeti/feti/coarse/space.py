@@ -251,7 +251,7 @@ class CoarseSpace:
         """
         owned = np.flatnonzero(rows[: self.constraints.layout.owned])
         unresisted = max(UNRESISTED, self.bodies.rounding)
-        moved = self.bodies.moved[owned]
+        moved = self.bodies.moved[owned[np.diff(self.bodies.moved.indptr)[owned] > 0]]
         if combinations is not None:
             moved = sp.vstack([moved, combinations @ self.bodies.moved], format="csr")
         resistance, z = weak_motions(
@@ -269,8 +269,14 @@ class CoarseSpace:
         return self.bodies.basis @ z
 
     def moved_rows(self, z: Vector) -> Vector:
-        """Return B R T z on the rows that this rank holds, without traces of rounding."""
-        moved: Vector = self.constraints.row_lengths[:, None] * (self.bodies.moved @ z)
+        """Return B R T z on the rows that this rank holds, without traces of rounding.
+
+        Parameters
+        ----------
+        z : (modes * bodies,) or (modes * bodies, k) array
+            Motions of bodies.
+        """
+        moved: Vector = (self.constraints.row_lengths * (self.bodies.moved @ z).T).T
         return moved
 
 

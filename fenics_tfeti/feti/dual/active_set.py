@@ -151,7 +151,9 @@ def primal_dual_active_set(
             products=products,
             resume=resume,
         )
-        gradient = _without_pulling_rows(problem, face, iterate)
+        # changes of one row end for the signs of the face itself
+        single = pivots.active
+        gradient = iterate.judged if single else _without_pulling_rows(problem, face, iterate)
         following = iterate.multipliers[rows] > gradient[rows] / problem.norm
         forces = friction_step(problem, face, iterate.multipliers, gradient)
         rubbing = np.zeros_like(gradient)
@@ -271,10 +273,10 @@ def _without_pulling_rows(problem: DualProblem, face: Face, iterate: PCPGIterate
     everywhere = np.ones(constraints.friction.size, dtype=bool)
     pulling, sites = _counts(problem, active & ~pushing, sites=everywhere)
     if sites or not pulling:
-        return iterate.gradient
+        return iterate.judged
     rows = constraints.face(pushing, np.zeros(0, dtype=bool))
     loose = LooseBodies.without(problem.coarse_space, rows)
-    return iterate.gradient if loose is None else loose.settled(iterate.gradient)
+    return iterate.judged if loose is None else loose.settled(iterate.judged)
 
 
 def _result(problem: DualProblem, iterate: PCPGIterate, solved: bool) -> ActiveSetResult:

@@ -48,6 +48,8 @@ _TRACE = 1e-13
 _WEAK = 0.1
 # change of the residual by such motions, relative to the residual
 _TIMES_RESIDUAL = 10.0
+# rows of a product that are formed at once
+_AT_ONCE = 10_000
 # penetration that rounding leaves, relative to what the motion changes in the row
 _CLOSED = 1e-9
 
@@ -60,12 +62,12 @@ class LooseBodies:
     ----------
     coarse_space : CoarseSpace
         G.
-    motions : (coarse, k) scipy.sparse.csr_matrix
-        Basis of the free motions.
+    motions : (modes * bodies, k) scipy.sparse.csr_matrix
+        Basis of the free motions, see `BodyMotions`.
     rows : (r,) integer array
         Contact rows that this rank owns and that the motions move.
-    closing : (r, k) scipy.sparse.csr_matrix
-        By how much each motion closes them.
+    closing : (r, modes * bodies) scipy.sparse.csr_matrix
+        By how much each motion of a body that moves closes them.
     held : callable
         y -> its part on the rows that leave the motions free.
     face : Projector or None
@@ -83,7 +85,7 @@ class LooseBodies:
     def on_face(projector: Projector) -> LooseBodies | None:
         """Return those of a face; None if it leaves no motion free."""
         loose = LooseBodies._of(
-            projector.coarse_space, projector.free, projector.rows, projector.on_rows
+            projector.coarse_space, projector.free_bodies, projector.rows, projector.on_rows
         )
         if loose is None or projector.across is not None:
             return loose
@@ -100,41 +102,53 @@ class LooseBodies:
         rows : (m,) bool array
             The rows.
         """
-        free = coarse_space.coarse_motions(coarse_space.weakly_resisted(rows)[0])
-        return LooseBodies._of(coarse_space, free, rows, lambda y: np.where(rows, y, 0.0))
+        free = coarse_space.weakly_resisted(rows)[0]
+        return LooseBodies._of(coarse_space, free, rows)
 
     @staticmethod
     def _of(
         coarse_space: CoarseSpace,
         motions: sp.csr_matrix,
         rows: Mask,
-        held: Callable[[Vector], Vector],
+        held: Callable[[Vector], Vector] | None = None,
     ) -> LooseBodies | None:
         if not motions.shape[1]:
             return None
+        if held is None:
+
+            def held(y: Vector) -> Vector:
+                return np.where(rows, y, 0.0)
+
         constraints = coarse_space.constraints
         owned = constraints.inequality[: constraints.owned_inequalities]
-        off = np.flatnonzero(~rows[owned])
-        closing = (coarse_space.contact[:, off].T @ motions).tocsr()
-        largest = abs(closing).max(axis=1).toarray().ravel()
-        moved = np.flatnonzero(largest > _TRACE * constraints.row_lengths[owned[off]])
-        return LooseBodies(coarse_space, motions, owned[off[moved]], closing[moved], held)
+        off = owned[~rows[owned]]
+        rows_moved = coarse_space.bodies.moved[off] @ _moving(motions)
+        moved = _largest_of_rows(rows_moved, motions) > _TRACE
+        closing = sp.diags(constraints.row_lengths[off[moved]]) @ rows_moved[moved]
+        return LooseBodies(coarse_space, motions, off[moved], closing.tocsr(), held)
 
     def settled(self, gradient: Vector) -> Vector:
-        """Return the gradient after the motion with the least penetration. Collective.
+        """Return the gradient after the free motion with the least penetration. Collective.
 
         Parameters
         ----------
         gradient : (m,) array
             On contact rows off the face their gaps, after any free motion.
         """
-        settled = self._moved(gradient, self, self._motion(gradient))
+        return self._moved(gradient, self.motion(gradient))
+
+    def judged(self, settled: Vector) -> Vector:
+        """Return a settled gradient after motions within the accuracy of the residual. Collective.
+
+        It is no gradient on the face, which these motions change: what more steps on the face
+        correct is decided anew after them.
+        """
         if self.face is None:
             return settled
         constraints = self.coarse_space.constraints
         owned = constraints.layout.owned
         deep = np.minimum(settled[self.rows], 0.0)
-        own = self.held(gradient)[:owned]
+        own = self.held(settled)[:owned]
         depth2, residual2 = constraints.layout.space.sum_over_ranks(
             np.array([deep @ deep, own @ own])
         )
@@ -142,19 +156,18 @@ class LooseBodies:
         if weak is None:
             return settled
         limit = _TIMES_RESIDUAL * float(np.sqrt(residual2))
-        gradient = self._moved(gradient, weak.bodies, weak.motion(gradient, limit))
-        return self._moved(gradient, self, self._motion(gradient))
+        return self.settled(weak.settled(settled, limit))
 
     @cached_property
     def _weak(self) -> WeakBodies | None:
         assert self.face is not None
-        return WeakBodies.on_face(self.face)
+        return WeakBodies.of_rows(self.face.coarse_space, self.face.rows)
 
-    def _moved(self, gradient: Vector, bodies: LooseBodies, z: Vector) -> Vector:
+    def _moved(self, gradient: Vector, z: Vector) -> Vector:
         """Return the gradient after a motion."""
         if not z.any():
             return gradient
-        moved = self.coarse_space.prolong(bodies.motions @ z)
+        moved = self.coarse_space.moved_rows(self.motions @ z)
         moved -= self.held(moved)
         moved[self.coarse_space.constraints.equality] = 0.0
         settled: Vector = gradient - moved
@@ -177,8 +190,9 @@ class LooseBodies:
         (m,) array
             Zero but for contact rows that press. Collective.
         """
-        z = self._motion(gap, self.motions.T @ load)
-        moved = self.coarse_space.prolong(self.motions @ z)
+        basis = self.coarse_space.bodies.basis
+        z = self.motion(gap, self.motions.T @ (basis.T @ load))
+        moved = self.coarse_space.moved_rows(self.motions @ z)
         rows, forces = self.coarse_space.constraints.inequality, np.zeros_like(gap)
         depth = (moved - gap)[rows]
         touching = self._rounding(np.abs(moved[rows]))
@@ -190,7 +204,10 @@ class LooseBodies:
         largest = float(self.coarse_space.comm.allreduce(size.max(initial=0.0), MPI.MAX))
         return np.maximum(_CLOSED * size, np.finfo(float).eps * largest)
 
-    def _motion(self, gap: Vector, load: Vector | None = None) -> Vector:
+    def motion(
+        self, gap: Vector, load: Vector | None = None, stiffness: sp.csr_matrix | None = None
+    ) -> Vector:
+        """Return the motion with the least penetration, see `least_penetration`. Collective."""
         coarse_space = self.coarse_space
         space, comm = coarse_space.constraints.layout.space, coarse_space.comm
         return least_penetration(
@@ -198,7 +215,9 @@ class LooseBodies:
             gap[self.rows],
             space.sum_over_ranks,
             lambda part: sum_sparse(comm, part),
-            load,
+            basis=self.motions,
+            load=load,
+            stiffness=stiffness,
         )
 
 
@@ -211,54 +230,62 @@ class WeakBodies:
     bodies : LooseBodies
         The motions that the face leaves free, and those that it resists weakly.
     rows : (q,) integer array
-        Rows of the face that this rank owns and that the motions move.
-    closing : (q, k) scipy.sparse.csr_matrix
-        By how much each motion closes them.
+        Rows of the face that this rank owns and that bodies move.
+    closing : (q, modes * bodies) scipy.sparse.csr_matrix
+        By how much each motion of a body closes them.
+    weak : (modes * bodies, k) scipy.sparse.csr_matrix
+        The motions of `bodies`, those that the face leaves free replaced by zero.
+    resistance : (k, k) scipy.sparse.csr_matrix
+        C'C of what the motions close, C, on all ranks.
     """
 
     bodies: LooseBodies
     rows: Numbers
     closing: sp.csr_matrix
+    weak: sp.csr_matrix
+    resistance: sp.csr_matrix
 
     @staticmethod
-    def on_face(projector: Projector) -> WeakBodies | None:
-        """Return those of a face; None if it resists no motion weakly. Collective."""
-        coarse_space = projector.coarse_space
+    def of_rows(coarse_space: CoarseSpace, rows: Mask) -> WeakBodies | None:
+        """Return those of some rows; None if they resist no motion weakly. Collective.
+
+        Parameters
+        ----------
+        coarse_space : CoarseSpace
+            G.
+        rows : (m,) bool array
+            The rows.
+        """
         constraints, moved = coarse_space.constraints, coarse_space.bodies.moved
-        free, weak = coarse_space.weakly_resisted(projector.rows, _WEAK)
+        free, weak = coarse_space.weakly_resisted(rows, _WEAK)
         if not weak.shape[1]:
             return None
-        motions = coarse_space.coarse_motions(sp.hstack([free, weak], format="csr"))
-        bodies = LooseBodies._of(coarse_space, motions, projector.rows, projector.on_rows)
+        motions = sp.hstack([free, weak], format="csr")
+        bodies = LooseBodies._of(coarse_space, motions, rows)
         assert bodies is not None
-        owned = np.flatnonzero(projector.rows[: constraints.layout.owned])
-        none = sp.csr_matrix((owned.size, free.shape[1]))
-        closing = sp.diags(constraints.row_lengths[owned]) @ (moved[owned] @ weak)
-        touched = np.flatnonzero(np.diff(closing.tocsr().indptr))
-        closing = sp.hstack([none, closing], format="csr")
-        return WeakBodies(bodies, owned[touched], closing[touched])
+        owned = np.flatnonzero(rows[: constraints.layout.owned])
+        owned = owned[np.diff(moved.indptr)[owned] > 0]
+        closing = (sp.diags(constraints.row_lengths[owned]) @ moved[owned]).tocsr()
+        none = sp.csr_matrix(free.shape)
+        weak = sp.hstack([none, weak], format="csr")
+        gram = sum_sparse(coarse_space.comm, closing.T @ closing)
+        return WeakBodies(bodies, owned, closing, weak, (weak.T @ gram @ weak).tocsr())
 
-    def motion(self, gradient: Vector, limit: float) -> Vector:
-        """Return the motion with the least penetration and residual. Collective.
+    def settled(self, gradient: Vector, limit: float = np.inf) -> Vector:
+        """Return the gradient after the motion with the least penetration and residual. Collective.
 
         Parameters
         ----------
         gradient : (m,) array
-            Gaps, and the residual on the rows of the face.
+            Gaps, and the residual on the rows.
         limit : float
             Largest change of the residual.
         """
-        bodies, residual = self.bodies, gradient[self.rows]
-        space, comm = bodies.coarse_space.constraints.layout.space, bodies.coarse_space.comm
-        z = least_penetration(
-            sp.vstack([bodies.closing, self.closing, -self.closing], format="csr"),
-            np.concatenate([gradient[bodies.rows], residual, -residual]),
-            space.sum_over_ranks,
-            lambda part: sum_sparse(comm, part),
-        )
-        change = self.closing @ z
-        size = float(np.sqrt(space.sum_over_ranks(np.array([change @ change]))[0]))
-        return z * (limit / size) if size > limit else z
+        space = self.bodies.coarse_space.constraints.layout.space
+        load = self.weak.T @ space.sum_over_ranks(self.closing.T @ gradient[self.rows])
+        z = self.bodies.motion(gradient, load, self.resistance)
+        size = float(np.sqrt(z @ (self.resistance @ z)))
+        return self.bodies._moved(gradient, z * (limit / size) if size > limit else z)
 
 
 def rigid_start(problem: DualProblem) -> Vector | None:
@@ -288,3 +315,15 @@ def rigid_start(problem: DualProblem) -> Vector | None:
         return None
     stiffness = _OF_SURFACE * problem.unit
     return stiffness * loose.pressing(problem.c, load / stiffness)
+
+
+def _moving(motions: sp.csr_matrix) -> sp.csr_matrix:
+    """Return the diagonal matrix that is 1 at motions of bodies that take part in some motion."""
+    return sp.diags((np.diff(motions.indptr) > 0).astype(float), format="csr")
+
+
+def _largest_of_rows(A: sp.csr_matrix, B: sp.csr_matrix) -> Vector:
+    """Return the largest entry of each row of |AB|; the product may be full."""
+    starts = range(0, A.shape[0], _AT_ONCE)
+    parts = [abs(A[k : k + _AT_ONCE] @ B).max(axis=1).toarray().ravel() for k in starts]
+    return np.concatenate([np.zeros(0), *parts])

@@ -174,6 +174,8 @@ class PCPGIterate:
         l, with Gl = e and the fixed ones off the face.
     gradient : (m,) array
         Fl - d + G'a.
+    judged : (m,) array
+        The same on contact rows off the face in the position in which their signs are judged.
     residual : float
         ||P(d - Fl)|| on the face [m].
     violation : float
@@ -196,6 +198,7 @@ class PCPGIterate:
     signs: Signs
     multipliers: Vector
     gradient: Vector
+    judged: Vector
     residual: float
     violation: float
     direction: Vector
@@ -286,8 +289,9 @@ def _settled(problem: DualProblem, face: Face, iterate: PCPGIterate) -> PCPGIter
     if face.loose is None:
         return iterate
     gradient = face.loose.settled(iterate.gradient)
-    _, violation = _norms(problem, face, iterate.multipliers, gradient)
-    return replace(iterate, gradient=gradient, violation=violation)
+    judged = face.loose.judged(gradient)
+    _, violation = _norms(problem, face, iterate.multipliers, judged)
+    return replace(iterate, gradient=gradient, judged=judged, violation=violation)
 
 
 def _is_rounding(iterate: PCPGIterate, best: PCPGIterate) -> bool:
@@ -316,7 +320,7 @@ def _step(
     alpha = rz / curvature
     l, g = l + alpha * p, g + alpha * (change - bent)
     lengths = (*iterate.step_lengths, alpha)
-    return PCPGIterate(face.signs, l, g, *_norms(problem, face, l, g), p, rz, lengths)
+    return PCPGIterate(face.signs, l, g, g, *_norms(problem, face, l, g), p, rz, lengths)
 
 
 def _with_preconditioned_residual(
@@ -366,7 +370,7 @@ def _iterate_at(
     part = part + problem.constraints.layout.owned_part(known + bent)
     g = face.projector.remove_rigid_motion(part, l)[0] - bent
     none = np.zeros_like(l)
-    return PCPGIterate(face.signs, l, g, *_norms(problem, face, l, g), none, 1.0, step_lengths)
+    return PCPGIterate(face.signs, l, g, g, *_norms(problem, face, l, g), none, 1.0, step_lengths)
 
 
 def _nearest_on_face(problem: DualProblem, face: Face, multipliers: Vector) -> Vector:

@@ -121,7 +121,7 @@ def test_rows_that_do_not_push_hold_no_body(force, holds):
     lengths = problem.constraints.row_lengths[rows]
     opposite = np.roll(active, 27)
     gradient[rows] = np.where(active, 0.0, np.where(opposite, 0.2 * lengths, problem.c[rows]))
-    nothing = PCPGIterate(signs, multipliers, gradient, 0.0, 0.0, 0.0 * gradient, 1.0, ())
+    nothing = PCPGIterate(signs, multipliers, gradient, gradient, 0.0, 0.0, 0.0 * gradient, 1.0, ())
     judged = _without_pulling_rows(problem, face, nothing)
     penetrated = (judged[rows] < 0.0) & (contact == 1) & ~active
     assert penetrated.any() == holds
@@ -202,7 +202,7 @@ def test_positions_are_known_as_far_as_the_residual_allows(residual, known):
     gradient[on_ground] = residual * (sx**2 - 2 / 3)
     gradient[on_left], gradient[on_right] = -depth, 0.2 + depth
     assert face.loose is not None
-    settled = face.loose.settled(gradient)
+    settled = face.loose.judged(face.loose.settled(gradient))
     np.testing.assert_array_equal(settled[on_ground], gradient[on_ground])
     expected = -depth if known else 0.0
     np.testing.assert_allclose(settled[on_left].min(), expected, atol=0.05 * depth)
