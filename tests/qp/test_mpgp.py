@@ -150,7 +150,9 @@ def test_preconditioner_changes_the_way_but_not_the_solution(expansion):
     result = solve(
         problem, products=applied, expansion=expansion, precondition=lambda phi, _: inverse @ phi
     )
-    np.testing.assert_allclose(result.x, problem.conic_solution(), atol=1e-6)
+    # the interior point method is accurate to 2e-6 here
+    np.testing.assert_allclose(result.x, problem.conic_solution(), atol=1e-5)
+    assert np.linalg.norm(reduced_gradient(problem, result.x)) <= 1e-10 * np.linalg.norm(problem.b)
     assert applied.preconditioner > 0
 
 

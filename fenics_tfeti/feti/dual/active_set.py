@@ -151,9 +151,7 @@ def primal_dual_active_set(
             products=products,
             resume=resume,
         )
-        # changes of one row end for the signs of the face itself
-        single = pivots.active
-        gradient = iterate.judged if single else _without_pulling_rows(problem, face, iterate)
+        gradient = _without_pulling_rows(problem, face, iterate)
         following = iterate.multipliers[rows] > gradient[rows] / problem.norm
         forces = friction_step(problem, face, iterate.multipliers, gradient)
         rubbing = np.zeros_like(gradient)
