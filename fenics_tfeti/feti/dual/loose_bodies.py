@@ -167,7 +167,7 @@ class LooseBodies:
         """Return the gradient after a motion."""
         if not z.any():
             return gradient
-        moved = self.coarse_space.moved_rows(self.motions @ z)
+        moved = self._moved_rows(z)
         moved -= self.held(moved)
         moved[self.coarse_space.constraints.equality] = 0.0
         settled: Vector = gradient - moved
@@ -192,12 +192,17 @@ class LooseBodies:
         """
         basis = self.coarse_space.bodies.basis
         z = self.motion(gap, self.motions.T @ (basis.T @ load))
-        moved = self.coarse_space.moved_rows(self.motions @ z)
+        moved = self._moved_rows(z)
         rows, forces = self.coarse_space.constraints.inequality, np.zeros_like(gap)
         depth = (moved - gap)[rows]
         touching = self._rounding(np.abs(moved[rows]))
         forces[rows] = np.where(depth > touching, depth, 0.0)
         return forces - self.held(forces)
+
+    def _moved_rows(self, z: Vector) -> Vector:
+        """Return what a motion does to the rows, bitwise the same on all their holders."""
+        layout = self.coarse_space.constraints.layout
+        return layout.sum(layout.owned_part(self.coarse_space.moved_rows(self.motions @ z)))
 
     def _rounding(self, size: Vector) -> Vector:
         """Return the penetration that rounding leaves in rows that moved so far. Collective."""
