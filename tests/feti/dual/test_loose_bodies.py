@@ -16,7 +16,7 @@ from fenics_tfeti.feti import (
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.active_set import _without_pulling_rows
 from fenics_tfeti.feti.dual.loose_bodies import rigid_start
-from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Signs
+from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Signs, _settled
 
 pytestmark = pytest.mark.once
 
@@ -207,3 +207,7 @@ def test_positions_are_known_as_far_as_the_residual_allows(residual, known):
     expected = -depth if known else 0.0
     np.testing.assert_allclose(settled[on_left].min(), expected, atol=0.05 * depth)
     assert (settled[on_right] > 0.1).all()
+    # judging changes no gradient: more steps start from what the face says
+    iterate = PCPGIterate(signs, 0.0 * gradient, gradient, gradient, 0.0, 0.0, gradient, 1.0, ())
+    kept = _settled(problem, face, iterate).gradient
+    np.testing.assert_allclose(kept[on_left].min(), -depth, atol=0.05 * depth)
