@@ -103,22 +103,17 @@ class LooseBodies:
             The rows.
         """
         free = coarse_space.weakly_resisted(rows)[0]
-        return LooseBodies._of(coarse_space, free, rows)
+        return LooseBodies._of(coarse_space, free, rows, lambda y: np.where(rows, y, 0.0))
 
     @staticmethod
     def _of(
         coarse_space: CoarseSpace,
         motions: sp.csr_matrix,
         rows: Mask,
-        held: Callable[[Vector], Vector] | None = None,
+        held: Callable[[Vector], Vector],
     ) -> LooseBodies | None:
         if not motions.shape[1]:
             return None
-        if held is None:
-
-            def held(y: Vector) -> Vector:
-                return np.where(rows, y, 0.0)
-
         constraints = coarse_space.constraints
         owned = constraints.inequality[: constraints.owned_inequalities]
         off = owned[~rows[owned]]
@@ -266,7 +261,7 @@ class WeakBodies:
         if not weak.shape[1]:
             return None
         motions = sp.hstack([free, weak], format="csr")
-        bodies = LooseBodies._of(coarse_space, motions, rows)
+        bodies = LooseBodies._of(coarse_space, motions, rows, lambda y: np.where(rows, y, 0.0))
         assert bodies is not None
         owned = np.flatnonzero(rows[: constraints.layout.owned])
         owned = owned[np.diff(moved.indptr)[owned] > 0]
