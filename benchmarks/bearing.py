@@ -41,7 +41,7 @@ LOAD = np.array([0.0, -0.8e6, -0.16e6])  # N
 comm = MPI.COMM_WORLD
 
 
-def problem_of(bearing, slices, tolerance):
+def problem_of(bearing, slices, tolerance, load=LOAD):
     """Return the problem of a bearing, cut equally in all sectors."""
     path = Path(comm.bcast(tempfile.mkdtemp() if comm.rank == 0 else None)) / "bearing.msh"
     if comm.rank == 0:
@@ -90,7 +90,7 @@ def problem_of(bearing, slices, tolerance):
     }
     return ContactProblem(
         a,
-        ufl.inner(fem.Constant(mesh, LOAD / area), v) * bore,
+        ufl.inner(fem.Constant(mesh, load / area), v) * bore,
         bcs=[fem.dirichletbc(np.zeros(3), outside, V)],
         contacts=contacts,
         cell_tags=bodies.cell_tags,
@@ -104,13 +104,17 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("sizes", nargs="*", choices=[*SIZES, []], default=["8"])
     parser.add_argument("--tolerance", type=float, default=3e-2, help="of the non-penetration")
+    parser.add_argument("--changed", type=int, metavar="SEED", help="load changed by a thousandth")
     given = parser.parse_args()
+    load = LOAD
+    if given.changed is not None:
+        load = LOAD * (1 + 1e-3 * np.random.default_rng(given.changed).standard_normal(3))
     logging.basicConfig(stream=sys.stdout, format="%(message)s", force=True)
     logging.getLogger("fenics_tfeti").setLevel(logging.INFO)
     for size in given.sizes:
         bearing, slices = SIZES[size]
         start = time.perf_counter()
-        problem = problem_of(bearing, slices, given.tolerance)
+        problem = problem_of(bearing, slices, given.tolerance, load)
         problem.solve()
         report = problem.report
         seconds = time.perf_counter() - start
