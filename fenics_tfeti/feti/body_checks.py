@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from mpi4py import MPI
+
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
@@ -19,6 +21,7 @@ __all__ = ["check_bodies"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 # distance of a node's copies, relative to the size of their subdomain
 _SAME_PLACE = 1e-6
@@ -82,19 +85,20 @@ def check_bodies(system: TornSystem) -> None:
 
 def _shared_nodes(system: TornSystem, first: int) -> _SharedNodes:
     """Return the shared nodes at home on this rank, once for each pair of subdomains."""
-    gdim, subdomains = system.gdim, system.subdomains
-    sizes = [s.nodes.size for s in subdomains]
-    nodes = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in subdomains)])
-    x = np.concatenate([np.zeros((0, gdim)), *(s.coordinates for s in subdomains)])
+    subdomains = system.subdomains
+    every = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in subdomains)])
+    directory, shared = _find_shared(system.comm, every)
+    chosen = np.split(shared, np.cumsum([s.nodes.size for s in subdomains])[:-1])
+    of_subdomain = list(zip(subdomains, chosen, strict=True)) if subdomains else []
+    none = np.zeros((0, system.gdim))
+    x = np.concatenate([none, *(s.coordinates[own] for s, own in of_subdomain)])
+    sizes = [np.count_nonzero(own) for _, own in of_subdomain]
     number = np.repeat(first + np.arange(len(sizes), dtype=np.int64), sizes)
     body = np.repeat(np.array([s.body for s in subdomains], dtype=np.int64), sizes)
     size = np.repeat([float(np.ptp(s.coordinates, axis=0).max()) for s in subdomains], sizes)
-    directory = Directory(system.comm, np.unique(nodes))
-    columns = directory.collect(nodes, number, body, x, size)
+    columns = directory.collect(every[shared], number, body, x, size)
     # copies arrive by ascending subdomain, and a stable sort keeps that order within a node
     order = np.argsort(columns[0], kind="stable")
-    same = columns[0][order][1:] == columns[0][order][:-1]
-    order = order[np.append(same, False) | np.append(False, same)] if order.size else order
     nodes, number, body, x, size = (column[order] for column in columns)
 
     pairs = list(_pairs_of_copies(nodes))
@@ -105,6 +109,15 @@ def _shared_nodes(system: TornSystem, first: int) -> _SharedNodes:
     same_body = body[one] == body[two]
     one, two = one[same_body], two[same_body]
     return _SharedNodes(number[one], number[two], x[one])
+
+
+def _find_shared(comm: MPI.Intracomm, nodes: Numbers) -> tuple[Directory, Mask]:
+    """Return a directory of the nodes, and which of them have copies; most have none."""
+    held, position, count = np.unique(nodes, return_inverse=True, return_counts=True)
+    directory = Directory(comm, held)
+    keys, counts = directory.collect(held, count)
+    copies = np.bincount(directory.position(keys), weights=counts, minlength=directory.keys.size)
+    return directory, directory.lookup(held, copies)[1][position.ravel()] > 1
 
 
 def _pairs_of_copies(nodes: Numbers) -> Iterator[tuple[Numbers, Numbers]]:

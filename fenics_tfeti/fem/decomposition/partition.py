@@ -106,13 +106,14 @@ def given_subdomains(domain: Mesh, bodies: Bodies, labels: Sequence[int]) -> lis
                 f"'subdomains' has shape {label.shape}, but rank {domain.comm.rank} owns {owned} "
                 "cells: give one label for each cell that the rank owns, without ghosts"
             )
-    both = np.unique(np.stack([bodies.of_cell, label]), axis=1, return_inverse=True)[1].ravel()
+    given, number = np.unique(label, return_inverse=True)
+    both = bodies.of_cell * given.size + number
     subdomains = connected_groups(bodies.graph, both, np.arange(owned, dtype=np.int32))
     if len(subdomains) > np.unique(both).size:
         logger.info(
             "rank %d: %d subdomain labels gave %d connected subdomains",
             domain.comm.rank,
-            np.unique(label).size,
+            given.size,
             len(subdomains),
         )
     return subdomains

@@ -125,7 +125,8 @@ class CoarseSpace:
         everyone = _with_neighbours(constraints, own, first, size)
         equality = constraints.equality
         rows = (own.T.tocsr()[:, equality] @ everyone[equality]).tocsr()
-        others = np.setdiff1d(everyone.indices, first + np.arange(ends[-1]))
+        own_columns = (everyone.indices >= first) & (everyone.indices < first + ends[-1])
+        others = np.unique(everyone.indices[~own_columns])
         if solver == "auto":
             changing = everyone[: constraints.layout.owned][~equality[: constraints.layout.owned]]
             changes = system.comm.allreduce(independent_columns(changing.T).shape[1])
@@ -139,7 +140,7 @@ class CoarseSpace:
             traces,
             ends,
             layout,
-            everyone.T.tocsr()[others],
+            everyone[:, others].T.tocsr(),
             everyone[constraints.inequality].T.tocsr(),
             (_chosen_rows(constraints.friction.flat, constraints.size) @ everyone).T.tocsr(),
             layout.rows(rows),
@@ -206,8 +207,9 @@ class CoarseSpace:
     def _restricted(self, forces: Vector, measure: Callable[[Vector], Vector]) -> Vector:
         part = np.empty(int(self.ends[-1]))
         for congruent in self.interface.classes:
-            rows, R = congruent.rows(forces), self.kernels[congruent.first]
-            part[self._places(congruent)] = measure(rows) @ measure(R)
+            R = measure(self.kernels[congruent.first])
+            for batch in congruent.batches():
+                part[self._places(batch)] = measure(batch.rows(forces)) @ R
         return self.layout.gather(part)
 
     def rigid_motion(self, coarse: Vector) -> Vector:
@@ -215,8 +217,9 @@ class CoarseSpace:
         own = self.own_part(coarse)
         displacement = np.empty(self.constraints.matrix.shape[1])
         for congruent in self.interface.classes:
-            rows = own[self._places(congruent)] @ self.kernels[congruent.first].T
-            congruent.put(displacement, rows)
+            R = self.kernels[congruent.first]
+            for batch in congruent.batches():
+                batch.put(displacement, own[self._places(batch)] @ R.T)
         return displacement
 
     def own_part(self, coarse: Vector) -> Vector:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -54,6 +54,15 @@ class Copies:
         unknown = system.gdim * np.arange(every.size, dtype=np.int64)
         weight = np.ones(every.size) if weights is None else weights
         return Copies(node.ravel(), unknown, weight, nodes, count)
+
+    def chosen(self, copies: Mask) -> Copies:
+        """Return some of the copies; nodes and counts remain those of all."""
+        return replace(
+            self,
+            node=self.node[copies],
+            unknown=self.unknown[copies],
+            weight=self.weight[copies],
+        )
 
 
 @dataclass(frozen=True)
@@ -113,9 +122,10 @@ class NodeTable:
         columns = (self.multiplicity, self.weight, self.first_row, self.prescribed, self.values)
         return NodeTable(*directory.lookup(nodes, *columns)[1:])
 
-    def equality_rows(self) -> int:
-        """Return the number of equality rows of all nodes in this table."""
-        return int(_equality_rows(self.multiplicity, self.prescribed).sum())
+    @property
+    def rows(self) -> Numbers:
+        """Number of equality rows of each node."""
+        return _equality_rows(self.multiplicity, self.prescribed)
 
 
 def largest_coordinate(system: TornSystem) -> float:

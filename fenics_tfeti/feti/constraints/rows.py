@@ -221,7 +221,7 @@ def build_constraints(
     table = NodeTable.build(system, directory, copies)
     local = table.lookup(directory, copies.nodes)
     equality = equality_rows(directory, copies, local, system.gdim, system.comm.rank)
-    equality_total = first_of_rank(system.comm, table.equality_rows())[1]
+    equality_total = first_of_rank(system.comm, int(table.rows.sum()))[1]
     conditions = condition_rows(system, directory, copies, table, equality_total)
 
     entries = Entries.concatenate([equality.entries, conditions.entries])

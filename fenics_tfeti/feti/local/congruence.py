@@ -8,7 +8,7 @@ subdomain of a class.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +29,7 @@ Numbers = NDArray[np.int64]
 _SAME = 1e-12
 # digits of the fingerprint by which candidates are found; the comparison decides
 _DIGITS = 8
-# rows at once for a sparse matrix: their transposes stay in the cache
+# rows at once: they and their transposes stay in the cache
 _ROWS = 64
 
 
@@ -70,6 +70,13 @@ class CongruenceClass:
         """Where the members' unknowns are, if nothing is between them."""
         begin, end = int(self.starts[0]), int(self.starts[-1]) + self.size
         return slice(begin, end) if end - begin == self.members.size * self.size else None
+
+    def batches(self) -> Iterator[CongruenceClass]:
+        """Yield its members a few at a time: what is computed of them stays in the cache."""
+        for start in range(0, self.members.size, _ROWS):
+            some = slice(start, start + _ROWS)
+            frames = None if self.frames is None else self.frames[some]
+            yield CongruenceClass(self.members[some], self.starts[some], self.size, frames)
 
     def rows(self, torn: Vector) -> Vector:
         """Return the members' parts of a torn vector, in their frames, as rows of a matrix."""
@@ -169,10 +176,11 @@ def apply_by_class(
     operators: Sequence[Callable[[Vector], Vector]],
     torn: Vector,
 ) -> Vector:
-    """Apply an operator (k, n) -> (k, n) to each class' rows of a torn vector."""
+    """Apply an operator (k, n) -> (k, n) to each class' rows of a torn vector, k at a time."""
     result = np.empty_like(torn)
     for congruent, operator in zip(classes, operators, strict=True):
-        congruent.put(result, operator(congruent.rows(torn)))
+        for batch in congruent.batches():
+            batch.put(result, operator(batch.rows(torn)))
     return result
 
 

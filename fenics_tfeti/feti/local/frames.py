@@ -55,6 +55,10 @@ class Frames:
     turns: Vector
     nodes: int
 
+    def __getitem__(self, some: slice) -> Frames:
+        """Return the frames of some of them."""
+        return Frames(self.turns[some], self.nodes)
+
     def turned_in(self, rows: Vector) -> Vector:
         """Return T'u of each subdomain's row of a (k, n) matrix."""
         return self._turned(rows, self.turns)

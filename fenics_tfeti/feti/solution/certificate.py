@@ -23,7 +23,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 from mpi4py import MPI
 
@@ -35,7 +34,7 @@ from scipy.sparse.csgraph import connected_components
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
-from fenics_tfeti.feti.local.congruence import apply_by_class, times_rows
+from fenics_tfeti.feti.local.congruence import times_rows
 from fenics_tfeti.feti.solution.recovery import Recovered
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import HARDLY_DEFORMED, UNDEFORMED
@@ -320,12 +319,9 @@ class PrimalProblem:
     unit: float
     radius: Vector
 
-    def internal_forces(self, u: Vector) -> Vector:
-        """Return Ku."""
-        operators = [partial(times_rows, K) for K in self.stiffness]
-        return apply_by_class(self.F.interface.classes, operators, u)
-
-    def certify(self, recovered: Recovered, multipliers: Vector, face: Projector) -> Certificate:
+    def certify(
+        self, recovered: Recovered, multipliers: Vector, face: Projector
+    ) -> tuple[Certificate, float]:
         """Measure how well displacements and multipliers solve the primal problem. Collective.
 
         Parameters
@@ -336,8 +332,13 @@ class PrimalProblem:
             lambda, with lambda_I >= o, and G lambda = e but for motions that the face leaves free.
         face : Projector
             That of the equality rows and the contact rows with a force.
+
+        Returns
+        -------
+        Certificate, float
+            The certificate; 1/2 u'Ku - f'u, with friction and the sum of r |s| [J].
         """
-        measures = self._body_measures(recovered, multipliers, face)
+        measures, energy = self._body_measures(recovered, multipliers, face)
         group = self.row_bodies.groups(self._comm, recovered.closed, self.radius > 0.0)
         groups, bodies = self._errors(measures, group)
         bound, norm = np.sqrt([measures.error2.sum(), measures.energy2.sum()]).tolist()
@@ -348,7 +349,7 @@ class PrimalProblem:
             recovered, multipliers, deformation
         )
         excess, below, across = self._friction_measures(recovered, multipliers, deformation)
-        return Certificate(
+        certificate = Certificate(
             bound=bound,
             error=bound / norm if moved.any() else max((g.error for g in groups), default=0.0),
             groups=groups,
@@ -361,6 +362,7 @@ class PrimalProblem:
             slip_below_bound=below,
             slip_across_force=across,
         )
+        return certificate, energy
 
     @property
     def _comm(self) -> MPI.Intracomm:
@@ -398,33 +400,15 @@ class PrimalProblem:
 
     def _body_measures(
         self, recovered: Recovered, multipliers: Vector, face: Projector
-    ) -> _BodyMeasures:
-        """Return energies, forces and sizes of each body; two products with K."""
-        constraint_forces = self.F.constraint_forces(multipliers)
-        forces = self.load - constraint_forces
-        difference = recovered.displacement - recovered.torn
-        diagonal = np.empty_like(forces)
-        for congruent, K in zip(self.F.interface.classes, self.stiffness, strict=True):
-            # that in the frame: as large
-            diagonal[congruent.places] = K.diagonal()
-        applied = self.load**2 + constraint_forces**2
-        by_unknown = np.stack(
-            [
-                difference * self.internal_forces(difference),
-                recovered.strained * forces,
-                (self.internal_forces(recovered.strained) - forces) ** 2,
-                applied,
-                applied / diagonal,
-            ]
-        )
-        sums = np.zeros((len(by_unknown), self.row_bodies.bodies))
-        starts = self._starts()
-        if starts.size:
-            by_subdomain = np.add.reduceat(by_unknown, starts, axis=1)
-            np.add.at(sums.T, self.row_bodies.of_subdomain, by_subdomain.T)
+    ) -> tuple[_BodyMeasures, float]:
+        """Return energies, forces and sizes of each body, and the energy of all."""
+        of_subdomain = self._subdomain_measures(recovered, multipliers)
+        sums = np.zeros((len(of_subdomain), self.row_bodies.bodies))
+        np.add.at(sums.T, self.row_bodies.of_subdomain, of_subdomain.T)
         np.add.at(sums[0], *self._unused_friction(recovered, multipliers))
+        np.add.at(sums[-1], *self._lost_to_friction(recovered))
         self._comm.Allreduce(MPI.IN_PLACE, sums)
-        error2, energy2, residual2, force2, rounding2 = np.maximum(sums, 0.0)
+        error2, energy2, residual2, force2, rounding2 = np.maximum(sums[:-1], 0.0)
         # where G lambda = e does not hold, there is no bound
         coarse_space = face.coarse_space
         size = coarse_space.coarse_load_size(self.load)
@@ -440,9 +424,33 @@ class PrimalProblem:
         closed2, removed2 = space.dots((closing, closing), (self.removed, self.removed))
         motions2 = self.unit * (closed2 + _ROUNDED_ONCE**2 * removed2)
         rounding2[:] = np.finfo(float).eps ** 2 * (rounding2.sum() + motions2)
-        return _BodyMeasures(
+        measures = _BodyMeasures(
             error2, energy2, residual2, force2, rounding2, self._deformation(recovered.strained)
         )
+        return measures, float(sums[-1].sum())
+
+    def _subdomain_measures(self, recovered: Recovered, multipliers: Vector) -> Vector:
+        """Return the first five of `_BodyMeasures` and the energy of each subdomain, (6, s)."""
+        constraint_forces = self.F.constraint_forces(multipliers)
+        measures = np.zeros((6, self.row_bodies.of_subdomain.size))
+        for congruent, K in zip(self.F.interface.classes, self.stiffness, strict=True):
+            flexibility = 1.0 / K.diagonal()
+            for batch in congruent.batches():
+                load, pull = batch.rows(self.load), batch.rows(constraint_forces)
+                strained, u = batch.rows(recovered.strained), batch.rows(recovered.displacement)
+                forces, difference = load - pull, u - batch.rows(recovered.torn)
+                # the rigid motions have no part in K u_t
+                of_strained, of_difference = times_rows(K, strained), times_rows(K, difference)
+                applied = load**2 + pull**2
+                measures[:, batch.members] = (
+                    np.sum(difference * of_difference, axis=1),
+                    np.sum(strained * forces, axis=1),
+                    np.sum((of_strained - forces) ** 2, axis=1),
+                    np.sum(applied, axis=1),
+                    applied @ flexibility,
+                    np.sum(u * (0.5 * (of_strained + of_difference) - load), axis=1),
+                )
+        return measures
 
     def _starts(self) -> Numbers:
         classes = self.F.interface.classes
@@ -467,7 +475,7 @@ class PrimalProblem:
         """Return penetration, smallest force and complementarity, each relative."""
         constraints, bodies = self.F.constraints, self.row_bodies
         rows = constraints.inequality
-        jump = (self.F.jumps(recovered.displacement) - self.c)[rows] / constraints.scale
+        jump = recovered.jumps[rows] / constraints.scale
         force = multipliers[rows] * constraints.scale
         largest = np.zeros(bodies.contacts)
         np.maximum.at(largest, constraints.contact, force)
@@ -491,28 +499,35 @@ class PrimalProblem:
 
         It is zero where the rows were closed.
         """
-        jumps = self.F.jumps(recovered.displacement) - self.c
-        slips = self.F.constraints.friction.at_sites(jumps)
+        slips = self.F.constraints.friction.at_sites(recovered.jumps)
         slips[recovered.sticking] = 0.0
         return slips
 
     def _unused_friction(self, recovered: Recovered, multipliers: Vector) -> tuple[Numbers, Vector]:
         """Return 2 (r |s| - lambda_T's) of each owned site, with one of its bodies [J]."""
-        friction, owned = self.F.constraints.friction, self.F.constraints.layout.owned
+        friction = self.F.constraints.friction
         unused = friction.misaligned(self.slips(recovered), friction.directions(multipliers))
-        mine = friction.owned(owned)
+        return self._at_owned_sites(2.0 * self.radius * unused)
+
+    def _lost_to_friction(self, recovered: Recovered) -> tuple[Numbers, Vector]:
+        """Return r |s| of each owned site, with one of its bodies [J]."""
+        return self._at_owned_sites(self.radius * np.linalg.norm(self.slips(recovered), axis=1))
+
+    def _at_owned_sites(self, values: Vector) -> tuple[Numbers, Vector]:
+        """Return one of the bodies of each owned site of friction, and its value."""
+        constraints = self.F.constraints
+        mine = constraints.friction.owned(constraints.layout.owned)
         site, first = np.unique(self.row_bodies.site, return_index=True)
-        body = np.zeros(friction.size, dtype=np.int64)
+        body = np.zeros(values.size, dtype=np.int64)
         body[site] = self.row_bodies.site_body[first]
-        return body[mine], (2.0 * self.radius * unused)[mine]
+        return body[mine], values[mine]
 
     def _friction_measures(
         self, recovered: Recovered, multipliers: Vector, deformation: Vector
     ) -> tuple[float, float, float]:
         """Return excess over the bound, slip below it and slip across the force, relative."""
         friction, bodies = self.F.constraints.friction, self.row_bodies
-        jumps = self.F.jumps(recovered.displacement) - self.c
-        slip = friction.at_sites(jumps) / friction.scale[:, None]
+        slip = friction.at_sites(recovered.jumps) / friction.scale[:, None]
         force = np.linalg.norm(friction.at_sites(multipliers), axis=1)
         largest = np.zeros(bodies.contacts)
         np.maximum.at(largest, friction.contact, friction.scale * self.radius)
@@ -538,15 +553,6 @@ class PrimalProblem:
         )
         self._comm.Allreduce(MPI.IN_PLACE, numbers, MPI.MAX)
         return float(numbers[0]), float(numbers[1]), float(numbers[2])
-
-    def energy(self, recovered: Recovered) -> float:
-        """Return 1/2 u'Ku - f'u, with friction and the sum of r |s| [J]."""
-        u = recovered.displacement
-        part = u @ (0.5 * self.internal_forces(u) - self.load)
-        mine = self.F.constraints.friction.owned(self.F.constraints.layout.owned)
-        part += self.radius[mine] @ np.linalg.norm(self.slips(recovered)[mine], axis=1)
-        space = self.F.constraints.layout.space
-        return float(space.sum_over_ranks(np.array([part]))[0])
 
 
 @dataclass(frozen=True)

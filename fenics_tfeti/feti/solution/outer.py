@@ -250,11 +250,11 @@ class _Loop:
         with self.timer.phase("recovery"):
             face = Projector.build(setup.projector.coarse_space, active)
             sticking = np.zeros(setup.constraints.friction.size, dtype=bool)
-            recovered = Recovered(none, none, none, active, sticking)
-            certificate = self.primal.certify(recovered, multipliers, face)
+            recovered = Recovered(none, none, none, -self.data.c, active, sticking)
+            certificate, energy = self.primal.certify(recovered, multipliers, face)
             slips = self.primal.slips(recovered)
         candidate = Candidate(
-            recovered, multipliers, certificate, 0.0, face, slips, self.data.radius
+            recovered, multipliers, certificate, energy, face, slips, self.data.radius
         )
         state = DualState(multipliers, np.zeros_like(multipliers))
         return Outcome(candidate, state, True, "converged", 0.0)
@@ -367,8 +367,7 @@ class _Loop:
             recovered = recover_displacement(
                 setup.F, face, data.load, data.c, multipliers, setup.local.unit
             )
-            certificate = self.primal.certify(recovered, multipliers, face)
-            energy = self.primal.energy(recovered)
+            certificate, energy = self.primal.certify(recovered, multipliers, face)
             slips = self.primal.slips(recovered)
         return Candidate(recovered, multipliers, certificate, energy, face, slips, data.radius)
 

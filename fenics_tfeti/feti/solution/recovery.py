@@ -58,6 +58,8 @@ class Recovered:
         u_t [m].
     displacement : (n,) array
         u: all copies of a node are equal, and no contact is penetrated [m].
+    jumps : (m,) array
+        Bu - c.
     closed : (i,) bool array
         The contact rows that were closed: those with a force, and those that u_t penetrates.
     sticking : (k,) bool array
@@ -67,6 +69,7 @@ class Recovered:
     strained: Vector
     torn: Vector
     displacement: Vector
+    jumps: Vector
     closed: Mask
     sticking: Mask
 
@@ -176,7 +179,8 @@ def recover_displacement(
         torn += coarse_space.rigid_motion(pressing.free @ away)
     displacement, closed = close_constraints(F, c, torn, pressing.rows, multipliers, unit)
     sticking = F.constraints.friction.within(pressing.rows)
-    return Recovered(strained, torn, displacement, closed[rows], sticking)
+    jumps = F.jumps(displacement) - c
+    return Recovered(strained, torn, displacement, jumps, closed[rows], sticking)
 
 
 def _motions(face: Projector, jumps: Vector) -> tuple[Projector, Vector]:

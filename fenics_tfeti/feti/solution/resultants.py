@@ -97,8 +97,10 @@ class _NodalForces:
 
     def sums(self) -> Vector:
         """Return the sums of forces, of moments, and of the magnitudes of forces."""
-        moment = _moments(self.points, self.forces).sum(axis=0)
-        return np.concatenate([self.forces.sum(axis=0), moment, [_size(self.forces)]])
+        acting = self.forces.any(axis=1)
+        points, forces = self.points[acting], self.forces[acting]
+        moment = _moments(points, forces).sum(axis=0)
+        return np.concatenate([forces.sum(axis=0), moment, [_size(forces)]])
 
 
 def normal_forces(constraints: Constraints, multipliers: Vector) -> Vector:
