@@ -75,14 +75,12 @@ def equality_rows(
     directory : Directory
         Of the nodes.
     copies : Copies
-        This rank's copies.
+        This rank's copies of nodes with such rows.
     local : NodeTable
-        The table of the nodes that this rank holds.
+        The table of the nodes of these copies.
     gdim, rank : int
         Components of a displacement; this rank.
     """
-    # most nodes are inside a subdomain
-    copies = copies.chosen(local.rows[copies.node] > 0)
     chain = _chain(directory, copies, rank)
     here = chain.own >= 0
     number = np.empty(copies.node.size, dtype=np.int64)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -55,13 +55,15 @@ class Copies:
         weight = np.ones(every.size) if weights is None else weights
         return Copies(node.ravel(), unknown, weight, nodes, count)
 
-    def chosen(self, copies: Mask) -> Copies:
-        """Return some of the copies; nodes and counts remain those of all."""
-        return replace(
-            self,
-            node=self.node[copies],
-            unknown=self.unknown[copies],
-            weight=self.weight[copies],
+    def of_nodes(self, chosen: Mask) -> Copies:
+        """Return the copies of some of the nodes."""
+        kept, position = chosen[self.node], np.cumsum(chosen) - 1
+        return Copies(
+            position[self.node[kept]],
+            self.unknown[kept],
+            self.weight[kept],
+            self.nodes[chosen],
+            self.count[chosen],
         )
 
 

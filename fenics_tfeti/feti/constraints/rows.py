@@ -219,8 +219,10 @@ def build_constraints(
     copies = Copies.build(system, weights)
     directory = Directory(system.comm, copies.nodes)
     table = NodeTable.build(system, directory, copies)
-    local = table.lookup(directory, copies.nodes)
-    equality = equality_rows(directory, copies, local, system.gdim, system.comm.rank)
+    # most nodes are inside a subdomain and free
+    glued = copies.of_nodes(directory.lookup(copies.nodes, table.rows)[1] > 0)
+    local = table.lookup(directory, glued.nodes)
+    equality = equality_rows(directory, glued, local, system.gdim, system.comm.rank)
     equality_total = first_of_rank(system.comm, int(table.rows.sum()))[1]
     conditions = condition_rows(system, directory, copies, table, equality_total)
 

@@ -131,14 +131,17 @@ def iterate_until_certified(
         outcome = _iterate(loop, start)
         closed = bool((outcome.candidate.recovered.closed & far).any())
         if not comm.allreduce(closed, MPI.LOR) or interruption.agreed():
-            candidate = _moved(outcome.candidate, data, coarse_space.rigid_motion(motion))
+            candidate = _moved(outcome.candidate, data, motion)
             return replace(outcome, candidate=candidate)
         longest, start = _FAR * longest, outcome.state
 
 
 def _moved(candidate: Candidate, data: ContactData, motion: Vector) -> Candidate:
-    """Return a candidate with a rigid motion added to its displacements. Collective."""
-    recovered, comm = candidate.recovered, candidate.face.coarse_space.comm
+    """Return a candidate with rigid motions (coarse,) added to its displacements. Collective."""
+    if not motion.any():
+        return candidate
+    recovered, coarse_space = candidate.recovered, candidate.face.coarse_space
+    comm, motion = coarse_space.comm, coarse_space.rigid_motion(motion)
     moved = replace(
         recovered, torn=recovered.torn + motion, displacement=recovered.displacement + motion
     )
@@ -189,6 +192,8 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
             return Outcome(candidate, stage.state, False, reason, tolerance)
         if progress.failures:
             stage = stage.started_anew()
+        # its displacements are the largest vectors: the next ones take their place
+        del candidate
         tolerance *= min(max(0.5 * limit / worst, 1e-3), 0.5)
 
 
