@@ -382,7 +382,11 @@ class ContactProblem:
             return None
         with self._timer.phase("coarse contact"):
             solved = gather_solved(
-                coarse._searched, coarse._used, coarse.contact, coarse._displacement
+                coarse._boundary,
+                coarse._searched,
+                coarse._used,
+                coarse.contact,
+                coarse._displacement,
             )
             return expected_contact(solved, matched)
 
@@ -558,7 +562,7 @@ class ContactProblem:
     def _deformed(self, matched: Sequence[ContactPairing], uh: Function) -> list[DeformedContact]:
         with self._timer.phase("deformed surfaces"):
             return [
-                deformed_contact(self.space, contact, match, uh, _gives_normals(contact))
+                deformed_contact(self._boundary, contact, match, uh, _gives_normals(contact))
                 for contact, match in zip(self._searched, matched, strict=True)
             ]
 

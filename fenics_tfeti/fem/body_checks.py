@@ -152,7 +152,8 @@ def check_pieces(domain: Mesh, bodies: Bodies, cells: CellGeometry, surface: Sur
     tag = tags[np.argmax(pieces > 1)]
     (here,) = np.nonzero(bodies.tags == tag)
     mine = np.isin(cells.body, here)
-    places, of = (concatenate_ranks(domain.comm, a[mine]) for a in (cells.midpoint, cells.body))
+    columns = cells.midpoint.T[mine], cells.body[mine]
+    places, of = (concatenate_ranks(domain.comm, column) for column in columns)
     one, other = (
         points[coordinate_order(points)[0]] for points in (places[of == body] for body in here[:2])
     )

@@ -13,6 +13,7 @@ from dolfinx import fem
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.deformed import deformed_contact
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 
 COMM = MPI.COMM_WORLD
 every_cell = pytest.mark.parametrize("cell", CELLS)
@@ -42,7 +43,7 @@ def deformed(cell, comm, kind):
     }[kind]
     known = scene.obstacle(ball) if kind == "gap alone" else contact
     pairing, uh = scene.pairing(known), scene.displacement(*motions(gdim))
-    return pairing.coordinates, deformed_contact(scene.space, contact, pairing, uh)
+    return pairing.coordinates, deformed_contact(MeshBoundary.of(scene.space), contact, pairing, uh)
 
 
 @every_cell
@@ -63,7 +64,7 @@ def test_result_is_that_of_one_rank(cell, kind):
 def test_ghosts_of_the_displacement_are_brought_up_to_date():
     scene = blocks("triangle", comm=COMM)
     pairing, uh = scene.pairing(scene.pair), scene.displacement()
-    result = deformed_contact(scene.space, scene.pair, pairing, uh)
+    result = deformed_contact(MeshBoundary.of(scene.space), scene.pair, pairing, uh)
     assert np.isfinite(uh.x.array).all()
     np.testing.assert_allclose(result.gap, 0.1, atol=1e-14)
 
@@ -74,4 +75,4 @@ def test_error_of_one_rank_is_raised_on_all():
     if COMM.rank == COMM.size - 1:
         uh.x.array[0] = np.nan
     with pytest.raises(InputError, match="NaN"):
-        deformed_contact(scene.space, scene.pair, pairing, uh)
+        deformed_contact(MeshBoundary.of(scene.space), scene.pair, pairing, uh)

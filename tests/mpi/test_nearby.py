@@ -47,8 +47,9 @@ def both(gap=0.0, move=(0.0, 0.0)):
     found = tags.find(LOWER)
     owned = V.mesh.topology.index_map(1).size_local
     facets = Facets(x, oriented_facets(V, np.sort(found[found < owned])).astype(np.int64))
-    near = gather_nearby(V, tags, UPPER, LOWER, slave.nodes, uh)
-    return facets, near, gather_surface(V, tags, UPPER, uh), slave
+    boundary = MeshBoundary.of(V)
+    near = gather_nearby(boundary, tags, UPPER, LOWER, slave.nodes, uh)
+    return facets, near, gather_surface(boundary, tags, UPPER, uh), slave
 
 
 def pairs(slave, master):

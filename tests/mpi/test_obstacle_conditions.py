@@ -27,7 +27,7 @@ def conditions(comm, cell, degree):
     found = match_obstacle(MeshBoundary.of(space), "ground", contact, None)
     u = fem.Function(space)
     u.interpolate(lambda x: np.stack([0.05 * x[k] ** 2 - 0.01 for k in range(d)]))
-    normal, gap, distance = deformed_gaps(space, contact, found, u)
+    normal, gap, distance = deformed_gaps(MeshBoundary.of(space), contact, found, u)
     columns = (found.coordinates, found.normal, found.gap, found.area, normal, gap, distance)
     rows = concatenate_ranks(comm, np.column_stack(columns))
     return rows[np.lexsort(np.round(rows[:, :3], 9).T)]

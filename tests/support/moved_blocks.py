@@ -74,7 +74,7 @@ class Blocks:
     ) -> tuple[ContactPairing, DeformedContact, Vector, Vector]:
         """Return the pair before and after, and the slave's and partners' displacements; serial."""
         pairing, uh = self.pairing(self.pair), self.displacement(lower, upper)
-        result = deformed_contact(self.space, self.pair, pairing, uh, **arguments)
+        result = deformed_contact(MeshBoundary.of(self.space), self.pair, pairing, uh, **arguments)
         u = uh.x.array.reshape(-1, self.mesh.geometry.dim)
         return pairing, result, u[pairing.slave], u[result.master]
 

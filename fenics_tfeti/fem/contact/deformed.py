@@ -29,6 +29,7 @@ from fenics_tfeti.fem.contact.contact import (
 from fenics_tfeti.fem.contact.mortar.pairing import match_deformed, mean_relative
 from fenics_tfeti.fem.contact.obstacle_conditions import deformed_gaps
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["DeformedContact", "GeometryPass", "deformed_contact", "geometry_pass"]
@@ -83,7 +84,7 @@ class DeformedContact:
 
 
 def deformed_contact(
-    space: FunctionSpace,
+    boundary: MeshBoundary,
     contact: Contact,
     pairing: ContactPairing,
     displacement: Function,
@@ -101,8 +102,8 @@ def deformed_contact(
 
     Parameters
     ----------
-    space : FunctionSpace
-        The displacement's space.
+    boundary : MeshBoundary
+        Of the displacement's mesh.
     contact : ContactPair or RigidObstacle
         The contact. An obstacle returns (gap, normal), or the gap alone, which is then measured
         along the slave's deformed normal.
@@ -124,13 +125,13 @@ def deformed_contact(
         A displacement on another space or not finite, wrong values of the obstacle, facets that the
         displacement has folded so that their normals cancel at a node.
     """
-    _check_displacement(space, displacement)
+    _check_displacement(boundary.space, displacement)
     displacement.x.scatter_forward()
     if isinstance(contact, RigidObstacle):
-        return _at_obstacle(space, contact, pairing, displacement)
+        return _at_obstacle(boundary, contact, pairing, displacement)
     if pairing.terms is not None:
-        return _by_mortar(space, contact, pairing, displacement)
-    return _at_master(space, contact, pairing, displacement, keep_normal)
+        return _by_mortar(boundary, contact, pairing, displacement)
+    return _at_master(boundary, contact, pairing, displacement, keep_normal)
 
 
 @dataclass(frozen=True)
@@ -222,14 +223,14 @@ def _check_displacement(space: FunctionSpace, displacement: Function) -> None:
 
 
 def _at_master(
-    space: FunctionSpace,
+    boundary: MeshBoundary,
     contact: ContactPair,
     pairing: ContactPairing,
     displacement: Function,
     keep_normal: bool,
 ) -> DeformedContact:
-    slave = gather_surface(space, contact.facet_tags, contact.slave, displacement)
-    master = gather_surface(space, contact.facet_tags, contact.master, displacement)
+    slave = gather_surface(boundary, contact.facet_tags, contact.slave, displacement)
+    master = gather_surface(boundary, contact.facet_tags, contact.master, displacement)
     here = np.searchsorted(slave.nodes, pairing.slave)
     partner = np.searchsorted(master.nodes, pairing.master)
     normal = pairing.normal if keep_normal else slave.normals(pairing.name)[here]
@@ -246,10 +247,10 @@ def _at_master(
 
 
 def _by_mortar(
-    space: FunctionSpace, contact: ContactPair, pairing: ContactPairing, displacement: Function
+    boundary: MeshBoundary, contact: ContactPair, pairing: ContactPairing, displacement: Function
 ) -> DeformedContact:
     assert pairing.terms is not None
-    new, distance = match_deformed(space, contact, pairing, displacement)
+    new, distance = match_deformed(boundary, contact, pairing, displacement)
     assert new.terms is not None
     surface = pairing.surface
     # a node that slid off the master is as far from it as its facets are large
@@ -258,8 +259,8 @@ def _by_mortar(
     _, before, now = np.intersect1d(pairing.slave, new.slave, return_indices=True)
     along[before], normal[before] = distance[now], new.normal[now]
     # mean places on the slave, less those on the master
-    offset = mean_relative(pairing.terms, space, displacement, deformed=True)[before]
-    offset -= mean_relative(new.terms, space, displacement, deformed=True)[now]
+    offset = mean_relative(pairing.terms, displacement, boundary.coordinates)[before]
+    offset -= mean_relative(new.terms, displacement, boundary.coordinates)[now]
     offset -= np.sum(offset * normal[before], axis=1)[:, None] * normal[before]
     slip[before] = np.linalg.norm(offset, axis=1) / size[before]
     return DeformedContact(
@@ -285,10 +286,10 @@ def _opposite(master: DeformedSurface, partner: Numbers, foot: Vector) -> Number
 
 
 def _at_obstacle(
-    space: FunctionSpace,
+    boundary: MeshBoundary,
     contact: RigidObstacle,
     pairing: ContactPairing,
     displacement: Function,
 ) -> DeformedContact:
-    normal, gap, distance = deformed_gaps(space, contact, pairing, displacement)
+    normal, gap, distance = deformed_gaps(boundary, contact, pairing, displacement)
     return DeformedContact(pairing.master, normal, gap, distance, np.maximum(-distance, 0.0))

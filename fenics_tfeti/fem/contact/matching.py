@@ -203,7 +203,7 @@ def _match_pair(
     other = tagged_surface(boundary, tags, contact.master, f"master of {name}")
     if _gives_partners(contact) or contact.discretisation == "node_to_node":
         return _match_nodes(boundary, name, contact, slave, other)
-    master = gather_nearby(boundary.space, tags, contact.master, contact.slave, slave.nodes)
+    master = gather_nearby(boundary, tags, contact.master, contact.slave, slave.nodes)
     number = comm.allreduce(other.nodes.size)
     shared = _shared_nodes(comm, name, slave, master.nodes, number, contact.partial)
     with raise_collectively(comm):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dolfinx.fem import Function, FunctionSpace
+from dolfinx.fem import Function
 
 from fenics_tfeti.fem.contact.contact import ContactPairing, MortarTerms, RigidObstacle
 from fenics_tfeti.fem.contact.mortar.one_sided import nodal_normals, one_sided_conditions
@@ -140,14 +140,17 @@ def _mean_gap(terms: MortarTerms, nodes: Numbers, gap: Vector) -> Vector:
 
 
 def deformed_gaps(
-    space: FunctionSpace, contact: RigidObstacle, pairing: ContactPairing, displacement: Function
+    boundary: MeshBoundary,
+    contact: RigidObstacle,
+    pairing: ContactPairing,
+    displacement: Function,
 ) -> tuple[Vector, Vector, Vector]:
     """Return the conditions at an obstacle in the deformed state. Collective.
 
     Parameters
     ----------
-    space : FunctionSpace
-        The displacement's space.
+    boundary : MeshBoundary
+        Of the displacement's mesh.
     contact : RigidObstacle
         The contact.
     pairing : ContactPairing
@@ -161,8 +164,8 @@ def deformed_gaps(
         Normals into the obstacle, gaps in terms of the total displacement, and distances from the
         obstacle [m], for degree 2 the means around the nodes.
     """
-    comm, name, terms = space.mesh.comm, pairing.name, pairing.terms
-    slave = gather_surface(space, contact.facet_tags, contact.slave, displacement)
+    comm, name, terms = boundary.space.mesh.comm, pairing.name, pairing.terms
+    slave = gather_surface(boundary, contact.facet_tags, contact.slave, displacement)
     nodes = pairing.slave if terms is None else np.unique(terms.nodes)
     at = np.searchsorted(slave.nodes, nodes)
     places, normals = _padded(slave.points[at]), slave.normals(name)[at]

@@ -122,7 +122,7 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
             )
     slave = tagged_surface(boundary, pair.facet_tags, pair.slave, f"slave of {name}")
     tagged_surface(boundary, pair.facet_tags, pair.master, f"master of {name}")
-    master = gather_nearby(space, pair.facet_tags, pair.master, pair.slave, slave.nodes)
+    master = gather_nearby(boundary, pair.facet_tags, pair.master, pair.slave, slave.nodes)
     with raise_collectively(comm):
         normals = master.normals(name)
     _check_separate(comm, slave, master.nodes, name)

@@ -19,6 +19,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import Contact, ContactPairing, ContactResult, RigidObstacle
 from fenics_tfeti.fem.contact.mortar.pairing import mean_relative
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti.system import ContactGuess
 from fenics_tfeti.parallel import concatenate_ranks
@@ -55,6 +56,7 @@ class SolvedContact:
 
 
 def gather_solved(
+    boundary: MeshBoundary,
     contacts: Sequence[Contact],
     pairings: Sequence[ContactPairing],
     results: Sequence[ContactResult],
@@ -66,6 +68,8 @@ def gather_solved(
 
     Parameters
     ----------
+    boundary : MeshBoundary
+        Of the displacement's mesh.
     contacts : sequence of ContactPair or RigidObstacle
         The contacts.
     pairings : sequence of ContactPairing
@@ -77,22 +81,26 @@ def gather_solved(
     """
     displacement.x.scatter_forward()
     return [
-        _gather_solved(*one, displacement) for one in zip(contacts, pairings, results, strict=True)
+        _gather_solved(boundary, *one, displacement)
+        for one in zip(contacts, pairings, results, strict=True)
     ]
 
 
 def _gather_solved(
-    contact: Contact, pairing: ContactPairing, result: ContactResult, displacement: Function
+    boundary: MeshBoundary,
+    contact: Contact,
+    pairing: ContactPairing,
+    result: ContactResult,
+    displacement: Function,
 ) -> SolvedContact:
-    space = displacement.function_space
-    comm = space.mesh.comm
-    slave = gather_surface(space, contact.facet_tags, contact.slave, displacement)
+    comm = boundary.space.mesh.comm
+    slave = gather_surface(boundary, contact.facet_tags, contact.slave, displacement)
     if pairing.terms is not None:
-        relative = mean_relative(pairing.terms, space, displacement)
+        relative = mean_relative(pairing.terms, displacement)
     else:
         other = None
         if not isinstance(contact, RigidObstacle):
-            other = gather_surface(space, contact.facet_tags, contact.master, displacement)
+            other = gather_surface(boundary, contact.facet_tags, contact.master, displacement)
         relative = _relative_displacement(pairing, slave, other)
     own = np.sum(relative * pairing.normal, axis=1)
     columns = (pairing.slave, result.pressure, own)

@@ -14,6 +14,7 @@ from dolfinx import fem
 from fenics_tfeti import Plane, RigidObstacle
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.deformed import deformed_contact
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 
 every_cell = pytest.mark.parametrize("cell", CELLS)
 
@@ -231,7 +232,7 @@ def at_obstacle(scene, surface, motion, **arguments):
     gdim = scene.mesh.geometry.dim
     before = RigidObstacle(scene.facet_tags, GROUND, Plane([0.0] * gdim, [*[0] * (gdim - 1), 1]))
     matched = scene.pairing(before)
-    result = deformed_contact(scene.space, contact, matched, uh, **arguments)
+    result = deformed_contact(MeshBoundary.of(scene.space), contact, matched, uh, **arguments)
     u = uh.x.array.reshape(-1, gdim)[matched.slave]
     return matched, result, matched.coordinates[:, :gdim] + u, u
 
@@ -304,7 +305,7 @@ def test_displacement_on_another_space():
     matched = scene.pairing(scene.pair)
     other = fem.Function(vector_space(scene.mesh, degree=2))
     with pytest.raises(InputError, match="another function space"):
-        deformed_contact(scene.space, scene.pair, matched, other)
+        deformed_contact(MeshBoundary.of(scene.space), scene.pair, matched, other)
 
 
 def test_displacement_that_is_not_finite():

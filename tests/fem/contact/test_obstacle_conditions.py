@@ -71,7 +71,7 @@ def test_gaps_in_the_deformed_state(cell, degree):
     space, contact, before = matched(cell, degree, tilted(d))
     u = fem.Function(space)
     u.x.array.reshape(-1, d)[:, d - 1] = -0.1
-    normal, gap, distance = deformed_gaps(space, contact, before, u)
+    normal, gap, distance = deformed_gaps(MeshBoundary.of(space), contact, before, u)
     np.testing.assert_allclose(normal, before.normal)
     np.testing.assert_allclose(gap, before.gap, rtol=1e-12)
     np.testing.assert_allclose(distance, before.gap + 0.1 * before.normal[:, -1], rtol=1e-12)

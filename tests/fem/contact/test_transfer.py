@@ -42,9 +42,11 @@ def result_of(matched, pressure):
 
 def transferred(coarse, contact, fine_match, displacement, pressure=linear):
     """Return what the fine mesh expects of the solution of a coarse one."""
-    matched = match_contact(MeshBoundary.of(coarse.space), contact, 0)
+    boundary = MeshBoundary.of(coarse.space)
+    matched = match_contact(boundary, contact, 0)
     result = result_of(matched, pressure(matched.coordinates))
-    return expected_contact(gather_solved([contact], [matched], [result], displacement), fine_match)
+    solved = gather_solved(boundary, [contact], [matched], [result], displacement)
+    return expected_contact(solved, fine_match)
 
 
 @every_cell
@@ -97,7 +99,8 @@ def test_nodes_without_partner_say_nothing(cell):
         area=matched.area[some],
     )
     result = result_of(part, np.ones(some.sum()))
-    solved = gather_solved([coarse.pair], [part], [result], coarse.displacement())
+    boundary = MeshBoundary.of(coarse.space)
+    solved = gather_solved(boundary, [coarse.pair], [part], [result], coarse.displacement())
     there = fine.pairing(fine.pair)
     guess = expected_contact(solved, [there])
     near = there.coordinates[:, 0] < 2.0 - 1e-9

@@ -111,7 +111,7 @@ def match_by_mortar(
 
 
 def match_deformed(
-    space: FunctionSpace,
+    boundary: MeshBoundary,
     contact: ContactPair,
     pairing: ContactPairing,
     displacement: Function,
@@ -120,8 +120,8 @@ def match_deformed(
 
     Parameters
     ----------
-    space : FunctionSpace
-        The displacement's space.
+    boundary : MeshBoundary
+        Of the displacement's mesh.
     contact : ContactPair
         The pair.
     pairing : ContactPairing
@@ -135,10 +135,11 @@ def match_deformed(
         The new conditions, with gaps in terms of the total displacement, and the mean distance
         between the deformed surfaces [m], negative inside.
     """
-    comm, gdim, name = space.mesh.comm, space.dofmap.index_map_bs, pairing.name
+    space, name = boundary.space, pairing.name
+    comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
     surface, tags = pairing.surface, contact.facet_tags
     slave, master = (
-        gather_nearby(space, tags, tag, contact.slave, surface.nodes, displacement)
+        gather_nearby(boundary, tags, tag, contact.slave, surface.nodes, displacement)
         for tag in (contact.slave, contact.master)
     )
     with raise_collectively(comm):
@@ -146,7 +147,7 @@ def match_deformed(
         normal = surface.normal if contact.normal is not None else slave.normals(name)[here]
         of_master = master.normals(name)
     deformed = replace(surface, normal=normal)
-    points = space.tabulate_dof_coordinates()[:, :gdim] + displacement.x.array.reshape(-1, gdim)
+    points = boundary.coordinates[:, :gdim] + displacement.x.array.reshape(-1, gdim)
     facets = slave_facets(space, contact, deformed, points, name)
     shared = np.intersect1d(slave.nodes, master.nodes)
     conditions = mortar_conditions(comm, facets, surface.nodes, master, of_master, shared)
@@ -157,7 +158,7 @@ def match_deformed(
     at = np.searchsorted(surface.nodes, conditions.slave)
     normal = _normals(space, contact, deformed, prescribed)[at]
     distance = np.sum(conditions.gap * normal, axis=1)
-    relative = mean_relative(conditions.terms, space, displacement)
+    relative = mean_relative(conditions.terms, displacement)
     gap = distance + np.sum(relative * normal, axis=1)
     new = _pairing(name, conditions, surface, normal, gap, pairing.summary, prescribed)
     new = replace(new, master_surface=pairing.master_surface)
@@ -237,7 +238,7 @@ def main_masters(terms: MortarTerms) -> Numbers:
 
 
 def mean_relative(
-    terms: MortarTerms, space: FunctionSpace, displacement: Function, deformed: bool = False
+    terms: MortarTerms, displacement: Function, coordinates: Vector | None = None
 ) -> Vector:
     """Return mean displacements of the slave less those of the master, or places. Collective.
 
@@ -245,22 +246,21 @@ def mean_relative(
     ----------
     terms : MortarTerms
         The conditions of this rank; their nodes may be on any.
-    space : FunctionSpace
-        The displacement's space.
     displacement : Function
-        On the space [m].
-    deformed : bool
-        Whether to take the deformed places instead of the displacements.
+        The displacement [m].
+    coordinates : (nodes, 3) array, optional
+        Of this rank's nodes [m]: to take the deformed places instead of the displacements.
 
     Returns
     -------
     (k, gdim) array
         As `mean_over_terms`.
     """
+    space = displacement.function_space
     gdim, index_map = space.dofmap.index_map_bs, space.dofmap.index_map
     values = displacement.x.array.reshape(-1, gdim)[: index_map.size_local]
-    if deformed:
-        values = values + space.tabulate_dof_coordinates()[: index_map.size_local, :gdim]
+    if coordinates is not None:
+        values = values + coordinates[: index_map.size_local, :gdim]
     nodes = np.unique(terms.nodes)
     found = values_of_owners(space.mesh.comm, index_map.local_range, values, nodes)
     return mean_over_terms(terms, nodes, found)

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dolfinx.fem import Function, FunctionSpace
+from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets, owned_facets
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.tolerances import VANISHING_NORMAL
 from fenics_tfeti.parallel import concatenate_ranks
 
@@ -136,14 +137,14 @@ class DeformedSurface:
 
 
 def gather_surface(
-    space: FunctionSpace, facet_tags: Any, tag: int, displacement: Function | None = None
+    boundary: MeshBoundary, facet_tags: Any, tag: int, displacement: Function | None = None
 ) -> DeformedSurface:
     """Gather a deformed tagged surface from all ranks. Collective.
 
     Parameters
     ----------
-    space : FunctionSpace
-        The displacement's space.
+    boundary : MeshBoundary
+        Of the displacement's mesh.
     facet_tags : MeshTags
         Tags of facets.
     tag : int
@@ -151,11 +152,12 @@ def gather_surface(
     displacement : Function, optional
         On the space [m], with ghosts up to date; by default the surface is not deformed.
     """
+    space = boundary.space
     comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
     facets = oriented_facets(space, owned_facets(space.mesh, facet_tags, tag))
     local = np.unique(facets)
     numbers = np.asarray(space.dofmap.index_map.local_to_global(local), dtype=np.int64)
-    points = space.tabulate_dof_coordinates()[local][:, :gdim]
+    points = boundary.coordinates[local, :gdim]
     moves = np.zeros_like(points)
     if displacement is not None:
         moves = displacement.x.array.reshape(-1, gdim)[local]

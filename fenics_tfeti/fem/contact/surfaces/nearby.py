@@ -23,6 +23,7 @@ from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets, owned_facets
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 
 __all__ = ["gather_nearby"]
 
@@ -35,7 +36,7 @@ _BOXES = 64
 
 
 def gather_nearby(
-    space: FunctionSpace,
+    boundary: MeshBoundary,
     facet_tags: Any,
     tag: int,
     around: int,
@@ -49,8 +50,8 @@ def gather_nearby(
 
     Parameters
     ----------
-    space : FunctionSpace
-        The displacement's space.
+    boundary : MeshBoundary
+        Of the displacement's mesh.
     facet_tags : MeshTags
         Tags of facets.
     tag : int
@@ -67,10 +68,11 @@ def gather_nearby(
     DeformedSurface
         As `gather_surface`, without what is far away; it differs from rank to rank.
     """
+    space = boundary.space
     comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
     if comm.size == 1:
-        return gather_surface(space, facet_tags, tag, displacement)
-    undeformed = space.tabulate_dof_coordinates()[:, :gdim]
+        return gather_surface(boundary, facet_tags, tag, displacement)
+    undeformed = boundary.coordinates[:, :gdim]
     moves = np.zeros_like(undeformed)
     if displacement is not None:
         moves = displacement.x.array.reshape(-1, gdim)[: len(undeformed)]

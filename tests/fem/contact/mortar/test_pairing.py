@@ -14,6 +14,7 @@ from fenics_tfeti import ContactPair
 from fenics_tfeti.fem.contact.contact import MortarTerms
 from fenics_tfeti.fem.contact.deformed import deformed_contact
 from fenics_tfeti.fem.contact.mortar.pairing import main_masters, mean_over_terms
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 
 TERMS = MortarTerms(
     offsets=np.array([0, 3, 6]),
@@ -63,7 +64,7 @@ def test_deformed_surfaces():
     uh = Function(V)
     x = V.tabulate_dof_coordinates()
     uh.x.array.reshape(-1, 2)[x[:, 1] > 1.05] = [0.3, -0.04]
-    state = deformed_contact(V, pair, before, uh)
+    state = deformed_contact(MeshBoundary.of(V), pair, before, uh)
     after = state.pairing(before)
     assert after.slave.size < before.slave.size
     # in terms of the total displacement: (u_slave - u_master)'n = 0.04 of the gap of 0.1 is used

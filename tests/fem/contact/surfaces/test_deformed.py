@@ -9,13 +9,16 @@ from scenes import SLAVE, dimension
 
 from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 
 every_cell = pytest.mark.parametrize("cell", CELLS)
 
 
 def surface(cell, motion=None, n=3):
     scene = blocks(cell, n)
-    return gather_surface(scene.space, scene.facet_tags, SLAVE, scene.displacement(upper=motion))
+    return gather_surface(
+        MeshBoundary.of(scene.space), scene.facet_tags, SLAVE, scene.displacement(upper=motion)
+    )
 
 
 @every_cell

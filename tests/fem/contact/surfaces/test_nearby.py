@@ -8,6 +8,7 @@ from scenes import vector_space
 
 from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import tag_facets
 
 
@@ -16,7 +17,8 @@ def test_all_of_it_on_one_rank():
     beams = shape.mesh()
     tags = tag_facets(beams.mesh, shape.markers(), beams.cell_tags)
     V = vector_space(beams.mesh)
-    near = gather_nearby(V, tags, UPPER, LOWER, np.arange(0))
-    whole = gather_surface(V, tags, UPPER)
+    boundary = MeshBoundary.of(V)
+    near = gather_nearby(boundary, tags, UPPER, LOWER, np.arange(0))
+    whole = gather_surface(boundary, tags, UPPER)
     for name in ("nodes", "points", "displacement", "facets"):
         np.testing.assert_array_equal(getattr(near, name), getattr(whole, name))
