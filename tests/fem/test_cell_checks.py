@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import permutations, product
+
 import numpy as np
 import pytest
 from curved_rings import quarter_rings
@@ -63,3 +65,29 @@ def test_simplex_turned_inside_out_is_found(cell):
     points[np.flatnonzero(inner)[0]] += 1.6
     with pytest.raises(InputError, match="overlap their neighbours"):
         check_arrays(cell, points, cells)
+
+
+def orders(dim):
+    """Yield the orders of a cube's corners that rotations and reflections make."""
+    corners = np.array(list(product((0, 1), repeat=dim)))[:, ::-1]
+    for axes, flips in product(permutations(range(dim)), product((0, 1), repeat=dim)):
+        turned = corners[:, axes] ^ np.array(flips)
+        yield turned @ 2 ** np.arange(dim)
+
+
+@pytest.mark.parametrize("fold", [False, True])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_folded_neighbour_is_found_in_any_order_of_its_vertices(dim, fold):
+    first = np.array(list(product((0.0, 1.0), repeat=dim)))[:, ::-1]
+    places = np.concatenate([first, first + np.eye(dim)[0]])
+    points, at = np.unique(places, axis=0, return_inverse=True)
+    one, other = at.ravel().reshape(2, -1)
+    if fold:
+        points[points[:, 0] == 2.0, 0] = 0.5
+    for order in orders(dim):
+        arrays = {2: "quadrilateral", 3: "hexahedron"}[dim], points, np.array([one, other[order]])
+        if fold:
+            with pytest.raises(InputError, match="overlap their neighbours"):
+                check_arrays(*arrays)
+        else:
+            check_arrays(*arrays)

@@ -111,8 +111,13 @@ def _of_single_bodies(
         touched = np.flatnonzero(np.diff(rows.indptr[::modes]))
         of_body, gathered = _gathered(comm, touched, triangles[touched].reshape(-1, modes**2))
         triangles = np.zeros_like(supports)
-        for body, part in zip(of_body, gathered.reshape(-1, 1, modes, modes), strict=True):
-            triangles[[body]] = _triangles(triangles[[body]], part)
+        order, _, ranks = _sorted_by(of_body)
+        first = np.cumsum(ranks) - ranks
+        # all bodies with rows on the same number of ranks at once
+        for number in np.unique(ranks[ranks > 0]):
+            chosen = np.flatnonzero(ranks == number)
+            parts = gathered[order[first[chosen, None] + np.arange(number)]]
+            triangles[chosen] = _triangles(parts.reshape(chosen.size, number * modes, modes))
     triangles = _triangles(supports, triangles)
     _, values, vectors = np.linalg.svd(triangles)
     return values, np.swapaxes(vectors, 1, 2)
