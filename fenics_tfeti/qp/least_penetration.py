@@ -22,10 +22,8 @@ _LAST_WEIGHTS = (1e-10, 1e-10, 1e-10)
 # the same under a load that only rows balance: these may be far
 _FIRST_WEIGHTS = (1e-1, 1e-3, 1e-5, 1e-7)
 _NEWTON_STEPS = 40
-# sufficient decrease
-_DECREASE = 1e-4
-# limit on the steps of the search on a line, and slope there relative to the first one
-_LINE_STEPS, _FLAT = 60, 1e-9
+# sufficient decrease, and the shortest step
+_DECREASE, _SHORTEST = 1e-4, 1e-9
 # change of the cost that is rounding, and one that rounding of rows that touch makes
 _ROUNDING, _NO_DECREASE = 1e-13, 1e-24
 
@@ -90,9 +88,8 @@ def least_penetration(
     energy = _Energy(S, T, gap, K, load, sum_vectors, sum_matrices)
     largest = float(np.append(squares, K.diagonal()).max(initial=0.0))
     far = stiffness is None and load.any()
-    hessian = _Hessian(energy, np.zeros(gap.size, dtype=bool), K)
     for weight in (*(_FIRST_WEIGHTS if far else ()), *_LAST_WEIGHTS):
-        z = _nearest(energy, hessian, z, weight * largest)
+        z = _nearest(energy, z, weight * largest)
     return z
 
 
@@ -116,55 +113,13 @@ class _Energy:
         energy = float(sums[-1]) + 0.5 * float(z @ resisted) - float(self.load @ z)
         return energy, self.T.T @ sums[:-1] + resisted - self.load, y > 0.0
 
-    def length_to_minimum(self, z: Vector, step: Vector, slope: float, change: float) -> float:
-        """Return t < 1 that minimises the energy at z + t step plus slope t + change t^2 / 2.
-
-        The derivative along the line is increasing and piecewise linear: Newton's method, with
-        bisection where that leaves the bracket.
-        """
-        y, dy = self.S @ (self.T @ z) - self.gap, self.S @ (self.T @ step)
-        slope += float(step @ (self.K @ z - self.load))
-        change += float(step @ (self.K @ step))
-        lower, upper, t = 0.0, 1.0, 1.0
-        first = 0.0
-        for _ in range(_LINE_STEPS):
-            penetrated = y + t * dy > 0.0
-            along = dy[penetrated]
-            of_rows = self.sum_vectors(np.array([along @ y[penetrated], along @ along]))
-            constant, growth = slope + float(of_rows[0]), change + float(of_rows[1])
-            here = constant + t * growth
-            first = first or abs(here)
-            if abs(here) <= _FLAT * first:
-                break
-            lower, upper = (lower, t) if here > 0.0 else (t, upper)
-            t = -constant / growth
-            if not lower < t < upper:
-                t = 0.5 * (lower + upper)
-        return t
+    def hessian(self, penetrated: Mask) -> sp.csr_matrix:
+        """Return the second derivative while the penetrated rows stay the same."""
+        rows = self.S[np.flatnonzero(penetrated)]
+        return self.T.T @ self.sum_matrices((rows.T @ rows).tocsr()) @ self.T + self.K
 
 
-@dataclass
-class _Hessian:
-    """The second derivative of the energy while the penetrated rows stay the same.
-
-    Few rows change from step to step, and only these are added and removed.
-    """
-
-    energy: _Energy
-    penetrated: Mask
-    matrix: sp.csr_matrix
-
-    def at(self, penetrated: Mask) -> sp.csr_matrix:
-        """Return it for other penetrated rows."""
-        changed, T = np.flatnonzero(penetrated != self.penetrated), self.energy.T
-        rows, signs = self.energy.S[changed], np.where(penetrated[changed], 1.0, -1.0)
-        change = self.energy.sum_matrices((rows.T @ sp.diags(signs) @ rows).tocsr())
-        self.matrix = self.matrix + T.T @ change @ T
-        self.penetrated = penetrated
-        return self.matrix
-
-
-def _nearest(energy: _Energy, hessian: _Hessian, start: Vector, weight: float) -> Vector:
+def _nearest(energy: _Energy, start: Vector, weight: float) -> Vector:
     """Minimise the energy + weight/2 ||z - start||^2."""
 
     def at(z: Vector) -> tuple[float, Vector, Mask]:
@@ -175,7 +130,7 @@ def _nearest(energy: _Energy, hessian: _Hessian, start: Vector, weight: float) -
     z = start
     value, gradient, penetrated = at(z)
     for _ in range(_NEWTON_STEPS):
-        H = (hessian.at(penetrated) + weight * sp.identity(z.size)).tocsc()
+        H = (energy.hessian(penetrated) + weight * sp.identity(z.size)).tocsc()
         symmetric = {"SymmetricMode": True}
         factor = splu(H, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
         step = -factor.solve(gradient)
@@ -185,11 +140,11 @@ def _nearest(energy: _Energy, hessian: _Hessian, start: Vector, weight: float) -
             break
         # near the solution the decrease drowns in rounding
         limit = value + _ROUNDING * abs(value)
-        tried, following, new = at(z + step)
-        if tried > limit + _DECREASE * slope:
-            of_distance = weight * float(step @ (z - start)), weight * float(step @ step)
-            length = energy.length_to_minimum(z, step, *of_distance)
+        while True:
             tried, following, new = at(z + length * step)
+            if tried <= limit + _DECREASE * length * slope or length <= _SHORTEST:
+                break
+            length *= 0.5
         z, value, gradient = z + length * step, tried, following
         changed, penetrated = np.count_nonzero(new != penetrated), new
         if length == 1.0 and not energy.sum_vectors(np.array([float(changed)])).any():
