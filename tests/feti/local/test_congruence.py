@@ -10,7 +10,12 @@ from springs import on_springs
 from torn import column, cube
 
 from fenics_tfeti.feti import Options, TornSolver
-from fenics_tfeti.feti.local.congruence import find_congruence_classes
+from fenics_tfeti.feti.local.congruence import (
+    CongruenceClass,
+    apply_by_class,
+    find_congruence_classes,
+)
+from fenics_tfeti.feti.local.frames import Frames
 
 OPTIONS = [
     {},
@@ -128,3 +133,27 @@ def test_one_softer_cube_among_equal_ones():
     report = TornSolver(dataclasses.replace(system, subdomains=parts), Options()).solve().report
     assert report.classes == 2
     np.testing.assert_allclose(report.contact_force, 2.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("adjacent", [True, False])
+@pytest.mark.parametrize("with_frames", [True, False])
+def test_many_members_are_taken_in_batches(adjacent, with_frames):
+    """K in the frame of each of 150 members is TKT' of the torn unknowns."""
+    k, nodes = 150, 2
+    rng = np.random.default_rng(0)
+    K, torn = rng.standard_normal((6, 6)), rng.standard_normal(6 * k + k)
+    turns = ortho_group(3, seed=0).rvs(k) if with_frames else np.tile(np.eye(3), (k, 1, 1))
+    starts = 6 * np.arange(k) if adjacent else 7 * np.arange(k)
+    frames = Frames(turns, nodes) if with_frames else None
+    members = CongruenceClass(np.arange(k), starts, 6, frames)
+    sizes = []
+
+    def times(rows):
+        sizes.append(len(rows))
+        return rows @ K.T
+
+    result = apply_by_class([members], [times], torn)
+    assert sum(sizes) == k and len(sizes) > 1
+    for start, turn in zip(starts, turns, strict=True):
+        T, own = np.kron(np.eye(nodes), turn), slice(start, start + 6)
+        np.testing.assert_allclose(result[own], T @ K @ T.T @ torn[own], rtol=1e-12, atol=1e-12)
