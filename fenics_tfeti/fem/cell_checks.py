@@ -175,18 +175,13 @@ def _determinant(columns: Sequence[Vector]) -> Vector:
     a, b = columns[0], columns[1]
     if len(columns) == 2:
         return np.asarray(a[0] * b[1] - a[1] * b[0])
-    normal, c = _cross(a, b), columns[2]
-    volume: Vector = normal[2] * c[2] + normal[0] * c[0] + normal[1] * c[1]
-    return volume
-
-
-def _cross(a: Vector, b: Vector) -> tuple[Vector, Vector, Vector]:
-    """Return the components of the cross products of vectors (3, ...)."""
-    return (
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
+    c = columns[2]
+    volume: Vector = (
+        (a[0] * b[1] - a[1] * b[0]) * c[2]
+        + (a[1] * b[2] - a[2] * b[1]) * c[0]
+        + (a[2] * b[0] - a[0] * b[2]) * c[1]
     )
+    return volume
 
 
 def _raise_for_cells(
