@@ -28,9 +28,11 @@ class ContactOptions:
         Options of Total FETI, given by their names in the same mapping.
     subdomain_size : int
         Unknowns of a subdomain that the partition aims at.
-    partitioner : {"auto", "scotch"}
-        Subdomains by SCOTCH, or, where the nodes of a body (of the part of it that a rank has) are
-        a grid along the axes, by blocks of it: equal ones share their factors.
+    partitioner : {"auto", "scotch", "bisection"}
+        Subdomains by the graph partitioner SCOTCH, or by cuts across the longest axes. "auto" makes
+        blocks where the nodes of a body (of the part of it that a rank has) are a grid along the
+        axes, since equal ones share their factors, and bisects bodies of 50,000 cells or more,
+        unless they are coiled.
     non_penetration : {"linearised", "exact"}
         Contact conditions with the normals and gaps of the undeformed surfaces, or corrected until
         the deformed surfaces touch.

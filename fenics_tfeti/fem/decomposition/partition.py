@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
@@ -14,9 +15,10 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.decomposition.bisection import bisect
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.decomposition.cell_graph import components, connected_groups, groups
-from fenics_tfeti.fem.decomposition.grid import Grid, block_of_cells, find_grid
+from fenics_tfeti.fem.decomposition.grid import block_of_cells, find_grid
 from fenics_tfeti.fem.decomposition.parts import number_parts
 from fenics_tfeti.fem.topology import cell_vertices, owned_cells
 from fenics_tfeti.parallel import raise_collectively
@@ -26,7 +28,11 @@ __all__ = ["Partitioner", "given_subdomains", "split_into_subdomains"]
 logger = logging.getLogger(__name__)
 
 Indices = NDArray[np.int32]
-Partitioner = Literal["auto", "scotch"]
+Numbers = NDArray[np.int64]
+Partitioner = Literal["auto", "scotch", "bisection"]
+
+# cells from which on SCOTCH takes a tenth of a solve; its interfaces are 2 % smaller
+_MANY_CELLS = 50_000
 
 
 def split_into_subdomains(
@@ -42,9 +48,11 @@ def split_into_subdomains(
         The bodies.
     unknowns : int
         Wanted number of unknowns of a subdomain.
-    partitioner : {"auto", "scotch"}
-        "scotch" partitions the graph of the cells. "auto" does so as well, except where the nodes
-        of this rank's cells of a body form a grid along the axes: then they are cut into blocks.
+    partitioner : {"auto", "scotch", "bisection"}
+        "scotch" partitions the graph of the cells, "bisection" cuts across the longest axes. "auto"
+        cuts into blocks where the nodes of this rank's cells of a body form a grid along the axes,
+        bisects many cells that planes do not cut into more parts than wanted, and leaves all else
+        to SCOTCH.
 
     Returns
     -------
@@ -54,7 +62,7 @@ def split_into_subdomains(
     block = space.dofmap.index_map_bs
     subdomains: list[Indices] = []
     bodies_of_rank = groups(components(bodies.graph, bodies.of_cell)[1])
-    cuts: dict[bytes, NDArray[np.int64]] = {}
+    cuts: dict[bytes, Numbers] = {}
     for body in number_parts(space, bodies_of_rank, range(len(bodies_of_rank))):
         cells = body.cells
         parts = round(block * body.nodes.size / unknowns)
@@ -64,16 +72,34 @@ def split_into_subdomains(
         graph = bodies.graph[cells][:, cells]
         label = cuts.get(body.shape) if body.shape is not None else None
         if label is None:
-            grid = _find_grid(space.mesh, cells) if partitioner == "auto" else None
-            label = (
-                block_of_cells(grid, unknowns / block)
-                if grid is not None
-                else _compat.partition_graph(graph.indptr, graph.indices, min(parts, cells.size))
-            ).astype(np.int64)
+            label = _blocks(space.mesh, cells, unknowns / block) if partitioner == "auto" else None
+            if label is None:
+                label = _cut(space.mesh, cells, graph, min(parts, cells.size), partitioner)
             if body.shape is not None:
                 cuts[body.shape] = label
         subdomains += connected_groups(graph, label, cells)
     return subdomains
+
+
+def _blocks(domain: Mesh, cells: Indices, nodes: float) -> Numbers | None:
+    """Return blocks with that many nodes if the cells are a grid."""
+    rows, cell_nodes = np.unique(cell_vertices(domain)[cells], return_inverse=True)
+    points = domain.geometry.x[rows, : domain.geometry.dim]
+    grid = find_grid(points, cell_nodes.reshape(cells.size, -1))
+    return None if grid is None else block_of_cells(grid, nodes)
+
+
+def _cut(
+    domain: Mesh, cells: Indices, graph: sp.csr_matrix, parts: int, partitioner: Partitioner
+) -> Numbers:
+    """Return the part of each cell, by planes or by SCOTCH."""
+    if partitioner == "bisection" or (partitioner == "auto" and cells.size >= _MANY_CELLS):
+        corners = domain.geometry.x[cell_vertices(domain)[cells], : domain.geometry.dim]
+        label = bisect(graph, corners.mean(axis=1), parts)
+        # planes that cut parts in two, of a coiled body, also cut it lengthwise
+        if partitioner == "bisection" or label.max() < parts:
+            return label
+    return _compat.partition_graph(graph.indptr, graph.indices, parts).astype(np.int64)
 
 
 def given_subdomains(domain: Mesh, bodies: Bodies, labels: Sequence[int]) -> list[Indices]:
@@ -117,9 +143,3 @@ def given_subdomains(domain: Mesh, bodies: Bodies, labels: Sequence[int]) -> lis
             len(subdomains),
         )
     return subdomains
-
-
-def _find_grid(domain: Mesh, cells: Indices) -> Grid | None:
-    rows, cell_nodes = np.unique(cell_vertices(domain)[cells], return_inverse=True)
-    points = domain.geometry.x[rows, : domain.geometry.dim]
-    return find_grid(points, cell_nodes.reshape(cells.size, -1))

@@ -9,6 +9,7 @@ import pytest
 from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti import InputError
+from fenics_tfeti.fem.decomposition import partition
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.decomposition.partition import given_subdomains, split_into_subdomains
 from fenics_tfeti.fem.decomposition.parts import number_parts
@@ -36,7 +37,36 @@ def test_scotch_can_be_asked_for():
     assert sizes != {512}
 
 
-@pytest.mark.parametrize("partitioner", ["auto", "scotch"])
+def spring(turns):
+    """Return a flat strip that is wound up, in quadrilaterals."""
+    mesh = boxes(MPI.COMM_SELF, [Box((0, 0), (turns, 1), (60 * turns, 4))], "quadrilateral").mesh
+    x = mesh.geometry.x
+    angle, radius = 2 * np.pi * x[:, 0], 3.0 * x[:, 0] + x[:, 1] + 4.0
+    x[:, 0], x[:, 1] = radius * np.cos(angle), radius * np.sin(angle)
+    return mesh
+
+
+def same(one, other):
+    return len(one) == len(other) and all(map(np.array_equal, one, other))
+
+
+def test_many_cells_are_bisected(monkeypatch):
+    mesh = cube(7, "tetrahedron")
+    mesh.geometry.x[:] += 0.1 * np.sin(9 * mesh.geometry.x[:, [1, 2, 0]])
+    assert same(split(mesh, 300), split(mesh, 300, "scotch"))
+    monkeypatch.setattr(partition, "_MANY_CELLS", 7**3)
+    assert same(split(mesh, 300), split(mesh, 300, "bisection"))
+    assert not same(split(mesh, 300), split(mesh, 300, "scotch"))
+
+
+def test_bodies_that_planes_cut_in_pieces_are_left_to_scotch(monkeypatch):
+    mesh = spring(4)
+    monkeypatch.setattr(partition, "_MANY_CELLS", 100)
+    assert same(split(mesh, 300), split(mesh, 300, "scotch"))
+    assert len(split(mesh, 300, "bisection")) > len(split(mesh, 300))
+
+
+@pytest.mark.parametrize("partitioner", ["auto", "scotch", "bisection"])
 def test_subdomains_are_connected_and_cover_all_cells(partitioner):
     mesh = cube(9)
     parts = split(mesh, 600, partitioner)
