@@ -15,6 +15,7 @@ from fenics_tfeti.fem.decomposition.cell_graph import components
 __all__ = ["bisect"]
 
 Points = NDArray[np.float64]
+Indices = NDArray[np.int32]
 Numbers = NDArray[np.int64]
 
 # variance along a coordinate axis, relative to the largest one, at which cuts are across that axis:
@@ -58,7 +59,7 @@ def bisect(graph: sp.csr_matrix, midpoints: Points, parts: int) -> Numbers:
 
 
 def _cut(x: Points, cells: Numbers, parts: int, label: Numbers) -> None:
-    """Number the parts of some cells, from the number that they have in `label`."""
+    """Give the parts of some cells numbers from the one on that they have in `label`."""
     if parts == 1:
         return
     fewer = parts // 2
@@ -118,33 +119,39 @@ def _best_move(own: Numbers, of_near: Numbers) -> tuple[Numbers, Numbers]:
     return gain, of_near[row, best]
 
 
-def _neighbours(graph: sp.csr_matrix) -> Numbers:
+def _neighbours(graph: sp.csr_matrix) -> Indices:
     """Return the neighbours of each cell in rows, filled with the number of cells."""
     cells, degree = graph.shape[0], np.diff(graph.indptr)
-    near = np.full((cells, int(degree.max(initial=1))), cells, dtype=np.int64)
+    near = np.full((cells, int(degree.max(initial=1))), cells, dtype=np.int32)
     row = np.repeat(np.arange(cells), degree)
     near[row, np.arange(graph.nnz) - graph.indptr[row]] = graph.indices
     return near
 
 
 def _connected(graph: sp.csr_matrix, label: Numbers, parts: int) -> Numbers:
-    """Number connected pieces; small ones join the piece with which they have most facets."""
+    """Return connected pieces; small ones join the piece with which they have most facets."""
     number, piece = components(graph, label)
-    row = np.repeat(np.arange(label.size), np.diff(graph.indptr))
-    beside = piece[row], piece[graph.indices]
-    apart = beside[0] != beside[1]
-    ends = beside[0][apart], beside[1][apart]
-    common = sp.csr_matrix((np.ones(ends[0].size), ends), shape=(number, number))
-    size = np.bincount(piece)
-    joined, size_joined = np.arange(number), size.copy()
+    facets = _common_facets(graph, piece, number)
+    joined, size = np.arange(number), np.bincount(piece)
     for one in np.argsort(size, kind="stable"):
-        if size_joined[joined[one]] >= _LARGE * label.size / parts:
+        own = joined[one]
+        if size[own] >= _LARGE * label.size / parts:
             continue
-        near = slice(*common.indptr[one : one + 2])
-        others, facets = joined[common.indices[near]], common.data[near]
-        facets = np.where(others == joined[one], 0.0, facets)
-        if facets.any():
-            other = others[np.argmax(facets)]
-            size_joined[other] += size_joined[joined[one]]
-            joined[joined == joined[one]] = other
-    return np.unique(joined, return_inverse=True)[1][piece]
+        near = slice(*facets.indptr[one : one + 2])
+        others = joined[facets.indices[near]]
+        common = np.where(others == own, 0, facets.data[near])
+        if common.any():
+            other = others[np.argmax(common)]
+            size[other] += size[own]
+            joined[joined == own] = other
+    part: Numbers = np.unique(joined, return_inverse=True)[1][piece]
+    return part
+
+
+def _common_facets(graph: sp.csr_matrix, piece: Numbers, number: int) -> sp.csr_matrix:
+    """Return the number of facets between any two pieces."""
+    edges = graph.tocoo()
+    ends = piece[edges.row], piece[edges.col]
+    apart = ends[0] != ends[1]
+    pairs = ends[0][apart], ends[1][apart]
+    return sp.csr_matrix((np.ones(pairs[0].size), pairs), shape=(number, number))

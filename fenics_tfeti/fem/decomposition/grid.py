@@ -16,6 +16,12 @@ __all__ = ["Grid", "block_of_cells", "find_grid"]
 
 Points = NDArray[np.float64]
 Numbers = NDArray[np.int64]
+Indices = NDArray[np.int32]
+
+# part of all combinations of coordinates at which a grid has nodes
+_LEAST_FILLED = 0.5
+# cells to look at first, about
+_SAMPLE = 1000
 
 
 @dataclass(frozen=True)
@@ -37,15 +43,15 @@ class Grid:
     lengths: Points
 
 
-def find_grid(points: Points, cell_nodes: Numbers) -> Grid | None:
+def find_grid(points: Points, cell_nodes: Numbers | Indices) -> Grid | None:
     """Find out from coordinates whether nodes form a grid along the axes.
 
     Parameters
     ----------
     points : (k, d) array
-        The body's nodes [m].
+        Nodes [m].
     cell_nodes : (m, v) integer array
-        The nodes of its cells.
+        Those of the body's cells.
 
     Returns
     -------
@@ -60,19 +66,32 @@ def find_grid(points: Points, cell_nodes: Numbers) -> Grid | None:
     >>> find_grid(points, np.array([[0, 1, 2], [1, 2, 3]])).cells.tolist()
     [1, 1]
     """
-    least_filled = 0.5
-    if len(points) == 0:
+    if cell_nodes.size == 0:
         return None
-    lengths = np.ptp(points, axis=0)
-    same = RELATIVE_ROUNDING * lengths.max()
-    index = np.stack([_grid_index(x, same) for x in points.T], axis=1)
+    # a few cells tell that most meshes are no grids: their nodes have too many coordinates
+    sample = np.unique(cell_nodes[:: len(cell_nodes) // _SAMPLE + 1])
+    if _LEAST_FILLED * _combinations(_indices(points[sample])) > cell_nodes.size:
+        return None
+    nodes, positions = np.unique(cell_nodes, return_inverse=True)
+    index = _indices(points[nodes])
+    if _LEAST_FILLED * _combinations(index) > nodes.size:
+        return None
     shape = index.max(axis=0) + 1
-    # as floats: all coordinates of an unstructured mesh differ, and the product overflows
-    if len(points) < least_filled * np.prod(shape.astype(float)):
+    if np.unique(np.ravel_multi_index(tuple(index.T), tuple(shape))).size < nodes.size:
         return None
-    if np.unique(np.ravel_multi_index(tuple(index.T), tuple(shape))).size < len(points):
-        return None
-    return Grid(index[cell_nodes].min(axis=1), shape - 1, lengths)
+    cell = index[positions.reshape(cell_nodes.shape)].min(axis=1)
+    return Grid(cell, shape - 1, np.ptp(points[nodes], axis=0))
+
+
+def _indices(points: Points) -> Numbers:
+    """Return for each point and axis the number of different smaller coordinates."""
+    same = RELATIVE_ROUNDING * np.ptp(points, axis=0).max()
+    return np.stack([_grid_index(x, same) for x in points.T], axis=1)
+
+
+def _combinations(index: Numbers) -> float:
+    """Return the number of combinations of coordinates, which may be too large for an integer."""
+    return float(np.prod(index.max(axis=0) + 1.0))
 
 
 def block_of_cells(grid: Grid, nodes: float) -> Numbers:

@@ -83,9 +83,8 @@ def split_into_subdomains(
 
 def _blocks(domain: Mesh, cells: Indices, nodes: float) -> Numbers | None:
     """Return blocks with that many nodes if the cells are a grid."""
-    rows, cell_nodes = np.unique(cell_vertices(domain)[cells], return_inverse=True)
-    points = domain.geometry.x[rows, : domain.geometry.dim]
-    grid = find_grid(points, cell_nodes.reshape(cells.size, -1))
+    points = domain.geometry.x[:, : domain.geometry.dim]
+    grid = find_grid(points, cell_vertices(domain)[cells])
     return None if grid is None else block_of_cells(grid, nodes)
 
 

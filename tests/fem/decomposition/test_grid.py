@@ -70,7 +70,7 @@ def test_an_annulus_is_no_grid():
 
 def test_two_nodes_at_one_place_are_no_grid():
     points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
-    assert find_grid(points, np.array([[0, 1, 2]])) is None
+    assert find_grid(points, np.array([[0, 1, 2], [0, 1, 3]])) is None
 
 
 @pytest.mark.parametrize(
