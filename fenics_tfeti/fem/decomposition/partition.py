@@ -72,33 +72,34 @@ def split_into_subdomains(
         graph = bodies.graph[cells][:, cells]
         label = cuts.get(body.shape) if body.shape is not None else None
         if label is None:
-            label = _blocks(space.mesh, cells, unknowns / block) if partitioner == "auto" else None
-            if label is None:
-                label = _cut(space.mesh, cells, graph, min(parts, cells.size), partitioner)
+            label = _cut(space.mesh, cells, graph, parts, unknowns / block, partitioner)
             if body.shape is not None:
                 cuts[body.shape] = label
-        subdomains += connected_groups(graph, label, cells)
+        subdomains += [cells[group] for group in groups(label)]
     return subdomains
 
 
-def _blocks(domain: Mesh, cells: Indices, nodes: float) -> Numbers | None:
-    """Return blocks with that many nodes if the cells are a grid."""
-    points = domain.geometry.x[:, : domain.geometry.dim]
-    grid = find_grid(points, cell_vertices(domain)[cells])
-    return None if grid is None else block_of_cells(grid, nodes)
-
-
 def _cut(
-    domain: Mesh, cells: Indices, graph: sp.csr_matrix, parts: int, partitioner: Partitioner
+    domain: Mesh,
+    cells: Indices,
+    graph: sp.csr_matrix,
+    parts: int,
+    nodes: float,
+    partitioner: Partitioner,
 ) -> Numbers:
-    """Return the part of each cell, by planes or by SCOTCH."""
+    """Return the connected part of each cell, of so many parts or of so many nodes."""
+    points, cell_nodes = domain.geometry.x[:, : domain.geometry.dim], cell_vertices(domain)[cells]
+    parts = min(parts, cells.size)
+    grid = find_grid(points, cell_nodes) if partitioner == "auto" else None
+    if grid is not None:
+        return components(graph, block_of_cells(grid, nodes))[1]
     if partitioner == "bisection" or (partitioner == "auto" and cells.size >= _MANY_CELLS):
-        corners = domain.geometry.x[cell_vertices(domain)[cells], : domain.geometry.dim]
-        label = bisect(graph, corners.mean(axis=1), parts)
+        label = bisect(graph, points[cell_nodes].mean(axis=1), parts)
         # planes that cut parts in two, of a coiled body, also cut it lengthwise
         if partitioner == "bisection" or label.max() < parts:
             return label
-    return _compat.partition_graph(graph.indptr, graph.indices, parts).astype(np.int64)
+    label = _compat.partition_graph(graph.indptr, graph.indices, parts).astype(np.int64)
+    return components(graph, label)[1]
 
 
 def given_subdomains(domain: Mesh, bodies: Bodies, labels: Sequence[int]) -> list[Indices]:
