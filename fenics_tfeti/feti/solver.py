@@ -196,7 +196,9 @@ class TornSolver:
         with phase("factorisation"):
             if same_B:
                 return same_B, data, ["factors", "coarse problem", "norm"]
-            inverses = known.F.inverses if known else factor_subdomains(system, local, package)
+            inverses = (
+                known.F.inverses if known else factor_subdomains(system, options, local, package)
+            )
             setup = DualSetup.build(system, options, local, projector, inverses, package)
         with phase("deflation"):
             setup = setup.deflated(system, options, known)

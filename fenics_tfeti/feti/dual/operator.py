@@ -14,6 +14,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.dual.explicit import ExplicitInverse, Orbits
 from fenics_tfeti.feti.local.congruence import apply_by_class
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 from fenics_tfeti.qp import lanczos_upper_bound
@@ -22,14 +23,6 @@ __all__ = ["DualOperator", "DualOperatorKind", "ProjectedNorm"]
 
 Vector = NDArray[np.float64]
 DualOperatorKind = Literal["auto", "implicit", "explicit"]
-
-# right-hand sides at once for the explicit matrix
-_COLUMNS = 512
-# by how much several right-hand sides make a triangular solve and a dense product cheaper, measured
-_SHARING_OF_SOLVES = 3
-_SHARING_OF_PRODUCTS = 8
-# products of a typical solve
-_PRODUCTS = 50
 
 
 @dataclass(frozen=True)
@@ -80,11 +73,15 @@ class DualOperator:
         for inverse, local, congruent in zip(
             inverses, interface.unknowns, interface.classes, strict=True
         ):
-            pays = kind == "auto" and _explicit_pays(inverse, local.size, congruent.members.size)
-            dense = kind == "explicit" or pays
+            orbits = Orbits.build(inverse.symmetries, local)
+            dense = kind == "explicit" or (
+                kind == "auto" and orbits.pays(inverse, congruent.members.size)
+            )
             explicit += dense
             on_interface.append(
-                _explicit(inverse, local) if dense else _implicit(inverse, local, congruent.size)
+                ExplicitInverse.build(inverse, orbits)
+                if dense
+                else _implicit(inverse, local, congruent.size)
             )
         return DualOperator(constraints, interface, inverses, on_interface, explicit)
 
@@ -141,30 +138,6 @@ def _implicit(
         return _solve_rows(inverse, forces)[:, local]
 
     return solve
-
-
-def _explicit(inverse: GeneralizedInverse, local: NDArray[np.int64]) -> Callable[[Vector], Vector]:
-    """Return the part of K^+ between interface unknowns as a dense matrix, to be applied."""
-    matrix = np.empty((local.size, local.size))
-    for start in range(0, local.size, _COLUMNS):
-        some = local[start : start + _COLUMNS]
-        unit = np.zeros((inverse.size, some.size), order="F")
-        unit[some, np.arange(some.size)] = 1.0
-        matrix[:, start : start + some.size] = inverse.solve(unit)[local]
-    # symmetric but for rounding
-    return lambda rows: rows @ matrix
-
-
-def _explicit_pays(inverse: GeneralizedInverse, interface: int, members: int) -> bool:
-    """Count the bytes that all products of a solve move, with solves and with a dense matrix.
-
-    A solve reads the factor (value and index) twice, but several right-hand sides share that; so
-    they do with a dense matrix which also has to be computed first.
-    """
-    solve = 24.0 * inverse.entries / min(members, _SHARING_OF_SOLVES)
-    product = 8.0 * interface**2 / min(members, _SHARING_OF_PRODUCTS)
-    set_up = interface * 24.0 * inverse.entries / _SHARING_OF_SOLVES
-    return set_up + _PRODUCTS * members * product < _PRODUCTS * members * solve
 
 
 class ProjectedNorm:

@@ -20,13 +20,20 @@ from fenics_tfeti.feti.local.rigid_body_modes import rigid_body_modes
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.feti.tolerances import ZERO_ENERGY
 
-__all__ = ["CongruenceClass", "apply_by_class", "find_congruence_classes", "times_rows"]
+__all__ = [
+    "SAME",
+    "CongruenceClass",
+    "apply_by_class",
+    "find_congruence_classes",
+    "is_rounding",
+    "times_rows",
+]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 # relative to the largest entry or to the size: what assembly at another place may change
-_SAME = 1e-12
+SAME = 1e-12
 # digits of the fingerprint by which candidates are found; the comparison decides
 _DIGITS = 8
 # rows at once: they and their transposes stay in the cache
@@ -157,18 +164,31 @@ def _same(one: Subdomain, other: Subdomain) -> bool:
             return False
         if not (np.array_equal(K.indptr, L.indptr) and np.array_equal(K.indices, L.indices)):
             return False
-        difference, largest = K.data - L.data, np.abs(L.data).max(initial=0.0)
-        if np.abs(difference).max(initial=0.0) > _SAME * largest:
-            return False
-        # a soft elastic support changes no entry by more, but the energies of rigid motions
-        change = sp.csr_matrix((difference, K.indices, K.indptr), shape=K.shape)
-        R = rigid_body_modes(one.coordinates_in_frame)
-        if np.abs(R.T @ (change @ R)).max(initial=0.0) > ZERO_ENERGY * largest:
+        change = sp.csr_matrix((K.data - L.data, K.indices, K.indptr), shape=K.shape)
+        if not is_rounding(change, L, one.coordinates_in_frame):
             return False
     offset = one.coordinates_in_frame - other.coordinates_in_frame
     offset -= offset[:1]
     reach = max(np.abs(one.coordinates).max(initial=0.0), np.abs(other.coordinates).max(initial=0))
-    return bool(np.abs(offset).max(initial=0.0) <= _SAME * reach)
+    return bool(np.abs(offset).max(initial=0.0) <= SAME * reach)
+
+
+def is_rounding(change: sp.csr_matrix, stiffness: sp.csr_matrix, coordinates: Vector) -> bool:
+    """Tell whether a change of a stiffness matrix is but rounding.
+
+    Parameters
+    ----------
+    change, stiffness : (n, n) scipy.sparse.csr_matrix
+        [N/m].
+    coordinates : (nodes, gdim) array
+        [m].
+    """
+    largest = np.abs(stiffness.data).max(initial=0.0)
+    if np.abs(change.data).max(initial=0.0) > SAME * largest:
+        return False
+    # a soft elastic support changes no entry by more, but the energies of rigid motions
+    R = rigid_body_modes(coordinates)
+    return bool(np.abs(R.T @ (change @ R)).max(initial=0.0) <= ZERO_ENERGY * largest)
 
 
 def apply_by_class(

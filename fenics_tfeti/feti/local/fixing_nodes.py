@@ -98,7 +98,9 @@ def perron_centres(graph: sp.csr_matrix, part: Numbers) -> Numbers:
     return centres
 
 
-def fixing_nodes(stiffness: sp.csr_matrix, coordinates: Vector, number: int) -> Numbers:
+def fixing_nodes(
+    stiffness: sp.csr_matrix, coordinates: Vector, number: int, images: Numbers | None = None
+) -> Numbers:
     """Choose fixing nodes near the centres of equal parts of the mesh (algorithm 11.1).
 
     Parameters
@@ -109,6 +111,9 @@ def fixing_nodes(stiffness: sp.csr_matrix, coordinates: Vector, number: int) -> 
         [m].
     number : int
         M; doubled as often as needed where the nodes found lie near a line.
+    images : (g, nodes) integer array, optional
+        The images of the nodes under symmetries, which the fixing nodes are to have, too: as many
+        of those found as make M together with their images.
 
     Returns
     -------
@@ -120,10 +125,23 @@ def fixing_nodes(stiffness: sp.csr_matrix, coordinates: Vector, number: int) -> 
         parts = split_nodes(coordinates, number)
         part = np.empty(coordinates.shape[0], dtype=np.int64)
         part[np.concatenate(parts)] = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
-        chosen = np.sort(perron_centres(graph, part))
+        chosen = perron_centres(graph, part)
+        if images is not None:
+            chosen = _with_images(chosen, images)
+        chosen = np.sort(chosen)
         if chosen.size == coordinates.shape[0] or _hold_still(coordinates, chosen):
             return chosen
         number *= 2
+
+
+def _with_images(chosen: Numbers, images: Numbers) -> Numbers:
+    """Return the images of the first few nodes, at least as many as there are nodes."""
+    whole = np.zeros(0, dtype=np.int64)
+    for node in chosen:
+        if whole.size >= chosen.size:
+            break
+        whole = np.union1d(whole, images[:, node])
+    return whole
 
 
 def _hold_still(coordinates: Vector, chosen: Numbers) -> bool:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.errors import FactorizationError, format_point
 from fenics_tfeti.feti.local.cholesky import SparseCholesky
 from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes
+from fenics_tfeti.feti.local.symmetry import SymmetryGroup
 from fenics_tfeti.feti.system import Subdomain
 
 __all__ = ["GeneralizedInverse", "regularized_stiffness"]
@@ -66,6 +67,8 @@ class GeneralizedInverse:
         M, the number of fixing nodes.
     stiffness : (n, n) scipy.sparse.csr_matrix, optional
         K_i with unknowns beyond those of the nodes; by default that of the subdomain.
+    symmetries : SymmetryGroup, optional
+        What leaves K_i as it is, and K_i^+ is to have, too; the identity alone by default.
 
     Raises
     ------
@@ -80,12 +83,17 @@ class GeneralizedInverse:
         package: str,
         number: int = 8,
         stiffness: sp.csr_matrix | None = None,
+        symmetries: SymmetryGroup | None = None,
     ) -> None:
         gdim = subdomain.coordinates.shape[1]
         K = subdomain.stiffness if stiffness is None else stiffness
         self.size = K.shape[0]
+        self.symmetries = symmetries or SymmetryGroup.trivial(self.size)
+        images = symmetries.nodes(gdim) if symmetries else None
         try:
-            nodes = fixing_nodes(subdomain.stiffness, subdomain.coordinates_in_frame, number)
+            nodes = fixing_nodes(
+                subdomain.stiffness, subdomain.coordinates_in_frame, number, images
+            )
             fixed = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
             self._factor = SparseCholesky(regularized_stiffness(K, R, fixed), package)
         except FactorizationError as error:

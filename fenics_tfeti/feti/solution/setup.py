@@ -36,6 +36,7 @@ from fenics_tfeti.feti.local.cholesky import choose_package
 from fenics_tfeti.feti.local.congruence import CongruenceClass, find_congruence_classes
 from fenics_tfeti.feti.local.elastic_supports import set_free
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
+from fenics_tfeti.feti.local.symmetry import SymmetryGroup, find_symmetries
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.solution.certificate import RowBodies
 from fenics_tfeti.feti.solution.states import ContactData
@@ -101,9 +102,11 @@ class LocalSetup:
 
 
 def factor_subdomains(
-    system: TornSystem, local: LocalSetup, package: str
+    system: TornSystem, options: Options, local: LocalSetup, package: str
 ) -> list[GeneralizedInverse]:
     """Factor the regularised stiffness matrix of each class: K_i^+ (11.28). Collective.
+
+    It has the symmetries of K_i where a dense matrix could be made of it.
 
     Raises
     ------
@@ -117,9 +120,19 @@ def factor_subdomains(
                 local.kernels[congruent.first],
                 package,
                 stiffness=K,
+                symmetries=_symmetries(system, options, congruent, K),
             )
             for congruent, K in zip(local.classes, local.stiffness, strict=True)
         ]
+
+
+def _symmetries(
+    system: TornSystem, options: Options, congruent: CongruenceClass, K: sp.csr_matrix
+) -> SymmetryGroup | None:
+    dense = options.dual_operator == "explicit"
+    if dense or (options.dual_operator == "auto" and congruent.members.size > 1):
+        return find_symmetries(K, system.subdomains[congruent.first].coordinates_in_frame)
+    return None
 
 
 @dataclass(frozen=True)
