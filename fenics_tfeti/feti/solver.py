@@ -292,7 +292,7 @@ class TornSolver:
         It is that with F and d themselves, without deflation.
         """
         setup = self.setup.without_deflation()
-        return dual_problem(setup, self.data, setup.norm(LANCZOS_STEPS))
+        return dual_problem(setup, self.data, setup.load(self.data), setup.norm(LANCZOS_STEPS))
 
     def release(self) -> None:
         """Free the factors and the stiffness matrices of this solver, which cannot solve then.

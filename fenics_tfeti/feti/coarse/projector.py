@@ -8,6 +8,7 @@ Where a site of friction slips, the combination of its rows across its force may
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import scipy.sparse as sp
@@ -109,6 +110,9 @@ class Projector:
         if sticking is None:
             sticking = np.full(constraints.friction.size, everything)
         rows = constraints.face(chosen, sticking)
+        known = coarse_space.recent.find(rows, across)
+        if known is not None:
+            return known(coarse_space)
         combined = None if across is None else constraints.friction.combined(across, rows.size)
         own = (
             None
@@ -140,11 +144,16 @@ class Projector:
             factor = _changed_inverse(coarse_space, gram, rows, combined, pins)
         elif layout.size:
             factor = layout.factor(layout.add_to_diagonal(gram, pins))
-        projector = Projector(coarse_space, rows, free, z, factor, across=across)
-        return projector._with_weak_motions(weak.toarray()) if weak.shape[1] else projector
+        of_face = partial(
+            Projector, rows=rows, free=free, free_bodies=z, factor=factor, across=across
+        )
+        if weak.shape[1]:
+            of_face = partial(of_face, weak=of_face(coarse_space)._weak_motions(weak.toarray()))
+        coarse_space.recent.keep(rows, across, of_face)
+        return of_face(coarse_space)
 
-    def _with_weak_motions(self, z: Vector) -> Projector:
-        """Return the projector that knows of motions z of bodies, which its factor pins."""
+    def _weak_motions(self, z: Vector) -> WeakMotions:
+        """Return how motions z of bodies, which the factor pins, correct its inverse."""
         coarse_space, space = self.coarse_space, self.coarse_space.constraints.layout.space
         # Z = (I - A^{-1} GG') T z, W = G'Z; what T z does to the rows is known without rounding
         moved = coarse_space.moved_rows(z)
@@ -157,8 +166,7 @@ class Projector:
         squares, V = np.linalg.eigh(gram)
         moving = squares > np.finfo(float).eps * squares.max(initial=0.0)
         inverse = V[:, moving] / np.sqrt(squares[moving])
-        weak = WeakMotions((coarse_space.coarse_motions(z) - follow) @ inverse, W @ inverse)
-        return replace(self, weak=weak)
+        return WeakMotions((coarse_space.coarse_motions(z) - follow) @ inverse, W @ inverse)
 
     # -- coarse vectors that every rank has whole -------------------------------------------------
 

@@ -24,6 +24,7 @@ from fenics_tfeti.feti.coarse.factor import (
     choose_coarse_solver,
 )
 from fenics_tfeti.feti.coarse.inverse import InverseByRows, independent_columns
+from fenics_tfeti.feti.coarse.recent import RecentFaces
 from fenics_tfeti.feti.coarse.resistance import weak_motions
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
@@ -70,6 +71,8 @@ class CoarseSpace:
         Rigid motions of bodies.
     constraints : Constraints
         The columns.
+    recent : RecentFaces
+        How the projectors of the last faces are made of the coarse space.
     inverse : InverseByRows or None
         The inverse of GG' of all rows, if faces are to be changes of it; `Projector.build` of all
         rows makes it.
@@ -86,6 +89,7 @@ class CoarseSpace:
     equality: sp.csr_matrix
     bodies: BodyMotions
     constraints: Constraints
+    recent: RecentFaces[Callable[[CoarseSpace], Any]]
     inverse: InverseByRows | None = None
 
     @staticmethod
@@ -146,6 +150,7 @@ class CoarseSpace:
             layout.rows(rows),
             body_motions(system, kernels, constraints, everyone),
             constraints,
+            RecentFaces(system.comm),
         )
 
     @property

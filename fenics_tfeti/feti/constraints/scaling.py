@@ -58,9 +58,12 @@ def stiffness_of_weight(system: TornSystem, scaling: Scaling) -> float:
 
 def _diagonals(system: TornSystem) -> Vector:
     """Return the mean diagonal of K_i at each copy of a node."""
-    diagonals = [s.stiffness.diagonal().reshape(-1, system.gdim) for s in system.subdomains]
-    mean: Vector = np.concatenate([np.zeros((0, system.gdim)), *diagonals]).mean(axis=1)
-    return mean
+    matrices = {id(s.stiffness): s.stiffness for s in system.subdomains}
+    mean = {
+        which: matrix.diagonal().reshape(-1, system.gdim).mean(axis=1)
+        for which, matrix in matrices.items()
+    }
+    return np.concatenate([np.zeros(0), *(mean[id(s.stiffness)] for s in system.subdomains)])
 
 
 def _largest(system: TornSystem, stiffness: Vector) -> float:

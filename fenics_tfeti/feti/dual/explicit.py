@@ -28,6 +28,9 @@ _SHARING_OF_SOLVES = 3
 _SHARING_OF_PRODUCTS = 8
 # products of a typical solve
 _PRODUCTS = 50
+# by how much blocks may differ from solves, relative to the largest displacement: a dual operator
+# that disagrees with the recovery by more limits its accuracy
+_SYMMETRIC = 1e-13
 # rows at once: their coordinates in the orbits stay in the cache
 _ROWS = 64
 
@@ -92,7 +95,19 @@ class ExplicitInverse:
 
     @staticmethod
     def build(inverse: GeneralizedInverse, orbits: Orbits) -> ExplicitInverse:
-        """Solve for the unit vectors of the representatives."""
+        """Solve for the unit vectors of the representatives.
+
+        Where the material jumps rounding makes K^+ less symmetric than that; then those of all
+        unknowns are solved for, as without symmetries.
+        """
+        explicit = ExplicitInverse._of_orbits(inverse, orbits)
+        if orbits.group.order == 1 or explicit._agrees_with(inverse):
+            return explicit
+        none = SymmetryGroup.trivial(inverse.size)
+        return ExplicitInverse._of_orbits(inverse, Orbits.build(none, orbits.unknowns))
+
+    @staticmethod
+    def _of_orbits(inverse: GeneralizedInverse, orbits: Orbits) -> ExplicitInverse:
         group, chosen = orbits.group, orbits.representatives
         columns = np.empty((orbits.unknowns.size, chosen.size))
         for start in range(0, chosen.size, _COLUMNS):
@@ -107,6 +122,15 @@ class ExplicitInverse:
         # the representatives that several elements leave would count as often
         often = np.count_nonzero(images == chosen, axis=0)
         return ExplicitInverse(orbits, blocks / (group.order * often[:, None]))
+
+    def _agrees_with(self, inverse: GeneralizedInverse) -> bool:
+        forces = np.zeros(inverse.size)
+        forces[self.orbits.unknowns] = np.random.default_rng(0).standard_normal(
+            self.orbits.unknowns.size
+        )
+        expected = inverse.solve(forces)[self.orbits.unknowns]
+        found = self(forces[self.orbits.unknowns][None])[0]
+        return bool(np.abs(found - expected).max() <= _SYMMETRIC * np.abs(expected).max())
 
     def __call__(self, rows: Vector) -> Vector:
         """Apply it to each row of a (k, b) matrix."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from mpi4py import MPI
 
@@ -383,11 +384,15 @@ class _Loop:
             return multipliers
         return deflation.completed(multipliers, self.d, self.data.feasible)
 
+    @cached_property
+    def _load(self) -> Vector:
+        with self.timer.phase("iterations"):
+            return self.setup.load(self.data)
+
     def _problem(self, lanczos_steps: int) -> DualProblem:
         with self.timer.phase("norm"):
             norm = self.setup.norm(lanczos_steps)
-        with self.timer.phase("iterations"):
-            return dual_problem(self.setup, self.data, norm)
+        return dual_problem(self.setup, self.data, self._load, norm)
 
     def _first_face(
         self, stage: _Stage, problem: DualProblem

@@ -282,12 +282,16 @@ class DualSetup:
         """Return d, or d_c. Collective."""
         return d if self.deflation is None else self.deflation.reduced(d)
 
+    def load(self, data: ContactData) -> Vector:
+        """Return d, or d_c, by one application of K^+. Collective."""
+        return self.reduced(self.F.load(data.load, data.c))
 
-def dual_problem(setup: DualSetup, data: ContactData, norm: float) -> DualProblem:
-    """Return (11.36), deflated or not; its d takes one application of K^+."""
+
+def dual_problem(setup: DualSetup, data: ContactData, d: Vector, norm: float) -> DualProblem:
+    """Return (11.36), deflated or not."""
     return DualProblem(
         setup.part,
-        setup.reduced(setup.F.load(data.load, data.c)),
+        d,
         data.e,
         data.e_size,
         data.c,

@@ -111,7 +111,9 @@ WHATEVER_THE_SIGNS = {"sign_factor": 0.0, "max_products": 10_000}
 
 def linear_products(solver: TornSolver, active: np.ndarray, tolerance: float) -> Products:
     """Count what the linear problem with these rows costs, from nothing."""
-    problem = dual_problem(solver.setup, solver.data, solver.setup.norm(3))
+    problem = dual_problem(
+        solver.setup, solver.data, solver.setup.load(solver.data), solver.setup.norm(3)
+    )
     signs = Signs.of(problem, np.zeros_like(problem.d), active)
     face = Face.build(problem, signs, Projector.build(solver.setup.projector.coarse_space, active))
     products = Products()
