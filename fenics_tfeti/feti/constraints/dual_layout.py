@@ -28,8 +28,8 @@ class DualLayout:
     """The distribution of a vector: each rank holds the components that it needs.
 
     A component may be held by several ranks; the lowest of them owns it. Owned components come
-    first, then the others, both by ascending global number. All ranks that hold a component have
-    bitwise equal values of it.
+    first, then the others, both by ascending place. All ranks that hold a component have bitwise
+    equal values of it.
 
     Parameters
     ----------
@@ -37,6 +37,8 @@ class DualLayout:
         The ranks.
     numbers : (m,) integer array
         The distinct global numbers that this rank holds.
+    place : (m,) integer array, optional
+        What they are in order of on this rank; their numbers by default.
 
     Attributes
     ----------
@@ -50,15 +52,17 @@ class DualLayout:
         The inner product.
     """
 
-    def __init__(self, comm: MPI.Intracomm, numbers: Keys) -> None:
+    def __init__(self, comm: MPI.Intracomm, numbers: Keys, place: Keys | None = None) -> None:
         self.comm = comm
-        numbers = np.sort(numbers)
+        ascending = np.argsort(numbers)
+        numbers = numbers[ascending]
+        place = numbers if place is None else place[ascending]
         keys, ranks = Directory(comm, numbers).forward(
             numbers, np.full(numbers.size, comm.rank, dtype=np.int64)
         )
         owner = np.full(numbers.size, comm.size, dtype=np.int64)
         np.minimum.at(owner, np.searchsorted(numbers, keys), ranks)
-        order = np.argsort(owner != comm.rank, kind="stable")
+        order = np.lexsort((place, owner != comm.rank))
         self.numbers: Keys = numbers[order]
         self.owned = int(np.count_nonzero(owner == comm.rank))
         self.size: int = comm.allreduce(self.owned)

@@ -109,7 +109,7 @@ def hold_ground(
     extended = replace(
         constraints,
         matrix=sp.csr_matrix((values, (rows, columns)), shape),
-        layout=DualLayout(layout.comm, numbers),
+        layout=DualLayout(layout.comm, numbers, np.arange(numbers.size)),
         inequality=moved(constraints.inequality),
         own_rows=moved(constraints.own_rows),
         weights=weights,

@@ -227,9 +227,7 @@ def build_constraints(
     conditions = condition_rows(system, directory, copies, table, equality_total)
 
     entries = Entries.concatenate([equality.entries, conditions.entries])
-    layout = DualLayout(
-        system.comm, np.unique(np.concatenate([equality.entries.rows, conditions.number]))
-    )
+    layout = _along_subdomains(system.comm, equality.entries, conditions.number)
     shape = layout.numbers.size, sum(subdomain.size for subdomain in system.subdomains)
     matrix = sp.csr_matrix((entries.values, (layout.local(entries.rows), entries.columns)), shape)
     at = layout.local(conditions.number)
@@ -281,6 +279,18 @@ def build_constraints(
         friction=friction,
     )
     return constraints, c
+
+
+def _along_subdomains(comm: MPI.Intracomm, equality: Entries, conditions: Numbers) -> DualLayout:
+    """Lay out the equality rows by their first torn unknowns, then the others by their numbers.
+
+    Products with B and B' read vectors in sequence then, not at random. Collective.
+    """
+    by_column = np.argsort(equality.columns, kind="stable")
+    numbers, first = np.unique(equality.rows[by_column], return_index=True)
+    conditions = np.unique(conditions)
+    place = np.concatenate([first, equality.rows.size + np.arange(conditions.size)])
+    return DualLayout(comm, np.concatenate([numbers, conditions]), place)
 
 
 def _check_pressed(system: TornSystem, friction: FrictionRows, normal: Numbers) -> None:
