@@ -16,6 +16,7 @@ from torn import column
 from fenics_tfeti.errors import FactorizationError
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.recent import RecentFaces
 from fenics_tfeti.feti.local.cholesky import DistributedCholesky
 
 comm = MPI.COMM_WORLD
@@ -129,3 +130,14 @@ def test_indefinite_matrix_is_an_error_on_all_ranks():
     rows = sp.diags(np.where(np.arange(n) == 1, -1.0, 1.0), format="csr")
     with pytest.raises(FactorizationError, match="not positive definite"):
         DistributedCholesky(comm, rows[2 * comm.rank : 2 * comm.rank + 2])
+
+
+def test_faces_are_known_again_on_all_ranks_or_on_none():
+    recent: RecentFaces[int] = RecentFaces(comm)
+    rows = np.zeros(3, dtype=bool)
+    recent.keep(rows, None, 0)
+    recent.keep(~rows, None, 1)
+    assert recent.find(rows, None) == 0
+    changed = rows.copy()
+    changed[0] = comm.rank == comm.size - 1
+    assert recent.find(changed, None) is None

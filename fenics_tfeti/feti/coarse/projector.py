@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.factor import CoarseFactor
 from fenics_tfeti.feti.coarse.inverse import InverseByRows
+from fenics_tfeti.feti.coarse.recent import RecentFaces
 from fenics_tfeti.feti.coarse.resistance import of_one_body, orthonormal_columns, pivot_rows
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.tolerances import NO_WORK
@@ -112,7 +114,16 @@ class Projector:
         rows = constraints.face(chosen, sticking)
         known = coarse_space.recent.find(rows, across)
         if known is not None:
-            return known(coarse_space)
+            projector: Projector = known(coarse_space)
+            return projector
+        return Projector._factored(coarse_space, rows, across, everything)
+
+    @staticmethod
+    def _factored(
+        coarse_space: CoarseSpace, rows: Mask, across: Vector | None, everything: bool
+    ) -> Projector:
+        """Factor GG' of some rows, or of all of them, and keep the factor for a while."""
+        constraints = coarse_space.constraints
         combined = None if across is None else constraints.friction.combined(across, rows.size)
         own = (
             None
@@ -140,7 +151,8 @@ class Projector:
         if layout.size and layout.solver == "inverse":
             if everything:
                 inverse = InverseByRows.build(layout, gram, pins)
-                coarse_space = replace(coarse_space, inverse=inverse)
+                recent: RecentFaces[Any] = RecentFaces(coarse_space.comm)
+                coarse_space = replace(coarse_space, inverse=inverse, recent=recent)
             factor = _changed_inverse(coarse_space, gram, rows, combined, pins)
         elif layout.size:
             factor = layout.factor(layout.add_to_diagonal(gram, pins))

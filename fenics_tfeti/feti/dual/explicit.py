@@ -97,8 +97,8 @@ class ExplicitInverse:
     def build(inverse: GeneralizedInverse, orbits: Orbits) -> ExplicitInverse:
         """Solve for the unit vectors of the representatives.
 
-        Where the material jumps rounding makes K^+ less symmetric than that; then those of all
-        unknowns are solved for, as without symmetries.
+        Where the material jumps, rounding makes K^+ less symmetric than the blocks; then all unit
+        vectors are solved for, as without symmetries.
         """
         explicit = ExplicitInverse._of_orbits(inverse, orbits)
         if orbits.group.order == 1 or explicit._agrees_with(inverse):
@@ -130,13 +130,14 @@ class ExplicitInverse:
         )
         expected = inverse.solve(forces)[self.orbits.unknowns]
         found = self(forces[self.orbits.unknowns][None])[0]
-        return bool(np.abs(found - expected).max() <= _SYMMETRIC * np.abs(expected).max())
+        largest = np.abs(expected).max(initial=0.0)
+        return bool(np.abs(found - expected).max(initial=0.0) <= _SYMMETRIC * largest)
 
     def __call__(self, rows: Vector) -> Vector:
         """Apply it to each row of a (k, b) matrix."""
         if self.orbits.group.order == 1:
-            # symmetric but for rounding
-            return rows @ self.blocks[0]
+            product: Vector = rows @ self.blocks[0]
+            return product
         result = np.empty_like(rows)
         for start in range(0, len(rows), _ROWS):
             some = slice(start, start + _ROWS)

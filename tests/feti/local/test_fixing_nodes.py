@@ -13,6 +13,7 @@ from fenics_tfeti.feti.local.fixing_nodes import (
     perron_centres,
     split_nodes,
 )
+from fenics_tfeti.feti.local.symmetry import find_symmetries
 
 CUBE = cube(4)
 K = CUBE.stiffness.toarray()
@@ -69,3 +70,12 @@ def test_more_nodes_are_chosen_where_those_found_lie_on_a_line():
     assert chosen.size == 4
     edges = CUBE.coordinates[chosen[1:]] - CUBE.coordinates[chosen[0]]
     assert np.linalg.matrix_rank(edges) >= 2
+
+
+def test_fixing_nodes_have_the_symmetries_of_the_mesh():
+    images = find_symmetries(CUBE.stiffness, CUBE.coordinates).nodes(3)
+    plain = fixing_nodes(CUBE.stiffness, CUBE.coordinates, 8)
+    chosen = fixing_nodes(CUBE.stiffness, CUBE.coordinates, 8, images)
+    assert any(set(image[plain]) != set(plain) for image in images)
+    assert all(set(image[chosen]) == set(chosen) for image in images)
+    assert 8 <= chosen.size <= 15
