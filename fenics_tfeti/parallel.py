@@ -7,9 +7,9 @@ All of it is for the set-up. The communication of the iterations is in
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 from mpi4py import MPI
 
@@ -20,6 +20,7 @@ __all__ = [
     "Directory",
     "concatenate_buffers",
     "concatenate_ranks",
+    "exchange",
     "first_of_rank",
     "raise_collectively",
     "values_of_owners",
@@ -27,6 +28,7 @@ __all__ = [
 
 Keys = NDArray[np.int64]
 Array = NDArray[Any]
+T = TypeVar("T")
 
 
 @contextmanager
@@ -90,6 +92,16 @@ def first_of_rank(comm: MPI.Intracomm, count: int) -> tuple[int, int]:
     return sum(counts[: comm.rank]), sum(counts)
 
 
+def exchange(comm: MPI.Intracomm, messages: Sequence[T]) -> list[T]:
+    """Send a message to each rank, return those that arrive, by rank. Collective.
+
+    The one to this rank itself is not copied.
+    """
+    to_others = [None if rank == comm.rank else m for rank, m in enumerate(messages)]
+    arrived = comm.alltoall(to_others)
+    return [messages[rank] if rank == comm.rank else m for rank, m in enumerate(arrived)]
+
+
 def values_of_owners(
     comm: MPI.Intracomm, owned: tuple[int, int], values: Array, numbers: Keys
 ) -> Array:
@@ -107,8 +119,8 @@ def values_of_owners(
         Numbers of any ranks, ascending.
     """
     ends = np.array(comm.allgather(owned[1]))
-    asked = comm.alltoall(np.split(numbers, np.searchsorted(numbers, ends[:-1])))
-    rows = comm.alltoall([values[part - owned[0]] for part in asked])
+    asked = exchange(comm, np.split(numbers, np.searchsorted(numbers, ends[:-1])))
+    rows = exchange(comm, [values[part - owned[0]] for part in asked])
     return np.concatenate(rows)
 
 
@@ -135,7 +147,7 @@ class Directory:
         self._comm = comm
         limit = comm.allreduce(int(keys.max(initial=-1)), MPI.MAX) + 1
         self._chunk = max(1, -(-limit // comm.size))
-        arrived = comm.alltoall(self._by_home(keys, [])[0])
+        arrived = exchange(comm, self._by_home(keys, [])[0])
         ranks = np.repeat(np.arange(comm.size), [rows[0].size for rows in arrived])
         held = np.concatenate([rows[0] for rows in arrived])
         order = np.argsort(held, kind="stable")
@@ -158,7 +170,7 @@ class Directory:
 
         Rows arrive in the order of ranks, those of a rank in the order given.
         """
-        arrived = self._comm.alltoall(self._by_home(keys, list(data))[0])
+        arrived = exchange(self._comm, self._by_home(keys, list(data))[0])
         return tuple(np.concatenate(column) for column in zip(*arrived, strict=True))
 
     def position(self, keys: Keys) -> Keys:
@@ -185,14 +197,14 @@ class Directory:
         """
         questions, order = self._by_home(keys, [])
         answers = []
-        for (asked,) in self._comm.alltoall(questions):
+        for (asked,) in exchange(self._comm, questions):
             at = self.position(asked)
             rows = [table[at] if table.size else table[:0] for table in tables]
             rows = [
                 self._blank_missing(row, at, table) for row, table in zip(rows, tables, strict=True)
             ]
             answers.append((at >= 0, *rows))
-        columns = zip(*self._comm.alltoall(answers), strict=True)
+        columns = zip(*exchange(self._comm, answers), strict=True)
         inverse = np.argsort(order, kind="stable")
         return tuple(np.concatenate(column)[inverse] for column in columns)
 
@@ -218,5 +230,5 @@ class Directory:
         order = np.argsort(holder, kind="stable")
         cuts = np.searchsorted(holder[order], np.arange(1, self._comm.size))
         split = [np.split(column[row[order]], cuts) for column in columns]
-        arrived = self._comm.alltoall(list(zip(*split, strict=True)))
+        arrived = exchange(self._comm, list(zip(*split, strict=True)))
         return tuple(np.concatenate(column) for column in zip(*arrived, strict=True))

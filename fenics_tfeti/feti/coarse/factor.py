@@ -23,7 +23,7 @@ from fenics_tfeti.feti.local.cholesky import (
     SparseCholesky,
     available_packages,
 )
-from fenics_tfeti.parallel import concatenate_buffers
+from fenics_tfeti.parallel import concatenate_buffers, exchange
 
 __all__ = ["CoarseFactor", "CoarseLayout", "CoarseSolverKind", "choose_coarse_solver"]
 
@@ -134,7 +134,7 @@ class CoarseLayout:
         first = int(ends[comm.rank]) - own
         rank = np.searchsorted(ends, others, side="right")
         to = {int(r): np.flatnonzero(rank == r) for r in np.unique(rank)}
-        asked = comm.alltoall([others[to[r]] if r in to else others[:0] for r in range(comm.size)])
+        asked = exchange(comm, [others[to[r]] if r in to else others[:0] for r in range(comm.size)])
         of = {r: numbers - first for r, numbers in enumerate(asked) if numbers.size}
         return CoarseLayout(comm, tuple(counts), others, to, of, solver, package)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti import interruption
-from fenics_tfeti.parallel import Directory
+from fenics_tfeti.parallel import Directory, exchange
 from fenics_tfeti.qp import Space
 
 __all__ = ["DualLayout", "seeded_vector"]
@@ -140,7 +140,7 @@ class DualLayout:
         for rank, at in self._neighbours.items():
             chosen = np.isin(columns, at)
             messages[rank] = (rows[chosen], self.numbers[columns[chosen]], values[chosen])
-        arrived = [np.concatenate(c) for c in zip(*self.comm.alltoall(messages), strict=True)]
+        arrived = [np.concatenate(c) for c in zip(*exchange(self.comm, messages), strict=True)]
         return arrived[0], self.local(arrived[1]), arrived[2]
 
     def _sum_over_ranks(self, partial: Vector) -> Vector:
