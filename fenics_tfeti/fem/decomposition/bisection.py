@@ -21,7 +21,7 @@ Numbers = NDArray[np.int64]
 # variance along a coordinate axis, relative to the largest one, at which cuts are across that axis:
 # slanted cuts of a body along the axes have larger areas
 _LONG_ENOUGH = 0.8
-# passes over the cells at interfaces: more leave the interface of tetrahedra as it is, by 1 %
+# passes over the cells at interfaces: more make the interface of tetrahedra 1 % smaller
 _PASSES = 6
 # cells of a piece that is a subdomain of its own, relative to the mean of all parts
 _LARGE = 0.3
