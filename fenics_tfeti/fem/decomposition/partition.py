@@ -31,7 +31,7 @@ Indices = NDArray[np.int32]
 Numbers = NDArray[np.int64]
 Partitioner = Literal["auto", "scotch", "bisection"]
 
-# cells from which on SCOTCH takes a tenth of a solve; its interfaces have 1.7 % fewer copies of nodes
+# cells from which on SCOTCH takes a tenth of a solve; it makes 1.7 % fewer copies of nodes
 _MANY_CELLS = 50_000
 
 
