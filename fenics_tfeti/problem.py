@@ -439,7 +439,7 @@ class ContactProblem:
     def _assemble(self, known: Sequence[Subdomain] | None = None) -> list[Subdomain]:
         """Assemble the subdomains, or only the loads of known ones."""
         with self._timer.phase("assembly"):
-            return self._forms.subdomains(self._parts, known)
+            return self._forms.subdomains(self._parts, known, self._boundary.coordinates)
 
     def _torn_system(self, torn: Sequence[Subdomain], prescribed: Prescribed) -> TornSystem:
         gdim = self.space.mesh.geometry.dim
@@ -488,7 +488,7 @@ class ContactProblem:
 
     def _numbered_parts(self) -> list[Part]:
         bodies = [self._bodies.of_cell[cells[0]] for cells in self._cells]
-        return number_parts(self.space, self._cells, bodies)
+        return number_parts(self.space, self._cells, bodies, self._boundary.coordinates)
 
     def _take_moved_mesh(self) -> bool:
         """Tell whether nodes were moved since the last solve; then nothing found on them holds."""

@@ -19,7 +19,6 @@ ELSEWHERE = {
     "feti/constraints/entries.py": "tests/feti/constraints/test_rows.py",
     "feti/constraints/equality.py": "tests/feti/constraints/test_rows.py",
     "feti/constraints/conditions.py": "tests/feti/constraints/test_rows.py",
-    "feti/constraints/nodes.py": "tests/feti/constraints/test_rows.py",
     "feti/dual/pcpg.py": "tests/feti/dual/test_active_set.py",
     "feti/dual/problem.py": "data only",
     "feti/options.py": "tests/test_options.py, tests/test_errors.py",

@@ -480,7 +480,9 @@ def distributed_mesh(
 
     - 0.5.2 has ``create_mesh(comm, cells, x, domain)`` and elements from ``ufl``;
     - 0.9 has ``create_mesh(comm, cells, x, e)``, 0.11 ``create_mesh(comm, cells, e, x)``, both
-      with elements from ``basix.ufl``.
+      with elements from ``basix.ufl``;
+    - 0.5.2 builds the dual graph of the cells for the partitioner on one process, too, where 0.9
+      and 0.11 call none: a quarter to a third of the time.
 
     Dispatches on the name of the argument of the coordinate element.
 
@@ -501,12 +503,18 @@ def distributed_mesh(
     if "domain" in inspect.signature(mesh.create_mesh).parameters:
         shape = ufl.Cell(cell, geometric_dimension=gdim)
         domain = ufl.Mesh(ufl.VectorElement("Lagrange", shape, degree))
+        one_process = {"partitioner": _to_one_process} if comm.size == 1 else {}
         with quiet_compiler():
-            return mesh.create_mesh(comm, cells, points, domain=domain)
+            return mesh.create_mesh(comm, cells, points, domain=domain, **one_process)
     import basix.ufl
 
     element = basix.ufl.element("Lagrange", cell, degree, shape=(gdim,))
     return mesh.create_mesh(comm, cells, x=points, e=ufl.Mesh(element))
+
+
+def _to_one_process(comm: MPI.Comm, size: int, dim: int, cells: Any, ghost_mode: Any) -> Any:
+    """Partition the cells of one process: a partitioner of 0.5.2."""
+    return cpp.graph.AdjacencyList_int32(np.zeros((cells.num_nodes, 1), dtype=np.int32))
 
 
 def gmsh_model_to_mesh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[Any, Any, Any]:

@@ -51,6 +51,9 @@ class CellGeometry:
         Means of the corners [m].
     size : (m,) array
         Twice the largest distance of a corner from the midpoint [m].
+    lowest, highest, volume : (m,) arrays
+        Determinants of the Jacobian: the least and the largest at the corners, and that at the
+        midpoint [m^gdim].
     body : (m,) integer array
         The body of each.
     """
@@ -60,29 +63,29 @@ class CellGeometry:
     x: Vector
     midpoint: Vector
     size: Vector
+    lowest: Vector
+    highest: Vector
+    volume: Vector
     body: Numbers
 
     @staticmethod
     def of(domain: Mesh, body: Numbers) -> CellGeometry:
         """Compute it for a mesh, given the body of each owned cell."""
-        nodes = cell_vertices(domain)[: body.size]
+        type_, nodes = cell_type(domain), cell_vertices(domain)[: body.size]
         x = np.ascontiguousarray(domain.geometry.x[:, : domain.geometry.dim].T)
-        midpoint, size = np.empty((len(x), body.size)), np.empty(body.size)
+        midpoint = np.empty((len(x), body.size))
+        size, lowest, highest, volume = np.empty((4, body.size))
         for some in _batches(body.size):
             corners = x[:, nodes[some].T]
             midpoint[:, some] = corners.mean(axis=1)
             spokes = corners - midpoint[:, None, some]
             size[some] = 2.0 * np.sqrt(np.sum(spokes**2, axis=0).max(axis=0))
-        return CellGeometry(cell_type(domain), nodes, x, midpoint, size, body)
-
-    def corners(self, cells: slice | Numbers) -> Vector:
-        """Return the coordinates (gdim, v, k) of the vertices of k cells [m]."""
-        corners: Vector = self.x[:, self.nodes[cells].T]
-        return corners
+            lowest[some], highest[some], volume[some] = _determinants(type_, corners)
+        return CellGeometry(type_, nodes, x, midpoint, size, lowest, highest, volume, body)
 
     def shortest_edges(self, cells: Numbers) -> Vector:
         """Return the length of some cells' shortest edges whose length is not zero."""
-        size, corners = self.size[cells], self.corners(cells)
+        size, corners = self.size[cells], self.x[:, self.nodes[cells].T]
         shortest = size.copy()
         for a, b in self.type.edges:
             length = np.linalg.norm(corners[:, a] - corners[:, b], axis=0)
@@ -106,14 +109,13 @@ def check_shapes(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
     InputError
         Cells in which the determinant changes its sign, straight or curved, cells without volume.
     """
-    lowest, highest, at_midpoint = _determinants(cells)
     dim = len(cells.x)
     scale = FLAT_CELL * cells.size**dim
     _raise_for_cells(
         domain,
         bodies,
         cells,
-        (lowest < -scale) & (highest > scale),
+        (cells.lowest < -scale) & (cells.highest > scale),
         "twisted cells, in which the determinant of the Jacobian changes its sign",
         "Check that their vertices are in the order of dolfinx (those of a quadrilateral row by "
         "row, not around it); otherwise mesh there again",
@@ -123,7 +125,7 @@ def check_shapes(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
         domain,
         bodies,
         cells,
-        np.abs(at_midpoint) <= scale,
+        np.abs(cells.volume) <= scale,
         f"cells without {what} is below {FLAT_CELL:g})",
         "Mesh there again, or remove these cells",
     )
@@ -150,24 +152,18 @@ def _range_in_curved_cells(domain: Mesh, cells: CellGeometry) -> tuple[Vector, V
     return lowest, highest
 
 
-def _determinants(cells: CellGeometry) -> tuple[Vector, Vector, Vector]:
-    """Return the least and the largest det J (m,) at the corners, and that at the midpoint."""
-    lowest, highest, middle = np.empty((3, cells.body.size))
-    dim = len(cells.x)
-    for some in _batches(cells.body.size):
-        x = cells.corners(some)
-        if cells.type.is_simplex:
-            constant = _determinant([x[:, k] - x[:, 0] for k in range(1, dim + 1)])
-            lowest[some] = highest[some] = middle[some] = constant
-            continue
-        # in tensor order, corners that differ in bit d of their number are ends of an edge along d
-        grid = x.reshape(dim, *(2,) * dim, -1)
-        edges = [np.diff(grid, axis=dim - d) for d in range(dim)]
-        means = [e.reshape(dim, 2 ** (dim - 1), -1).mean(axis=1) for e in edges]
-        at_corners = _determinant(edges).reshape(2**dim, -1)
-        lowest[some], highest[some] = at_corners.min(axis=0), at_corners.max(axis=0)
-        middle[some] = _determinant(means)
-    return lowest, highest, middle
+def _determinants(type_: ReferenceCell, corners: Vector) -> tuple[Vector, Vector, Vector]:
+    """Return the least and the largest det J (k,) at the corners (gdim, v, k), the midpoint's."""
+    dim = len(corners)
+    if type_.is_simplex:
+        constant = _determinant([corners[:, i] - corners[:, 0] for i in range(1, dim + 1)])
+        return constant, constant, constant
+    # in tensor order, corners that differ in bit d of their number are ends of an edge along d
+    grid = corners.reshape(dim, *(2,) * dim, -1)
+    edges = [np.diff(grid, axis=dim - d) for d in range(dim)]
+    means = [e.reshape(dim, 2 ** (dim - 1), -1).mean(axis=1) for e in edges]
+    at_corners = _determinant(edges).reshape(2**dim, -1)
+    return at_corners.min(axis=0), at_corners.max(axis=0), _determinant(means)
 
 
 def _determinant(columns: Sequence[Vector]) -> Vector:
@@ -212,11 +208,12 @@ def check_overlaps(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
     InputError
         Cells on the same side of a common facet, such as a cell turned inside out.
     """
-    facets = cell_facets(domain)[: cells.body.size]
-    side = _sides_of_simplices(cells) if cells.type.is_simplex else _sides_by_place(cells)
+    facets, above = cell_facets(domain)[: cells.body.size], _above(cells)
     number = int(facets.max(initial=-1)) + 1
-    above, below = (np.bincount(facets[side == s], minlength=number) for s in (1.0, -1.0))
-    folded = np.count_nonzero(((above > 1) | (below > 1))[facets], axis=1)
+    crowded = np.zeros(number, dtype=bool)
+    for side in (above, ~above):
+        crowded |= np.bincount(facets[side], minlength=number) > 1
+    folded = np.count_nonzero(crowded[facets], axis=1)
     # a cell turned inside out has several such facets, each of its neighbours one
     most = domain.comm.allreduce(int(folded.max(initial=0)), MPI.MAX)
     _raise_for_cells(
@@ -229,40 +226,25 @@ def check_overlaps(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
     )
 
 
-def _sides_of_simplices(cells: CellGeometry) -> Vector:
-    """Return for each facet of each simplex on which side of it the simplex is: -1, 0, 1.
+def _above(cells: CellGeometry) -> Mask:
+    """Tell for each facet of each cell on which side of it the cell is.
 
-    A positive simplex orients its facets, the k-th by (-1)^k and the order of its vertices; cells
-    on the two sides of a facet give it opposite orientations.
+    A cell of positive volume orients its facets, the k-th by (-1)^k and the order of its vertices;
+    cells on the two sides of a facet give it opposite orientations.
     """
-    volume = np.sign(_determinants(cells)[2])
-    side = np.empty(cells.nodes.shape)
-    for k, facet in enumerate(cells.type.facets):
-        pairs = combinations(facet, 2)
-        odd = np.bitwise_xor.reduce([cells.nodes[:, a] > cells.nodes[:, b] for a, b in pairs])
-        side[:, k] = np.where(odd, -volume, volume) * (-1) ** k
-    return side
-
-
-def _sides_by_place(cells: CellGeometry) -> Vector:
-    """Return for each facet of each cell on which side of it the cell's midpoint is: -1, 0, 1."""
-    dim = len(cells.x)
-    side = np.empty((cells.body.size, len(cells.type.facets)))
+    above = np.empty((cells.body.size, len(cells.type.facets)), dtype=bool)
     for some in _batches(cells.body.size):
-        corners, nodes = cells.corners(some), cells.nodes[some].T
-        limit = FLAT_CELL * cells.size[some] ** dim
+        nodes, positive = cells.nodes[some].T.copy(), cells.volume[some] > 0.0
         for k, facet in enumerate(cells.type.facets):
-            x, numbers = corners[:, list(facet)], nodes[list(facet)]
-            spoke = cells.midpoint[:, some] - x.mean(axis=1)
-            # perpendicular to the edge or to both diagonals, whose order and directions are made
-            # the same in both cells
-            if dim == 2:
-                height = _determinant([x[:, 1] - x[:, 0], spoke])
-                odd = numbers[0] > numbers[1]
-            else:
-                height = _determinant([x[:, 3] - x[:, 0], x[:, 2] - x[:, 1], spoke])
-                one, other = numbers[[0, 3]], numbers[[1, 2]]
-                odd = (one[0] > one[1]) ^ (other[0] > other[1]) ^ (one.min(0) > other.min(0))
-            seen = np.where(np.abs(height) > limit, np.sign(height), 0.0)
-            side[some, k] = np.where(odd, -seen, seen)
-    return side
+            above[some, k] = _odd(nodes[list(facet)]) ^ positive ^ bool(k % 2)
+    return above
+
+
+def _odd(nodes: NDArray[np.int32]) -> Mask:
+    """Tell which facets (v, k) have their vertices in an order that reverses the orientation."""
+    if len(nodes) == 4:  # a quadrilateral by its diagonals: the ends of each, then the two
+        one, other = nodes[[0, 3]], nodes[[1, 2]]
+        odd: Mask = _odd(one) ^ _odd(other) ^ (one.min(axis=0) > other.min(axis=0))
+    else:
+        odd = np.bitwise_xor.reduce([a > b for a, b in combinations(nodes, 2)])
+    return odd

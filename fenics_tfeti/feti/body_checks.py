@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.feti.constraints.nodes import count_copies
 from fenics_tfeti.feti.local.rigid_body_modes import raw_modes
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
@@ -113,11 +114,11 @@ def _shared_nodes(system: TornSystem, first: int) -> _SharedNodes:
 
 def _find_shared(comm: MPI.Intracomm, nodes: Numbers) -> tuple[Directory, Mask]:
     """Return a directory of the nodes, and which of them have copies; most have none."""
-    held, position, count = np.unique(nodes, return_inverse=True, return_counts=True)
+    held, position, count = count_copies(nodes)
     directory = Directory(comm, held)
     keys, counts = directory.collect(held, count)
     copies = np.bincount(directory.position(keys), weights=counts, minlength=directory.keys.size)
-    return directory, directory.lookup(held, copies)[1][position.ravel()] > 1
+    return directory, directory.lookup(held, copies)[1][position] > 1
 
 
 def _pairs_of_copies(nodes: Numbers) -> Iterator[tuple[Numbers, Numbers]]:

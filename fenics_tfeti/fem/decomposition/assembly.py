@@ -65,7 +65,10 @@ class PreparedForms:
     linear: PreparedForm
 
     def subdomains(
-        self, parts: Sequence[Part], known: Sequence[Subdomain] | None = None
+        self,
+        parts: Sequence[Part],
+        known: Sequence[Subdomain] | None = None,
+        x: NDArray[np.float64] | None = None,
     ) -> list[Subdomain]:
         """Assemble K_i and f_i of this rank's subdomains. Collective.
 
@@ -75,6 +78,8 @@ class PreparedForms:
             Their cells and nodes.
         known : sequence of Subdomain, optional
             The same subdomains with earlier loads: only f_i is assembled anew.
+        x : (dofs, 3) array, optional
+            Coordinates of the blocked degrees of freedom [m], where they are known.
 
         Returns
         -------
@@ -86,7 +91,8 @@ class PreparedForms:
         loads = self._loads(parts)
         if known is not None:
             return [replace(old, load=load) for old, load in zip(known, loads, strict=True)]
-        x = self.space.tabulate_dof_coordinates()[:, : self.space.mesh.geometry.dim]
+        x = self.space.tabulate_dof_coordinates() if x is None else x
+        x = x[:, : self.space.mesh.geometry.dim]
         to_global = self.space.dofmap.index_map.local_to_global
         first, stiffness = self._stiffnesses(parts, x)
         return [

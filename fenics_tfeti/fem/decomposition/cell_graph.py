@@ -43,9 +43,10 @@ def components(graph: sp.csr_matrix, label: Numbers) -> tuple[int, Numbers]:
     number, component : int, (cells,) integer array
         The number of components, and that of each cell.
     """
-    coo = graph.tocoo()
-    same = label[coo.row] == label[coo.col]
-    cut = sp.csr_matrix((coo.data[same], (coo.row[same], coo.col[same])), shape=graph.shape)
+    same = np.repeat(label, np.diff(graph.indptr)) == label[graph.indices]
+    ends = np.append(0, np.cumsum(same))[graph.indptr]
+    # SciPy would convert other data to float
+    cut = sp.csr_matrix((np.ones(ends[-1]), graph.indices[same], ends), shape=graph.shape)
     number, component = connected_components(cut, directed=False)
     return int(number), component
 

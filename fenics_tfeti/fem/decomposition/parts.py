@@ -54,7 +54,7 @@ class Part:
 
 
 def number_parts(
-    space: FunctionSpace, cells: Sequence[Indices], bodies: Sequence[int]
+    space: FunctionSpace, cells: Sequence[Indices], bodies: Sequence[int], x: Points | None = None
 ) -> list[Part]:
     """Give the nodes of each subdomain numbers within it.
 
@@ -66,6 +66,8 @@ def number_parts(
         Cells of each of this rank's subdomains.
     bodies : sequence of int
         The body of each.
+    x : (dofs, 3) array, optional
+        Coordinates of the blocked degrees of freedom [m], where they are known.
 
     Returns
     -------
@@ -75,8 +77,9 @@ def number_parts(
         order of the first one of their shape; their cells have the same nodes, in any order.
     """
     dofs = _compat.cell_dofs(space)
-    x = space.tabulate_dof_coordinates()[:, : space.mesh.geometry.dim]
-    parts = [_number(dofs, own, body) for own, body in zip(cells, bodies, strict=True)]
+    x = (space.tabulate_dof_coordinates() if x is None else x)[:, : space.mesh.geometry.dim]
+    number = np.empty(len(x), dtype=np.int32)
+    parts = [_number(dofs, own, body, number) for own, body in zip(cells, bodies, strict=True)]
     alike: dict[tuple[int, int], list[int]] = defaultdict(list)
     for i, part in enumerate(parts):
         alike[part.cells.size, part.nodes.size].append(i)
@@ -228,9 +231,13 @@ def _is_equal(one: Points, other: Points) -> bool:
     return bool(np.abs(one - other).max() <= RELATIVE_ROUNDING * np.abs(one).max())
 
 
-def _number(dofs: Indices, cells: Indices, body: int) -> Part:
-    nodes, table = np.unique(dofs[cells], return_inverse=True)
-    return Part(cells, nodes, table.reshape(cells.size, -1).astype(np.int32), body)
+def _number(dofs: Indices, cells: Indices, body: int, number: Indices) -> Part:
+    """Return a part with its nodes numbered; `number`, for all nodes of the space, is scratch."""
+    table = dofs[cells]
+    nodes = np.unique(table)
+    # several times faster than the inverse that np.unique returns
+    number[nodes] = np.arange(nodes.size, dtype=np.int32)
+    return Part(cells, nodes, number[table], body)
 
 
 def _sort(part: Part, x: Points) -> Part:
@@ -245,9 +252,19 @@ def _sort(part: Part, x: Points) -> Part:
     rank = np.empty(order.size, dtype=np.int32)
     rank[order] = np.arange(order.size, dtype=np.int32)
     table = rank[part.table]
-    rows = np.lexsort(table.T)
+    rows = _order_of_rows(table, order.size)
     shape = _hash(rounded[order], table[rows])
     return Part(part.cells[rows], part.nodes[order], table[rows], part.body, shape)
+
+
+def _order_of_rows(table: Indices, numbers: int) -> NDArray[np.intp]:
+    """Return the order of rows of numbers below `numbers` < 2^31, by the last column first."""
+    # two columns to a key halve the time
+    keys, before = table[:, ::-2].astype(np.int64), table[:, -2::-2]
+    keys[:, : before.shape[1]] *= numbers
+    keys[:, : before.shape[1]] += before
+    order: NDArray[np.intp] = np.lexsort(keys[:, ::-1].T)
+    return order
 
 
 def _hash(*data: NDArray[Any]) -> bytes:

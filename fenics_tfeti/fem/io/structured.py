@@ -87,7 +87,7 @@ def boxes(comm: MPI.Comm, parts: Sequence[Box], cell: str = "hexahedron") -> Tag
     node_counts = [int(np.prod(np.add(part.divisions, 1))) for part in parts]
     first_nodes = np.cumsum([0, *node_counts])[:-1]
     cells = [
-        first_node + _cells(part, cell_type, share)
+        _cells(part, cell_type, share, first_node)
         for part, first_node, share in zip(
             parts, first_nodes, _shares(cell_counts, comm), strict=True
         )
@@ -217,14 +217,17 @@ def _points(part: Box, chosen: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.column_stack([axis[i] for axis, i in zip(axes, places, strict=True)])
 
 
-def _cells(part: Box, cell: ReferenceCell, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the nodes (m, v) of chosen cells of a box, both numbered within the box."""
+def _cells(
+    part: Box, cell: ReferenceCell, chosen: NDArray[np.int64], first_node: int
+) -> NDArray[np.int64]:
+    """Return the nodes (m, v) of chosen cells of a box, which are numbered within the box."""
     gdim = len(part.divisions)
     strides = np.cumprod([1, *np.add(part.divisions, 1)])[:gdim]
     corners = (np.arange(2**gdim)[:, np.newaxis] >> np.arange(gdim) & 1) @ strides
     block, piece = np.divmod(chosen, len(cell.grid_cut))
     lowest = np.column_stack(np.unravel_index(block, part.divisions, order="F")) @ strides
-    nodes: NDArray[np.int64] = lowest[:, np.newaxis] + corners[np.asarray(cell.grid_cut)][piece]
+    nodes: NDArray[np.int64] = corners[np.asarray(cell.grid_cut)][piece]
+    nodes += first_node + lowest[:, np.newaxis]
     return nodes
 
 

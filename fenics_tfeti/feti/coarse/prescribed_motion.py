@@ -42,9 +42,11 @@ def prescribed_motion(coarse_space: CoarseSpace, c: Vector) -> Vector:
     """
     constraints, comm = coarse_space.constraints, coarse_space.comm
     prescribed = np.where(constraints.equality, c, 0.0)
-    entries, largest = constraints.matrix.tocoo(), np.zeros(constraints.size)
+    rows = np.flatnonzero(prescribed)
+    entries, largest = constraints.matrix[rows].tocoo(), np.zeros(rows.size)
     np.maximum.at(largest, entries.row, np.abs(entries.data))
-    sizes = np.divide(np.abs(prescribed), largest, out=np.zeros_like(c), where=largest > 0.0)
+    given = np.abs(prescribed[rows])
+    sizes = np.divide(given, largest, out=np.zeros(rows.size), where=largest > 0.0)
     size = comm.allreduce(float(sizes.max(initial=0.0)), MPI.MAX)
     none = np.zeros(coarse_space.size)
     if size == 0.0:

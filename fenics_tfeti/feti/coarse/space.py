@@ -128,7 +128,7 @@ class CoarseSpace:
         own = (interface.matrix @ _packed_kernels(interface, traces, ends)).tocsr()
         everyone = _with_neighbours(constraints, own, first, size)
         equality = constraints.equality
-        rows = (own.T.tocsr()[:, equality] @ everyone[equality]).tocsr()
+        rows = (own[equality].T.tocsr() @ everyone[equality]).tocsr()
         own_columns = (everyone.indices >= first) & (everyone.indices < first + ends[-1])
         others = np.unique(everyone.indices[~own_columns])
         if solver == "auto":
@@ -297,18 +297,17 @@ def _chosen_rows(rows: Numbers, size: int) -> sp.csr_matrix:
 
 def _packed_kernels(interface: Interface, traces: Sequence[Vector], ends: Numbers) -> sp.csr_matrix:
     """Return R on the packed interface unknowns, a column for each own coarse unknown."""
-    data, columns, counts = [np.zeros(0)], [np.zeros(0, dtype=np.int32)], [np.zeros(0, dtype=int)]
-    for congruent, R in zip(interface.classes, traces, strict=True):
-        k = congruent.members.size
+    sizes = [c.members.size * R.size for c, R in zip(interface.classes, traces, strict=True)]
+    data, columns = np.empty(sum(sizes)), np.empty(sum(sizes), dtype=np.int32)
+    counts, end = [np.zeros(1, dtype=np.int32)], 0
+    for congruent, R, size in zip(interface.classes, traces, sizes, strict=True):
+        start, end, k = end, end + size, congruent.members.size
         places = ends[congruent.members][:, None, None] + np.arange(R.shape[1])
-        data.append(np.tile(R.ravel(), k))
-        columns.append(np.broadcast_to(places, (k, *R.shape)).ravel().astype(np.int32))
-        counts.append(np.full(k * len(R), R.shape[1]))
-    indptr = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
-    return sp.csr_matrix(
-        (np.concatenate(data), np.concatenate(columns), indptr),
-        shape=(interface.columns.size, int(ends[-1])),
-    )
+        data[start:end].reshape(k, *R.shape)[:] = R
+        columns[start:end].reshape(k, *R.shape)[:] = places
+        counts.append(np.full(k * len(R), R.shape[1], dtype=np.int32))
+    indptr = np.cumsum(np.concatenate(counts))
+    return sp.csr_matrix((data, columns, indptr), shape=(interface.columns.size, int(ends[-1])))
 
 
 def _with_neighbours(

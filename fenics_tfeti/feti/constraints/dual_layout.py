@@ -61,7 +61,8 @@ class DualLayout:
             numbers, np.full(numbers.size, comm.rank, dtype=np.int64)
         )
         owner = np.full(numbers.size, comm.size, dtype=np.int64)
-        np.minimum.at(owner, np.searchsorted(numbers, keys), ranks)
+        # the ranks of a key ascend, and of several assignments the last one counts
+        owner[np.searchsorted(numbers, keys)[::-1]] = ranks[::-1]
         order = np.lexsort((place, owner != comm.rank))
         self.numbers: Keys = numbers[order]
         self.owned = int(np.count_nonzero(owner == comm.rank))

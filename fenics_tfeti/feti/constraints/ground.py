@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from mpi4py import MPI
 
@@ -48,8 +49,17 @@ class TornUnknowns:
         shift = np.cumsum(self.grounds) - self.grounds
         return np.arange(int(self.sizes.sum()), dtype=np.int64) + np.repeat(shift, self.sizes)
 
+    def without_ground(self, torn: NDArray[Any]) -> NDArray[Any]:
+        """Return the entries of displacements; the given array itself where there is no ground."""
+        return torn[self.displacements] if self.grounds.any() else torn
+
     def with_ground(self, displacements: Vector) -> Vector:
-        """Return a vector of displacements, or of forces on them, with zeros for the ground."""
+        """Return a vector of displacements, or of forces on them, with zeros for the ground.
+
+        It is the given one where there is no ground.
+        """
+        if not self.grounds.any():
+            return displacements
         torn = np.zeros(int(self.ends[-1]))
         torn[self.displacements] = displacements
         return torn

@@ -15,11 +15,14 @@ from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import ROUNDED_POSITION, SAME_VALUE
 from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
 
-__all__ = ["Copies", "NodeTable", "largest_coordinate"]
+__all__ = ["Copies", "NodeTable", "count_copies", "largest_coordinate"]
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+
+# range of node numbers, in units of their count, up to which counting is faster than sorting
+_DENSE = 8
 
 
 @dataclass(frozen=True)
@@ -50,10 +53,10 @@ class Copies:
     def build(system: TornSystem, weights: Vector | None) -> Copies:
         """Collect the copies; weights are 1 by default."""
         every = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in system.subdomains)])
-        nodes, node, count = np.unique(every, return_inverse=True, return_counts=True)
+        nodes, node, count = count_copies(every)
         unknown = system.gdim * np.arange(every.size, dtype=np.int64)
         weight = np.ones(every.size) if weights is None else weights
-        return Copies(node.ravel(), unknown, weight, nodes, count)
+        return Copies(node, unknown, weight, nodes, count)
 
     def of_nodes(self, chosen: Mask) -> Copies:
         """Return the copies of some of the nodes."""
@@ -104,9 +107,9 @@ class NodeTable:
         homes = directory.keys.size
         sums = np.bincount(copies.node, weights=copies.weight, minlength=copies.nodes.size)
         keys, counts, sums = directory.collect(copies.nodes, copies.count, sums)
-        multiplicity, weight = np.zeros(homes, dtype=np.int64), np.zeros(homes)
-        np.add.at(multiplicity, directory.position(keys), counts)
-        np.add.at(weight, directory.position(keys), sums)
+        at = directory.position(keys)
+        multiplicity = np.bincount(at, weights=counts, minlength=homes).astype(np.int64)
+        weight = np.bincount(at, weights=sums, minlength=homes).astype(np.float64)
 
         given = system.prescribed
         arrived = directory.collect(given.nodes, given.components, given.values)
@@ -128,6 +131,21 @@ class NodeTable:
     def rows(self) -> Numbers:
         """Number of equality rows of each node."""
         return _equality_rows(self.multiplicity, self.prescribed)
+
+
+def count_copies(nodes: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+    """Return the distinct numbers, ascending, the position of each number in them, and the counts.
+
+    As ``numpy.unique``, but in a quarter of the time where the numbers lie close together.
+    """
+    lowest, highest = (int(nodes.min()), int(nodes.max())) if nodes.size else (0, 0)
+    if highest - lowest > _DENSE * nodes.size:
+        held, position, count = np.unique(nodes, return_inverse=True, return_counts=True)
+        return held, position.ravel(), count
+    count = np.bincount(nodes - lowest)
+    held = np.flatnonzero(count)
+    position = np.cumsum(count > 0) - 1
+    return held + lowest, position[nodes - lowest], count[held]
 
 
 def largest_coordinate(system: TornSystem) -> float:

@@ -286,10 +286,12 @@ def _along_subdomains(comm: MPI.Intracomm, equality: Entries, conditions: Number
 
     Products with B and B' read vectors in sequence then, not at random. Collective.
     """
-    by_column = np.argsort(equality.columns, kind="stable")
-    numbers, first = np.unique(equality.rows[by_column], return_index=True)
+    by_row = np.argsort(equality.rows, kind="stable")
+    numbers, starts = np.unique(equality.rows[by_row], return_index=True)
+    first = np.minimum.reduceat(equality.columns[by_row], starts) if starts.size else starts
     conditions = np.unique(conditions)
-    place = np.concatenate([first, equality.rows.size + np.arange(conditions.size)])
+    after = 1 + equality.columns.max(initial=0)
+    place = np.concatenate([first, after + np.arange(conditions.size)])
     return DualLayout(comm, np.concatenate([numbers, conditions]), place)
 
 

@@ -171,8 +171,8 @@ def resultants(
     tangential = system.friction.tangential_rows(system.contacts)
     rows = ContactRows.concatenate([system.contacts, system.tied, tangential])
     x = np.concatenate([np.zeros((0, gdim)), *(s.coordinates for s in system.subdomains)])
-    loads = load[unknowns.displacements].reshape(-1, gdim)
-    held = -F.constraint_forces(multipliers)[unknowns.displacements].reshape(-1, gdim)
+    loads = unknowns.without_ground(load).reshape(-1, gdim)
+    held = -unknowns.without_ground(F.constraint_forces(multipliers)).reshape(-1, gdim)
     normal = normal_forces(F.constraints, multipliers)
     force = np.concatenate(
         [
@@ -246,7 +246,7 @@ def _points(
     gdim = system.gdim
     touched = np.zeros(int(unknowns.ends[-1]), dtype=bool)
     touched[F.interface.columns] = True
-    here = touched[unknowns.displacements].reshape(-1, gdim).any(axis=1)
+    here = unknowns.without_ground(touched).reshape(-1, gdim).any(axis=1)
     of_copies = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in system.subdomains)])
     directory = Directory(system.comm, np.unique(nodes))
     table = np.zeros((directory.keys.size, gdim))

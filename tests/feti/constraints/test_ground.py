@@ -19,7 +19,14 @@ def test_displacements_and_ground():
     torn = UNKNOWNS.with_ground(u)
     assert np.count_nonzero(torn == 0.0) == 9
     np.testing.assert_array_equal(np.concatenate(UNKNOWNS.split(torn)), u)
+    np.testing.assert_array_equal(UNKNOWNS.without_ground(torn), u)
     assert UNKNOWNS.ends.tolist() == np.cumsum([0, SIZES[0] + 6, SIZES[1], SIZES[2] + 3]).tolist()
+
+
+def test_without_ground_vectors_are_not_copied():
+    plain, u = TornUnknowns(SIZES, np.zeros(3, dtype=np.int64)), np.ones(SIZES.sum())
+    assert plain.with_ground(u) is u
+    assert plain.without_ground(u) is u
 
 
 def test_rows_of_the_ground_are_orthonormal_and_all_others_stay():
