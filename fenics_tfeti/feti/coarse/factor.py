@@ -238,7 +238,7 @@ class CoarseLayout:
         """Factor a symmetric positive definite matrix, given the rows that this rank keeps."""
         if self.solver == "distributed":
             return _Distributed(self, DistributedCholesky(self.comm, rows))
-        return _Redundant(self, SparseCholesky(rows.tocsr(), self.package))
+        return _Redundant(self, SparseCholesky(rows.tocsr(), self.package, quick=True))
 
 
 @dataclass(frozen=True)

@@ -173,3 +173,12 @@ def test_the_users_choice_of_orderings_is_kept(monkeypatch):
         assert options.getInt(name) == 2
     finally:
         options.delValue(name)
+
+
+@pytest.mark.skipif("cholmod" not in available_packages(), reason="PETSc without CHOLMOD")
+def test_quick_factor_of_a_large_matrix_has_another_ordering():
+    A = cube_of_springs(16)
+    b = np.random.default_rng(0).standard_normal(A.shape[0])
+    best, quick = SparseCholesky(A, "cholmod"), SparseCholesky(A, "cholmod", quick=True)
+    assert best.entries < quick.entries < 1.5 * best.entries
+    np.testing.assert_allclose(quick.solve(b), best.solve(b), rtol=1e-12)
