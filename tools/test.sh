@@ -8,6 +8,9 @@ python=$venv/bin/python
 marks=${MARKS:-not heavy}
 # One thread per process and rank.
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+# A compilation that was interrupted leaves its C file, and FFCx waits in vain for its end.
+find "${XDG_CACHE_HOME:-$HOME/.cache}/fenics" -name 'libffcx_*.c' -mmin +5 2>/dev/null |
+    while read -r source; do [ -e "$source.cached" ] || rm -f "$source"; done || true
 
 echo "== $venv: doctests"
 "$python" -m pytest -q --doctest-modules fenics_tfeti/qp fenics_tfeti/feti
