@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from killed_run import HEIGHTS, Disc, block_on_disc, run
+from killed_run import HEIGHTS, Disc, block, block_on_disc, run
 
 from fenics_tfeti import InputError, Interrupted, NotConverged
 from fenics_tfeti.feti import save_checkpoint
@@ -27,7 +27,7 @@ SCRIPT = Path(__file__).parent / "support" / "killed_run.py"
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """Return what a run prints that nothing ends."""
-    return list(run(COMM, tmp_path_factory.mktemp("whole") / "checkpoint.npz"))
+    return list(run(block(COMM), tmp_path_factory.mktemp("whole") / "checkpoint.npz"))
 
 
 @pytest.fixture
@@ -75,18 +75,18 @@ def test_killed_run_goes_on(path, whole, ranks, dies_in):
 
 
 def test_first_solve_after_it_starts_from_the_checkpoint(path, whole):
-    steps = run(COMM, path)
+    steps = run(block(COMM), path)
     next(steps)
     next(steps)
     steps.close()
-    (last,) = run(COMM, path)
+    (last,) = run(block(COMM), path)
     assert last["step"] == 2 and last["passes"] <= whole[2]["passes"]
     assert last["energy"] == pytest.approx(whole[2]["energy"], rel=1e-8)
 
 
 def test_passes_of_both_runs_are_in_the_report(path, whole):
     """And the limit on passes counts them all."""
-    problem = block_on_disc(COMM, moved := Disc())
+    problem = block_on_disc(block(COMM), moved := Disc())
     moved.height = HEIGHTS[-1]
     passes = []
 
@@ -97,7 +97,7 @@ def test_passes_of_both_runs_are_in_the_report(path, whole):
 
     with pytest.raises(Interrupted):
         problem.solve(monitor=stop, checkpoint=path)
-    again = block_on_disc(COMM, moved)
+    again = block_on_disc(block(COMM), moved)
     assert again.restore(path) == 0
     again.solve()
     assert "checkpoint" not in again.report.reused
@@ -110,7 +110,7 @@ def test_passes_of_both_runs_are_in_the_report(path, whole):
 
 
 def test_interruption_writes_the_checkpoint(path):
-    problem = block_on_disc(COMM, disc := Disc())
+    problem = block_on_disc(block(COMM), disc := Disc())
     disc.height = HEIGHTS[-1]
     signals = [signal.SIGINT]
 
@@ -125,14 +125,14 @@ def test_interruption_writes_the_checkpoint(path):
             problem.solve(monitor=interrupt, checkpoint=path)
     finally:
         signal.signal(signal.SIGINT, before)
-    again = block_on_disc(COMM, disc)
+    again = block_on_disc(block(COMM), disc)
     assert again.restore(path) == 0
     again.solve()
     assert again.report.converged
 
 
 def test_last_iterate_of_a_limit_is_no_finished_step(path):
-    problem = block_on_disc(COMM, disc := Disc())
+    problem = block_on_disc(block(COMM), disc := Disc())
     disc.height = HEIGHTS[-1]
     problem.solve(checkpoint=path)
     kept = path.read_bytes()
@@ -144,34 +144,34 @@ def test_last_iterate_of_a_limit_is_no_finished_step(path):
 
 
 def test_checkpoints_that_cannot_be_restored(path):
-    problem = block_on_disc(COMM, Disc())
+    problem = block_on_disc(block(COMM), Disc())
     with pytest.raises(FileNotFoundError):
         problem.restore(path)
     problem.solve(checkpoint=path)
     with pytest.raises(InputError, match="not solved yet"):
         problem.restore(path)
     with pytest.raises(InputError, match="the subdomains differ"):
-        block_on_disc(COMM, Disc(), divisions=8).restore(path)
+        block_on_disc(block(COMM, 8), Disc()).restore(path)
     save_checkpoint(path, problem.system, problem._solver.state)
     with pytest.raises(InputError, match="not one of a ContactProblem"):
-        block_on_disc(COMM, Disc()).restore(path)
+        block_on_disc(block(COMM), Disc()).restore(path)
 
 
 def test_unwritable_checkpoint_is_an_error_of_the_solve(tmp_path):
     with pytest.raises(OSError, match="the checkpoint cannot be written"):
-        block_on_disc(COMM, Disc()).solve(checkpoint=tmp_path / "missing" / "checkpoint.npz")
+        block_on_disc(block(COMM), Disc()).solve(checkpoint=tmp_path / "missing" / "checkpoint.npz")
 
 
 def test_solution_does_not_depend_on_what_the_checkpoint_holds(path):
     """A checkpoint with other numbers is another start; the certificate decides."""
-    problem = block_on_disc(COMM, disc := Disc())
+    problem = block_on_disc(block(COMM), disc := Disc())
     disc.height = HEIGHTS[-1]
     exact = problem.solve(checkpoint=path)
     arrays = dict(np.load(path))
     rng = np.random.default_rng(0)
     arrays["0/multipliers"] = 1e3 * rng.standard_normal(arrays["0/multipliers"].size)
     np.savez(path, **arrays)
-    again = block_on_disc(COMM, disc)
+    again = block_on_disc(block(COMM), disc)
     again.restore(path)
     uh = again.solve()
     np.testing.assert_allclose(uh.x.array, exact.x.array, atol=1e-6 * np.abs(exact.x.array).max())

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from killed_run import HEIGHTS, Disc, block_on_disc, run
+from killed_run import HEIGHTS, Disc, block, block_on_disc, run
 
 from fenics_tfeti import InputError
 
@@ -28,30 +28,31 @@ def path():
 
 
 def test_run_goes_on(path):
-    whole = list(run(COMM, path))
+    mesh = block(COMM)
+    whole = list(run(mesh, path))
     COMM.barrier()
     if COMM.rank == 0:
         path.unlink()
     COMM.barrier()
-    steps = run(COMM, path)
+    steps = run(mesh, path)
     first = [next(steps), next(steps)]
     steps.close()
     COMM.barrier()
-    for found, expected in zip([*first, *run(COMM, path)], whole, strict=True):
+    for found, expected in zip([*first, *run(mesh, path)], whole, strict=True):
         assert found["step"] == expected["step"]
         assert found["energy"] == pytest.approx(expected["energy"], rel=1e-7, abs=1e-12)
         assert found["force"] == pytest.approx(expected["force"], rel=1e-7, abs=1e-9)
 
 
 def test_wrong_checkpoints_are_refused_on_all_ranks(path):
-    disc = Disc()
+    mesh, disc = block(COMM), Disc()
     disc.height = HEIGHTS[-1]
-    problem = block_on_disc(COMM, disc)
+    problem = block_on_disc(mesh, disc)
     problem.solve(checkpoint=path)
     COMM.barrier()
     with pytest.raises(InputError, match="subdomains differ"):
-        block_on_disc(COMM, disc, divisions=8).restore(path)
-    alone = block_on_disc(MPI.COMM_SELF, disc)
+        block_on_disc(block(COMM, 8), disc).restore(path)
+    alone = block_on_disc(block(MPI.COMM_SELF), disc)
     with pytest.raises(InputError, match=f"a run on {COMM.size} ranks, this one has 1"):
         alone.restore(path)
     COMM.barrier()
@@ -62,6 +63,6 @@ def test_wrong_checkpoints_are_refused_on_all_ranks(path):
         np.savez(path, **arrays)
     COMM.barrier()
     with pytest.raises(InputError, match="do not fit"):
-        block_on_disc(COMM, disc).restore(path)
+        block_on_disc(mesh, disc).restore(path)
     with pytest.raises(OSError, match="the checkpoint cannot be written"):
-        block_on_disc(COMM, disc).solve(checkpoint=path.parent / "missing" / path.name)
+        block_on_disc(mesh, disc).solve(checkpoint=path.parent / "missing" / path.name)
