@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -15,7 +16,12 @@ from numpy.typing import NDArray
 import ufl
 from dolfinx.fem import Function
 
-from fenics_tfeti.continuation import Continuation, read_continuation, write_continuation
+from fenics_tfeti.continuation import (
+    Continuation,
+    nodal_forces,
+    read_continuation,
+    write_continuation,
+)
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import (
@@ -64,6 +70,7 @@ from fenics_tfeti.fem.displacement import (
     prescribed_values,
     space_of_forms,
 )
+from fenics_tfeti.fem.input_numbers import OwnedNodes, input_numbers
 from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.feti import (
     ContactGuess,
@@ -301,7 +308,9 @@ class ContactProblem:
         Parameters
         ----------
         checkpoint : path-like
-            The file, of as many ranks.
+            The file. A run on as many ranks, whose mesh dolfinx distributes alike, starts from
+            all multipliers, any other one from the contact forces. The cells of the mesh have to
+            be given in the same order.
 
         Returns
         -------
@@ -325,10 +334,8 @@ class ContactProblem:
         """
         if self._solved_before:
             raise InputError("a checkpoint is for a problem that was not solved yet")
-        uh = Function(self.space)
-        saved = read_continuation(
-            checkpoint, self.system, owned_values(uh).size, len(self.contacts)
-        )
+        nodes = OwnedNodes.of(self.space, self._input_numbers)
+        saved = read_continuation(checkpoint, self.system, nodes, len(self.contacts))
         self._continued, self._solves = saved, saved.solves
         self._origin = saved.origin
         return saved.solves
@@ -336,9 +343,20 @@ class ContactProblem:
     def _save(self, uh: Function, passes: Sequence[GeometryPass]) -> None:
         """Write the checkpoint, if there is to be one."""
         if self._checkpoint is not None and self._solver is not None:
-            state = self._solver.state
-            saved = Continuation(state, owned_values(uh), self._solves, self._origin, passes)
-            write_continuation(self._checkpoint, self.system, saved)
+            nodes = OwnedNodes.of(self.space, self._input_numbers)
+            saved = Continuation(
+                self._solver.state,
+                owned_values(uh),
+                nodal_forces(nodes, self.contact),
+                self._solves,
+                self._origin,
+                passes,
+            )
+            write_continuation(self._checkpoint, self.system, nodes, saved)
+
+    @cached_property
+    def _input_numbers(self) -> NDArray[np.int64] | None:
+        return input_numbers(self.space)
 
     def _solve(self, coarse: ContactProblem | None) -> Function:
         if self._solved_before:
@@ -379,7 +397,7 @@ class ContactProblem:
         self, coarse: ContactProblem | None, matched: Sequence[ContactPairing]
     ) -> ContactGuess | None:
         if coarse is None or coarse._displacement is None:
-            return None
+            return self._restored_guess(matched)
         with self._timer.phase("coarse contact"):
             solved = gather_solved(
                 coarse._boundary,
@@ -389,6 +407,13 @@ class ContactProblem:
                 coarse._displacement,
             )
             return expected_contact(solved, matched)
+
+    def _restored_guess(self, matched: Sequence[ContactPairing]) -> ContactGuess | None:
+        """Return the contact forces of a checkpoint whose multipliers are those of other ranks."""
+        saved = self._continued
+        if saved is None or saved.state is not None or self.options.solver.method != "active_set":
+            return None
+        return saved.guess(matched, self.space.dofmap.index_map.local_range[0])
 
     def _match_contacts(self, prescribed: Prescribed) -> None:
         with self._timer.phase("contact search"):

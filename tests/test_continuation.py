@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from killed_run import HEIGHTS, Disc, block, block_on_disc, run
 
-from fenics_tfeti import InputError, Interrupted, NotConverged
+from fenics_tfeti import Coulomb, InputError, Interrupted, NotConverged
 from fenics_tfeti.feti import save_checkpoint
 
 pytestmark = pytest.mark.once
@@ -58,14 +58,24 @@ def launched(ranks: int, *arguments: object) -> int:
     return done.returncode
 
 
-@pytest.mark.parametrize(("ranks", "dies_in"), [(1, (0, 1)), (1, (1, 3)), (1, (2, 0)), (2, (1, 3))])
-def test_killed_run_goes_on(path, whole, ranks, dies_in):
+@pytest.mark.parametrize(
+    ("ranks", "later", "dies_in"),
+    [
+        (1, 1, (0, 1)),
+        (1, 1, (1, 3)),
+        (1, 1, (2, 0)),
+        (2, 2, (1, 3)),
+        (2, 1, (1, 3)),
+        (1, 3, (2, 0)),
+    ],
+)
+def test_killed_run_goes_on(path, whole, ranks, later, dies_in):
     """SIGKILL in a pass: the step begins again with that pass, and the rest is the same."""
     reports = path.with_name("reports.jsonl")
     assert launched(ranks, path, reports, *dies_in) != 0
     finished = reports.read_text().splitlines() if reports.exists() else []
     assert len(finished) == dies_in[0] and path.exists()
-    assert launched(ranks, path, reports) == 0
+    assert launched(later, path, reports) == 0
     steps = [json.loads(line) for line in reports.read_text().splitlines()]
     assert [step["step"] for step in steps] == list(range(len(HEIGHTS)))
     for found, expected in zip(steps, whole, strict=True):
@@ -150,11 +160,96 @@ def test_checkpoints_that_cannot_be_restored(path):
     problem.solve(checkpoint=path)
     with pytest.raises(InputError, match="not solved yet"):
         problem.restore(path)
-    with pytest.raises(InputError, match="the subdomains differ"):
+    with pytest.raises(InputError, match="the nodes differ"):
         block_on_disc(block(COMM, 8), Disc()).restore(path)
     save_checkpoint(path, problem.system, problem._solver.state)
     with pytest.raises(InputError, match="not one of a ContactProblem"):
         block_on_disc(block(COMM), Disc()).restore(path)
+
+
+def test_coordinates_of_another_problem(path):
+    problem = block_on_disc(block(COMM), Disc())
+    problem.solve(checkpoint=path)
+    mesh = block(COMM)
+    mesh.geometry.x[:, 0] *= 1.0 + 1e-6
+    with pytest.raises(InputError, match="the coordinates differ"):
+        block_on_disc(mesh, Disc()).restore(path)
+
+
+def test_supports_of_another_problem(path):
+    problem = block_on_disc(block(COMM), Disc())
+    problem.solve(checkpoint=path)
+    with pytest.raises(InputError, match="the supports differ"):
+        block_on_disc(block(COMM), Disc(), held=1).restore(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("force_contact", np.array(0)),
+        ("force_node", np.array([10**6])),
+        ("displacement", np.zeros((3, 2))),
+        ("slip_origin", None),
+        ("obstacle", np.zeros(0, dtype=np.int64)),
+    ],
+)
+def test_damaged_arrays(path, name, values):
+    block_on_disc(block(COMM), Disc()).solve(checkpoint=path)
+    arrays = dict(np.load(path))
+    arrays[f"0/own/{name}"] = values
+    np.savez(path, **{key: array for key, array in arrays.items() if array is not None})
+    with pytest.raises(InputError, match="not one of a ContactProblem"):
+        block_on_disc(block(COMM), Disc()).restore(path)
+
+
+def test_other_subdomains_start_from_the_contact_forces(path):
+    """The first face is the last one of the solution that was saved."""
+    disc = Disc()
+    disc.height = HEIGHTS[-1]
+    solved, other = (
+        block_on_disc(block(COMM), disc, subdomain_size=size, non_penetration="linearised")
+        for size in (60, 25)
+    )
+    exact = solved.solve(checkpoint=path)
+    assert other.restore(path) == 1
+    found = other.solve()
+    assert other.report.reused == ["contact guess"]
+    assert other.report.faces[0].active == solved.report.unknowns["active"] > 0
+    size = np.abs(exact.x.array).max()
+    np.testing.assert_allclose(found.x.array, exact.x.array, atol=1e-7 * size)
+
+
+def test_smalbe_starts_from_nothing_on_other_subdomains(path):
+    """With the steps that were finished."""
+    block_on_disc(block(COMM), Disc()).solve(checkpoint=path)
+    other = block_on_disc(block(COMM), Disc(), subdomain_size=25, method="smalbe", rtol=1e-6)
+    assert other.restore(path) == 1
+    other.solve()
+    assert other.report.converged and other.report.passes[0].products > 0
+
+
+def test_other_subdomains_count_slip_from_the_last_step(path):
+    def problem(size):
+        disc = Disc()
+        changes = {"friction": Coulomb(0.3), "non_penetration": "linearised"}
+        return disc, block_on_disc(block(COMM), disc, subdomain_size=size, **changes)
+
+    disc, whole = problem(60)
+    for disc.height in HEIGHTS[:2]:
+        whole.solve(checkpoint=path)
+    disc.height = HEIGHTS[2]
+    expected = whole.solve().x.array
+    found = []
+    for from_undeformed in (False, True):
+        disc, other = problem(25)
+        assert other.restore(path) == 2
+        disc.height = HEIGHTS[2]
+        if from_undeformed:
+            other.reset_slip()
+        found.append(other.solve().x.array.copy())
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(found[0], expected, atol=1e-6 * size)
+    assert np.abs(found[1] - expected).max() > 1e-4 * size
 
 
 def test_unwritable_checkpoint_is_an_error_of_the_solve(tmp_path):

@@ -182,6 +182,19 @@ def cell_dofs(space: fem.FunctionSpace) -> Numbers:
     return np.asarray(dofs)
 
 
+def input_cells(domain: mesh.Mesh) -> NDArray[np.int64] | None:
+    """Return the place of each cell of this rank in the input of the mesh; None for a submesh.
+
+    - 0.5.2 and 0.9 have an empty array for submeshes, 0.11 raises a RuntimeError.
+    """
+    cells = domain.topology.index_map(domain.topology.dim).size_local
+    try:
+        given = np.asarray(domain.topology.original_cell_index, dtype=np.int64)
+    except RuntimeError:
+        return None
+    return None if given.size < cells else given[:cells]
+
+
 def geometry_cells(domain: mesh.Mesh) -> Numbers:
     """Return the rows of ``geometry.x`` of each cell of this rank, ghosts included.
 

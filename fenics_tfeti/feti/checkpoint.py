@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -19,12 +20,20 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.rows import Constraints
-from fenics_tfeti.feti.files import open_arrays, write_arrays
+from fenics_tfeti.feti.files import ArrayFile, open_arrays, write_arrays
 from fenics_tfeti.feti.solution.states import DualState
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["Checkpoint", "SavedState", "fingerprint", "load_checkpoint", "save_checkpoint"]
+__all__ = [
+    "Checkpoint",
+    "SavedState",
+    "fingerprint",
+    "is_of_system",
+    "load_checkpoint",
+    "open_checkpoint",
+    "save_checkpoint",
+]
 
 Array = NDArray[Any]
 Vector = NDArray[np.float64]
@@ -181,6 +190,43 @@ def save_checkpoint(
             write_arrays(path, "the checkpoint", _FORMAT, arrays)
 
 
+def open_checkpoint(path: str | os.PathLike[str]) -> AbstractContextManager[ArrayFile]:
+    """Open a checkpoint for reading; errors as those of `open_arrays`.
+
+    Its further arrays have the names ``own/...`` under the number of each rank, ``common/...``.
+    """
+    return open_arrays(path, _FORMAT)
+
+
+def is_of_system(path: str | os.PathLike[str], system: TornSystem) -> bool:
+    """Tell whether a checkpoint is that of a problem on these ranks. Collective.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    system : TornSystem
+        The problem.
+
+    Raises
+    ------
+    InputError
+        On all ranks, if the file is no checkpoint, or damaged.
+    OSError
+        On all ranks, if the file cannot be read.
+    """
+    sums, same = fingerprint(system), False
+    with raise_collectively(system.comm), open_checkpoint(path) as file:
+        same = file.integer("ranks") == system.comm.size and all(
+            _sum_of(file, name) == text for name, text in sums.items()
+        )
+    return same
+
+
+def _sum_of(file: ArrayFile, name: str) -> str:
+    return str(file.read(f"fingerprint/{name}", "strings", ()))
+
+
 def load_checkpoint(path: str | os.PathLike[str], system: TornSystem) -> Checkpoint:
     """Read the part of this rank from a checkpoint. Collective.
 
@@ -200,7 +246,7 @@ def load_checkpoint(path: str | os.PathLike[str], system: TornSystem) -> Checkpo
     """
     comm, sums = system.comm, fingerprint(system)
     found: Checkpoint | None = None
-    with raise_collectively(comm), open_arrays(path, _FORMAT) as file:
+    with raise_collectively(comm), open_checkpoint(path) as file:
         ranks = file.integer("ranks")
         if ranks != comm.size:
             raise InputError(
@@ -208,7 +254,7 @@ def load_checkpoint(path: str | os.PathLike[str], system: TornSystem) -> Checkpo
                 "Continue on as many ranks, or start anew"
             )
         for name, text in sums.items():
-            if str(file.read(f"fingerprint/{name}", "strings", ())) != text:
+            if _sum_of(file, name) != text:
                 raise InputError(
                     f"{path}: the checkpoint is that of another problem, or of another "
                     f"distribution of its mesh: the {name} differ"

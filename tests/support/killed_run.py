@@ -46,15 +46,16 @@ def block(comm, divisions: int = 12):
     return boxes(comm, [Box((0, 0), (1, 0.5), (divisions, divisions // 2))], "quadrilateral").mesh
 
 
-def block_on_disc(mesh, disc) -> ContactProblem:
-    """Return a block whose upper face is held, shifted by 0.05 m, over a disc."""
+def block_on_disc(mesh, disc, held: int = 2, friction=None, **options) -> ContactProblem:
+    """Return a block over a disc; components of its upper face are held, shifted by 0.05 m."""
     tags = tag_facets(mesh, [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))])
     V = vector_space(mesh)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     bcs = [fixed(V, tags, CLAMPED, i, value) for i, value in enumerate((0.05, -0.02))]
-    contact = RigidObstacle(tags, slave=SLAVE, obstacle=disc)
-    options = {**OPTIONS, "subdomain_size": 60}
-    return ContactProblem(elasticity(u, v, 1e6), 0, bcs=bcs, contacts=[contact], options=options)
+    contact = RigidObstacle(tags, slave=SLAVE, obstacle=disc, friction=friction)
+    options = {**OPTIONS, "subdomain_size": 60, **options}
+    a = elasticity(u, v, 1e6)
+    return ContactProblem(a, 0, bcs=bcs[:held], contacts=[contact], options=options)
 
 
 def run(mesh, checkpoint: Path, dies_in: tuple[int, int] | None = None):

@@ -1,0 +1,91 @@
+"""The nodes of a rank, with numbers that do not depend on how dolfinx distributes a mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx.fem import FunctionSpace
+
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.parallel import Directory
+
+__all__ = ["OwnedNodes", "input_numbers"]
+
+Numbers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class OwnedNodes:
+    """The nodes that this rank owns.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first one in the displacement's space.
+    coordinates : (n, gdim) array
+        [m].
+    numbers : (n,) integer array or None
+        See `input_numbers`.
+    """
+
+    first: int
+    coordinates: NDArray[np.float64]
+    numbers: Numbers | None
+
+    @staticmethod
+    def of(space: FunctionSpace, numbers: Numbers | None) -> OwnedNodes:
+        """Return the nodes of a space, where they are now, with their numbers."""
+        first, end = space.dofmap.index_map.local_range
+        x = space.tabulate_dof_coordinates()[: end - first, : space.mesh.geometry.dim]
+        return OwnedNodes(first, x, numbers)
+
+
+def input_numbers(space: FunctionSpace) -> Numbers | None:
+    """Return numbers of the nodes of a space by the input of its mesh. Collective.
+
+    The number of a node is its place in the first cell that it belongs to, in the order in which
+    the cells were given to dolfinx. It is the same for the same input on any ranks.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        Lagrange elements.
+
+    Returns
+    -------
+    (n,) integer array or None
+        For the nodes that this rank owns; distinct, with gaps. None on all ranks for a submesh,
+        which has no input.
+    """
+    comm, index_map = space.mesh.comm, space.dofmap.index_map
+    given = _compat.input_cells(space.mesh)
+    if not comm.allreduce(given is not None, MPI.LAND) or given is None:
+        return None
+    nodes = _compat.cell_dofs(space)[: given.size].astype(np.int64)
+    number = given[:, np.newaxis] * nodes.shape[1] + np.arange(nodes.shape[1])
+    in_cells = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=bool)
+    in_cells[nodes] = True
+    local = np.flatnonzero(in_cells)
+    lowest = _lowest(nodes, number, in_cells.size)[local]
+    held = np.asarray(index_map.local_to_global(local.astype(np.int32)), dtype=np.int64)
+    directory = Directory(comm, held)
+    keys, lowest = directory.collect(held, lowest)
+    at_home = _lowest(
+        directory.position(keys)[:, np.newaxis], lowest[:, np.newaxis], directory.keys.size
+    )
+    found: Numbers = directory.lookup(np.arange(*index_map.local_range), at_home)[1]
+    return found
+
+
+def _lowest(positions: Numbers, numbers: Numbers, size: int) -> Numbers:
+    """Return the lowest number at each of so many positions; rows (k, v) of numbers ascend."""
+    order = np.argsort(numbers[:, 0])[::-1]
+    lowest = np.zeros(size, dtype=np.int64)
+    # of several values for one position the last one stays
+    lowest[positions[order]] = numbers[order]
+    return lowest
