@@ -215,7 +215,8 @@ def smalbe(
     M = options.M0 if start.M is None else start.M
     gradient = _first_gradient(hessian, b, x, q, space, products)
     history: list[OuterIteration] = []
-    previous_lagrangian = -np.inf
+    # ||Gx||^2 at the last update of mu; before the first one any increase is enough
+    before = np.inf
     smallest, since = np.inf, 0
     for k in range(options.max_it):
 
@@ -236,7 +237,7 @@ def smalbe(
             precondition=precondition,
             products=products,
         )
-        x, split = inner.x, inner.split
+        moved, x, split = inner.x - x, inner.x, inner.split
         history.append(
             OuterIteration(
                 k,
@@ -259,16 +260,18 @@ def smalbe(
             smallest, since = split.constraint_norm, k
         elif k - since >= options.patience:
             return SMALBEResult(SMALBEState(x, q, M), inner.gradient, False, "slow", history)
-        # Step 3: mu += rho Gx, with q = G'mu; the Lagrangian is that of the mu of Step 1,
-        # L(x, mu, rho) = 1/2 x'(g - b + q)
-        lagrangian = 0.5 * space.dots((x, inner.gradient - b + q))[0]
+        # Step 4: M_{k+1} = beta M_k if L increased by less than rho/2 ||Gx||^2: by rho ||Gx||^2 in
+        # the last update of mu, then by the change at constant mu. The difference of the values of
+        # L would be rounding where ||Gx||^2 is below it, and a large M then repeats two iterates
+        change = 0.5 * space.dots((moved, inner.gradient + gradient[0]))[0]
+        increase = options.rho * before + change
+        if increase < 0.5 * options.rho * split.constraint2:
+            M *= options.beta
+        before = split.constraint2
+        # Step 3: mu += rho Gx, with q = G'mu
         assert inner.Qx is not None
         q = q + options.rho * inner.Qx
         gradient = inner.gradient + options.rho * inner.Qx, inner.Qx
-        # Step 4: M_{k+1} = beta M_k if L increased by less than rho/2 ||Gx||^2
-        if lagrangian < previous_lagrangian + 0.5 * options.rho * split.constraint2:
-            M *= options.beta
-        previous_lagrangian = lagrangian
     return SMALBEResult(SMALBEState(x, q, M), gradient[0], False, "max_it", history)
 
 

@@ -111,6 +111,27 @@ class Problem:
         rows = np.vstack([unit[below], -unit[above]])
         return rows, np.concatenate([self.lower[below], -self.upper[above]])
 
+    def independence(self, x: Vector) -> float:
+        """Return the smallest singular value of G on the directions that are free at x.
+
+        The multipliers of SMALBE-M converge with a factor of 1 / (1 + rho s^2 / ||A||) at worst.
+        """
+        rounding = 1e-8 * max(1.0, np.abs(x).max())
+        free = (x > self.lower + rounding) & (x < self.upper - rounding)
+        tangential = []
+        for at, centre, radius in zip(
+            self.discs.indices, self.discs.centre, self.discs.radius, strict=True
+        ):
+            offset = x[at] - centre
+            if np.hypot(*offset) >= radius - rounding:
+                free[at] = False
+                if radius > 0.0:
+                    tangential.append(self.G[:, at] @ np.array([-offset[1], offset[0]]) / radius)
+        rows = np.column_stack([self.G[:, free], *tangential])
+        if rows.shape[1] < rows.shape[0]:
+            return 0.0
+        return float(np.linalg.svd(rows, compute_uv=False)[-1])
+
     def conic_solution(self) -> Vector:
         """Solve by an interior point method for second-order cones (clarabel).
 
