@@ -23,7 +23,7 @@ from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.input_numbers import OwnedNodes
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti import ContactGuess, SavedState, TornSystem, save_checkpoint
-from fenics_tfeti.feti.checkpoint import is_of_system, load_checkpoint, open_checkpoint
+from fenics_tfeti.feti.checkpoint import OtherSystem, load_checkpoint, open_checkpoint
 from fenics_tfeti.parallel import raise_collectively, values_of_owners
 
 __all__ = ["Continuation", "nodal_forces", "read_continuation", "write_continuation"]
@@ -180,20 +180,35 @@ def read_continuation(
     OSError
         On all ranks, if the file cannot be read.
     """
-    comm, coordinates, numbers = system.comm, nodes.coordinates, nodes.numbers
-    if numbers is None or is_of_system(path, system):
+    try:
         alike = load_checkpoint(path, system)
-        local = np.arange(len(coordinates))
-        with raise_collectively(comm):
-            parts = [{**alike.own, "numbers": local}]
-            found = _continuation(path, parts, alike.common, local, coordinates, contacts)
-        return replace(found, state=alike.state)
+    except OtherSystem:
+        if nodes.numbers is None:
+            raise
+        return _redistributed(path, system, nodes, nodes.numbers, contacts)
+    local = np.arange(len(nodes.coordinates))
+    with raise_collectively(system.comm):
+        parts = [{**alike.own, "numbers": local}]
+        found = _continuation(path, parts, alike.common, local, nodes.coordinates, contacts)
+    return replace(found, state=alike.state)
+
+
+def _redistributed(
+    path: str | os.PathLike[str],
+    system: TornSystem,
+    nodes: OwnedNodes,
+    numbers: Numbers,
+    contacts: int,
+) -> Continuation:
+    """Read what a checkpoint of the same problem with other subdomains has for this rank."""
     sums = _check_sums(system, nodes.first, numbers)
-    with raise_collectively(comm), open_checkpoint(path) as file:
+    with raise_collectively(system.comm), open_checkpoint(path) as file:
         common = file.read_all("common/")
-        _check_problem(path, common, sums)
+        for name, text in sums.items():
+            if str(common.get(f"check sum/{name}", "")) != text:
+                raise _of_another_problem(path, name)
         shares = (file.read_all(f"{rank}/own/") for rank in range(file.integer("ranks")))
-        found = _continuation(path, shares, common, numbers, coordinates, contacts)
+        found = _continuation(path, shares, common, numbers, nodes.coordinates, contacts)
     return found
 
 
@@ -222,14 +237,6 @@ def _check_sums(system: TornSystem, first: int, numbers: Numbers) -> dict[str, s
         }
     found: dict[str, str] = comm.bcast(sums)
     return found
-
-
-def _check_problem(
-    path: str | os.PathLike[str], common: Mapping[str, Array], sums: Mapping[str, str]
-) -> None:
-    for name, text in sums.items():
-        if str(common.get(f"check sum/{name}", "")) != text:
-            raise _of_another_problem(path, name)
 
 
 def _not_of_problem(path: str | os.PathLike[str]) -> InputError:

@@ -27,9 +27,9 @@ from fenics_tfeti.parallel import raise_collectively
 
 __all__ = [
     "Checkpoint",
+    "OtherSystem",
     "SavedState",
     "fingerprint",
-    "is_of_system",
     "load_checkpoint",
     "open_checkpoint",
     "save_checkpoint",
@@ -40,6 +40,10 @@ Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 _FORMAT = "fenics_tfeti checkpoint 1"
+
+
+class OtherSystem(InputError):
+    """A checkpoint of another system: other ranks, subdomains, supports or contacts."""
 
 
 @dataclass(frozen=True)
@@ -198,35 +202,6 @@ def open_checkpoint(path: str | os.PathLike[str]) -> AbstractContextManager[Arra
     return open_arrays(path, _FORMAT)
 
 
-def is_of_system(path: str | os.PathLike[str], system: TornSystem) -> bool:
-    """Tell whether a checkpoint is that of a problem on these ranks. Collective.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    system : TornSystem
-        The problem.
-
-    Raises
-    ------
-    InputError
-        On all ranks, if the file is no checkpoint, or damaged.
-    OSError
-        On all ranks, if the file cannot be read.
-    """
-    sums, same = fingerprint(system), False
-    with raise_collectively(system.comm), open_checkpoint(path) as file:
-        same = file.integer("ranks") == system.comm.size and all(
-            _sum_of(file, name) == text for name, text in sums.items()
-        )
-    return same
-
-
-def _sum_of(file: ArrayFile, name: str) -> str:
-    return str(file.read(f"fingerprint/{name}", "strings", ()))
-
-
 def load_checkpoint(path: str | os.PathLike[str], system: TornSystem) -> Checkpoint:
     """Read the part of this rank from a checkpoint. Collective.
 
@@ -239,8 +214,10 @@ def load_checkpoint(path: str | os.PathLike[str], system: TornSystem) -> Checkpo
 
     Raises
     ------
+    OtherSystem
+        On all ranks, if it is that of another problem, or of another distribution of its mesh.
     InputError
-        On all ranks, if the file is no checkpoint, damaged, or that of another problem.
+        On all ranks, if the file is no checkpoint, or damaged.
     OSError
         On all ranks, if the file cannot be read.
     """
@@ -249,13 +226,13 @@ def load_checkpoint(path: str | os.PathLike[str], system: TornSystem) -> Checkpo
     with raise_collectively(comm), open_checkpoint(path) as file:
         ranks = file.integer("ranks")
         if ranks != comm.size:
-            raise InputError(
+            raise OtherSystem(
                 f"{path}: the checkpoint is of a run on {ranks} ranks, this one has {comm.size}. "
                 "Continue on as many ranks, or start anew"
             )
         for name, text in sums.items():
-            if _sum_of(file, name) != text:
-                raise InputError(
+            if str(file.read(f"fingerprint/{name}", "strings", ())) != text:
+                raise OtherSystem(
                     f"{path}: the checkpoint is that of another problem, or of another "
                     f"distribution of its mesh: the {name} differ"
                 )
