@@ -20,6 +20,7 @@ from fenics_tfeti.feti.coarse.inverse import InverseByRows
 from fenics_tfeti.feti.coarse.recent import RecentFaces
 from fenics_tfeti.feti.coarse.resistance import of_one_body, orthonormal_columns, pivot_rows
 from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.tolerances import NO_WORK
 
 __all__ = ["Projector"]
@@ -33,6 +34,8 @@ Mask = NDArray[np.bool_]
 _FIRMLY = 1e8
 # work of the load on a free motion, relative to the load of all bodies, that is rounding
 _CARRIED = 1e-14
+# error of one application of P up to which it is accurate, and limit on the applications
+_ACCURATE, _MOST_PASSES = 1e-11, 4
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,8 @@ class Projector:
     across : (k, gdim - 1) array or None
         Unit vectors at sites of friction, zero at most: the combinations of their rows that are
         meant as well.
+    passes : int
+        Applications of P, one after the other, that make it accurate.
     """
 
     coarse_space: CoarseSpace
@@ -84,6 +89,7 @@ class Projector:
     factor: CoarseFactor | None
     weak: WeakMotions | None = None
     across: Vector | None = None
+    passes: int = 1
 
     @staticmethod
     def build(
@@ -161,6 +167,7 @@ class Projector:
         )
         if weak.shape[1]:
             of_face = partial(of_face, weak=of_face(coarse_space)._weak_motions(weak.toarray()))
+        of_face = partial(of_face, passes=of_face(coarse_space)._passes())
         coarse_space.recent.keep(rows, across, of_face)
         return of_face(coarse_space)
 
@@ -179,6 +186,26 @@ class Projector:
         moving = squares > np.finfo(float).eps * squares.max(initial=0.0)
         inverse = V[:, moving] / np.sqrt(squares[moving])
         return WeakMotions((coarse_space.coarse_motions(z) - follow) @ inverse, W @ inverse)
+
+    def _passes(self) -> int:
+        """Return how many applications make P accurate, by the error of one. Collective.
+
+        Where stiff subdomains hang on soft ones, the weights of the rows differ as the materials
+        do, and GG', which squares them, resists motions of all stiff subdomains together by its
+        last digits. Px then has a part Q P x that P has to remove once more; each pass reduces it
+        by the same factor.
+        """
+        if self.factor is None:
+            return 1
+        layout = self.coarse_space.constraints.layout
+        x = self.on_rows(seeded_vector(layout.numbers))
+        left = self.Q(self.P(x))
+        squares = layout.space.dots((x, x), (left, left))
+        error = float(np.sqrt(squares[1] / (squares[0] or 1.0)))
+        passes = 1
+        while passes < _MOST_PASSES and error**passes > _ACCURATE:
+            passes += 1
+        return passes
 
     # -- coarse vectors that every rank has whole -------------------------------------------------
 
@@ -221,6 +248,12 @@ class Projector:
 
     def coefficients(self, x: Vector) -> Vector:
         """Return (GG')^+ G x."""
+        solution = self._coefficients(x)
+        for _ in range(1, self.passes):
+            solution = solution + self._coefficients(x - self.coarse_space.prolong(solution))
+        return solution
+
+    def _coefficients(self, x: Vector) -> Vector:
         coarse = self.coarse_space.restrict(self.on_rows(x))
         if self.factor is None:
             return coarse
@@ -235,6 +268,13 @@ class Projector:
 
     def least_norm(self, coarse: Vector) -> Vector:
         """Return G'(GG')^+ applied to a coarse vector: the smallest x on the rows with Gx = it."""
+        x = self._least_norm(coarse)
+        for _ in range(1, self.passes):
+            missing = self.without_free_motions(coarse - self.coarse_space.restrict(x))
+            x = x + self._least_norm(missing)
+        return x
+
+    def _least_norm(self, coarse: Vector) -> Vector:
         if self.factor is None:
             return self.expand(coarse)
         x = self.coarse_space.prolong(self.factor.solve(coarse))
@@ -262,8 +302,14 @@ class Projector:
 
     def Q(self, x: Vector) -> Vector:
         """Return Qx = G'(GG')^+ Gx."""
+        Qx = self._Q(x)
+        for _ in range(1, self.passes):
+            Qx = Qx + self._Q(x - Qx)
+        return Qx
+
+    def _Q(self, x: Vector) -> Vector:
         if self.factor is None or self.weak is None:
-            return self.expand(self.coefficients(x))
+            return self.expand(self._coefficients(x))
         coarse = self.factor.solve(self.coarse_space.restrict(self.on_rows(x)))
         motion = self.coarse_space.prolong(coarse) + self.weak.rows @ self._weak_part(x)
         return self.on_rows(motion)
@@ -291,6 +337,14 @@ class Projector:
         """
         if self.factor is None:
             return np.zeros_like(x), np.zeros_like(x)
+        part, Qx = self._part_of_Q(x)
+        for _ in range(1, self.passes):
+            more = self._part_of_Q(x - Qx)
+            part, Qx = part + more[0], Qx + more[1]
+        return part, Qx
+
+    def _part_of_Q(self, x: Vector) -> tuple[Vector, Vector]:
+        assert self.factor is not None
         own, others = self.factor.solve_own(self.coarse_space.restrict_own(self.on_rows(x)))
         part = self.on_rows(self.coarse_space.prolong_own(own))
         Qx = part + self.on_rows(self.coarse_space.others.T @ others)
@@ -319,11 +373,19 @@ class Projector:
         self, part: Vector, x: Vector | None = None, resisted: bool = False
     ) -> tuple[Vector, float]:
         """Return what this rank's subdomains add to G'(GG')^+ Gy, and x'y (zero without x)."""
-        sum_over_ranks = self.coarse_space.constraints.layout.space.sum_over_ranks
         # all holders of a component have the same of x, so each may multiply its part of y
         numbers = np.zeros(0) if x is None else np.array([x @ part])
         if self.factor is None:
+            sum_over_ranks = self.coarse_space.constraints.layout.space.sum_over_ranks
             return np.zeros_like(part), float(sum_over_ranks(numbers).sum())
+        motion, numbers = self._one_motion(part, numbers, resisted)
+        for _ in range(1, self.passes):
+            motion = motion + self._one_motion(part - motion, numbers[:0], resisted)[0]
+        return motion, float(numbers.sum())
+
+    def _one_motion(self, part: Vector, numbers: Vector, resisted: bool) -> tuple[Vector, Vector]:
+        """Return the same by one application, and the sums of numbers over the ranks."""
+        assert self.factor is not None
         chosen = self.on_rows(part)
         if self.weak is not None:
             numbers = np.append(self.weak.rows.T @ chosen, numbers)
@@ -332,14 +394,16 @@ class Projector:
         )
         if resisted and self.free.shape[1]:
             free = self.coarse_space.own_part(self.free)
-            own = own - free @ sum_over_ranks(free.T @ own)
+            own = own - free @ self.coarse_space.constraints.layout.space.sum_over_ranks(
+                free.T @ own
+            )
         motion = self.coarse_space.prolong_own(own)
         if self.weak is not None:
             k = self.weak.rows.shape[1]
             layout = self.coarse_space.constraints.layout
             motion = motion + layout.owned_part(self.weak.rows @ numbers[:k])
             numbers = numbers[k:]
-        return motion, float(numbers.sum())
+        return motion, numbers
 
     def _sum(self, part: Vector) -> Vector:
         return self.coarse_space.constraints.layout.sum(part)

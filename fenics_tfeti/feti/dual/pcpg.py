@@ -39,6 +39,9 @@ Mask = NDArray[np.bool_]
 # r'z above this multiple of its smallest value: the residual is rounding, and the recurrences of
 # conjugate gradients amplify it (r'z of a regular problem may rise by its condition number)
 _DIVERGED = 1e12
+# rise of r'z after which a smaller r'z is checked by the true residual; ratio of the two r'z up to
+# which they agree
+_RISEN, _SAME = 1e4, 4.0
 # steps, and multiples of all steps before, that may fail to halve r'z: then it is rounding, too
 _PATIENCE, _PATIENCE_FACTOR = 200, 3
 # p'Fp relative to r'z, about 1 with a good preconditioner, that is rounding: P leaves nothing of F
@@ -236,6 +239,11 @@ def pcpg(
     forces and gaps (more accuracy would be spent on the wrong face), or its energy below
     `tolerance`. The signs are tested each time the residual has halved.
 
+    Where r'z has risen far above its smallest value, rounding may have taken the multipliers off
+    Gl = e, which the residual of the recurrences does not show. Before such an iterate counts as
+    better than the one with the smallest r'z, the true residual is computed, at the price of a
+    product.
+
     Parameters
     ----------
     problem : DualProblem
@@ -264,7 +272,7 @@ def pcpg(
     iterate = start if resume and isinstance(start, PCPGIterate) else None
     if iterate is None:
         iterate = _first_iterate(problem, face, start, products)
-    test_below, best = 0.5 * iterate.residual, iterate
+    test_below, best, peak = 0.5 * iterate.residual, iterate, 0.0
     while iterate.residual > 0.0 and products.total < max_products:
         if interruption.agreed():
             return iterate
@@ -274,9 +282,16 @@ def pcpg(
                 return iterate
             test_below = 0.5 * iterate.residual
         iterate = _with_preconditioned_residual(problem, face, iterate, products)
+        peak = max(peak, iterate.rz)
+        if _improves(iterate, best, tolerance) and peak > _RISEN * best.rz:
+            true = _true_iterate(problem, face, iterate, products)
+            if not _improves(true, best, tolerance):
+                return _settled(problem, face, replace(best, at_limit=True))
+            iterate = iterate if true.rz <= _SAME * iterate.rz else true
         if iterate.energy <= tolerance:
             break
-        best = iterate if iterate.rz <= 0.5 * best.rz else best
+        if _improves(iterate, best, tolerance):
+            best, peak = iterate, iterate.rz
         following = None if _is_rounding(iterate, best) else _step(problem, face, iterate, products)
         if following is None:
             return _settled(problem, face, replace(best, at_limit=True))
@@ -292,6 +307,21 @@ def _settled(problem: DualProblem, face: Face, iterate: PCPGIterate) -> PCPGIter
     judged = face.loose.judged(gradient)
     _, violation = _norms(problem, face, iterate.multipliers, judged)
     return replace(iterate, gradient=gradient, judged=judged, violation=violation)
+
+
+def _improves(iterate: PCPGIterate, best: PCPGIterate, tolerance: float) -> bool:
+    """Tell whether r'z is half of the smallest so far, or within the tolerance."""
+    return iterate.rz <= 0.5 * best.rz or iterate.energy <= tolerance
+
+
+def _true_iterate(
+    problem: DualProblem, face: Face, iterate: PCPGIterate, products: Products
+) -> PCPGIterate:
+    """Return the iterate moved onto Gl = e, with its true residual and no direction; a product."""
+    l = _nearest_on_face(problem, face, iterate.multipliers)
+    lengths = iterate.step_lengths
+    true = _iterate_at(problem, face, l, np.zeros_like(l), -problem.d, lengths, products)
+    return _with_preconditioned_residual(problem, face, true, products)
 
 
 def _is_rounding(iterate: PCPGIterate, best: PCPGIterate) -> bool:

@@ -68,6 +68,11 @@ class _Stage:
     flat: bool = False
     iterate: PCPGIterate | None = None
 
+    @property
+    def at_limit(self) -> bool:
+        """Whether rounding has ended the conjugate gradients of the active set method."""
+        return not self.solved and self.iterate is not None and self.iterate.at_limit
+
     def started_anew(self) -> _Stage:
         """Return the stage without residuals, in whose recurrences rounding has added up."""
         if self.iterate is None:
@@ -161,7 +166,7 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
     scale, limit = loop.scale, max(options.rtol, ROUNDING)
     tolerance, rounding = options.rtol * scale.energy_norm, scale.rounding_at(scale.energy_norm)
     changed_method = False
-    progress = Progress()
+    progress, best = Progress(), _Best()
     while True:
         tolerance = max(tolerance, rounding)
         stage = loop.minimise(stage, tolerance, by_active_set)
@@ -170,10 +175,17 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
         worst = candidate.certificate.worst
         if worst <= limit:
             return Outcome(candidate, stage.state, True, "converged", tolerance)
+        best.update(stage.state, worst)
         if interruption.agreed():
-            return Outcome(candidate, stage.state, False, "interrupted", tolerance)
+            outcome = best.outcome(loop, candidate, "", tolerance)
+            return replace(outcome, reason="interrupted")
+        if stage.at_limit:
+            best.rounded = worst
+            # not accurate enough: SMALBE-M goes on from there
+            by_active_set = False
+            continue
         if not stage.solved:
-            return Outcome(candidate, stage.state, False, stage.reason, tolerance)
+            return best.outcome(loop, candidate, stage.reason, tolerance)
         progress.update(candidate.certificate, tolerance)
         rounding = min(rounding, scale.rounding_at(candidate.certificate.energy_norm))
         limited = progress.stagnates or tolerance <= rounding
@@ -181,21 +193,43 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
             by_active_set = changed_method = True
             progress = Progress()
         elif limited:
-            found = (
-                f"the error of the displacement is {worst:.1e}"
-                if np.isfinite(worst)
-                else "the contact forces do not balance the load"
-            )
-            reason = (
-                f"{found}, and more iterations do not change that: the accuracy is at the limit of "
-                "rounding"
-            )
-            return Outcome(candidate, stage.state, False, reason, tolerance)
+            reason = "the accuracy is at the limit of rounding: more iterations do not change it"
+            return best.outcome(loop, candidate, reason, tolerance)
         if progress.failures:
             stage = stage.started_anew()
         # its displacements are the largest vectors: the next ones take their place
         del candidate
         tolerance *= min(max(0.5 * limit / worst, 1e-3), 0.5)
+
+
+@dataclass
+class _Best:
+    """The state with the smallest certificate, which need not be the last one, and what ended it.
+
+    Of the states only the multipliers are kept.
+    """
+
+    state: DualState | None = None
+    worst: float = np.inf
+    is_last: bool = False
+    rounded: float | None = None  # the certificate where rounding has ended conjugate gradients
+
+    def update(self, state: DualState, worst: float) -> None:
+        """Take in a state and the largest number of its certificate."""
+        self.is_last = self.state is None or worst < self.worst
+        if self.is_last:
+            self.state, self.worst = state, worst
+
+    def outcome(self, loop: _Loop, last: Candidate, reason: str, tolerance: float) -> Outcome:
+        """Return it as not converged, with its displacements; `reason` is what ended the loop."""
+        assert self.state is not None
+        candidate = last if self.is_last else loop.recover(self.state)
+        found = "the contact forces do not balance the load"
+        if np.isfinite(self.worst):
+            found = f"the error of the displacement is {self.worst:.1e}"
+        if self.rounded is not None:
+            found += f"; rounding has ended the conjugate gradients at {self.rounded:.1e}"
+        return Outcome(candidate, self.state, False, f"{reason}; {found}", tolerance)
 
 
 @dataclass(frozen=True)
@@ -275,7 +309,7 @@ class _Loop:
         """Solve the dual problem: by one method, and where it makes no progress by both in turn."""
         if by_active_set:
             stage = self.active_set(stage, tolerance)
-            if stage.solved or interruption.agreed():
+            if stage.solved or stage.at_limit or interruption.agreed():
                 return stage
         patience = self.options.smalbe_patience
         while True:
