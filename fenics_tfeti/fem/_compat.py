@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import logging
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -620,24 +620,25 @@ def interpolate_expression(expression: Any, function: Any) -> None:
     function.interpolate(compiled)
 
 
-def list_pieces_once(index: Path) -> None:
-    """Repair the list of the files of all ranks that ``io.VTKFile`` writes.
+def list_pieces(index: Path, pieces: Sequence[str]) -> None:
+    """Make the list of the files of all ranks that ``io.VTKFile`` writes name some pieces.
 
     - 0.5.2 lists the files once for each function, so that ParaView draws the mesh several times;
     - 0.9 and 0.11 list them once.
 
-    Does not dispatch: a list without repetitions is not changed.
+    Does not dispatch: the list is replaced.
 
     Parameters
     ----------
     index : Path
         The .pvtu file.
+    pieces : sequence of str
+        The names of the .vtu files.
     """
     tree = ElementTree.parse(index)
     grid = tree.getroot()[0]
-    seen = set()
     for piece in grid.findall("Piece"):
-        if piece.get("Source") in seen:
-            grid.remove(piece)
-        seen.add(piece.get("Source"))
+        grid.remove(piece)
+    for name in pieces:
+        ElementTree.SubElement(grid, "Piece", Source=name)
     tree.write(index, encoding="utf-8", xml_declaration=True)

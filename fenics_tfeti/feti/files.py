@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
 
-__all__ = ["ArrayFile", "open_arrays", "write_arrays", "write_whole"]
+__all__ = ["ArrayFile", "folder_of", "open_arrays", "write_arrays", "write_whole"]
 
 Array = NDArray[Any]
 
@@ -59,6 +59,25 @@ def write_whole(path: str | os.PathLike[str], what: str, write: Callable[[Binary
         # there only after an error, of whatever kind
         with suppress(OSError):
             part.unlink()
+
+
+@contextmanager
+def folder_of(path: Path) -> Iterator[None]:
+    """Create the folder of a file; folders that are new and empty after the block are removed.
+
+    Raises
+    ------
+    OSError
+        If it cannot be created.
+    """
+    new = [folder for folder in path.parents if not folder.exists()]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield
+    finally:
+        for folder in new:
+            with suppress(OSError):
+                folder.rmdir()
 
 
 def write_arrays(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import resource
 import shutil
+import signal
 import tempfile
 from pathlib import Path
 
@@ -12,9 +14,19 @@ from mpi4py import MPI
 import pytest
 import scenes
 
-from fenics_tfeti.io import write_fields
+from fenics_tfeti.feti import save_system
+from fenics_tfeti.io import draw_profile, write_fields
 
 comm = MPI.COMM_WORLD
+
+WRITERS = {
+    "result.pvd": lambda path, problem, uh: write_fields(path, uh),
+    "curve.png": lambda path, problem, uh: draw_profile(path, {"x": ([0, 1], [0, 1])}, "x", "y"),
+    "report.json": lambda path, problem, uh: problem.report.to_json(path),
+    "page.html": lambda path, problem, uh: problem.report.to_html(path, uh),
+    "system.npz": lambda path, problem, uh: save_system(path, problem.system),
+    "checkpoint.npz": lambda path, problem, uh: problem.solve(checkpoint=path),
+}
 
 
 @pytest.fixture
@@ -40,22 +52,73 @@ def unwritable(folder, name):
     return [folder / "file" / name, Path("/proc") / name]
 
 
-def test_report_that_cannot_be_written(folder):
-    problem, _ = solved()
-    for path in [*unwritable(folder, "report.json"), folder / "missing" / "report.json"]:
-        with pytest.raises(OSError, match=str(path)):
-            problem.report.to_json(path)
+@pytest.fixture
+def full_disk():
+    """Let no file of this process grow beyond 50 bytes; the writer of dolfinx says nothing."""
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def fill(number):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (number, hard))
+
+    yield lambda: fill(50)
+    fill(soft)
+    signal.signal(signal.SIGXFSZ, handler)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_file_that_cannot_be_written(folder, name):
+    problem, uh = solved()
+    for path in unwritable(folder, name):
+        with pytest.raises(OSError, match=str(path.parent)):
+            WRITERS[name](path, problem, uh)
     comm.barrier()
     assert sorted(p.name for p in folder.iterdir()) == ["file"]
 
 
-def test_fields_that_cannot_be_written(folder):
+@pytest.mark.parametrize("name", WRITERS)
+def test_full_disk_leaves_the_old_file(folder, name, full_disk):
+    problem, uh = solved()
+    if comm.rank == 0:
+        (folder / name).write_text("old")
+    comm.barrier()
+    full_disk()
+    with pytest.raises(OSError, match="cannot be written") as raised:
+        WRITERS[name](folder / name, problem, uh)
+    assert raised.value.filename == str(folder / name)
+    comm.barrier()
+    assert [p.name for p in folder.iterdir()] == [name]
+    assert (folder / name).read_text() == "old"
+
+
+@pytest.mark.parametrize("name", ["result.pvd", "curve.png"])
+def test_full_disk_leaves_no_new_folders(folder, name, full_disk):
+    problem, uh = solved()
+    full_disk()
+    with pytest.raises(OSError, match="cannot be written"):
+        WRITERS[name](folder / "new" / "folder" / name, problem, uh)
+    comm.barrier()
+    assert list(folder.iterdir()) == []
+
+
+def test_one_rank_without_space(folder, full_disk):
+    if comm.rank == comm.size - 1:
+        full_disk()
+    problem, uh = solved()
+    with pytest.raises(OSError, match="is the disk full"):
+        write_fields(folder / "result.pvd", [uh])
+    comm.barrier()
+    assert list(folder.iterdir()) == []
+
+
+def test_fields_at_the_place_of_a_folder(folder):
     _, uh = solved()
-    for path in unwritable(folder, "result.pvd"):
-        with pytest.raises(OSError, match=str(path)):
-            write_fields(path, [uh])
+    if comm.rank == 0:
+        (folder / "result.pvd").mkdir()
+    with pytest.raises(OSError, match=r"result.pvd is a folder"):
+        write_fields(folder / "result.pvd", uh)
     comm.barrier()
-    assert sorted(p.name for p in folder.iterdir()) == ["file"]
+    assert [p.name for p in folder.iterdir()] == ["result.pvd"]
 
 
 def test_only_whole_files_are_left(folder):

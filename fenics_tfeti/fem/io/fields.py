@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import errno
 import os
-import shutil
-import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
+from xml.sax.saxutils import quoteattr
+
+from mpi4py import MPI
 
 import numpy as np
 
@@ -23,9 +25,18 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import ContactResult
 from fenics_tfeti.fem.topology import vertex_nodes
+from fenics_tfeti.feti.files import folder_of
 from fenics_tfeti.parallel import raise_collectively
 
 __all__ = ["contact_fields", "displacement_space", "von_mises", "write_fields"]
+
+_COLLECTION = """<?xml version="1.0"?>
+<VTKFile type="Collection" version="0.1">
+  <Collection>
+    <DataSet timestep="0" part="0" file={} />
+  </Collection>
+</VTKFile>
+"""
 
 
 def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Function:
@@ -77,7 +88,7 @@ def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Fu
     return result
 
 
-def write_fields(path: str | os.PathLike[str], functions: Sequence[Function]) -> None:
+def write_fields(path: str | os.PathLike[str], functions: Function | Sequence[Function]) -> None:
     """Write fields to files for ParaView: `path` and the files that it refers to. Collective.
 
     Under MPI each rank writes its part.
@@ -86,7 +97,7 @@ def write_fields(path: str | os.PathLike[str], functions: Sequence[Function]) ->
     ----------
     path : path-like
         Name of the file, with the suffix .pvd. Its folder is created if it does not exist.
-    functions : sequence of dolfinx.fem.Function
+    functions : dolfinx.fem.Function or sequence of dolfinx.fem.Function
         Scalar and vector fields on one mesh, continuous of degree 1 or 2 or constant on each cell.
         Each is written under its ``name``; the names have to differ. With one of degree 2, or cells
         of degree 2, continuous ones are all written as such.
@@ -99,38 +110,53 @@ def write_fields(path: str | os.PathLike[str], functions: Sequence[Function]) ->
         On all ranks, if the files cannot be written; then files that exist are left as they are.
     """
     path = Path(path)
+    functions = [functions] if isinstance(functions, Function) else list(functions)
     if not functions:
         raise InputError("there are no fields to write: pass at least one function")
-    comm = functions[0].function_space.mesh.comm
-    folder: Path | None = None
+    mesh = functions[0].function_space.mesh
+    comm = mesh.comm
     with raise_collectively(comm):
         _check_fields(path, functions)
-        if comm.rank == 0:
-            with _named(path):
-                path.parent.mkdir(parents=True, exist_ok=True)
-                folder = Path(tempfile.mkdtemp(prefix=f".{path.stem}.", dir=path.parent))
-    folder = comm.bcast(folder)
-    try:
-        # the writer waits for rank 0 forever, or writes half a file in silence
-        _write(folder / path.name, functions)
-        comm.barrier()
-        with raise_collectively(comm):
-            if comm.rank == 0:
-                with _named(path):
-                    _take_files(folder, path)
-    finally:
-        comm.barrier()
-        if comm.rank == 0:
-            shutil.rmtree(folder, ignore_errors=True)
-
-
-def _write(path: Path, functions: Sequence[Function]) -> None:
-    """Write the files; when the writer is deleted, at the end, it writes the collection again."""
-    mesh = functions[0].function_space.mesh
     degree = max(_compat.geometry_degree(mesh), *(field_degree(function) for function in functions))
-    with VTKFile(mesh.comm, str(path), "w") as file:
-        # the writer takes continuous fields of one degree
-        file.write_function([of_degree(function, degree) for function in functions], 0.0)
+    # the writer takes continuous fields of one degree
+    functions = [of_degree(function, degree) for function in functions]
+    folder: Path | None = None
+    with ExitStack() as folders:
+        with raise_collectively(comm), _named(path):
+            if comm.rank == 0:
+                folders.enter_context(folder_of(path))
+                new = TemporaryDirectory(
+                    prefix=f".{path.stem}.", dir=path.parent, ignore_cleanup_errors=True
+                )
+                folder = Path(folders.enter_context(new))
+        folder = comm.bcast(folder)
+        with raise_collectively(comm), _named(path):
+            _write_piece(folder / str(comm.rank), functions)
+        with raise_collectively(comm), _named(path):
+            if comm.rank == 0:
+                _take_files(folder, path, comm.size)
+
+
+def _write_piece(folder: Path, functions: Sequence[Function]) -> None:
+    """Write the files of this rank alone: the writer of all ranks waits for one that fails."""
+    folder.mkdir()
+    file = VTKFile(MPI.COMM_SELF, str(folder / "piece.pvd"), "w")
+    try:
+        file.write_function(functions, 0.0)
+        file.close()
+    except RuntimeError:
+        pass  # what it has written tells
+    # it writes the collection once more when it is deleted, which must not be later
+    del file
+    written = sorted(folder.glob("*.*"))
+    if not any(name.suffix == ".vtu" for name in written) or not all(map(_is_whole, written)):
+        raise OSError(errno.ENOSPC, "a file is incomplete: is the disk full?")
+
+
+def _is_whole(file: Path) -> bool:
+    with file.open("rb") as content:
+        content.seek(max(0, file.stat().st_size - 64))
+        return content.read().rstrip().endswith(b"</VTKFile>")
 
 
 def of_degree(function: Function, degree: int) -> Function:
@@ -154,18 +180,21 @@ def _named(path: Path) -> Iterator[None]:
         raise OSError(error.errno, f"fields cannot be written: {reason}", str(path)) from None
 
 
-def _take_files(folder: Path, path: Path) -> None:
-    """Move the files of all ranks to where they belong, the collection last, if all are whole."""
-    written = sorted(folder.iterdir(), key=lambda file: (file.suffix == ".pvd", file.name))
-    for file in written:
-        with file.open("rb") as content:
-            content.seek(max(0, file.stat().st_size - 64))
-            if not content.read().rstrip().endswith(b"</VTKFile>"):
-                raise OSError(errno.ENOSPC, "a file is incomplete: is the disk full?")
-    _compat.list_pieces_once(folder / f"{path.stem}000000.pvtu")
-    for file in written:
+def _take_files(folder: Path, path: Path, ranks: int) -> None:
+    """Move the files of all ranks to where they belong, the collection last."""
+    index = next((folder / "0").glob("*.pvtu"))
+    pieces = [f"{path.stem}_p{rank}_000000.vtu" for rank in range(ranks)]
+    _compat.list_pieces(index, pieces)
+    collection = folder / "collection.pvd"
+    collection.write_text(_COLLECTION.format(quoteattr(f"{path.stem}000000.pvtu")))
+    moved = {next((folder / str(rank)).glob("*.vtu")): pieces[rank] for rank in range(ranks)}
+    moved |= {index: f"{path.stem}000000.pvtu", collection: path.name}
+    for name in moved.values():
+        if path.with_name(name).is_dir():
+            raise OSError(errno.EISDIR, f"{name} is a folder")
+    for file, name in moved.items():
         file.chmod(0o644)
-        file.replace(path.with_name(file.name))
+        file.replace(path.with_name(name))
 
 
 def field_degree(function: Function) -> int:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import importlib.util
 import logging
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io.fields import field_degree, of_degree
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_type, owned_cells
+from fenics_tfeti.feti.files import folder_of, write_arrays, write_whole
 from fenics_tfeti.parallel import raise_collectively
 
 __all__ = [
@@ -178,8 +179,8 @@ def draw_profile(
             if not curves:
                 raise InputError("there are no curves to draw: pass at least one")
             points = {name: _points(name, curve) for name, curve in curves.items()}
-            path.parent.mkdir(parents=True, exist_ok=True)
-            _plot(path, points, xlabel, ylabel, title)
+            picture = _plot(points, xlabel, ylabel, title)
+            _write(path, picture)
 
 
 @dataclass(frozen=True)
@@ -276,7 +277,7 @@ def _render(path: Path, data: dict[str, Any]) -> None:
     environment["PYVISTA_OFF_SCREEN"] = "true"
     with tempfile.TemporaryDirectory() as folder:
         data_path, picture_path = Path(folder, "data.npz"), Path(folder, "picture.png")
-        np.savez(data_path, **data)
+        write_arrays(data_path, "the data of a picture", "fenics_tfeti picture 1", data)
         # -P keeps the folder of the script off the search path: gmsh.py would hide the package
         command = [sys.executable, "-P", str(_RENDER), str(data_path), str(picture_path)]
         try:
@@ -294,18 +295,22 @@ def _render(path: Path, data: dict[str, Any]) -> None:
                 f"drawing {path} failed (exit code {child.returncode}); VTK needs off-screen "
                 f"rendering, by OSMesa or EGL for example. It printed:\n{child.stderr[-2000:]}"
             )
-        path.parent.mkdir(parents=True, exist_ok=True)
-        shutil.move(picture_path, path)
+        _write(path, picture_path.read_bytes())
+
+
+def _write(path: Path, picture: bytes) -> None:
+    """Write a picture whole or not at all."""
+    with folder_of(path):
+        write_whole(path, "the picture", lambda file: file.write(picture))
 
 
 def _plot(
-    path: Path,
     curves: dict[str, tuple[NDArray[np.float64], NDArray[np.float64], str]],
     xlabel: str,
     ylabel: str,
     title: str,
-) -> None:
-    """Draw curves on a figure of its own; pyplot could change the user's figures."""
+) -> bytes:
+    """Draw curves on a figure of its own, as a PNG file; pyplot could change the user's figures."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -325,7 +330,9 @@ def _plot(
     axes.tick_params(colors=ink)
     if len(curves) > 1:
         axes.legend(frameon=False, labelcolor=ink)
-    figure.savefig(path)
+    picture = BytesIO()
+    figure.savefig(picture, format="png")
+    return picture.getvalue()
 
 
 def _points(name: str, curve: Sequence[Any]) -> tuple[NDArray[Any], NDArray[Any], str]:
