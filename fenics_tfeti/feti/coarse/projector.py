@@ -323,11 +323,14 @@ class Projector:
     def P_of_sum(self, part: Vector, x: Vector) -> tuple[Vector, float]:
         """Return Py on the rows and x'y, where y is the sum of the ranks' parts; one exchange."""
         motion, xy = self._own_motion(part, x)
-        return self._sum(self.on_rows(part - motion)), xy
+        return self._refined(self._sum(self.on_rows(part - motion))), xy
 
     def part_of_P(self, part: Vector) -> Vector:
         """Return this rank's part of Py on the rows, where y is the sum of the ranks' parts."""
-        return self.on_rows(part - self._own_motion(part)[0])
+        rest = self.on_rows(part - self._own_motion(part)[0])
+        if self.passes == 1:
+            return rest
+        return self.coarse_space.constraints.layout.owned_part(self._refined(self._sum(rest)))
 
     def part_of_Q(self, x: Vector) -> tuple[Vector, Vector]:
         """Return this rank's part of Qx, and Qx itself without an exchange of multipliers.
@@ -338,10 +341,10 @@ class Projector:
         if self.factor is None:
             return np.zeros_like(x), np.zeros_like(x)
         part, Qx = self._part_of_Q(x)
-        for _ in range(1, self.passes):
-            more = self._part_of_Q(x - Qx)
-            part, Qx = part + more[0], Qx + more[1]
-        return part, Qx
+        if self.passes == 1:
+            return part, Qx
+        Qx = x - self._refined(x - self._sum(part))
+        return self.coarse_space.constraints.layout.owned_part(Qx), Qx
 
     def _part_of_Q(self, x: Vector) -> tuple[Vector, Vector]:
         assert self.factor is not None
@@ -367,25 +370,28 @@ class Projector:
             A vector whose inner product with y is wanted; it is summed along with Gy.
         """
         motion, xy = self._own_motion(part, x, resisted=True)
-        return self._sum(part - motion), xy
+        return self._refined(self._sum(part - motion), off_the_rows=True), xy
+
+    def _refined(self, y: Vector, off_the_rows: bool = False) -> Vector:
+        """Return y after the other applications of P; each is an exchange.
+
+        They need the sum of the ranks' parts: these have rigid motions that cancel each other.
+        """
+        layout = self.coarse_space.constraints.layout
+        for _ in range(1, self.passes):
+            motion = self._own_motion(layout.owned_part(y), resisted=off_the_rows)[0]
+            y = y - self._sum(motion if off_the_rows else self.on_rows(motion))
+        return y
 
     def _own_motion(
         self, part: Vector, x: Vector | None = None, resisted: bool = False
     ) -> tuple[Vector, float]:
         """Return what this rank's subdomains add to G'(GG')^+ Gy, and x'y (zero without x)."""
+        sum_over_ranks = self.coarse_space.constraints.layout.space.sum_over_ranks
         # all holders of a component have the same of x, so each may multiply its part of y
         numbers = np.zeros(0) if x is None else np.array([x @ part])
         if self.factor is None:
-            sum_over_ranks = self.coarse_space.constraints.layout.space.sum_over_ranks
             return np.zeros_like(part), float(sum_over_ranks(numbers).sum())
-        motion, numbers = self._one_motion(part, numbers, resisted)
-        for _ in range(1, self.passes):
-            motion = motion + self._one_motion(part - motion, numbers[:0], resisted)[0]
-        return motion, float(numbers.sum())
-
-    def _one_motion(self, part: Vector, numbers: Vector, resisted: bool) -> tuple[Vector, Vector]:
-        """Return the same by one application, and the sums of numbers over the ranks."""
-        assert self.factor is not None
         chosen = self.on_rows(part)
         if self.weak is not None:
             numbers = np.append(self.weak.rows.T @ chosen, numbers)
@@ -394,16 +400,14 @@ class Projector:
         )
         if resisted and self.free.shape[1]:
             free = self.coarse_space.own_part(self.free)
-            own = own - free @ self.coarse_space.constraints.layout.space.sum_over_ranks(
-                free.T @ own
-            )
+            own = own - free @ sum_over_ranks(free.T @ own)
         motion = self.coarse_space.prolong_own(own)
         if self.weak is not None:
             k = self.weak.rows.shape[1]
             layout = self.coarse_space.constraints.layout
             motion = motion + layout.owned_part(self.weak.rows @ numbers[:k])
             numbers = numbers[k:]
-        return motion, numbers
+        return motion, float(numbers.sum())
 
     def _sum(self, part: Vector) -> Vector:
         return self.coarse_space.constraints.layout.sum(part)

@@ -1,0 +1,67 @@
+"""A half that is much stiffer costs no more products, and the solution is as accurate."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from stiff_half import stiff_half
+from torn import glued
+
+from fenics_tfeti.feti import Options, TornSolution, TornSolver
+
+COMM = MPI.COMM_WORLD
+JUMPS = [1e4, 1e6, 1e8]
+each_jump = pytest.mark.parametrize("jump", JUMPS)
+each_kind = pytest.mark.parametrize("pressed", [False, True], ids=["clamped", "pressed"])
+
+
+@lru_cache(maxsize=None)
+def solution(jump: float, pressed: bool, **options: Any) -> TornSolution:
+    return TornSolver(stiff_half(jump, pressed, comm=COMM), Options(**options)).solve()
+
+
+@pytest.mark.parametrize("coarse_solver", ["redundant", "inverse"])
+@pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet", "none"])
+@each_kind
+@each_jump
+def test_products_do_not_depend_on_the_jump(jump, pressed, preconditioner, coarse_solver):
+    options = {"preconditioner": preconditioner, "coarse_solver": coarse_solver}
+    count, soft = (
+        solution(size, pressed, **options).report.products["total"] for size in (jump, 1e2)
+    )
+    assert count <= 1.2 * soft + 2
+
+
+@each_kind
+@each_jump
+def test_smalbe_converges(jump, pressed):
+    assert solution(jump, pressed, method="smalbe").report.converged
+
+
+@lru_cache(maxsize=None)
+def energy(jump: float) -> float:
+    """Return the energy of the clamped block by a dense solution."""
+    system = stiff_half(jump)
+    K, f, nodes, _ = glued(system)
+    free = np.repeat(~np.isin(nodes, system.prescribed.nodes), 3)
+    # in units in which the stiffness of each unknown is 1
+    scale = 1.0 / np.sqrt(K.diagonal()[free])
+    load = scale * f[free]
+    return -0.5 * load @ np.linalg.solve(scale[:, None] * K[free][:, free] * scale, load)
+
+
+@each_jump
+def test_energy_of_the_clamped_block(jump):
+    # the dense solution amplifies rounding by the condition number, about 1e3 times the jump
+    found = solution(jump, False, rtol=1e-7).report.energy
+    assert found == pytest.approx(energy(jump), rel=1e-12 + 1e-13 * jump)
+
+
+@each_jump
+def test_forces_of_the_pressed_block_balance_the_load(jump):
+    assert solution(jump, True).report.contact_force[0] == pytest.approx(16.0, rel=1e-9)
