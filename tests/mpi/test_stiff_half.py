@@ -15,8 +15,7 @@ from torn import glued
 from fenics_tfeti.feti import Options, TornSolution, TornSolver
 
 COMM = MPI.COMM_WORLD
-JUMPS = [1e4, 1e6, 1e8]
-each_jump = pytest.mark.parametrize("jump", JUMPS)
+each_jump = pytest.mark.parametrize("jump", [1e6, 1e8])
 each_kind = pytest.mark.parametrize("pressed", [False, True], ids=["clamped", "pressed"])
 
 
@@ -25,22 +24,21 @@ def solution(jump: float, pressed: bool, **options: Any) -> TornSolution:
     return TornSolver(stiff_half(jump, pressed, comm=COMM), Options(**options)).solve()
 
 
-@pytest.mark.parametrize("coarse_solver", ["redundant", "inverse"])
 @pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet", "none"])
 @each_kind
 @each_jump
-def test_products_do_not_depend_on_the_jump(jump, pressed, preconditioner, coarse_solver):
-    options = {"preconditioner": preconditioner, "coarse_solver": coarse_solver}
-    count, soft = (
-        solution(size, pressed, **options).report.products["total"] for size in (jump, 1e2)
-    )
-    assert count <= 1.2 * soft + 2
+def test_products_do_not_depend_on_the_jump(jump, pressed, preconditioner):
+    counts = [
+        solution(size, pressed, preconditioner=preconditioner).report.products["total"]
+        for size in (jump, 1e2)
+    ]
+    assert counts[0] <= 1.2 * counts[1] + 2
 
 
+@pytest.mark.parametrize("options", [{"method": "smalbe"}, {"coarse_solver": "inverse"}], ids=str)
 @each_kind
-@each_jump
-def test_smalbe_converges(jump, pressed):
-    assert solution(jump, pressed, method="smalbe").report.converged
+def test_other_methods_converge(pressed, options):
+    assert solution(1e8, pressed, **options).report.converged
 
 
 @lru_cache(maxsize=None)

@@ -6,9 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from stiff_half import stiff_half
 from torn import column
 
 from fenics_tfeti.feti import Options, TornSolver, TornSystem
+from fenics_tfeti.feti.coarse import projector
+from fenics_tfeti.feti.solution import outer
 
 pytestmark = pytest.mark.once
 
@@ -38,7 +41,6 @@ def test_smalbe_hands_over_where_it_is_slow(patience, expected):
 
 def test_smalbe_keeps_its_iterate_when_the_face_is_not_the_last(monkeypatch):
     """The active set method solves nothing: SMALBE-M has to do it alone, as if never stopped."""
-    import fenics_tfeti.feti.solution.outer as outer
 
     def fails(*args, **kwargs):
         return replace(active_set(*args, **kwargs), solved=False)
@@ -51,3 +53,43 @@ def test_smalbe_keeps_its_iterate_when_the_face_is_not_the_last(monkeypatch):
     monkeypatch.setattr(outer, "primal_dual_active_set", fails)
     both = TornSolver(stiff_block_over_uneven_gaps(), options).solve()
     assert both.report.outer_iterations <= 2 * alone.report.outer_iterations
+
+
+@pytest.fixture
+def inaccurate(monkeypatch):
+    """Apply P once at a jump of 1e10, so that rounding limits the error to about 1e-4."""
+    monkeypatch.setattr(projector, "_MOST_PASSES", 1)
+    return stiff_half(1e10)
+
+
+@pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet"])
+def test_rounding_is_noticed_and_its_error_is_named(preconditioner, inaccurate):
+    options = Options(preconditioner=preconditioner, smalbe_max_it=1, error_if_not_converged=False)
+    report = TornSolver(inaccurate, options).solve().report
+    assert not report.converged
+    assert report.certificate.error <= 1e-3
+    assert f"the error of the displacement is {report.certificate.error:.1e}" in report.reason
+    assert "rounding has ended the conjugate gradients" in report.reason
+    # the residual of the recurrences falls again after it has risen, off Gl = e
+    assert report.products["total"] <= 50
+
+
+def test_bound_holds_where_rounding_ends_the_iterations(inaccurate, monkeypatch):
+    """J(u) - J(u*) is half of the square of the error in the energy norm."""
+    options = Options(smalbe_max_it=1, error_if_not_converged=False)
+    report = TornSolver(inaccurate, options).solve().report
+    monkeypatch.undo()
+    exact = TornSolver(stiff_half(1e10), Options(rtol=1e-7)).solve().report.energy
+    error = np.sqrt(2.0 * max(0.0, report.energy - exact))
+    assert error <= report.certificate.bound + np.sqrt(1e-14 * abs(exact))
+
+
+def test_best_iterate_is_returned(inaccurate, monkeypatch):
+    def spoils(self, state, tolerance, patience):
+        nothing = np.zeros_like(state.multipliers)
+        return outer._Stage(outer.DualState(nothing, nothing), solved=False, reason="spoilt")
+
+    monkeypatch.setattr(outer._Loop, "smalbe", spoils)
+    report = TornSolver(inaccurate, Options(error_if_not_converged=False)).solve().report
+    assert report.reason.startswith("spoilt; the error of the displacement is")
+    assert report.certificate.error <= 1e-3
