@@ -41,7 +41,7 @@ class NotConverged(ContactError, RuntimeError):
     Attributes
     ----------
     solution : object
-        The last iterate: what the solver would have returned on convergence.
+        The iterate with the smallest certificate, as the solver returns it on convergence.
     report : object
         The report of the solve, with ``converged`` False and the ``reason``.
     """

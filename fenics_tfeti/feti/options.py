@@ -66,7 +66,8 @@ class Options:
     monitor : bool
         Print a line for each step of the iterations, on rank 0.
     error_if_not_converged : bool
-        Raise `NotConverged`, or else return the last iterate with ``converged`` false.
+        Raise `NotConverged`, or else return the iterate with the smallest certificate, with
+        ``converged`` false.
     """
 
     rtol: float = 1e-6

@@ -325,7 +325,7 @@ class TornSolver:
         InputError
             If the solver was released.
         NotConverged
-            At a limit on iterations, unless the options ask for the last iterate.
+            At a limit on iterations, unless the options ask for the best iterate.
         Interrupted
             After Ctrl-C or SIGINT to one rank, on all of them, with the last iterate; of SMALBE-M
             the one that it has started from.
@@ -368,7 +368,7 @@ class TornSolver:
         if not outcome.converged and self.options.error_if_not_converged:
             raise NotConverged(
                 f"not converged to rtol {self.options.rtol:g}: {outcome.reason}. Raise the limit "
-                "or rtol, or set error_if_not_converged to false to get the last iterate",
+                "or rtol, or set error_if_not_converged to false to get the best iterate",
                 solution,
                 report,
             )

@@ -27,7 +27,7 @@ from fenics_tfeti.feti.dual.augmented import Stopped, solve_by_smalbe
 from fenics_tfeti.feti.dual.pcpg import PCPGIterate, Signs
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
-from fenics_tfeti.feti.solution.certificate import PrimalProblem
+from fenics_tfeti.feti.solution.certificate import Certificate, PrimalProblem
 from fenics_tfeti.feti.solution.idle_bodies import without_idle_forces
 from fenics_tfeti.feti.solution.monitor import Monitor
 from fenics_tfeti.feti.solution.progress import Progress
@@ -118,7 +118,7 @@ def iterate_until_certified(
     Returns
     -------
     Outcome
-        The last candidate, and whether it is certified.
+        The certified candidate, or the one with the smallest certificate.
     """
     with timer.phase("iterations"):
         coarse_space = setup.projector.coarse_space
@@ -175,7 +175,7 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
         worst = candidate.certificate.worst
         if worst <= limit:
             return Outcome(candidate, stage.state, True, "converged", tolerance)
-        best.update(stage.state, worst)
+        best.update(stage.state, candidate.certificate)
         if interruption.agreed():
             outcome = best.outcome(loop, candidate, "", tolerance)
             return replace(outcome, reason="interrupted")
@@ -211,14 +211,17 @@ class _Best:
 
     state: DualState | None = None
     worst: float = np.inf
+    name: str = ""  # of the largest number of the certificate
     is_last: bool = False
     rounded: float | None = None  # the certificate where rounding has ended conjugate gradients
 
-    def update(self, state: DualState, worst: float) -> None:
-        """Take in a state and the largest number of its certificate."""
-        self.is_last = self.state is None or worst < self.worst
+    def update(self, state: DualState, certificate: Certificate) -> None:
+        """Take in a state and its certificate."""
+        self.is_last = self.state is None or certificate.worst < self.worst
         if self.is_last:
-            self.state, self.worst = state, worst
+            numbers = certificate.numbers()
+            self.state, self.worst = state, certificate.worst
+            self.name = max(numbers, key=numbers.__getitem__)
 
     def outcome(self, loop: _Loop, last: Candidate, reason: str, tolerance: float) -> Outcome:
         """Return it as not converged, with its displacements; `reason` is what ended the loop."""
@@ -226,7 +229,7 @@ class _Best:
         candidate = last if self.is_last else loop.recover(self.state)
         found = "the contact forces do not balance the load"
         if np.isfinite(self.worst):
-            found = f"the error of the displacement is {self.worst:.1e}"
+            found = f"its certificate has reached {self.worst:.1e} ({self.name})"
         if self.rounded is not None:
             found += f"; rounding has ended the conjugate gradients at {self.rounded:.1e}"
         return Outcome(candidate, self.state, False, f"{reason}; {found}", tolerance)

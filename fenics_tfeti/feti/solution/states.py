@@ -117,7 +117,7 @@ class Outcome:
     Attributes
     ----------
     candidate : Candidate
-        The last candidate.
+        The last candidate, or the one with the smallest certificate if none is certified.
     state : DualState
         Where a later solve may start.
     converged : bool

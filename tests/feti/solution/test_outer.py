@@ -68,7 +68,7 @@ def test_rounding_is_noticed_and_its_error_is_named(preconditioner, inaccurate):
     report = TornSolver(inaccurate, options).solve().report
     assert not report.converged
     assert report.certificate.error <= 1e-3
-    assert f"the error of the displacement is {report.certificate.error:.1e}" in report.reason
+    assert f"its certificate has reached {report.certificate.worst:.1e} (error)" in report.reason
     assert "rounding has ended the conjugate gradients" in report.reason
     # the residual of the recurrences falls again after it has risen, off Gl = e
     assert report.products["total"] <= 50
@@ -91,5 +91,5 @@ def test_best_iterate_is_returned(inaccurate, monkeypatch):
 
     monkeypatch.setattr(outer._Loop, "smalbe", spoils)
     report = TornSolver(inaccurate, Options(error_if_not_converged=False)).solve().report
-    assert report.reason.startswith("spoilt; the error of the displacement is")
+    assert report.reason.startswith("spoilt; its certificate has reached")
     assert report.certificate.error <= 1e-3
