@@ -34,6 +34,7 @@ from fenics_tfeti.feti.solution.states import (
     SlipBoundStep,
 )
 from fenics_tfeti.feti.timer import Timer
+from fenics_tfeti.feti.tolerances import ROUNDING
 
 __all__ = ["iterate_slip_bounds"]
 
@@ -102,6 +103,10 @@ def iterate_slip_bounds(
             changes.append(change)
         monitor.slip_bounds(SlipBoundStep(products.total - before, change, ratio, rtol))
         outcome = _with_error(outcome, change)
+        certified = outcome.candidate.certificate.worst <= max(options.rtol, ROUNDING)
+        if certified and not outcome.converged:
+            # rounding is larger than the tolerance of the step, which is finer
+            return replace(outcome, converged=True, reason="converged")
         if not outcome.converged or (change <= options.rtol and rtol <= options.rtol):
             return outcome
         if interruption.agreed():
