@@ -108,14 +108,15 @@ def test_only_fem_imports_finite_element_libraries(module):
 
 
 @pytest.mark.parametrize("module", in_layer("fem"))
-def test_fem_knows_only_the_data_and_tolerances_of_feti(module):
+def test_fem_knows_only_the_data_files_and_tolerances_of_feti(module):
     used = {
         source(node.module, alias.name)
         for node in ast.walk(TREES[module])
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("fenics_tfeti.feti")
         for alias in node.names
     }
-    assert used <= {"fenics_tfeti.feti.system", "fenics_tfeti.feti.tolerances"}
+    known = {f"fenics_tfeti.feti.{name}" for name in ("files", "system", "tolerances")}
+    assert used <= known
 
 
 @pytest.mark.parametrize("package", FETI_ORDER)
