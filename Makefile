@@ -13,7 +13,8 @@ OTHERS ?= not heavy and not once
 OTHER_RANKS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help env env-wheel demo demos demo-runs dist test test-wheel test-debian13 fuzz doctest verify check format docs clean
+.PHONY: help env env-wheel lock demo demos demo-runs dist test test-wheel test-debian13 test-latest \
+	fuzz doctest verify check format docs clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  \1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -23,6 +24,9 @@ env:  ## install the Debian packages that are missing and fill .venv
 
 env-wheel:  ## fill .venv-wheel with the dolfinx wheel from PyPI (Python >= 3.12)
 	@tools/env.sh wheel
+
+lock:  ## renew the versions in tools/lock that the environments install, and print what changes
+	@tools/lock.sh
 
 demo: env  ## two beams in contact; writes to results/
 	$(PY) demos/two_beams.py
@@ -38,6 +42,10 @@ test-wheel: env-wheel  ## what depends on the environment, with the dolfinx whee
 
 test-debian13:  ## the same in Debian 13 (dolfinx 0.9), which debootstrap makes; needs root
 	@tools/debian13.sh make test MARKS="$(OTHERS)" MPI_RANKS="$(OTHER_RANKS)"
+
+test-latest:  ## the tests with the newest releases of all packages; reports, and never fails
+	@tools/test-latest.sh debian
+	@tools/test-latest.sh wheel
 
 fuzz: env  ## N random problems on RANKS ranks, from seed FIRST, against an independent solver
 	$(PY) tests/fuzz/run.py -n $(N) --ranks $(RANKS) --first $(FIRST)
@@ -69,6 +77,7 @@ dist: env  ## wheel and sdist in dist/
 
 clean:  ## remove the environments and what runs leave behind
 	rm -rf .venv .venv.lock .venv-wheel .venv-wheel.lock .debian13 .debian13.lock
+	rm -rf .venv-latest .venv-latest.lock .venv-wheel-latest .venv-wheel-latest.lock
 	rm -rf *.egg-info build dist docs/_build docs/_generated docs/demos/*.md docs/demos/notebooks
 	rm -rf results
 	rm -rf .pytest_cache .hypothesis .mypy_cache .ruff_cache
