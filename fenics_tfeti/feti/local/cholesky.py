@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
@@ -55,28 +55,36 @@ def available_packages() -> list[str]:
     return [package for package in _PREFERENCE if _is_available(package)]
 
 
-def choose_package(package: Package) -> str:
+def choose_package(package: Package, available: Sequence[str] | None = None) -> str:
     """Return the name of the package to use.
 
     CHOLMOD solves with a factor of a few thousand unknowns fastest. rslab factors and solves as
     fast as MUMPS, in less memory and without its MPI communicators, which limit the number of
     factors.
 
+    Parameters
+    ----------
+    package : {"auto", "cholmod", "rslab", "mumps"}
+        The wanted one; "auto" takes the first that is available.
+    available : sequence of str, optional
+        Packages to choose from; by default those that are installed.
+
     Raises
     ------
     FactorizationError
-        If it is not installed.
+        If it is not available.
     """
-    available = available_packages()
+    if available is None:
+        available = available_packages()
     if package == "auto" and available:
         return available[0]
     if package in available:
         return package
     raise FactorizationError(
         f"there is no sparse Cholesky factorisation by {package!r}; available are "
-        f"{available or 'neither CHOLMOD nor rslab nor MUMPS'}. Choose another 'factor', install a "
-        "PETSc with CHOLMOD or MUMPS (Debian: python3-petsc4py-real, conda-forge: petsc4py), or "
-        "'pip install rslab'"
+        f"{list(available) or 'neither CHOLMOD nor rslab nor MUMPS'}. Choose another 'factor', "
+        "install a PETSc with CHOLMOD or MUMPS (Debian: python3-petsc4py-real, conda-forge: "
+        "petsc4py), or 'pip install rslab'"
     )
 
 
