@@ -11,9 +11,10 @@ MARKS ?= not heavy
 MPI_RANKS ?= 2 3
 OTHERS ?= not heavy and not once
 OTHER_RANKS ?= 2
+PYTHON ?= python3
 
 .DEFAULT_GOAL := help
-.PHONY: help env env-wheel demo demos demo-runs dist test test-wheel test-debian13 fuzz doctest verify check format docs clean
+.PHONY: help env env-wheel demo demos demo-runs dist test test-wheel test-debian13 test-installed fuzz doctest verify check format docs clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  \1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -38,6 +39,9 @@ test-wheel: env-wheel  ## what depends on the environment, with the dolfinx whee
 
 test-debian13:  ## the same in Debian 13 (dolfinx 0.9), which debootstrap makes; needs root
 	@tools/debian13.sh make test MARKS="$(OTHERS)" MPI_RANKS="$(OTHER_RANKS)"
+
+test-installed:  ## the same with PYTHON, which has dolfinx and the extras test and pictures
+	@MARKS="$(OTHERS)" MPI_RANKS="$(OTHER_RANKS)" tools/test.sh $(PYTHON)
 
 fuzz: env  ## N random problems on RANKS ranks, from seed FIRST, against an independent solver
 	$(PY) tests/fuzz/run.py -n $(N) --ranks $(RANKS) --first $(FIRST)
