@@ -67,12 +67,11 @@ def blas(rate: float | None = None, loaded: Sequence[str] | None = None) -> str:
     rate = _rate() if rate is None else rate
     loaded = _loaded_libraries() if loaded is None else loaded
     names = [name for part, name in _LIBRARIES.items() if any(part in file for file in loaded)]
+    remedy = "" if names else ": install OpenBLAS, for instance libopenblas0-pthread"
     if not names and any("libblas.so" in file for file in loaded):
         names = ["reference BLAS"]
     text = f"{' and '.join(names) or 'unknown library'}, {rate / 1e9:.1f} Gflop/s"
-    if rate < _SLOW:
-        text += " (slow: install OpenBLAS, for instance libopenblas0-pthread)"
-    return text
+    return text if rate >= _SLOW else f"{text} (slow{remedy or ': is the processor busy?'})"
 
 
 def _rate() -> float:

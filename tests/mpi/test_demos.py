@@ -23,6 +23,7 @@ def test_two_beams(tmp_path):
     comm.barrier()  # rank 0 removes the folder
 
 
+@pytest.mark.once
 def test_tutorial(tmp_path):
     folder = Path(comm.bcast(str(tmp_path)))
     page = (literate.DOCS / "tutorial.md").read_text()
