@@ -11,10 +11,11 @@ MARKS ?= not heavy
 MPI_RANKS ?= 2 3
 OTHERS ?= not heavy and not once
 OTHER_RANKS ?= 2
+PYTHON ?= python3
 
 .DEFAULT_GOAL := help
 .PHONY: help env env-wheel lock demo demos demo-runs dist test test-wheel test-debian13 test-latest \
-	fuzz doctest verify check format docs clean
+	test-installed fuzz doctest verify check format docs clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  \1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -56,10 +57,11 @@ doctest: env  ## the examples in the docstrings
 verify: env  ## the tests marked heavy
 	$(PY) -m pytest tests -m heavy
 
-check: env  ## ruff and mypy
+check: env  ## ruff, mypy and codespell
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
 	$(PY) -m mypy --strict fenics_tfeti
+	$(PY) -m codespell_lib
 
 format: env  ## let ruff rewrite what it can
 	$(PY) -m ruff check --fix .

@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,10 +22,16 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import ContactResult
-from fenics_tfeti.fem.topology import vertex_nodes
+from fenics_tfeti.fem.topology import owned_cells, tags_of_cells, vertex_nodes
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["contact_fields", "displacement_space", "von_mises", "write_fields"]
+__all__ = [
+    "contact_fields",
+    "displacement_space",
+    "piecewise_constant",
+    "von_mises",
+    "write_fields",
+]
 
 
 def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Function:
@@ -228,6 +234,40 @@ def displacement_space(mesh: Mesh, degree: int = 1) -> FunctionSpace:
         1 or 2; on curved cells 2.
     """
     return _compat.lagrange_space(mesh, degree, mesh.geometry.dim)
+
+
+def piecewise_constant(mesh: Mesh, cell_tags: Any, values: Mapping[int, float]) -> Function:
+    """Return a function that is constant on each cell, such as Young's modulus. Collective.
+
+    Parameters
+    ----------
+    mesh : dolfinx.mesh.Mesh
+        The mesh.
+    cell_tags : dolfinx.mesh.MeshTags
+        A tag for every cell.
+    values : dict of int to float
+        The value on the cells with each tag.
+
+    Raises
+    ------
+    InputError
+        If a cell has no tag, or a tag no value.
+    """
+    space = _compat.lagrange_space(mesh, 0, discontinuous=True)
+    result = Function(space)
+    tags = tags_of_cells(mesh, cell_tags)
+    with raise_collectively(mesh.comm):
+        missing = np.setdiff1d(tags, list(values))
+        if missing.size:
+            raise InputError(
+                f"cells with the tags {missing.tolist()} have no value; values are given for the "
+                f"tags {sorted(values)}"
+            )
+        dofs = _compat.cell_dofs(space)[: owned_cells(mesh), 0]
+        for tag, value in values.items():
+            result.x.array[dofs[tags == tag]] = value
+    result.x.scatter_forward()
+    return result
 
 
 def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> list[Function]:
