@@ -426,18 +426,6 @@ def _tags(domain: mesh.Mesh, dim: int, entities: list[Numbers], values: list[int
     return mesh.meshtags(domain, dim, found[order], tags[order])
 
 
-def subdomain_data(form: ufl.Form) -> dict[str, Any]:
-    """Return the tags of each kind of integral ("cell", "exterior_facet", ...) of a form.
-
-    - 0.5.2's UFL has one entry, 0.9's and 0.11's a list with one entry for each integral.
-    """
-    (data,) = form.subdomain_data().values()
-    return {
-        kind: next((t for t in tags if t is not None), None) if isinstance(tags, list) else tags
-        for kind, tags in data.items()
-    }
-
-
 def assemble_stiffness(form: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.float64]]:
     """Assemble a bilinear form on a space whose dofs no ranks share. Collective.
 
