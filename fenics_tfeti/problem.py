@@ -83,6 +83,7 @@ from fenics_tfeti.feti import (
     TornSystem,
     interruption,
 )
+from fenics_tfeti.feti.local.cholesky import check_real_numbers
 from fenics_tfeti.options import contact_options
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.report import ContactReport
@@ -163,6 +164,7 @@ class ContactProblem:
         tied: Sequence[TiedPair] | TiedPair | None = (),
         u: Function | None = None,
     ) -> None:
+        check_real_numbers()
         self.options = contact_options(options, options_prefix)
         self._timer = Timer()
         a, L = given_forms(a, L)

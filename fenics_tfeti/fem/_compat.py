@@ -26,6 +26,9 @@ import dolfinx.fem.petsc
 import ufl
 from dolfinx import cpp, fem, mesh
 from ufl.algorithms import extract_coefficients
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
+from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
 
 from fenics_tfeti.fem.reference_cells import reference_cell
 
@@ -326,6 +329,21 @@ def _one_scotch_thread() -> Iterator[None]:
 
 
 # -- forms -------------------------------------------------------------------------------------
+
+
+def is_linear_in_arguments(form: ufl.Form) -> bool:
+    """Tell whether each term of a form is linear in each of the form's arguments.
+
+    - 0.5.2's UFL fails with a TypeError where it writes the message of some ``ArityMismatch``.
+
+    Does not dispatch: both are caught.
+    """
+    lowered = apply_derivatives(apply_algebra_lowering(form))
+    try:
+        check_form_arity(lowered, form.arguments())
+    except (ArityMismatch, TypeError):
+        return False
+    return True
 
 
 class CompiledForm:

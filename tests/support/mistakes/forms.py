@@ -162,6 +162,37 @@ def compiled_load(comm):
     scene.problem()
 
 
+@mistake("no trial function", "Function 'w'", "TrialFunction", "Newton step")
+def residual_for_the_stiffness(comm):
+    scene = beams(comm)
+    w = fem.Function(scene.V, name="w")
+    scene.a = scenes.elasticity(w, ufl.TestFunction(scene.V), scene.kept[0])
+    scene.problem()
+
+
+@mistake("a is not linear in its arguments", "Newton step")
+def form_that_is_not_linear_in_the_trial_function(comm):
+    scene = beams(comm)
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    scene.a += scene.kept[0] * ufl.inner(ufl.grad(u) * ufl.grad(u), ufl.grad(v)) * ufl.dx
+    scene.problem()
+
+
+@mistake("a is not linear in its arguments", "ufl.lhs and ufl.rhs")
+def load_in_the_stiffness(comm):
+    scene = beams(comm)
+    scene.a -= scene.L
+    scene.problem()
+
+
+@mistake("L is not linear in its arguments", "test function")
+def load_with_the_test_function_twice(comm):
+    scene = beams(comm)
+    v = ufl.TestFunction(scene.V)
+    scene.L += scene.kept[1] * ufl.inner(v, v) * ufl.dx
+    scene.problem()
+
+
 @mistake("form L", "float", "form of UFL")
 def load_that_is_a_number(comm):
     scene = beams(comm)
