@@ -47,6 +47,7 @@ from fenics_tfeti.fem.contact.deformed import (
     geometry_pass,
 )
 from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
+from fenics_tfeti.fem.contact.opening import openings
 from fenics_tfeti.fem.contact.roles import ALIKE, exchanged, roles_ratio, warn_of_roles
 from fenics_tfeti.fem.contact.slip import (
     NodalFriction,
@@ -645,22 +646,29 @@ class ContactProblem:
             _split(solution.slip_bound, sizes),
             strict=True,
         )
+        self._displacement = displacement_function(
+            self.space, self.system.subdomains, solution.displacements, self.u
+        )
         self.contact = [
             # the gap of the undeformed surfaces, with the normal that the force acts along
             _contact_result(
                 _with_gap_of(match, first),
+                opening,
                 force,
                 friction_result(one, match, *values),
                 self.space.mesh.comm,
             )
-            for match, first, force, one, values in zip(
-                matched, self._matched, forces, rubbing, of_friction, strict=True
+            for match, first, opening, force, one, values in zip(
+                matched,
+                self._matched,
+                openings(self.space, matched, owned_values(self._displacement)),
+                forces,
+                rubbing,
+                of_friction,
+                strict=True,
             )
         ]
         self._used = list(matched)
-        self._displacement = displacement_function(
-            self.space, self.system.subdomains, solution.displacements, self.u
-        )
         return self._displacement
 
 
@@ -690,6 +698,7 @@ def _split(values: NDArray[Any], sizes: Sequence[int]) -> list[NDArray[Any]]:
 
 def _contact_result(
     matched: ContactPairing,
+    opening: NDArray[np.float64],
     force: NDArray[np.float64],
     friction: FrictionResult | None,
     comm: MPI.Intracomm,
@@ -699,6 +708,7 @@ def _contact_result(
         matched.slave,
         matched.coordinates,
         matched.gap,
+        opening,
         matched.normal,
         normal_force=force,
         pressure=force / matched.area,

@@ -308,6 +308,10 @@ class ContactResult:
     gap : (k,) array
         Gap in the undeformed state [m]; infinite where there is no obstacle. With mortar conditions
         the mean around the node.
+    opening : (k,) array
+        Gap after the solve [m]: zero where the contact is closed, infinite where there is no
+        obstacle. It is the gap less the approach along the normal, with exact non-penetration of
+        the surfaces of the last pass.
     normal : (k, gdim) array
         Outward unit normals of the slave.
     normal_force : (k,) array
@@ -331,6 +335,7 @@ class ContactResult:
     nodes: Numbers
     coordinates: Vector
     gap: Vector
+    opening: Vector
     normal: Vector
     normal_force: Vector
     pressure: Vector
