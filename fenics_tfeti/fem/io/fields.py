@@ -250,9 +250,9 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
         slave surface is the contact's force in the report, where it is covered wholly; where the
         slave sticks out of the master, the sum of ``pressure * area`` of the `ContactResult` is.
         They are of degree 1: for displacements of degree 2 as well, contact is at the vertices.
-        Some versions of dolfinx compile no form of a field whose name has spaces. Where a contact has friction also "friction_traction" [Pa], on
-        the slave, and "slip" [m], vectors, and "friction_state": 1 where a node sticks, 2 where it
-        slips, 0 where friction has no force.
+        Some versions of dolfinx compile no form of a field whose name has spaces. Where a contact
+        has friction also "friction_traction" [Pa], on the slave, and "slip" [m], vectors, and
+        "friction_state": 1 where a node sticks, 2 where it slips, 0 where friction has no force.
     """
     scalar = _compat.lagrange_space(space.mesh, 1)
     names = ("contact_pressure", "initial_gap", "opening", "friction_state")
