@@ -73,6 +73,7 @@ from fenics_tfeti.fem.displacement import (
 )
 from fenics_tfeti.fem.input_numbers import OwnedNodes, input_numbers
 from fenics_tfeti.fem.mesh_checks import check_mesh
+from fenics_tfeti.fem.strains import warn_of_large_gradients
 from fenics_tfeti.feti import (
     ContactGuess,
     MonitorFunction,
@@ -189,6 +190,7 @@ class ContactProblem:
         self._monitor: MonitorFunction | None = None
         self._checkpoint: str | os.PathLike[str] | None = None
         self._continued: Continuation | None = None
+        self._warned_of_gradients = False
         self._solves = 0
         self._passes = list[GeometryPass]()
         self._origin = SlipOrigin.undeformed(self.space, len(self.contacts))
@@ -285,6 +287,9 @@ class ContactProblem:
                     self._save(error.solution, self._passes)
                 raise
             self._solves += 1
+            if not self._warned_of_gradients:
+                energy = [body.energy_norm**2 for body in self.report.certificate.bodies]
+                self._warned_of_gradients = warn_of_large_gradients(uh, self._bodies, energy)
             if self.report.converged:
                 moved = moved_obstacles(self.space, self._matched, self._rubbing)
                 self._origin = SlipOrigin(owned_values(uh), moved)
