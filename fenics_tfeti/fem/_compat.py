@@ -29,6 +29,7 @@ from ufl.algorithms import extract_coefficients
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
+from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 
 from fenics_tfeti.fem.reference_cells import reference_cell
 
@@ -338,7 +339,8 @@ def is_linear_in_arguments(form: ufl.Form) -> bool:
 
     Does not dispatch: both are caught.
     """
-    lowered = apply_derivatives(apply_algebra_lowering(form))
+    # as UFL does before its own check
+    lowered = apply_derivatives(remove_complex_nodes(apply_algebra_lowering(form)))
     try:
         check_form_arity(lowered, form.arguments())
     except (ArityMismatch, TypeError):
