@@ -57,10 +57,15 @@ class ContactPair:
         "auto" takes pairs of nodes where the meshes match, or where `direction`, `mapping` or
         `pairs` says how to find them, and mortar conditions otherwise. The choice is in the report.
         Displacements of degree 2 always have mortar conditions, with multipliers at the vertices.
-    roles : {"given", "auto"}
-        Whether `slave` and `master` are as given, or exchanged where mortar conditions are better
-        the other way round: the slave then is the surface with the smaller E / h, estimated from
-        the stiffness matrices when the problem is set up. Results and report show which it is.
+    roles : {"auto", "given"}
+        Whether `slave` and `master` are exchanged where mortar conditions are much better the other
+        way round, or are as given. "auto" exchanges them where E / h of the slave, estimated from
+        the stiffness matrices when the problem is set up, is more than four times that of the
+        master; not where data of the slave are given: a `normal`, or an `initial_gap`, a `friction`
+        or a `measure_weight` with values of functions; and not where the surfaces have no valid
+        conditions the other way round. The report says what was done and why. The nodes of a
+        `ContactResult`, its normals and the directions of friction are those of the surface that
+        has become the slave; the resultants in the report are those of the surfaces as given.
     initial_gap : "geometric", "touching", float or callable
         The gap between the undeformed surfaces. By default it is that of the mesh. "touching" is
         for two meshes of one curved surface, whose facets gape or overlap by their distances from
@@ -112,7 +117,7 @@ class ContactPair:
     measure_weight: Any = None
     discretisation: Literal["auto", "node_to_node", "mortar"] = "auto"
     initial_gap: InitialGap = "geometric"
-    roles: Literal["given", "auto"] = "given"
+    roles: Literal["auto", "given"] = "auto"
     friction: FrictionLaw | None = None
 
 
@@ -327,6 +332,9 @@ class ContactResult:
         the covered part of the surface around the node.
     friction : FrictionResult or None
         Friction forces and slips; None for a contact without friction.
+    slave : int
+        Tag of the surface whose nodes these are: that of the contact's `slave`, or of its `master`
+        where ``roles="auto"`` has exchanged them.
     comm : MPI.Intracomm
         The ranks.
     """
@@ -342,6 +350,7 @@ class ContactResult:
     active: NDArray[np.bool_]
     area: Vector
     friction: FrictionResult | None = None
+    slave: int = 0
     comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF, repr=False)
 
     def gather(self) -> ContactResult:
