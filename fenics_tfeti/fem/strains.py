@@ -23,8 +23,8 @@ Vector = NDArray[np.float64]
 
 # |grad u| from which on its square, which linear elasticity leaves out, is no small part of it
 _LARGE = 0.1
-# share of the strain energy that is more than that of a corner or a point load
-_SHARE = 0.01
+# share of the strain energy that is more than that of corners and point loads
+_SHARE = 0.1
 # cells at once
 _CELLS = 2**14
 
