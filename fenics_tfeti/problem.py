@@ -614,7 +614,7 @@ class ContactProblem:
             deformed = self._deformed(matched, uh)
             products = self.report.products["total"]
             seconds = self._timer.slowest(self.space.mesh.comm)
-            new_pass = geometry_pass(deformed, self.contact, uh, products)
+            new_pass = geometry_pass(deformed, self._results, uh, products)
             spent = seconds["total"] + of_other_runs - sum(earlier.seconds for earlier in passes)
             passes.append(replace(new_pass, seconds=spent))
             self.report = replace(self.report, passes=passes, seconds=seconds)
@@ -688,18 +688,16 @@ class ContactProblem:
         self._displacement = displacement_function(
             self.space, self.system.subdomains, solution.displacements, self.u
         )
-        self.contact = [
+        self._results = [
             # the gap of the undeformed surfaces, with the normal that the force acts along
             _contact_result(
-                contact,
                 _with_gap_of(match, first),
                 opening,
                 force,
                 friction_result(one, match, *values),
                 self.space.mesh.comm,
             )
-            for contact, match, first, opening, force, one, values in zip(
-                self._searched,
+            for match, first, opening, force, one, values in zip(
                 matched,
                 self._matched,
                 openings(self.space, matched, owned_values(self._displacement)),
@@ -708,6 +706,10 @@ class ContactProblem:
                 of_friction,
                 strict=True,
             )
+        ]
+        self.contact = [
+            result.seen_from_master() if id(contact) in self._exchanged else result
+            for contact, result in zip(self.contacts, self._results, strict=True)
         ]
         self._used = list(matched)
         return self._displacement
@@ -738,7 +740,6 @@ def _split(values: NDArray[Any], sizes: Sequence[int]) -> list[NDArray[Any]]:
 
 
 def _contact_result(
-    contact: Contact,
     matched: ContactPairing,
     opening: NDArray[np.float64],
     force: NDArray[np.float64],
@@ -757,6 +758,5 @@ def _contact_result(
         active=force > 0.0,
         area=matched.area,
         friction=friction,
-        slave=contact.slave,
         comm=comm,
     )

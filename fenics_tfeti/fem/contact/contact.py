@@ -64,8 +64,8 @@ class ContactPair:
         master; not where data of the slave are given: a `normal`, or an `initial_gap`, a `friction`
         or a `measure_weight` with values of functions; and not where the surfaces have no valid
         conditions the other way round. The report says what was done and why. The nodes of a
-        `ContactResult`, its normals and the directions of friction are those of the surface that
-        has become the slave; the resultants in the report are those of the surfaces as given.
+        `ContactResult` then are those of the master as given; all directions, and the resultants in
+        the report, stay those on the slave as given.
     initial_gap : "geometric", "touching", float or callable
         The gap between the undeformed surfaces. By default it is that of the mesh. "touching" is
         for two meshes of one curved surface, whose facets gape or overlap by their distances from
@@ -332,9 +332,9 @@ class ContactResult:
         the covered part of the surface around the node.
     friction : FrictionResult or None
         Friction forces and slips; None for a contact without friction.
-    slave : int
-        Tag of the surface whose nodes these are: that of the contact's `slave`, or of its `master`
-        where ``roles="auto"`` has exchanged them.
+    on_master : bool
+        Whether the nodes are those of the master, because ``roles="auto"`` has exchanged slave and
+        master. Normals, forces and slips are those of the slave there.
     comm : MPI.Intracomm
         The ranks.
     """
@@ -350,8 +350,17 @@ class ContactResult:
     active: NDArray[np.bool_]
     area: Vector
     friction: FrictionResult | None = None
-    slave: int = 0
+    on_master: bool = False
     comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF, repr=False)
+
+    def seen_from_master(self) -> ContactResult:
+        """Return the result with all directions as on the other surface."""
+        friction = self.friction
+        if friction is not None:
+            friction = replace(
+                friction, force=-friction.force, traction=-friction.traction, slip=-friction.slip
+            )
+        return replace(self, normal=-self.normal, friction=friction, on_master=not self.on_master)
 
     def gather(self) -> ContactResult:
         """Return the nodes of all ranks, by node number, on every rank. Collective."""

@@ -270,6 +270,8 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
     gap.x.array[:] = opening.x.array[:] = np.inf
     traction, slip = (Function(vector, name=name) for name in ("friction_traction", "slip"))
     for contact in contacts:
+        # forces are drawn on the body that has the nodes
+        contact = contact.seen_from_master() if contact.on_master else contact
         nodes = contact.nodes - first
         at = to_scalar[nodes]
         pressure.x.array[at] += contact.pressure
