@@ -78,6 +78,7 @@ from fenics_tfeti.fem.displacement import (
     space_of_forms,
 )
 from fenics_tfeti.fem.input_numbers import OwnedNodes, input_numbers
+from fenics_tfeti.fem.locking import warn_of_locking
 from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.fem.strains import warn_of_large_gradients
 from fenics_tfeti.feti import (
@@ -221,6 +222,8 @@ class ContactProblem:
         self._body_names = bodies.names
         self._x = self.space.mesh.geometry.x.copy()
         self._values = self._forms.values()
+        with self._timer.phase("assembly"):
+            warn_of_locking(self._forms, bodies)
         torn = self._assemble()
         self._judge_roles(torn, prescribed)
         self.system = self._torn_system(torn, prescribed)
