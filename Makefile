@@ -44,6 +44,9 @@ test-wheel: env-wheel  ## what depends on the environment, with the dolfinx whee
 test-debian13:  ## the same in Debian 13 (dolfinx 0.9), which debootstrap makes; needs root
 	@tools/debian13.sh make test MARKS="$(OTHERS)" MPI_RANKS="$(OTHER_RANKS)"
 
+test-installed:  ## the same with PYTHON, which has dolfinx and the extras test and pictures
+	@MARKS="$(OTHERS)" MPI_RANKS="$(OTHER_RANKS)" tools/test.sh $(PYTHON)
+
 test-latest:  ## the tests with the newest releases of all packages; reports, and never fails
 	@tools/test-latest.sh debian
 	@tools/test-latest.sh wheel

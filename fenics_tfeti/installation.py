@@ -14,7 +14,7 @@ from mpi4py import MPI
 import numpy as np
 from scipy.linalg.blas import dgemm
 
-from fenics_tfeti.errors import needs_fenicsx
+from fenics_tfeti.errors import ContactError, needs_fenicsx
 from fenics_tfeti.feti.local.cholesky import available_packages
 from fenics_tfeti.feti.report import versions
 
@@ -127,7 +127,11 @@ def main(comm: MPI.Intracomm = MPI.COMM_WORLD) -> int:
     _print(comm, f"{'self-test':>16}  two blocks meshed apart ...")
     from fenics_tfeti.self_test import self_test
 
-    result = self_test(comm)
+    try:
+        result = self_test(comm)
+    except ContactError as error:
+        _print(comm, f"{'':>16}  FAILED: {error}")
+        return 1
     verdict = "passed" if result.passed else "FAILED"
     _print(
         comm,

@@ -26,6 +26,10 @@ import dolfinx.fem.petsc
 import ufl
 from dolfinx import cpp, fem, mesh
 from ufl.algorithms import extract_coefficients
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
+from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
+from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 
 from fenics_tfeti.fem.reference_cells import reference_cell
 
@@ -329,6 +333,22 @@ def _one_scotch_thread() -> Iterator[None]:
 # -- forms -------------------------------------------------------------------------------------
 
 
+def is_linear_in_arguments(form: ufl.Form) -> bool:
+    """Tell whether each term of a form is linear in each of the form's arguments.
+
+    - 0.5.2's UFL fails with a TypeError where it writes the message of some ``ArityMismatch``.
+
+    Does not dispatch: both are caught.
+    """
+    # as UFL does before its own check
+    lowered = apply_derivatives(remove_complex_nodes(apply_algebra_lowering(form)))
+    try:
+        check_form_arity(lowered, form.arguments())
+    except (ArityMismatch, TypeError):
+        return False
+    return True
+
+
 class CompiledForm:
     """A form compiled once, to be bound to spaces with other degrees of freedom and to some cells.
 
@@ -425,18 +445,6 @@ def _tags(domain: mesh.Mesh, dim: int, entities: list[Numbers], values: list[int
     tags = np.repeat(values, [part.size for part in entities]).astype(np.int32)
     order = np.argsort(found)
     return mesh.meshtags(domain, dim, found[order], tags[order])
-
-
-def subdomain_data(form: ufl.Form) -> dict[str, Any]:
-    """Return the tags of each kind of integral ("cell", "exterior_facet", ...) of a form.
-
-    - 0.5.2's UFL has one entry, that of 0.9 to 0.11 a list with one entry for each integral.
-    """
-    (data,) = form.subdomain_data().values()
-    return {
-        kind: next((t for t in tags if t is not None), None) if isinstance(tags, list) else tags
-        for kind, tags in data.items()
-    }
 
 
 def assemble_stiffness(form: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.float64]]:

@@ -278,24 +278,25 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
     space : FunctionSpace
         The displacement's space.
     contacts : sequence of ContactResult
-        Results of `ContactProblem`. Where a node is in several contacts, their values are added,
-        of gaps the finite ones.
+        Results of `ContactProblem`. Where a node is in several contacts, their values are added;
+        of gaps and openings it is the smallest.
 
     Returns
     -------
     list of Function
-        "contact_pressure" [Pa], "contact_force" [N] (normal, times the outward normal) and
-        "initial_gap" [m], which is NaN where a contact has no obstacle: where its only gaps are
-        infinite. The integral of the pressure over a slave surface is the contact's force in the
-        report, where it is covered wholly; where the slave sticks out of the master, the sum of
-        ``pressure * area`` of the `ContactResult` is. They are of degree 1: for displacements of
-        degree 2 as well, contact is at the vertices. Some versions of dolfinx compile no form of a
-        field whose name has spaces. Where a contact has friction also "friction_traction" [Pa], on
-        the slave, and "slip" [m], vectors, and "friction_state": 1 where a node sticks, 2 where it
-        slips, 0 where friction has no force.
+        "contact_pressure" [Pa], "contact_force" [N] (normal, times the outward normal),
+        "initial_gap" and "opening", the gaps before and after the solve [m], which are NaN where a
+        contact has no obstacle: where all gaps are infinite. The integral of the pressure over a
+        slave surface is the contact's force in the report, where it is covered wholly; where the
+        slave sticks out of the master, the sum of ``pressure * area`` of the `ContactResult` is.
+        They are of degree 1: for displacements of degree 2 as well, contact is at the vertices.
+        Some versions of dolfinx compile no form of a field whose name has spaces. Where a contact
+        has friction also "friction_traction" [Pa], on the slave, and "slip" [m], vectors, and
+        "friction_state": 1 where a node sticks, 2 where it slips, 0 where friction has no force.
     """
     scalar = _compat.lagrange_space(space.mesh, 1)
-    pressure, gap = Function(scalar, name="contact_pressure"), Function(scalar, name="initial_gap")
+    names = ("contact_pressure", "initial_gap", "opening", "friction_state")
+    pressure, gap, opening, state = (Function(scalar, name=name) for name in names)
     block = space.dofmap.index_map_bs
     linear = _compat.element_facts(space)[1] == 1
     vector = space if linear else _compat.lagrange_space(space.mesh, 1, block)
@@ -305,24 +306,28 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
     to_scalar[vertex_nodes(space)] = vertex_nodes(scalar)
     to_vector[vertex_nodes(space)] = vertex_nodes(vector)
     first = space.dofmap.index_map.local_range[0]
-    finite, infinite = (np.zeros(len(gap.x.array), dtype=bool) for _ in range(2))
+    in_contact = np.zeros(len(gap.x.array), dtype=bool)
+    gap.x.array[:] = opening.x.array[:] = np.inf
     traction, slip = (Function(vector, name=name) for name in ("friction_traction", "slip"))
-    state = Function(scalar, name="friction_state")
     for contact in contacts:
+        # forces are drawn on the body that has the nodes
+        contact = contact.seen_from_master() if contact.on_master else contact
         nodes = contact.nodes - first
         at = to_scalar[nodes]
         pressure.x.array[at] += contact.pressure
-        there = np.isfinite(contact.gap)
-        gap.x.array[at[there]] += contact.gap[there]
-        finite[at[there]], infinite[at[~there]] = True, True
+        in_contact[at] = True
+        gap.x.array[at] = np.minimum(gap.x.array[at], contact.gap)
+        opening.x.array[at] = np.minimum(opening.x.array[at], contact.opening)
         components = block * to_vector[nodes][:, None] + np.arange(block)
         force.x.array[components] -= contact.normal_force[:, None] * contact.normal
         if contact.friction is not None:
             traction.x.array[components] += contact.friction.traction
             slip.x.array[components] += contact.friction.slip
             state.x.array[at] = np.maximum(state.x.array[at], contact.friction.state)
-    gap.x.array[infinite & ~finite] = np.nan
-    found = [pressure, force, gap]
+    for field in (gap, opening):
+        infinite = np.isinf(field.x.array)
+        field.x.array[infinite] = np.where(in_contact[infinite], np.nan, 0.0)
+    found = [pressure, force, gap, opening]
     if any(contact.friction is not None for contact in contacts):
         found += [traction, slip, state]
     for field in found:

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fenics_tfeti.errors import FactorizationError
+from fenics_tfeti.errors import FactorizationError, InputError
 from fenics_tfeti.feti.local.threads import one_thread
 
 __all__ = [
@@ -26,6 +26,7 @@ __all__ = [
     "Package",
     "SparseCholesky",
     "available_packages",
+    "check_real_numbers",
     "choose_package",
 ]
 
@@ -33,6 +34,28 @@ Vector = NDArray[np.float64]
 Package = Literal["auto", "cholmod", "rslab", "mumps"]
 
 _PREFERENCE = ("cholmod", "rslab", "mumps")
+
+
+def check_real_numbers(scalar: type = PETSc.ScalarType) -> None:
+    """Check that PETSc computes with real numbers.
+
+    Parameters
+    ----------
+    scalar : type
+        The numbers of matrices and vectors, by default those of PETSc.
+
+    Raises
+    ------
+    InputError
+        For complex numbers.
+    """
+    if np.issubdtype(scalar, np.complexfloating):
+        raise InputError(
+            "PETSc is built for complex numbers here, and contact needs real ones. Install the "
+            "real build: 'pip install dolfinx-solver-real' in place of dolfinx-solver-complex, "
+            "'apt install python3-dolfinx-real python3-petsc4py-real' with PETSC_DIR unset, or "
+            "'conda install -c conda-forge fenics-dolfinx petsc=*=real*'"
+        )
 
 
 @cache
@@ -73,7 +96,10 @@ def choose_package(package: Package, available: Sequence[str] | None = None) -> 
     ------
     FactorizationError
         If it is not available.
+    InputError
+        If PETSc computes with complex numbers.
     """
+    check_real_numbers()
     if available is None:
         available = available_packages()
     if package == "auto" and available:

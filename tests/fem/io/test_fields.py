@@ -227,14 +227,15 @@ def test_fields_may_be_used_in_forms():
     problem.solve()
     mesh = scene.mesh
     stress = von_mises(mesh, fem.Constant(mesh, np.diag([3.0, 0.0, 0.0])))
-    pressure, force, gap = contact_fields(scene.V, problem.contact)
-    for field in (stress, pressure, force[1], gap):
+    pressure, force, gap, opening = contact_fields(scene.V, problem.contact)
+    for field in (stress, pressure, force[1], gap, opening):
         assert np.isfinite(fem.assemble_scalar(fem.form(field * ufl.ds(domain=mesh))))
-    assert [w.name for w in (stress, pressure, force, gap)] == [
+    assert [w.name for w in (stress, pressure, force, gap, opening)] == [
         "von_mises_stress",
         "contact_pressure",
         "contact_force",
         "initial_gap",
+        "opening",
     ]
 
 

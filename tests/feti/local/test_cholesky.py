@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from fenics_tfeti import FactorizationError
+from fenics_tfeti import FactorizationError, InputError
 from fenics_tfeti.feti.local.cholesky import (
     DistributedCholesky,
     SparseCholesky,
     available_packages,
+    check_real_numbers,
     choose_package,
 )
 
@@ -28,6 +29,12 @@ def definite(seed: int = 0) -> sp.csr_matrix:
     """Return a sparse symmetric positive definite matrix of order N."""
     A = sp.random(N, N, density=0.1, random_state=seed, format="csr")
     return (A @ A.T + sp.identity(N)).tocsr()
+
+
+def test_complex_numbers_are_refused():
+    check_real_numbers(np.float64)
+    with pytest.raises(InputError, match="built for complex numbers .* dolfinx-solver-real"):
+        check_real_numbers(np.complex128)
 
 
 @each_package
