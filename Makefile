@@ -11,9 +11,11 @@ MARKS ?= not heavy
 MPI_RANKS ?= 2 3
 OTHERS ?= not heavy and not once
 OTHER_RANKS ?= 2
+PYTHON ?= python3
 
 .DEFAULT_GOAL := help
-.PHONY: help env env-wheel demo demos demo-runs dist test test-wheel test-debian13 fuzz doctest verify check format docs clean
+.PHONY: help env env-wheel lock demo demos demo-runs dist test test-wheel test-debian13 test-latest \
+	test-installed fuzz doctest verify check format docs clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  \1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -23,6 +25,9 @@ env:  ## install the Debian packages that are missing and fill .venv
 
 env-wheel:  ## fill .venv-wheel with the dolfinx wheel from PyPI (Python >= 3.12)
 	@tools/env.sh wheel
+
+lock:  ## renew the versions in tools/lock that the environments install, and print what changes
+	@tools/lock.sh
 
 demo: env  ## two beams in contact; writes to results/
 	$(PY) demos/two_beams.py
@@ -39,6 +44,13 @@ test-wheel: env-wheel  ## what depends on the environment, with the dolfinx whee
 test-debian13:  ## the same in Debian 13 (dolfinx 0.9), which debootstrap makes; needs root
 	@tools/debian13.sh make test MARKS="$(OTHERS)" MPI_RANKS="$(OTHER_RANKS)"
 
+test-installed:  ## the same with PYTHON, which has dolfinx and the extras test and pictures
+	@MARKS="$(OTHERS)" MPI_RANKS="$(OTHER_RANKS)" tools/test.sh $(PYTHON)
+
+test-latest:  ## the tests with the newest releases of all packages; reports, and never fails
+	@tools/test-latest.sh debian
+	@tools/test-latest.sh wheel
+
 fuzz: env  ## N random problems on RANKS ranks, from seed FIRST, against an independent solver
 	$(PY) tests/fuzz/run.py -n $(N) --ranks $(RANKS) --first $(FIRST)
 
@@ -48,10 +60,11 @@ doctest: env  ## the examples in the docstrings
 verify: env  ## the tests marked heavy
 	$(PY) -m pytest tests -m heavy
 
-check: env  ## ruff and mypy
+check: env  ## ruff, mypy and codespell
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
 	$(PY) -m mypy --strict fenics_tfeti
+	$(PY) -m codespell_lib
 
 format: env  ## let ruff rewrite what it can
 	$(PY) -m ruff check --fix .
@@ -69,6 +82,7 @@ dist: env  ## wheel and sdist in dist/
 
 clean:  ## remove the environments and what runs leave behind
 	rm -rf .venv .venv.lock .venv-wheel .venv-wheel.lock .debian13 .debian13.lock
+	rm -rf .venv-latest .venv-latest.lock .venv-wheel-latest .venv-wheel-latest.lock
 	rm -rf *.egg-info build dist docs/_build docs/_generated docs/demos/*.md docs/demos/notebooks
 	rm -rf results
 	rm -rf .pytest_cache .hypothesis .mypy_cache .ruff_cache

@@ -128,18 +128,6 @@ def page_cells(page: str) -> list[Cell]:
     return [Cell(kind, textwrap.dedent(body).strip("\n")) for _, kind, body in sorted(found)]
 
 
-def code_for(dolfinx_version: str, code: str) -> str:
-    """Return code of the pages, which is for the newest dolfinx, for an older one."""
-    number = tuple(int(part) for part in dolfinx_version.split(".")[:2])
-    if number < (0, 10):
-        code = re.sub(r'petsc_options_prefix="\w+", ', "", code)
-    if number < (0, 7):
-        vectors = r'fem\.functionspace\(([\w.]+), \(("Lagrange"), 1, \(3,\)\)\)'
-        code = re.sub(vectors, r"fem.VectorFunctionSpace(\1, (\2, 1))", code)
-        code = code.replace("fem.functionspace(", "fem.FunctionSpace(")
-    return code
-
-
 def script_of(page: str, name: str) -> str:
     """Return the blocks of Python of a page as a script."""
     blocks = [cell.content for cell in page_cells(page) if cell.kind == "python"]

@@ -17,6 +17,7 @@ from fenics_tfeti.errors import (
     Interrupted,
     NotConverged,
     UnresistedMotion,
+    needs_fenicsx,
 )
 
 _LAZY = {
@@ -59,15 +60,5 @@ logging.getLogger(__name__).addHandler(logging.NullHandler())
 def __getattr__(name: str) -> Any:
     if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    try:
+    with needs_fenicsx(f"fenics_tfeti.{name}"):
         return getattr(import_module(_LAZY[name]), name)
-    except ModuleNotFoundError as error:
-        missing = (error.name or "").split(".")[0]
-        if missing not in ("dolfinx", "ufl", "basix", "petsc4py", "mpi4py"):
-            raise
-        raise ImportError(
-            f"fenics_tfeti.{name} needs FEniCSx, but the package {missing!r} is missing. "
-            "Install it by 'apt install python3-dolfinx-real python3-petsc4py-real' (Debian, "
-            "Ubuntu), 'conda install -c conda-forge fenics-dolfinx petsc4py mpi4py', or "
-            "'pip install dolfinx-solver-real' (Python >= 3.12)"
-        ) from error

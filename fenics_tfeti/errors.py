@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from math import floor, isfinite, log10
 from typing import Any
 
@@ -14,9 +16,13 @@ __all__ = [
     "NotConverged",
     "UnresistedMotion",
     "format_point",
+    "needs_fenicsx",
 ]
 
 _DIGITS = 6
+
+# what comes with FEniCSx, in the order in which it is imported
+_FENICSX = ("mpi4py", "petsc4py", "numpy", "scipy", "basix", "ffcx", "ufl", "dolfinx")
 
 
 class ContactError(Exception):
@@ -99,3 +105,32 @@ def format_point(point: Iterable[float], size: float = 0.0) -> str:
     decimals = _DIGITS - floor(log10(largest)) if largest > 0.0 else 0
     # adding 0.0 turns -0.0 into 0.0
     return "(" + ", ".join(f"{round(x, decimals) + 0.0:.{_DIGITS}g}" for x in numbers) + ")"
+
+
+@contextmanager
+def needs_fenicsx(what: str) -> Iterator[None]:
+    """Say how to install FEniCSx where an import in the block misses one of its packages.
+
+    Parameters
+    ----------
+    what : str
+        What is imported, as the user calls it.
+
+    Raises
+    ------
+    ImportError
+        If a package of FEniCSx is missing.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").split(".")[0]
+        if missing not in _FENICSX:
+            raise
+        raise ImportError(
+            f"{what} needs FEniCSx, but the package '{missing}' is missing from {sys.executable}. "
+            "Use the Python that has it (after 'make env': '. .venv/bin/activate'), or install it "
+            "by 'apt install python3-dolfinx-real python3-petsc4py-real' (Debian, Ubuntu), "
+            "'conda install -c conda-forge fenics-dolfinx petsc4py mpi4py', or "
+            "'pip install dolfinx-solver-real' (Python >= 3.12)"
+        ) from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import time
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,10 +14,11 @@ from mpi4py import MPI
 import numpy as np
 from scipy.linalg.blas import dgemm
 
+from fenics_tfeti.errors import ContactError, needs_fenicsx
 from fenics_tfeti.feti.local.cholesky import available_packages
 from fenics_tfeti.feti.report import versions
 
-__all__ = ["blas", "facts", "main"]
+__all__ = ["blas", "extra", "facts", "main"]
 
 # Rate of products of dense matrices below which BLAS is slow [operations/s]: the reference
 # implementation reaches 1e9 to 3e9 on one core, others 1e10 and more.
@@ -42,30 +44,34 @@ def facts(comm: MPI.Intracomm) -> dict[str, str]:
     found["BLAS"] = comm.bcast(blas())
     found["sparse factors"] = ", ".join(packages) or "none: install PETSc with CHOLMOD or MUMPS"
     extras = {"gmsh": "mesh files", "pyvista": "pictures", "matplotlib": "curves"}
-    for name, purpose in extras.items():
-        missing = f"not installed (for {purpose})"
-        found[name] = _version(name) if find_spec(name) else missing
+    found |= {name: extra(name, purpose) for name, purpose in extras.items()}
     found["processes"] = str(comm.size)
     return found
 
 
-def blas(rate: float | None = None) -> str:
-    """Return the libraries of BLAS that this process uses, and how fast products are.
+def extra(package: str, purpose: str) -> str:
+    """Return the version of an optional package, or what it would be for."""
+    return _version(package) if find_spec(package) else f"not installed (for {purpose})"
+
+
+def blas(rate: float | None = None, loaded: Sequence[str] | None = None) -> str:
+    """Return the libraries of BLAS that a process uses, and how fast products are.
 
     Parameters
     ----------
     rate : float, optional
         Operations in a second; by default measured, which takes a tenth of a second.
+    loaded : sequence of str, optional
+        The names of the shared libraries of the process; by default of this one.
     """
     rate = _rate() if rate is None else rate
-    loaded = _loaded_libraries()
+    loaded = _loaded_libraries() if loaded is None else loaded
     names = [name for part, name in _LIBRARIES.items() if any(part in file for file in loaded)]
+    remedy = "" if names else ": install OpenBLAS, for instance libopenblas0-pthread"
     if not names and any("libblas.so" in file for file in loaded):
         names = ["reference BLAS"]
     text = f"{' and '.join(names) or 'unknown library'}, {rate / 1e9:.1f} Gflop/s"
-    if rate < _SLOW:
-        text += " (slow: install OpenBLAS, for instance libopenblas0-pthread)"
-    return text
+    return text if rate >= _SLOW else f"{text} (slow{remedy or ': is the processor busy?'})"
 
 
 def _rate() -> float:
@@ -97,9 +103,11 @@ def _version(package: str) -> str:
 
 def _dolfinx() -> str:
     try:
-        from fenics_tfeti.fem import _compat
+        with needs_fenicsx("fenics_tfeti.fem"):
+            from fenics_tfeti.fem import _compat
     except ImportError as error:
-        return f"cannot be imported ({error}): only fenics_tfeti.feti and .qp can be used"
+        reason = " ".join(str(error).split())
+        return f"cannot be imported: only fenics_tfeti.feti and .qp can be used ({reason})"
     return _compat.version()
 
 
@@ -119,7 +127,11 @@ def main(comm: MPI.Intracomm = MPI.COMM_WORLD) -> int:
     _print(comm, f"{'self-test':>16}  two blocks meshed apart ...")
     from fenics_tfeti.self_test import self_test
 
-    result = self_test(comm)
+    try:
+        result = self_test(comm)
+    except ContactError as error:
+        _print(comm, f"{'':>16}  FAILED: {error}")
+        return 1
     verdict = "passed" if result.passed else "FAILED"
     _print(
         comm,

@@ -47,7 +47,14 @@ from fenics_tfeti.fem.contact.deformed import (
     geometry_pass,
 )
 from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
-from fenics_tfeti.fem.contact.roles import ALIKE, exchanged, roles_ratio, warn_of_roles
+from fenics_tfeti.fem.contact.opening import openings
+from fenics_tfeti.fem.contact.roles import (
+    describe_roles,
+    exchanged,
+    prefers_exchange,
+    roles_ratio,
+    warn_of_roles,
+)
 from fenics_tfeti.fem.contact.slip import (
     NodalFriction,
     SlipOrigin,
@@ -71,11 +78,14 @@ from fenics_tfeti.fem.displacement import (
     space_of_forms,
 )
 from fenics_tfeti.fem.input_numbers import OwnedNodes, input_numbers
+from fenics_tfeti.fem.locking import warn_of_locking
 from fenics_tfeti.fem.mesh_checks import check_mesh
+from fenics_tfeti.fem.strains import warn_of_large_gradients
 from fenics_tfeti.feti import (
     ContactGuess,
     MonitorFunction,
     Prescribed,
+    Report,
     Subdomain,
     Timer,
     TornSolution,
@@ -83,6 +93,7 @@ from fenics_tfeti.feti import (
     TornSystem,
     interruption,
 )
+from fenics_tfeti.feti.local.cholesky import check_real_numbers
 from fenics_tfeti.options import contact_options
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.report import ContactReport
@@ -163,6 +174,7 @@ class ContactProblem:
         tied: Sequence[TiedPair] | TiedPair | None = (),
         u: Function | None = None,
     ) -> None:
+        check_real_numbers()
         self.options = contact_options(options, options_prefix)
         self._timer = Timer()
         a, L = given_forms(a, L)
@@ -173,8 +185,8 @@ class ContactProblem:
         self._tied: list[tuple[TiedPair, TiedPairing]] = []
         # pairs whose roles were exchanged, by the identity of the user's
         self._exchanged: dict[int, tuple[Contact, Contact]] = {}
-        # the pairs whose roles were judged, and (E / h) of the slave over that of the master
-        self._judged: list[tuple[Contact, float | None]] = []
+        # the pairs whose roles were judged, and what the report says of them
+        self._judged: list[tuple[Contact, dict[str, Any]]] = []
         self._searched: list[Contact] = []
         self._matched: list[ContactPairing] = []
         self._moved: list[ContactPairing] = []
@@ -186,6 +198,7 @@ class ContactProblem:
         self._monitor: MonitorFunction | None = None
         self._checkpoint: str | os.PathLike[str] | None = None
         self._continued: Continuation | None = None
+        self._warned_of_gradients = False
         self._solves = 0
         self._passes = list[GeometryPass]()
         self._origin = SlipOrigin.undeformed(self.space, len(self.contacts))
@@ -209,6 +222,8 @@ class ContactProblem:
         self._body_names = bodies.names
         self._x = self.space.mesh.geometry.x.copy()
         self._values = self._forms.values()
+        with self._timer.phase("assembly"):
+            warn_of_locking(self._forms, bodies)
         torn = self._assemble()
         self._judge_roles(torn, prescribed)
         self.system = self._torn_system(torn, prescribed)
@@ -282,6 +297,9 @@ class ContactProblem:
                     self._save(error.solution, self._passes)
                 raise
             self._solves += 1
+            if not self._warned_of_gradients:
+                energy = [body.energy_norm**2 for body in self.report.certificate.bodies]
+                self._warned_of_gradients = warn_of_large_gradients(uh, self._bodies, energy)
             if self.report.converged:
                 moved = moved_obstacles(self.space, self._matched, self._rubbing)
                 self._origin = SlipOrigin(owned_values(uh), moved)
@@ -421,9 +439,9 @@ class ContactProblem:
             known = list(zip(self._searched, self._matched, strict=True))
             if [id(c) for c in self._searched] != [id(c) for c in contacts]:
                 self._moved = []
-            self._matched = match_contacts(self._boundary, contacts, known, prescribed)
-            check_depth(self.space, self._bodies, self._matched)
-            self._searched = contacts
+            matched = match_contacts(self._boundary, contacts, known, prescribed)
+            check_depth(self.space, self._bodies, matched)
+            self._searched, self._matched = contacts, matched
             self._rubbing = self._nodal_friction(self._matched, prescribed)
             self._tied = tie_pairs(self._boundary, self.tied, self._tied, prescribed)
 
@@ -437,29 +455,55 @@ class ContactProblem:
 
     def _judge_roles(self, torn: Sequence[Subdomain], prescribed: Prescribed) -> None:
         """Exchange slave and master of new pairs where that is better and wanted, or warn."""
-        comm, before = self.space.mesh.comm, len(self._exchanged)
+        comm = self.space.mesh.comm
         known = {id(contact) for contact, _ in self._judged}
-        for contact, match in zip(self.contacts, self._matched, strict=True):
+        for number, contact in enumerate(self.contacts):
             if id(contact) in known or not isinstance(contact, ContactPair):
                 continue
+            match, obstacle = self._matched[number], None
             ratio = roles_ratio(comm, match, torn)
-            if ratio is not None and ratio > ALIKE and contact.roles == "auto":
-                self._exchanged[id(contact)] = (contact, exchanged(contact))
+            exchange = prefers_exchange(contact, ratio)
+            if exchange:
+                obstacle = self._exchange_roles(contact, prescribed)
+                exchange = obstacle is None
+            roles = describe_roles(contact, ratio, exchange, obstacle)
+            if ratio is not None and exchange:
                 ratio = 1.0 / ratio
-            self._judged.append((contact, ratio))
+            self._judged.append((contact, {"roles_ratio": ratio, "roles": roles}))
             with raise_collectively(comm):
                 if ratio is not None and comm.rank == 0:
                     warn_of_roles(match.name, ratio)
-        if len(self._exchanged) > before:
+
+    def _exchange_roles(self, contact: ContactPair, prescribed: Prescribed) -> str | None:
+        """Exchange the roles of a pair; return the error, if any, with which they are as given."""
+        self._exchanged[id(contact)] = (contact, exchanged(contact))
+        try:
             self._match_contacts(prescribed)
+        except InputError as error:
+            # surfaces that can be masters only, such as folded ones, or masters of other pairs
+            del self._exchanged[id(contact)]
+            self._match_contacts(prescribed)
+            return str(error)
+        return None
 
     def _pairing_entries(self) -> list[dict[str, Any]]:
-        ratios = {id(contact): ratio for contact, ratio in self._judged}
+        nothing = {"roles_ratio": None, "roles": None}
+        judged = {id(contact): roles for contact, roles in self._judged}
         entries = [
-            {**match.summary, "roles_ratio": ratios.get(id(contact))}
+            {**match.summary, **judged.get(id(contact), nothing)}
             for contact, match in zip(self.contacts, self._matched, strict=True)
         ]
         return entries + [pairing.summary for _, pairing in self._tied]
+
+    def _resultants(self, report: Report) -> dict[str, list[Any]]:
+        """Return the forces and moments on slaves and masters as the user gave them."""
+        sides = [report.on_slaves.copy(), report.on_masters.copy()]
+        for number, contact in enumerate(self.contacts):
+            if id(contact) in self._exchanged:
+                for side, other in zip(sides, (report.on_masters, report.on_slaves), strict=True):
+                    side[number] = other[number]
+        forces = [side.force for side in sides[0]]
+        return {"on_slaves": sides[0], "on_masters": sides[1], "contact_forces": forces}
 
     def _assemble(self, known: Sequence[Subdomain] | None = None) -> list[Subdomain]:
         """Assemble the subdomains, or only the loads of known ones."""
@@ -573,7 +617,7 @@ class ContactProblem:
             deformed = self._deformed(matched, uh)
             products = self.report.products["total"]
             seconds = self._timer.slowest(self.space.mesh.comm)
-            new_pass = geometry_pass(deformed, self.contact, uh, products)
+            new_pass = geometry_pass(deformed, self._results, uh, products)
             spent = seconds["total"] + of_other_runs - sum(earlier.seconds for earlier in passes)
             passes.append(replace(new_pass, seconds=spent))
             self.report = replace(self.report, passes=passes, seconds=seconds)
@@ -629,6 +673,7 @@ class ContactProblem:
         self.report = ContactReport(
             **{
                 **vars(solution.report),
+                **self._resultants(solution.report),
                 "versions": versions,
                 "options": {**solution.report.options, **self.options.of_geometry()},
             },
@@ -643,22 +688,33 @@ class ContactProblem:
             _split(solution.slip_bound, sizes),
             strict=True,
         )
-        self.contact = [
+        self._displacement = displacement_function(
+            self.space, self.system.subdomains, solution.displacements, self.u
+        )
+        self._results = [
             # the gap of the undeformed surfaces, with the normal that the force acts along
             _contact_result(
                 _with_gap_of(match, first),
+                opening,
                 force,
                 friction_result(one, match, *values),
                 self.space.mesh.comm,
             )
-            for match, first, force, one, values in zip(
-                matched, self._matched, forces, rubbing, of_friction, strict=True
+            for match, first, opening, force, one, values in zip(
+                matched,
+                self._matched,
+                openings(self.space, matched, owned_values(self._displacement)),
+                forces,
+                rubbing,
+                of_friction,
+                strict=True,
             )
         ]
+        self.contact = [
+            result.seen_from_master() if id(contact) in self._exchanged else result
+            for contact, result in zip(self.contacts, self._results, strict=True)
+        ]
         self._used = list(matched)
-        self._displacement = displacement_function(
-            self.space, self.system.subdomains, solution.displacements, self.u
-        )
         return self._displacement
 
 
@@ -688,6 +744,7 @@ def _split(values: NDArray[Any], sizes: Sequence[int]) -> list[NDArray[Any]]:
 
 def _contact_result(
     matched: ContactPairing,
+    opening: NDArray[np.float64],
     force: NDArray[np.float64],
     friction: FrictionResult | None,
     comm: MPI.Intracomm,
@@ -697,6 +754,7 @@ def _contact_result(
         matched.slave,
         matched.coordinates,
         matched.gap,
+        opening,
         matched.normal,
         normal_force=force,
         pressure=force / matched.area,

@@ -40,7 +40,8 @@ class ContactReport(Report):
         ``covered_area`` of the slave [m^2; m in 2D] (None for obstacles). Nodes at which an
         obstacle's gap is infinite are unmatched. Mortar conditions have the tags of ``slave`` and
         ``master`` as well, and ``roles_ratio``, E / h of the slave over that of the master, which
-        is better below 20 (None for others).
+        is better below 20 (None for others); ``roles`` says whether they were exchanged, and why,
+        or why not (None where the given ones are good).
     """
 
     passes: list[GeometryPass] = field(default_factory=list)
@@ -49,7 +50,8 @@ class ContactReport(Report):
     def __str__(self) -> str:
         """Return the main figures and the pairing as lines to read."""
         table = [self.pairing_table()] if self.pairing else []
-        return "\n".join([*table, super().__str__()])
+        roles = [f"{e['contact']}: {e['roles']}" for e in self.pairing if e.get("roles")]
+        return "\n".join([*table, *roles, super().__str__()])
 
     def to_html(
         self,

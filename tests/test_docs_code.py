@@ -1,4 +1,4 @@
-"""The code in the documentation runs block after block, and prints what is shown.
+"""The code in the documentation and in the README runs as printed, and prints what is shown.
 
 Pages that continue the tutorial are given its variables: it is run once.
 """
@@ -22,19 +22,16 @@ import numpy as np
 import pytest
 import scenes
 
-import dolfinx
 import ufl
 from dolfinx import fem
 
 import fenics_tfeti
 import fenics_tfeti.io
 from fenics_tfeti import ContactProblem
-from fenics_tfeti.fem.io import pictures
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 
-pytestmark = pytest.mark.once
-
-DOCS = Path(__file__).parent.parent / "docs"
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 # Numbers that differ between versions and machines: products, times, and what rounding leaves.
@@ -53,9 +50,8 @@ def run_blocks(page: str, given: dict[str, object] | None = None) -> dict[str, o
     printed = ""
     for cell in cells:
         if cell.kind == "python":
-            code = literate.code_for(dolfinx.__version__, cell.content)
             with contextlib.redirect_stdout(io.StringIO()) as out:
-                exec(compile(code, "<docs>", "exec"), variables)
+                exec(compile(cell.content, "<docs>", "exec"), variables)
             printed = out.getvalue()
             print(printed)
         elif cell.kind == "text" and not cell.content.startswith(("mpirun", "python")):
@@ -81,26 +77,26 @@ def check_output(shown: str, printed: str) -> None:
 
 
 @pytest.fixture
-def no_rendering(tmp_path, monkeypatch):
-    """Work in a folder of its own, and render no pictures of meshes, which takes seconds."""
+def folder(tmp_path, monkeypatch):
+    """Work in a folder of its own."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(pictures, "_render", lambda path, data: None)
+    return tmp_path
 
 
 @pytest.fixture(scope="module")
 def after_tutorial(tmp_path_factory):
-    """Run the tutorial; return its variables."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(tmp_path_factory.mktemp("tutorial"))
-        patch.setattr(pictures, "_render", lambda path, data: None)
-        return run_blocks((DOCS / "tutorial.md").read_text())
+    """Run the tutorial; return its variables, and the folder with its files."""
+    folder = tmp_path_factory.mktemp("tutorial")
+    with contextlib.chdir(folder):
+        return run_blocks((DOCS / "tutorial.md").read_text()), folder
 
 
 @pytest.fixture
-def tutorial(after_tutorial, no_rendering):
+def tutorial(after_tutorial, folder):
     """Return the tutorial's variables, with its load."""
-    after_tutorial["force"].value[2] = -2e6
-    return after_tutorial
+    variables, _ = after_tutorial
+    variables["force"].value[2] = -2e6
+    return variables
 
 
 def test_a_block_that_fails_is_an_error():
@@ -119,9 +115,12 @@ def test_other_output_is_an_error(printed):
         check_output("3 cats", printed)
 
 
-def test_tutorial(tutorial):
-    """The wall and the floor carry the load, 2 MN/m^3 on 0.01 m^3; so do the wall and the block."""
-    report = tutorial["problem"].report
+def test_tutorial(after_tutorial):
+    """The wall and the block carry the load, 2 MN/m^3 on 0.01 m^3."""
+    variables, folder = after_tutorial
+    files = {path.name for path in (folder / "results").iterdir()}
+    assert {"floor.png", "floor.pvd", "block.png", "block_pressure.png"} <= files
+    report = variables["problem"].report
     wall, ground = (reaction.force[2] for reaction in report.reactions)
     assert wall + ground == pytest.approx(2e4, rel=1e-8)
     assert ground == pytest.approx(report.contact_force[0], rel=1e-8)
@@ -146,22 +145,53 @@ def test_pages_that_continue_the_tutorial(page, tutorial):
 
 
 @pytest.mark.parametrize("page", ALONE)
-def test_pages_of_their_own(page, no_rendering):
+def test_pages_of_their_own(page, folder):
     run_blocks((DOCS / "howto" / f"{page}.md").read_text())
 
 
 def test_all_pages_with_code_are_run():
     source = Path(__file__).read_text()
-    pages = [*DOCS.glob("*.md"), *DOCS.glob("*.rst"), *(DOCS / "howto").glob("*")]
+    pages = [
+        *ROOT.glob("*.md"),
+        *DOCS.glob("*.md"),
+        *DOCS.glob("*.rst"),
+        *(DOCS / "howto").glob("*"),
+    ]
     for page in pages:
         if any(cell.kind == "python" for cell in literate.page_cells(page.read_text())):
             named = f'"{page.name}"' in source
             assert named or page.stem in [*CONTINUING, *ALONE], page.name
 
 
-def test_solver_alone(tmp_path, monkeypatch, capsys):
+def test_readme(folder):
+    """A block stands on another one, which stands on the plane: both contacts carry one force."""
+    CLAMPED, BOTTOM, TOP, GROUND = 1, 5, 6, 7
+    blocks = [Box((0, 0, 0), (2, 2, 1), (2, 2, 1)), Box((0.5, 0.5, 1), (1.5, 1.5, 2), (3, 3, 3))]
+    bodies = boxes(MPI.COMM_SELF, blocks)
+    markers = [(GROUND, 0.0, 1), (TOP, 1.0, 1), (BOTTOM, 1.0, 2), (CLAMPED, 2.0, 2)]
+    tags = tag_facets(
+        bodies.mesh,
+        [(tag, lambda x, z=z: np.isclose(x[2], z), body) for tag, z, body in markers],
+        bodies.cell_tags,
+    )
+    V = displacement_space(bodies.mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    strain = ufl.sym(ufl.grad(v))
+    dofs = fem.locate_dofs_topological(V, 2, tags.find(CLAMPED))
+    given = {
+        "a": ufl.inner(ufl.sym(ufl.grad(u)), strain) * ufl.dx,
+        "L": ufl.inner(fem.Constant(bodies.mesh, np.zeros(3)), v) * ufl.dx,
+        "clamped": fem.dirichletbc(np.array([0.0, 0.0, -0.01]), dofs, V),
+        "facet_tags": tags,
+    }
+    report = run_blocks((ROOT / "README.md").read_text(), given)["problem"].report
+    assert report.contact_force[0] > 0.0
+    assert report.contact_force[1] == pytest.approx(report.contact_force[0], rel=1e-8)
+    assert {"report.json", "report.html"} == {path.name for path in folder.iterdir()}
+
+
+def test_solver_alone(folder, capsys):
     """The square carries its load on both corners; the membrane lies on the obstacle."""
-    monkeypatch.chdir(tmp_path)
     variables = run_blocks((DOCS / "solver_alone.rst").read_text())
     solution = variables["solution"]
     np.testing.assert_allclose(solution["normal_force"], [0.01, 0.01], rtol=1e-6)
@@ -176,9 +206,8 @@ def test_solver_alone(tmp_path, monkeypatch, capsys):
     assert np.linalg.norm(gradient[~touching]) <= 1e-7 * np.linalg.norm(b)
 
 
-def test_running(tmp_path, monkeypatch):
+def test_running(folder, monkeypatch):
     """The code for load steps, with a problem of the tests."""
-    monkeypatch.chdir(tmp_path)
     scene = scenes.two_beams(MPI.COMM_SELF, "quadrilateral", 4)
     load = scene.kept[1]
     loads = [0.5 * load.value, 1.0 * load.value]
@@ -203,7 +232,7 @@ def test_options(tutorial):
     assert variables["problem"].options.solver.rtol == 1e-8
 
 
-def test_axisymmetry(no_rendering):
+def test_axisymmetry(folder):
     """A cylinder of radius 1 pressed on the ground: the force is that of the whole body."""
     TOP, BOTTOM, AXIS = 1, 2, 3
     body = boxes(MPI.COMM_SELF, [Box((0, 0), (1, 1), (3, 3))], "quadrilateral")
@@ -256,7 +285,7 @@ def draw_rings(path: Path) -> None:
     gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, [1]), "ring")
 
 
-def test_surfaces(no_rendering):
+def test_surfaces(folder):
     """Pairs, an interface that is opened, ties, and displacements of degree 2."""
     for draw, path, order in (
         (draw_bolt_in_block, Path("bolt_in_block.msh"), 1),
@@ -276,8 +305,7 @@ def test_surfaces(no_rendering):
     given = {name: getattr(fenics_tfeti, name) for name in fenics_tfeti.__all__}
     given |= {name: getattr(fenics_tfeti.io, name) for name in fenics_tfeti.io.__all__}
     given |= {"facet_tags": scene.facet_tags, "a": scene.a, "L": scene.L, "bcs": scene.bcs}
-    page = (DOCS / "surfaces.rst").read_text().replace('.msh"', '.msh", gdim=2')
-    variables = run_blocks(page, given)
+    variables = run_blocks((DOCS / "surfaces.rst").read_text(), given)
     names = variables["parts"].names
     tags = variables["parts"].facet_tags
     assert {"bolt", "block"} <= set(names)

@@ -93,25 +93,6 @@ def test_code_of_pages(page):
         ast.parse(block)
 
 
-@pytest.mark.parametrize(
-    ("version", "space", "options"),
-    [
-        ("0.5.2", 'fem.VectorFunctionSpace(m, ("Lagrange", 1))', "(petsc_options=o)"),
-        ("0.9.0", 'fem.functionspace(m, ("Lagrange", 1, (3,)))', "(petsc_options=o)"),
-        (
-            "0.11.0",
-            'fem.functionspace(m, ("Lagrange", 1, (3,)))',
-            '(petsc_options_prefix="b_", petsc_options=o)',
-        ),
-    ],
-)
-def test_code_for_older_versions(version, space, options):
-    newest = 'fem.functionspace(m, ("Lagrange", 1, (3,)))'
-    assert literate.code_for(version, newest) == space
-    call = '(petsc_options_prefix="b_", petsc_options=o)'
-    assert literate.code_for(version, call) == options
-
-
 def test_the_interface_lists_what_demos_import():
     api = (ROOT / "docs" / "api.rst").read_text()
     for demo in DEMOS:

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-import subprocess
+import os
 import sys
+from importlib.metadata import version
+from pathlib import Path
+from subprocess import CompletedProcess, run
 
 from mpi4py import MPI
 
 import pytest
 
-from fenics_tfeti import installation, self_test
-from fenics_tfeti.installation import blas, facts, main
+from fenics_tfeti import self_test
+from fenics_tfeti.errors import needs_fenicsx
+from fenics_tfeti.installation import blas, extra, facts, main
 from fenics_tfeti.self_test import SelfTest
 
 COMM = MPI.COMM_SELF
+ROOT = Path(__file__).parent.parent
 
 
 def test_command_prints_the_facts_and_passes():
-    command = [sys.executable, "-m", "fenics_tfeti"]
-    answer = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    answer = run_elsewhere(sys.executable, "-m", "fenics_tfeti")
     assert answer.returncode == 0, answer.stderr
     for words in ("dolfinx  ", "PETSc  ", "Gflop/s", "sparse factors  ", "passed: the pressure"):
         assert words in answer.stdout
@@ -32,22 +36,34 @@ def test_facts_have_all_names():
     assert all(value and "\n" not in value for value in found.values())
 
 
-def test_missing_extra_is_named(monkeypatch):
-    monkeypatch.setattr(installation, "find_spec", lambda name: None)
-    assert facts(COMM)["gmsh"] == "not installed (for mesh files)"
+def test_missing_extra_is_named():
+    assert extra("no_such_package", "mesh files") == "not installed (for mesh files)"
+    assert extra("numpy", "arrays") == version("numpy")
 
 
-@pytest.mark.parametrize(("rate", "slow"), [(2e9, True), (3e10, False)])
-def test_slow_blas_is_told(rate, slow):
-    assert ("slow: install OpenBLAS" in blas(rate)) == slow
-    assert f"{rate / 1e9:.1f} Gflop/s" in blas(rate)
+@pytest.mark.parametrize(
+    ("rate", "loaded", "end"),
+    [
+        (2e9, ["libblas.so.3"], "2.0 Gflop/s (slow: install OpenBLAS, for instance "),
+        (2e9, ["libblas.so.3", "libopenblas.so.0"], "2.0 Gflop/s (slow: is the processor busy?)"),
+        (3e10, ["libblas.so.3"], "30.0 Gflop/s"),
+    ],
+)
+def test_slow_blas_is_told(rate, loaded, end):
+    assert end in blas(rate, loaded)
+    assert ("slow" in blas(rate, loaded)) == ("slow" in end)
 
 
-def test_reference_blas_is_named_where_there_is_no_other(monkeypatch):
-    monkeypatch.setattr(installation, "_loaded_libraries", lambda: ["libblas.so.3", "libm.so.6"])
-    assert blas(2e9).startswith("reference BLAS, ")
-    monkeypatch.setattr(installation, "_loaded_libraries", lambda: [])
-    assert blas(2e9).startswith("unknown library, ")
+@pytest.mark.parametrize(
+    ("loaded", "name"),
+    [
+        (["libblas.so.3", "libm.so.6"], "reference BLAS"),
+        (["libblas.so.3", "libopenblas.so.0"], "OpenBLAS"),
+        ([], "unknown library"),
+    ],
+)
+def test_blas_is_named_by_the_loaded_libraries(loaded, name):
+    assert blas(2e9, loaded).startswith(f"{name}, ")
 
 
 def test_wrong_pressures_are_a_failure(monkeypatch, capsys):
@@ -56,7 +72,47 @@ def test_wrong_pressures_are_a_failure(monkeypatch, capsys):
     assert "FAILED: the pressure is exact to 3.0e-01" in capsys.readouterr().out
 
 
-def test_without_dolfinx_there_is_no_self_test(monkeypatch, capsys):
-    monkeypatch.setattr(installation, "_dolfinx", lambda: "cannot be imported (x)")
-    assert main(COMM) == 1
-    assert "self-test" not in capsys.readouterr().out
+def run_elsewhere(python: Path | str, *arguments: str, path: Path = ROOT) -> CompletedProcess[str]:
+    """Run a Python that finds this package and what is in a folder."""
+    environment = os.environ | {"PYTHONPATH": f"{path}{os.pathsep}{ROOT}"}
+    command = [str(python), *arguments]
+    return run(command, env=environment, capture_output=True, text=True, timeout=100)
+
+
+@pytest.fixture(scope="module")
+def bare_python(tmp_path_factory):
+    """Return the Python of an environment without any package."""
+    folder = tmp_path_factory.mktemp("bare")
+    run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
+    return folder / "bin" / "python"
+
+
+@pytest.mark.parametrize(
+    ("what", "arguments"),
+    [
+        ("python -m fenics_tfeti", ("-m", "fenics_tfeti")),
+        ("fenics_tfeti.Plane", ("-c", "from fenics_tfeti import Plane")),
+    ],
+)
+def test_without_fenicsx_the_error_says_how_to_install_it(bare_python, what, arguments):
+    answer = run_elsewhere(bare_python, *arguments)
+    assert answer.returncode == 1
+    last = answer.stderr.splitlines()[-1]
+    assert f"{what} needs FEniCSx, but the package 'mpi4py' is missing from {bare_python}" in last
+    for remedy in (". .venv/bin/activate", "apt install", "conda install", "pip install"):
+        assert remedy in last
+    assert ("Traceback" in answer.stderr) == (arguments[0] == "-c")
+
+
+def test_a_dolfinx_that_does_not_start_is_told_and_there_is_no_self_test(tmp_path):
+    (tmp_path / "dolfinx.py").write_text("raise ImportError('libdolfinx.so: not found')")
+    answer = run_elsewhere(sys.executable, "-m", "fenics_tfeti", path=tmp_path)
+    assert answer.returncode == 1
+    assert "dolfinx  cannot be imported" in answer.stdout
+    assert "(libdolfinx.so: not found)" in answer.stdout
+    assert "self-test" not in answer.stdout
+
+
+def test_other_missing_packages_are_not_taken_for_fenicsx():
+    with pytest.raises(ModuleNotFoundError, match="no_such_package"), needs_fenicsx("this"):
+        import no_such_package  # noqa: F401

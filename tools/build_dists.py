@@ -15,7 +15,17 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 _BUILD = "import sys, setuptools.build_meta as b; b.build_{}(sys.argv[1])"
-_FOLDERS = (".ci", "benchmarks", "demos", "docs", "fenics_tfeti", "meshes", "tests", "tools")
+_FOLDERS = (
+    ".ci",
+    ".github",
+    "benchmarks",
+    "demos",
+    "docs",
+    "fenics_tfeti",
+    "meshes",
+    "tests",
+    "tools",
+)
 _GENERATED = ("docs/_build/", "docs/_generated/", "docs/demos/notebooks/")
 
 

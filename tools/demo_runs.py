@@ -14,8 +14,6 @@ from pathlib import Path
 
 from PIL import Image
 
-import dolfinx
-
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "docs"))
 import literate
@@ -56,8 +54,7 @@ def main(names: list[str]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         tutorial = Path(folder) / "tutorial.py"
         page = (ROOT / "docs" / "tutorial.md").read_text()
-        code = literate.script_of(page, "Tutorial")
-        tutorial.write_text(literate.code_for(dolfinx.__version__, code))
+        tutorial.write_text(literate.script_of(page, "Tutorial"))
         for script in [tutorial, *sorted((ROOT / "demos").glob("*.py"))]:
             if not names or script.stem in names:
                 print(script.name, flush=True)

@@ -1,6 +1,8 @@
 #!/usr/bin/env bash
 # Build an environment, once: "env.sh debian" fills .venv (Debian's dolfinx), "env.sh wheel" fills
 # .venv-wheel (the dolfinx wheel from PyPI). A step runs again only when what it depends on changed.
+# pip installs the versions that tools/lock has for this Python; "env.sh debian latest" the newest
+# ones that there are today, into .venv-latest, and "env.sh wheel latest" into .venv-wheel-latest.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -13,12 +15,14 @@ quietly() {  # run a command; show the end of its output only if it fails
     return "$status"
 }
 
-# fill VENV PYTHON KEY "VENV OPTIONS" PIP-ARGUMENTS...
-# VENV/.made and VENV/.installed hold what each step was run for, written when it has succeeded.
+# fill VENV PYTHON LOCK KEY "VENV OPTIONS" PIP-ARGUMENTS...
+# VENV/.made and VENV/.installed hold what each step was run for, written when it has succeeded;
+# VENV/lock.txt is the lock, and VENV/system.txt what Debian brought, which pip must not replace.
 fill() {
-    local venv=$1 python=$2 key=$3 options=$4 wanted
-    shift 4
+    local venv=$1 python=$2 lock=$3 key=$4 options=$5 wanted
+    shift 5
     exec 9>"$venv.lock" && flock 9
+    key+=$'\n'$(sha256sum <"$lock")
     if [ "$(cat "$venv/.made" 2>/dev/null)" != "$key" ]; then
         echo "$venv: making it with $python"
         rm -f "$venv/.made" "$venv/.installed"
@@ -30,9 +34,13 @@ fill() {
     if [ "$(cat "$venv/.installed" 2>/dev/null)" != "$wanted" ]; then
         echo "$venv: installing the Python packages"
         rm -f "$venv/.installed"
-        # what Debian brought must not be replaced, so pip sees it as fixed
-        echo "$key" | grep == >"$venv/constraints.txt" || true
-        quietly "$venv/bin/python" -m pip install -c "$venv/constraints.txt" "$@"
+        echo "$key" | grep == >"$venv/system.txt" || true
+        cp "$lock" "$venv/lock.txt"
+        # no isolation: setuptools, too, is that of the environment
+        quietly "$venv/bin/python" -m pip install -c "$venv/system.txt" -c "$venv/lock.txt" \
+            'setuptools>=66'
+        quietly "$venv/bin/python" -m pip install -c "$venv/system.txt" -c "$venv/lock.txt" \
+            --no-build-isolation "$@"
         "$venv/bin/python" tools/check_env.py
         echo "$wanted" >"$venv/.installed"
     fi
@@ -71,23 +79,42 @@ apt_install() {  # where apt-get update fails, the install tells whether that ma
     apt-get install -y --no-install-recommends "${missing[@]}"
 }
 
+# The lock of an environment: of its kind and the version of its Python.
+lock_of() {  # KIND PYTHON
+    local file
+    [ -z "$latest" ] || { echo /dev/null; return; }
+    file=tools/lock/$1-$("$2" -c 'import sys; print("%d.%d" % sys.version_info[:2])').txt
+    [ -e "$file" ] || {
+        echo "$file is missing: the newest releases are installed, with which nothing is tested" >&2
+        file=/dev/null
+    }
+    echo "$file"
+}
+
+usage() { echo "usage: tools/env.sh debian|wheel [latest]" >&2; exit 2; }
+
+latest=
+case ${2:-} in
+    "") ;;
+    latest) latest=-latest ;;
+    *) usage ;;
+esac
 case ${1:-} in
     debian)
         apt_packages
-        pins=$(/usr/bin/python3 -c '
+        python=/usr/bin/python3
+        pins=$("$python" -c '
 from importlib.metadata import version
 for name in "numpy", "scipy", "matplotlib", "mpi4py", "petsc4py":
     print(f"{name}=={version(name)}")')
-        fill .venv /usr/bin/python3 "$PWD $(/usr/bin/python3 --version)
-$pins" --system-site-packages --no-build-isolation -e '.[dev]'
+        fill ".venv$latest" "$python" "$(lock_of debian "$python")" "$PWD $("$python" --version)
+$pins" --system-site-packages -e '.[dev]'
         ;;
     wheel)
         python=$(tools/find-wheel-python.sh)
-        fill .venv-wheel "$python" "$PWD $python $("$python" --version)" "" \
+        fill ".venv-wheel$latest" "$python" "$(lock_of wheel "$python")" \
+            "$PWD $python $("$python" --version)" "" \
             'dolfinx-solver-real==0.11.*' gmsh -e '.[test,pictures,factor]'
         ;;
-    *)
-        echo "usage: tools/env.sh debian|wheel" >&2
-        exit 2
-        ;;
+    *) usage ;;
 esac

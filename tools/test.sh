@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
-# The tests with the Python of one environment: tools/test.sh .venv
+# The tests with one Python, or that of an environment: tools/test.sh .venv
 # MARKS selects tests as `pytest -m` does, MPI_RANKS lists the numbers of ranks.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-venv=$1
-python=$venv/bin/python
+python=$1
+[ ! -d "$1" ] || python=$1/bin/python
+python=$(command -v "$python")
 marks=${MARKS:-not heavy}
 # One thread per process and rank.
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
@@ -12,16 +13,18 @@ export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 find "${XDG_CACHE_HOME:-$HOME/.cache}/fenics" -name 'libffcx_*.c' -mmin +5 2>/dev/null |
     while read -r source; do [ -e "$source.cached" ] || rm -f "$source"; done || true
 
-echo "== $venv: doctests"
+echo "== $1: doctests"
 "$python" -m pytest -q --doctest-modules fenics_tfeti/qp fenics_tfeti/feti
-echo "== $venv: serial tests"
+echo "== $1: serial tests"
 # A file is run by one process, since its tests share what they have solved.
 "$python" -m pytest tests --ignore=tests/mpi -m "$marks" -n auto --maxprocesses=4 --dist=loadfile \
     --no-loadscope-reorder  # the long files first: demos, which have few tests
 
-# The mpirun must belong to the MPI library that mpi4py loads: the environment's own, or Debian's.
-mpirun=$venv/bin/mpiexec
-[ -x "$mpirun" ] || mpirun=/usr/bin/mpirun
+# The mpirun must belong to the MPI library that mpi4py loads: the environment's own, Debian's, or,
+# as in FEniCS' images, that of a PETSc and MPI built from source.
+for mpirun in "$(dirname "$python")/mpiexec" /usr/bin/mpirun "$(command -v mpirun || true)"; do
+    [ ! -x "$mpirun" ] || break
+done
 options=()
 color=no  # mpirun gives the ranks a terminal even where there is none
 [ -t 1 ] && color=yes
@@ -32,7 +35,7 @@ fi
 # A hang that neither pytest_ranks nor pytest-timeout ends, timeout does.
 export PYTHONPATH=tools${PYTHONPATH:+:$PYTHONPATH}
 for ranks in ${MPI_RANKS:-2 3}; do
-    echo "== $venv: MPI tests on $ranks ranks"
+    echo "== $1: MPI tests on $ranks ranks"
     timeout --kill-after=20 "${MPI_TIMEOUT:-1200}" "$mpirun" "${options[@]}" -n "$ranks" \
         "$python" -m pytest -p pytest_ranks --color="$color" --timeout-method=thread \
         tests/mpi -m "$marks"

@@ -1,4 +1,4 @@
-"""Adapter to dolfinx 0.5.2, 0.9 and 0.11: the only file that depends on the version.
+"""Adapter to dolfinx 0.5.2 and 0.9 to 0.11: the only file that depends on the version.
 
 One function for each difference. Its docstring says what each version does and how the function
 dispatches: by an attribute or an argument, before any communication.
@@ -26,6 +26,10 @@ import dolfinx.fem.petsc
 import ufl
 from dolfinx import cpp, fem, mesh
 from ufl.algorithms import extract_coefficients
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
+from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
+from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 
 from fenics_tfeti.fem.reference_cells import reference_cell
 
@@ -43,7 +47,7 @@ def quiet_compiler() -> Iterator[None]:
 
     - 0.5.2 asks setuptools to log them as INFO of the root logger, and has given that logger a
       handler when ``ffcx`` was imported;
-    - 0.9 and 0.11 write nothing.
+    - 0.9 to 0.11 write nothing.
 
     Does not dispatch: where nothing is logged, nothing is suppressed. Warnings and errors of
     setuptools are logged, and what the compiler writes is not touched.
@@ -61,7 +65,7 @@ def identifiers_as_names(functions: Iterable[Any]) -> Iterator[None]:
     """Give functions names that are identifiers while code is generated from them.
 
     - 0.5.2 makes names in C of a function's name, which may have spaces;
-    - 0.9 and 0.11 do not use it.
+    - 0.9 to 0.11 do not use it.
 
     Does not dispatch: the names are restored.
     """
@@ -86,7 +90,7 @@ def cpp_object(thing: Any) -> Any:
     """Return the C++ object inside a Python one.
 
     - 0.5.2 keeps that of a mesh in ``_mesh``; mesh tags inherit from theirs;
-    - 0.9 and 0.11 keep all of them in ``_cpp_object``.
+    - 0.9 to 0.11 keep all of them in ``_cpp_object``.
     """
     for name in ("_cpp_object", "_mesh"):
         if hasattr(thing, name):
@@ -99,7 +103,7 @@ def space_with_dofs(space: fem.FunctionSpace, dofs: Numbers, size: int) -> fem.F
 
     - 0.5.2 has the class ``cpp.fem.FunctionSpace`` of (mesh, element, dofmap);
     - 0.9 has ``cpp.fem.FunctionSpace_float64`` of (mesh, element, dofmap, value shape);
-    - 0.11 has ``cpp.fem.FunctionSpace_float64`` of (mesh, element, dofmap).
+    - 0.10 and 0.11 have ``cpp.fem.FunctionSpace_float64`` of (mesh, element, dofmap).
 
     Takes the class of the given space and dispatches on its attribute ``value_shape``.
 
@@ -135,7 +139,7 @@ def lagrange_space(
     """Create a space of Lagrange functions with some components (0: scalar).
 
     - 0.5.2 has ``FunctionSpace`` and ``VectorFunctionSpace`` for (family, degree);
-    - 0.9 and 0.11 have ``functionspace`` for (family, degree, shape).
+    - 0.9 to 0.11 have ``functionspace`` for (family, degree, shape).
     """
     family = "DG" if discontinuous else "Lagrange"
     with quiet_compiler():
@@ -152,7 +156,7 @@ def element_facts(space: fem.FunctionSpace) -> tuple[str, int, tuple[int, ...]]:
 
     - 0.5.2 has UFL elements with ``family()``, ``degree()``, ``value_shape()``; vector elements
       hide their scalar one in ``sub_elements()``;
-    - 0.9 and 0.11 have elements of ``basix.ufl`` with ``family_name``, ``degree``,
+    - 0.9 to 0.11 have elements of ``basix.ufl`` with ``family_name``, ``degree``,
       ``discontinuous`` and ``reference_value_shape``.
     """
     element = space.ufl_element()
@@ -173,7 +177,7 @@ def element_facts(space: fem.FunctionSpace) -> tuple[str, int, tuple[int, ...]]:
 def cell_dofs(space: fem.FunctionSpace) -> Numbers:
     """Return the (blocked) degrees of freedom of each cell of this rank, ghosts included.
 
-    - 0.5.2 has an adjacency list, 0.9 and 0.11 a matrix.
+    - 0.5.2 has an adjacency list, 0.9 to 0.11 a matrix.
     """
     dofs = space.dofmap.list
     if hasattr(dofs, "array"):
@@ -185,7 +189,7 @@ def cell_dofs(space: fem.FunctionSpace) -> Numbers:
 def input_cells(domain: mesh.Mesh) -> NDArray[np.int64] | None:
     """Return the place of each cell of this rank in the input of the mesh; None for a submesh.
 
-    - 0.5.2 and 0.9 have an empty array for submeshes, 0.11 raises a RuntimeError.
+    - 0.5.2 and 0.9 have an empty array for submeshes, 0.10 and 0.11 raise a RuntimeError.
     """
     cells = domain.topology.index_map(domain.topology.dim).size_local
     try:
@@ -199,7 +203,8 @@ def geometry_cells(domain: mesh.Mesh) -> Numbers:
     """Return the rows of ``geometry.x`` of each cell of this rank, ghosts included.
 
     - 0.5.2 has ``geometry.dofmap``, an adjacency list;
-    - 0.9 has a matrix, 0.11 one for each cell type in ``geometry.dofmaps``, the other deprecated.
+    - 0.9 and 0.10 have a matrix, 0.11 one for each cell type in ``geometry.dofmaps``, the other
+      deprecated.
     """
     geometry = domain.geometry
     if hasattr(geometry, "dofmaps") and not callable(geometry.dofmaps):
@@ -213,7 +218,7 @@ def geometry_cells(domain: mesh.Mesh) -> Numbers:
 def geometry_degree(domain: mesh.Mesh) -> int:
     """Return the degree of the cells' geometry: 1, 2, or 3 for any other.
 
-    - 0.5.2 and 0.9 have ``geometry.cmap``, 0.11 ``geometry.cmaps``. The number of nodes says
+    - 0.5.2, 0.9 and 0.10 have ``geometry.cmap``, 0.11 ``geometry.cmaps``. The number of nodes says
       the same in all of them.
     """
     nodes, cell = geometry_cells(domain).shape[1], reference_cell(cell_name(domain))
@@ -234,7 +239,7 @@ def gradients_at_nodes(cell: str) -> NDArray[np.float64]:
 def cell_name(domain: mesh.Mesh) -> str:
     """Return the shape of the cells, such as "hexahedron".
 
-    - ``ufl_cell().cellname`` is a method in 0.5.2 and 0.9, a property in 0.11.
+    - ``ufl_cell().cellname`` is a method in 0.5.2, 0.9 and 0.10, a property in 0.11.
     """
     name = domain.ufl_cell().cellname
     return str(name() if callable(name) else name)
@@ -243,7 +248,7 @@ def cell_name(domain: mesh.Mesh) -> str:
 def bc_values(bc: Any, size: int) -> tuple[Numbers, NDArray[np.float64]]:
     """Return the unrolled local degrees of freedom of a Dirichlet condition and their values.
 
-    - 0.5.2 has ``fem.set_bc(array, [bc])``, 0.9 and 0.11 ``bc.set(array)``; both take
+    - 0.5.2 has ``fem.set_bc(array, [bc])``, 0.9 to 0.11 ``bc.set(array)``; both take
       values that are functions, constants or arrays.
 
     Parameters
@@ -273,7 +278,7 @@ def bc_is_on(bc: Any, space: fem.FunctionSpace) -> bool:
 def tags_are_on(tags: Any, domain: mesh.Mesh) -> bool:
     """Tell whether mesh tags belong to a mesh.
 
-    - 0.5.2 keeps the mesh in ``tags.mesh``, 0.9 and 0.11 the topology in ``tags.topology``.
+    - 0.5.2 keeps the mesh in ``tags.mesh``, 0.9 to 0.11 the topology in ``tags.topology``.
     """
     if hasattr(tags, "mesh"):
         return cpp_object(tags.mesh) is cpp_object(domain)
@@ -286,7 +291,7 @@ def tags_are_on(tags: Any, domain: mesh.Mesh) -> bool:
 def partition_graph(offsets: Numbers, neighbours: Numbers, parts: int) -> Numbers:
     """Partition a graph of this rank by SCOTCH, always into the same parts.
 
-    - 0.5.2 has ``graph.create_adjacencylist``, 0.9 ``graph.adjacencylist``; 0.11 wraps its
+    - 0.5.2 has ``graph.create_adjacencylist``, 0.9 ``graph.adjacencylist``; 0.10 and 0.11 wrap its
       result in a Python class that the partitioner does not take.
 
     Parameters
@@ -328,12 +333,28 @@ def _one_scotch_thread() -> Iterator[None]:
 # -- forms -------------------------------------------------------------------------------------
 
 
+def is_linear_in_arguments(form: ufl.Form) -> bool:
+    """Tell whether each term of a form is linear in each of the form's arguments.
+
+    - 0.5.2's UFL fails with a TypeError where it writes the message of some ``ArityMismatch``.
+
+    Does not dispatch: both are caught.
+    """
+    # as UFL does before its own check
+    lowered = apply_derivatives(remove_complex_nodes(apply_algebra_lowering(form)))
+    try:
+        check_form_arity(lowered, form.arguments())
+    except (ArityMismatch, TypeError):
+        return False
+    return True
+
+
 class CompiledForm:
     """A form compiled once, to be bound to spaces with other degrees of freedom and to some cells.
 
     - 0.5.2 compiles with ``jit.ffcx_jit`` and binds by ``cpp.fem.Form_float64``, with tags as
       ``MeshTags``;
-    - 0.9 and 0.11 have ``fem.compile_form`` and ``fem.create_form``, with lists of entities.
+    - 0.9 to 0.11 have ``fem.compile_form`` and ``fem.create_form``, with lists of entities.
 
     Dispatches on ``fem.create_form``.
 
@@ -426,18 +447,6 @@ def _tags(domain: mesh.Mesh, dim: int, entities: list[Numbers], values: list[int
     return mesh.meshtags(domain, dim, found[order], tags[order])
 
 
-def subdomain_data(form: ufl.Form) -> dict[str, Any]:
-    """Return the tags of each kind of integral ("cell", "exterior_facet", ...) of a form.
-
-    - 0.5.2's UFL has one entry, 0.9's and 0.11's a list with one entry for each integral.
-    """
-    (data,) = form.subdomain_data().values()
-    return {
-        kind: next((t for t in tags if t is not None), None) if isinstance(tags, list) else tags
-        for kind, tags in data.items()
-    }
-
-
 def assemble_stiffness(form: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.float64]]:
     """Assemble a bilinear form on a space whose dofs no ranks share. Collective.
 
@@ -492,10 +501,10 @@ def distributed_mesh(
     """Create a distributed mesh from arrays.
 
     - 0.5.2 has ``create_mesh(comm, cells, x, domain)`` and elements from ``ufl``;
-    - 0.9 has ``create_mesh(comm, cells, x, e)``, 0.11 ``create_mesh(comm, cells, e, x)``, both
-      with elements from ``basix.ufl``;
-    - 0.5.2 builds the dual graph of the cells for the partitioner on one process, too, where 0.9
-      and 0.11 call none: a quarter to a third of the time.
+    - 0.9 has ``create_mesh(comm, cells, x, e)``, 0.10 and 0.11 ``create_mesh(comm, cells, e, x)``,
+      all with elements from ``basix.ufl``;
+    - 0.5.2 builds the dual graph of the cells for the partitioner on one process, too, where later
+      versions call none: a quarter to a third of the time.
 
     Dispatches on the name of the argument of the coordinate element.
 
@@ -534,8 +543,8 @@ def gmsh_model_to_mesh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[Any, Any,
     """Distribute the mesh of the current Gmsh model of rank 0.
 
     - 0.5.2 and 0.9 have ``dolfinx.io.gmshio``, which returns (mesh, cell tags, facet tags);
-    - 0.11 has ``dolfinx.io.gmsh``, which returns an object with these attributes, and None for
-      facet tags where no facet is tagged.
+    - 0.10 and 0.11 have ``dolfinx.io.gmsh``, which returns an object with these attributes, and
+      None for facet tags where no facet is tagged.
 
     Dispatches on the module that can be imported and on the attributes of the result.
 
@@ -575,10 +584,10 @@ def entity_nodes(
 ) -> NDArray[np.int32]:
     """Return the rows of ``mesh.geometry.x`` at the vertices of entities such as facets.
 
-    - 0.5.2 has ``cpp.mesh.entities_to_geometry`` only; it is in 0.9 and 0.11 as well, and all take
+    - 0.5.2 has ``cpp.mesh.entities_to_geometry`` only; it is in 0.9 to 0.11 as well, and all take
       the C++ mesh;
     - 0.9 divides by the number of entities, which ends the process when there are none;
-    - of curved cells, 0.9 and 0.11 return the other nodes as well, after the vertices.
+    - of curved cells, 0.9 to 0.11 return the other nodes as well, after the vertices.
 
     Does not dispatch: without entities, dolfinx is not called, and other nodes are cut off.
 
@@ -608,7 +617,7 @@ def entity_nodes(
 def interpolate_expression(expression: Any, function: Any) -> None:
     """Interpolate a UFL expression into a function of dolfinx.
 
-    - 0.5.2 and 0.9 have the method ``element.interpolation_points()``;
+    - 0.5.2, 0.9 and 0.10 have the method ``element.interpolation_points()``;
     - 0.11 has the attribute of this name.
 
     Dispatches on whether it can be called.
@@ -624,7 +633,7 @@ def list_pieces(index: Path, pieces: Sequence[str]) -> None:
     """Make the list of the files of all ranks that ``io.VTKFile`` writes name some pieces.
 
     - 0.5.2 lists the files once for each function, so that ParaView draws the mesh several times;
-    - 0.9 and 0.11 list them once.
+    - 0.9 to 0.11 list them once.
 
     Does not dispatch: the list is replaced.
 

@@ -46,15 +46,24 @@ def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
     Raises
     ------
     InputError
-        Wrong numbers of arguments, several spaces, another element, cells of a higher degree than
-        the displacement.
+        Wrong numbers of arguments, forms that are not linear in them, several spaces, another
+        element, cells of a higher degree than the displacement.
     """
     arguments = a.arguments() + L.arguments()
+    _check_linear_in_trial_function(a)
     if len(a.arguments()) != 2 or len(L.arguments()) != 1:
         raise InputError(
             f"a has {len(a.arguments())} arguments, L has {len(L.arguments())}: a has to be "
             "bilinear (trial and test function), L linear (test function)"
         )
+    for name, form in (("a", a), ("L", L)):
+        if not _compat.is_linear_in_arguments(form):
+            raise InputError(
+                f"{name} is not linear in its arguments: each term of a has to be linear in the "
+                "trial function and in the test function, each term of L in the test function. "
+                "ufl.lhs and ufl.rhs take a and L from their sum; of materials that are not "
+                "linear elastic, a and L are those of one Newton step (ufl.derivative)"
+            )
     space = arguments[0].ufl_function_space()
     if any(argument.ufl_function_space() != space for argument in arguments):
         raise InputError("the arguments of a and L are on different function spaces; use one")
@@ -93,6 +102,21 @@ def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
             "degree 1 (setOrder in Gmsh)"
         )
     return space
+
+
+def _check_linear_in_trial_function(a: ufl.Form) -> None:
+    """Check that a is no residual: a displacement that is a coefficient, and no trial function."""
+    if len(a.arguments()) != 1:
+        return
+    space = a.arguments()[0].ufl_function_space()
+    for coefficient in a.coefficients():
+        if coefficient.ufl_function_space() == space:
+            raise InputError(
+                f"a has no trial function, but depends on the Function '{coefficient.name}' of the "
+                "displacement's space: write it with u = ufl.TrialFunction(V). If a is the "
+                "residual of a material that is not linear elastic, pass the forms of one Newton "
+                "step: the residual's ufl.derivative as a, minus the residual as L"
+            )
 
 
 def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:

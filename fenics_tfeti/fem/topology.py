@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
 from dolfinx.mesh import Mesh, exterior_facet_indices
 
+from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.reference_cells import ReferenceCell, reference_cell
+from fenics_tfeti.parallel import raise_collectively
 
 __all__ = [
     "cell_facets",
@@ -18,6 +22,7 @@ __all__ = [
     "exterior_cell_facets",
     "exterior_facets",
     "owned_cells",
+    "tags_of_cells",
     "vertex_nodes",
 ]
 
@@ -32,6 +37,40 @@ def cell_type(domain: Mesh) -> ReferenceCell:
 def owned_cells(domain: Mesh) -> int:
     """Return the number of cells that this rank owns; ghosts are numbered after them."""
     return int(domain.topology.index_map(domain.topology.dim).size_local)
+
+
+def tags_of_cells(domain: Mesh, cell_tags: Any) -> NDArray[np.int64]:
+    """Return the tag of each cell that this rank owns. Collective.
+
+    Raises
+    ------
+    InputError
+        Tags of facets instead of cells, cells without a tag.
+    """
+    owned = owned_cells(domain)
+    tags = np.zeros(owned, dtype=np.int64)
+    with raise_collectively(domain.comm):
+        if not (hasattr(cell_tags, "indices") and hasattr(cell_tags, "dim")):
+            raise InputError(
+                f"cell_tags is a {type(cell_tags).__name__}; the mesh tags of the cells are "
+                "expected, as returned by dolfinx.mesh.meshtags"
+            )
+        if cell_tags.dim != domain.topology.dim:
+            raise InputError(
+                f"cell_tags are on entities of dimension {cell_tags.dim}, cells have dimension "
+                f"{domain.topology.dim}: were the facet tags passed?"
+            )
+        mine = cell_tags.indices < owned
+        tagged = np.zeros(owned, dtype=bool)
+        tagged[cell_tags.indices[mine]] = True
+        tags[cell_tags.indices[mine]] = cell_tags.values[mine]
+        if not tagged.all():
+            raise InputError(
+                f"cell_tags leave {np.count_nonzero(~tagged)} of {owned} cells of rank "
+                f"{domain.comm.rank} without a tag: tag every cell, or leave cell_tags out where "
+                "they are optional"
+            )
+    return tags
 
 
 def cell_vertices(domain: Mesh) -> Indices:

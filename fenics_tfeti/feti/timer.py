@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -20,18 +20,21 @@ class Timer:
     ----------
     seconds : dict
         Time of each phase on this rank [s].
+    clock : callable
+        Returns the present time [s].
     """
 
     seconds: dict[str, float] = field(default_factory=dict)
+    clock: Callable[[], float] = time.perf_counter
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
         """Add the time of a block to a phase."""
-        start = time.perf_counter()
+        start = self.clock()
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+            self.seconds[name] = self.seconds.get(name, 0.0) + self.clock() - start
 
     def slowest(self, comm: MPI.Intracomm) -> dict[str, float]:
         """Return the slowest rank's time of each phase, and their ``total`` [s]. Collective."""

@@ -12,6 +12,10 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from joined_bodies import GDIM, halves, of_degree_two
+from scenes import two_beams
+
+import ufl
+from dolfinx import fem
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
@@ -90,3 +94,24 @@ def test_no_facets_have_no_nodes(cell, vertices):
     mesh = boxes(MPI.COMM_SELF, [Box((0, 0, 0), (1, 1, 1), (1, 1, 1))], cell).mesh
     nodes = _compat.entity_nodes(mesh, 2, np.empty(0, dtype=np.int32))
     assert nodes.shape == (0, vertices)
+
+
+@pytest.mark.parametrize(
+    ("term", "linear"),
+    [
+        (
+            lambda u, v, k: k * ufl.inner(ufl.grad(u), ufl.grad(v)) + k * ufl.div(u) * ufl.div(v),
+            True,
+        ),
+        (lambda u, v, k: ufl.conditional(ufl.gt(k, 0), ufl.dot(u, v), 0.0), True),
+        (lambda u, v, k: ufl.div(u) * ufl.dot(u, v), False),
+        (lambda u, v, k: ufl.inner(u, v) + k * v[0], False),
+        (lambda u, v, k: ufl.inner(u, v) / (k + u[0]), False),
+        (lambda u, v, k: ufl.exp(u[0]) * v[0], False),
+    ],
+)
+def test_forms_that_are_linear_in_their_arguments(term, linear):
+    space = two_beams(MPI.COMM_SELF, "triangle", 2).V
+    u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
+    k = fem.Constant(space.mesh, 1.0)
+    assert _compat.is_linear_in_arguments(term(u, v, k) * ufl.dx) == linear

@@ -12,12 +12,11 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from interruptions import interrupt_after
+from interruptions import InterruptedTimer, interrupt_after
 from torn import column
 
 from fenics_tfeti import Interrupted
-from fenics_tfeti.feti import Options, TornSolver, interruption, save_system, solver
-from fenics_tfeti.feti.solution.setup import factor_subdomains
+from fenics_tfeti.feti import Options, TornSolver, interruption, save_system
 
 COMM = MPI.COMM_SELF
 
@@ -65,14 +64,12 @@ def test_active_set_method_goes_on_from_its_last_iterate(monkeypatch):
     assert torn.solve().report.products["total"] < whole
 
 
-def test_set_up_is_interrupted_after_a_phase(monkeypatch):
-    def factor(*arguments):
-        interrupt()
-        return factor_subdomains(*arguments)
-
-    monkeypatch.setattr(solver, "factor_subdomains", factor)
+@pytest.mark.parametrize("phase", ["constraints", "factorisation", "deflation"])
+def test_set_up_is_interrupted_after_a_phase(phase):
+    timer = InterruptedTimer(phase, interrupt)
     with pytest.raises(Interrupted, match="before there was an iterate") as caught:
-        TornSolver(column())
+        TornSolver(column(), timer=timer)
+    assert list(timer.seconds)[-1] == phase
     assert caught.value.solution is None and caught.value.report is None
 
 
@@ -137,15 +134,19 @@ def test_command_writes_the_last_iterate(tmp_path):
     save_system(tmp_path / "system.npz", column(n=3))
     code = (
         "import signal, sys, time\n"
+        "from itertools import count\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from fenics_tfeti.feti import interruption\n"
         "from fenics_tfeti.feti.dual.operator import DualOperator\n"
         "from fenics_tfeti.solve import main\n"
-        "apply = DualOperator.packed\n"
-        "def slow(self, x):\n"
+        "apply, number = DualOperator.packed, count(1)\n"
+        "def waiting(self, x):\n"
         "    print('product', flush=True)\n"
-        "    time.sleep(0.5)\n"
+        "    fifth = next(number) == 5\n"
+        "    while fifth and not interruption.received():\n"
+        "        time.sleep(0.01)\n"
         "    return apply(self, x)\n"
-        "DualOperator.packed = slow\n"
+        "DualOperator.packed = waiting\n"
         "sys.exit(main(sys.argv[1:]))\n"
     )
     files = ["--report", str(tmp_path / "r.json"), "--solution", str(tmp_path / "s.npz")]

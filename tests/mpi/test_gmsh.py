@@ -45,6 +45,12 @@ def test_volumes_and_areas_do_not_depend_on_the_ranks(two_beams):
     assert sizes == pytest.approx([2, 2, 1, 1, 1, 1, 3, 20])
 
 
+def test_wrong_dimension_is_an_error_on_all_ranks():
+    pytest.importorskip("gmsh")
+    with pytest.raises(InputError, match="pass gdim=3"):
+        read_msh(TWO_BEAMS, COMM, gdim=2)
+
+
 def test_all_ranks_know_the_names(two_beams):
     assert two_beams.names["contact_upper"] == 5
 

@@ -11,12 +11,11 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import scenes
-from interruptions import interrupt_after
+from interruptions import InterruptedTimer, interrupt_after
 from torn import column
 
-from fenics_tfeti import Interrupted
-from fenics_tfeti.feti import ContactRows, Options, TornSolver, solver
-from fenics_tfeti.feti.solution.setup import factor_subdomains
+from fenics_tfeti import Interrupted, Plane, RigidObstacle
+from fenics_tfeti.feti import ContactRows, Options, TornSolver
 
 COMM = MPI.COMM_WORLD
 LAST = COMM.size - 1
@@ -56,14 +55,9 @@ def test_one_rank_is_interrupted(monkeypatch, method):
     assert again.contact_force == pytest.approx(exact.contact_force, rel=1e-7)
 
 
-def test_set_up_of_one_rank_is_interrupted(monkeypatch):
-    def factor(*arguments):
-        interrupt()
-        return factor_subdomains(*arguments)
-
-    monkeypatch.setattr(solver, "factor_subdomains", factor)
+def test_set_up_of_one_rank_is_interrupted():
     with pytest.raises(Interrupted) as caught:
-        TornSolver(distributed())
+        TornSolver(distributed(), timer=InterruptedTimer("factorisation", interrupt))
     assert caught.value.solution is None
 
 
@@ -84,17 +78,22 @@ def test_interrupted_problem_goes_on(monkeypatch):
     assert problem.report.energy == pytest.approx(exact.report.energy, rel=1e-8)
 
 
-def test_signal_after_the_solution(monkeypatch):
-    """Such as during the passes of exact non-penetration: the solution is with the error."""
-    problem = scenes.pressed_block(COMM, "quadrilateral").problem()
-    take = problem._take
+def test_signal_after_the_solution():
+    """While ranks with contact measure the deformed surfaces: the solution is with the error."""
+    scene = scenes.pressed_block(COMM, "quadrilateral")
+    plane, solved = Plane((0.0, 0.0), (0.0, 1.0)), []
 
-    def interrupted(*arguments):
-        interrupt()
-        return take(*arguments)
+    def obstacle(x):
+        if solved:
+            solved.clear()
+            os.kill(os.getpid(), signal.SIGINT)
+        return plane(x)
 
-    monkeypatch.setattr(problem, "_take", interrupted)
+    contacts = [RigidObstacle(scene.facet_tags, scenes.GROUND, obstacle)]
+    problem = scene.problem(contacts=contacts, options={"non_penetration": "exact"})
     with pytest.raises(Interrupted) as caught:
-        problem.solve()
-    assert caught.value.report.converged
-    assert caught.value.solution is problem._displacement
+        problem.solve(monitor=solved.append)
+    assert caught.value.report is problem.report and problem.report.converged
+    assert len(problem.report.passes) == 1
+    uh = caught.value.solution
+    np.testing.assert_allclose(uh.x.array, problem.solve().x.array, rtol=0.0, atol=1e-12)

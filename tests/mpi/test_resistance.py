@@ -8,26 +8,24 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from fenics_tfeti.feti.coarse import resistance
 from fenics_tfeti.feti.coarse.resistance import sum_sparse, weak_motions
 
 COMM = MPI.COMM_WORLD
 
 
-@pytest.mark.parametrize("large", [200, 10])
-def test_rows_on_several_ranks(monkeypatch, large):
-    monkeypatch.setattr(resistance, "_LARGE", large)
+@pytest.mark.parametrize("bodies", [5, 40])
+def test_rows_on_several_ranks(bodies):
+    """By dense algebra, and by inverse iteration."""
     rng = np.random.default_rng(0)
-    # a chain of five bodies that nothing holds, and one that is held in two modes
-    rows = np.zeros((30, 36))
-    for i in range(4):
-        rows[7 * i : 7 * i + 7, 6 * i : 6 * i + 6] = rng.standard_normal((7, 6))
-        rows[7 * i : 7 * i + 7, 6 * i + 6 : 6 * i + 12] = -rows[
-            7 * i : 7 * i + 7, 6 * i : 6 * i + 6
-        ]
-    rows[28:, 30:] = rng.standard_normal((2, 6))
+    # a chain of bodies that nothing holds, and one that is held in two modes
+    rows = np.zeros((7 * bodies - 5, 6 * bodies + 6))
+    for i in range(bodies - 1):
+        block, at = slice(7 * i, 7 * i + 7), 6 * i
+        rows[block, at : at + 6] = rng.standard_normal((7, 6))
+        rows[block, at + 6 : at + 12] = -rows[block, at : at + 6]
+    rows[-2:, -6:] = rng.standard_normal((2, 6))
     own = sp.csr_matrix(rows[COMM.rank :: COMM.size])
-    values, z = weak_motions(COMM, own, np.zeros((6, 6, 6)), 1e-4, 1e-12)
+    values, z = weak_motions(COMM, own, np.zeros((bodies + 1, 6, 6)), 1e-4, 1e-12)
     dense = z.toarray()
     assert values.size == 6 + 4
     np.testing.assert_allclose(rows @ dense, 0.0, atol=1e-13)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import runpy
 import sys
 from pathlib import Path
@@ -11,12 +12,10 @@ from typing import Any
 
 from mpi4py import MPI
 
-import numpy as np
 import pytest
 
-from fenics_tfeti.fem.io import pictures
-
 DEMOS = Path(__file__).parent.parent.parent / "demos"
+UNRENDERED = Path(__file__).parent / "unrendered"
 EMPTY_PICTURE = 10_000  # bytes
 
 
@@ -26,17 +25,12 @@ def run_demo(name: str, *arguments: str, folder: Path) -> dict[str, Any]:
     The pictures of deformed meshes are not rendered, which would take most of the time; the data
     for them are checked.
     """
-
-    def checked(path: Path, data: dict[str, Any]) -> None:
-        assert np.all(np.isfinite(data["colours"])) and np.ptp(data["colours"]) > 0
-        assert np.all(np.isfinite(data["displacement"])) and np.any(data["displacement"])
-
     root, package = logging.getLogger(), logging.getLogger("fenics_tfeti")
     before = root.handlers[:], root.level, package.level
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr(sys, "argv", [f"{name}.py", *arguments])
-        patch.setattr(pictures, "_render", checked)
+        patch.setenv("PYTHONPATH", str(UNRENDERED), prepend=os.pathsep)
         try:
             variables = runpy.run_path(str(DEMOS / f"{name}.py"))
         finally:
@@ -53,7 +47,7 @@ def check_files(results: Path) -> None:
     files = sorted(results.iterdir())
     assert files
     for file in files:
-        if file.suffix == ".png":
+        if file.suffix == ".png" and file.read_bytes() != b"not rendered":
             content = file.read_bytes()
             assert content.startswith(b"\x89PNG") and len(content) > EMPTY_PICTURE
         if file.suffix == ".json":

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import pytest
 
+from fenics_tfeti.feti import Timer
 from fenics_tfeti.feti.dual.operator import DualOperator
 
 
@@ -23,3 +25,26 @@ def interrupt_after(
         return apply(self, x)
 
     monkeypatch.setattr(DualOperator, "packed", counting)
+
+
+class InterruptedTimer(Timer):
+    """The timer of a solver that is interrupted in a phase of its set-up.
+
+    Parameters
+    ----------
+    name : str
+        The phase.
+    interrupt : callable
+        Sends the signal.
+    """
+
+    def __init__(self, name: str, interrupt: Callable[[], None]) -> None:
+        super().__init__()
+        self.name, self.interrupt = name, interrupt
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        with super().phase(name):
+            if name == self.name:
+                self.interrupt()
+            yield

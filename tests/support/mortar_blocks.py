@@ -162,7 +162,8 @@ def solved(
         # the two faces of an inclined contact have the same footprint
         if not blocks.slope:
             L -= pressure * free * ufl.inner(normal, v) * ds(tag)
-    pair = ContactPair(facet_tags, slave, LOWER + UPPER - slave, discretisation="mortar")
+    master = LOWER + UPPER - slave
+    pair = ContactPair(facet_tags, slave, master, discretisation="mortar", roles="given")
     problem = ContactProblem(
         elasticity(u, v, young),
         L,
@@ -214,7 +215,8 @@ def uneven_problem(
     ds = ufl.Measure("ds", domain=domain, subdomain_data=facet_tags)
     young, pressure = Constant(domain, YOUNG), Constant(domain, 20.0 * PRESSURE)
     load = pressure * (1.0 + ufl.SpatialCoordinate(domain)[0])
-    contact = ContactPair(facet_tags, slave, LOWER + UPPER - slave, **(pair or {}))
+    arguments = {"roles": "given", **(pair or {})}
+    contact = ContactPair(facet_tags, slave, LOWER + UPPER - slave, **arguments)
     problem = ContactProblem(
         elasticity(u, v, young),
         -load * v[d - 1] * ds(LOADED),

@@ -6,12 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import clarabel
-import hypothesis
 import numpy as np
 import quadprog
 import scipy.linalg
 import scipy.sparse as sp
+from conic_oracle import ConicSolution, conic_solution
 from numpy.typing import NDArray
 
 from fenics_tfeti.qp import Bounds, Discs, FeasibleSet, ProductSet
@@ -89,8 +88,8 @@ class Problem:
     def solution(self) -> Vector:
         """Solve by Goldfarb and Idnani's dual active set method (quadprog), without discs."""
         assert self.discs.radius.size == 0
-        fixed, given = self._equalities()
-        rows, right = self._inequalities()
+        fixed, given = self.equality_rows()
+        rows, right = self.inequality_rows()
         rows, right = np.vstack([fixed, rows]), np.append(given, right)
         # G'G changes nothing where Gx = o, but makes a Hessian definite that is so only there.
         scale = np.abs(self.A).max()
@@ -98,18 +97,24 @@ class Problem:
         constraints = (rows.T, right, len(fixed)) if len(rows) else ()
         return quadprog.solve_qp(hessian, self.b / scale, *constraints)[0]
 
-    def _equalities(self) -> tuple[Vector, Vector]:
+    def equality_rows(self) -> tuple[Vector, Vector]:
         """Return Gx = o and intervals of size 0 as rows @ x = right."""
         fixed = self.lower == self.upper
         rows = np.vstack([self.G, np.eye(self.b.size)[fixed]])
         return rows, np.append(np.zeros(len(self.G)), self.lower[fixed])
 
-    def _inequalities(self) -> tuple[Vector, Vector]:
+    def inequality_rows(self) -> tuple[Vector, Vector]:
         """Return rows and right-hand sides of the other bounds as rows @ x >= right."""
-        unit, open_ = np.eye(self.b.size), self.lower < self.upper
-        below, above = np.isfinite(self.lower) & open_, np.isfinite(self.upper) & open_
+        unit, (below, above) = np.eye(self.b.size), self.half_lines()
         rows = np.vstack([unit[below], -unit[above]])
         return rows, np.concatenate([self.lower[below], -self.upper[above]])
+
+    def half_lines(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the components with a lower and those with an upper bound, fixed ones apart."""
+        open_ = self.lower < self.upper
+        return tuple(
+            np.flatnonzero(np.isfinite(bound) & open_) for bound in (self.lower, self.upper)
+        )
 
     def independence(self, x: Vector) -> float:
         """Return the smallest singular value of G on the directions that are free at x.
@@ -132,42 +137,9 @@ class Problem:
             return 0.0
         return float(np.linalg.svd(rows, compute_uv=False)[-1])
 
-    def conic_solution(self) -> Vector:
-        """Solve by an interior point method for second-order cones (clarabel).
-
-        No example for hypothesis where it stops before its tolerance ("AlmostSolved", one in eight
-        random problems): the error is then up to 5e-5, otherwise below 1e-6.
-        """
-        fixed, given = self._equalities()
-        rows, right = self._inequalities()
-        # A x + s = b with s in the cones: zero, nonnegative, and (r, x - centre) for each disc
-        discs = [
-            (np.vstack([np.zeros(self.b.size), -np.eye(self.b.size)[at]]), np.append(r, -centre))
-            for at, centre, r in zip(
-                self.discs.indices, self.discs.centre, self.discs.radius, strict=True
-            )
-        ]
-        matrix = np.vstack([fixed, -rows, *(block for block, _ in discs)])
-        vector = np.concatenate([given, -right, *(part for _, part in discs)])
-        cones = [clarabel.ZeroConeT(len(fixed)), clarabel.NonnegativeConeT(len(rows))]
-        cones += [clarabel.SecondOrderConeT(3)] * len(discs)
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
-        scale = np.abs(self.A).max()
-        hessian = self.A / scale + self.G.T @ self.G
-        solver = clarabel.DefaultSolver(
-            sp.csc_matrix(np.triu(hessian)),
-            -self.b / scale,
-            sp.csc_matrix(matrix),
-            vector,
-            cones,
-            settings,
-        )
-        solution = solver.solve()
-        if solution.status != clarabel.SolverStatus.Solved:
-            hypothesis.reject()
-        return np.array(solution.x)
+    def conic_solution(self) -> ConicSolution:
+        """Solve by an interior point method for second-order cones, polished to rounding."""
+        return conic_solution(self)
 
 
 def random_problem(

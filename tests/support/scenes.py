@@ -130,6 +130,13 @@ def scalar_space(mesh: Any, family: str = "Lagrange", degree: int = 1) -> Any:
     return fem.FunctionSpace(mesh, (family, degree))
 
 
+def nothing_but_labels(mesh: Any, labels: NDArray[Any]) -> Any:
+    """Return a coefficient that is zero, of data by which cells of different labels differ."""
+    data = fem.Function(scalar_space(mesh, "DG", 0))
+    data.x.array[:] = labels
+    return fem.Constant(mesh, 0.0) * data
+
+
 # -- forms and conditions ------------------------------------------------------------------------
 
 

@@ -57,7 +57,7 @@ def report(lower, upper, ratio, exchanged=False):
         sum(elasticity(u, v, modulus, dx(k + 1)) for k, modulus in enumerate(young)),
         -traction * v[1] * ds(LOADED),
         bcs=beams_supports(V, tags),
-        contacts=ContactPair(tags, *roles),
+        contacts=ContactPair(tags, *roles, roles="given"),
         cell_tags=beams.cell_tags,
         options={"rtol": 1e-8, "subdomain_size": 300},
     )

@@ -69,13 +69,8 @@ def check_arguments(contact: ContactPair, name: str, degree: int) -> None:
             f"{name}: discretisation is {contact.discretisation!r}; 'auto', 'node_to_node' or "
             "'mortar' is expected"
         )
-    if contact.roles not in ("given", "auto"):
-        raise InputError(f"{name}: roles is {contact.roles!r}; 'given' or 'auto' is expected")
-    if contact.roles == "auto" and contact.normal is not None:
-        raise InputError(
-            f"{name}: a normal belongs to the slave; with roles='auto', which chooses the slave, "
-            "leave it out"
-        )
+    if contact.roles not in ("auto", "given"):
+        raise InputError(f"{name}: roles is {contact.roles!r}; 'auto' or 'given' is expected")
     check_initial_gap(contact.initial_gap, name)
     ways = [way for way in ("direction", "mapping", "pairs") if getattr(contact, way) is not None]
     if ways and contact.discretisation == "mortar":

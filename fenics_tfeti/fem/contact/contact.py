@@ -57,10 +57,15 @@ class ContactPair:
         "auto" takes pairs of nodes where the meshes match, or where `direction`, `mapping` or
         `pairs` says how to find them, and mortar conditions otherwise. The choice is in the report.
         Displacements of degree 2 always have mortar conditions, with multipliers at the vertices.
-    roles : {"given", "auto"}
-        Whether `slave` and `master` are as given, or exchanged where mortar conditions are better
-        the other way round: the slave then is the surface with the smaller E / h, estimated from
-        the stiffness matrices when the problem is set up. Results and report show which it is.
+    roles : {"auto", "given"}
+        Whether `slave` and `master` are exchanged where mortar conditions are much better the other
+        way round, or are as given. "auto" exchanges them where E / h of the slave, estimated from
+        the stiffness matrices when the problem is set up, is more than four times that of the
+        master; not where data of the slave are given: a `normal`, or an `initial_gap`, a `friction`
+        or a `measure_weight` with values of functions; and not where the surfaces have no valid
+        conditions the other way round. The report says what was done and why. The nodes of a
+        `ContactResult` then are those of the master as given; all directions, and the resultants in
+        the report, stay those on the slave as given.
     initial_gap : "geometric", "touching", float or callable
         The gap between the undeformed surfaces. By default it is that of the mesh. "touching" is
         for two meshes of one curved surface, whose facets gape or overlap by their distances from
@@ -112,7 +117,7 @@ class ContactPair:
     measure_weight: Any = None
     discretisation: Literal["auto", "node_to_node", "mortar"] = "auto"
     initial_gap: InitialGap = "geometric"
-    roles: Literal["given", "auto"] = "given"
+    roles: Literal["auto", "given"] = "auto"
     friction: FrictionLaw | None = None
 
 
@@ -308,6 +313,10 @@ class ContactResult:
     gap : (k,) array
         Gap in the undeformed state [m]; infinite where there is no obstacle. With mortar conditions
         the mean around the node.
+    opening : (k,) array
+        Gap after the solve [m]: zero where the contact is closed, infinite where there is no
+        obstacle. It is the gap less the approach along the normal, with exact non-penetration of
+        the surfaces of the last pass.
     normal : (k, gdim) array
         Outward unit normals of the slave.
     normal_force : (k,) array
@@ -323,6 +332,9 @@ class ContactResult:
         the covered part of the surface around the node.
     friction : FrictionResult or None
         Friction forces and slips; None for a contact without friction.
+    on_master : bool
+        Whether the nodes are those of the master, because ``roles="auto"`` has exchanged slave and
+        master. Normals, forces and slips are those of the slave there.
     comm : MPI.Intracomm
         The ranks.
     """
@@ -331,13 +343,24 @@ class ContactResult:
     nodes: Numbers
     coordinates: Vector
     gap: Vector
+    opening: Vector
     normal: Vector
     normal_force: Vector
     pressure: Vector
     active: NDArray[np.bool_]
     area: Vector
     friction: FrictionResult | None = None
+    on_master: bool = False
     comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF, repr=False)
+
+    def seen_from_master(self) -> ContactResult:
+        """Return the result with all directions as on the other surface."""
+        friction = self.friction
+        if friction is not None:
+            friction = replace(
+                friction, force=-friction.force, traction=-friction.traction, slip=-friction.slip
+            )
+        return replace(self, normal=-self.normal, friction=friction, on_master=not self.on_master)
 
     def gather(self) -> ContactResult:
         """Return the nodes of all ranks, by node number, on every rank. Collective."""

@@ -16,15 +16,19 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
+from ufl.algorithms import extract_coefficients
+from ufl.core.expr import Expr
+
 from fenics_tfeti.fem.contact.contact import ContactPair, ContactPairing
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.parallel import concatenate_ranks
 
-__all__ = ["ALIKE", "exchanged", "roles_ratio", "warn_of_roles"]
+__all__ = ["describe_roles", "exchanged", "prefers_exchange", "roles_ratio", "warn_of_roles"]
 
-# Ratio of E / h below which the given roles stay: sums over ranks differ by rounding.
-ALIKE = 1.01
+# Ratio of E / h from which on an exchange is worth it: it is about that of the two condition
+# numbers, so that bounds of the iterations differ by a factor of two.
+_WORSE = 4.0
 
 # Estimated condition number of a pair's rows, above which the user is told.
 _LARGE = 20.0
@@ -55,9 +59,56 @@ def roles_ratio(
     return slave / master
 
 
+def prefers_exchange(contact: ContactPair, ratio: float | None) -> bool:
+    """Tell whether slave and master of a pair are to be exchanged, given the ratio of E / h."""
+    wanted = contact.roles == "auto" and one_sided_data(contact) is None
+    return wanted and ratio is not None and ratio > _WORSE
+
+
 def exchanged(contact: ContactPair) -> ContactPair:
     """Return a pair with slave and master exchanged."""
     return replace(contact, slave=contact.master, master=contact.slave)
+
+
+def one_sided_data(contact: ContactPair) -> str | None:
+    """Return the argument of a pair, if any, whose values belong to the slave that was given."""
+    law, weight = contact.friction, contact.measure_weight
+    of_slave = {
+        "normal": contact.normal is not None,
+        "initial_gap": callable(contact.initial_gap),
+        "friction": law is not None and not np.isscalar(next(iter(vars(law).values()))),
+        "measure_weight": isinstance(weight, Expr) and bool(extract_coefficients(weight)),
+    }
+    return next((name for name, given in of_slave.items() if given), None)
+
+
+def describe_roles(
+    contact: ContactPair, ratio: float | None, exchange: bool, obstacle: str | None
+) -> str | None:
+    """Say in the report what is slave, and why; None where the given roles are good ones.
+
+    Parameters
+    ----------
+    contact : ContactPair
+        As the user gave it.
+    ratio : float or None
+        (E / h) of the given slave over that of the given master.
+    exchange : bool
+        Whether they were exchanged.
+    obstacle : str or None
+        The error with exchanged roles.
+    """
+    if ratio is None or ratio <= _WORSE:
+        return None
+    fact = f"E / h of the given slave is {ratio:.2g} times that of the master"
+    if exchange:
+        return f"slave and master are exchanged: {fact}"
+    data, reason = one_sided_data(contact), f"the other way round {obstacle}"
+    if contact.roles == "given":
+        reason = "roles='given'"
+    elif data is not None:
+        reason = f"'{data}' belongs to the given slave"
+    return f"slave and master are as given, though {fact}: {reason}"
 
 
 def warn_of_roles(name: str, ratio: float) -> None:
@@ -66,7 +117,8 @@ def warn_of_roles(name: str, ratio: float) -> None:
         warnings.warn(
             f"{name}: the slave is better the softer surface, or of equally stiff ones that with "
             f"the larger facets. E / h of this one is {ratio:.0f} times that of the master, which "
-            "may cost iterations. Exchange slave and master, or set roles='auto'",
+            "may cost iterations. Exchange slave and master; roles='auto' does it, unless data of "
+            "the contact belong to the given slave",
             stacklevel=2,
         )
 

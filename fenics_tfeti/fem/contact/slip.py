@@ -24,10 +24,11 @@ from fenics_tfeti.fem.contact.contact import (
     RigidObstacle,
 )
 from fenics_tfeti.fem.contact.friction import Tresca, values_at_nodes
+from fenics_tfeti.fem.contact.opening import row_values
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
 from fenics_tfeti.fem.user_data import vectors_at
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed
-from fenics_tfeti.parallel import raise_collectively, values_of_owners
+from fenics_tfeti.parallel import raise_collectively
 
 __all__ = [
     "NodalFriction",
@@ -226,7 +227,7 @@ def friction_rows(
         coefficient=np.concatenate([one.coefficient for _, one, *_ in parts]),
     )
     tangential = new.tangential_rows(rows)
-    slip = _row_values(space, tangential, origin.displacement).reshape(-1, gdim - 1)
+    slip = row_values(space, tangential, origin.displacement).reshape(-1, gdim - 1)
     slip /= tangential.length.reshape(-1, gdim - 1)
     first_node = space.dofmap.index_map.local_range[0]
     moved = np.concatenate(
@@ -236,18 +237,6 @@ def friction_rows(
         ]
     )
     return replace(new, slip=slip + np.einsum("kta,ka->kt", new.tangents, moved))
-
-
-def _row_values(space: FunctionSpace, rows: ContactRows, displacement: Vector) -> Vector:
-    """Return sum_k c_k'u(node_k) of rows whose nodes may be on any rank. Collective."""
-    index_map, gdim = space.dofmap.index_map, space.dofmap.index_map_bs
-    nodes = np.unique(rows.nodes)
-    values = displacement.reshape(-1, gdim)
-    found = values_of_owners(space.mesh.comm, index_map.local_range, values, nodes)
-    terms = np.sum(rows.coefficients * found[np.searchsorted(nodes, rows.nodes)], axis=1)
-    sums = np.zeros(rows.size)
-    np.add.at(sums, rows.row, terms)
-    return sums
 
 
 def moved_obstacles(

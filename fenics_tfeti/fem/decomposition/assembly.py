@@ -107,6 +107,13 @@ class PreparedForms:
             for part, j, load in zip(parts, first, loads, strict=True)
         ]
 
+    def cell_matrices(self, cells: NDArray[np.int32]) -> list[NDArray[np.float64]]:
+        """Return the matrices of some of this rank's cells, their nodes in order. Collective."""
+        nodes = _compat.cell_dofs(self.space)[cells]
+        table = np.arange(nodes.shape[1], dtype=np.int32)[None]
+        parts = [Part(cells[i : i + 1], nodes[i], table, 0) for i in range(len(cells))]
+        return [K.toarray() for K in self._assembled(parts)]
+
     def values(self) -> FormValues:
         """Return the present values of the forms' coefficients and constants. Collective.
 

@@ -14,11 +14,10 @@ from scipy.sparse.csgraph import connected_components
 
 from dolfinx.mesh import Mesh
 
-from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.cell_graph import cell_graph, components
-from fenics_tfeti.fem.topology import cell_facets, owned_cells
-from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank, raise_collectively
+from fenics_tfeti.fem.topology import cell_facets, owned_cells, tags_of_cells
+from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
 
 __all__ = ["Bodies", "find_bodies"]
 
@@ -70,8 +69,8 @@ def find_bodies(domain: Mesh, cell_tags: Any | None) -> Bodies:
     InputError
         Tags of facets instead of cells, cells without a tag.
     """
-    tags = _tag_of_cell(domain, cell_tags)
     tagged = cell_tags is not None
+    tags = tags_of_cells(domain, cell_tags) if tagged else np.zeros(owned_cells(domain), np.int64)
     graph = cell_graph(domain)
     unordered, bodies = _global_components(domain, graph, tags)
     part = _global_components(domain, graph, np.zeros_like(tags))[0] if tagged else unordered
@@ -84,35 +83,6 @@ def find_bodies(domain: Mesh, cell_tags: Any | None) -> Bodies:
     tag_of_body = common[order, 0] if tagged else None
     names = _names(domain, of_cell, bodies, tag_of_body)
     return Bodies(of_cell, names, tag_of_body, common[order, 1], graph)
-
-
-def _tag_of_cell(domain: Mesh, cell_tags: Any | None) -> Numbers:
-    """Return the tag of each owned cell; 0 where no tags are given."""
-    owned = owned_cells(domain)
-    tags = np.zeros(owned, dtype=np.int64)
-    if cell_tags is None:
-        return tags
-    with raise_collectively(domain.comm):
-        if not (hasattr(cell_tags, "indices") and hasattr(cell_tags, "dim")):
-            raise InputError(
-                f"cell_tags is a {type(cell_tags).__name__}; the mesh tags of the cells are "
-                "expected, as returned by dolfinx.mesh.meshtags"
-            )
-        if cell_tags.dim != domain.topology.dim:
-            raise InputError(
-                f"cell_tags are on entities of dimension {cell_tags.dim}, cells have dimension "
-                f"{domain.topology.dim}: were the facet tags passed?"
-            )
-        mine = cell_tags.indices < owned
-        tagged = np.zeros(owned, dtype=bool)
-        tagged[cell_tags.indices[mine]] = True
-        tags[cell_tags.indices[mine]] = cell_tags.values[mine]
-        if not tagged.all():
-            raise InputError(
-                f"cell_tags leave {np.count_nonzero(~tagged)} of {owned} cells of rank "
-                f"{domain.comm.rank} without a tag: tag every cell, or leave cell_tags out"
-            )
-    return tags
 
 
 def _global_components(domain: Mesh, graph: sp.csr_matrix, tags: Numbers) -> tuple[Numbers, int]:

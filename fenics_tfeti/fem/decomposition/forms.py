@@ -18,7 +18,7 @@ from ufl.corealg.traversal import traverse_unique_terminals
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.topology import cell_facets, owned_cells
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 
 __all__ = ["PreparedForm", "prepare_form"]
 
@@ -132,29 +132,31 @@ def prepare_form(
     Raises
     ------
     InputError
-        Unsupported integrals, coefficients or tags; NaN in coefficients and constants.
+        Unsupported integrals, coefficients or tags; tags on nothing that the form is integrated
+        over; NaN in coefficients and constants.
     """
     domain = space.mesh
+    kinds = ("cell", "exterior_facet")
+    cell_ids, facet_ids = (_tagged_ids(form, kind) for kind in kinds)
     with raise_collectively(domain.comm):
         _check_integrals(form, name)
         _check_coefficients(form, name, domain)
-    data = _compat.subdomain_data(form)
-    cell_ids = _tagged_ids(form, "cell")
-    facet_ids = _tagged_ids(form, "exterior_facet")
-    with raise_collectively(domain.comm):
-        for kind, ids in (("cell", cell_ids), ("exterior_facet", facet_ids)):
-            _check_tags(data.get(kind), kind, ids, name, domain)
+        cell_data, facet_data = (_subdomain_data(form, kind, name) for kind in kinds)
+        _check_tags(cell_data, "cell", cell_ids, name, domain)
+        _check_tags(facet_data, "exterior_facet", facet_ids, name, domain)
 
-    owned = owned_cells(domain)
+    owned, facet_of = owned_cells(domain), cell_facets(domain)
+    cells = np.arange(len(facet_of)) < owned
+    facets = np.zeros(int(facet_of.max(initial=-1)) + 1, dtype=bool)
+    facets[facet_of[:owned][exterior]] = True
+    _check_used(domain, cell_data, cells, cell_ids, f"the {name} has dx")
+    _check_used(domain, facet_data, facets, facet_ids, f"the {name} has ds")
     cell_tag = facet_tag = None
     if _has(form, "cell"):
-        of_cell = _dense_tags(data.get("cell"), owned, cell_ids)
+        of_cell = _dense_tags(cell_data, owned, cell_ids)
         form, cell_ids, cell_tag = _tag_everywhere(form, "cell", cell_ids, of_cell)
     if _has(form, "exterior_facet"):
-        facet_of = cell_facets(domain)
-        of_facet = _dense_tags(
-            data.get("exterior_facet"), int(facet_of.max(initial=-1)) + 1, facet_ids
-        )
+        of_facet = _dense_tags(facet_data, facets.size, facet_ids)
         form, facet_ids, of_facet = _tag_everywhere(form, "exterior_facet", facet_ids, of_facet)
         facet_tag = np.where(exterior, of_facet[facet_of[:owned]], _NO_TAG)
     return PreparedForm(
@@ -239,6 +241,19 @@ def _tagged_ids(form: ufl.Form, kind: str) -> list[int]:
     return sorted(ids)
 
 
+def _subdomain_data(form: ufl.Form, kind: str, name: str) -> Any:
+    """Return the tags that the measures of one kind have; None without any."""
+    given = [i.subdomain_data() for i in form.integrals() if i.integral_type() == kind]
+    different = list({id(data): data for data in given if data is not None}.values())
+    if len(different) > 1:
+        measure = {"cell": "dx", "exterior_facet": "ds"}[kind]
+        raise InputError(
+            f"the {name} has {len(different)} different subdomain_data for {measure}: join their "
+            "tags in one, since a form has one for each kind of integral"
+        )
+    return different[0] if different else None
+
+
 def _check_tags(tags: Any, kind: str, ids: list[int], name: str, domain: Mesh) -> None:
     measure, dim = {
         "cell": ("dx", domain.topology.dim),
@@ -255,6 +270,31 @@ def _check_tags(tags: Any, kind: str, ids: list[int], name: str, domain: Mesh) -
         raise InputError(
             f"the subdomain_data of {measure} in the {name} tags entities of dimension {tags.dim}, "
             f"expected {dim}"
+        )
+    if not _compat.tags_are_on(tags, domain):
+        raise InputError(
+            f"the subdomain_data of {measure} in the {name} are tags of another mesh than the "
+            "displacement"
+        )
+
+
+def _check_used(
+    domain: Mesh, tags: Any, integrated: NDArray[np.bool_], ids: list[int], which: str
+) -> None:
+    """Check that each tag that a form names is on some of the cells or facets. Collective.
+
+    `integrated` tells which of this rank's cells or facets integrals are over; others do not count.
+    """
+    if not ids:
+        return
+    there = np.unique(tags.values[integrated[tags.indices]])
+    there = np.unique(concatenate_ranks(domain.comm, there))
+    missing = np.setdiff1d(ids, there)
+    if missing.size:
+        on = "cell" if which.endswith("dx") else "facet of the mesh's boundary"
+        raise InputError(
+            f"{which}({missing[0]}), but tag {missing[0]} is on no {on}; the tags there are "
+            f"{there.tolist()}"
         )
 
 

@@ -32,11 +32,15 @@ Numbers = NDArray[np.int64]
 Partitioner = Literal["auto", "scotch", "bisection"]
 
 # cells from which on SCOTCH takes a tenth of a solve; it makes 1.7 % fewer copies of nodes
-_MANY_CELLS = 50_000
+MANY_CELLS = 50_000
 
 
 def split_into_subdomains(
-    space: FunctionSpace, bodies: Bodies, unknowns: int, partitioner: Partitioner = "auto"
+    space: FunctionSpace,
+    bodies: Bodies,
+    unknowns: int,
+    partitioner: Partitioner = "auto",
+    many_cells: int = MANY_CELLS,
 ) -> list[Indices]:
     """Split this rank's cells, body by body, into connected subdomains.
 
@@ -53,6 +57,8 @@ def split_into_subdomains(
         cuts into blocks where the nodes of this rank's cells of a body form a grid along the axes,
         bisects many cells that planes do not cut into more parts than wanted, and leaves all else
         to SCOTCH.
+    many_cells : int
+        Number of cells of a body on this rank from which on they are many.
 
     Returns
     -------
@@ -72,7 +78,7 @@ def split_into_subdomains(
         graph = bodies.graph[cells][:, cells]
         label = cuts.get(body.shape) if body.shape is not None else None
         if label is None:
-            label = _cut(space.mesh, cells, graph, parts, unknowns / block, partitioner)
+            label = _cut(space.mesh, cells, graph, parts, unknowns / block, partitioner, many_cells)
             if body.shape is not None:
                 cuts[body.shape] = label
         subdomains += [cells[group] for group in groups(label)]
@@ -86,6 +92,7 @@ def _cut(
     parts: int,
     nodes: float,
     partitioner: Partitioner,
+    many_cells: int,
 ) -> Numbers:
     """Return the connected part of each cell, of so many parts or of so many nodes."""
     points, cell_nodes = domain.geometry.x[:, : domain.geometry.dim], cell_vertices(domain)[cells]
@@ -93,7 +100,7 @@ def _cut(
     grid = find_grid(points, cell_nodes) if partitioner == "auto" else None
     if grid is not None:
         return components(graph, block_of_cells(grid, nodes))[1]
-    if partitioner == "bisection" or (partitioner == "auto" and cells.size >= _MANY_CELLS):
+    if partitioner == "bisection" or (partitioner == "auto" and cells.size >= many_cells):
         label = bisect(graph, points[cell_nodes].mean(axis=1), parts)
         # planes that cut parts in two, of a coiled body, also cut it lengthwise
         if partitioner == "bisection" or label.max() < parts:

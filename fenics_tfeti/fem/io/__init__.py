@@ -3,6 +3,7 @@
 from fenics_tfeti.fem.io.fields import (
     contact_fields,
     displacement_space,
+    piecewise_constant,
     von_mises,
     write_fields,
 )
@@ -22,6 +23,7 @@ __all__ = [
     "displacement_space",
     "draw_deformed",
     "draw_profile",
+    "piecewise_constant",
     "progress",
     "read_msh",
     "split_interfaces",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,11 +24,17 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import ContactResult
-from fenics_tfeti.fem.topology import vertex_nodes
+from fenics_tfeti.fem.topology import owned_cells, tags_of_cells, vertex_nodes
 from fenics_tfeti.feti.files import folder_of
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["contact_fields", "displacement_space", "von_mises", "write_fields"]
+__all__ = [
+    "contact_fields",
+    "displacement_space",
+    "piecewise_constant",
+    "von_mises",
+    "write_fields",
+]
 
 _COLLECTION = """<?xml version="1.0"?>
 <VTKFile type="Collection" version="0.1">
@@ -259,6 +265,40 @@ def displacement_space(mesh: Mesh, degree: int = 1) -> FunctionSpace:
     return _compat.lagrange_space(mesh, degree, mesh.geometry.dim)
 
 
+def piecewise_constant(mesh: Mesh, cell_tags: Any, values: Mapping[int, float]) -> Function:
+    """Return a function that is constant on each cell, such as Young's modulus. Collective.
+
+    Parameters
+    ----------
+    mesh : dolfinx.mesh.Mesh
+        The mesh.
+    cell_tags : dolfinx.mesh.MeshTags
+        A tag for every cell.
+    values : dict of int to float
+        The value on the cells with each tag.
+
+    Raises
+    ------
+    InputError
+        If a cell has no tag, or a tag no value.
+    """
+    space = _compat.lagrange_space(mesh, 0, discontinuous=True)
+    result = Function(space)
+    tags = tags_of_cells(mesh, cell_tags)
+    with raise_collectively(mesh.comm):
+        missing = np.setdiff1d(tags, list(values))
+        if missing.size:
+            raise InputError(
+                f"cells with the tags {missing.tolist()} have no value; values are given for the "
+                f"tags {sorted(values)}"
+            )
+        dofs = _compat.cell_dofs(space)[: owned_cells(mesh), 0]
+        for tag, value in values.items():
+            result.x.array[dofs[tags == tag]] = value
+    result.x.scatter_forward()
+    return result
+
+
 def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> list[Function]:
     """Return the contact results as fields, zero where there is no contact. Collective.
 
@@ -267,24 +307,25 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
     space : FunctionSpace
         The displacement's space.
     contacts : sequence of ContactResult
-        Results of `ContactProblem`. Where a node is in several contacts, their values are added,
-        of gaps the finite ones.
+        Results of `ContactProblem`. Where a node is in several contacts, their values are added;
+        of gaps and openings it is the smallest.
 
     Returns
     -------
     list of Function
-        "contact_pressure" [Pa], "contact_force" [N] (normal, times the outward normal) and
-        "initial_gap" [m], which is NaN where a contact has no obstacle: where its only gaps are
-        infinite. The integral of the pressure over a slave surface is the contact's force in the
-        report, where it is covered wholly; where the slave sticks out of the master, the sum of
-        ``pressure * area`` of the `ContactResult` is. They are of degree 1: for displacements of
-        degree 2 as well, contact is at the vertices. Some versions of dolfinx compile no form of a
-        field whose name has spaces. Where a contact has friction also "friction_traction" [Pa], on
-        the slave, and "slip" [m], vectors, and "friction_state": 1 where a node sticks, 2 where it
-        slips, 0 where friction has no force.
+        "contact_pressure" [Pa], "contact_force" [N] (normal, times the outward normal),
+        "initial_gap" and "opening", the gaps before and after the solve [m], which are NaN where a
+        contact has no obstacle: where all gaps are infinite. The integral of the pressure over a
+        slave surface is the contact's force in the report, where it is covered wholly; where the
+        slave sticks out of the master, the sum of ``pressure * area`` of the `ContactResult` is.
+        They are of degree 1: for displacements of degree 2 as well, contact is at the vertices.
+        Some versions of dolfinx compile no form of a field whose name has spaces. Where a contact
+        has friction also "friction_traction" [Pa], on the slave, and "slip" [m], vectors, and
+        "friction_state": 1 where a node sticks, 2 where it slips, 0 where friction has no force.
     """
     scalar = _compat.lagrange_space(space.mesh, 1)
-    pressure, gap = Function(scalar, name="contact_pressure"), Function(scalar, name="initial_gap")
+    names = ("contact_pressure", "initial_gap", "opening", "friction_state")
+    pressure, gap, opening, state = (Function(scalar, name=name) for name in names)
     block = space.dofmap.index_map_bs
     linear = _compat.element_facts(space)[1] == 1
     vector = space if linear else _compat.lagrange_space(space.mesh, 1, block)
@@ -294,24 +335,28 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
     to_scalar[vertex_nodes(space)] = vertex_nodes(scalar)
     to_vector[vertex_nodes(space)] = vertex_nodes(vector)
     first = space.dofmap.index_map.local_range[0]
-    finite, infinite = (np.zeros(len(gap.x.array), dtype=bool) for _ in range(2))
+    in_contact = np.zeros(len(gap.x.array), dtype=bool)
+    gap.x.array[:] = opening.x.array[:] = np.inf
     traction, slip = (Function(vector, name=name) for name in ("friction_traction", "slip"))
-    state = Function(scalar, name="friction_state")
     for contact in contacts:
+        # forces are drawn on the body that has the nodes
+        contact = contact.seen_from_master() if contact.on_master else contact
         nodes = contact.nodes - first
         at = to_scalar[nodes]
         pressure.x.array[at] += contact.pressure
-        there = np.isfinite(contact.gap)
-        gap.x.array[at[there]] += contact.gap[there]
-        finite[at[there]], infinite[at[~there]] = True, True
+        in_contact[at] = True
+        gap.x.array[at] = np.minimum(gap.x.array[at], contact.gap)
+        opening.x.array[at] = np.minimum(opening.x.array[at], contact.opening)
         components = block * to_vector[nodes][:, None] + np.arange(block)
         force.x.array[components] -= contact.normal_force[:, None] * contact.normal
         if contact.friction is not None:
             traction.x.array[components] += contact.friction.traction
             slip.x.array[components] += contact.friction.slip
             state.x.array[at] = np.maximum(state.x.array[at], contact.friction.state)
-    gap.x.array[infinite & ~finite] = np.nan
-    found = [pressure, force, gap]
+    for field in (gap, opening):
+        infinite = np.isinf(field.x.array)
+        field.x.array[infinite] = np.where(in_contact[infinite], np.nan, 0.0)
+    found = [pressure, force, gap, opening]
     if any(contact.friction is not None for contact in contacts):
         found += [traction, slip, state]
     for field in found:

@@ -109,11 +109,7 @@ def _prepare(model: Any, path: Path, gdim: int) -> tuple[dict[str, int], int]:
     dimension = max((d for d in range(4) if len(model.mesh.getElementTypes(d))), default=0)
     if dimension == 0:
         raise InputError(f"{path} has no cells; was it damaged, or saved before meshing?")
-    if dimension != gdim:
-        raise InputError(
-            f"the cells in {path} are of dimension {dimension}, but gdim is {gdim}; pass "
-            f"gdim={dimension}, or save a mesh with cells of dimension {gdim}"
-        )
+    _check_dimension(model, path, dimension, gdim)
     types = {_cell_type(model, element) for element in model.mesh.getElementTypes(dimension)}
     if len(types) > 1 or not types <= set(MESH_CELLS):
         raise InputError(
@@ -133,6 +129,26 @@ def _prepare(model: Any, path: Path, gdim: int) -> tuple[dict[str, int], int]:
     if len(nodes) != nodes.max():
         model.mesh.renumberNodes()  # dolfinx requires numbers without gaps
     return _names(model, cells + facets, path), tagged_facets
+
+
+def _check_dimension(model: Any, path: Path, dimension: int, gdim: int) -> None:
+    """Check that the file has cells of as many dimensions as coordinates are wanted."""
+    if dimension == gdim:
+        return
+    remedy = f"pass gdim={dimension}"
+    if dimension < gdim:
+        kind, z = _ENTITY[gdim], model.mesh.getNodes()[1][2::3]
+        flat = dimension == 2 and z.max() == z.min()
+        remedy = (
+            f"the file has no {kind} cells. "
+            + ("For a mesh in the plane pass gdim=2. " if flat else "")
+            + f"Give each body a physical {kind} (addPhysicalGroup({gdim}, ...) or 'Physical "
+            f"{kind.capitalize()}' in Gmsh), since of a model with physical groups Gmsh saves only "
+            f"what is in one, and mesh in {gdim} dimensions"
+        )
+    raise InputError(
+        f"the cells in {path} are of dimension {dimension}, but gdim is {gdim}: {remedy}"
+    )
 
 
 def _check_cell_nodes(model: Any, path: Path, dim: int) -> None:

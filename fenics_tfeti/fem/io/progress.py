@@ -55,7 +55,7 @@ def progress(
     try:
         for done, step in enumerate(steps):
             if drawn:
-                line = _line(label, done, len(steps), time.perf_counter() - begin)
+                line = bar_of_loop(label, done, len(steps), time.perf_counter() - begin)
                 stream.write(_ERASE + line)
                 stream.flush()
             yield step
@@ -65,8 +65,18 @@ def progress(
             stream.flush()
 
 
-def _line(label: str, done: int, steps: int, seconds: float) -> str:
-    """Return the bar with its numbers, after some of the steps."""
+def bar_of_loop(label: str, done: int, steps: int, seconds: float) -> str:
+    """Return the bar with its numbers, after some of the steps.
+
+    Parameters
+    ----------
+    label : str
+        What stands in front.
+    done, steps : int
+        Steps that are done, of how many.
+    seconds : float
+        What they took [s].
+    """
     filled = _WIDTH * done // steps
     bar = "#" * filled + "." * (_WIDTH - filled)
     left = f", {_clock(seconds * (steps - done) / done)} left" if done else ""

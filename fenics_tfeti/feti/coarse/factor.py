@@ -18,11 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fenics_tfeti.feti.local.cholesky import (
-    DistributedCholesky,
-    SparseCholesky,
-    available_packages,
-)
+from fenics_tfeti.feti.local.cholesky import DistributedCholesky, SparseCholesky
 from fenics_tfeti.parallel import concatenate_buffers, exchange
 
 __all__ = ["CoarseFactor", "CoarseLayout", "CoarseSolverKind", "choose_coarse_solver"]
@@ -296,7 +292,9 @@ class _Distributed:
         return self.shared.solve(self.layout.sum_own(own, others)), sums
 
 
-def choose_coarse_solver(ranks: int, size: int, changes: int) -> CoarseSolverKind:
+def choose_coarse_solver(
+    ranks: int, size: int, changes: int, mumps: bool = True
+) -> CoarseSolverKind:
     """Return the coarse solver that moves the least.
 
     For one face of the active set method, in bytes: what factors and solves read of memory, and
@@ -311,6 +309,8 @@ def choose_coarse_solver(ranks: int, size: int, changes: int) -> CoarseSolverKin
         Coarse unknowns.
     changes : int
         Independent columns of contact and tangential rows in G.
+    mumps : bool
+        Whether there is MUMPS, to distribute the factor.
 
     Examples
     --------
@@ -326,7 +326,7 @@ def choose_coarse_solver(ranks: int, size: int, changes: int) -> CoarseSolverKin
         own = _REFINED * (8.0 * (size**2 / ranks + size + changes**2) + 2 * rounds)
         change = _CHANGE + 8.0 * changes * (size / ranks + 2 * changes) + changes**3
         bytes_of["inverse"] = _GAIN * (columns + _SOLVES * own + change)
-    if ranks > 1 and "mumps" in available_packages():
+    if ranks > 1 and mumps:
         part = (_SOLVES + _FACTORISATION) * solve * min(1.0, _SLOWER / ranks)
         calls = (_COLLECTIVES + ranks) * rounds + _MESSAGES * ranks * _LATENCY
         messages = (_SOLVES + _MESSAGES_OF_FACTORISATION) * calls

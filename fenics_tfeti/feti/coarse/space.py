@@ -28,6 +28,7 @@ from fenics_tfeti.feti.coarse.recent import RecentFaces
 from fenics_tfeti.feti.coarse.resistance import weak_motions
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.local.cholesky import available_packages
 from fenics_tfeti.feti.local.congruence import CongruenceClass
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import UNRESISTED
@@ -134,7 +135,8 @@ class CoarseSpace:
         if solver == "auto":
             changing = everyone[: constraints.layout.owned][~equality[: constraints.layout.owned]]
             changes = system.comm.allreduce(independent_columns(changing.T).shape[1])
-            solver = choose_coarse_solver(system.comm.size, size, changes)
+            mumps = "mumps" in available_packages()
+            solver = choose_coarse_solver(system.comm.size, size, changes, mumps)
         layout = CoarseLayout.build(
             system.comm, int(ends[-1]), others.astype(np.int64), solver, package
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fenics_tfeti.errors import FactorizationError
+from fenics_tfeti.errors import FactorizationError, InputError
 from fenics_tfeti.feti.local.threads import one_thread
 
 __all__ = [
@@ -26,6 +26,7 @@ __all__ = [
     "Package",
     "SparseCholesky",
     "available_packages",
+    "check_real_numbers",
     "choose_package",
 ]
 
@@ -33,6 +34,28 @@ Vector = NDArray[np.float64]
 Package = Literal["auto", "cholmod", "rslab", "mumps"]
 
 _PREFERENCE = ("cholmod", "rslab", "mumps")
+
+
+def check_real_numbers(scalar: type = PETSc.ScalarType) -> None:
+    """Check that PETSc computes with real numbers.
+
+    Parameters
+    ----------
+    scalar : type
+        The numbers of matrices and vectors, by default those of PETSc.
+
+    Raises
+    ------
+    InputError
+        For complex numbers.
+    """
+    if np.issubdtype(scalar, np.complexfloating):
+        raise InputError(
+            "PETSc is built for complex numbers here, and contact needs real ones. Install the "
+            "real build: 'pip install dolfinx-solver-real' in place of dolfinx-solver-complex, "
+            "'apt install python3-dolfinx-real python3-petsc4py-real' with PETSC_DIR unset, or "
+            "'conda install -c conda-forge fenics-dolfinx petsc=*=real*'"
+        )
 
 
 @cache
@@ -55,28 +78,39 @@ def available_packages() -> list[str]:
     return [package for package in _PREFERENCE if _is_available(package)]
 
 
-def choose_package(package: Package) -> str:
+def choose_package(package: Package, available: Sequence[str] | None = None) -> str:
     """Return the name of the package to use.
 
     CHOLMOD solves with a factor of a few thousand unknowns fastest. rslab factors and solves as
     fast as MUMPS, in less memory and without its MPI communicators, which limit the number of
     factors.
 
+    Parameters
+    ----------
+    package : {"auto", "cholmod", "rslab", "mumps"}
+        The wanted one; "auto" takes the first that is available.
+    available : sequence of str, optional
+        Packages to choose from; by default those that are installed.
+
     Raises
     ------
     FactorizationError
-        If it is not installed.
+        If it is not available.
+    InputError
+        If PETSc computes with complex numbers.
     """
-    available = available_packages()
+    check_real_numbers()
+    if available is None:
+        available = available_packages()
     if package == "auto" and available:
         return available[0]
     if package in available:
         return package
     raise FactorizationError(
         f"there is no sparse Cholesky factorisation by {package!r}; available are "
-        f"{available or 'neither CHOLMOD nor rslab nor MUMPS'}. Choose another 'factor', install a "
-        "PETSc with CHOLMOD or MUMPS (Debian: python3-petsc4py-real, conda-forge: petsc4py), or "
-        "'pip install rslab'"
+        f"{list(available) or 'neither CHOLMOD nor rslab nor MUMPS'}. Choose another 'factor', "
+        "install a PETSc with CHOLMOD or MUMPS (Debian: python3-petsc4py-real, conda-forge: "
+        "petsc4py), or 'pip install rslab'"
     )
 
 

@@ -11,26 +11,42 @@ from mpi4py import MPI  # noqa: F401  first, or the wheels' petsc4py does not fi
 
 from petsc4py import PETSc
 
-__all__ = ["one_thread"]
+__all__ = ["one_thread", "openmp"]
 
 
 @cache
-def _openmp() -> ctypes.CDLL | None:
-    """Return what has the functions of the OpenMP library that PETSc's packages use, if any do."""
+def openmp(path: str) -> ctypes.CDLL | None:
+    """Return what has the functions of the OpenMP library that another library is linked with.
+
+    Parameters
+    ----------
+    path : str
+        The other library.
+
+    Returns
+    -------
+    ctypes.CDLL or None
+        None if it is linked with none.
+    """
     # the search for a symbol goes through all libraries that this one is linked with
-    library = ctypes.CDLL(PETSc.__file__)
+    library = ctypes.CDLL(path)
     return library if hasattr(library, "omp_set_max_active_levels") else None
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
+def one_thread(path: str = PETSc.__file__) -> Iterator[None]:
     """Let OpenMP's parallel regions run on one thread, whatever number they ask for.
 
     CHOLMOD 3 asks for four in its supernodal factorisation, whatever OMP_NUM_THREADS is.
     A factor of some thousand unknowns has many regions of a few microseconds, and on two
     processors the threads wait for each other most of the time: it takes three times as long.
+
+    Parameters
+    ----------
+    path : str
+        A library that is linked with what uses OpenMP; by default PETSc and its packages.
     """
-    library = _openmp()
+    library = openmp(path)
     if library is None:
         yield
         return

@@ -319,8 +319,8 @@ def build_projector(
     )
 
 
-def choose_factor(options: Options) -> str:
-    """Return the package of the sparse Cholesky factors.
+def choose_factor(options: Options, available: Sequence[str] | None = None) -> str:
+    """Return the package of the sparse Cholesky factors, of those that are available.
 
     Raises
     ------
@@ -328,5 +328,5 @@ def choose_factor(options: Options) -> str:
         If it is not available, or MUMPS is needed for a distributed coarse problem and missing.
     """
     if options.coarse_solver == "distributed":
-        choose_package("mumps")
-    return choose_package(options.factor)
+        choose_package("mumps", available)
+    return choose_package(options.factor, available)

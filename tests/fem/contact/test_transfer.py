@@ -32,6 +32,7 @@ def result_of(matched, pressure):
         matched.slave,
         matched.coordinates,
         matched.gap,
+        np.zeros_like(matched.gap),
         matched.normal,
         pressure * matched.area,
         pressure,

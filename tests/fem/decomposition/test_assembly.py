@@ -158,21 +158,6 @@ def test_far_from_the_origin():
     assert shared(assemble(row, uniform(row)(row.dx, row.ds))) == EQUAL
 
 
-def test_equal_boxes_are_assembled_once(monkeypatch):
-    sizes = []
-
-    def counted(form: Any) -> Any:
-        indptr, indices, data = original(form)
-        sizes.append(np.count_nonzero(np.diff(indptr) > row.mesh.geometry.dim))
-        return indptr, indices, data
-
-    row = row_of_boxes()
-    original = _compat.assemble_stiffness
-    monkeypatch.setattr(_compat, "assemble_stiffness", counted)
-    subdomains = assemble(row, uniform(row)(row.dx, row.ds))
-    assert sizes == [subdomains[0].size]
-
-
 def test_loads_are_each_one_s_own():
     row = row_of_boxes()
     v, x = ufl.TestFunction(row.V), ufl.SpatialCoordinate(row.mesh)

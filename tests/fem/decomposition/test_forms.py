@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from box_rows import INSIDE, LEFT, assemble, row_of_boxes
+from box_rows import BOTTOM, INSIDE, LEFT, assemble, row_of_boxes
 from scenes import YOUNG, elasticity, scalar_space
 
 import ufl
@@ -58,6 +58,16 @@ def test_integrals_over_interior_facets_are_refused():
     jump = ufl.inner(ufl.jump(u), ufl.jump(v)) * ufl.Measure("dS", domain=row.mesh)
     with pytest.raises(InputError, match="interior_facet; only dx and ds are supported"):
         prepared(row, stiffness(row) + jump)
+
+
+@pytest.mark.parametrize(
+    ("tags", "total"), [((BOTTOM, LEFT), 5.0), ((LEFT,), 1.0), ("everywhere", 10.0)]
+)
+def test_loads_on_tags(tags, total):
+    row = row_of_boxes()
+    v, one = ufl.TestFunction(row.V), fem.Constant(row.mesh, 1.0)
+    loads = assemble(row, stiffness(row), one * v[0] * row.ds(tags))
+    assert sum(s.load.sum() for s in loads) == pytest.approx(total)
 
 
 def test_tags_without_subdomain_data_are_refused():

@@ -19,7 +19,7 @@ from dolfinx import fem
 
 from fenics_tfeti import ContactPair
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.io import Box, boxes, contact_fields, von_mises, write_fields
+from fenics_tfeti.io import Box, boxes, contact_fields, piecewise_constant, von_mises, write_fields
 
 GDIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
 
@@ -61,6 +61,30 @@ def fields():
     pressure.x.array[:] = 5
     body.x.array[:] = 6
     return [displacement, pressure, body]
+
+
+def two_boxes():
+    """Return two unit squares apart, of 1 and 4 cells, with the tags 1 and 2."""
+    return boxes(
+        MPI.COMM_SELF,
+        [Box((0, 0), (1, 1), (1, 1)), Box((2, 0), (3, 1), (2, 2))],
+        "quadrilateral",
+    )
+
+
+def test_piecewise_constant_has_the_value_of_each_tag():
+    bodies = two_boxes()
+    E = piecewise_constant(bodies.mesh, bodies.cell_tags, {1: 3.0, 2: 5.0})
+    x = ufl.SpatialCoordinate(bodies.mesh)
+    assert sorted(E.x.array) == [3.0, 5.0, 5.0, 5.0, 5.0]
+    moment = fem.assemble_scalar(fem.form(E * x[0] * ufl.dx))
+    assert moment == pytest.approx(3.0 * 0.5 + 5.0 * 2.5, rel=1e-14)
+
+
+def test_piecewise_constant_names_tags_without_a_value():
+    bodies = two_boxes()
+    with pytest.raises(InputError, match=r"tags \[2\] have no value; .* for the tags \[1, 7\]"):
+        piecewise_constant(bodies.mesh, bodies.cell_tags, {7: 1.0, 1: 3.0})
 
 
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
@@ -208,14 +232,15 @@ def test_fields_may_be_used_in_forms():
     problem.solve()
     mesh = scene.mesh
     stress = von_mises(mesh, fem.Constant(mesh, np.diag([3.0, 0.0, 0.0])))
-    pressure, force, gap = contact_fields(scene.V, problem.contact)
-    for field in (stress, pressure, force[1], gap):
+    pressure, force, gap, opening = contact_fields(scene.V, problem.contact)
+    for field in (stress, pressure, force[1], gap, opening):
         assert np.isfinite(fem.assemble_scalar(fem.form(field * ufl.ds(domain=mesh))))
-    assert [w.name for w in (stress, pressure, force, gap)] == [
+    assert [w.name for w in (stress, pressure, force, gap, opening)] == [
         "von_mises_stress",
         "contact_pressure",
         "contact_force",
         "initial_gap",
+        "opening",
     ]
 
 

@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from msh_files import CELLS, SQUARE, write_cell, write_msh
+from msh_files import CELLS, SQUARE, TETRAHEDRON, write_cell, write_msh
 
 import dolfinx
 import ufl
@@ -152,10 +152,20 @@ def test_mixed_cells_are_refused(tmp_path):
         read_msh(write_msh(tmp_path / "a.msh", points, elements), MPI.COMM_SELF, gdim=2)
 
 
-def test_wrong_dimension_is_refused(tmp_path):
-    path = write_cell(tmp_path / "cell.msh", "triangle")
-    with pytest.raises(InputError, match="pass gdim=2"):
-        read_msh(path, MPI.COMM_SELF, gdim=3)
+@pytest.mark.parametrize(
+    ("points", "element", "gdim", "message"),
+    [
+        (SQUARE, (2, 4, (1, 2, 3)), 3, "in the plane pass gdim=2. .* a physical volume"),
+        (TETRAHEDRON, (4, 4, (1, 2, 3, 4)), 2, "gdim is 2: pass gdim=3$"),
+        (TETRAHEDRON, (2, 9, (1, 2, 4)), 3, "no volume cells. Give each body a physical volume"),
+        (SQUARE, (1, 9, (1, 2)), 2, "no surface cells. Give each body a physical surface"),
+    ],
+    ids=["plane mesh", "3D mesh", "no physical volume", "no physical surface"],
+)
+def test_wrong_dimension_is_refused(tmp_path, points, element, gdim, message):
+    path = write_msh(tmp_path / "a.msh", points, [element])
+    with pytest.raises(InputError, match=message):
+        read_msh(path, MPI.COMM_SELF, gdim=gdim)
 
 
 def two_beams_script():

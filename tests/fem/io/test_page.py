@@ -6,6 +6,7 @@ import dataclasses
 import json
 import re
 import shutil
+import sys
 from functools import lru_cache
 
 from mpi4py import MPI
@@ -15,7 +16,6 @@ import pytest
 import scenes
 
 from fenics_tfeti import InputError
-from fenics_tfeti.fem.io import page
 from fenics_tfeti.fem.io.page import page_of_report
 from fenics_tfeti.feti.report import without_nan
 from fenics_tfeti.io import contact_fields, von_mises
@@ -172,7 +172,7 @@ def test_wrong_arguments(tmp_path, monkeypatch):
         report.to_html(tmp_path / "page.html", uh, [uh])
     with pytest.raises(OSError, match="the page cannot be written"):
         report.to_html(tmp_path / "missing" / "page.html", uh)
-    monkeypatch.setattr(page, "find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "plotly", None)
     with pytest.raises(ImportError, match="pip install plotly"):
         report.to_html(tmp_path / "page.html")
     assert list(tmp_path.iterdir()) == []

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
+import os
+import sys
 
 from mpi4py import MPI
 
@@ -158,32 +159,26 @@ def test_no_numbers_are_refused(tmp_path):
     refused(tmp_path / "a.png", "'stress' has values that are NaN or infinite", u, stress)
 
 
-def without(monkeypatch, module):
-    """Pretend that a module is not installed."""
-    find = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda n: None if n == module else find(n))
-
-
 def test_missing_pyvista_says_how_to_install_it(tmp_path, monkeypatch):
-    without(monkeypatch, "pyvista")
+    monkeypatch.setitem(sys.modules, "pyvista", None)
     with pytest.raises(ImportError, match="pip install pyvista"):
         draw_deformed(tmp_path / "a.png", fields("triangle")[0])
 
 
 def test_missing_matplotlib_says_how_to_install_it(tmp_path, monkeypatch):
-    without(monkeypatch, "matplotlib")
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ImportError, match="pip install matplotlib"):
         draw_profile(tmp_path / "a.png", {}, "x", "y", comm=MPI.COMM_SELF)
 
 
-def other_renderer(monkeypatch, tmp_path, code):
-    script = tmp_path / "renderer.py"
-    script.write_text(code)
-    monkeypatch.setattr(pictures, "_RENDER", script)
+def other_pyvista(monkeypatch, tmp_path, code):
+    """Let the process that draws import another PyVista."""
+    (tmp_path / "pyvista.py").write_text(code)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
 
 
 def test_failure_to_draw_is_told_and_keeps_the_old_picture(tmp_path, monkeypatch):
-    other_renderer(monkeypatch, tmp_path, "import sys; sys.exit('no graphics')")
+    other_pyvista(monkeypatch, tmp_path, "import sys; sys.exit('no graphics')")
     path = tmp_path / "a.png"
     path.write_text("old")
     with pytest.raises(RuntimeError, match=r"exit code 1(.|\n)*no graphics"):
@@ -196,8 +191,9 @@ def test_renderer_is_no_rank_of_this_run(tmp_path, monkeypatch):
         import os, pathlib, sys
         assert not [name for name in os.environ if name.startswith(("OMPI_", "PMI_", "PMIX_"))]
         pathlib.Path(sys.argv[2]).write_text("drawn")
+        sys.exit()
     """
-    other_renderer(monkeypatch, tmp_path, "if True:" + code)
+    other_pyvista(monkeypatch, tmp_path, "if True:" + code)
     for name in ("OMPI_COMM_WORLD_SIZE", "PMI_RANK", "PMIX_RANK"):
         monkeypatch.setenv(name, "2")
     draw_deformed(tmp_path / "a.png", fields("triangle")[0])

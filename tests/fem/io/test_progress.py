@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import io
-import sys
-from types import SimpleNamespace
 
 from mpi4py import MPI
 
 import pytest
 
+from fenics_tfeti.fem.io.progress import bar_of_loop
 from fenics_tfeti.io import progress
 
 
@@ -24,20 +23,27 @@ class Terminal(io.StringIO):
         return self.getvalue().replace("\x1b[K", "").split("\r")[1:]
 
 
-def test_steps_and_bar(monkeypatch):
-    """Each step takes 30 s: the bar shows the steps done, the time and what is left."""
-    clock = iter(range(0, 1000, 30))
-    module = sys.modules["fenics_tfeti.fem.io.progress"]  # the function has its name
-    monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
+@pytest.mark.parametrize(
+    ("done", "seconds", "line"),
+    [
+        (0, 30.0, f"load step [{'.' * 30}] 0/3, 0:30"),
+        (1, 60.0, f"load step [{'#' * 10}{'.' * 20}] 1/3, 1:00, 2:00 left"),
+        (2, 90.0, f"load step [{'#' * 20}{'.' * 10}] 2/3, 1:30, 0:45 left"),
+    ],
+)
+def test_bar(done, seconds, line):
+    """The steps done, the time, and what is left if the others take as long."""
+    assert bar_of_loop("load step", done, 3, seconds) == line
+
+
+def test_steps():
     terminal = Terminal()
-    bar = progress("abc", "load step", MPI.COMM_SELF, terminal)
-    assert list(bar) == ["a", "b", "c"]
-    assert terminal.lines() == [
-        f"load step [{'.' * 30}] 0/3, 0:30",
-        f"load step [{'#' * 10}{'.' * 20}] 1/3, 1:00, 2:00 left",
-        f"load step [{'#' * 20}{'.' * 10}] 2/3, 1:30, 0:45 left",
-        "",
+    assert list(progress("abc", "load step", MPI.COMM_SELF, terminal)) == ["a", "b", "c"]
+    *lines, last = terminal.lines()
+    assert [line.split(",")[0] for line in lines] == [
+        bar_of_loop("load step", done, 3, 0.0).split(",")[0] for done in range(3)
     ]
+    assert last == ""
 
 
 def test_the_line_is_cleared_after_an_exception():

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from fenics_tfeti.fem.io import pictures
 
 pytest.importorskip("vtkmodules")
+
+SCRIPT = str(Path(pictures.__file__).with_name("_render.py"))
 
 EDGES = """
 import runpy, sys
@@ -28,7 +31,7 @@ print(len(ends), np.ptp(ends, axis=1).max(), both.points[:, 0].max())
 
 def test_edges_stay_with_their_body():
     """Two squares touch; the upper one is moved by 5."""
-    command = [sys.executable, "-P", "-c", EDGES, str(pictures._RENDER)]
+    command = [sys.executable, "-P", "-c", EDGES, SCRIPT]
     told = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
     assert [float(number) for number in told] == [8.0, 1.0, 1.0]
 
@@ -44,6 +47,6 @@ print(*without_margins(image).shape)
 
 
 def test_margins_are_removed():
-    command = [sys.executable, "-P", "-c", MARGINS, str(pictures._RENDER)]
+    command = [sys.executable, "-P", "-c", MARGINS, SCRIPT]
     told = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
     assert told == ["7", "12", "3"]

@@ -5,9 +5,8 @@ from torn import column
 
 from fenics_tfeti.errors import FactorizationError
 from fenics_tfeti.feti import Options, TornSolver
-from fenics_tfeti.feti.coarse import factor
 from fenics_tfeti.feti.coarse.factor import choose_coarse_solver
-from fenics_tfeti.feti.local import cholesky
+from fenics_tfeti.feti.solution.setup import choose_factor
 
 
 @pytest.mark.parametrize("ranks", [1, 2])
@@ -30,15 +29,14 @@ def test_faces_are_changes_where_these_are_few(changes, solver):
     assert choose_coarse_solver(500, 30_000, changes) == solver
 
 
-def test_nothing_is_distributed_without_mumps(monkeypatch):
-    monkeypatch.setattr(factor, "available_packages", lambda: ["cholmod"])
-    assert choose_coarse_solver(100, 10**6, 10**6) == "redundant"
+def test_nothing_is_distributed_without_mumps():
+    assert choose_coarse_solver(100, 10**6, 10**6) == "distributed"
+    assert choose_coarse_solver(100, 10**6, 10**6, mumps=False) == "redundant"
 
 
-def test_distributed_without_mumps_is_an_error(monkeypatch):
-    monkeypatch.setattr(cholesky, "available_packages", lambda: ["cholmod"])
+def test_distributed_without_mumps_is_an_error():
     with pytest.raises(FactorizationError, match="'mumps'"):
-        TornSolver(column(), Options(coarse_solver="distributed"))
+        choose_factor(Options(coarse_solver="distributed"), ["cholmod"])
 
 
 @pytest.mark.parametrize("solver", ["distributed", "inverse"])

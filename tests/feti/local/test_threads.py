@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI  # noqa: F401  first, or the wheels' petsc4py does not find the MPI library
+
+from petsc4py import PETSc
+
 import pytest
 from new_process import run_python
 
-from fenics_tfeti.feti.local import threads
 from fenics_tfeti.feti.local.cholesky import available_packages
-from fenics_tfeti.feti.local.threads import one_thread
+from fenics_tfeti.feti.local.threads import one_thread, openmp
 
 FACTOR = """
 import os
@@ -31,9 +34,9 @@ def test_a_factorisation_starts_no_threads(monkeypatch):
     assert run_python(FACTOR) == "0"
 
 
-@pytest.mark.skipif(threads._openmp() is None, reason="PETSc's packages do not use OpenMP")
+@pytest.mark.skipif(openmp(PETSc.__file__) is None, reason="PETSc's packages do not use OpenMP")
 def test_the_levels_of_parallel_regions_are_put_back():
-    library = threads._openmp()
+    library = openmp(PETSc.__file__)
     before = library.omp_get_max_active_levels()
     with pytest.raises(RuntimeError, match="wrong"), one_thread():
         assert library.omp_get_max_active_levels() == 0
@@ -41,7 +44,7 @@ def test_the_levels_of_parallel_regions_are_put_back():
     assert library.omp_get_max_active_levels() == before
 
 
-def test_nothing_happens_without_openmp(monkeypatch):
-    monkeypatch.setattr(threads, "_openmp", lambda: None)
-    with one_thread():
+def test_nothing_happens_without_openmp():
+    assert openmp("libc.so.6") is None
+    with one_thread("libc.so.6"):
         pass

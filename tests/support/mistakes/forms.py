@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import scenes
-from scenes import ROLLER, YOUNG
+from scenes import LOADED, ROLLER, SLAVE, YOUNG
 
 import ufl
 from dolfinx import fem, mesh
@@ -89,6 +89,58 @@ def forms_exchanged(comm):
     scene.problem().solve()
 
 
+@mistake("linear form L", r"ds\(99\)", "boundary", r"tags there are \[1, 2, 3, 5, 6\]")
+def load_on_a_tag_of_no_facet(comm):
+    scene = beams(comm)
+    v = ufl.TestFunction(scene.V)
+    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
+    scene.L = scene.kept[1] * v[1] * ds((LOADED, 99))
+    scene.problem()
+
+
+@mistake("bilinear form a", r"dx\(3\)", "no cell", r"tags there are \[1, 2\]")
+def stiffness_on_a_tag_of_no_cell(comm):
+    scene = beams(comm)
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    dx = ufl.Measure("dx", domain=scene.mesh, subdomain_data=scene.cell_tags)
+    scene.a += scenes.elasticity(u, v, scene.kept[0], dx(3))
+    scene.problem()
+
+
+@mistake("linear form L", r"ds\(4\)", "boundary", r"tags there are \[5\]")
+def load_on_facets_inside_a_body(comm):
+    scene = beams(comm)
+    inside = mesh.locate_entities(scene.mesh, 1, scenes.at(0, 0.5))
+    surface = scene.facet_tags.find(SLAVE)
+    facets = np.concatenate([inside, surface])
+    order = np.argsort(facets)
+    tags = np.repeat(np.array([4, SLAVE], dtype=np.int32), [inside.size, surface.size])
+    ds = ufl.Measure(
+        "ds",
+        domain=scene.mesh,
+        subdomain_data=mesh.meshtags(scene.mesh, 1, facets[order], tags[order]),
+    )
+    scene.L = scene.kept[1] * ufl.TestFunction(scene.V)[1] * ds(4)
+    scene.problem()
+
+
+@mistake("linear form L", "tags of another mesh")
+def load_on_tags_of_another_mesh(comm):
+    scene, other = beams(comm), beams(comm)
+    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=other.facet_tags)
+    scene.L = scene.kept[1] * ufl.TestFunction(scene.V)[1] * ds(LOADED)
+    scene.problem()
+
+
+@mistake("linear form L", "2 different subdomain_data", "join")
+def loads_with_two_facet_tags(comm):
+    scene = beams(comm)
+    again = mesh.meshtags(scene.mesh, 1, scene.facet_tags.indices, scene.facet_tags.values)
+    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=again)
+    scene.L += scene.kept[1] * ufl.TestFunction(scene.V)[0] * ds(LOADED)
+    scene.problem()
+
+
 @mistake("a and L", "different function spaces")
 def forms_on_two_meshes(comm):
     scene, other = beams(comm), beams(comm)
@@ -107,6 +159,37 @@ def compiled_stiffness(comm):
 def compiled_load(comm):
     scene = beams(comm)
     scene.L = fem.form(scene.L)
+    scene.problem()
+
+
+@mistake("no trial function", "Function 'w'", "TrialFunction", "Newton step")
+def residual_for_the_stiffness(comm):
+    scene = beams(comm)
+    w = fem.Function(scene.V, name="w")
+    scene.a = scenes.elasticity(w, ufl.TestFunction(scene.V), scene.kept[0])
+    scene.problem()
+
+
+@mistake("a is not linear in its arguments", "Newton step")
+def form_that_is_not_linear_in_the_trial_function(comm):
+    scene = beams(comm)
+    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
+    scene.a += scene.kept[0] * ufl.inner(ufl.grad(u) * ufl.grad(u), ufl.grad(v)) * ufl.dx
+    scene.problem()
+
+
+@mistake("a is not linear in its arguments", "ufl.lhs and ufl.rhs")
+def load_in_the_stiffness(comm):
+    scene = beams(comm)
+    scene.a -= scene.L
+    scene.problem()
+
+
+@mistake("L is not linear in its arguments", "test function")
+def load_with_the_test_function_twice(comm):
+    scene = beams(comm)
+    v = ufl.TestFunction(scene.V)
+    scene.L += scene.kept[1] * ufl.inner(v, v) * ufl.dx
     scene.problem()
 
 

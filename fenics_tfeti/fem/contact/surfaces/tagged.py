@@ -17,7 +17,7 @@ from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets, owned_facets
+from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets, owned_facets
 from fenics_tfeti.fem.messages import coordinate_order, raise_where
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, VANISHING_NORMAL
@@ -257,8 +257,10 @@ def tagged_surface(
     vertices = facet_nodes[:, : facet_type.vertices]
     global_nodes = np.asarray(to_global(nodes), dtype=np.int64)
     of_vertices = np.asarray(to_global(vertices.ravel()), dtype=np.int64).reshape(vertices.shape)
-    size = _smallest_facets(domain, boundary.coordinates[vertices], of_vertices, global_nodes)
-    normal, area = _normals_and_areas(domain.comm, weighted, size, coordinates, given, what)
+    gdim = domain.geometry.dim
+    corners = boundary.coordinates[vertices, :gdim]
+    size, whole = _facets_at_nodes(domain.comm, corners, of_vertices, global_nodes)
+    normal, area = _normals_and_areas(domain.comm, weighted, whole, coordinates, given, what)
     return Surface(
         global_nodes,
         nodes,
@@ -397,15 +399,18 @@ def _check_facets(
 def _normals_and_areas(
     comm: MPI.Intracomm,
     weighted: Vector,
-    size: Vector,
+    whole: Vector,
     coordinates: Vector,
     given: GivenNormal,
     what: str,
 ) -> tuple[Vector, Vector]:
-    """Return unit normals (k, gdim) and the areas (k,) projected along them."""
+    """Return unit normals (k, gdim) and the areas (k,) projected along them.
+
+    `weighted` are the integrals of the normal, `whole` those of its length.
+    """
     gdim = weighted.shape[1]
     length = np.linalg.norm(weighted, axis=1)
-    least = VANISHING_NORMAL * size ** (gdim - 1)
+    least = VANISHING_NORMAL * whole
     if given is None:
         raise_where(
             comm,
@@ -431,14 +436,23 @@ def _normals_and_areas(
     return normal, area
 
 
-def _smallest_facets(domain: Any, corners: Vector, vertices: Numbers, nodes: Numbers) -> Vector:
-    """Return the mean edge length of the smallest facet at each node, over all ranks' facets."""
+def _facets_at_nodes(
+    comm: MPI.Intracomm, corners: Vector, vertices: Numbers, nodes: Numbers
+) -> tuple[Vector, Vector]:
+    """Return the mean edge length of the smallest facet and the facets' area at each node.
+
+    Collective. The area is the integral of the node's shape function over all ranks' facets.
+    """
     # of a segment both edges are the segment
     edges = np.roll(corners, -1, axis=1) - corners
     mean = np.linalg.norm(edges, axis=2).mean(axis=1)
-    directory = Directory(domain.comm, np.unique(vertices))
-    keys, sizes = directory.collect(vertices.ravel(), np.repeat(mean, vertices.shape[1]))
-    smallest = np.full(directory.keys.size, np.inf)
-    np.minimum.at(smallest, directory.position(keys), sizes)
-    size: Vector = directory.lookup(nodes, smallest)[1]
-    return size
+    areas = np.linalg.norm(corner_normals(corners), axis=2)
+    directory = Directory(comm, np.unique(vertices))
+    keys, sizes, areas = directory.collect(
+        vertices.ravel(), np.repeat(mean, vertices.shape[1]), areas.ravel()
+    )
+    at, count = directory.position(keys), directory.keys.size
+    smallest = np.full(count, np.inf)
+    np.minimum.at(smallest, at, sizes)
+    _, size, area = directory.lookup(nodes, smallest, np.bincount(at, areas, count))
+    return size, area

@@ -72,10 +72,18 @@ def test_no_facets(empty):
     assert not integrate(surfaces["slave"], surfaces["master"]).facet.size
 
 
-def test_many_blocks_equal_one(monkeypatch):
-    slave, master = grid((6, 6)), grid((5, 7), (0.2, 0.2), up=False)
-    whole = integrate(slave, master)
-    monkeypatch.setattr("fenics_tfeti.fem.contact.mortar.integrals._BLOCK", 5)
-    blocks = integrate(slave, master)
-    for name in ("facet", "pair", "master", "mass", "coupling"):
-        assert np.array_equal(getattr(whole, name), getattr(blocks, name))
+def test_facets_are_integrated_block_by_block():
+    """A facet has the same integrals, whichever others there are."""
+    slave, master = grid((33, 33)), grid((5, 7), (0.2, 0.2), (1.1, 1.1), up=False)
+    last = np.arange(len(slave) - 300, len(slave))
+    whole, alone = (
+        integrate(slave, master),
+        integrate(Facets(slave.points, slave.corners[last]), master),
+    )
+    chosen = np.isin(whole.facet, last)
+    pairs = chosen[whole.pair]
+    assert np.array_equal(whole.facet[chosen], last[alone.facet])
+    assert np.array_equal(whole.master[pairs], alone.master)
+    for name in ("covered", "mass", "gap"):
+        assert np.array_equal(getattr(whole, name)[chosen], getattr(alone, name))
+    assert np.array_equal(whole.coupling[pairs], alone.coupling)

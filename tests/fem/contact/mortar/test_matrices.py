@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from time import process_time
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -118,15 +116,11 @@ def test_weight_of_the_measure():
 
 @pytest.mark.parametrize("corners", [3, 4])
 def test_hundred_thousand_facets(corners):
-    """Triangles, or half as many distorted quadrilaterals.
-
-    In five seconds where the processor is not shared; the test allows for a slower one.
-    """
+    """Triangles, or half as many distorted quadrilaterals."""
     slave = grid((224, 224), corners=corners, jitter=0.3)
     low, high = (-0.001, -0.001), (1.001, 1.001)
     master = grid((223, 225), low, high, up=False, corners=corners, jitter=0.3, seed=1)
-    start = process_time()
-    matrices, *_ = assemble(slave, master)
-    seconds = process_time() - start
+    matrices, _, rows = assemble(slave, master)
+    assert rows.all()
+    check_identities(slave, master, matrices, rows)
     assert np.isclose(matrices.area.sum(), 1.0)
-    assert seconds < 10.0

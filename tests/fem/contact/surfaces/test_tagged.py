@@ -116,6 +116,17 @@ def test_normals_that_cancel_are_refused():
         surface_of(scenes.vector_space(domain), tags, SLAVE)
 
 
+@pytest.mark.parametrize("cell", CELLS)
+def test_normals_of_stretched_facets(cell):
+    """Of facets in a plane, however long and thin, no normals cancel."""
+    scene = scenes.two_beams(MPI.COMM_SELF, cell, 2)
+    scene.mesh.geometry.x[:, 0] *= 1e6
+    surface = surface_of(scene.V, scene.facet_tags, SLAVE)
+    up = np.eye(scene.mesh.geometry.dim)[-1]
+    np.testing.assert_allclose(surface.normal, np.tile(-up, (surface.nodes.size, 1)), atol=1e-15)
+    assert surface.area.sum() == pytest.approx(1e6)
+
+
 def test_facets_inside_a_body_are_refused():
     V, _ = strips()
     domain = V.mesh

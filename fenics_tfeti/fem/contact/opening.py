@@ -1,0 +1,64 @@
+"""Gaps after the solve: what displacements leave of the gaps of contact conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx.fem import FunctionSpace
+
+from fenics_tfeti.fem.contact.contact import ContactPairing
+from fenics_tfeti.fem.contact.matching import contact_rows
+from fenics_tfeti.feti.system import ContactRows
+from fenics_tfeti.parallel import values_of_owners
+
+__all__ = ["openings", "row_values"]
+
+Vector = NDArray[np.float64]
+
+
+def openings(
+    space: FunctionSpace, pairings: Sequence[ContactPairing], displacement: Vector
+) -> list[Vector]:
+    """Return the openings (k,) of each contact's conditions, in order [m]. Collective.
+
+    An opening is the gap less the approach of the surfaces along the slave's normal; infinite where
+    there is no obstacle.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    pairings : sequence of ContactPairing
+        This rank's part of each contact.
+    displacement : (n,) array
+        At the degrees of freedom that this rank owns [m].
+    """
+    rows = contact_rows(pairings, space.mesh.geometry.dim)
+    opening = (rows.gap - row_values(space, rows, displacement)) / rows.length
+    ends = np.cumsum([pairing.slave.size for pairing in pairings])
+    return np.split(opening, ends[:-1]) if len(pairings) else []
+
+
+def row_values(space: FunctionSpace, rows: ContactRows, displacement: Vector) -> Vector:
+    """Return sum_k c_k'u(node_k) of rows (k,) whose nodes may be on any rank. Collective.
+
+    Parameters
+    ----------
+    space : FunctionSpace
+        The displacement's space.
+    rows : ContactRows
+        This rank's.
+    displacement : (n,) array
+        At the degrees of freedom that this rank owns [m].
+    """
+    index_map, gdim = space.dofmap.index_map, space.dofmap.index_map_bs
+    nodes = np.unique(rows.nodes)
+    values = displacement.reshape(-1, gdim)
+    found = values_of_owners(space.mesh.comm, index_map.local_range, values, nodes)
+    terms = np.sum(rows.coefficients * found[np.searchsorted(nodes, rows.nodes)], axis=1)
+    sums = np.zeros(rows.size)
+    np.add.at(sums, rows.row, terms)
+    return sums

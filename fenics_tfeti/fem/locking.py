@@ -1,0 +1,172 @@
+"""Whether displacements of degree 1 lock, because a material is nearly incompressible.
+
+Some cells are measured by their element matrices. The energies of linear displacements are the
+elasticity tensor. Its largest eigenvalue, d lambda + 2 mu, belongs to the dilatation, the others,
+2 mu, to shear. Quadrilaterals and hexahedra lock if the volumetric term resists dilatations that
+vary within the cell, too: if it is not integrated by one point.
+"""
+
+from __future__ import annotations
+
+import warnings
+from itertools import combinations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.decomposition.assembly import PreparedForms
+from fenics_tfeti.fem.decomposition.bodies import Bodies
+from fenics_tfeti.fem.reference_cells import ReferenceCell
+from fenics_tfeti.fem.topology import cell_type, cell_vertices
+from fenics_tfeti.parallel import raise_collectively
+
+__all__ = ["locking_ratio", "warn_of_locking"]
+
+Vector = NDArray[np.float64]
+
+# Poisson's ratio from which on linear elements are much too stiff
+_NEARLY_INCOMPRESSIBLE = 0.49
+# cells of each body and of each tag of the form that are measured on each rank
+_CELLS = 4
+# cosine between the stiffest strain and the dilatation of a material that is stiff in no other way
+_DILATATION = 0.99
+# share of the dilatations that vary within a cell that the volumetric term resists, if it locks
+_RESISTED = 0.5
+
+
+def warn_of_locking(forms: PreparedForms, bodies: Bodies) -> None:
+    """Warn, on rank 0, if cells of degree 1 lock. Collective.
+
+    Parameters
+    ----------
+    forms : PreparedForms
+        The user's forms.
+    bodies : Bodies
+        Those of the mesh.
+    """
+    space = forms.space
+    domain = space.mesh
+    if _compat.element_facts(space)[1] > 1:
+        return
+    cells, type_ = _samples(forms, bodies), cell_type(domain)
+    corners = domain.geometry.x[cell_vertices(domain)[cells], : domain.geometry.dim]
+    matrices = forms.cell_matrices(cells)
+    ratios = [locking_ratio(type_, x, K) for x, K in zip(corners, matrices, strict=True)]
+    own = max(zip(ratios, bodies.of_cell[cells].tolist(), strict=True), default=(0.0, 0))
+    ratio, body = max(domain.comm.allgather(own))
+    if ratio <= _NEARLY_INCOMPRESSIBLE:
+        return
+    remedy = "Take displacements of degree 2 (displacement_space(mesh, degree=2))"
+    if not type_.is_simplex:
+        remedy += (
+            ", or integrate the volumetric term, lambda div(u) div(v), by one point: "
+            "dx(metadata={'quadrature_degree': 0})"
+        )
+    with raise_collectively(domain.comm):
+        if domain.comm.rank == 0:
+            warnings.warn(
+                f"{bodies.names[body]}: displacements of degree 1 lock at a Poisson's ratio of "
+                f"{ratio:.4g}: the result is much too stiff. {remedy}",
+                stacklevel=3,
+            )
+
+
+def _samples(forms: PreparedForms, bodies: Bodies) -> NDArray[np.int32]:
+    """Return some cells of each body and tag, and those where coefficients are extreme."""
+    groups = [np.flatnonzero(bodies.of_cell == body) for body in np.unique(bodies.of_cell)]
+    form = forms.bilinear
+    if form.cell_tag is not None:
+        groups += [np.flatnonzero(form.cell_tag == tag) for tag in form.cell_ids]
+    chosen = [group[:: max(1, -(-group.size // _CELLS))] for group in groups]
+    for values in form.cell_data():
+        if values.dtype.kind == "f" and len(values):
+            of_cell = values[: bodies.of_cell.size].reshape(bodies.of_cell.size, -1)
+            chosen += [of_cell.argmin(axis=0), of_cell.argmax(axis=0)]
+    found: NDArray[np.int32] = np.unique(np.concatenate([np.zeros(0), *chosen])).astype(np.int32)
+    return found
+
+
+def locking_ratio(type_: ReferenceCell, corners: Vector, K: Vector) -> float:
+    """Return Poisson's ratio of a cell's material, or 0 where the cell does not lock.
+
+    Parameters
+    ----------
+    type_ : ReferenceCell
+        The cell's type.
+    corners : (v, gdim) array
+        Its vertices [m].
+    K : (v gdim, v gdim) array
+        Its stiffness matrix for displacements of degree 1 [N/m].
+    """
+    d, x = type_.dim, corners - corners.mean(axis=0)
+    linear = np.stack([(x @ strain).ravel() for strain in _strains(d)], axis=1)
+    moduli, tensors = np.linalg.eigh(linear.T @ K @ linear)
+    dilatation = np.repeat([1.0, 0.0], [d, len(moduli) - d]) / np.sqrt(d)
+    if moduli[-2] <= 0.0 or abs(tensors[:, -1] @ dilatation) < _DILATATION:
+        return 0.0
+    # of the moduli d lambda + 2 mu and 2 mu, times the volume
+    lame = 2.0 / d * (moduli[-1] / moduli[-2] - 1.0)
+    poisson = float(0.5 * lame / (1.0 + lame))
+    if poisson > _NEARLY_INCOMPRESSIBLE and not type_.is_simplex:
+        mu = 0.5 * moduli[:-1].mean()
+        if _resisted(x, K, mu, (moduli[-1] - 2.0 * mu) / d) < _RESISTED:
+            return 0.0
+    return poisson
+
+
+def _strains(d: int) -> list[Vector]:
+    """Return an orthonormal basis of the symmetric matrices, the diagonal ones first."""
+    strains = []
+    for i, j in [*((k, k) for k in range(d)), *combinations(range(d), 2)]:
+        unit = np.zeros((d, d))
+        unit[i, j] += 1.0
+        unit[j, i] += 1.0
+        strains.append(unit / np.linalg.norm(unit))
+    return strains
+
+
+def _resisted(x: Vector, K: Vector, mu_volume: float, lambda_volume: float) -> float:
+    """Return which share of the dilatations that vary within a cell the volumetric term resists.
+
+    For the products of two coordinates as displacements along one of them, as in bending: 1 with
+    all points of integration, 0 with one.
+    """
+    d = x.shape[1]
+    pairs = [(a, b) for a, b in product(range(d), repeat=2) if a != b]
+    modes = np.zeros((len(pairs), *x.shape))
+    for mode, (a, b) in zip(modes, pairs, strict=True):
+        mode[:, a] = x[:, a] * x[:, b]
+    volume, squares, means, shear = 0.0, 0.0, np.zeros(len(modes)), 0.0
+    for gradients, weight in _gauss_points(x):
+        slopes = np.einsum("mva,vb->mab", modes, gradients)
+        strain = 0.5 * (slopes + slopes.transpose(0, 2, 1))
+        dilatation = np.trace(strain, axis1=1, axis2=2)
+        volume += weight
+        squares += weight * float(dilatation @ dilatation)
+        means += weight * dilatation
+        shear += weight * 2.0 * float(np.sum(strain**2))
+    constant = float(means @ means) / volume
+    flat = modes.reshape(len(modes), -1)
+    energy = float(np.einsum("mi,ij,mj->", flat, K, flat))
+    of_dilatation = (energy * volume - mu_volume * shear) / lambda_volume
+    return (of_dilatation - constant) / (squares - constant)
+
+
+def _gauss_points(x: Vector) -> list[tuple[Vector, float]]:
+    """Return gradients of the shape functions (v, d), and det J times the weight, at 2^d points."""
+    v, d = x.shape
+    bits = np.arange(v)[:, None] >> np.arange(d) & 1
+    found = []
+    for point in product((0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12)), repeat=d):
+        factors = np.where(bits, point, 1.0 - np.array(point))
+        along = np.stack(
+            [
+                (2.0 * bits[:, k] - 1.0) * np.delete(factors, k, axis=1).prod(axis=1)
+                for k in range(d)
+            ],
+            axis=1,
+        )
+        jacobian = x.T @ along
+        found.append((along @ np.linalg.inv(jacobian), abs(np.linalg.det(jacobian)) / 2**d))
+    return found

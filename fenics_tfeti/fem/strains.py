@@ -1,0 +1,118 @@
+"""Whether the strains and rotations of a solution are as small as linear elasticity assumes."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx.fem import Function
+
+from fenics_tfeti.fem.decomposition.bodies import Bodies
+from fenics_tfeti.fem.reference_cells import ReferenceCell
+from fenics_tfeti.fem.topology import cell_type, cell_vertices, vertex_nodes
+from fenics_tfeti.parallel import raise_collectively
+
+__all__ = ["cell_gradients", "warn_of_large_gradients"]
+
+Vector = NDArray[np.float64]
+
+# |grad u| from which on its square, which linear elasticity leaves out, is no small part of it
+_LARGE = 0.1
+# share of the strain energy that is more than that of corners and point loads
+_SHARE = 0.1
+# cells at once
+_CELLS = 2**14
+
+
+def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Sequence[float]) -> bool:
+    """Warn, on rank 0, if displacement gradients are large in cells that carry load. Collective.
+
+    They are those at the midpoints. Bodies without strain energy may turn as far as they like.
+
+    Parameters
+    ----------
+    uh : Function
+        The displacement [m].
+    bodies : Bodies
+        Those of its mesh.
+    energy : sequence of float
+        The strain energy of each [J].
+
+    Returns
+    -------
+    bool
+        Whether it has warned, on all ranks.
+    """
+    comm = uh.function_space.mesh.comm
+    size, strain2 = _cell_measures(uh, bodies.of_cell.size)
+    large = size > _LARGE
+    sums, largest = np.zeros((2, len(energy))), np.zeros(len(energy))
+    np.add.at(sums[0], bodies.of_cell, strain2)
+    np.add.at(sums[1], bodies.of_cell[large], strain2[large])
+    np.maximum.at(largest, bodies.of_cell, size)
+    comm.Allreduce(MPI.IN_PLACE, sums)
+    comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+    # the strain energy in large cells, as a share of that of all bodies
+    share = np.divide(sums[1], sums[0], out=np.zeros_like(largest), where=sums[0] > 0.0)
+    share *= np.asarray(energy) / max(sum(energy), np.finfo(float).tiny)
+    if share.sum() <= _SHARE:
+        return False
+    worst = int(share.argmax())
+    with raise_collectively(comm):
+        if comm.rank == 0:
+            warnings.warn(
+                f"|grad u| is as large as {largest[worst]:.2g} in {bodies.names[worst]}, and above "
+                f"{_LARGE:g} in cells with {share.sum():.0%} of the strain energy; linear "
+                "elasticity and the contact conditions are right for |grad u| much smaller than 1 "
+                "only. Do the units fit, such as E in Pa with lengths in m, or in MPa with mm?",
+                stacklevel=3,
+            )
+    return True
+
+
+def _cell_measures(uh: Function, cells: int) -> tuple[Vector, Vector]:
+    """Return |grad u| and |strain|^2 times the volume of the cells that this rank owns."""
+    space = uh.function_space
+    domain, gdim = space.mesh, space.dofmap.index_map_bs
+    type_, u = cell_type(domain), uh.x.array.reshape(-1, gdim)
+    vertices, nodes = cell_vertices(domain)[:cells], vertex_nodes(space)[:cells]
+    size, strain2 = np.empty((2, cells))
+    for first in range(0, cells, _CELLS):
+        some = slice(first, first + _CELLS)
+        corners = domain.geometry.x[vertices[some], :gdim]
+        gradient, volume = cell_gradients(type_, corners, u[nodes[some]])
+        strain = 0.5 * (gradient + gradient.transpose(0, 2, 1))
+        size[some] = np.linalg.norm(gradient, axis=(1, 2))
+        strain2[some] = np.sum(strain**2, axis=(1, 2)) * volume
+    return size, strain2
+
+
+def cell_gradients(type_: ReferenceCell, corners: Vector, values: Vector) -> tuple[Vector, Vector]:
+    """Return the gradients of a vector field at the midpoints of cells.
+
+    Parameters
+    ----------
+    type_ : ReferenceCell
+        The cells' type.
+    corners, values : (k, v, gdim) arrays
+        Coordinates [m] and values at the vertices.
+
+    Returns
+    -------
+    gradient : (k, gdim, gdim) array
+        Derivatives of the components in rows.
+    volume : (k,) array
+        det J at the midpoint, by magnitude [m^gdim].
+    """
+    if type_.is_simplex:
+        along = np.vstack([-np.ones(type_.dim), np.eye(type_.dim)])
+    else:
+        bits = np.arange(type_.vertices)[:, None] >> np.arange(type_.dim) & 1
+        along = (2.0 * bits - 1.0) / 2 ** (type_.dim - 1)
+    jacobian, differences = (np.einsum("kva,vd->kad", f, along) for f in (corners, values))
+    return differences @ np.linalg.inv(jacobian), np.abs(np.linalg.det(jacobian))

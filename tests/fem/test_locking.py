@@ -1,0 +1,109 @@
+"""Locking of linear elements: measured by element matrices, told with the remedy."""
+
+from __future__ import annotations
+
+import warnings
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scenes import YOUNG, at, dimension, fixed, scalar_space, vector_space
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactProblem, Plane, RigidObstacle
+from fenics_tfeti.io import Box, boxes, tag_facets
+
+CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
+TOP, GROUND = 1, 2
+ONE_POINT = ufl.dx(metadata={"quadrature_degree": 0})
+
+
+def hooke(u, v, poisson, young=YOUNG, volumetric=ufl.dx):
+    """Return the form of elasticity, in two dimensions of plane strain."""
+    mu, lam = young / (2 * (1 + poisson)), young * poisson / ((1 + poisson) * (1 - 2 * poisson))
+    strain, variation = ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))
+    shear = 2 * mu * ufl.inner(strain, variation) * ufl.dx
+    return shear + lam * ufl.div(u) * ufl.div(v) * volumetric
+
+
+def told(cell, form, degree=1, comm=MPI.COMM_SELF, distort=0.03):
+    """Return the warnings of a block on a rigid plane, with distorted cells."""
+    d = dimension(cell)
+    block = Box((0.0,) * d, (2.0, 1.0, 1.0)[:d], (6, 3, 3)[:d])
+    domain = boxes(comm, [block], cell).mesh
+    x = domain.geometry.x
+    bubble = np.prod([np.sin(np.pi * x[:, k]) for k in range(d)], axis=0)
+    tags = tag_facets(domain, [(TOP, at(d - 1, 1.0)), (GROUND, at(d - 1, 0.0))])
+    x[:, 0] += 4 * distort * bubble
+    V = vector_space(domain, degree)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    plane = Plane((0.0,) * d, (0.0,) * (d - 1) + (1.0,))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ContactProblem(
+            form(u, v), 0, [fixed(V, tags, TOP, None, -1e-3)], RigidObstacle(tags, GROUND, plane)
+        )
+    return [str(warning.message) for warning in caught if warning.category is UserWarning]
+
+
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("poisson", [0.495, 0.4999])
+def test_nearly_incompressible_cells_of_degree_1(cell, poisson):
+    (message,) = told(cell, lambda u, v: hooke(u, v, poisson))
+    assert f"degree 1 lock at a Poisson's ratio of {poisson:.4g}" in message
+    assert "degree=2" in message
+    assert ("by one point" in message) == (cell in ("quadrilateral", "hexahedron"))
+
+
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("poisson", [-0.3, 0.1, 0.3, 0.485])
+def test_compressible_materials_do_not_lock(cell, poisson):
+    assert not told(cell, lambda u, v: hooke(u, v, poisson))
+
+
+@pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
+@pytest.mark.parametrize("poisson", [0.495, 0.4999])
+def test_one_point_of_the_volumetric_term_does_not_lock(cell, poisson):
+    assert not told(cell, lambda u, v: hooke(u, v, poisson, volumetric=ONE_POINT))
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_degree_2_does_not_lock(cell):
+    assert not told(cell, lambda u, v: hooke(u, v, 0.4999), degree=2)
+
+
+def test_plane_stress_does_not_lock():
+    def form(u, v):
+        strain = ufl.sym(ufl.grad(u))
+        stress = YOUNG / (1 - 0.5**2) * (0.5 * strain + 0.5 * ufl.tr(strain) * ufl.Identity(2))
+        return ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx
+
+    assert not told("triangle", form)
+
+
+def test_stiff_fibres_do_not_lock():
+    """The stiffest strain is not the dilatation."""
+
+    def form(u, v):
+        fibres = 1e3 * YOUNG * u[0].dx(0) * v[0].dx(0) * ufl.dx
+        return hooke(u, v, 0.3) + fibres
+
+    assert not told("hexahedron", form)
+
+
+@pytest.mark.parametrize("soft", [0, -1])
+def test_one_cell_of_another_material(soft):
+    """Poisson's ratio is a function; the cell with the largest one is among those measured."""
+
+    def form(u, v):
+        domain = u.ufl_function_space().mesh
+        ratio = fem.Function(scalar_space(domain, "DG", 0))
+        ratio.x.array[:] = 0.3
+        ratio.x.array[soft] = 0.499
+        return hooke(u, v, ratio)
+
+    (message,) = told("hexahedron", form)
+    assert "0.499" in message

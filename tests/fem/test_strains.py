@@ -1,0 +1,94 @@
+"""Displacement gradients of cells, and the warning where they are not small."""
+
+from __future__ import annotations
+
+import warnings
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from mesh_arrays import CELLS, block
+from scenes import YOUNG, two_beams
+
+from dolfinx import fem
+
+from fenics_tfeti.fem.decomposition.bodies import find_bodies
+from fenics_tfeti.fem.reference_cells import reference_cell
+from fenics_tfeti.fem.strains import cell_gradients, warn_of_large_gradients
+
+COMM = MPI.COMM_SELF
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_gradient_of_a_linear_field(cell):
+    points, cells = block(cell)
+    d = points.shape[1]
+    random = np.random.default_rng(3)
+    points = points + 0.1 * random.random(points.shape)
+    A = random.standard_normal((d, d))
+    gradient, volume = cell_gradients(reference_cell(cell), points[cells], points[cells] @ A.T)
+    np.testing.assert_allclose(gradient, np.tile(A, (len(cells), 1, 1)), atol=1e-12)
+    assert np.all(volume > 0.0)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_volume(cell):
+    points, cells = block(cell)
+    volume = cell_gradients(reference_cell(cell), points[cells], points[cells])[1]
+    d = points.shape[1]
+    share = {"triangle": 2, "tetrahedron": 6}.get(cell, 1)
+    assert volume.sum() / share == pytest.approx(np.prod(np.ptp(points, axis=0)[:d]))
+
+
+def test_modulus_in_other_units_is_told_once():
+    """E in MPa, lengths in metres, pressure in Pa."""
+    scene = two_beams(COMM, "quadrilateral", 4)
+    scene.kept[0].value = 1e-6 * YOUNG
+    problem = scene.problem()
+    with pytest.warns(UserWarning, match=r"grad u. is as large as .* 100% .* the units") as told:
+        problem.solve()
+    assert len(told) == 1
+    assert told[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        problem.solve()
+
+
+def test_small_strains_are_not_told():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        two_beams(COMM, "quadrilateral", 4).problem().solve()
+
+
+def is_told(displace, energy):
+    """Tell whether a displacement of two beams, with these energies, is warned of."""
+    scene = two_beams(COMM, "quadrilateral", 8, gap=0.5)
+    uh = fem.Function(scene.V)
+    uh.interpolate(displace)
+    bodies = find_bodies(scene.mesh, scene.cell_tags)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        found = warn_of_large_gradients(uh, bodies, energy)
+    assert len(told) == found
+    return found
+
+
+def strained_below_turned_above(x):
+    above = x[1] > 1.25
+    return np.stack([1e-3 * x[0] - above * (0.5 * x[1]), 0.5 * above * x[0]])
+
+
+@pytest.mark.parametrize(("energy", "told"), [((1.0, 0.0), False), ((1.0, 0.2), True)])
+def test_bodies_that_turn_without_being_strained_do_not_count(energy, told):
+    assert is_told(strained_below_turned_above, energy) == told
+
+
+@pytest.mark.parametrize(("columns", "told"), [(1, False), (6, True)])
+def test_strains_of_few_cells_do_not_count(columns, told):
+    """Strained by 0.12 in some of the 16 columns of cells of one of two bodies, else by 0.09."""
+
+    def displace(x):
+        return np.stack([0.09 * x[0] + 0.03 * np.minimum(x[0], columns / 8), 0.0 * x[1]])
+
+    assert is_told(displace, (1.0, 1.0)) == told
