@@ -702,6 +702,7 @@ def _contact_result(
         pressure=force / matched.area,
         active=force > 0.0,
         area=matched.area,
+        coverage=np.ones_like(force) if matched.coverage is None else matched.coverage,
         friction=friction,
         comm=comm,
     )

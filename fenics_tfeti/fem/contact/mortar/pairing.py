@@ -187,6 +187,7 @@ def _pairing(
         conditions.covered,
         None,
         conditions.terms,
+        conditions.coverage,
         prescribed,
     )
 
