@@ -47,6 +47,7 @@ from fenics_tfeti.fem.contact.deformed import (
     geometry_pass,
 )
 from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
+from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
 from fenics_tfeti.fem.contact.roles import ALIKE, exchanged, roles_ratio, warn_of_roles
 from fenics_tfeti.fem.contact.slip import (
     NodalFriction,
@@ -452,6 +453,10 @@ class ContactProblem:
                     warn_of_roles(match.name, ratio)
         if len(self._exchanged) > before:
             self._match_contacts(prescribed)
+        with raise_collectively(comm):
+            for contact, match in zip(self.contacts, self._matched, strict=True):
+                if comm.rank == 0 and id(contact) not in known:
+                    warn_of_deviation(match.summary)
 
     def _pairing_entries(self) -> list[dict[str, Any]]:
         ratios = {id(contact): ratio for contact, ratio in self._judged}

@@ -28,7 +28,7 @@ from fenics_tfeti.fem.contact.mortar.matrices import (
 )
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
-from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights
+from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, facet_deviations
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
 from fenics_tfeti.parallel import Directory, concatenate_buffers
 
@@ -121,6 +121,8 @@ class MortarConditions:
     chord : (k,) array
         Largest distance of the facets of both surfaces there from curved surfaces through their
         nodes [m].
+    deviation : (k,) array
+        The same distance for curved facets of degree 2, see `facet_deviations`.
     angle : (k,) array
         Largest angle there between the normals of a slave facet and the opposite of those of the
         master facets over it [degrees].
@@ -136,6 +138,7 @@ class MortarConditions:
     area: Vector
     coverage: Vector
     chord: Vector
+    deviation: Vector
     angle: Vector
     covered: Mask
     covered_area: float
@@ -248,7 +251,7 @@ def _conditions(
     integral = share[:, None] * np.column_stack([matrices.gap, matrices.area])[at]
     sums = _sums_at(to_owners, nodes, row, integral)
     whole, covered = _sums_at(to_owners, nodes, slave.nodes, parts).T
-    chord, angle = _largest_at_nodes(to_owners, slave, other, normals, integrals, nodes)
+    largest = _largest_at_nodes(to_owners, slave, other, normals, integrals, nodes)
     facets = np.zeros(len(slave.facets), dtype=bool)
     facets[integrals.facet] = True
     return MortarConditions(
@@ -257,8 +260,7 @@ def _conditions(
         sums[:, :-1] / sums[:, -1:],
         sums[:, -1],
         covered / whole,
-        chord,
-        angle,
+        *largest,
         facets,
         float(integrals.covered.sum()),
     )
@@ -412,29 +414,34 @@ def _largest_at_nodes(
     normals: Vector,
     integrals: FacetIntegrals,
     nodes: Numbers,
-) -> tuple[Vector, Vector]:
-    """Return the largest chord heights and angles between facets around each condition's node.
+) -> tuple[Vector, Vector, Vector]:
+    """Return the largest chords, deviations and angles of facets around each condition's node.
 
     The angles are those between the planes of the facets' corners.
     """
     facet, other = integrals.facet[integrals.pair], integrals.master
     corners = slave.facets.points[slave.facets.corners]
     over = master.points[master.corners]
-    of_master = chord_heights(over, normals[master.corners], _middles(master))
-    chord = chord_heights(corners, slave.normals, _middles(slave.facets))
+    of_master, of_slave = (
+        np.column_stack([chord_heights(*curved), facet_deviations(*curved)])
+        for curved in (
+            (over, normals[master.corners], _middles(master)),
+            (corners, slave.normals, _middles(slave.facets)),
+        )
+    )
     planes, opposite = Planes.of(corners), Planes.of(over)
     angle = angles_between(planes.normal[facet], -opposite.normal[other])
-    largest = np.zeros((len(corners), 2))
+    largest = np.zeros((len(corners), 3))
     np.maximum.at(largest, facet, np.column_stack([of_master[other], angle]))
-    largest[:, 0] += chord
+    largest[:, :2] += of_slave
     covered = slave.facets.corners[integrals.facet]
     at, values = to_owners.forward(
         slave.nodes[covered.ravel()], np.repeat(largest[integrals.facet], covered.shape[1], axis=0)
     )
     there = np.isin(at, nodes)
-    result = np.zeros((nodes.size, 2))
+    result = np.zeros((nodes.size, 3))
     np.maximum.at(result, np.searchsorted(nodes, at[there]), values[there])
-    return result[:, 0], result[:, 1]
+    return result[:, 0], result[:, 1], result[:, 2]
 
 
 def _middles(surface: Facets) -> Vector | None:

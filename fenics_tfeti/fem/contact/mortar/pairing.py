@@ -106,6 +106,7 @@ def match_by_mortar(
         slave.nodes.size,
         area=conditions.area,
         covered_area=conditions.covered_area,
+        deviation=conditions.deviation if contact.initial_gap == "geometric" else None,
     )
     return _pairing(name, conditions, slave, normal, gap, summary, prescribed)
 
