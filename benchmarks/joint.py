@@ -10,72 +10,10 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 from pathlib import Path
-from typing import Any
 
-from mpi4py import MPI
-
-import numpy as np
-
-import ufl
-from dolfinx import fem
-
-from fenics_tfeti import ContactPair, ContactProblem
-from fenics_tfeti.io import displacement_space, read_msh
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "meshes"))
-
-PULL = 5292.0  # [N]
-
-
-def read_joint(size: float, degree: int, comm: MPI.Intracomm = MPI.COMM_WORLD) -> Any:
-    """Mesh the joint on rank 0 and read it on all."""
-    from pin_joint import pin_joint
-
-    folder = tempfile.mkdtemp() if comm.rank == 0 else ""
-    path = Path(comm.bcast(folder)) / "joint.msh"
-    if comm.rank == 0:
-        pin_joint(path, size, degree)
-    comm.barrier()
-    return read_msh(path, comm)
-
-
-def joint_problem(
-    bodies: Any, degree: int, exchange: bool = False, spring: float = 0.0, **of_pair: Any
-) -> ContactProblem:
-    """Return the problem; slaves are the holes, or with roles exchanged the pin."""
-    mesh, tags, names = bodies.mesh, bodies.facet_tags, bodies.names
-    E, nu = 2.1e5, 0.3
-    mu, lmbda = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
-    V = displacement_space(mesh, degree=degree)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    eps_u, eps_v = ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))
-    a = (lmbda * ufl.tr(eps_u) * ufl.tr(eps_v) + 2 * mu * ufl.inner(eps_u, eps_v)) * ufl.dx
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
-    one = fem.Constant(mesh, 1.0)
-    area = mesh.comm.allreduce(fem.assemble_scalar(fem.form(one * ds(names["lug end"]))))
-    L = fem.Constant(mesh, PULL / area) * v[0] * ds(names["lug end"])
-    held = fem.locate_dofs_topological(V, 2, tags.find(names["fork end"]))
-    pairs = []
-    for hole in ("lug", "fork"):
-        slave, master = names[f"{hole} surface"], names["pin surface"]
-        if exchange:
-            slave, master = master, slave
-        pairs.append(ContactPair(tags, slave, master, name=f"pin in {hole}", **of_pair))
-    return ContactProblem(a, L, bcs=[fem.dirichletbc(np.zeros(3), held, V)], contacts=pairs)
-
-
-def axial_motion(bodies: Any, uh: fem.Function) -> dict[str, float]:
-    """Return the mean displacements of lug and pin along the pin [mm]."""
-    mesh, motion = uh.function_space.mesh, {}
-    dx = ufl.Measure("dx", domain=mesh, subdomain_data=bodies.cell_tags)
-    one = fem.Constant(mesh, 1.0)
-    for name in ("lug", "pin"):
-        forms = (uh[2] * dx(bodies.names[name]), one * dx(bodies.names[name]))
-        moved, volume = (mesh.comm.allreduce(fem.assemble_scalar(fem.form(form))) for form in forms)
-        motion[name] = moved / volume
-    return motion
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
+from joints import axial_motion, joint_problem, read_joint
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
     python meshes/pin_joint.py [--element-size 1.5] [--order 1] [--output pin_joint.msh]
 
 Needs Gmsh with its Python module ('apt install python3-gmsh' or 'pip install gmsh').
-Lengths are in millimetres. The pin's axis is the z axis, its ends have fillets; the lug extends
+Lengths are in millimetres. The pin's axis is the z axis, its ends have chamfers; the lug extends
 along x, the fork against x. The holes are wider than the pin by the clearance in radius. With
 cells of order 2 the nodes in the middle of edges are on the cylinders too.
 """
@@ -17,7 +17,7 @@ import gmsh
 
 RADIUS, CLEARANCE = 5.0, 0.02  # of the pin; of the holes, in radius
 HALF_LUG, GAP, TINE = 4.9, 0.1, 7.0  # thickness of half the lug, gap beside it, thickness of a tine
-HALF_PIN, FILLET = 13.0, 1.0  # half the pin's length
+HALF_PIN, CHAMFER = 13.0, 1.0  # half the pin's length
 HALF_WIDTH, LENGTH, BRIDGE = 9.0, 30.0, 10.0  # of lug and fork; of the fork's closed end
 TINY = 1e-3
 
@@ -50,7 +50,7 @@ def _pin() -> int:
     sides = gmsh.model.getBoundary([(3, rod)], oriented=False)
     ends = [tag for dim, tag in sides if gmsh.model.getType(dim, tag) == "Plane"]
     rims = [gmsh.model.getBoundary([(2, end)], oriented=False)[0][1] for end in ends]
-    ((_, body),) = occ.fillet([rod], rims, [FILLET])
+    ((_, body),) = occ.chamfer([rod], rims, ends, [CHAMFER])
     return int(body)
 
 

@@ -41,6 +41,10 @@ VANISHING_NORMAL = 1e-3
 # Deviation of the length of a user's unit normals from 1.
 UNIT_LENGTH = 1e-6
 
+# Root mean square of the normals of a faceted surface along its axis, up to which it may be the
+# facets' scatter: 0.016 with 12 facets around a cylinder.
+AXIAL_TILT = 2e-2
+
 # -- far away ----------------------------------------------------------------------------------
 
 # Gap of an obstacle [m] from which on it counts as infinite: squares of much larger ones overflow.

@@ -32,6 +32,7 @@ from fenics_tfeti.fem.contact.nodes import search
 from fenics_tfeti.fem.contact.nodes.matching_meshes import meshes_match
 from fenics_tfeti.fem.contact.obstacle_conditions import match_obstacle
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
+from fenics_tfeti.fem.contact.surfaces.extrusions import without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, initial_gap
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas, weighted_form
@@ -94,7 +95,21 @@ def match_contacts(
         for i, contact in enumerate(contacts)
     ]
     check_different_nodes(contacts, pairings, comm)
-    return pairings
+    return _across_axes(comm, contacts, pairings)
+
+
+def _across_axes(
+    comm: MPI.Intracomm, contacts: Sequence[Contact], pairings: Sequence[ContactPairing]
+) -> list[ContactPairing]:
+    """Return pairings whose normals have no tilt along the axes of their surfaces. Collective.
+
+    Normals of the user and of obstacles are exact.
+    """
+    faceted = [isinstance(c, ContactPair) and c.normal is None for c in contacts]
+    chosen = [p for p, f in zip(pairings, faceted, strict=True) if f and p.normal.shape[1] == 3]
+    normals = without_axial_tilt(comm, [(p.normal, p.coordinates, p.area) for p in chosen])
+    new = {id(p): n for p, n in zip(chosen, normals, strict=True) if n is not p.normal}
+    return [replace(p, normal=new[id(p)]) if id(p) in new else p for p in pairings]
 
 
 def match_contact(

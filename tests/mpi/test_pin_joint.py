@@ -1,0 +1,36 @@
+"""The joint of fork, lug and pin on any number of ranks."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import pytest
+from joints import axial_motion, joint_problem, read_joint
+
+pytest.importorskip("gmsh")
+
+
+@pytest.mark.parametrize("exchange", [False, True], ids=["holes", "pin"])
+def test_motions_along_the_pin_are_free_ones(exchange):
+    outcomes = []
+    for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):
+        meshes = read_joint(2.5, 1, comm)
+        problem = joint_problem(meshes, 1, exchange, initial_gap=0.02)
+        motion = axial_motion(meshes, problem.solve())
+        assert max(map(abs, motion.values())) < 0.1
+        report, contacts = problem.report, [contact.gather() for contact in problem.contact]
+        assert len(report.free_motions) == 2
+        assert all("translation along (0, 0, 1)" in motion for motion in report.free_motions)
+        outcomes.append(
+            [len(report.weak_motions), *(contact.pressure.max() for contact in contacts)]
+        )
+    assert outcomes[0] == pytest.approx(outcomes[1], rel=1e-3)
+
+
+def test_sizes_of_clearance_and_deviation_are_the_same():
+    entries = [
+        joint_problem(read_joint(2.5, 1, comm), 1)._matched[0].summary
+        for comm in (MPI.COMM_WORLD, MPI.COMM_SELF)
+    ]
+    for key in ("pairs", "deviation", "blurred", "mean_gap"):
+        assert entries[0][key] == pytest.approx(entries[1][key], rel=1e-9)
