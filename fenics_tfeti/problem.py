@@ -48,6 +48,7 @@ from fenics_tfeti.fem.contact.deformed import (
 )
 from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
 from fenics_tfeti.fem.contact.opening import openings
+from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
 from fenics_tfeti.fem.contact.roles import (
     describe_roles,
     exchanged,
@@ -473,6 +474,10 @@ class ContactProblem:
             with raise_collectively(comm):
                 if ratio is not None and comm.rank == 0:
                     warn_of_roles(match.name, ratio)
+        with raise_collectively(comm):
+            for contact, match in zip(self.contacts, self._matched, strict=True):
+                if comm.rank == 0 and id(contact) not in known:
+                    warn_of_deviation(match.summary)
 
     def _exchange_roles(self, contact: ContactPair, prescribed: Prescribed) -> str | None:
         """Exchange the roles of a pair; return the error, if any, with which they are as given."""
@@ -760,6 +765,7 @@ def _contact_result(
         pressure=force / matched.area,
         active=force > 0.0,
         area=matched.area,
+        coverage=np.ones_like(force) if matched.coverage is None else matched.coverage,
         friction=friction,
         comm=comm,
     )

@@ -38,7 +38,10 @@ class ContactReport(Report):
         slave's normal and the opposite of the master's [degrees], ``smallest_gap``,
         ``largest_gap`` and ``mean_gap`` [m], of mortar conditions those of their means, and the
         ``covered_area`` of the slave [m^2; m in 2D] (None for obstacles). Nodes at which an
-        obstacle's gap is infinite are unmatched. Mortar conditions have the tags of ``slave`` and
+        obstacle's gap is infinite are unmatched. Of mortar conditions whose gaps are those of the
+        mesh also ``deviation``, the largest distance of the facets of both surfaces from curved
+        surfaces through their nodes [m], and ``blurred``, the share of the area with gaps smaller
+        than it (None for others). Mortar conditions have the tags of ``slave`` and
         ``master`` as well, and ``roles_ratio``, E / h of the slave over that of the master, which
         is better below 20 (None for others); ``roles`` says whether they were exchanged, and why,
         or why not (None where the given ones are good).
@@ -114,6 +117,7 @@ _COLUMNS = {
     "largest_gap": "to [m]",
     "mean_gap": "mean [m]",
     "covered_area": "area",
+    "deviation": "deviation [m]",
 }
 
 
@@ -135,12 +139,13 @@ def pairing_table(pairing: Sequence[Mapping[str, Any]]) -> str:
     >>> entry = {"contact": "joint", "discretisation": "mortar", "pairs": 25, "unmatched": 0}
     >>> entry |= {"largest_distance": None, "largest_relative_distance": None}
     >>> entry |= {"largest_angle": 0.0, "smallest_gap": 0.0, "largest_gap": 0.01}
-    >>> table = pairing_table([entry | {"mean_gap": 0.002, "covered_area": 0.5}])
+    >>> entry |= {"mean_gap": 0.002, "covered_area": 0.5, "deviation": 0.001}
+    >>> table = pairing_table([entry])
     >>> head, line = table.splitlines()
     >>> head.split()[:4], line.split()[:4]
     (['contact', 'discretisation', 'pairs', 'unmatched'], ['joint', 'mortar', '25', '0'])
     >>> line.split()[4:]
-    ['-', '-', '0', '0', '0.01', '0.002', '0.5']
+    ['-', '-', '0', '0', '0.01', '0.002', '0.5', '0.001']
     """
     rows = [list(_COLUMNS.values())]
     rows += [[_word(entry[key]) for key in _COLUMNS] for entry in pairing]

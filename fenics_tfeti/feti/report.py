@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
@@ -34,6 +35,7 @@ from fenics_tfeti.feti.solution.states import (
 )
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.timer import Timer
+from fenics_tfeti.feti.tolerances import WEAKLY_RESISTED
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.qp import OuterIteration
 
@@ -106,6 +108,9 @@ class Report:
         of magnitudes of nodal forces among them.
     free_motions : list of str
         Rigid motions that the solution leaves undetermined; their smallest amount was taken.
+    weak_motions : list of str
+        Rigid motions that only a tilt of contact normals resists, with the contacts: how far bodies
+        have moved that way is known hardly better than for free motions.
     certificate : Certificate
         Residuals of the primal problem.
     dual_tolerance : float
@@ -151,6 +156,7 @@ class Report:
     springs: Resultant
     equilibrium: float
     free_motions: list[str]
+    weak_motions: list[str]
     certificate: Certificate
     dual_tolerance: float
     converged: bool
@@ -190,6 +196,7 @@ class Report:
             ("force on slave", f"{format_point(r.force)} of {r.name!r}") for r in self.on_slaves
         ]
         rows += [("free motion", motion) for motion in self.free_motions]
+        rows += [("weak motion", motion) for motion in self.weak_motions]
         rows.append(("result", self.reason))
         return "\n".join(f"{name:>16}  {value}" for name, value in rows)
 
@@ -301,16 +308,10 @@ def build_report(
         springs=sums.springs,
         equilibrium=sums.equilibrium,
         free_motions=[
-            "; ".join(
-                describe_body_motion(
-                    system,
-                    setup.local.kernels,
-                    setup.projector.coarse_space.own_part(motion.toarray().ravel()),
-                    either_way=True,
-                )
-            )
+            _described(system, setup, motion.toarray().ravel())
             for motion in candidate.face.free.T.tocsr()
         ],
+        weak_motions=_weak_motions(system, setup, candidate),
         certificate=candidate.certificate,
         dual_tolerance=outcome.tolerance,
         converged=outcome.converged,
@@ -323,6 +324,41 @@ def build_report(
         slip_bounds=history.slip_bounds,
         comm=comm,
     )
+
+
+def _described(
+    system: TornSystem, setup: DualSetup, motion: NDArray[np.float64], negligible: float = 1e-6
+) -> str:
+    """Name the bodies that take part in a motion (coarse,). Collective."""
+    own = setup.projector.coarse_space.own_part(motion)
+    bodies = describe_body_motion(system, setup.local.kernels, own, True, negligible)
+    return "; ".join(bodies)
+
+
+def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) -> list[str]:
+    """Describe the motions that active rows resist weakly, and by which contacts. Collective."""
+    constraints, coarse_space = setup.constraints, setup.projector.coarse_space
+    _, weak = coarse_space.weakly_resisted(candidate.face.rows, WEAKLY_RESISTED)
+    owned = constraints.inequality[: constraints.owned_inequalities]
+    contact, active = constraints.contact[: owned.size], candidate.face.rows[owned]
+    number = coarse_space.comm.allreduce(int(contact.max(initial=-1)), MPI.MAX) + 1
+    found = []
+    for z in weak.T.tocsr():
+        motion = z.toarray().ravel()
+        closing = (coarse_space.bodies.moved[owned[active]] @ motion) ** 2
+        squares = np.bincount(contact[active], closing, number)
+        resistance = np.sqrt(coarse_space.comm.allreduce(squares))
+        # what is not the contacts' is that of supports or friction
+        if not resistance.any():
+            continue
+        words = _described(system, setup, coarse_space.coarse_motions(motion), WEAKLY_RESISTED)
+        names = [
+            f"{system.contact_name(int(i))!r} by {resistance[i]:.0e}"
+            for i in np.argsort(-resistance)
+            if resistance[i] > 0.1 * resistance.max()
+        ]
+        found.append(f"{words}; closes only {', '.join(names)} of the motion")
+    return found
 
 
 def _friction_work(constraints: Constraints, candidate: Candidate, contacts: int) -> list[float]:

@@ -19,6 +19,7 @@ __all__ = [
     "SYMMETRIC",
     "UNDEFORMED",
     "UNRESISTED",
+    "WEAKLY_RESISTED",
     "ZERO_ENERGY",
 ]
 
@@ -40,6 +41,8 @@ SOFT_SUPPORT = 1e-3
 # ||B R xi|| below which no constraint resists a rigid motion, relative to its root mean square
 # displacement, for rows of unit length
 UNRESISTED = 1e-9
+# the same, below which only the tilt of normals on faceted surfaces resists, which holds nothing
+WEAKLY_RESISTED = 1e-2
 # work of the load on a rigid motion, relative to the sum of forces on the bodies that move times
 # the same displacement; closing speed relative to the motion
 NO_WORK = 1e-9

@@ -7,6 +7,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from mortar_blocks import LOADED, LOWER, PRESSURE, SUPPORTED, UPPER, Blocks, solved, uneven
+from mortar_feet import FOOT, TABLE, foot_on_table
 from scenes import YOUNG, elasticity, fixed, vector_space
 
 import ufl
@@ -19,7 +20,7 @@ from fenics_tfeti.parallel import concatenate_ranks
 COMM = MPI.COMM_WORLD
 CASES = {
     "triangle": Blocks("triangle", 6, 8, width=0.63),
-    "tetrahedron": Blocks("tetrahedron", 3, 4, width=0.63, jitter=0.2),
+    "tetrahedron": Blocks("tetrahedron", 4, 5, width=0.63, jitter=0.2),
     "hexahedron": Blocks("hexahedron", 3, 4, jitter=0.05),
     "triangle of degree 2": Blocks("triangle", 6, 8, width=0.63, degree=2),
     "tetrahedron of degree 2": Blocks("tetrahedron", 2, 3, jitter=0.2, degree=2),
@@ -39,7 +40,7 @@ def by_place(problem):
     """Return the contact's fields, in the order of places, on every rank."""
     contact = problem.contact[0].gather()
     order = np.lexsort(np.round(contact.coordinates, 9).T)
-    names = ("coordinates", "gap", "normal", "normal_force", "pressure", "area")
+    names = ("coordinates", "gap", "normal", "normal_force", "pressure", "area", "coverage")
     return {name: getattr(contact, name)[order] for name in names}
 
 
@@ -112,3 +113,15 @@ def test_tied_blocks():
     scale = np.abs(alone).max(axis=0)
     np.testing.assert_allclose(here[order[0]] / scale, alone[order[1]] / scale, atol=1e-6)
     np.testing.assert_allclose(force, expected, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("slave", [TABLE, FOOT], ids=["table", "foot"])
+def test_barely_covered_nodes(slave):
+    """Facets at nodes beside the foot belong to several ranks."""
+    here, alone = (
+        by_place(foot_on_table("hexahedron", (8, 6), 0.03, slave, comm))
+        for comm in (COMM, MPI.COMM_SELF)
+    )
+    for name in ("coordinates", "area", "coverage", "pressure"):
+        scale = np.abs(alone[name]).max()
+        np.testing.assert_allclose(here[name], alone[name], rtol=0.0, atol=1e-6 * scale)

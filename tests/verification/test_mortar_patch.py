@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mortar_blocks import LOADED, LOWER, PRESSURE, SUPPORTED, UPPER, Blocks, solved
+from mortar_feet import FOOT, TABLE, foot_on_table
 from scenes import POISSON, YOUNG, fixed, vector_space
 
 import ufl
@@ -114,3 +115,18 @@ def test_axisymmetric(slave):
     assert np.abs(uh - exact).max() < 1e-10 * np.abs(exact).max()
     np.testing.assert_allclose(problem.contact[0].pressure, PRESSURE, rtol=1e-8)
     assert problem.contact[0].normal_force.sum() == pytest.approx(0.5 * PRESSURE)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.015, 0.03], ids=["middle", "15 mm", "30 mm"])
+@pytest.mark.parametrize("grid", [(8, 6), (12, 5)], ids=["8:6", "12:5"])
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
+def test_largest_pressure_with_either_side_as_slave(cell, grid, offset):
+    """Beside a foot, nodes of the table are covered by any small part."""
+    table, foot = (foot_on_table(cell, grid, offset, slave) for slave in (TABLE, FOOT))
+    for problem in (table, foot):
+        contact = problem.contact[0]
+        assert contact.pressure @ contact.area == pytest.approx(problem.report.contact_force[0])
+        assert contact.area.sum() == pytest.approx(problem.report.pairing[0]["covered_area"])
+    largest = [problem.contact[0].pressure.max() for problem in (table, foot)]
+    assert 1.0 / 1.5 < largest[0] / largest[1] < 1.5
+    assert table.contact[0].coverage.min() >= 0.4 and np.allclose(foot.contact[0].coverage, 1.0)

@@ -240,6 +240,8 @@ class ContactPairing:
     terms : MortarTerms, optional
         The terms of mortar conditions, also those of degree 2 at obstacles; None for pairs of nodes
         and for degree 1 at obstacles.
+    coverage : (k,) array, optional
+        See `ContactResult`; 1 by default.
     prescribed : (s, gdim) bool array, optional
         Which components are prescribed at the surface's nodes, for mortar conditions.
     master_surface : Surface, optional
@@ -258,6 +260,7 @@ class ContactPairing:
     covered: NDArray[np.bool_]
     weighted_form: _compat.CompiledForm | None
     terms: MortarTerms | None = None
+    coverage: Vector | None = None
     prescribed: NDArray[np.bool_] | None = None
     master_surface: Surface | None = None
 
@@ -329,7 +332,13 @@ class ContactResult:
         Whether the normal force is positive.
     area : (k,) array
         The area by which the normal force is divided [m^2; m in 2D]. With mortar conditions that of
-        the covered part of the surface around the node.
+        the covered part of the surface around the node: the areas add up to what is covered, and
+        the sum of ``pressure * area`` is the contact force.
+    coverage : (k,) array
+        The share of the slave's area around the node that the master covers, up to 1: less at the
+        rim of the contact. With mortar conditions, nodes that are covered by less than 0.4 have no
+        condition of their own, and are not among the nodes: what is covered around them belongs to
+        their neighbours that are covered better, and has the mean of these' pressures.
     friction : FrictionResult or None
         Friction forces and slips; None for a contact without friction.
     on_master : bool
@@ -349,6 +358,7 @@ class ContactResult:
     pressure: Vector
     active: NDArray[np.bool_]
     area: Vector
+    coverage: Vector
     friction: FrictionResult | None = None
     on_master: bool = False
     comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF, repr=False)

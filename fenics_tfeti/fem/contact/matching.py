@@ -40,6 +40,7 @@ from fenics_tfeti.fem.contact.surfaces.tagged import (
     MasterNodes,
     MeshBoundary,
     Surface,
+    area_of_facets,
     gather_master,
     largest_of_facets,
     tagged_surface,
@@ -277,6 +278,7 @@ def _match_nodes(
         slave,
         covered,
         form,
+        coverage=(area_of_facets(boundary, slave, covered) / slave.area)[found],
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Mapping
 from typing import Any
 
 from mpi4py import MPI
@@ -11,10 +13,14 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
 
-__all__ = ["angles_between", "pairing_summary"]
+__all__ = ["angles_between", "pairing_summary", "warn_of_deviation"]
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+# share of the area with gaps smaller than the deviation of the facets, above which the user is
+# told: surfaces that touch at a point or on a line have few such nodes around it
+_BLURRED = 0.5
 
 
 def pairing_summary(
@@ -28,6 +34,7 @@ def pairing_summary(
     relative: Vector | None = None,
     area: Vector | None = None,
     covered_area: float | None = None,
+    deviation: Vector | None = None,
 ) -> dict[str, Any]:
     """Summarise the pairing of a contact; the same on all ranks. Collective.
 
@@ -51,6 +58,9 @@ def pairing_summary(
         Weights of the mean gap.
     covered_area : float, optional
         Area of this rank's facets that has a partner [m^2 or m].
+    deviation : (k,) array, optional
+        How far the facets of both surfaces are from the curved surfaces through their nodes [m];
+        None where gaps do not depend on it.
 
     Returns
     -------
@@ -76,7 +86,39 @@ def pairing_summary(
         "largest_gap": largest(gap),
         "mean_gap": _mean(comm, gap, area, there),
         "covered_area": None if covered_area is None else comm.allreduce(covered_area),
+        "deviation": None if deviation is None else largest(deviation),
+        "blurred": (
+            None if deviation is None else _mean(comm, _blurred(gap, deviation), area, there)
+        ),
     }
+
+
+def _blurred(gap: Vector, deviation: Vector) -> Vector:
+    """Return 1 where a gap is there, but smaller than the deviation of the facets, else 0."""
+    blurred: Vector = np.where((gap != 0.0) & (np.abs(gap) < deviation), 1.0, 0.0)
+    return blurred
+
+
+def warn_of_deviation(entry: Mapping[str, Any]) -> None:
+    """Warn if the gaps of a contact are mostly smaller than the deviation of its facets.
+
+    Parameters
+    ----------
+    entry : mapping
+        Of `Report.pairing`.
+    """
+    if (entry["blurred"] or 0.0) <= _BLURRED:
+        return
+    mean, deviation = entry["mean_gap"], entry["deviation"]
+    kind = "clearance" if mean >= 0.0 else "interference"
+    warnings.warn(
+        f"{entry['contact']}: the {kind} of the mesh, {abs(mean):.3g} in the mean, is smaller than "
+        f"the deviation of the facets from the curved surfaces, up to {deviation:.3g}: gaps "
+        f"between {entry['smallest_gap']:.3g} and {entry['largest_gap']:.3g} decide where the "
+        "surfaces touch. Give the size that is meant, initial_gap=... (or 'touching' for none), or "
+        "use cells of second order with displacement_space(mesh, degree=2), or finer facets",
+        stacklevel=2,
+    )
 
 
 def _mean(comm: MPI.Intracomm, gap: Vector, area: Vector | None, there: Mask) -> float | None:

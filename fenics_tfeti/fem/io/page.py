@@ -87,6 +87,7 @@ def _verdict(report: Mapping[str, Any], title: str) -> str:
         ("time", f"{report['seconds']['total']:.3g} s, MPI ranks: {report['ranks']}"),
         ("potential energy", f"{_number(report['energy'])} J"),
         *(("free motion", motion) for motion in report["free_motions"]),
+        *(("weak motion", motion) for motion in report["weak_motions"]),
     ]
     return f'<h1>{escape(title)}</h1>\n<div class="{kind} wide">{_table(facts)}</div>'
 

@@ -153,7 +153,11 @@ def _centres_and_sizes(system: TornSystem, bodies: int) -> tuple[Vector, Vector,
 
 
 def describe_body_motion(
-    system: TornSystem, kernels: Sequence[Vector], own_motion: Vector, either_way: bool = False
+    system: TornSystem,
+    kernels: Sequence[Vector],
+    own_motion: Vector,
+    either_way: bool = False,
+    negligible: float = 1e-6,
 ) -> list[str]:
     """Name the bodies that take part in a motion, and how each of them moves.
 
@@ -167,6 +171,8 @@ def describe_body_motion(
         This rank's part of the coarse vector xi of the motion R xi.
     either_way : bool
         Whether the opposite motion is meant as well.
+    negligible : float
+        Size of what is left out, relative to the motion.
 
     Returns
     -------
@@ -182,7 +188,7 @@ def describe_body_motion(
         displacement = out_of_frame(turned, subdomain.frame)
         size = float(np.abs(displacement).max(initial=0.0))
         if size > parts.get(subdomain.body, (0.0, ""))[0]:
-            words = describe_motion(subdomain.coordinates, displacement, either_way)
+            words = describe_motion(subdomain.coordinates, displacement, either_way, negligible)
             parts[subdomain.body] = size, words
     merged: dict[int, tuple[float, str]] = {}
     for part in system.comm.allgather(parts):
@@ -192,5 +198,5 @@ def describe_body_motion(
     return [
         f"{system.body_name(body)}: {words}"
         for body, (size, words) in sorted(merged.items())
-        if size > 1e-6 * largest
+        if size > negligible * largest
     ]

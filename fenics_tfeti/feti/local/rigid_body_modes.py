@@ -118,7 +118,12 @@ def kernel(subdomain: Subdomain) -> Vector:
     return low_energy_modes(subdomain)[0]
 
 
-def describe_motion(coordinates: Vector, displacement: Vector, either_way: bool = False) -> str:
+def describe_motion(
+    coordinates: Vector,
+    displacement: Vector,
+    either_way: bool = False,
+    negligible: float = 1e-6,
+) -> str:
     """Say in words which rigid motion a displacement field is.
 
     Parameters
@@ -130,6 +135,8 @@ def describe_motion(coordinates: Vector, displacement: Vector, either_way: bool 
     either_way : bool
         Whether the opposite motion is meant as well: then the one whose first component is positive
         is named.
+    negligible : float
+        Size of a translation or rotation, relative to the motion, that is left out.
 
     Returns
     -------
@@ -146,7 +153,7 @@ def describe_motion(coordinates: Vector, displacement: Vector, either_way: bool 
     size = np.abs(coordinates - centre).max()
     whole = np.linalg.norm(np.append(translation, size * rotation))
     words = []
-    turns = size * np.linalg.norm(rotation) > 1e-6 * whole
+    turns = size * np.linalg.norm(rotation) > negligible * whole
     if turns:
         pole, along = _pole(centre, translation, rotation)
         # a rotation about a point farther than the body is wide looks like a translation
@@ -155,7 +162,7 @@ def describe_motion(coordinates: Vector, displacement: Vector, either_way: bool 
             <= 2.0 * np.linalg.norm(coordinates - centre, axis=1).max()
         ):
             centre, translation = pole, along
-    if np.linalg.norm(translation) > 1e-6 * whole:
+    if np.linalg.norm(translation) > negligible * whole:
         words.append(f"translation along {_direction(translation)}")
     if turns:
         axis = "" if gdim == 2 else f" about the axis {_direction(rotation)}"

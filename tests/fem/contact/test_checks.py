@@ -38,7 +38,8 @@ def test_meshes_that_correspond_but_are_not_identical():
         ),
     )
     pair = ContactPair(scene.facet_tags, SLAVE, MASTER, tolerance=0.9)
-    assert matched(scene.V, pair).summary["pairs"] == 25
+    # all 25 nodes, but for a corner of which less than 0.4 is covered
+    assert matched(scene.V, pair).summary["pairs"] == 24
 
 
 def test_edge_node_meets_one_surface_from_two_sides():

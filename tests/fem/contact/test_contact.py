@@ -27,7 +27,7 @@ def test_gathered_nodes_are_in_the_order_of_their_numbers():
     column = nodes.astype(float)
     vectors = np.column_stack([column, column])
     result = ContactResult(
-        "a", nodes, vectors, column, column, vectors, column, column, column > 3.0, column
+        "a", nodes, vectors, column, column, vectors, column, column, column > 3.0, column, column
     )
     whole = result.gather()
     assert whole.nodes.tolist() == [2, 5, 9]

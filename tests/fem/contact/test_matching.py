@@ -80,8 +80,10 @@ def test_partial_contact_counts_the_free_nodes(cell):
     _, tags, V = slab_on_two(MPI.COMM_SELF, cell)
     summaries = [pairing.summary for pairing in match_contacts(MeshBoundary.of(V), both(tags))]
     rows = 3 if scenes.dimension(cell) == 3 else 1
-    assert [entry["pairs"] for entry in summaries] == [5 * rows, 5 * rows]
-    assert [entry["unmatched"] for entry in summaries] == [8 * rows, 8 * rows]
+    # one of three triangles at a corner of the lower body is covered: too little for a condition
+    barely = 1 if cell == "tetrahedron" else 0
+    assert [entry["pairs"] for entry in summaries] == 2 * [5 * rows - barely]
+    assert [entry["unmatched"] for entry in summaries] == 2 * [8 * rows + barely]
 
 
 @pytest.mark.parametrize("cell", CELLS)

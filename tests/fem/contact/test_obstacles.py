@@ -170,6 +170,8 @@ def test_pairing_of_an_obstacle():
         "largest_gap": 0.5,
         "mean_gap": 0.5,
         "covered_area": None,
+        "deviation": None,
+        "blurred": None,
     }
 
 

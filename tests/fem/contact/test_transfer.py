@@ -38,6 +38,7 @@ def result_of(matched, pressure):
         pressure,
         pressure > 0.0,
         matched.area,
+        np.ones_like(pressure),
     )
 
 

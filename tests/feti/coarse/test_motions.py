@@ -88,3 +88,22 @@ def test_a_small_load_beside_a_large_one_is_noticed():
     )
     with pytest.raises(UnresistedMotion, match=r"light: translation along \(1, 0, 0\)"):
         TornSolver(system)
+
+
+@pytest.mark.parametrize("tilt", [1e-1, 1e-3, 1e-6])
+def test_motions_that_tilted_normals_resist_are_listed(tilt):
+    """A block in a valley; across it the tilts of nine nodes resist it, along it nothing."""
+
+    def valley(x):
+        corner = np.count_nonzero(x[:2] == 0.5) == 0
+        return [(tilt if corner else -tilt, 0, -1)] if x[2] == 0 else []
+
+    report = TornSolver(block((0, 0, -1.0), valley)).solve().report
+    assert "block: translation along (0, 1, 0)" in report.free_motions
+    if tilt > 1e-2:
+        assert report.weak_motions == []
+        return
+    rotation, translation = report.weak_motions
+    assert rotation.startswith("block: rotation about the axis (")
+    assert translation.startswith("block: translation along (1, 0, ")
+    assert translation.endswith(f"; closes only 'contact 0' by {3 * tilt:.0e} of the motion")

@@ -7,10 +7,12 @@ them. The contributions of the facets are summed at the owners of the slave's no
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import permutations
 
 from mpi4py import MPI
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
@@ -19,15 +21,16 @@ from fenics_tfeti.fem.contact.contact import MortarTerms
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import FacetIntegrals, integrate
 from fenics_tfeti.fem.contact.mortar.matrices import (
-    HARDLY_COVERED,
+    BARELY_COVERED,
     mortar_matrices,
+    multiplier_shares,
     node_areas,
 )
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
-from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights
+from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, facet_deviations
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
-from fenics_tfeti.parallel import Directory
+from fenics_tfeti.parallel import Directory, concatenate_buffers
 
 __all__ = [
     "MortarConditions",
@@ -113,9 +116,13 @@ class MortarConditions:
         Mean vectors from the slave to the master [m].
     area : (k,) array
         Integrals of the dual functions, with the weight of the measure.
+    coverage : (k,) array
+        The covered share of the area that belongs to the node.
     chord : (k,) array
         Largest distance of the facets of both surfaces there from curved surfaces through their
         nodes [m].
+    deviation : (k,) array
+        The same distance for curved facets of degree 2, see `facet_deviations`.
     angle : (k,) array
         Largest angle there between the normals of a slave facet and the opposite of those of the
         master facets over it [degrees].
@@ -129,7 +136,9 @@ class MortarConditions:
     terms: MortarTerms
     gap: Vector
     area: Vector
+    coverage: Vector
     chord: Vector
+    deviation: Vector
     angle: Vector
     covered: Mask
     covered_area: float
@@ -162,8 +171,8 @@ def mortar_conditions(
     """
     other = master.surface
     integrals = integrate(slave.facets, other, slave.weight)
-    has_row = _well_covered(comm, slave, integrals) & ~np.isin(slave.nodes, free)
-    return _conditions(comm, slave, owned, master, normals, integrals, has_row)
+    free_nodes = np.isin(slave.nodes, free)
+    return _conditions(comm, slave, owned, master, normals, integrals, free_nodes)
 
 
 def tied_conditions(
@@ -194,7 +203,6 @@ def tied_conditions(
     """
     other = master.surface
     integrals = integrate(slave.facets, other, slave.weight)
-    well = _well_covered(comm, slave, integrals)
     gdim = held.shape[2]
     whole = np.broadcast_to(held.all(axis=1, keepdims=True), held.shape)
     directory = Directory(comm, slave.nodes)
@@ -205,11 +213,11 @@ def tied_conditions(
     table = np.zeros((directory.keys.size, 2 * gdim), dtype=bool)
     np.logical_or.at(table, directory.position(keys), flags)
     flags = directory.lookup(slave.nodes, table)[1]
-    has_row = well[:, None] & (flags[:, :gdim] | ~flags[:, gdim:])
+    free = ~flags[:, :gdim] & flags[:, gdim:]
     # of degree 2 the solution is more exact with the shape functions as multipliers
     dual = slave.facets.per_facet == 1
     return [
-        _conditions(comm, slave, owned, master, normals, integrals, has_row[:, axis], dual)
+        _conditions(comm, slave, owned, master, normals, integrals, free[:, axis], dual)
         for axis in range(gdim)
     ]
 
@@ -221,52 +229,141 @@ def _conditions(
     master: DeformedSurface,
     normals: Vector,
     integrals: FacetIntegrals,
-    has_row: Mask,
+    free: Mask,
     dual: bool = True,
 ) -> MortarConditions:
-    """Sum up the conditions of some nodes at their owners. Collective."""
+    """Sum up the conditions at the owners of their nodes, none at free ones. Collective."""
     other = master.surface
-    matrices = mortar_matrices(integrals, slave.facets, other, has_row, dual)
+    matrices = mortar_matrices(integrals, slave.facets, other, dual)
     to_owners = Directory(comm, owned)
+    parts = np.column_stack(node_areas(integrals, slave.facets))
+    shared = SharedMultipliers.of(comm, slave, integrals, parts, free)
     D, M = matrices.D.tocoo(), matrices.M.tocoo()
+    row, at, share = shared.rows(np.concatenate([slave.nodes[D.row], slave.nodes[M.row]]))
     nodes, terms = collect_terms(
         to_owners,
-        np.concatenate([slave.nodes[D.row], slave.nodes[M.row]]),
-        np.concatenate([slave.nodes[D.col], master.nodes[M.col]]),
-        np.concatenate([D.data, -M.data]),
-        np.repeat([True, False], [D.nnz, M.nnz]),
+        row,
+        np.concatenate([slave.nodes[D.col], master.nodes[M.col]])[at],
+        share * np.concatenate([D.data, -M.data])[at],
+        np.repeat([True, False], [D.nnz, M.nnz])[at],
     )
-    rows = np.flatnonzero(matrices.area > 0.0)
-    at, gap, area = to_owners.forward(slave.nodes[rows], matrices.gap[rows], matrices.area[rows])
-    at = np.searchsorted(nodes, at)
-    sums = np.zeros((nodes.size, gap.shape[1] + 1))
-    np.add.at(sums, at, np.column_stack([gap, area]))
-    chord, angle = _largest_at_nodes(to_owners, slave, other, normals, integrals, nodes)
-    covered = np.zeros(len(slave.facets), dtype=bool)
-    covered[integrals.facet] = True
+    row, at, share = shared.rows(slave.nodes)
+    integral = share[:, None] * np.column_stack([matrices.gap, matrices.area])[at]
+    sums = _sums_at(to_owners, nodes, row, integral)
+    whole, covered = _sums_at(to_owners, nodes, slave.nodes, parts).T
+    largest = _largest_at_nodes(to_owners, slave, other, normals, integrals, nodes)
+    facets = np.zeros(len(slave.facets), dtype=bool)
+    facets[integrals.facet] = True
     return MortarConditions(
         nodes,
         terms,
         sums[:, :-1] / sums[:, -1:],
         sums[:, -1],
-        chord,
-        angle,
-        covered,
+        covered / whole,
+        *largest,
+        facets,
         float(integrals.covered.sum()),
     )
 
 
-def _well_covered(comm: MPI.Intracomm, slave: SlaveFacets, integrals: FacetIntegrals) -> Mask:
-    """Tell which of this rank's nodes (n,) the master covers enough for a condition."""
-    directory = Directory(comm, slave.nodes)
-    keys, areas = directory.collect(
-        slave.nodes, np.column_stack(node_areas(integrals, slave.facets))
-    )
-    total = np.zeros((directory.keys.size, 2))
-    np.add.at(total, directory.position(keys), areas)
-    whole, covered = directory.lookup(slave.nodes, total)[1].T
-    well: Mask = covered > HARDLY_COVERED * whole
-    return well
+@dataclass(frozen=True)
+class SharedMultipliers:
+    """How dual functions of nodes without a multiplier are shared out; the same on all ranks.
+
+    Attributes
+    ----------
+    nodes : (q,) integer array
+        Global nodes, ascending: those without a multiplier and their neighbours.
+    shares : (q, q) scipy.sparse.csc_matrix
+        See `multiplier_shares`.
+    """
+
+    nodes: Numbers
+    shares: sp.csc_matrix
+
+    @staticmethod
+    def of(
+        comm: MPI.Intracomm,
+        slave: SlaveFacets,
+        integrals: FacetIntegrals,
+        areas: Vector,
+        free: Mask,
+    ) -> SharedMultipliers:
+        """Find the nodes that have no multiplier, and their neighbours. Collective.
+
+        Parameters
+        ----------
+        comm, slave
+            As in `mortar_conditions`.
+        integrals : FacetIntegrals
+            Of this rank's facets.
+        areas : (n, 2) array
+            Whole and covered areas of its nodes on these facets.
+        free : (n,) bool array
+            Nodes that must not have a multiplier, alike on all ranks.
+        """
+        directory = Directory(comm, slave.nodes)
+        keys, parts = directory.collect(slave.nodes, areas)
+        total = np.zeros((directory.keys.size, 2))
+        np.add.at(total, directory.position(keys), parts)
+        whole, covered = directory.lookup(slave.nodes, total)[1].T
+        # of degree 2, nodes that are no vertices have no area
+        coverage = np.divide(covered, whole, out=np.zeros_like(whole), where=whole > 0.0)
+        corners = slave.facets.corners[integrals.facet]
+        j, k = (
+            corners[:, ends].ravel()
+            for ends in np.array(list(permutations(range(corners.shape[1]), 2))).T
+        )
+        without = free[j] | (coverage[j] < BARELY_COVERED)
+        j, k = j[without], k[without]
+        # each pair with the coverage of its nodes, which all ranks have summed alike
+        columns = concatenate_buffers(
+            comm, slave.nodes[j], slave.nodes[k], coverage[j], coverage[k], free[j], free[k]
+        )
+        one, other, *values = columns
+        nodes, first, at = np.unique(
+            np.concatenate([one, other]), return_index=True, return_inverse=True
+        )
+        coverage = np.concatenate(values[:2])[first]
+        free = np.concatenate(values[2:])[first]
+        pairs = at.reshape(2, -1).T
+        return SharedMultipliers(nodes, multiplier_shares(coverage, free, pairs))
+
+    def rows(self, nodes: Numbers) -> tuple[Numbers, Numbers, Vector]:
+        """Return the nodes whose conditions take what is that of some nodes.
+
+        Parameters
+        ----------
+        nodes : (t,) integer array
+            Global nodes, in any order, several times or not.
+
+        Returns
+        -------
+        rows, position, share : (s,) arrays
+            The nodes with conditions, the position in `nodes` of what they take, and its share.
+        """
+        number, places = np.ones(nodes.size, dtype=np.int64), np.zeros(nodes.size, dtype=np.int64)
+        known = np.zeros(nodes.size, dtype=bool)
+        if self.nodes.size:
+            places = np.minimum(np.searchsorted(self.nodes, nodes), self.nodes.size - 1)
+            known = self.nodes[places] == nodes
+            number = np.where(known, np.diff(self.shares.indptr)[places], 1)
+        position = np.repeat(np.arange(nodes.size), number)
+        entry = np.arange(position.size) - np.repeat(np.cumsum(number) - number, number)
+        rows, share, of_known = nodes[position], np.ones(position.size), known[position]
+        entry = self.shares.indptr[places[position[of_known]]] + entry[of_known]
+        rows[of_known] = self.nodes[self.shares.indices[entry]]
+        share[of_known] = self.shares.data[entry]
+        return rows, position, share
+
+
+def _sums_at(to_owners: Directory, nodes: Numbers, row: Numbers, values: Vector) -> Vector:
+    """Sum rows of values (t, q) at those of this rank's nodes (k,) that they belong to."""
+    at, values = to_owners.forward(row, values)
+    there = np.isin(at, nodes)
+    sums = np.zeros((nodes.size, values.shape[1]))
+    np.add.at(sums, np.searchsorted(nodes, at[there]), values[there])
+    return sums
 
 
 def collect_terms(
@@ -317,29 +414,34 @@ def _largest_at_nodes(
     normals: Vector,
     integrals: FacetIntegrals,
     nodes: Numbers,
-) -> tuple[Vector, Vector]:
-    """Return the largest chord heights and angles between facets around each condition's node.
+) -> tuple[Vector, Vector, Vector]:
+    """Return the largest chords, deviations and angles of facets around each condition's node.
 
     The angles are those between the planes of the facets' corners.
     """
     facet, other = integrals.facet[integrals.pair], integrals.master
     corners = slave.facets.points[slave.facets.corners]
     over = master.points[master.corners]
-    of_master = chord_heights(over, normals[master.corners], _middles(master))
-    chord = chord_heights(corners, slave.normals, _middles(slave.facets))
+    of_master, of_slave = (
+        np.column_stack([chord_heights(*curved), facet_deviations(*curved)])
+        for curved in (
+            (over, normals[master.corners], _middles(master)),
+            (corners, slave.normals, _middles(slave.facets)),
+        )
+    )
     planes, opposite = Planes.of(corners), Planes.of(over)
     angle = angles_between(planes.normal[facet], -opposite.normal[other])
-    largest = np.zeros((len(corners), 2))
+    largest = np.zeros((len(corners), 3))
     np.maximum.at(largest, facet, np.column_stack([of_master[other], angle]))
-    largest[:, 0] += chord
+    largest[:, :2] += of_slave
     covered = slave.facets.corners[integrals.facet]
     at, values = to_owners.forward(
         slave.nodes[covered.ravel()], np.repeat(largest[integrals.facet], covered.shape[1], axis=0)
     )
     there = np.isin(at, nodes)
-    result = np.zeros((nodes.size, 2))
+    result = np.zeros((nodes.size, 3))
     np.maximum.at(result, np.searchsorted(nodes, at[there]), values[there])
-    return result[:, 0], result[:, 1]
+    return result[:, 0], result[:, 1], result[:, 2]
 
 
 def _middles(surface: Facets) -> Vector | None:

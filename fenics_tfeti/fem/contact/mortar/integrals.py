@@ -29,7 +29,7 @@ Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 # Covered part of a slave facet, relative to its area, below which it is rounding.
-_NOT_COVERED = 1e-10
+_NOT_COVERED = 1e-11
 
 # Pieces of slave facets that are treated at once, to bound the memory; all of a facet, of which
 # there are 1, 2 or 4.

@@ -4,11 +4,12 @@ The Lagrange multipliers are linear combinations of dual functions psi_k, one fo
 slave: on each facet psi_j = sum_i A_ji N_i with A = diag(int N_j) (int N_i N_j)^-1, integrals over
 the covered part alone. There int psi_j N_i = 0 for i != j, and the psi_j of a facet add up to 1.
 
-Where only a narrow strip or a small corner of a facet is covered, the functions of its nodes would
-be fixed by next to nothing. A node whose facets are hardly covered therefore has no multiplier: its
-dual function is added, on each facet, to those of the facet's other nodes, in equal shares. The
-functions still add up to 1, so that rigid motions, linear functions and resultants stay exact; D
-has a few small entries beside its diagonal.
+Where only a narrow strip or a small corner of a facet is covered, the functions of its nodes are
+fixed by next to nothing: their pressure is that of the rim, where it is singular, and their gap an
+extrapolation. A node that is barely covered therefore has no multiplier: its dual function is
+added, in equal shares, to those of the neighbours that are covered better. The functions still add
+up to 1, so that rigid motions, linear functions and resultants stay exact; D has entries beside its
+diagonal there.
 
 For displacements of degree 2 the dual functions are the same, of degree 1 at the vertices, and D
 couples each of them with all nodes of its facets. Their combinations contain constants, not linear
@@ -28,12 +29,13 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import FacetIntegrals
+from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 
 __all__ = [
-    "HARDLY_COVERED",
+    "BARELY_COVERED",
     "MortarMatrices",
-    "hardly_covered",
     "mortar_matrices",
+    "multiplier_shares",
     "node_areas",
     "slave_matrix",
 ]
@@ -42,10 +44,11 @@ Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# Integral of a node's shape function over the covered part, relative to that over all of its
-# facets, below which the node has no multiplier: the smaller it is, the less exactly the solution
-# determines the pressure there, while its force is negligible.
-HARDLY_COVERED = 1e-2
+# Coverage of a node: the integral of its shape function over the covered part, relative to that
+# over all of its facets. Below the first it has no multiplier where neighbours are covered better:
+# half is what the border of a master leaves of an edge that goes through a node. Below the second
+# it has none in any case: its force is negligible.
+BARELY_COVERED, HARDLY_COVERED = 0.4, 1e-2
 
 # Covered part of a facet, relative to its area, below which its dual functions are replaced by the
 # shape functions: a narrow strip may cross the facet anywhere.
@@ -62,8 +65,7 @@ class MortarMatrices:
     Attributes
     ----------
     D : (n, n) scipy.sparse.csr_matrix
-        Integrals of psi_k N^s_j [m^2 or m]; for degree 1 diagonal but for nodes that are hardly
-        covered.
+        Integrals of psi_k N^s_j [m^2 or m]; for degree 1 diagonal.
     M : (n, m) scipy.sparse.csr_matrix
         Integrals of psi_k N^m_l.
     gap : (n, gdim) array
@@ -79,9 +81,9 @@ class MortarMatrices:
 
 
 def mortar_matrices(
-    integrals: FacetIntegrals, slave: Facets, master: Facets, has_row: Mask, dual: bool = True
+    integrals: FacetIntegrals, slave: Facets, master: Facets, dual: bool = True
 ) -> MortarMatrices:
-    """Assemble D, M and the gaps.
+    """Assemble D, M and the gaps of all covered nodes.
 
     Parameters
     ----------
@@ -89,28 +91,16 @@ def mortar_matrices(
         Of the two surfaces.
     slave, master : Facets
         The surfaces.
-    has_row : (n,) bool array
-        Which nodes of the slave have a multiplier; the others get empty rows.
     dual : bool
         Whether psi are the dual functions, or the shape functions of degree 1 themselves.
-
-    Returns
-    -------
-    MortarMatrices
-        What is covered of facets without any such node is left out.
     """
     n, m = len(slave.points), len(master.points)
     corners = slave.corners[integrals.facet]
     psi, of_slave = (
         _dual_functions(integrals, _areas(slave)[integrals.facet])
         if dual
-        else (np.tile(np.eye(corners.shape[1]), (len(corners), 1, 1)), integrals.trace.copy())
+        else (np.tile(np.eye(corners.shape[1]), (len(corners), 1, 1)), integrals.trace)
     )
-    partly = np.flatnonzero(~has_row[corners].all(axis=1))
-    if partly.size:
-        share = _shares(has_row[corners[partly]])
-        of_slave[partly] = np.matmul(share, of_slave[partly])
-        psi[partly] = np.matmul(share, psi[partly])
     of_master = np.matmul(psi[integrals.pair], integrals.coupling)
     of_nodes = np.matmul(psi, integrals.gap).reshape(corners.size, slave.points.shape[1])
     gap = np.stack([_sums(corners, part, n) for part in of_nodes.T], axis=1)
@@ -134,11 +124,39 @@ def slave_matrix(integrals: FacetIntegrals, slave: Facets) -> sp.csr_matrix:
     return _assemble(of_slave, slave.corners[facet], slave.nodes[facet], (n, n))
 
 
-def hardly_covered(integrals: FacetIntegrals, slave: Facets) -> Mask:
-    """Tell which nodes (n,) of a whole slave's surface are hardly covered, or not at all."""
-    whole, covered = node_areas(integrals, slave)
-    hardly: Mask = covered <= HARDLY_COVERED * whole
-    return hardly
+def multiplier_shares(coverage: Vector, free: Mask, pairs: Numbers) -> sp.csc_matrix:
+    """Return the shares of nodes in the dual functions of others.
+
+    Parameters
+    ----------
+    coverage : (n,) array
+        The covered share of each node's area.
+    free : (n,) bool array
+        Nodes that must not have a multiplier.
+    pairs : (p, 2) integer array
+        Nodes that are corners of one covered facet, in both orders.
+
+    Returns
+    -------
+    (n, n) scipy.sparse.csc_matrix
+        Column j has 1 at j if it keeps its function, or the shares of others, whose sum is 1; it is
+        empty where no node around has a multiplier.
+    """
+    j, k = pairs.T
+    better = coverage[k] > (1.0 + RELATIVE_ROUNDING) * coverage[j]
+    takes = ~free[k] & (free[j] | (coverage[j] < BARELY_COVERED) & better)
+    size = (coverage.size, coverage.size)
+    given = sp.csc_matrix((np.ones(takes.sum()), (k[takes], j[takes])), shape=size)
+    given.data[:] = 1.0
+    number = np.diff(given.indptr)
+    kept = (number == 0) & ~free & (coverage > HARDLY_COVERED)
+    shares = given @ sp.diags(1.0 / np.maximum(number, 1)) + sp.diags((number == 0).astype(float))
+    # what is given to nodes that give it on: always to nodes that are covered better
+    while shares[number > 0].nnz:
+        shares = shares @ shares
+    shares = sp.diags(kept.astype(float)) @ shares
+    shares.eliminate_zeros()
+    return shares.tocsc()
 
 
 def node_areas(integrals: FacetIntegrals, slave: Facets) -> tuple[Vector, Vector]:
@@ -152,15 +170,6 @@ def node_areas(integrals: FacetIntegrals, slave: Facets) -> tuple[Vector, Vector
 def _sums(nodes: Numbers, values: Vector, n: int) -> Vector:
     """Sum values by their nodes, (n,)."""
     return np.bincount(nodes.ravel(), values.ravel(), n).astype(np.float64, copy=False)
-
-
-def _shares(has_row: Mask) -> Vector:
-    """Return the shares (c, v, v) of the nodes with a row in the dual functions of all nodes."""
-    v = has_row.shape[1]
-    number = np.maximum(has_row.sum(axis=1), 1)
-    to_others = has_row[:, :, None] & ~has_row[:, None, :]
-    share: Vector = has_row[:, :, None] * np.eye(v) + to_others / number[:, None, None]
-    return share
 
 
 def _dual_functions(integrals: FacetIntegrals, area: Vector) -> tuple[Vector, Vector]:

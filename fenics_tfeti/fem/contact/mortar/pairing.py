@@ -97,6 +97,7 @@ def match_by_mortar(
     gap = np.sum(conditions.gap * normal, axis=1)
     gap = slave.without_rounding(gap)
     gap = initial_gap(comm, contact.initial_gap, gap, conditions.chord, slave.coordinates[at], name)
+    deviation = slave.without_rounding(conditions.deviation)
     summary = pairing_summary(
         comm,
         name,
@@ -106,6 +107,7 @@ def match_by_mortar(
         slave.nodes.size,
         area=conditions.area,
         covered_area=conditions.covered_area,
+        deviation=deviation if contact.initial_gap == "geometric" else None,
     )
     return _pairing(name, conditions, slave, normal, gap, summary, prescribed)
 
@@ -187,6 +189,7 @@ def _pairing(
         conditions.covered,
         None,
         conditions.terms,
+        conditions.coverage,
         prescribed,
     )
 

@@ -15,7 +15,7 @@ from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["check_initial_gap", "chord_heights", "initial_gap"]
+__all__ = ["check_initial_gap", "chord_heights", "facet_deviations", "initial_gap"]
 
 Vector = NDArray[np.float64]
 
@@ -68,18 +68,39 @@ def chord_heights(corners: Vector, normals: Vector, middles: Vector | None = Non
     >>> float(np.round(chord_heights(ends, ends)[0], 6)), float(np.round(1 - np.cos(0.1), 6))
     (0.004983, 0.004996)
     """
+    height, own = _heights(corners, normals, middles)
+    return _largest(np.abs(height - own) + own / 4.0, corners)
+
+
+def facet_deviations(corners: Vector, normals: Vector, middles: Vector | None = None) -> Vector:
+    """Return how far facets are from the surface, as `chord_heights`, with their own curvature.
+
+    Facets of degree 2 whose middle nodes are on the surface have hardly any.
+    """
+    height, own = _heights(corners, normals, middles)
+    return _largest(np.maximum(height - own, 0.0), corners)
+
+
+def _heights(corners: Vector, normals: Vector, middles: Vector | None) -> tuple[Vector, Vector]:
+    """Return between two corners each (q, f) the height of the segment, and of the middle node."""
     v = corners.shape[1]
-    heights = np.zeros(len(corners))
+    heights, own = [], []
     for i, j in combinations(range(v), 2):
         length = np.linalg.norm(corners[:, i] - corners[:, j], axis=1)
         angle = np.linalg.norm(normals[:, i] - normals[:, j], axis=1)
-        height = length * angle / 8.0
-        if middles is not None:
-            middle = 0.5 * (corners[:, i] + corners[:, j])
-            own = np.linalg.norm(middles[:, _middle(i, j, v)] - middle, axis=1)
-            height = np.abs(height - own) + own / 4.0
-        heights = np.maximum(heights, height)
-    return heights * (4.0 / 3.0 if v == 3 else 1.0)
+        heights.append(length * angle / 8.0)
+        middle = 0.5 * (corners[:, i] + corners[:, j])
+        node = middle if middles is None else middles[:, _middle(i, j, v)]
+        own.append(np.linalg.norm(node - middle, axis=1))
+    return np.array(heights), np.array(own)
+
+
+def _largest(heights: Vector, corners: Vector) -> Vector:
+    """Return the largest height in each facet from those between its corners (q, f)."""
+    largest: Vector = heights.max(axis=0, initial=0.0) * (
+        4.0 / 3.0 if corners.shape[1] == 3 else 1.0
+    )
+    return largest
 
 
 def _middle(i: int, j: int, v: int) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import permutations
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -9,13 +11,31 @@ from facet_grids import chain, grid
 
 from fenics_tfeti.fem.contact.mortar.facets import Planes
 from fenics_tfeti.fem.contact.mortar.integrals import integrate
-from fenics_tfeti.fem.contact.mortar.matrices import hardly_covered, mortar_matrices, node_areas
+from fenics_tfeti.fem.contact.mortar.matrices import (
+    MortarMatrices,
+    mortar_matrices,
+    multiplier_shares,
+    node_areas,
+)
 
 
 def assemble(slave, master, weight=None):
     integrals = integrate(slave, master, weight)
-    has_row = ~hardly_covered(integrals, slave)
-    return mortar_matrices(integrals, slave, master, has_row), integrals, has_row
+    matrices = mortar_matrices(integrals, slave, master)
+    shares = shares_of(slave, integrals)
+    D, M, gap, area = (
+        shares @ part for part in (matrices.D, matrices.M, matrices.gap, matrices.area)
+    )
+    return MortarMatrices(D, M, gap, area), integrals, shares.getnnz(axis=1) > 0
+
+
+def shares_of(slave, integrals):
+    whole, covered = node_areas(integrals, slave)
+    corners = slave.corners[integrals.facet]
+    pairs = [corners[:, [j, k]] for j, k in permutations(range(corners.shape[1]), 2)]
+    return multiplier_shares(
+        covered / whole, np.zeros(whole.size, dtype=bool), np.concatenate(pairs)
+    )
 
 
 def check_identities(slave, master, matrices, rows, flat=True):
@@ -85,6 +105,32 @@ def test_slivers(corners, exponent):
     assert (abs(matrices.M).max(axis=1).toarray().ravel() <= 5.0 * matrices.area).all()
     whole, covered = node_areas(integrals, slave)
     assert (covered[rows] > 1e-2 * whole[rows]).all()
+
+
+def test_barely_covered_nodes_share_out_their_functions():
+    """Node 0 gives to 1, which is covered by less than 0.4 and gives all of it to 2 and 3."""
+    coverage = np.array([0.1, 0.3, 0.9, 1.0, 0.39])
+    edges = np.array([[0, 1], [1, 2], [1, 3], [2, 3], [3, 4]])
+    pairs = np.concatenate([edges, edges[:, ::-1]])
+    shares = multiplier_shares(coverage, np.zeros(5, dtype=bool), pairs).toarray()
+    assert shares[:, 0].tolist() == shares[:, 1].tolist() == [0.0, 0.0, 0.5, 0.5, 0.0]
+    assert shares[:, 2:4].tolist() == np.eye(5)[:, 2:4].tolist()
+    assert shares[:, 4].tolist() == [0.0, 0.0, 0.0, 1.0, 0.0]
+
+
+def test_barely_covered_nodes_without_better_neighbours_keep_their_functions():
+    """Of a small foot inside of one facet; those of the same coverage do not give to each other."""
+    coverage = np.array([0.1, 0.1, 0.05])
+    pairs = np.array(list(permutations(range(3), 2)))
+    shares = multiplier_shares(coverage, np.zeros(3, dtype=bool), pairs).toarray()
+    assert shares.tolist() == [[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 0.0]]
+
+
+def test_nodes_that_must_not_have_a_multiplier_give_theirs_to_all_others():
+    coverage, free = np.array([1.0, 0.5, 0.2]), np.array([True, False, False])
+    pairs = np.array(list(permutations(range(3), 2)))
+    shares = multiplier_shares(coverage, free, pairs).toarray()
+    assert shares.tolist() == [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]
 
 
 def test_slivers_alone_have_no_rows():

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import warnings
+
 from mpi4py import MPI
 
 import numpy as np
 import pytest
+from curved_rings import quarter_rings
 from scenes import MASTER, SLAVE
 from strips import bend, matched, strips
 
 from fenics_tfeti import ContactPair
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
 from fenics_tfeti.fem.contact.surfaces.initial_gap import (
     check_initial_gap,
     chord_heights,
+    facet_deviations,
     initial_gap,
 )
+from fenics_tfeti.io import displacement_space
 
 WAYS = ("node_to_node", "mortar")
 
@@ -103,3 +109,64 @@ def test_functions_that_return_no_gaps(function, message):
     nothing = np.zeros(2)
     with pytest.raises(InputError, match=message):
         initial_gap(MPI.COMM_SELF, function, nothing, nothing, np.ones((2, 3)), "joint")
+
+
+def test_deviation_of_curved_facets():
+    """A node in the middle takes its own height off; what that of a chord is without it stays."""
+    angle = np.array([-0.05, 0.0, 0.05])
+    first, middle, last = np.stack([np.sin(angle), np.cos(angle)], axis=1)
+    ends = np.stack([first, last])[None]
+    straight = facet_deviations(ends, ends, 0.5 * (first + last)[None, None])[0]
+    curved = facet_deviations(ends, ends, middle[None, None])[0]
+    assert straight == pytest.approx(1.0 - np.cos(0.05), rel=1e-3)
+    assert curved < 1e-3 * straight
+
+
+@pytest.mark.parametrize("gap", [0.002, -0.002], ids=["clearance", "interference"])
+def test_gaps_below_the_deviation_of_the_facets_are_told(gap):
+    """7 and 10 facets on an arc of 1.6 m with radius 2 m: sagittas of 3.3 and 1.6 mm."""
+    V, tags = arcs(7, 10, gap)
+    entry = matched(V, ContactPair(tags, SLAVE, MASTER, name="joint")).summary
+    assert entry["deviation"] == pytest.approx(2.0 * (0.8 / 7) ** 2 / 8 * (1 + 0.7**2), rel=0.01)
+    kind = "clearance" if gap > 0 else "interference"
+    with pytest.warns(
+        UserWarning, match=rf"joint: the {kind} of the mesh.*up to 0\.00486.*initial_"
+    ):
+        warn_of_deviation(entry)
+
+
+@pytest.mark.parametrize(
+    ("gap", "options"),
+    [(0.02, {}), (0.004, {"initial_gap": 0.004}), (0.0, {"initial_gap": "touching"})],
+    ids=["larger", "prescribed", "touching"],
+)
+def test_gaps_that_facets_do_not_blur(gap, options):
+    V, tags = arcs(7, 10, gap)
+    entry = matched(V, ContactPair(tags, SLAVE, MASTER, **options)).summary
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_deviation(entry)
+
+
+def test_point_contact_of_round_surfaces_is_not_blurred():
+    """Gaps below the deviation are around the point only."""
+    V, tags = strips((12, 2), (12, 2), gap=0.1)
+    bend(
+        V,
+        lambda x: x[:, 1] > 1.05,
+        lambda x: (
+            x + np.stack([0 * x[:, 0] + 1e-3, (x[:, 0] - 0.5) ** 2 - 0.0999, 0 * x[:, 0]], axis=1)
+        ),
+    )
+    entry = matched(V, ContactPair(tags, SLAVE, MASTER)).summary
+    assert 0.0 < entry["blurred"] < 0.5
+
+
+@pytest.mark.parametrize("recombine", [False, True], ids=["triangles", "quadrilaterals"])
+def test_clearance_of_curved_cells_is_not_blurred(tmp_path, recombine):
+    gap = 1e-3
+    rings = quarter_rings(tmp_path / "rings.msh", (8, 11), [(1, 2), (2 + gap, 3)], recombine)
+    V = displacement_space(rings.mesh, degree=2)
+    entry = matched(V, ContactPair(rings.facet_tags, 11, 12)).summary
+    assert entry["mean_gap"] == pytest.approx(gap, rel=2e-2)
+    assert entry["deviation"] < gap and entry["blurred"] == 0.0

@@ -1,0 +1,109 @@
+"""Mesh a fork, a lug and the pin through both by tetrahedra, as one draws a first joint in CAD.
+
+    python meshes/pin_joint.py [--element-size 1.5] [--order 1] [--output pin_joint.msh]
+
+Needs Gmsh with its Python module ('apt install python3-gmsh' or 'pip install gmsh').
+Lengths are in millimetres. The pin's axis is the z axis, its ends have chamfers; the lug extends
+along x, the fork against x. The holes are wider than the pin by the clearance in radius. With
+cells of order 2 the nodes in the middle of edges are on the cylinders too.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import gmsh
+
+RADIUS, CLEARANCE = 5.0, 0.02  # of the pin; of the holes, in radius
+HALF_LUG, GAP, TINE = 4.9, 0.1, 7.0  # thickness of half the lug, gap beside it, thickness of a tine
+HALF_PIN, CHAMFER = 13.0, 1.0  # half the pin's length
+HALF_WIDTH, LENGTH, BRIDGE = 9.0, 30.0, 10.0  # of lug and fork; of the fork's closed end
+TINY = 1e-3
+
+
+def _eye(sign: float, low: float, high: float) -> int:
+    """Make a plate with a round end about the z axis that extends along sign x."""
+    occ = gmsh.model.occ
+    plate = occ.addBox(
+        min(0.0, sign * LENGTH), -HALF_WIDTH, low, LENGTH, 2 * HALF_WIDTH, high - low
+    )
+    end = occ.addCylinder(0, 0, low, 0, 0, high - low, HALF_WIDTH)
+    hole = occ.addCylinder(0, 0, low, 0, 0, high - low, RADIUS + CLEARANCE)
+    whole, _ = occ.fuse([(3, plate)], [(3, end)])
+    ((_, body),), _ = occ.cut(whole, [(3, hole)])
+    return int(body)
+
+
+def _fork() -> int:
+    inner, outer = HALF_LUG + GAP, HALF_LUG + GAP + TINE
+    tines = [_eye(-1.0, inner, outer), _eye(-1.0, -outer, -inner)]
+    bridge = gmsh.model.occ.addBox(-LENGTH, -HALF_WIDTH, -inner, BRIDGE, 2 * HALF_WIDTH, 2 * inner)
+    ((_, body),), _ = gmsh.model.occ.fuse([(3, tines[0])], [(3, tines[1]), (3, bridge)])
+    return int(body)
+
+
+def _pin() -> int:
+    occ = gmsh.model.occ
+    rod = occ.addCylinder(0, 0, -HALF_PIN, 0, 0, 2 * HALF_PIN, RADIUS)
+    occ.synchronize()
+    sides = gmsh.model.getBoundary([(3, rod)], oriented=False)
+    ends = [tag for dim, tag in sides if gmsh.model.getType(dim, tag) == "Plane"]
+    rims = [gmsh.model.getBoundary([(2, end)], oriented=False)[0][1] for end in ends]
+    ((_, body),) = occ.chamfer([rod], rims, ends, [CHAMFER])
+    return int(body)
+
+
+def _group(body: str, side: int) -> str:
+    """Return the name of the group of a side of a body; none if it is free."""
+    x0, _, z0, x1, _, z1 = gmsh.model.getBoundingBox(2, side)
+    if gmsh.model.getType(2, side) == "Cylinder" and x1 < RADIUS + 2 * CLEARANCE:
+        return f"{body} surface"
+    for name, place in {"fork": -LENGTH, "lug": LENGTH}.items():
+        if body == name and max(abs(x0 - place), abs(x1 - place)) < TINY:
+            return f"{body} end"
+    return ""
+
+
+def pin_joint(output: Path, size: float = 1.5, order: int = 1) -> None:
+    """Mesh the three bodies and write the file.
+
+    Parameters
+    ----------
+    output : Path
+        The file.
+    size : float
+        Largest edges of the tetrahedra [mm].
+    order : int
+        Order of the cells, 1 or 2.
+    """
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.add("joint")
+        bodies = {"fork": _fork(), "lug": _eye(1.0, -HALF_LUG, HALF_LUG), "pin": _pin()}
+        gmsh.model.occ.synchronize()
+        named: dict[str, list[int]] = {}
+        for name, body in bodies.items():
+            gmsh.model.setPhysicalName(3, gmsh.model.addPhysicalGroup(3, [body]), name)
+            for _, side in gmsh.model.getBoundary([(3, body)], oriented=False):
+                named.setdefault(_group(name, side), []).append(side)
+        for group in sorted(set(named) - {""}):
+            gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, named[group]), group)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+        gmsh.model.mesh.generate(3)
+        gmsh.model.mesh.setOrder(order)
+        if order > 1:
+            gmsh.model.mesh.optimize("HighOrderElastic")
+        gmsh.write(str(output))
+    finally:
+        gmsh.finalize()
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--element-size", type=float, default=1.5, help="of all bodies [mm]")
+    parser.add_argument("--order", type=int, default=1, choices=(1, 2), help="of the cells")
+    parser.add_argument("--output", type=Path, default=Path(__file__).with_suffix(".msh"))
+    options = parser.parse_args()
+    pin_joint(options.output, options.element_size, options.order)
