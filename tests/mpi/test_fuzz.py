@@ -6,8 +6,7 @@ from mpi4py import MPI
 
 import pytest
 from cases import solve_case
-
-FINE = ("right", "right error", "limit of rounding", "skipped")
+from outcome import FINE
 
 
 @pytest.fixture(scope="module")
