@@ -28,6 +28,7 @@ from glued import GluedProblem, rigid_modes
 from numpy.typing import NDArray
 from oracle import Answer, Unsure, infeasibility
 from outcome import (
+    AT_REST,
     FACTOR,
     OF_ALL,
     OF_GROUP,
@@ -317,6 +318,8 @@ class _Measured:
         np.add.at(of_groups.T, group, np.column_stack([error2 + lost, energy, noise2]))
         floor = self._floor(K) + ROUNDINGS * np.sqrt(of_groups[2][group])
         whole = float(energy.sum())
+        # bodies that do not deform
+        floor = floor + AT_REST * np.sqrt(whole) * (energy <= AT_REST**2 * whole)
         least = OF_ALL**2 * whole
         of_group = np.sqrt(np.maximum(of_groups[1][group], least))
         of_body = np.sqrt(np.maximum.reduce([energy, OF_GROUP**2 * of_groups[1][group], 0 * energy + least]))

@@ -51,6 +51,8 @@ _STEPS, _RATIO = 15, 0.9
 _MAX_STEPS, _MAX_HALVINGS = 100, 30
 # growth of the changes above which the last one was small by chance
 _SUDDEN = 3.0
+# normal forces for the first bounds, relative to those of a feasible start at its limit
+_AMPLE = 2.0
 # lengths of a step of the fixed point
 _SHORTEST, _LONG, _LONGEST = 0.1, 3.0, 10.0
 
@@ -159,7 +161,13 @@ class _FixedPoint:
             found = self._held(self.bound(start.multipliers))
             if found is not None:
                 return found
-        return replace(self._given, radius=self.bound(self._given.feasible))
+        feasible = self._given.feasible
+        radius = self.bound(feasible)
+        limited = (radius > 0.0) & ~self._friction.sticking(feasible, radius)
+        if self._layout.comm.allreduce(bool(limited.any()), MPI.LOR):
+            # these bounds may hold the load just so, and the motion at the limit is not unique
+            radius = self.bound(_AMPLE * feasible)
+        return replace(self._given, radius=radius)
 
     def step(self, data: ContactData, radius: Vector) -> tuple[ContactData, bool]:
         """Return the data with new bounds, or bounds on the way there that hold the load.

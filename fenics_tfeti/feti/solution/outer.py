@@ -254,8 +254,8 @@ class _Loop:
         setup, none = self.setup, np.zeros_like(self.data.load)
         active = np.zeros(setup.constraints.inequality.size, dtype=bool)
         with self.timer.phase("recovery"):
-            face = Projector.build(setup.projector.coarse_space, active)
-            sticking = np.zeros(setup.constraints.friction.size, dtype=bool)
+            sticking = setup.constraints.friction.sticking(multipliers, self.data.radius)
+            face = Projector.build(setup.projector.coarse_space, active, sticking)
             recovered = Recovered(none, none, none, -self.data.c, active, sticking)
             certificate, energy = self.primal.certify(recovered, multipliers, face)
             slips = self.primal.slips(recovered)
