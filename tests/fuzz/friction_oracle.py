@@ -313,8 +313,20 @@ class _Measured:
         group = self._groups(pressing)
         of_groups = np.zeros((3, group.max() + 1))
         lost = np.zeros(problem.bodies)
-        for bodies, work in works:
-            np.add.at(lost, [b.min() for b in bodies], work)
+        rounded = [
+            abs(problem.rows) @ np.abs(self.u) + np.where(finite, np.abs(problem.gap), 0.0),
+            np.linalg.norm(
+                (abs(friction.rows) @ np.abs(self.u)).reshape(slips.shape)
+                + np.abs(friction.before),
+                axis=1,
+            ),
+        ]
+        forces = np.abs(found.force) * pressing, bounds
+        for (bodies, work), length, force in zip(works, rounded, forces, strict=True):
+            first = [b.min() for b in bodies]
+            np.add.at(lost, first, work)
+            # rounding of lengths, of which the forces make work
+            np.add.at(noise2, first, 4.0 * _EPS * force * length / ROUNDINGS**2)
         np.add.at(of_groups.T, group, np.column_stack([error2 + lost, energy, noise2]))
         floor = self._floor(K) + ROUNDINGS * np.sqrt(of_groups[2][group])
         whole = float(energy.sum())

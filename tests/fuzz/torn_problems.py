@@ -483,7 +483,7 @@ def draw_torn(seed: int) -> TornProblem:
     for change in (_with_sparse_rows, _with_tied_rows):
         problem = change(draw, problem, shift)
     problem = _with_lengths(draw, problem)
-    return _with_friction(draw, problem, set(supports.held.values()))
+    return _with_friction(draw, problem, set(supports.held.values()), shift)
 
 
 # -- rows between more than two nodes, drawn last --------------------------------------------------
@@ -598,7 +598,9 @@ def _with_lengths(draw: _Draw, problem: TornProblem) -> TornProblem:
 # -- friction, drawn after everything else ---------------------------------------------------------
 
 
-def _with_friction(draw: _Draw, problem: TornProblem, held: set[str]) -> TornProblem:
+def _with_friction(
+    draw: _Draw, problem: TornProblem, held: set[str], shift: Vector
+) -> TornProblem:
     """Add friction, with given bounds or Coulomb's, to some contacts."""
     rng, glued, contacts = draw.rng, problem.glued, problem.contacts
     soft = problem.glued.springs.stiffness.min(initial=np.inf) < SOFT * glued.elastic.max()
@@ -625,7 +627,8 @@ def _with_friction(draw: _Draw, problem: TornProblem, held: set[str]) -> TornPro
         bound = 0.0 * bound
     if law == "bounds":
         coefficient = 0.0 * coefficient
-    before = draw.strain * draw.metre * rng.normal(size=(k, directions)) * draw.chance(0.25)
+    before = draw.strain * rng.normal(size=(k, directions)) * draw.chance(0.25)
+    before = draw.metre * (before + (S @ shift).reshape(k, directions))
     friction = GluedFriction(row, S, before, bound, coefficient)
     given = Friction(row, tangents, bound, before, coefficient)
     largest = float(coefficient.max(initial=0.0))

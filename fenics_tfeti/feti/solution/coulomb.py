@@ -129,7 +129,8 @@ def _failure(changes: Sequence[float]) -> str:
         return (
             f"the slip bounds of Coulomb's law do not converge: their changes are reduced by a "
             f"factor of {ratio:.2f} a step only, and are {changes[last]:.1e} of the bounds. The "
-            "coefficient of friction may be too large for a unique solution"
+            "coefficient of friction may be too large for a unique solution, or too small to hold the "
+            "load"
         )
     return ""
 
@@ -187,14 +188,15 @@ class _FixedPoint:
                 sudden = self._dot(way, way) > _SUDDEN**2 * self._dot(self._last, self._last)
                 self._length = longest = 1.0 if sudden else _LONGEST
         self._length = min(max(self._length, _SHORTEST), longest)
-        self._last, part = way, self._length
+        self._last, part, halved = way, self._length, False
         for _ in range(_MAX_HALVINGS):
             bounds = np.maximum(data.radius + part * way / scale, 0.0)
             # no parts of bounds where nothing presses any more: they would have large curvatures
             found = self._held(np.where(radius > 0.0, bounds, 0.0))
-            if found is not None:
+            if found is not None and (part == self._length or halved):
                 return found, True
-            part *= 0.5
+            # bounds that hold the load just so have no unique motion: once more than needed
+            part, halved = 0.5 * part, found is not None
         return data, False
 
     def _held(self, radius: Vector) -> ContactData | None:

@@ -181,8 +181,10 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
             by_active_set = changed_method = True
             progress = Progress()
         elif limited:
+            if candidate.certificate.with_idle_bodies().worst <= limit:
+                return Outcome(candidate, stage.state, True, "converged", tolerance)
             found = (
-                f"the error of the displacement is {worst:.1e}"
+                f"{candidate.certificate.worst_name} is {worst:.1e}"
                 if np.isfinite(worst)
                 else "the contact forces do not balance the load"
             )
