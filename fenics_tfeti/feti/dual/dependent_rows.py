@@ -49,16 +49,15 @@ def closable(problem: DualProblem, signs: Signs, multipliers: Vector) -> Signs |
     constraints, coupling = problem.constraints, problem.constraints.coupling
     if not coupling.groups:
         return None
-    friction, layout = constraints.friction, constraints.layout
-    size, first = multipliers.size, friction.rows.max(axis=1, initial=-1)
+    friction, size = constraints.friction, multipliers.size
     forces = np.maximum(multipliers, 0.0)
     forces[friction.flat] = signs.forces[friction.flat]
-    of_site = np.stack(
-        [layout.numbers[first], np.linalg.norm(friction.at_sites(forces), axis=1), problem.radius]
+    of_site = (
+        friction.numbers(constraints.layout),
+        np.linalg.norm(friction.at_sites(forces), axis=1),
+        problem.radius,
     )
-    on_tangents = np.zeros((3, size))
-    for direction in friction.rows.T:
-        on_tangents[:, direction[direction >= 0]] = of_site[:, direction >= 0]
+    on_tangents = [friction.spread(values, size) for values in of_site]
     on_face = constraints.face(signs.active, signs.sticking).astype(float)
     coupled = _CoupledRows(coupling, *coupling.gather(on_face, forces, problem.c, *on_tangents))
     before = coupled.on_face.copy()
