@@ -149,23 +149,23 @@ def _newton(
         if np.linalg.norm(g) <= tolerance:
             break
         p = _newton_step(C, feasible, C.T @ y, delta, -g)
-        y = y + _step_length(lambda t, y=y, p=p: float(gradient(y + t * p) @ p)) * p
+        y = y + _step_length(gradient, y, p) * p
     return y
 
 
-def _step_length(slope: Callable[[float], float]) -> float:
-    """Return 1, or a step at which the slope of a convex function is half as steep as at 0.
+def _step_length(gradient: Callable[[Vector], Vector], y: Vector, p: Vector) -> float:
+    """Return 1, or a step along p after which a convex function is at most half as steep.
 
     Slopes tell on which side of a kink the minimum is where differences of the function are
     rounding.
     """
     lower, upper, length = 0.0, 1.0, 1.0
-    limit, ahead = 0.5 * abs(slope(0.0)), slope(1.0)
+    limit, ahead = 0.5 * abs(float(gradient(y) @ p)), float(gradient(y + p) @ p)
     if ahead <= limit:
         return length
     for _ in range(_BISECTIONS):
         length = 0.5 * (lower + upper)
-        ahead = slope(length)
+        ahead = float(gradient(y + length * p) @ p)
         if abs(ahead) <= limit:
             break
         lower, upper = (lower, length) if ahead > 0.0 else (length, upper)

@@ -11,6 +11,7 @@ from friction_problems import (
     blocks_that_do_not_match,
     held_block,
     horizontal,
+    in_a_groove,
     on_the_ground,
     pulled_strip,
     pushed_block,
@@ -197,6 +198,17 @@ def test_random_rows_that_depend_on_each_other(seed):
     found = TornSolver(system, Options(rtol=1e-7)).solve()
     assert found.report.energy == pytest.approx(solve_by_cones(system).energy, rel=1e-9)
     assert found.report.outer_iterations == 0
+
+
+@pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet"])
+@pytest.mark.parametrize("bound", [1e-3, 0.02])
+def test_nodes_between_two_planes(bound, preconditioner):
+    """Four directions of sticking or turning forces in the plane across the groove."""
+    system = in_a_groove(bound)
+    found = TornSolver(system, Options(preconditioner=preconditioner)).solve()
+    assert found.report.energy == pytest.approx(solve_by_cones(system).energy, rel=1e-9)
+    # 4000 where the preconditioner does not see forces that only turn against each other
+    assert found.report.products["total"] <= 1000
 
 
 def test_problems_have_both_states():

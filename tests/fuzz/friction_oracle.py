@@ -50,7 +50,7 @@ Numbers = NDArray[np.int64]
 
 __all__ = ["compare_with_friction", "verdict_with_friction"]
 
-# what is left of a load, relative to it, that the conic solver certainly balances, and certainly not
+# part of a load that is left where forces certainly balance it, and where they certainly do not
 _BALANCED, _UNBALANCED = 1e-8, 1e-6
 _EPS = float(np.finfo(float).eps)
 # words of the package where the fixed point of Coulomb's law does not contract
@@ -102,7 +102,10 @@ def _unbalanced(problem: GluedProblem) -> str:
     motions = [_motions(problem, b) for b in range(problem.bodies)]
     touched = sp.vstack(rows).tocsr()
     of_body = sp.csr_matrix(
-        (np.ones(problem.load.size), (np.arange(problem.load.size), np.repeat(problem.body, problem.gdim)))
+        (
+            np.ones(problem.load.size),
+            (np.arange(problem.load.size), np.repeat(problem.body, problem.gdim)),
+        )
     )
     joined = abs(touched) @ of_body
     label = connected_components(joined.T @ joined, directed=False)[1]
@@ -215,7 +218,9 @@ class _Measured:
 
     def _allowed(self, rows: sp.csr_matrix) -> Vector:
         """Return the length that is allowed at each row."""
-        return np.array([self.length[b].max(initial=0.0) for b in bodies_of_rows(rows, self.problem)])
+        return np.array(
+            [self.length[b].max(initial=0.0) for b in bodies_of_rows(rows, self.problem)]
+        )
 
     def _displacements(self) -> dict[str, float]:
         """Compare gaps, slips below the bound, ties, copies of nodes and supports."""
@@ -297,8 +302,12 @@ class _Measured:
         error2, noise2, imbalance = (np.zeros(problem.bodies) for _ in range(3))
         for b in range(problem.bodies):
             at = problem.unknowns(b)
-            energy[b] += max(0.0, float(self.local[at] @ (problem.elastic[at][:, at] @ self.local[at])))
+            energy[b] += max(
+                0.0, float(self.local[at] @ (problem.elastic[at][:, at] @ self.local[at]))
+            )
             error2[b], noise2[b], imbalance[b] = _dual_norms(problem, b, K, residual, size)
+        of_body = np.bincount(np.repeat(problem.body, problem.gdim), weights=size)
+        imbalance /= np.maximum(1e-9 * of_body + 1e-14 * of_body.sum(), 1e-300)
         slips = friction.slips(self.u)
         bounds = np.where(self._at_bound(), self._size(), self._bounds())
         finite = np.isfinite(problem.gap)
@@ -334,7 +343,9 @@ class _Measured:
         floor = floor + AT_REST * np.sqrt(whole) * (energy <= AT_REST**2 * whole)
         least = OF_ALL**2 * whole
         of_group = np.sqrt(np.maximum(of_groups[1][group], least))
-        of_body = np.sqrt(np.maximum.reduce([energy, OF_GROUP**2 * of_groups[1][group], 0 * energy + least]))
+        of_body = np.sqrt(
+            np.maximum.reduce([energy, OF_GROUP**2 * of_groups[1][group], 0 * energy + least])
+        )
         tolerance = FACTOR * self.rtol
         exact = 0.5 * whole - float(problem.load @ self.u) + float(rubbing.sum())
         noise = 1e-12 * float(np.abs(problem.load) @ np.abs(self.u)) + float((floor**2).sum())
@@ -374,7 +385,7 @@ class _Measured:
 def _dual_norms(
     problem: GluedProblem, body: int, K: sp.csr_matrix, residual: Vector, size: Vector
 ) -> tuple[float, float, float]:
-    """Return r'K^+r of a residual and of its rounding, and the imbalance relative to rounding."""
+    """Return r'K^+r of a residual and of its rounding, and the residual's rigid part [N]."""
     at = problem.unknowns(body)
     free = at[~np.isin(at, problem.fixed)]
     if not free.size:
@@ -397,5 +408,5 @@ def _dual_norms(
     for r in (residual[free], _EPS * size[free] * rng.choice([-1.0, 1.0], free.size)):
         r = r - N @ (N.T @ r)
         norms.append(max(0.0, float(scale * r @ la.cho_solve(factor, scale * r))))
-    rigid = np.abs(N.T @ residual[free]).max(initial=0.0)
-    return norms[0], norms[1], float(rigid / max(1e-9 * size[free].sum(), 1e-300))
+    rigid = float(np.abs(N.T @ residual[free]).max(initial=0.0))
+    return norms[0], norms[1], rigid

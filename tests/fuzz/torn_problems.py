@@ -598,9 +598,7 @@ def _with_lengths(draw: _Draw, problem: TornProblem) -> TornProblem:
 # -- friction, drawn after everything else ---------------------------------------------------------
 
 
-def _with_friction(
-    draw: _Draw, problem: TornProblem, held: set[str], shift: Vector
-) -> TornProblem:
+def _with_friction(draw: _Draw, problem: TornProblem, held: set[str], shift: Vector) -> TornProblem:
     """Add friction, with given bounds or Coulomb's, to some contacts."""
     rng, glued, contacts = draw.rng, problem.glued, problem.contacts
     soft = problem.glued.springs.stiffness.min(initial=np.inf) < SOFT * glued.elastic.max()
@@ -667,8 +665,10 @@ def _any_direction(glued: GluedProblem, normals: Vector) -> NDArray[np.bool_]:
     fixed[glued.fixed] = 1.0
     rows = abs(glued.rows)
     nodes = sp.csr_matrix(
-        (np.ones(rows.nnz), (np.repeat(np.arange(len(normals)), np.diff(rows.indptr)),
-                             rows.indices // glued.gdim)),
+        (
+            np.ones(rows.nnz),
+            (np.repeat(np.arange(len(normals)), np.diff(rows.indptr)), rows.indices // glued.gdim),
+        ),
         shape=(len(normals), len(glued.body)),
     )
     touched = nodes > 0.0
@@ -739,9 +739,7 @@ def _pushed(draw: _Draw, problem: TornProblem) -> TornProblem:
         subdomains.append(replace(s, load=s.load + left[at]))
         left[at] = 0.0
     draw.story.append("pushed as friction holds")
-    return replace(
-        problem, subdomains=subdomains, glued=replace(glued, load=glued.load + f)
-    )
+    return replace(problem, subdomains=subdomains, glued=replace(glued, load=glued.load + f))
 
 
 def _shifts(draw: _Draw, supports: _Supports) -> Vector:

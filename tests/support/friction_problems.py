@@ -75,6 +75,29 @@ def on_the_ground(bound=0.012, load=(0.1, 0.0, -1.0)) -> TornSystem:
     )
 
 
+def in_a_groove(bound=0.02, gap=0.01, load=(0.01, 0.005, -1.0)) -> TornSystem:
+    """Return a cube whose bottom is pressed on two rigid planes that slope towards each other.
+
+    The nodes have gaps of up to three times `gap` to each plane, and slip bounds of some sizes.
+    """
+    block = on_the_ground(load=load)
+    slave = block.contacts.slave
+    k = slave.size
+    slopes = np.array([[0.0, np.sin(0.6), -np.cos(0.6)], [0.0, -np.sin(0.6), -np.cos(0.6)]])
+    normals = np.repeat(slopes, k, axis=0)
+    gaps = gap * (1.0 + np.arange(2 * k) % 3)
+    rows = ContactRows.node_to_node(
+        np.tile(slave, 2), np.full(2 * k, -1), normals, gaps, np.repeat([0, 1], k)
+    )
+    along = np.tile([1.0, 0.0, 0.0], (2 * k, 1))
+    tangents = np.stack([along, np.cross(normals, along)], axis=1)
+    bounds = bound * (0.5 + 0.5 * (np.arange(2 * k) % 7) / 6.0)
+    friction = Friction(np.arange(2 * k), tangents, bounds)
+    return dataclasses.replace(
+        block, contacts=rows, contact_names=["left", "right"], friction=friction
+    )
+
+
 def pulled_strip(n=6, bound=0.01, pull=0.06) -> TornSystem:
     """Return a plane strip of two subdomains on a rigid line, pressed on it and pulled sideways.
 

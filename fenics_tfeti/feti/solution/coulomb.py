@@ -129,8 +129,8 @@ def _failure(changes: Sequence[float]) -> str:
         return (
             f"the slip bounds of Coulomb's law do not converge: their changes are reduced by a "
             f"factor of {ratio:.2f} a step only, and are {changes[last]:.1e} of the bounds. The "
-            "coefficient of friction may be too large for a unique solution, or too small to hold the "
-            "load"
+            "coefficient of friction may be too large for a unique solution, or too small to hold "
+            "the load"
         )
     return ""
 
