@@ -8,9 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 from friction_problems import (
+    STORED,
     blocks_that_do_not_match,
     held_block,
     horizontal,
+    in_a_corner,
     in_a_groove,
     on_the_ground,
     pulled_strip,
@@ -198,6 +200,25 @@ def test_random_rows_that_depend_on_each_other(seed):
     found = TornSolver(system, Options(rtol=1e-7)).solve()
     assert found.report.energy == pytest.approx(solve_by_cones(system).energy, rel=1e-9)
     assert found.report.outer_iterations == 0
+
+
+@pytest.mark.parametrize("path", STORED, ids=lambda path: path.stem)
+def test_rows_that_stick_and_cannot_be_closed_together(path):
+    """With Coulomb's law they are those of the slip bounds that were found."""
+    system = load_system(path)
+    found = TornSolver(system, Options()).solve()
+    friction = dataclasses.replace(system.friction, bound=found.slip_bound, coefficient=None)
+    exact = solve_by_cones(dataclasses.replace(system, friction=friction))
+    assert found.report.certificate.worst <= 1e-6
+    assert found.report.energy == pytest.approx(exact.energy, rel=1e-5)
+
+
+@pytest.mark.parametrize("seed", [2, 14, 15, 21])
+def test_forces_in_a_corner_are_found_by_the_active_set_method(seed):
+    system = in_a_corner(seed)
+    found = TornSolver(system, Options()).solve().report
+    assert found.energy == pytest.approx(solve_by_cones(system).energy, rel=1e-9)
+    assert found.outer_iterations == 0
 
 
 @pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet"])
