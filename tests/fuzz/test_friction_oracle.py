@@ -66,6 +66,9 @@ def test_wrong_solution_is_wrong(solved, change):
         pytest.param(864, id="balanced by large forces"),
         pytest.param(1221, id="friction much smaller than the load"),
         pytest.param(1760, id="kinks of the least norm"),
+        pytest.param(5920, id="directions swing, without preconditioner"),
+        pytest.param(7884, id="directions swing, Dirichlet preconditioner"),
+        pytest.param(7944, id="directions swing, small tolerance"),
     ],
 )
 def test_random_problem(seed):

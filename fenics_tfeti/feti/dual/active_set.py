@@ -40,6 +40,10 @@ Mask = NDArray[np.bool_]
 
 # limit on changes of one row
 _SINGLE_STEPS = 100
+# faces without progress after which forces that slip turn by half: directions may swing
+_FULL_STEPS = 2
+# part of r that is left of the mean of two directions that are not opposite
+_NOT_OPPOSITE = 0.1
 # force, relative to the largest one, that is rounding
 _NO_FORCE = 1e-14
 
@@ -152,6 +156,8 @@ def primal_dual_active_set(
         gradient = _without_pulling_rows(problem, face, iterate)
         following = iterate.multipliers[rows] > gradient[rows] / problem.norm
         forces = friction_step(problem, face, iterate.multipliers, gradient)
+        if progress.failures > _FULL_STEPS:
+            forces = _halfway(problem, face, forces)
         rubbing = np.zeros_like(gradient)
         rubbing[friction.flat] = forces[friction.present]
         sticking = friction.sticking(rubbing, problem.radius)
@@ -316,6 +322,17 @@ def _turned(problem: DualProblem, face: Face, iterate: PCPGIterate, forces: Vect
     slipping = friction.present & ~face.signs.sticking[:, None]
     change[friction.rows[slipping]] = (forces - friction.at_sites(face.signs.forces))[slipping]
     return problem.norm * problem.space.norm(change) > iterate.residual
+
+
+def _halfway(problem: DualProblem, face: Face, forces: Vector) -> Vector:
+    """Return forces (k, gdim - 1) halfway from those of a face, on the circles, where both slip."""
+    friction, radius = problem.constraints.friction, problem.radius
+    mean = 0.5 * (friction.at_sites(face.signs.forces) + forces)
+    length = np.linalg.norm(mean, axis=1)
+    slipping = ~face.signs.sticking & (np.linalg.norm(forces, axis=1) >= (1.0 - NO_WORK) * radius)
+    turning = slipping & (length > _NOT_OPPOSITE * radius)
+    factor = np.divide(radius, length, out=np.ones_like(length), where=turning)
+    return np.where(turning[:, None], factor[:, None] * mean, forces)
 
 
 def _change_last(problem: DualProblem, active: Mask, following: Mask) -> Mask:
