@@ -6,6 +6,8 @@ within their bounds can balance.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
@@ -21,7 +23,9 @@ Vector = NDArray[np.float64]
 # decreasing regularisation, relative to ||C||^2, and steps of Newton's method for each
 _REGULARISATION = 10.0 ** -np.arange(1.0, 14.0)
 _NEWTON_STEPS = 60
-# ||Cx + delta y - d|| / ||d|| with which Newton's method ends, and ||Cx - d|| / ||d|| of a solution
+# limit on the bisections of a step
+_BISECTIONS = 60
+# ||Cx - d|| / ||d|| with which the iterations end, and of a solution
 _NEWTON = 1e-12
 _SOLVED = 1e-9
 # largest factor of the radii, and relative accuracy of the smallest one
@@ -35,9 +39,10 @@ def least_norm_in_set(
     """Minimise 1/2 ||x||^2 subject to Cx = d on a convex set that contains o.
 
     The dual problem, maximise d'y - h(C'y) with h(v) = v'P(v) - 1/2 ||P(v)||^2 and the projection P
-    onto the set, is regularised by delta/2 ||y||^2 with delta tending to zero. The semismooth
-    Newton method solves it. Then x = P(C'y) and Cx + delta y = d: without a solution delta y tends
-    to the smallest residual.
+    onto the set, is solved by the proximal point method: each step regularises it by
+    delta/2 ||y - y_0||^2 with the last y_0, and delta tends to zero. The semismooth Newton method
+    solves it. Then x = P(C'y) and Cx + delta (y - y_0) = d: without a solution delta (y - y_0)
+    tends to the smallest residual.
 
     Parameters
     ----------
@@ -77,8 +82,11 @@ def least_norm_in_set(
         return np.zeros(C.shape[1]), d.copy()
     for delta in stiffness * _REGULARISATION:
         y = _newton(C, d, feasible, y, delta, _NEWTON * size)
-    x = feasible.project(C.T @ y)
-    return x, d - C @ x
+        x = feasible.project(C.T @ y)
+        residual = d - C @ x
+        if np.linalg.norm(residual) <= _NEWTON * size:
+            break
+    return x, residual
 
 
 def smallest_factor(
@@ -125,30 +133,43 @@ def _newton(
     C: Vector | sp.csr_matrix,
     d: Vector,
     feasible: ProductSet | FrictionCones,
-    y: Vector,
+    centre: Vector,
     delta: float,
     tolerance: float,
 ) -> Vector:
-    """Maximise d'y - h(C'y) - delta/2 ||y||^2 by the semismooth Newton method."""
+    """Maximise d'y - h(C'y) - delta/2 ||y - centre||^2 by the semismooth Newton method."""
 
-    def cost(y: Vector) -> float:
-        v = C.T @ y
-        x = feasible.project(v.copy())
-        return float(v @ x - 0.5 * (x @ x) + 0.5 * delta * (y @ y) - d @ y)
+    def gradient(y: Vector) -> Vector:
+        x: Vector = C @ feasible.project(C.T @ y) + delta * (y - centre) - d
+        return x
 
+    y = centre
     for _ in range(_NEWTON_STEPS):
-        v = C.T @ y
-        gradient = C @ feasible.project(v.copy()) + delta * y - d
-        if np.linalg.norm(gradient) <= tolerance:
+        g = gradient(y)
+        if np.linalg.norm(g) <= tolerance:
             break
-        p = _newton_step(C, feasible, v, delta, -gradient)
-        slope, length, before = float(gradient @ p), 1.0, cost(y)
-        # near the solution the decrease drowns in rounding
-        limit = before + 1e-12 * abs(before)
-        while cost(y + length * p) > limit + 1e-4 * length * slope and length > 1e-12:
-            length *= 0.5
-        y = y + length * p
+        p = _newton_step(C, feasible, C.T @ y, delta, -g)
+        y = y + _step_length(gradient, y, p) * p
     return y
+
+
+def _step_length(gradient: Callable[[Vector], Vector], y: Vector, p: Vector) -> float:
+    """Return 1, or a step along p after which a convex function is at most half as steep.
+
+    Slopes tell on which side of a kink the minimum is where differences of the function are
+    rounding.
+    """
+    lower, upper, length = 0.0, 1.0, 1.0
+    limit, ahead = 0.5 * abs(float(gradient(y) @ p)), float(gradient(y + p) @ p)
+    if ahead <= limit:
+        return length
+    for _ in range(_BISECTIONS):
+        length = 0.5 * (lower + upper)
+        ahead = float(gradient(y + length * p) @ p)
+        if abs(ahead) <= limit:
+            break
+        lower, upper = (lower, length) if ahead > 0.0 else (length, upper)
+    return length
 
 
 def _newton_step(

@@ -8,9 +8,12 @@ from functools import cache
 import numpy as np
 import pytest
 from friction_problems import (
+    STORED,
     blocks_that_do_not_match,
     held_block,
     horizontal,
+    in_a_corner,
+    in_a_groove,
     on_the_ground,
     pulled_strip,
     pushed_block,
@@ -197,6 +200,36 @@ def test_random_rows_that_depend_on_each_other(seed):
     found = TornSolver(system, Options(rtol=1e-7)).solve()
     assert found.report.energy == pytest.approx(solve_by_cones(system).energy, rel=1e-9)
     assert found.report.outer_iterations == 0
+
+
+@pytest.mark.parametrize("path", STORED, ids=lambda path: path.stem)
+def test_rows_that_stick_and_cannot_be_closed_together(path):
+    """With Coulomb's law they are those of the slip bounds that were found."""
+    system = load_system(path)
+    found = TornSolver(system, Options()).solve()
+    friction = dataclasses.replace(system.friction, bound=found.slip_bound, coefficient=None)
+    exact = solve_by_cones(dataclasses.replace(system, friction=friction))
+    assert found.report.certificate.worst <= 1e-6
+    assert found.report.energy == pytest.approx(exact.energy, rel=1e-5)
+
+
+@pytest.mark.parametrize("seed", [2, 14, 15, 21])
+def test_forces_in_a_corner_are_found_by_the_active_set_method(seed):
+    system = in_a_corner(seed)
+    found = TornSolver(system, Options()).solve().report
+    assert found.energy == pytest.approx(solve_by_cones(system).energy, rel=1e-9)
+    assert found.outer_iterations == 0
+
+
+@pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet"])
+@pytest.mark.parametrize("bound", [1e-3, 0.02])
+def test_nodes_between_two_planes(bound, preconditioner):
+    """Four directions of sticking or turning forces in the plane across the groove."""
+    system = in_a_groove(bound)
+    found = TornSolver(system, Options(preconditioner=preconditioner)).solve()
+    assert found.report.energy == pytest.approx(solve_by_cones(system).energy, rel=1e-9)
+    # 4000 where the preconditioner does not see forces that only turn against each other
+    assert found.report.products["total"] <= 1000
 
 
 def test_problems_have_both_states():

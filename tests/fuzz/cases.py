@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 import oracle
+from friction_oracle import compare_with_friction, verdict_with_friction
 from glued import GluedProblem
 from mutations import mutated
 from numpy.typing import NDArray
@@ -56,6 +57,8 @@ class _Case:
         if self.mutation:
             return compare_refused(self.mutation, self.found)
         problem = self.glue()
+        if problem.friction is not None:
+            return compare_with_friction(problem, self.found, self.rtol)
         return compare(problem, oracle.solve(problem), self.found, self.rtol)
 
 
@@ -68,7 +71,10 @@ def solve_case(level: str, seed: int, comm: MPI.Comm, notes: MPI.Comm) -> Outcom
     differ = agree(notes, case.found)
     if differ:
         return Outcome("ranks differ", differ)
-    return case.outcome() if comm.rank == 0 else Outcome("")
+    if comm.rank > 0:
+        return Outcome("")
+    outcome = case.outcome()
+    return replace(outcome, numbers={**outcome.numbers, "products": case.found.products})
 
 
 def _solve(level: str, seed: int, comm: MPI.Comm) -> _Case:
@@ -91,7 +97,7 @@ def _solve(level: str, seed: int, comm: MPI.Comm) -> _Case:
 
 
 def _solve_torn(problem: TornProblem, comm: MPI.Comm, seed: int) -> Found:
-    system, rows, ties = torn_system(problem, comm, seed)
+    system, rows, ties, sites = torn_system(problem, comm, seed)
     solution = TornSolver(system, parse_options(problem.options)).solve()
     glued = problem.glued
     n, gdim = glued.load.size, glued.gdim
@@ -108,11 +114,15 @@ def _solve_torn(problem: TornProblem, comm: MPI.Comm, seed: int) -> Found:
     force[rows] = solution.normal_force
     tied = np.zeros(problem.tied.size)
     tied[ties] = solution.tied_force
-    sums, counts, force, tied = (comm.allreduce(x) for x in (sums, counts, force, tied))
+    tangential = np.zeros(problem.friction.tangents.shape[:2])
+    tangential[sites] = solution.tangential_force
+    sums, counts, force, tied, tangential = (
+        comm.allreduce(x) for x in (sums, counts, force, tied, tangential)
+    )
     comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)
     comm.Allreduce(MPI.IN_PLACE, high, MPI.MAX)
     jump = (high - low).reshape(-1, gdim).max(axis=1)
-    return _found(sums / counts, jump, force, solution.report, tied)
+    return _found(sums / counts, jump, force, solution.report, tied, tangential)
 
 
 def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
@@ -136,12 +146,15 @@ def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
         force.append([of_node[int(i)] for i in slave.nodes])
     forces = np.concatenate([np.zeros(0), *force])
     none = np.zeros(0)
-    return _found(u.ravel(), np.zeros(len(u)), forces, contact_problem.report, none)
+    report = contact_problem.report
+    return _found(u.ravel(), np.zeros(len(u)), forces, report, none, none)
 
 
-def _found(u: Vector, jump: Vector, force: Vector, report: Any, tied: Vector) -> Found:
-    products = report.products["total"]
-    return Found(u, jump, force, tied, report.contact_force, report.energy, products)
+def _found(
+    u: Vector, jump: Vector, force: Vector, report: Any, tied: Vector, tangential: Vector
+) -> Found:
+    normal, products = report.contact_force, report.products["total"]
+    return Found(u, jump, force, tied, tangential, normal, report.energy, products)
 
 
 def tell_case(level: str, seed: int) -> None:
@@ -152,9 +165,10 @@ def tell_case(level: str, seed: int) -> None:
         print(case.found.trace)
     if not case.mutation:
         problem = case.glue()
-        answer = oracle.solve(problem)
+        rubs = problem.friction is not None
+        answer = verdict_with_friction(problem) if rubs else oracle.solve(problem)
         print(f"oracle: {answer.verdict} {answer.why}")
-        if answer.verdict == "solution":
+        if answer.verdict == "solution" and not rubs:
             _tell_solutions(problem, answer, case.found)
     outcome = case.outcome()
     print(f"{outcome.kind}: {outcome.detail}\n{outcome.numbers}")

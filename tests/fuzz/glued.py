@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
-__all__ = ["GluedProblem", "Springs", "rigid_modes"]
+__all__ = ["GluedFriction", "GluedProblem", "Springs", "rigid_modes"]
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,42 @@ class Springs:
 
 
 @dataclass(frozen=True)
+class GluedFriction:
+    """Friction at some contact rows: |t| <= bound + coefficient * lambda against slips.
+
+    Attributes
+    ----------
+    row : (k,) integer array
+        The contact row of each site.
+    rows : ((gdim - 1) k, n) scipy.sparse.csr_matrix
+        S: tangents at the slave nodes, minus those at the master nodes; a slip is S u - before [m].
+    before : (k, gdim - 1) array
+        The displacement from which slip is counted [m].
+    bound, coefficient : (k,) arrays
+        Slip bound [N], and coefficient of Coulomb's law.
+    """
+
+    row: Numbers
+    rows: sp.csr_matrix
+    before: Vector
+    bound: Vector
+    coefficient: Vector
+
+    @property
+    def size(self) -> int:
+        """Number of sites."""
+        return int(self.row.size)
+
+    def slips(self, u: Vector) -> Vector:
+        """Return S u - before, (k, gdim - 1)."""
+        return (self.rows @ u).reshape(self.before.shape) - self.before
+
+
+@dataclass(frozen=True)
 class GluedProblem:
     """min 1/2 u'(K + springs)u - f'u over u = value on the fixed unknowns, C u <= gap, T u = jump.
+
+    With friction of given bounds r the sum of r |s| of the slips s is added.
 
     Attributes
     ----------
@@ -67,6 +101,8 @@ class GluedProblem:
         T, sums over the slave of unit length; none by default.
     tied_jump : (t,) array
         Its right-hand side.
+    friction : GluedFriction or None
+        Friction at contact rows.
     """
 
     coordinates: Vector
@@ -82,6 +118,7 @@ class GluedProblem:
     gap_rounding: Vector
     tied: sp.csr_matrix = field(default_factory=lambda: sp.csr_matrix((0, 0)))
     tied_jump: Vector = field(default_factory=lambda: np.zeros(0))
+    friction: GluedFriction | None = None
 
     def __post_init__(self) -> None:
         """Give the default of T its columns."""

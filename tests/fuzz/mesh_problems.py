@@ -313,7 +313,7 @@ class _Posed:
     cell_tags: Any
     faces: Any  # facet tags: 1 + number of the box's face
     elastic: Any
-    springs: Any
+    springs: list[Any]  # a form for each kind of spring
     load: Any
     bcs: list[Any]
     kept: list[Any]
@@ -364,14 +364,17 @@ def _set_up(problem: MeshProblem, comm: MPI.Comm) -> _Posed:
     along = fem.Constant(mesh, problem.direction.astype(PETSc.ScalarType))
     normal = ufl.FacetNormal(mesh)
     on = ufl.Measure("ds", domain=mesh, subdomain_data=spring_tags)
-    springs = (
-        k * ufl.inner(u, v) * on(ALL)
-        + k * ufl.inner(u, normal) * ufl.inner(v, normal) * on(NORMAL)
-        + k * ufl.inner(u, along) * ufl.inner(v, along) * on(ALONG)
-    )
+    terms = {
+        ALL: k * ufl.inner(u, v),
+        NORMAL: k * ufl.inner(u, normal) * ufl.inner(v, normal),
+        ALONG: k * ufl.inner(u, along) * ufl.inner(v, along),
+    }
+    springs = [terms[kind] * on(kind) for kind in sorted({s.kind for s in problem.springs})]
     traction_tags, traction = _tractions(problem, mesh, faces)
     over = ufl.Measure("ds", domain=mesh, subdomain_data=traction_tags)
-    load = ufl.inner(weight, v) * ufl.dx + ufl.inner(traction, v) * over(1)
+    load = ufl.inner(weight, v) * ufl.dx
+    if problem.tractions:
+        load += ufl.inner(traction, v) * over(1)
     bcs = [
         _prescribed(V, faces, _face_tag(problem, s.box, s.axis, s.side), component, value)
         for s in problem.supports
@@ -505,7 +508,7 @@ def pose(problem: MeshProblem, comm: MPI.Comm) -> tuple[ContactProblem, _Posed]:
         )
         for g in problem.grounds
     ]
-    a = posed.elastic + posed.springs if problem.springs else posed.elastic
+    a = sum(posed.springs, posed.elastic)
     problem_ = ContactProblem(
         a, posed.load, posed.bcs, contacts, posed.cell_tags, options=problem.options
     )
@@ -616,7 +619,7 @@ def glue(problem: MeshProblem) -> GluedProblem:
 
 def _spring_rows(problem: MeshProblem, posed: _Posed, order: Numbers) -> Springs:
     """Return the springs as rows: the eigenvectors of their matrix, box by box."""
-    K = _matrix(posed.springs, order)
+    K = _matrix(sum(posed.springs[1:], posed.springs[0]), order)
     per_box = K.shape[0] // len(problem.lower)
     rows, stiffness = [], []
     for box in range(len(problem.lower)):

@@ -32,7 +32,7 @@ Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Long = NDArray[np.longdouble]
 
-__all__ = ["Answer", "Verdict", "solve"]
+__all__ = ["Answer", "Unsure", "Verdict", "infeasibility", "solve"]
 
 # a resistance or a violation between these two, relative to what is compared, is called unsure
 _CERTAINLY_ZERO, _CERTAINLY_NOT = 1e-12, 1e-10
@@ -90,7 +90,7 @@ class Unsure(Exception):
 def solve(problem: GluedProblem) -> Answer:
     """Solve a problem, or say why it has no solution."""
     try:
-        excess = _infeasibility(problem)
+        excess = infeasibility(problem)
         condensed = _Condensed(problem)
         motion = condensed.unresisted_motion()
         if excess and motion:
@@ -107,7 +107,7 @@ def solve(problem: GluedProblem) -> Answer:
 # -- feasibility -----------------------------------------------------------------------------------
 
 
-def _infeasibility(problem: GluedProblem) -> str:
+def infeasibility(problem: GluedProblem) -> str:
     """Tell whether the conditions exclude each other: a linear programme for each set of nodes."""
     u = np.zeros(problem.load.size)
     u[problem.fixed] = problem.values

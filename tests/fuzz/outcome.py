@@ -23,14 +23,26 @@ from fenics_tfeti.errors import (
 
 Vector = NDArray[np.float64]
 
-__all__ = ["CLASSES", "Found", "Outcome", "agree", "attempt", "compare", "compare_refused"]
+__all__ = [
+    "CLASSES",
+    "FAILURES",
+    "FINE",
+    "Found",
+    "Outcome",
+    "agree",
+    "attempt",
+    "bodies_of_rows",
+    "compare",
+    "compare_error",
+    "compare_refused",
+    "outcome_of",
+    "rigid_part",
+    "worst",
+]
 
-# classes of outcomes; those after the first four are failures
-CLASSES = (
-    "right",
-    "right error",
-    "limit of rounding",
-    "skipped",
+# classes of outcomes
+FINE = ("right", "right error", "limit of rounding", "skipped", "no contraction")
+FAILURES = (
     "wrong",
     "no convergence",
     "false error",
@@ -38,6 +50,7 @@ CLASSES = (
     "hang",
     "ranks differ",
 )
+CLASSES = FINE + FAILURES
 
 # the error in the energy norm that counts as right, relative to rtol
 FACTOR = 10.0
@@ -66,6 +79,8 @@ class Found:
         Normal forces by contact row.
     tied : (t,) array
         Forces by tied row.
+    tangential : (k, gdim - 1) array
+        Friction forces by site.
     contact_force : list of float
         Sums, as reported.
     energy : float
@@ -80,6 +95,7 @@ class Found:
     jump: Vector = field(default_factory=lambda: np.zeros(0))
     force: Vector = field(default_factory=lambda: np.zeros(0))
     tied: Vector = field(default_factory=lambda: np.zeros(0))
+    tangential: Vector = field(default_factory=lambda: np.zeros((0, 1)))
     contact_force: list[float] = field(default_factory=list)
     energy: float = 0.0
     products: int = 0
@@ -114,7 +130,7 @@ def compare(problem: GluedProblem, answer: Answer, found: Found, rtol: float) ->
     if answer.verdict == "unsure":
         return Outcome("skipped", answer.why)
     if answer.verdict != "solution":
-        return _compare_error(answer, error, said)
+        return compare_error(answer, error, said)
     if isinstance(error, NotConverged):
         needs = _attainable(answer)
         if rtol < needs < np.inf:
@@ -138,7 +154,7 @@ def compare_refused(mutation: str, found: Found) -> Outcome:
     return Outcome("right error" if right else "false error", said)
 
 
-def _compare_error(answer: Answer, error: Exception | None, said: str) -> Outcome:
+def compare_error(answer: Answer, error: Exception | None, said: str) -> Outcome:
     what = f"{answer.verdict}: {answer.why}"
     if error is None:
         return Outcome("wrong", f"converged, but {what}")
@@ -175,11 +191,11 @@ def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol:
     rounded_gap = ROUNDINGS * float(problem.gap_rounding.max(initial=0.0))
     if 0.0 < np.abs(answer.displacement).max(initial=0.0) <= rounded_gap:
         largest = np.array([np.abs(u).max()])
-        return _outcome({"displacement by a rounded gap": _worst(largest, rounded_gap)})
+        return outcome_of({"displacement by a rounded gap": worst(largest, rounded_gap)})
     scale, floor = _scales(answer), ROUNDINGS * answer.noise
     if np.any(answer.error > 0.3 * FACTOR * rtol * scale + floor):
-        worst = float(np.max(answer.error / np.maximum(scale, 1e-300)))
-        return Outcome("skipped", f"the oracle's own error is {worst:.1e}")
+        own = float(np.max(answer.error / np.maximum(scale, 1e-300)))
+        return Outcome("skipped", f"the oracle's own error is {own:.1e}")
     whole = float(np.sqrt(answer.energy.sum()))
     floor = floor + AT_REST * whole * (answer.energy <= (AT_REST * whole) ** 2)
     difference = u - answer.displacement
@@ -192,11 +208,11 @@ def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol:
     )
     for b in range(problem.bodies):
         at = problem.unknowns(b)
-        part = difference[at] - _rigid_part(problem, b, difference[at])
+        part = difference[at] - rigid_part(problem, b, difference[at])
         errors[b] += max(0.0, float(part @ (problem.elastic[at][:, at] @ part)))
         exact = answer.displacement[at]
         size[b] = np.abs(exact).max()
-        deformation[b] = np.abs(exact - _rigid_part(problem, b, exact)).max()
+        deformation[b] = np.abs(exact - rigid_part(problem, b, exact)).max()
     stiffness = np.array(
         [abs(K[at][:, at]).max() for at in map(problem.unknowns, range(problem.bodies))]
     )
@@ -207,12 +223,12 @@ def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol:
         _of_groups(answer, answer.noise**2)
     )
     floor = floor + np.where(still, UNDEFORMED * (motion + load), 0.0)
-    ratio = {"error": _worst(np.sqrt(errors), FACTOR * rtol * scale + floor)}
+    ratio = {"error": worst(np.sqrt(errors), FACTOR * rtol * scale + floor)}
 
     # local lengths: of the bodies that a row joins, without their rigid motions
     reach = float(np.max(np.abs(problem.load) / K.diagonal()))
     rounding = 1e-12 * size + 1e-14 * size.max() + 1e-12 * reach
-    body_of_row = _bodies_of_rows(problem.rows, problem)
+    body_of_row = bodies_of_rows(problem.rows, problem)
     tolerance = FACTOR * rtol * deformation + rounding
     finite = np.isfinite(problem.gap)
     allowed = np.array([tolerance[b].max(initial=0.0) for b in body_of_row])
@@ -220,30 +236,30 @@ def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol:
     opening = problem.gap - problem.rows @ u
     penetration = np.where(finite, np.minimum(exact_opening, 0.0) - opening, 0.0)
     allowed = allowed + 1e-12 * np.where(finite, np.abs(problem.gap), 0.0) + problem.gap_rounding
-    ratio["penetration"] = _worst(np.maximum(penetration, 0.0), allowed)
-    body_of_row = _bodies_of_rows(problem.tied, problem)
+    ratio["penetration"] = worst(np.maximum(penetration, 0.0), allowed)
+    body_of_row = bodies_of_rows(problem.tied, problem)
     allowed = np.array([tolerance[b].max(initial=0.0) for b in body_of_row])
     apart = np.abs(problem.tied @ u - problem.tied_jump)
-    ratio["tied"] = _worst(apart, allowed + 1e-12 * np.abs(problem.tied_jump))
+    ratio["tied"] = worst(apart, allowed + 1e-12 * np.abs(problem.tied_jump))
     jump = np.array([found.jump[problem.body == b].max() for b in range(problem.bodies)])
-    ratio["gluing"] = _worst(jump, tolerance)
+    ratio["gluing"] = worst(jump, tolerance)
     off = np.zeros(problem.bodies)
     body_of_fixed = problem.body[problem.fixed // problem.gdim]
     np.maximum.at(off, body_of_fixed, np.abs(u[problem.fixed] - problem.values))
-    ratio["supports"] = _worst(off, tolerance)
+    ratio["supports"] = worst(off, tolerance)
     ratio["forces"] = _force_ratio(problem, answer, found, rtol)
     exact_energy = float(0.5 * answer.energy.sum() - problem.load @ answer.displacement)
     absolute = np.abs(answer.displacement)
     noise = 1e-12 * float(np.abs(problem.load) @ absolute)
     noise += 1e-13 * float(absolute @ abs(K) @ absolute) + (1e-12 * load) ** 2
-    ratio["energy"] = _worst(
+    ratio["energy"] = worst(
         np.array([abs(found.energy - exact_energy)]),
         np.array([FACTOR * rtol * max(abs(exact_energy), 0.5 * answer.energy.sum()) + noise]),
     )
-    return _outcome(ratio)
+    return outcome_of(ratio)
 
 
-def _outcome(ratio: dict[str, float]) -> Outcome:
+def outcome_of(ratio: dict[str, float]) -> Outcome:
     bad = {name: value for name, value in ratio.items() if value > 1.0}
     if not bad:
         return Outcome("right", "", ratio)
@@ -264,21 +280,21 @@ def _of_groups(answer: Answer, values: Vector) -> Vector:
     return each
 
 
-def _rigid_part(problem: GluedProblem, body: int, u: Vector) -> Vector:
+def rigid_part(problem: GluedProblem, body: int, u: Vector) -> Vector:
     from glued import rigid_modes
 
     R = rigid_modes(problem.coordinates[problem.body == body])
     return R @ (R.T @ u)
 
 
-def _bodies_of_rows(rows: Any, problem: GluedProblem) -> list[NDArray[np.int64]]:
+def bodies_of_rows(rows: Any, problem: GluedProblem) -> list[NDArray[np.int64]]:
     return [
         np.unique(problem.body[rows.indices[rows.indptr[k] : rows.indptr[k + 1]] // problem.gdim])
         for k in range(rows.shape[0])
     ]
 
 
-def _worst(values: Vector, allowed: Vector) -> float:
+def worst(values: Vector, allowed: Vector) -> float:
     values, allowed = np.asarray(values), np.asarray(allowed)
     ratios = np.where(values > 0.0, values / np.maximum(allowed, np.finfo(float).tiny), 0.0)
     return float(ratios.max(initial=0.0))
@@ -297,7 +313,7 @@ def _force_ratio(problem: GluedProblem, answer: Answer, found: Found, rtol: floa
         at = problem.unknowns(b)
         exact = answer.displacement[at]
         K = problem.elastic[at][:, at]
-        local = exact - _rigid_part(problem, b, exact)
+        local = exact - rigid_part(problem, b, exact)
         here = FACTOR * rtol * np.abs(K @ local).sum() + 1e-14 * (abs(K) @ np.abs(exact)).sum()
         # and what rounding of the largest motion may strain
         acting[answer.group[b]] += here + 1e-13 * abs(K).max() * largest
@@ -310,11 +326,11 @@ def _force_ratio(problem: GluedProblem, answer: Answer, found: Found, rtol: floa
     nodal = (free * change).reshape(-1, problem.gdim)
     resultant = np.zeros((problem.bodies, problem.gdim))
     np.add.at(resultant, problem.body, nodal)
-    ratio = _worst(np.abs(resultant).max(axis=1), allowed_body)
+    ratio = worst(np.abs(resultant).max(axis=1), allowed_body)
 
     unique = problem.determined_rows()
     allowed_row = np.array(
-        [allowed_body[b].max(initial=0.0) for b in _bodies_of_rows(problem.rows, problem)]
+        [allowed_body[b].max(initial=0.0) for b in bodies_of_rows(problem.rows, problem)]
     )
     for contact in np.unique(problem.contact):
         at = problem.contact == contact
@@ -323,7 +339,7 @@ def _force_ratio(problem: GluedProblem, answer: Answer, found: Found, rtol: floa
         sums = [total - found.contact_force[contact], max(0.0, -float(found.force[at].min()))]
         if unique[at].all():
             sums.append(float(difference[at].sum()))
-        ratio = max(ratio, _worst(np.abs(sums), np.full(len(sums), allowed)))
+        ratio = max(ratio, worst(np.abs(sums), np.full(len(sums), allowed)))
     return ratio
 
 

@@ -86,7 +86,8 @@ def exact(problem, answer):
     energy = 0.5 * answer.energy.sum() - problem.load @ answer.displacement
     sums = np.bincount(problem.contact, weights=answer.force).tolist()
     jump = np.zeros(len(problem.body))
-    return Found(answer.displacement, jump, answer.force, answer.tied, sums, float(energy))
+    none = np.zeros((0, 1))
+    return Found(answer.displacement, jump, answer.force, answer.tied, none, sums, float(energy))
 
 
 @pytest.fixture(scope="module")

@@ -15,12 +15,12 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from glued import GluedProblem, Springs, rigid_modes
+from glued import GluedFriction, GluedProblem, Springs, rigid_modes
 from lattice import box_stiffness, lattice_points
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from fenics_tfeti.feti import ContactRows, Prescribed, Subdomain, TornSystem
+from fenics_tfeti.feti import ContactRows, Friction, Prescribed, Subdomain, TornSystem
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -30,6 +30,8 @@ __all__ = ["TornProblem", "draw_torn", "torn_system"]
 
 MAX_UNKNOWNS = 600
 FAR = 1e10
+# springs softer than this have no friction beside them: the oracle for friction is less accurate
+SOFT = 1e-5
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,8 @@ class TornProblem:
         The tied rows, in the order of ``glued.tied``.
     contact_names : list of str
         Names of contacts and tied pairs.
+    friction : Friction
+        Friction at the contact rows, in the order of ``glued.friction``.
     options : dict
         Options of the solver.
     mutation : str
@@ -67,6 +71,7 @@ class TornProblem:
     contacts: ContactRows
     tied: ContactRows
     contact_names: list[str]
+    friction: Friction
     options: dict[str, Any]
     mutation: str = ""
     story: list[str] = field(default_factory=list)
@@ -74,8 +79,11 @@ class TornProblem:
 
 def torn_system(
     problem: TornProblem, comm: MPI.Comm, seed: int
-) -> tuple[TornSystem, Numbers, Numbers]:
-    """Distribute a problem over the ranks at random; also return the rows given here."""
+) -> tuple[TornSystem, Numbers, Numbers, Numbers]:
+    """Distribute a problem over the ranks at random; also return the rows given here.
+
+    These are contact rows, tied rows and sites of friction.
+    """
     rng = np.random.default_rng([seed, 7])
     owner = rng.integers(comm.size, size=len(problem.subdomains))
     giver = rng.integers(comm.size, size=problem.contacts.size)
@@ -94,10 +102,27 @@ def torn_system(
     names = [f"block {b}" for b in range(problem.glued.bodies)]
     ties = np.flatnonzero(rng.integers(comm.size, size=problem.tied.size) == comm.rank)
     tied = problem.tied.chosen(ties)
-    system = TornSystem(
-        own, prescribed, contacts, gdim, names, problem.contact_names, comm, tied=tied
+    whole = problem.friction
+    sites = np.flatnonzero(giver[whole.row] == comm.rank)
+    friction = Friction(
+        np.searchsorted(rows, whole.row[sites]),
+        whole.tangents[sites],
+        whole.bound[sites],
+        np.asarray(whole.slip)[sites],
+        np.asarray(whole.coefficient)[sites],
     )
-    return system, rows, ties
+    system = TornSystem(
+        own,
+        prescribed,
+        contacts,
+        gdim,
+        names,
+        problem.contact_names,
+        comm,
+        tied=tied,
+        friction=friction,
+    )
+    return system, rows, ties, sites
 
 
 # -- geometry --------------------------------------------------------------------------------------
@@ -457,7 +482,8 @@ def draw_torn(seed: int) -> TornProblem:
     problem = _in_units(draw, rows, supports, C, gap, f)
     for change in (_with_sparse_rows, _with_tied_rows):
         problem = change(draw, problem, shift)
-    return _with_lengths(draw, problem)
+    problem = _with_lengths(draw, problem)
+    return _with_friction(draw, problem, set(supports.held.values()), shift)
 
 
 # -- rows between more than two nodes, drawn last --------------------------------------------------
@@ -567,6 +593,153 @@ def _with_lengths(draw: _Draw, problem: TornProblem) -> TornProblem:
         return replace(rows, coefficients=coefficients, gap=length * rows.gap)
 
     return replace(problem, contacts=scaled(problem.contacts), tied=scaled(problem.tied))
+
+
+# -- friction, drawn after everything else ---------------------------------------------------------
+
+
+def _with_friction(draw: _Draw, problem: TornProblem, held: set[str], shift: Vector) -> TornProblem:
+    """Add friction, with given bounds or Coulomb's, to some contacts."""
+    rng, glued, contacts = draw.rng, problem.glued, problem.contacts
+    soft = problem.glued.springs.stiffness.min(initial=np.inf) < SOFT * glued.elastic.max()
+    if not draw.chance(0.4) or not contacts.size or soft:
+        return problem
+    law = str(rng.choice(["bounds", "Coulomb", "both"], p=[0.5, 0.35, 0.15]))
+    rubs = np.isin(glued.contact, np.flatnonzero(rng.random(glued.contact.max() + 1) < 0.8))
+    if draw.chance(0.2):
+        rubs &= rng.random(rubs.size) < 0.7
+    normals = contacts.normal
+    rubs &= np.isfinite(contacts.gap) & _any_direction(glued, normals)
+    row = np.flatnonzero(rubs)
+    directions, tangents = draw.gdim - 1, _tangents(rng, normals[row])
+    S = _slip_rows(glued.rows[row], normals[row], tangents)
+    slide = _slide(glued, S, directions)
+    row, tangents, k = row[slide], tangents[slide], np.count_nonzero(slide)
+    S = S[np.flatnonzero(np.repeat(slide, directions))]
+    force = draw.strain * draw.metre * _stiffness_at_rows(glued, row) / max(1, k) ** 0.5
+    bound = force * 10.0 ** (rng.uniform(-3, 1) + rng.uniform(-1, 0, k))
+    bound *= rng.random(k) < rng.choice([1.0, 0.8])
+    coefficient = np.full(k, rng.choice([0.05, 0.1, 0.3, 0.5, 0.8]))
+    coefficient *= (rng.random(k) < rng.choice([1.0, 0.8])) & _has_known_force(glued)[row]
+    if law == "Coulomb":
+        bound = 0.0 * bound
+    if law == "bounds":
+        coefficient = 0.0 * coefficient
+    before = draw.strain * rng.normal(size=(k, directions)) * draw.chance(0.25)
+    before = draw.metre * (before + (S @ shift).reshape(k, directions))
+    friction = GluedFriction(row, S, before, bound, coefficient)
+    given = Friction(row, tangents, bound, before, coefficient)
+    largest = float(coefficient.max(initial=0.0))
+    draw.story.append(f"friction at {k} rows: {law}, coefficient {largest}")
+    problem = replace(problem, glued=replace(glued, friction=friction), friction=given)
+    return _pushed(draw, problem) if {"free", "component"} & held else problem
+
+
+def _slide(glued: GluedProblem, S: sp.csr_matrix, directions: int) -> NDArray[np.bool_]:
+    """Tell at which sites free unknowns have a part in the slip."""
+    free = np.ones(glued.load.size)
+    free[glued.fixed] = 0.0
+    moves = (abs(S) @ free).reshape(-1, directions) > 1e-8
+    return moves.any(axis=1)
+
+
+def _has_known_force(glued: GluedProblem) -> NDArray[np.bool_]:
+    """Tell which rows are moved by free unknowns, and parallel to no other row."""
+    C = glued.rows.toarray()
+    C[:, glued.fixed] = 0.0
+    C[~np.isfinite(glued.gap)] = 0.0
+    lengths = np.linalg.norm(C, axis=1)
+    C /= np.maximum(lengths, 1e-300)[:, None]
+    cosines = np.abs(C @ C.T) - np.eye(len(C))
+    return (lengths > 1e-8) & (cosines.max(axis=1, initial=0.0) < 1.0 - 1e-8)
+
+
+def _any_direction(glued: GluedProblem, normals: Vector) -> NDArray[np.bool_]:
+    """Tell at which rows tangents may have any direction.
+
+    That is not so in three dimensions where some of the components of all nodes are prescribed.
+    """
+    if glued.gdim == 2:
+        return np.ones(len(normals), dtype=bool)
+    fixed = np.zeros(glued.load.size)
+    fixed[glued.fixed] = 1.0
+    rows = abs(glued.rows)
+    nodes = sp.csr_matrix(
+        (
+            np.ones(rows.nnz),
+            (np.repeat(np.arange(len(normals)), np.diff(rows.indptr)), rows.indices // glued.gdim),
+        ),
+        shape=(len(normals), len(glued.body)),
+    )
+    touched = nodes > 0.0
+    held = (touched @ fixed.reshape(-1, glued.gdim)) / np.maximum(touched.sum(axis=1), 1)
+    every = np.asarray(held) >= 1.0
+    return every.all(axis=1) | ~every.any(axis=1)
+
+
+def _tangents(rng: Generator, normals: Vector) -> Vector:
+    """Return random orthonormal tangents (k, gdim - 1, gdim)."""
+    k, gdim = normals.shape
+    if gdim == 2:
+        sign = rng.choice([-1.0, 1.0], k)[:, None]
+        return (sign * np.column_stack([-normals[:, 1], normals[:, 0]]))[:, None]
+    first = np.cross(normals, rng.normal(size=(k, 3)))
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return np.stack([first, np.cross(normals, first)], axis=1)
+
+
+def _slip_rows(C: sp.csr_matrix, normals: Vector, tangents: Vector) -> sp.csr_matrix:
+    """Return the rows C with tangents in place of the normals, site by site."""
+    k, directions, gdim = tangents.shape
+    C = C.tocoo()
+    weight = sp.csr_matrix(
+        (C.data * normals[C.row, C.col % gdim], (C.row, C.col // gdim)),
+        shape=(k, C.shape[1] // gdim),
+    ).tocoo()
+    i, j, values = [], [], []
+    for direction, component in itertools.product(range(directions), range(gdim)):
+        i.append(directions * weight.row + direction)
+        j.append(gdim * weight.col + component)
+        values.append(weight.data * tangents[weight.row, direction, component])
+    entries = tuple(np.concatenate(part) for part in (i, j))
+    return sp.csr_matrix((np.concatenate(values), entries), shape=(directions * k, C.shape[1]))
+
+
+def _stiffness_at_rows(glued: GluedProblem, row: Numbers) -> Vector:
+    """Return the largest stiffness of the softest body of each row."""
+    diagonal, body = glued.elastic.diagonal(), np.repeat(glued.body, glued.gdim)
+    of_body = np.array([diagonal[body == b].max() for b in range(glued.bodies)])
+    C = glued.rows[row]
+    each = of_body[body[C.indices]]
+    return np.array([each[C.indptr[k] : C.indptr[k + 1]].min() for k in range(row.size)])
+
+
+def _pushed(draw: _Draw, problem: TornProblem) -> TornProblem:
+    """Add loads on bodies that friction forces within given bounds would balance."""
+    rng, glued = draw.rng, problem.glued
+    friction = glued.friction
+    assert friction is not None
+    force = friction.bound * rng.uniform(0.0, 0.9, friction.size)
+    way = rng.normal(size=friction.before.shape)
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    push = friction.rows.T @ (force[:, None] * way).ravel()
+    f = np.zeros(glued.load.size)
+    for b in range(glued.bodies):
+        at = glued.unknowns(b)
+        if np.isin(at, glued.fixed).any() or not draw.chance(0.7):
+            continue
+        R = rigid_modes(glued.coordinates[glued.body == b])
+        f[at] = R @ (R.T @ push[at])
+    # on the first subdomain that has the node
+    left, subdomains = f.copy(), []
+    place = np.argsort(problem.numbers)
+    for s in problem.subdomains:
+        nodes = place[np.searchsorted(problem.numbers[place], s.nodes)]
+        at = (glued.gdim * nodes[:, None] + np.arange(glued.gdim)).ravel()
+        subdomains.append(replace(s, load=s.load + left[at]))
+        left[at] = 0.0
+    draw.story.append("pushed as friction holds")
+    return replace(problem, subdomains=subdomains, glued=replace(glued, load=glued.load + f))
 
 
 def _shifts(draw: _Draw, supports: _Supports) -> Vector:
@@ -704,6 +877,7 @@ def _in_units(
         contacts,
         ContactRows.none(gdim),
         rows.names,
+        Friction.none(gdim),
         options,
         story=draw.story,
     )

@@ -8,7 +8,14 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from friction_problems import blocks_that_do_not_match, on_the_ground, pulled_strip, pushed_block
+from friction_problems import (
+    STORED,
+    blocks_that_do_not_match,
+    in_a_groove,
+    on_the_ground,
+    pulled_strip,
+    pushed_block,
+)
 from sparse_rows import distributed
 
 from fenics_tfeti import UnresistedMotion
@@ -46,6 +53,21 @@ def test_solution_does_not_depend_on_ranks(name):
         assert found.report.unknowns[name] == alone.report.unknowns[name]
     np.testing.assert_allclose(found.report.friction_work, alone.report.friction_work, rtol=1e-6)
     np.testing.assert_allclose(found.report.energy, alone.report.energy, rtol=1e-12)
+
+
+@pytest.mark.parametrize("path", STORED, ids=lambda path: path.stem)
+def test_dependent_rows_that_stick(path):
+    found = TornSolver(load_system(path, COMM)).solve().report
+    alone = TornSolver(load_system(path, MPI.COMM_SELF)).solve().report
+    assert found.converged
+    assert found.energy == pytest.approx(alone.energy, rel=1e-5)
+
+
+def test_nodes_between_two_planes():
+    system = in_a_groove()
+    found = TornSolver(distributed(system, COMM), Options(rtol=1e-8)).solve().report
+    alone = TornSolver(system, Options(rtol=1e-8)).solve().report
+    assert found.energy == pytest.approx(alone.energy, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", SYSTEMS)

@@ -6,8 +6,7 @@ from mpi4py import MPI
 
 import pytest
 from cases import solve_case
-
-FINE = ("right", "right error", "limit of rounding", "skipped")
+from outcome import FINE
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +17,8 @@ def notes():
     comm.Free()
 
 
-@pytest.mark.parametrize("seed", range(0, 40, 2))
+# beside some that are drawn, those with friction that failed once
+@pytest.mark.parametrize("seed", [*range(0, 40, 2), 318, 430, 864, 1760, 7884])
 def test_random_problem(seed, notes):
     comm = MPI.COMM_WORLD
     outcome = notes.bcast(solve_case("feti", seed, comm, notes))

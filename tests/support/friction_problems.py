@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from pathlib import Path
 
 import clarabel
 import numpy as np
@@ -13,6 +14,8 @@ from torn import column, cube
 
 from fenics_tfeti.feti import ContactRows, Friction, Prescribed, Subdomain, TornSystem
 
+# torn systems with rows that depend on each other where sites stick, see tests/data/README.md
+STORED = sorted((Path(__file__).parents[1] / "data").glob("friction_*.npz"))
 TANGENTS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -72,6 +75,53 @@ def on_the_ground(bound=0.012, load=(0.1, 0.0, -1.0)) -> TornSystem:
     )
     return TornSystem(
         subdomains, Prescribed(), rows, 3, ["block"], ["ground"], friction=horizontal(rows, bound)
+    )
+
+
+def in_a_corner(seed: int) -> TornSystem:
+    """Return a cube that is pressed on the ground and on a wall, which share an edge of nodes."""
+    rng = np.random.default_rng(seed)
+    block = on_the_ground(load=(-rng.uniform(0.1, 1.0), 0.0, -rng.uniform(0.1, 1.0)))
+    nodes = np.concatenate([s.nodes for s in block.subdomains])
+    x = np.concatenate([s.coordinates for s in block.subdomains])
+    slave = [np.unique(nodes[x[:, axis] == 0.0]) for axis in (2, 0)]
+    size = [s.size for s in slave]
+    k = sum(size)
+    normals = np.repeat([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]], size, axis=0)
+    gaps = 0.01 * rng.random(k) * rng.choice([0, 1])
+    rows = ContactRows.node_to_node(
+        np.concatenate(slave), np.full(k, -1), normals, gaps, np.repeat([0, 1], size)
+    )
+    first = np.cross(normals, rng.standard_normal(3))
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    tangents = np.stack([first, np.cross(normals, first)], axis=1)
+    bounds = 10.0 ** (rng.uniform(-4, -1) + rng.uniform(-1, 0, k))
+    friction = Friction(np.arange(k), tangents, bounds)
+    return dataclasses.replace(
+        block, contacts=rows, contact_names=["floor", "wall"], friction=friction
+    )
+
+
+def in_a_groove(bound=0.02, gap=0.01, load=(0.01, 0.005, -1.0)) -> TornSystem:
+    """Return a cube whose bottom is pressed on two rigid planes that slope towards each other.
+
+    The nodes have gaps of up to three times `gap` to each plane, and slip bounds of some sizes.
+    """
+    block = on_the_ground(load=load)
+    slave = block.contacts.slave
+    k = slave.size
+    slopes = np.array([[0.0, np.sin(0.6), -np.cos(0.6)], [0.0, -np.sin(0.6), -np.cos(0.6)]])
+    normals = np.repeat(slopes, k, axis=0)
+    gaps = gap * (1.0 + np.arange(2 * k) % 3)
+    rows = ContactRows.node_to_node(
+        np.tile(slave, 2), np.full(2 * k, -1), normals, gaps, np.repeat([0, 1], k)
+    )
+    along = np.tile([1.0, 0.0, 0.0], (2 * k, 1))
+    tangents = np.stack([along, np.cross(normals, along)], axis=1)
+    bounds = bound * (0.5 + 0.5 * (np.arange(2 * k) % 7) / 6.0)
+    friction = Friction(np.arange(2 * k), tangents, bounds)
+    return dataclasses.replace(
+        block, contacts=rows, contact_names=["left", "right"], friction=friction
     )
 
 

@@ -225,6 +225,11 @@ class FrictionRows:
         with_none = np.append(np.maximum(multipliers, 0.0), 0.0)
         return self.from_given(with_none[self.normal], layout)
 
+    def numbers(self, layout: DualLayout) -> Vector:
+        """Return a number for each site, (k,), the same on all ranks."""
+        numbers: Vector = layout.numbers[self.rows.max(axis=1, initial=-1)].astype(np.float64)
+        return numbers
+
     def normal_numbers(self, layout: DualLayout) -> Numbers:
         """Return the global numbers of the sites' contact rows, (k,); -1 for none. Collective."""
         numbers = np.append(layout.numbers, -1)[self.normal]
@@ -236,6 +241,12 @@ class FrictionRows:
         with_none = np.concatenate([at_sites, np.zeros((1, *at_sites.shape[1:]))])
         values: Vector = with_none[self.own]
         return values
+
+    def spread(self, at_sites: Vector, size: int) -> Vector:
+        """Return values (k,) at sites on their rows, (m,), zero on other rows."""
+        x = np.zeros(size)
+        x[self.flat] = np.broadcast_to(at_sites[:, None], self.rows.shape)[self.present]
+        return x
 
     def on_rows(self, sites: Mask, size: int) -> Mask:
         """Return the mask (m,) of the rows of some sites (k,)."""

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.constraints.coupling import null_space
+from fenics_tfeti.feti.dual.dependent_rows import closable
 from fenics_tfeti.feti.dual.loose_bodies import LooseBodies, rigid_start
 from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Signs, friction_step, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
@@ -40,10 +40,12 @@ Mask = NDArray[np.bool_]
 
 # limit on changes of one row
 _SINGLE_STEPS = 100
+# faces without progress after which forces that slip turn by half: directions may swing
+_FULL_STEPS = 2
+# part of r that is left of the mean of two directions that are not opposite
+_NOT_OPPOSITE = 0.1
 # force, relative to the largest one, that is rounding
 _NO_FORCE = 1e-14
-# part of the gaps of dependent rows that is rounding
-_CONSISTENT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -154,6 +156,8 @@ def primal_dual_active_set(
         gradient = _without_pulling_rows(problem, face, iterate)
         following = iterate.multipliers[rows] > gradient[rows] / problem.norm
         forces = friction_step(problem, face, iterate.multipliers, gradient)
+        if progress.failures > _FULL_STEPS:
+            forces = _halfway(problem, face, forces)
         rubbing = np.zeros_like(gradient)
         rubbing[friction.flat] = forces[friction.present]
         sticking = friction.sticking(rubbing, problem.radius)
@@ -171,7 +175,7 @@ def primal_dual_active_set(
         turns = (
             nearly and rubs and not turns and _unused_friction(problem, face, iterate) > tolerance
         )
-        solved = nearly and not turns
+        solved = nearly and not turns and closable(problem, face.signs, iterate.multipliers) is None
         # sets with other directions of friction forces may come back
         cycles = (
             exact
@@ -194,12 +198,18 @@ def primal_dual_active_set(
             progress, previous_sets = _Progress(), []
         elif exact:
             previous_sets.append(face.signs.active)
+        signs = _signs(problem, following, sticking, rubbing, gradient)
+        without = closable(problem, signs, iterate.multipliers)
+        if without is not None:
+            signs = _signs(problem, without.active, without.sticking, without.forces, gradient)
         # a face that is solved exactly makes no more progress: its directions have to change
-        resume = changed == 0 and not (rubs and (exact or _turned(problem, face, iterate, forces)))
-        active = without_dependent_rows(problem, following, iterate.multipliers)
-        signs = _signs(problem, active, sticking, rubbing, gradient)
+        resume = (
+            changed == 0
+            and without is None
+            and not (rubs and (exact or _turned(problem, face, iterate, forces)))
+        )
         if resume:
-            signs = replace(face.signs, active=active)
+            signs = replace(face.signs, active=following)
 
 
 @dataclass
@@ -314,6 +324,17 @@ def _turned(problem: DualProblem, face: Face, iterate: PCPGIterate, forces: Vect
     return problem.norm * problem.space.norm(change) > iterate.residual
 
 
+def _halfway(problem: DualProblem, face: Face, forces: Vector) -> Vector:
+    """Return forces (k, gdim - 1) halfway from those of a face, on the circles, where both slip."""
+    friction, radius = problem.constraints.friction, problem.radius
+    mean = 0.5 * (friction.at_sites(face.signs.forces) + forces)
+    length = np.linalg.norm(mean, axis=1)
+    slipping = ~face.signs.sticking & (np.linalg.norm(forces, axis=1) >= (1.0 - NO_WORK) * radius)
+    turning = slipping & (length > _NOT_OPPOSITE * radius)
+    factor = np.divide(radius, length, out=np.ones_like(length), where=turning)
+    return np.where(turning[:, None], factor[:, None] * mean, forces)
+
+
 def _change_last(problem: DualProblem, active: Mask, following: Mask) -> Mask:
     """Return the set in which only the row with the largest number is that of the following set."""
     layout, rows = problem.constraints.layout, problem.constraints.inequality
@@ -321,64 +342,6 @@ def _change_last(problem: DualProblem, active: Mask, following: Mask) -> Mask:
     last = int(numbers[following != active].max(initial=-1))
     one: Mask = active ^ (numbers == layout.comm.allreduce(last, MPI.MAX))
     return one
-
-
-def without_dependent_rows(problem: DualProblem, active: Mask, multipliers: Vector) -> Mask:
-    """Return a set without rows that depend on others of it and cannot be closed with them.
-
-    At a node with more contacts than dimensions some combination y of rows vanishes, B'y = o. F
-    does not see it, and c'y is the cost of moving along it: that is done, as in the simplex method,
-    until the first force vanishes; its row leaves.
-
-    Parameters
-    ----------
-    problem : DualProblem
-        The dual problem.
-    active : (i,) bool array
-        The set.
-    multipliers : (m,) array
-        lambda; negative forces count as zero.
-
-    Returns
-    -------
-    (i,) bool array
-        A subset. Collective.
-    """
-    constraints, coupling = problem.constraints, problem.constraints.coupling
-    if not coupling.groups:
-        return active
-    on_rows = constraints.on_inequalities(active)
-    on_rows, forces, gaps = coupling.gather(on_rows, multipliers, problem.c)
-    chosen = (on_rows > 0.0) | coupling.tied
-    forces = np.maximum(forces, 0.0)
-    for group in coupling.groups:
-        members = group[~coupling.tangential[group]]
-        W = coupling.gram[members][:, members].toarray()
-        chosen[members] = _independent(
-            W, chosen[members], forces[members], gaps[members], coupling.tied[members]
-        )
-    contact = ~(coupling.tied | coupling.tangential)[coupling.positions]
-    active = active.copy()
-    at = np.searchsorted(constraints.inequality, coupling.rows[contact])
-    active[at] = chosen[coupling.positions[contact]]
-    return active
-
-
-def _independent(W: Vector, chosen: Mask, force: Vector, gap: Vector, tied: Mask) -> Mask:
-    """Return the rows of one group that can be closed together; tied rows stay."""
-    chosen = chosen.copy()
-    while chosen.sum() > 1:
-        at = np.flatnonzero(chosen)
-        null = null_space(W[np.ix_(at, at)])
-        y = -null @ (null.T @ gap[at])
-        falling = ~tied[at] & (y < -_CONSISTENT * np.abs(y).max(initial=0.0))
-        consistent = np.abs(y).max(initial=0.0) <= _CONSISTENT * np.abs(gap[at]).max()
-        if consistent or not falling.any():
-            break
-        way = force[at[falling]] / -y[falling]
-        force[at] = np.where(tied[at], force[at], np.maximum(force[at] + way.min() * y, 0.0))
-        chosen[at[falling][np.argmin(way)]] = False
-    return chosen
 
 
 def close_first_gaps(problem: DualProblem, signs: Signs, gradient: Vector) -> Face:

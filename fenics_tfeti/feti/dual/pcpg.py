@@ -129,8 +129,10 @@ class Face:
             rows = rows | friction.on_rows(projector.across.any(axis=1), rows.size)
         fixed = friction.off_face(signs.sticking, signs.forces)
         precondition = None if kind is None else kind.on_face(rows)
-        if precondition is not None and projector.across is not None:
+        if kind is not None and precondition is not None and projector.across is not None:
             precondition = _scaled(problem, precondition, signs.curvature, projector.across)
+            kernel = kind.on_turning_kernel(rows, projector.across, signs.curvature)
+            precondition = precondition if kernel is None else _sum_of(precondition, kernel)
         signs, loose = replace(signs, forces=fixed), LooseBodies.on_face(projector)
         return Face(signs, projector, precondition, loose)
 
@@ -163,6 +165,11 @@ def _scaled(
         return scaled
 
     return lambda x: scale(apply(scale(x)))
+
+
+def _sum_of(*parts: Callable[[Vector], Vector]) -> Callable[[Vector], Vector]:
+    """Return the sum of operators."""
+    return lambda x: np.sum([apply(x) for apply in parts], axis=0)
 
 
 @dataclass(frozen=True)

@@ -95,6 +95,67 @@ class Preconditioner:
         part[coupling.rows] = (null @ (null.T @ coupling.gather(x)[0]))[coupling.positions]
         return part
 
+    def on_turning_kernel(
+        self, rows: Mask, across: Vector, curvature: Vector
+    ) -> Callable[[Vector], Vector] | None:
+        """Return x -> this rank's part of N (N'CN)^+ N'x. Collective.
+
+        N are the combinations of rows of a face that vanish, B'N = o: neither F nor B_D S B_D' sees
+        them, but the curvature C of forces that turn does.
+
+        Parameters
+        ----------
+        rows : (m,) bool array
+            The rows of the face, and all of sites whose force turns.
+        across : (k, 2) array
+            The directions in which forces turn; zero at other sites.
+        curvature : (k,) array
+            C.
+
+        Returns
+        -------
+        callable or None
+            None if no force that turns has a part in N, on all ranks.
+        """
+        constraints, coupling = self.constraints, self.constraints.coupling
+        if not coupling.groups:
+            return None
+        friction, size = constraints.friction, rows.size
+        turns = np.zeros(size)
+        turns[friction.flat] = across[friction.present]
+        along = np.zeros(size)
+        along[friction.flat] = (across[:, ::-1] * [1.0, -1.0])[friction.present]
+        of_site = (
+            friction.spread(friction.numbers(constraints.layout), size),
+            friction.spread(curvature, size),
+        )
+        on_rows, turns, along, site, bent = coupling.gather(
+            rows.astype(float), turns, along, *of_site
+        )
+        turning = np.flatnonzero(np.abs(turns) + np.abs(along) > 0.0)
+        null = self._inverse_of(on_rows > 0.0).null
+        if not null.shape[1] or not turning.size:
+            return None
+        _, first, at = np.unique(site[turning], return_index=True, return_inverse=True)
+        places, shape = (at.ravel(), turning), (first.size, site.size)
+        fixed = sp.csr_matrix((along[turning], places), shape) @ null
+        moved = sp.csr_matrix((turns[turning], places), shape) @ null
+        # forces of a given size have no part along themselves
+        kernel = null @ null_space(fixed.toarray(), rcond=_NOT_MOVED)
+        turned = moved @ null_space(fixed.toarray(), rcond=_NOT_MOVED)
+        hessian = turned.T @ (bent[turning[first]][:, None] * turned)
+        if not hessian.any():
+            return None
+        inverse = np.linalg.pinv(hessian, rcond=_NOT_MOVED, hermitian=True)
+
+        def apply(x: Vector) -> Vector:
+            y = kernel @ (inverse @ (kernel.T @ coupling.gather(x)[0]))
+            part = np.zeros_like(x)
+            part[coupling.rows] = np.where(coupling.owned, y[coupling.positions], 0.0)
+            return part
+
+        return apply
+
     def _inverse_of(self, chosen: Mask) -> GramInverse:
         """Factor W_RR, unless R is the same as last."""
         if self._inverse is None or not np.array_equal(self._inverse.chosen, chosen):

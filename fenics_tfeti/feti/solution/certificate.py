@@ -22,7 +22,7 @@ its error.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 
@@ -37,7 +37,7 @@ from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.local.congruence import times_rows
 from fenics_tfeti.feti.solution.recovery import Recovered
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.feti.tolerances import HARDLY_DEFORMED, UNDEFORMED
+from fenics_tfeti.feti.tolerances import HARDLY_DEFORMED, NEARLY_IDLE, UNDEFORMED
 from fenics_tfeti.parallel import Directory, concatenate_buffers
 
 __all__ = ["BodyError", "Certificate", "GroupError", "PrimalProblem", "RowBodies"]
@@ -63,11 +63,14 @@ class BodyError:
     error : float
         The body's share of ||u - u_t||_K, relative to its energy norm, or to a thousandth of its
         group's where the body hardly deforms.
+    scale : float
+        What it is relative to [sqrt(J)].
     """
 
     body: str
     energy_norm: float
     error: float
+    scale: float
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,11 @@ class GroupError:
     bodies: list[str]
     energy_norm: float
     error: float
+
+    @property
+    def scale(self) -> float:
+        """What the error is relative to: the energy norm [sqrt(J)]."""
+        return self.energy_norm
 
 
 @dataclass(frozen=True)
@@ -167,6 +175,28 @@ class Certificate:
     def worst(self) -> float:
         """The largest of all numbers."""
         return max(self.numbers().values())
+
+    @property
+    def worst_name(self) -> str:
+        """The name of the largest number."""
+        numbers = self.numbers()
+        return max(numbers, key=numbers.__getitem__)
+
+    def with_idle_bodies(self) -> Certificate:
+        """Return the certificate with errors of nearly idle bodies and groups bounded absolutely.
+
+        They are relative to a small part of the energy norm of all, if their own is less.
+        """
+        least = NEARLY_IDLE * self.energy_norm
+
+        def bounded(own: BodyError | GroupError) -> float:
+            return own.error * min(1.0, own.scale / least) if least > 0.0 else own.error
+
+        return replace(
+            self,
+            groups=[replace(group, error=bounded(group)) for group in self.groups],
+            bodies=[replace(body, error=bounded(body)) for body in self.bodies],
+        )
 
 
 @dataclass(frozen=True)
@@ -390,6 +420,7 @@ class PrimalProblem:
                 self._name(b),
                 float(np.sqrt(measures.energy2[b])),
                 _relative(measures.error2[b], scale2[b], rounding2[group[b]]),
+                float(np.sqrt(scale2[b])),
             )
             for b in range(self.row_bodies.bodies)
         ]

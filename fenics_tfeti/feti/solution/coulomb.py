@@ -52,6 +52,8 @@ _STEPS, _RATIO = 15, 0.9
 _MAX_STEPS, _MAX_HALVINGS = 100, 30
 # growth of the changes above which the last one was small by chance
 _SUDDEN = 3.0
+# normal forces for the first bounds, relative to those of a feasible start at its limit
+_AMPLE = 2.0
 # lengths of a step of the fixed point
 _SHORTEST, _LONG, _LONGEST = 0.1, 3.0, 10.0
 
@@ -132,7 +134,8 @@ def _failure(changes: Sequence[float]) -> str:
         return (
             f"the slip bounds of Coulomb's law do not converge: their changes are reduced by a "
             f"factor of {ratio:.2f} a step only, and are {changes[last]:.1e} of the bounds. The "
-            "coefficient of friction may be too large for a unique solution"
+            "coefficient of friction may be too large for a unique solution, or too small to hold "
+            "the load"
         )
     return ""
 
@@ -164,7 +167,13 @@ class _FixedPoint:
             found = self._held(self.bound(start.multipliers))
             if found is not None:
                 return found
-        return replace(self._given, radius=self.bound(self._given.feasible))
+        feasible = self._given.feasible
+        radius = self.bound(feasible)
+        limited = (radius > 0.0) & ~self._friction.sticking(feasible, radius)
+        if self._layout.comm.allreduce(bool(limited.any()), MPI.LOR):
+            # these bounds may hold the load just so, and the motion at the limit is not unique
+            radius = self.bound(_AMPLE * feasible)
+        return replace(self._given, radius=radius)
 
     def step(self, data: ContactData, radius: Vector) -> tuple[ContactData, bool]:
         """Return the data with new bounds, or bounds on the way there that hold the load.
@@ -184,14 +193,15 @@ class _FixedPoint:
                 sudden = self._dot(way, way) > _SUDDEN**2 * self._dot(self._last, self._last)
                 self._length = longest = 1.0 if sudden else _LONGEST
         self._length = min(max(self._length, _SHORTEST), longest)
-        self._last, part = way, self._length
+        self._last, part, halved = way, self._length, False
         for _ in range(_MAX_HALVINGS):
             bounds = np.maximum(data.radius + part * way / scale, 0.0)
             # no parts of bounds where nothing presses any more: they would have large curvatures
             found = self._held(np.where(radius > 0.0, bounds, 0.0))
-            if found is not None:
+            if found is not None and (part == self._length or halved):
                 return found, True
-            part *= 0.5
+            # bounds that hold the load just so have no unique motion: once more than needed
+            part, halved = 0.5 * part, found is not None
         return data, False
 
     def _held(self, radius: Vector) -> ContactData | None:

@@ -193,6 +193,8 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
             by_active_set = changed_method = True
             progress = Progress()
         elif limited:
+            if candidate.certificate.with_idle_bodies().worst <= limit:
+                return Outcome(candidate, stage.state, True, "converged", tolerance)
             reason = "the accuracy is at the limit of rounding: more iterations do not change it"
             return best.outcome(loop, candidate, reason, tolerance)
         if progress.failures:
@@ -219,9 +221,7 @@ class _Best:
         """Take in a state and its certificate."""
         self.is_last = self.state is None or certificate.worst < self.worst
         if self.is_last:
-            numbers = certificate.numbers()
-            self.state, self.worst = state, certificate.worst
-            self.name = max(numbers, key=numbers.__getitem__)
+            self.state, self.worst, self.name = state, certificate.worst, certificate.worst_name
 
     def outcome(self, loop: _Loop, last: Candidate, reason: str, tolerance: float) -> Outcome:
         """Return it as not converged, with its displacements; `reason` is what ended the loop."""
@@ -291,8 +291,8 @@ class _Loop:
         setup, none = self.setup, np.zeros_like(self.data.load)
         active = np.zeros(setup.constraints.inequality.size, dtype=bool)
         with self.timer.phase("recovery"):
-            face = Projector.build(setup.projector.coarse_space, active)
-            sticking = np.zeros(setup.constraints.friction.size, dtype=bool)
+            sticking = setup.constraints.friction.sticking(multipliers, self.data.radius)
+            face = Projector.build(setup.projector.coarse_space, active, sticking)
             recovered = Recovered(none, none, none, -self.data.c, active, sticking)
             certificate, energy = self.primal.certify(recovered, multipliers, face)
             slips = self.primal.slips(recovered)

@@ -20,7 +20,7 @@ from fenics_tfeti.feti import (
     TornSystem,
 )
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.dual.active_set import _independent, close_first_gaps
+from fenics_tfeti.feti.dual.active_set import close_first_gaps
 from fenics_tfeti.feti.dual.pcpg import Face, Signs, pcpg
 from fenics_tfeti.feti.solution.setup import dual_problem
 from fenics_tfeti.qp import Products
@@ -203,29 +203,6 @@ def test_smaller_tolerance_goes_on_where_the_larger_one_ended():
     assert second.residual == pytest.approx(direct.residual, rel=1e-3)
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_dependent_rows_leave_a_set(seed):
-    """The forces on the rows that stay add up to the same, and their work on the gaps is less."""
-    rng = np.random.default_rng(seed)
-    dimension, k = rng.integers(2, 4), rng.integers(3, 7)
-    B = rng.standard_normal((k, dimension))
-    B /= np.linalg.norm(B, axis=1)[:, None]
-    force, gap, chosen = rng.random(k), rng.standard_normal(k), rng.random(k) < 0.9
-    force[~chosen] = 0.0
-    stays = _independent(B @ B.T, chosen, force, gap, np.zeros(k, dtype=bool))
-    assert not (stays & ~chosen).any()
-    work, left = force @ gap, force @ B
-    x, missing = nnls(B[stays].T, left)
-    rank = np.linalg.matrix_rank(B[stays])
-    if rank == stays.sum():
-        assert missing <= 1e-12
-        assert gap[stays] @ x <= work + 1e-12
-    else:
-        # no force would ever vanish: the gaps contradict each other
-        y = np.linalg.svd(B[stays].T)[2][rank:]
-        assert (y @ gap[stays]).any()
-
-
 def test_light_body_beside_a_heavy_one_closes_its_gaps():
     """Its load is too small for a scale that all bodies share."""
     heavy = column(n=2)
@@ -253,13 +230,6 @@ def test_light_body_beside_a_heavy_one_closes_its_gaps():
     )
     forces = TornSolver(both).solve().report.contact_force
     assert forces == pytest.approx([1.0, 1e-12], rel=1e-6)
-
-
-def test_dependent_rows_that_close_together_stay():
-    normals = np.array([[0.0, 1.0], [0.6, 0.8], [-0.6, 0.8]])
-    every = np.ones(3, dtype=bool)
-    gap = normals @ [0.3, -0.2]
-    assert _independent(normals @ normals.T, every, np.ones(3), gap, ~every).all()
 
 
 # -- friction --------------------------------------------------------------------------------------

@@ -11,7 +11,12 @@ import scipy.linalg
 from torn import column
 
 from fenics_tfeti.feti import Options, Prescribed, TornSolver, TornSystem
-from fenics_tfeti.feti.solution.certificate import PrimalProblem
+from fenics_tfeti.feti.solution.certificate import (
+    BodyError,
+    Certificate,
+    GroupError,
+    PrimalProblem,
+)
 from fenics_tfeti.feti.solution.recovery import balance_multipliers, recover_displacement
 
 
@@ -219,3 +224,16 @@ def test_no_bound_where_contact_forces_do_not_balance_the_load():
     certificate, _ = problem.certify(recovered, multipliers, face)
     assert [body.error for body in certificate.bodies][1] == np.inf
     assert certificate.bound == np.inf
+
+
+@pytest.mark.parametrize(("part", "relative"), [(1e-3, 0.5), (1e-6, 0.5), (1e-8, 0.5e-2), (0.0, 0)])
+def test_errors_of_nearly_idle_bodies_are_bounded_absolutely(part, relative):
+    """A body with a small part of the energy norm of all has half of it as its error."""
+    groups = [GroupError(["large"], 1.0, 1e-9), GroupError(["small"], part, 0.5)]
+    bodies = [BodyError("large", 1.0, 1e-9, 1.0), BodyError("small", part, 0.5, part)]
+    certificate = Certificate(0.0, 0.0, groups, bodies, 0.0, 0.0, 0.0, 0.0)
+    bounded = certificate.with_idle_bodies()
+    assert certificate.worst_name == "error of a group"
+    assert bounded.groups[1].error == pytest.approx(relative, rel=1e-5)
+    assert bounded.bodies[1].error == pytest.approx(relative, rel=1e-5)
+    assert bounded.worst == pytest.approx(max(relative, 1e-9), rel=1e-5)

@@ -1,0 +1,153 @@
+"""Rows of a face that depend on each other and cannot be closed together.
+
+At a node with more conditions than dimensions some combination y of the rows of a face vanishes,
+B'y = o: of contact rows, of tangential rows that stick, and of tied rows. F does not see it, and
+c'y is the cost of moving along it. Unless that is zero, the cost on the face falls without limit.
+As in the simplex method the forces move along -y until the first one meets its bound: a contact row
+whose force vanishes leaves the face, a site of friction whose force is as large as its bound slips.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti.constraints.coupling import Coupling, null_space
+from fenics_tfeti.feti.dual.pcpg import Signs
+from fenics_tfeti.feti.dual.problem import DualProblem
+
+__all__ = ["closable"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# part of the gaps of dependent rows that is rounding
+_CONSISTENT = 1e-9
+
+
+def closable(problem: DualProblem, signs: Signs, multipliers: Vector) -> Signs | None:
+    """Return a set without the rows and sites that cannot be closed together with the others.
+
+    Parameters
+    ----------
+    problem : DualProblem
+        The dual problem.
+    signs : Signs
+        The set, with the friction forces of all sites.
+    multipliers : (m,) array
+        lambda of the contact rows; negative forces count as zero.
+
+    Returns
+    -------
+    Signs or None
+        A subset, with forces of sites that slip now at their bound; None if all of the set can be
+        closed. Collective.
+    """
+    constraints, coupling = problem.constraints, problem.constraints.coupling
+    if not coupling.groups:
+        return None
+    friction, size = constraints.friction, multipliers.size
+    forces = np.maximum(multipliers, 0.0)
+    forces[friction.flat] = signs.forces[friction.flat]
+    of_site = (
+        friction.numbers(constraints.layout),
+        np.linalg.norm(friction.at_sites(forces), axis=1),
+        problem.radius,
+    )
+    on_tangents = [friction.spread(values, size) for values in of_site]
+    on_face = constraints.face(signs.active, signs.sticking).astype(float)
+    coupled = _CoupledRows(coupling, *coupling.gather(on_face, forces, problem.c, *on_tangents))
+    before = coupled.on_face.copy()
+    for group in coupling.groups:
+        coupled.remove_dependent(group)
+    removed = before & ~coupled.on_face
+    if not removed.any():
+        return None
+    here, position = coupling.rows, coupling.positions
+    gone, moved = np.zeros(size, dtype=bool), signs.forces.copy()
+    gone[here] = removed[position]
+    tangential = here[coupling.tangential[position]]
+    moved[tangential] = coupled.force[position[coupling.tangential[position]]]
+    return replace(
+        signs,
+        active=signs.active & ~gone[constraints.inequality],
+        sticking=signs.sticking & ~friction.within(gone),
+        forces=np.where(gone, moved, signs.forces),
+    )
+
+
+class _CoupledRows:
+    """The coupled rows of all ranks, in the order of W, and the forces on them.
+
+    Attributes
+    ----------
+    on_face : (w,) bool array
+        Whether each is on the face.
+    force : (w,) array
+        lambda.
+    """
+
+    def __init__(
+        self,
+        coupling: Coupling,
+        on_face: Vector,
+        force: Vector,
+        gap: Vector,
+        site: Vector,
+        size: Vector,
+        radius: Vector,
+    ) -> None:
+        self._coupling, self._gap, self._radius = coupling, gap, radius
+        self.on_face, self.force = on_face > 0.0, force
+        # rows without friction are sites of their own
+        self._site = np.where(coupling.tangential, site, -1.0 - np.arange(site.size))
+        # a force has a part in a row that is not coupled, or in another group
+        self._size2 = size**2
+
+    def remove_dependent(self, group: Numbers) -> None:
+        """Move forces of one group, and take rows off the face, until the others can be closed."""
+        coupling = self._coupling
+        while True:
+            rows = group[self.on_face[group]]
+            null = null_space(coupling.gram[rows][:, rows].toarray())
+            y = -null @ (null.T @ self._gap[rows])
+            largest = np.abs(y).max(initial=0.0)
+            if largest <= _CONSISTENT * np.abs(self._gap[rows]).max(initial=0.0):
+                return
+            y[np.abs(y) <= _CONSISTENT * largest] = 0.0
+            step = np.where(coupling.tangential[rows], self._to_bound(rows, y), np.inf)
+            falling = ~(coupling.tied | coupling.tangential)[rows] & (y < 0.0)
+            step[falling] = self.force[rows[falling]] / -y[falling]
+            nearest = int(np.argmin(step))
+            if not np.isfinite(step[nearest]):
+                return
+            self._move(rows, step[nearest] * y)
+            self.on_face &= self._site != self._site[rows[nearest]]
+
+    def _to_bound(self, rows: Numbers, y: Vector) -> Vector:
+        """Return the step along y at which the friction force of each row's site is at its bound.
+
+        The positive root of |l + t y|^2 = r^2, without cancellation for either sign of l'y.
+        """
+        at = np.unique(self._site[rows], return_inverse=True)[1].ravel()
+        yy, ly = (np.bincount(at, weights=x)[at] for x in (y**2, y * self.force[rows]))
+        room = np.maximum(self._radius[rows] ** 2 - self._size2[rows], 0.0)
+        root = np.sqrt(ly**2 + yy * room)
+        outwards = ly > 0.0
+        step = np.full(rows.size, np.inf)
+        np.divide(room, root + ly, out=step, where=outwards)
+        np.divide(root - ly, yy, out=step, where=~outwards & (yy > 0.0))
+        return step
+
+    def _move(self, rows: Numbers, change: Vector) -> None:
+        """Add to the forces of some rows; contact forces stay nonnegative."""
+        before = self.force[rows]
+        self.force[rows] += change
+        contact = rows[~(self._coupling.tied | self._coupling.tangential)[rows]]
+        self.force[contact] = np.maximum(self.force[contact], 0.0)
+        change2 = self.force[rows] ** 2 - before**2
+        for site in np.unique(self._site[rows]):
+            self._size2[self._site == site] += change2[self._site[rows] == site].sum()

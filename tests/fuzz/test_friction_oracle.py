@@ -1,0 +1,93 @@
+"""The conditions of problems with friction, on solutions that are right and wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from cases import _solve_torn, solve_case
+from friction_oracle import compare_with_friction, verdict_with_friction
+from torn_problems import draw_torn
+
+pytestmark = pytest.mark.once
+
+RTOL = 1e-6
+
+
+@pytest.fixture(scope="module")
+def solved():
+    """A problem in which some sites stick and some slip, and the package's solution."""
+    for seed in range(10_000):
+        problem = draw_torn(seed)
+        friction = problem.glued.friction
+        if friction is None or friction.coefficient.any() or not friction.bound.all():
+            continue
+        if verdict_with_friction(problem.glued).verdict != "solution":
+            continue
+        problem = replace(problem, options={"rtol": 1e-9})
+        found = _solve_torn(problem, MPI.COMM_SELF, seed)
+        slips = np.linalg.norm(friction.slips(found.displacement), axis=1)
+        if 0 < np.count_nonzero(slips > 1e-6 * slips.max()) < slips.size:
+            return problem.glued, found
+    raise AssertionError("there is no such problem")
+
+
+def test_solution_is_right(solved):
+    assert compare_with_friction(*solved, RTOL).kind == "right"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda found: {"displacement": found.displacement * (1 + 1e3 * RTOL)},
+        lambda found: {"tangential": -found.tangential},
+        lambda found: {"tangential": found.tangential * (1 + 1e3 * RTOL)},
+        lambda found: {"tangential": 0.0 * found.tangential},
+        lambda found: {"force": found.force * (1 + 1e3 * RTOL)},
+        lambda found: {"energy": 2.0 * found.energy},
+        lambda found: {"jump": found.jump + np.abs(found.displacement).max()},
+    ],
+    ids=["scaled", "against", "above", "without", "forces", "energy", "jumps"],
+)
+def test_wrong_solution_is_wrong(solved, change):
+    problem, found = solved
+    assert compare_with_friction(problem, replace(found, **change(found)), RTOL).kind == "wrong"
+
+
+@pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(318, id="rows that stick depend on each other"),
+        pytest.param(430, id="friction on a body at rest"),
+        pytest.param(725, id="balanced by wedged bodies"),
+        pytest.param(864, id="balanced by large forces"),
+        pytest.param(1221, id="friction much smaller than the load"),
+        pytest.param(1760, id="kinks of the least norm"),
+        pytest.param(5920, id="directions swing, without preconditioner"),
+        pytest.param(7884, id="directions swing, Dirichlet preconditioner"),
+        pytest.param(7944, id="directions swing, small tolerance"),
+    ],
+)
+def test_random_problem(seed):
+    comm = MPI.COMM_SELF
+    outcome = solve_case("feti", seed, comm, comm)
+    assert outcome.kind == "right", outcome.detail
+
+
+def test_every_kind_of_friction_is_drawn():
+    drawn = [draw_torn(seed).glued.friction for seed in range(100)]
+    kinds = {
+        (bool(friction.bound.any()), bool(friction.coefficient.any()))
+        for friction in drawn
+        if friction is not None
+    }
+    assert {(True, False), (False, True), (True, True)} <= kinds
+    verdicts = [
+        verdict_with_friction(problem).verdict
+        for problem in (draw_torn(seed).glued for seed in range(100))
+        if problem.friction is not None
+    ]
+    assert {"solution", "unbounded"} <= {v.replace("infeasible and ", "") for v in verdicts}
