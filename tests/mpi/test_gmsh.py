@@ -27,7 +27,6 @@ def integral(mesh, measure):
 
 @pytest.fixture(scope="module")
 def two_beams():
-    pytest.importorskip("gmsh")
     return read_msh(TWO_BEAMS, COMM)
 
 
@@ -46,7 +45,6 @@ def test_volumes_and_areas_do_not_depend_on_the_ranks(two_beams):
 
 
 def test_wrong_dimension_is_an_error_on_all_ranks():
-    pytest.importorskip("gmsh")
     with pytest.raises(InputError, match="pass gdim=3"):
         read_msh(TWO_BEAMS, COMM, gdim=2)
 

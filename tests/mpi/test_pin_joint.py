@@ -7,8 +7,6 @@ from mpi4py import MPI
 import pytest
 from joints import joint_problem, read_joint
 
-pytest.importorskip("gmsh")
-
 
 @pytest.mark.parametrize("exchange", [False, True], ids=["holes", "pin"])
 def test_weak_motions_and_pressures_are_those_of_one_rank(exchange):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import runpy
+import signal
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -23,10 +24,12 @@ PULL, CLEARANCE = 5292.0, 0.02  # [N], [mm]
 
 def read_joint(size: float, degree: int, comm: MPI.Intracomm = MPI.COMM_WORLD) -> Any:
     """Mesh the joint on rank 0 and read it on all."""
+    handler = signal.getsignal(signal.SIGINT)  # Gmsh replaces it
     with tempfile.TemporaryDirectory() as folder:
         path = Path(comm.bcast(folder)) / "joint.msh"
         if comm.rank == 0:
             runpy.run_path(str(MESHES / "pin_joint.py"))["pin_joint"](path, size, degree)
+            signal.signal(signal.SIGINT, handler)
         comm.barrier()
         return read_msh(path, comm)
 

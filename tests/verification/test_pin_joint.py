@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from joints import CLEARANCE, PULL, joint_problem, read_joint
 
-pytest.importorskip("gmsh")
-
 
 @pytest.fixture(scope="module", params=[1, 2], ids=["degree 1", "degree 2"])
 def bodies(request):
