@@ -26,10 +26,12 @@ import dolfinx.fem.petsc
 import ufl
 from dolfinx import cpp, fem, mesh
 from ufl.algorithms import extract_coefficients
+from ufl.algorithms.analysis import extract_type
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
 from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
+from ufl.differentiation import CoefficientDerivative, VariableDerivative
 
 from fenics_tfeti.fem.reference_cells import reference_cell
 
@@ -341,7 +343,10 @@ def is_linear_in_arguments(form: ufl.Form) -> bool:
     Does not dispatch: both are caught.
     """
     # as UFL does before its own check
-    lowered = apply_derivatives(remove_complex_nodes(apply_algebra_lowering(form)))
+    lowered = remove_complex_nodes(apply_algebra_lowering(form))
+    if extract_type(lowered, CoefficientDerivative) or extract_type(lowered, VariableDerivative):
+        # in 0.11 UFL keeps the form, and with it the mesh and its communicators, for ever
+        lowered = apply_derivatives(lowered)
     try:
         check_form_arity(lowered, form.arguments())
     except (ArityMismatch, TypeError):

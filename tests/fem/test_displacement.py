@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 from mpi4py import MPI
 
 import numpy as np
@@ -112,3 +115,14 @@ def test_function_has_the_displacements_of_the_subdomains():
     subdomains = [Subdomain(None, none, x[nodes], nodes, 0) for nodes in halves]
     uh = displacement_function(scene.V, subdomains, [3.0 * x[nodes].ravel() for nodes in halves])
     np.testing.assert_array_equal(uh.x.array, 3.0 * x.ravel())
+
+
+def test_nothing_keeps_the_mesh_of_a_problem_that_is_gone():
+    """A process may have many meshes one after the other, but few communicators."""
+    scene = scenes.pressed_block(MPI.COMM_SELF, "quadrilateral")
+    problem = scene.problem()
+    problem.solve()
+    mesh = weakref.ref(scene.mesh)
+    del scene, problem
+    gc.collect()
+    assert mesh() is None
