@@ -338,9 +338,10 @@ def _one_scotch_thread() -> Iterator[None]:
 def is_linear_in_arguments(form: ufl.Form) -> bool:
     """Tell whether each term of a form is linear in each of the form's arguments.
 
-    - 0.5.2's UFL fails with a TypeError where it writes the message of some ``ArityMismatch``.
+    - 0.5.2's UFL fails with a TypeError, that of 0.9 with a ValueError, where it writes the message
+      of some ``ArityMismatch``.
 
-    Does not dispatch: both are caught.
+    Does not dispatch: all are caught.
     """
     # as UFL does before its own check
     lowered = remove_complex_nodes(apply_algebra_lowering(form))
@@ -349,7 +350,7 @@ def is_linear_in_arguments(form: ufl.Form) -> bool:
         lowered = apply_derivatives(lowered)
     try:
         check_form_arity(lowered, form.arguments())
-    except (ArityMismatch, TypeError):
+    except (ArityMismatch, TypeError, ValueError):
         return False
     return True
 
