@@ -21,6 +21,14 @@ COMM = MPI.COMM_WORLD
 LAST = COMM.size - 1
 
 
+@pytest.fixture(autouse=True)
+def handler_of_python():
+    """Gmsh, with which other tests make meshes, leaves a handler that ends the process."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def interrupt():
     """Send SIGINT to the last rank alone."""
     if COMM.rank == LAST:
