@@ -14,6 +14,9 @@ from fenics_tfeti.errors import InputError
 
 __all__ = ["import_gmsh", "opened_file"]
 
+# the point of the last double click on a graph of the graphical interface
+_UNUSED_OPTION = "PostProcessing.DoubleClickedGraphPointX"
+
 
 def import_gmsh() -> Any:
     """Import the Python module of Gmsh, and keep the handler of Ctrl-C that it may replace."""
@@ -54,7 +57,8 @@ def opened_file(gmsh: Any, path: Path) -> Iterator[None]:
 @contextmanager
 def _session(gmsh: Any) -> Iterator[None]:
     """Open a Gmsh session without terminal output, or use the user's and restore its state."""
-    if _is_initialized(gmsh):
+    with _interrupt_handler_kept():
+        opened_here = _open(gmsh)
         terminal = gmsh.option.getNumber("General.Terminal")
         current = gmsh.model.getCurrent()
         models = len(gmsh.model.list())
@@ -62,30 +66,27 @@ def _session(gmsh: Any) -> Iterator[None]:
         try:
             yield
         finally:
-            if len(gmsh.model.list()) > models:
-                gmsh.model.remove()
-            gmsh.model.setCurrent(current)
-            gmsh.option.setNumber("General.Terminal", terminal)
-        return
-    with _interrupt_handler_kept():
-        gmsh.initialize(readConfigFiles=False)
-        gmsh.option.setNumber("General.Terminal", 0)
-        try:
-            yield
-        finally:
-            gmsh.finalize()
+            if opened_here:
+                gmsh.finalize()
+            else:
+                if len(gmsh.model.list()) > models:
+                    gmsh.model.remove()
+                gmsh.model.setCurrent(current)
+                gmsh.option.setNumber("General.Terminal", terminal)
 
 
-def _is_initialized(gmsh: Any) -> bool:
-    """Tell whether the user has a Gmsh session open."""
+def _open(gmsh: Any) -> bool:
+    """Open a session if the user has none; tell whether it did."""
     if hasattr(gmsh, "isInitialized"):
-        return bool(gmsh.isInitialized())
-    # Gmsh 4.8 has options in a session only; outside, it prints an error before it raises one
-    with _stderr_closed():
-        try:
-            return bool(gmsh.option.getString("General.Version"))
-        except Exception:
+        if gmsh.isInitialized():
             return False
+        gmsh.initialize(readConfigFiles=False)
+        return True
+    # Gmsh 4.8 may end the process when it is asked anything outside a session, and does not take
+    # the arguments if a session is open: an option that nobody sets tells whether it took them
+    with _stderr_closed():
+        gmsh.initialize(["gmsh", "-setnumber", _UNUSED_OPTION, "1"], readConfigFiles=False)
+    return bool(gmsh.option.getNumber(_UNUSED_OPTION) == 1)
 
 
 @contextmanager

@@ -74,3 +74,33 @@ def test_handler_of_interrupts_is_kept(tmp_path):
         assert signal.getsignal(signal.SIGINT) is handler
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def test_nothing_is_asked_outside_a_session(tmp_path, monkeypatch):
+    """Gmsh 4.8 may end the process then: whether errors do that has no value before a session."""
+    path = write_cell(tmp_path / "cell.msh", "tetrahedron")
+    open_sessions = []
+    initialize, finalize = gmsh.initialize, gmsh.finalize
+
+    def opened(*args, **kwargs):
+        initialize(*args, **kwargs)
+        open_sessions.append(1)
+
+    def closed():
+        finalize()
+        open_sessions.pop()
+
+    def asked(name):
+        def function(*args):
+            assert open_sessions
+            return original(*args)
+
+        original = getattr(gmsh.option, name)
+        return function
+
+    monkeypatch.setattr(gmsh, "initialize", opened)
+    monkeypatch.setattr(gmsh, "finalize", closed)
+    for name in ("getNumber", "getString"):
+        monkeypatch.setattr(gmsh.option, name, asked(name))
+    read_msh(path, MPI.COMM_SELF)
+    assert not open_sessions
