@@ -5,21 +5,23 @@ from __future__ import annotations
 from mpi4py import MPI
 
 import pytest
-from joints import joint_problem, read_joint
+from joints import axial_motion, joint_problem, read_joint
 
 
+@pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("exchange", [False, True], ids=["holes", "pin"])
-def test_weak_motions_and_pressures_are_those_of_one_rank(exchange):
+def test_motions_and_pressures_are_those_of_one_rank(exchange, degree):
     outcomes = []
     for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):
-        problem = joint_problem(read_joint(2.5, 1, comm), 1, exchange, initial_gap=0.02)
-        problem.solve()
-        contacts = [contact.gather() for contact in problem.contact]
+        meshes = read_joint(2.5, degree, comm)
+        problem = joint_problem(meshes, degree, exchange, initial_gap=0.02)
+        motion = axial_motion(meshes, problem.solve())
+        assert max(map(abs, motion.values())) < 0.1
+        report, contacts = problem.report, [contact.gather() for contact in problem.contact]
+        assert len(report.free_motions) == 2
+        assert all("translation along (0, 0, 1)" in motion for motion in report.free_motions)
         outcomes.append(
-            [
-                len(problem.report.weak_motions),
-                *(contact.pressure.max() for contact in contacts),
-            ]
+            [len(report.weak_motions), *(contact.pressure.max() for contact in contacts)]
         )
     assert outcomes[0] == pytest.approx(outcomes[1], rel=1e-3)
 

@@ -35,9 +35,12 @@ def read_joint(size: float, degree: int, comm: MPI.Intracomm = MPI.COMM_WORLD) -
 
 
 def joint_problem(
-    bodies: Any, degree: int, exchange: bool = False, **of_pair: Any
+    bodies: Any, degree: int, exchange: bool = False, along: float = 0.0, **of_pair: Any
 ) -> ContactProblem:
-    """Return the problem; slaves are the holes, or with roles exchanged the pin."""
+    """Return the problem; slaves are the holes, or with roles exchanged the pin.
+
+    `along` is the traction along the pin, relative to that across.
+    """
     mesh, tags, names = bodies.mesh, bodies.facet_tags, bodies.names
     E, nu = 2.1e5, 0.3
     mu, lmbda = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
@@ -48,16 +51,15 @@ def joint_problem(
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
     one = fem.Constant(mesh, 1.0)
     area = mesh.comm.allreduce(fem.assemble_scalar(fem.form(one * ds(names["lug end"]))))
-    L = fem.Constant(mesh, PULL / area) * v[0] * ds(names["lug end"])
+    L = fem.Constant(mesh, PULL / area) * (v[0] + along * v[2]) * ds(names["lug end"])
     held = fem.locate_dofs_topological(V, 2, tags.find(names["fork end"]))
     pairs = []
     for hole in ("lug", "fork"):
         slave, master = names[f"{hole} surface"], names["pin surface"]
         if exchange:
             slave, master = master, slave
-        pairs.append(
-            ContactPair(tags, slave, master, name=f"pin in {hole}", roles="given", **of_pair)
-        )
+        chosen = {"roles": "given", **of_pair}
+        pairs.append(ContactPair(tags, slave, master, name=f"pin in {hole}", **chosen))
     return ContactProblem(a, L, bcs=[fem.dirichletbc(np.zeros(3), held, V)], contacts=pairs)
 
 

@@ -32,6 +32,7 @@ from fenics_tfeti.fem.contact.nodes import search
 from fenics_tfeti.fem.contact.nodes.matching_meshes import meshes_match
 from fenics_tfeti.fem.contact.obstacle_conditions import match_obstacle
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
+from fenics_tfeti.fem.contact.surfaces.cylinders import without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, initial_gap
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas, weighted_form
@@ -140,7 +141,11 @@ def match_contact(
         return match_obstacle(boundary, name, contact, earlier)
     given = Prescribed() if prescribed is None else prescribed
     if earlier is None or not _still_holds(boundary.space.mesh.comm, contact, earlier, given):
-        return _match_pair(boundary, name, contact, given)
+        pairing = _match_pair(boundary, name, contact, given)
+        if contact.normal is not None:
+            return pairing
+        normal = without_axial_tilt(boundary, pairing.surface, pairing.slave, pairing.normal)
+        return replace(pairing, normal=normal)
     gap = _gap_again(boundary.space.mesh.comm, contact, earlier)
     if earlier.weighted_form is None:
         return earlier if gap is earlier.gap else replace(earlier, gap=gap)

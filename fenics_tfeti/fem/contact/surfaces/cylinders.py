@@ -1,0 +1,159 @@
+"""Normals of faceted round cylinders without their tilt along the axis.
+
+Facets of a cylinder that are no strips along its axis have normals that are tilted along it to
+either side, by up to 1e-2, those of curved cells by 1e-6. Nothing else holds a loose pin in a hole
+along its axis: it would move until the axial parts of tilted forces cancel, by many times what the
+bodies deform. Facets whose corners are on a round cylinder stand for that surface: the tilt is
+their error and is removed. Then the motion along the axis is a free one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, largest_of_facets
+from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, SAME_PLACE
+
+__all__ = ["Cylinder", "without_axial_tilt"]
+
+Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+# root mean square of the normals along a second direction, below which a surface is a plane
+_CURVED = 0.1
+# distance of nodes from a cylinder, relative to its size, that is rounding; steps of the fit
+_ROUND, _GAUSS_NEWTON_STEPS = 1e-11, 8
+# relative to the largest distance of the nodes of contact: that of other nodes that are on the
+# cylinder too, and the angle between the axis and a coordinate axis that is meant
+_ALSO_ON, _KNOWN_TO = 2.0, 10.0
+
+
+def without_axial_tilt(
+    boundary: MeshBoundary, surface: Surface, nodes: Numbers, normal: Vector
+) -> Vector:
+    """Return normals across the axis where nodes in contact are on a round cylinder. Collective.
+
+    Parameters
+    ----------
+    boundary : MeshBoundary
+        Of the displacement's mesh.
+    surface : Surface
+        The slave's surface, which may have other facets, such as a pin's ends.
+    nodes : (k,) integer array
+        Its nodes with contact conditions, on this rank.
+    normal : (k, gdim) array
+        Their normals.
+
+    Returns
+    -------
+    (k, gdim) array
+        Normals of nodes with facets off the cylinder are as they are.
+    """
+    if normal.shape[1] != 3:
+        return normal
+    comm, at = boundary.space.mesh.comm, np.searchsorted(surface.nodes, nodes)
+    cylinder = Cylinder.of(comm, surface.points[at], normal)
+    if cylinder is None:
+        return normal
+    corners = boundary.coordinates[surface.vertices]
+    distance = np.abs(cylinder.distance(corners.reshape(-1, 3))).reshape(corners.shape[:2])
+    off = largest_of_facets(boundary.space, surface, distance.max(axis=1))[at]
+    tilt = normal @ cylinder.axis
+    tilted = (off <= cylinder.on) & (np.abs(tilt) > COORDINATE_ROUNDING)
+    across = normal[tilted] - np.outer(tilt[tilted], cylinder.axis)
+    normal = normal.copy()
+    normal[tilted] = across / np.linalg.norm(across, axis=1, keepdims=True)
+    return normal
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A round cylinder.
+
+    Attributes
+    ----------
+    centre, axis : (3,) array
+        A point on the axis [m] and a unit vector.
+    radius : float
+        [m].
+    on : float
+        Largest distance of points that are on it [m].
+    """
+
+    centre: Vector
+    axis: Vector
+    radius: float
+    on: float = 0.0
+
+    @staticmethod
+    def of(comm: MPI.Intracomm, points: Vector, normals: Vector) -> Cylinder | None:
+        """Return the cylinder on which points are, to rounding; None if there is none. Collective.
+
+        A load across the axis must do no work along it. Points of few digits tell their axis if
+        they mean a coordinate axis.
+
+        Parameters
+        ----------
+        comm : MPI.Intracomm
+            The ranks.
+        points : (k, 3) array
+            This rank's points [m].
+        normals : (k, 3) array
+            About the unit normals there.
+        """
+        number = comm.allreduce(float(len(points)))
+        squares, directions = np.linalg.eigh(comm.allreduce(normals.T @ normals) / (number or 1.0))
+        if squares[1] < _CURVED**2:
+            return None
+        middle, mean = comm.allreduce(np.array([points.sum(axis=0), normals.sum(axis=0)])) / number
+        # where x - r n is about the same point
+        x, n = points - middle, normals - mean
+        n = n - np.outer(n @ directions[:, 0], directions[:, 0])
+        xn, nn = comm.allreduce(np.array([np.sum(x * n), np.sum(n * n)]))
+        fit = Cylinder(middle - xn / nn * mean, directions[:, 0], abs(xn / nn))
+        for _ in range(_GAUSS_NEWTON_STEPS):
+            fit = fit._improved(comm, points, middle, directions[:, 1:])
+        size = comm.allreduce(float(np.abs(x).max(initial=0.0)), MPI.MAX)
+        off = comm.allreduce(float(np.abs(fit.distance(points)).max(initial=0.0)), MPI.MAX) / size
+        nearest = np.argmax(np.abs(fit.axis))
+        coordinate_axis = np.eye(3)[nearest] * np.sign(fit.axis[nearest])
+        turned = float(np.linalg.norm(fit.axis - coordinate_axis))
+        known = turned <= _KNOWN_TO * max(off, _ROUND)
+        if off > (SAME_PLACE if known else _ROUND):
+            return None
+        axis = coordinate_axis if known else fit.axis
+        return Cylinder(fit.centre, axis, fit.radius, _ALSO_ON * max(off, _ROUND) * size)
+
+    def distance(self, points: Vector) -> Vector:
+        """Return by how much points (k, 3) are outside of it [m]."""
+        distance: Vector = np.linalg.norm(self._radial(points)[1], axis=1) - self.radius
+        return distance
+
+    def _radial(self, points: Vector) -> tuple[Vector, Vector]:
+        """Return heights (k,) along the axis and vectors (k, 3) from it."""
+        x = points - self.centre
+        height = x @ self.axis
+        return height, x - np.outer(height, self.axis)
+
+    def _improved(
+        self, comm: MPI.Intracomm, points: Vector, middle: Vector, across: Vector
+    ) -> Cylinder:
+        """Return it after a step of Gauss and Newton, across two directions (3, 2). Collective."""
+        x, (_, radial) = points - middle, self._radial(points)
+        distance = np.linalg.norm(radial, axis=1)
+        outward = radial @ across / np.where(distance > 0.0, distance, 1.0)[:, None]
+        size = max(self.radius, np.finfo(float).tiny)
+        height = (x @ self.axis)[:, None] / size
+        rows = np.column_stack([outward, height * outward, np.ones(len(x))])
+        gram = comm.allreduce(rows.T @ np.column_stack([rows, distance - self.radius]))
+        step = np.linalg.lstsq(gram[:, :-1], gram[:, -1], rcond=None)[0]
+        axis = self.axis + across @ step[2:4] / size
+        centre = self.centre + across @ step[:2]
+        # the axis is turned about its point nearest to the middle
+        centre = centre + self.axis * ((middle - centre) @ self.axis)
+        return Cylinder(centre, axis / np.linalg.norm(axis), self.radius + float(step[4]))
