@@ -8,7 +8,6 @@ from joints import CLEARANCE, PULL, axial_motion, joint_problem, read_joint
 
 from fenics_tfeti import InputError
 
-
 # slaves are the holes or the pin
 SIDES = {"holes": {}, "pin": {"exchange": True}, "auto": {"roles": "auto"}}
 

@@ -111,49 +111,45 @@ class Cylinder:
         if squares[1] < _CURVED**2:
             return None
         middle, mean = comm.allreduce(np.array([points.sum(axis=0), normals.sum(axis=0)])) / number
-        # where x - r n is about the same point
-        x, n = points - middle, normals - mean
-        n = n - np.outer(n @ directions[:, 0], directions[:, 0])
-        xn, nn = comm.allreduce(np.array([np.sum(x * n), np.sum(n * n)]))
-        fit = Cylinder(middle - xn / nn * mean, directions[:, 0], abs(xn / nn))
+        size = comm.allreduce(float(np.abs(points - middle).max(initial=0.0)), MPI.MAX)
+        x, along, across = (points - middle) / size, directions[:, 0], directions[:, 1:]
+        # x - r n is about the same point everywhere
+        n = (normals - mean) @ across
+        xn, nn = comm.allreduce(np.array([np.sum((x @ across) * n), np.sum(n * n)]))
+        fit = Cylinder(-xn / nn * mean, along, float(abs(xn / nn)))
         for _ in range(_GAUSS_NEWTON_STEPS):
-            fit = fit._improved(comm, points, middle, directions[:, 1:])
-        size = comm.allreduce(float(np.abs(x).max(initial=0.0)), MPI.MAX)
-        off = comm.allreduce(float(np.abs(fit.distance(points)).max(initial=0.0)), MPI.MAX) / size
+            fit = fit._improved(comm, x, across)
+        off = comm.allreduce(float(np.abs(fit.distance(x)).max(initial=0.0)), MPI.MAX)
         nearest = np.argmax(np.abs(fit.axis))
         coordinate_axis = np.eye(3)[nearest] * np.sign(fit.axis[nearest])
         turned = float(np.linalg.norm(fit.axis - coordinate_axis))
         known = turned <= _KNOWN_TO * max(off, _ROUND)
         if off > (SAME_PLACE if known else _ROUND):
             return None
-        axis = coordinate_axis if known else fit.axis
-        return Cylinder(fit.centre, axis, fit.radius, _ALSO_ON * max(off, _ROUND) * size)
+        axis, on = coordinate_axis if known else fit.axis, _ALSO_ON * max(off, _ROUND)
+        return Cylinder(middle + size * fit.centre, axis, size * fit.radius, size * on)
 
     def distance(self, points: Vector) -> Vector:
         """Return by how much points (k, 3) are outside of it [m]."""
-        distance: Vector = np.linalg.norm(self._radial(points)[1], axis=1) - self.radius
+        distance: Vector = np.linalg.norm(self._radial(points), axis=1) - self.radius
         return distance
 
-    def _radial(self, points: Vector) -> tuple[Vector, Vector]:
-        """Return heights (k,) along the axis and vectors (k, 3) from it."""
+    def _radial(self, points: Vector) -> Vector:
+        """Return the vectors (k, 3) from the axis to points [m]."""
         x = points - self.centre
-        height = x @ self.axis
-        return height, x - np.outer(height, self.axis)
+        return x - np.outer(x @ self.axis, self.axis)
 
-    def _improved(
-        self, comm: MPI.Intracomm, points: Vector, middle: Vector, across: Vector
-    ) -> Cylinder:
-        """Return it after a step of Gauss and Newton, across two directions (3, 2). Collective."""
-        x, (_, radial) = points - middle, self._radial(points)
+    def _improved(self, comm: MPI.Intracomm, x: Vector, across: Vector) -> Cylinder:
+        """Return it after a step of Gauss and Newton towards points (k, 3) about 0. Collective.
+
+        The axis moves along two directions (3, 2), and is turned about its point beside 0.
+        """
+        radial = self._radial(x)
         distance = np.linalg.norm(radial, axis=1)
-        outward = radial @ across / np.where(distance > 0.0, distance, 1.0)[:, None]
-        size = max(self.radius, np.finfo(float).tiny)
-        height = (x @ self.axis)[:, None] / size
-        rows = np.column_stack([outward, height * outward, np.ones(len(x))])
+        outward = (radial / np.where(distance > 0.0, distance, 1.0)[:, None]) @ across
+        rows = np.column_stack([outward, (x @ self.axis)[:, None] * outward, np.ones(len(x))])
         gram = comm.allreduce(rows.T @ np.column_stack([rows, distance - self.radius]))
         step = np.linalg.lstsq(gram[:, :-1], gram[:, -1], rcond=None)[0]
-        axis = self.axis + across @ step[2:4] / size
-        centre = self.centre + across @ step[:2]
-        # the axis is turned about its point nearest to the middle
-        centre = centre + self.axis * ((middle - centre) @ self.axis)
+        axis, centre = self.axis + across @ step[2:4], self.centre + across @ step[:2]
+        centre = centre - self.axis * (centre @ self.axis)
         return Cylinder(centre, axis / np.linalg.norm(axis), self.radius + float(step[4]))
