@@ -100,9 +100,9 @@ def _motions_and_supports(
     """Return T, E of `BodyMotions`, and the largest |x| / body size."""
     comm = system.comm
     gdim = system.gdim
-    bodies = comm.allreduce(max((s.body + 1 for s in system.subdomains), default=0), MPI.MAX)
     modes = 3 if gdim == 2 else 6
-    centres, sizes, nodes = _centres_and_sizes(system, bodies)
+    centres, sizes, nodes = _centres_and_sizes(system)
+    bodies = sizes.size
 
     blocks, gram, outside = [], np.zeros((bodies, modes, modes)), np.zeros((bodies, modes, modes))
     distance = 0.0
@@ -137,7 +137,10 @@ def _motions_and_supports(
     return basis, supports, float(comm.allreduce(distance, MPI.MAX))
 
 
-def _centres_and_sizes(system: TornSystem, bodies: int) -> tuple[Vector, Vector, Vector]:
+def _centres_and_sizes(system: TornSystem) -> tuple[Vector, Vector, Vector]:
+    """Return the mean places (bodies, gdim), sizes and numbers of nodes of all bodies."""
+    largest = max((s.body for s in system.subdomains), default=-1)
+    bodies = system.comm.allreduce(largest, MPI.MAX) + 1
     sums, counts = np.zeros((bodies, system.gdim)), np.zeros(bodies)
     for subdomain in system.subdomains:
         sums[subdomain.body] += subdomain.coordinates.sum(axis=0)
@@ -180,6 +183,7 @@ def describe_body_motion(
         "body: motion" for each body, on all ranks.
     """
     ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
+    centres, sizes, _ = _centres_and_sizes(system)
     parts: dict[int, tuple[float, str]] = {}
     moving = np.searchsorted(ends, np.flatnonzero(own_motion), side="right") - 1
     for i in np.unique(moving):
@@ -188,7 +192,10 @@ def describe_body_motion(
         displacement = out_of_frame(turned, subdomain.frame)
         size = float(np.abs(displacement).max(initial=0.0))
         if size > parts.get(subdomain.body, (0.0, ""))[0]:
-            words = describe_motion(subdomain.coordinates, displacement, either_way, negligible)
+            about = centres[subdomain.body], sizes[subdomain.body]
+            words = describe_motion(
+                subdomain.coordinates, displacement, either_way, negligible, about
+            )
             parts[subdomain.body] = size, words
     merged: dict[int, tuple[float, str]] = {}
     for part in system.comm.allgather(parts):

@@ -16,6 +16,9 @@ Vector = NDArray[np.float64]
 # length of a rotation's part that is orthogonal to other modes, in units of the subdomain's size,
 # below which it moves nothing
 _NO_ROTATION = 1e-7
+# distance of a pole from the body, relative to its size, from which on a rotation looks like a
+# translation
+_AS_WIDE = 2.0
 
 
 def raw_modes(coordinates: Vector, origin: Vector) -> Vector:
@@ -123,6 +126,7 @@ def describe_motion(
     displacement: Vector,
     either_way: bool = False,
     negligible: float = 1e-6,
+    about: tuple[Vector, float] | None = None,
 ) -> str:
     """Say in words which rigid motion a displacement field is.
 
@@ -137,6 +141,8 @@ def describe_motion(
         is named.
     negligible : float
         Size of a translation or rotation, relative to the motion, that is left out.
+    about : (gdim,) array and float, optional
+        Mean place and size of the body that moves so [m]; by default those of the nodes.
 
     Returns
     -------
@@ -144,23 +150,22 @@ def describe_motion(
         For instance "translation along (0, 0, 1)".
     """
     gdim = coordinates.shape[1]
-    centre = coordinates.mean(axis=0)
+    if about is None:
+        centre = coordinates.mean(axis=0)
+        about = centre, float(np.abs(coordinates - centre).max())
+    centre, size = about
     modes = raw_modes(coordinates, centre)
     parts = np.linalg.lstsq(modes, displacement, rcond=None)[0]
     if either_way:
         parts = parts * np.sign(parts[np.abs(parts) > 1e-6 * np.abs(parts).max()][0])
     translation, rotation = parts[:gdim], parts[gdim:]
-    size = np.abs(coordinates - centre).max()
     whole = np.linalg.norm(np.append(translation, size * rotation))
     words = []
     turns = size * np.linalg.norm(rotation) > negligible * whole
     if turns:
         pole, along = _pole(centre, translation, rotation)
         # a rotation about a point farther than the body is wide looks like a translation
-        if (
-            np.linalg.norm(pole - centre)
-            <= 2.0 * np.linalg.norm(coordinates - centre, axis=1).max()
-        ):
+        if np.linalg.norm(pole - centre) <= _AS_WIDE * size:
             centre, translation = pole, along
     if np.linalg.norm(translation) > negligible * whole:
         words.append(f"translation along {_direction(translation)}")

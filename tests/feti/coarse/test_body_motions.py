@@ -95,3 +95,18 @@ def test_opposite_motion_is_meant_as_well():
     )
     names = describe_body_motion(SOLVER.system, KERNELS, SYSTEM.R.T @ down, either_way=True)
     assert names == ["upper: translation along (0, 0, 1)"]
+
+
+def test_a_rotation_is_named_by_the_axis_next_to_the_whole_body():
+    """The subdomain that moves farthest is farther from the axis than it is wide."""
+    lower = [s for s in SOLVER.system.subdomains if s.body == 0]
+    x = np.concatenate([s.coordinates for s in lower])
+    pole = np.append(x.mean(axis=0)[:2], x[:, 2].min() - 0.4 * np.ptp(x[:, 2]))
+    turned = np.concatenate(
+        [
+            (np.cross([0.0, 1.0, 0.0], s.coordinates - pole) * (s.body == 0)).ravel()
+            for s in SOLVER.system.subdomains
+        ]
+    )
+    (words,) = describe_body_motion(SOLVER.system, KERNELS, SYSTEM.R.T @ turned)
+    assert words.startswith("lower: rotation about the axis (0, 1, 0) through (")
