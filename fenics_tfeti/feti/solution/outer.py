@@ -2,7 +2,8 @@
 
 repeat
 lambda   by the primal-dual active set method, or by SMALBE-M on (11.40): each continues where the
-         other makes no progress
+         other makes no progress; with friction Newton's method on proximal problems in place of
+         the active set method from then on
 u        by recovery (11.29)
 stop     when the certificate of u and lambda holds
 eps      is reduced by what the certificate lacks
@@ -26,6 +27,7 @@ from fenics_tfeti.feti.dual.active_set import primal_dual_active_set
 from fenics_tfeti.feti.dual.augmented import Stopped, solve_by_smalbe
 from fenics_tfeti.feti.dual.pcpg import PCPGIterate, Signs
 from fenics_tfeti.feti.dual.problem import DualProblem
+from fenics_tfeti.feti.dual.proximal_newton import proximal_newton
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.solution.certificate import Certificate, PrimalProblem
 from fenics_tfeti.feti.solution.idle_bodies import without_idle_forces
@@ -51,6 +53,8 @@ Mask = NDArray[np.bool_]
 
 # Lanczos steps for an upper bound of ||PFP||, the scale of SMALBE-M
 LANCZOS_STEPS = 15
+# products of SMALBE-M with friction after which Newton's method gets as many; doubled each time
+_FIRST_SHARE = 2000
 # a contact force below this part of the two numbers that it is the sum of is rounding
 _CANCELLED = 1e-13
 # gaps farther than this many times the largest jump of displacements are shortened
@@ -75,7 +79,7 @@ class _Stage:
 
     def started_anew(self) -> _Stage:
         """Return the stage without residuals, in whose recurrences rounding has added up."""
-        if self.iterate is None:
+        if self.iterate is None or self.iterate.signs.proximal is not None:
             return self
         active = self.iterate.signs.active
         return replace(self, state=replace(self.state, active=active), iterate=None)
@@ -310,48 +314,62 @@ class _Loop:
 
     def minimise(self, stage: _Stage, tolerance: float, by_active_set: bool) -> _Stage:
         """Solve the dual problem: by one method, and where it makes no progress by both in turn."""
+        share, patience = _FIRST_SHARE, self.options.smalbe_patience
+        on_faces = None
         if by_active_set:
-            stage = self.active_set(stage, tolerance)
+            stage = on_faces = self.on_faces(stage, tolerance, share)
             if stage.solved or stage.at_limit or interruption.agreed():
                 return stage
-        patience = self.options.smalbe_patience
         while True:
-            stage = self.smalbe(stage.state, tolerance, patience)
+            stage = self.smalbe(stage.state, tolerance, patience, share)
             if stage.flat and self.setup.deflation is not None:
                 # directions of U have no curvature: rounding of the gradient may have led there
-                on_faces = self.active_set(stage, tolerance)
+                on_faces = self.on_faces(stage, tolerance, share)
                 return on_faces if on_faces.solved else stage
             if not stage.slow or interruption.agreed():
                 return stage
             # the face that SMALBE-M has found; if it is not the last one, SMALBE-M goes on
-            on_faces = self.active_set(stage, tolerance)
+            if on_faces is None or not self.setup.constraints.has_friction:
+                on_faces = stage
+            on_faces = self.on_faces(replace(on_faces, slow=True), tolerance, share)
             if on_faces.solved or interruption.agreed():
                 return on_faces
-            patience *= 2
+            patience, share = 2 * patience, 2 * share
 
-    def active_set(self, stage: _Stage, tolerance: float) -> _Stage:
-        """Run the primal-dual active set method on (11.36)."""
-        problem = self._problem(ROUGH_LANCZOS_STEPS)
+    def on_faces(self, stage: _Stage, tolerance: float, share: int) -> _Stage:
+        """Run the primal-dual active set method on (11.36), or Newton's on proximal problems.
+
+        The latter, for a share of products, where friction has made the others slow: it does not
+        cycle where forces turn.
+        """
+        problem, options = self._problem(ROUGH_LANCZOS_STEPS), self.options
         start, signs = self._first_face(stage, problem)
+        products, limit = self.monitor.history.products, options.max_products
+        by_newton = signs.proximal is not None or (stage.slow and problem.constraints.has_friction)
+        if by_newton:
+            limit = min(limit, products.total + share)
         with self.timer.phase("iterations"):
-            result = primal_dual_active_set(
+            result = (proximal_newton if by_newton else primal_dual_active_set)(
                 problem,
                 start,
                 signs,
                 tolerance=tolerance,
-                max_products=self.options.max_products,
-                products=self.monitor.history.products,
+                max_products=limit,
+                products=products,
                 monitor=self.monitor.face,
             )
             multipliers = self._completed(result.multipliers)
         state = DualState(multipliers, result.coarse_gradient)
         return _Stage(state, result.solved, iterate=result.iterate)
 
-    def smalbe(self, state: DualState, tolerance: float, patience: int) -> _Stage:
+    def smalbe(self, state: DualState, tolerance: float, patience: int, share: int) -> _Stage:
         """Run SMALBE-M on (11.40)."""
         before, feasible = len(self.monitor.history.outer), self.data.feasible
         energy_norm = self.scale.energy_norm
-        problem = self._problem(LANCZOS_STEPS)
+        problem, options = self._problem(LANCZOS_STEPS), self.options
+        products, limit = self.monitor.history.products, options.max_products
+        if problem.constraints.has_friction:
+            limit = min(limit, products.total + share)
         try:
             with self.timer.phase("iterations"):
                 result = solve_by_smalbe(
@@ -361,10 +379,10 @@ class _Loop:
                     SMALBEState(state.multipliers - feasible, state.coarse_gradient),
                     rtol=tolerance / (energy_norm or 1.0),
                     norm_b=energy_norm * np.sqrt(problem.norm),
-                    options=self.options,
+                    options=replace(options, max_products=limit),
                     outer_so_far=before,
                     patience=patience,
-                    products=self.monitor.history.products,
+                    products=products,
                     monitor=self.monitor.outer,
                 )
         except Unbounded:
@@ -376,8 +394,8 @@ class _Loop:
         except Stopped:
             return _Stage(state, solved=False)
         limits = {
-            "max_it": f"limit of {self.options.smalbe_max_it} outer iterations (smalbe_max_it)",
-            "max_products": f"limit of {self.options.max_products} products (max_products)",
+            "max_it": f"limit of {options.smalbe_max_it} outer iterations (smalbe_max_it)",
+            "max_products": f"limit of {options.max_products} products (max_products)",
         }
         multipliers = feasible + result.state.x
         cancelled = np.zeros(multipliers.size, dtype=bool)
@@ -389,7 +407,7 @@ class _Loop:
             DualState(multipliers, result.state.q),
             result.converged,
             limits.get(result.reason, result.reason),
-            slow=result.reason == "slow",
+            slow=result.reason == "slow" or options.max_products > products.total >= limit,
         )
 
     def recover(self, state: DualState) -> Candidate:
