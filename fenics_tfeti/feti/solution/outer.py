@@ -11,9 +11,9 @@ eps      is reduced by what the certificate lacks
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 from mpi4py import MPI
 
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.prescribed_motion import prescribed_motion
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.dual.active_set import primal_dual_active_set
+from fenics_tfeti.feti.dual.active_set import ActiveSetResult, primal_dual_active_set
 from fenics_tfeti.feti.dual.augmented import Stopped, solve_by_smalbe
 from fenics_tfeti.feti.dual.pcpg import PCPGIterate, Signs
 from fenics_tfeti.feti.dual.problem import DualProblem
@@ -185,8 +185,9 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
             return replace(outcome, reason="interrupted")
         if stage.at_limit:
             best.rounded = worst
-            # not accurate enough: SMALBE-M goes on from there
+            # not accurate enough: SMALBE-M goes on from the best state
             by_active_set = False
+            stage = replace(stage, state=best.start(loop))
             continue
         if not stage.solved:
             return best.outcome(loop, candidate, stage.reason, tolerance)
@@ -226,6 +227,12 @@ class _Best:
         self.is_last = self.state is None or certificate.worst < self.worst
         if self.is_last:
             self.state, self.worst, self.name = state, certificate.worst, certificate.worst_name
+
+    def start(self, loop: _Loop) -> DualState:
+        """Return the state to go on from: the best one, or none where rounding has spoilt all."""
+        if self.state is not None and np.isfinite(self.worst):
+            return self.state
+        return loop.first_state(None)
 
     def outcome(self, loop: _Loop, last: Candidate, reason: str, tolerance: float) -> Outcome:
         """Return it as not converged, with its displacements; `reason` is what ended the loop."""
@@ -342,25 +349,43 @@ class _Loop:
         The latter, for a share of products, where friction has made the others slow: it does not
         cycle where forces turn.
         """
-        problem, options = self._problem(ROUGH_LANCZOS_STEPS), self.options
+        problem = self._problem(ROUGH_LANCZOS_STEPS)
         start, signs = self._first_face(stage, problem)
-        products, limit = self.monitor.history.products, options.max_products
-        by_newton = signs.proximal is not None or (stage.slow and problem.constraints.has_friction)
-        if by_newton:
-            limit = min(limit, products.total + share)
+        run = partial(self._run, problem, tolerance)
         with self.timer.phase("iterations"):
-            result = (proximal_newton if by_newton else primal_dual_active_set)(
-                problem,
-                start,
-                signs,
-                tolerance=tolerance,
-                max_products=limit,
-                products=products,
-                monitor=self.monitor.face,
-            )
+            if signs.proximal is None and not (stage.slow and problem.constraints.has_friction):
+                result = run(primal_dual_active_set, start, signs)
+            else:
+                result = run(proximal_newton, start, signs, share)
+                if result.solved:
+                    # without the proximal term forces that vanish do so exactly
+                    face = replace(result.iterate.signs, proximal=None)
+                    last = run(primal_dual_active_set, result.iterate, face)
+                    result = last if last.solved else result
             multipliers = self._completed(result.multipliers)
         state = DualState(multipliers, result.coarse_gradient)
         return _Stage(state, result.solved, iterate=result.iterate)
+
+    def _run(
+        self,
+        problem: DualProblem,
+        tolerance: float,
+        method: Callable[..., ActiveSetResult],
+        start: Vector | PCPGIterate,
+        signs: Signs,
+        share: int | None = None,
+    ) -> ActiveSetResult:
+        """Run a method for a share of the products, or for all that are left."""
+        products, limit = self.monitor.history.products, self.options.max_products
+        return method(
+            problem,
+            start,
+            signs,
+            tolerance=tolerance,
+            max_products=limit if share is None else min(limit, products.total + share),
+            products=products,
+            monitor=self.monitor.face,
+        )
 
     def smalbe(self, state: DualState, tolerance: float, patience: int, share: int) -> _Stage:
         """Run SMALBE-M on (11.40)."""
