@@ -213,12 +213,14 @@ def test_rows_that_stick_and_cannot_be_closed_together(path):
     assert found.report.energy == pytest.approx(exact.energy, rel=1e-5)
 
 
-@pytest.mark.parametrize("seed", [2, 14, 15, 21])
-def test_forces_in_a_corner_are_found_by_the_active_set_method(seed):
+@pytest.mark.parametrize("seed", [2, 8, 12, 14, 15, 21, 48])
+def test_forces_in_a_corner(seed):
+    """Rows of sites in the edge depend on each other, and forces turn without end in some."""
     system = in_a_corner(seed)
     found = TornSolver(system, Options()).solve().report
     assert found.energy == pytest.approx(solve_by_cones(system).energy, rel=1e-9)
-    assert found.outer_iterations == 0
+    # 10,000 for seed 12 without Newton's method on proximal problems
+    assert found.products["total"] <= 3000
 
 
 @pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet"])

@@ -130,6 +130,11 @@ class Constraints:
         return mask
 
     @cached_property
+    def has_friction(self) -> bool:
+        """Whether any rank has tangential rows. Collective."""
+        return bool(self.layout.comm.allreduce(self.friction.size > 0, MPI.LOR))
+
+    @cached_property
     def row_lengths(self) -> Vector:
         """Euclidean norms of the rows of B over all ranks."""
         squares = self.matrix.multiply(self.matrix).sum(axis=1)

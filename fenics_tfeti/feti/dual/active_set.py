@@ -33,17 +33,20 @@ from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.tolerances import NO_WORK
 from fenics_tfeti.qp import Products
 
-__all__ = ["ActiveSetResult", "ActiveSetStep", "primal_dual_active_set"]
+__all__ = [
+    "ActiveSetResult",
+    "ActiveSetStep",
+    "active_set_result",
+    "close_first_gaps",
+    "primal_dual_active_set",
+    "unused_friction",
+]
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 # limit on changes of one row
 _SINGLE_STEPS = 100
-# faces without progress after which forces that slip turn by half: directions may swing
-_FULL_STEPS = 2
-# part of r that is left of the mean of two directions that are not opposite
-_NOT_OPPOSITE = 0.1
 # force, relative to the largest one, that is rounding
 _NO_FORCE = 1e-14
 
@@ -156,8 +159,6 @@ def primal_dual_active_set(
         gradient = _without_pulling_rows(problem, face, iterate)
         following = iterate.multipliers[rows] > gradient[rows] / problem.norm
         forces = friction_step(problem, face, iterate.multipliers, gradient)
-        if progress.failures > _FULL_STEPS:
-            forces = _halfway(problem, face, forces)
         rubbing = np.zeros_like(gradient)
         rubbing[friction.flat] = forces[friction.present]
         sticking = friction.sticking(rubbing, problem.radius)
@@ -173,7 +174,7 @@ def primal_dual_active_set(
         nearly = exact and iterate.violation <= negligible
         # slips beside their forces: one more step of Newton's method
         turns = (
-            nearly and rubs and not turns and _unused_friction(problem, face, iterate) > tolerance
+            nearly and rubs and not turns and unused_friction(problem, face, iterate) > tolerance
         )
         solved = nearly and not turns and closable(problem, face.signs, iterate.multipliers) is None
         # sets with other directions of friction forces may come back
@@ -192,7 +193,7 @@ def primal_dual_active_set(
             or (stuck and rubs)
             or not pivots.update(changed, stuck)
         ):
-            return _result(problem, iterate, solved)
+            return active_set_result(problem, iterate, solved)
         if pivots.active:
             following = _change_last(problem, face.signs.active, following)
             progress, previous_sets = _Progress(), []
@@ -287,7 +288,8 @@ def _without_pulling_rows(problem: DualProblem, face: Face, iterate: PCPGIterate
     return iterate.judged if loose is None else loose.settled(iterate.judged)
 
 
-def _result(problem: DualProblem, iterate: PCPGIterate, solved: bool) -> ActiveSetResult:
+def active_set_result(problem: DualProblem, iterate: PCPGIterate, solved: bool) -> ActiveSetResult:
+    """Return an iterate with feasible multipliers."""
     none = np.zeros_like(iterate.multipliers)
     multipliers = problem.multiplier_set(none).project(iterate.multipliers.copy())
     return ActiveSetResult(multipliers, problem.projector.Q(iterate.gradient), solved, iterate)
@@ -303,7 +305,7 @@ def _counts(problem: DualProblem, *masks: Mask, sites: Mask | None = None) -> li
     return [int(n) for n in problem.space.sums(*part)]
 
 
-def _unused_friction(problem: DualProblem, face: Face, iterate: PCPGIterate) -> float:
+def unused_friction(problem: DualProblem, face: Face, iterate: PCPGIterate) -> float:
     """Return the square root of the sum of 2 (r |s| - l_T's) over the sites that slip. Collective.
 
     It is part of the error of the displacement; zero where slips s are along the forces.
@@ -322,17 +324,6 @@ def _turned(problem: DualProblem, face: Face, iterate: PCPGIterate, forces: Vect
     slipping = friction.present & ~face.signs.sticking[:, None]
     change[friction.rows[slipping]] = (forces - friction.at_sites(face.signs.forces))[slipping]
     return problem.norm * problem.space.norm(change) > iterate.residual
-
-
-def _halfway(problem: DualProblem, face: Face, forces: Vector) -> Vector:
-    """Return forces (k, gdim - 1) halfway from those of a face, on the circles, where both slip."""
-    friction, radius = problem.constraints.friction, problem.radius
-    mean = 0.5 * (friction.at_sites(face.signs.forces) + forces)
-    length = np.linalg.norm(mean, axis=1)
-    slipping = ~face.signs.sticking & (np.linalg.norm(forces, axis=1) >= (1.0 - NO_WORK) * radius)
-    turning = slipping & (length > _NOT_OPPOSITE * radius)
-    factor = np.divide(radius, length, out=np.ones_like(length), where=turning)
-    return np.where(turning[:, None], factor[:, None] * mean, forces)
 
 
 def _change_last(problem: DualProblem, active: Mask, following: Mask) -> Mask:

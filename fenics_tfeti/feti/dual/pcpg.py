@@ -6,8 +6,9 @@ On a face the active contact rows are equalities and the multipliers of the othe
 
 with G and the projector P of the rows on the face. With friction the tangential rows of sites that
 stick are on the face. Where a site slips, its force turns on the circle |l_T| = r: to first order
-it moves along the tangent, with the curvature |slip| / r of the cost. The gradient is kept on all
-rows, as
+it moves along the tangent, with the curvature |slip| / r of the cost. A proximal term
+|l - centre|^2 / (2 rho) of the rows with bounds may be added to the cost. The gradient of the cost
+without these terms is kept on all rows, as
 g = Fl - d + G'a with the rigid motions a of the face: where l = o it is the gap that is left, whose
 sign tells whether the face is the right one.
 
@@ -31,7 +32,7 @@ from fenics_tfeti.feti.dual.loose_bodies import LooseBodies
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.qp import Products
 
-__all__ = ["Face", "PCPGIterate", "Signs", "friction_step", "pcpg"]
+__all__ = ["Face", "PCPGIterate", "Proximal", "Signs", "friction_step", "iterate_on", "pcpg"]
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -53,6 +54,26 @@ _SLIP_STIFFNESS = 0.03
 
 
 @dataclass(frozen=True)
+class Proximal:
+    """The proximal term |l - centre|^2 / (2 stiffness) on the rows with bounds.
+
+    Attributes
+    ----------
+    centre : (m,) array
+        Feasible multipliers; zero on equality rows.
+    stiffness : float
+        rho [N/m].
+    """
+
+    centre: Vector
+    stiffness: float
+
+    def wanted(self, gradient: Vector) -> Vector:
+        """Return centre + rho v for the jumps v = -gradient; its projection are the forces."""
+        return self.centre - self.stiffness * gradient
+
+
+@dataclass(frozen=True)
 class Signs:
     """Which conditions of contact and friction hold with equality: the choice of a face.
 
@@ -67,12 +88,15 @@ class Signs:
     curvature : (k,) array
         Slip along the force divided by r: at the sites that slip the second derivative of the cost
         for a force that turns.
+    proximal : Proximal or None
+        A term that is added to the cost.
     """
 
     active: Mask
     sticking: Mask
     forces: Vector
     curvature: Vector
+    proximal: Proximal | None = None
 
     @staticmethod
     def of(
@@ -129,22 +153,41 @@ class Face:
             rows = rows | friction.on_rows(projector.across.any(axis=1), rows.size)
         fixed = friction.off_face(signs.sticking, signs.forces)
         precondition = None if kind is None else kind.on_face(rows)
-        if kind is not None and precondition is not None and projector.across is not None:
-            precondition = _scaled(problem, precondition, signs.curvature, projector.across)
-            kernel = kind.on_turning_kernel(rows, projector.across, signs.curvature)
+        if kind is not None and precondition is not None:
+            across, curvature = projector.across, signs.curvature
+            if across is not None:
+                precondition = _scaled(problem, precondition, curvature, across)
+            compliance = 0.0 if signs.proximal is None else 1.0 / signs.proximal.stiffness
+            kernel = kind.on_kernel(rows, across, curvature, compliance)
             precondition = precondition if kernel is None else _sum_of(precondition, kernel)
         signs, loose = replace(signs, forces=fixed), LooseBodies.on_face(projector)
         return Face(signs, projector, precondition, loose)
 
-    def bent(self, multipliers: Vector) -> Vector:
-        """Return the gradient of 1/2 sum of curvatures times squared tangential parts of forces."""
-        derivative = np.zeros_like(multipliers)
+    def bent(self, x: Vector) -> Vector:
+        """Return Cx on the face, C the second derivative of the terms beside 1/2 l'Fl."""
+        derivative = np.zeros_like(x)
+        if self.signs.proximal is not None:
+            derivative = self._bounded(x) / self.signs.proximal.stiffness
         across = self.projector.across
         if across is not None:
             friction = self.projector.coarse_space.constraints.friction
-            size = self.signs.curvature * np.sum(friction.at_sites(multipliers) * across, axis=1)
-            derivative[friction.flat] = (size[:, None] * across)[friction.present]
+            size = self.signs.curvature * np.sum(friction.at_sites(x) * across, axis=1)
+            derivative[friction.flat] += (size[:, None] * across)[friction.present]
         return derivative
+
+    def derivative(self, multipliers: Vector) -> Vector:
+        """Return the gradient on the face of the terms beside 1/2 l'Fl - d'l."""
+        proximal, derivative = self.signs.proximal, self.bent(multipliers)
+        if proximal is None:
+            return derivative
+        pull = self.projector.on_rows(proximal.centre) / proximal.stiffness
+        without: Vector = derivative - pull
+        return without
+
+    def _bounded(self, x: Vector) -> Vector:
+        """Return x on the rows of the face that have bounds."""
+        equality = self.projector.coarse_space.constraints.equality
+        return np.where(self.projector.rows & ~equality, x, 0.0)
 
 
 def _scaled(
@@ -239,6 +282,7 @@ def pcpg(
     max_products: int,
     products: Products,
     resume: bool = False,
+    accurate: float = 0.0,
 ) -> PCPGIterate:
     """Minimise on a face until its signs are known well enough.
 
@@ -269,6 +313,8 @@ def pcpg(
         Counter to add to.
     resume : bool
         Continue the conjugate gradients that ended in `start`, on the same face.
+    accurate : float
+        Residual [m] that ends the iterations whatever the signs are.
 
     Returns
     -------
@@ -285,7 +331,7 @@ def pcpg(
             return iterate
         if iterate.residual <= test_below:
             iterate = _settled(problem, face, iterate)
-            if iterate.residual <= sign_factor * iterate.violation:
+            if iterate.residual <= max(sign_factor * iterate.violation, accurate):
                 return iterate
             test_below = 0.5 * iterate.residual
         iterate = _with_preconditioned_residual(problem, face, iterate, products)
@@ -366,12 +412,28 @@ def _with_preconditioned_residual(
     """Return the iterate with z = PMr and r'z of its residual r = -g on the face."""
     if iterate.preconditioned is not None:
         return iterate
-    gradient = iterate.gradient + face.bent(iterate.multipliers)
+    gradient = iterate.gradient + face.derivative(iterate.multipliers)
     z, rz = _precondition(face, -face.projector.on_rows(gradient), products)
     if rz is None:
         # without preconditioner z = r in units of ||PFP||, so that r'z is an energy
         z, rz = z / problem.norm, iterate.residual**2 / problem.norm
     return replace(iterate, preconditioned=z, rz=rz)
+
+
+def iterate_on(
+    problem: DualProblem,
+    face: Face,
+    multipliers: Vector,
+    gradient: Vector,
+    step_lengths: tuple[float, ...],
+    products: Products,
+) -> PCPGIterate:
+    """Return the iterate of multipliers with a known gradient on a face, with its energy."""
+    norms, none = _norms(problem, face, multipliers, gradient), np.zeros_like(gradient)
+    iterate = PCPGIterate(
+        face.signs, multipliers, gradient, gradient, *norms, none, 1.0, step_lengths
+    )
+    return _with_preconditioned_residual(problem, face, iterate, products)
 
 
 def _first_iterate(
@@ -403,7 +465,7 @@ def _iterate_at(
 ) -> PCPGIterate:
     """Return the iterate at l, from the known gradient at other multipliers; one product."""
     part = _product(problem, l - known_at, products)
-    bent = face.bent(l)
+    bent = face.derivative(l)
     part = part + problem.constraints.layout.owned_part(known + bent)
     g = face.projector.remove_rigid_motion(part, l)[0] - bent
     none = np.zeros_like(l)
@@ -465,6 +527,6 @@ def _norms(
     wrong[friction.flat] = (friction.at_sites(multipliers) - sites)[friction.present] / (
         _SLIP_STIFFNESS * problem.unit
     )
-    residual = face.projector.on_rows(gradient + face.bent(multipliers))
+    residual = face.projector.on_rows(gradient + face.derivative(multipliers))
     squares = problem.space.dots((residual, residual), (wrong, wrong))
     return float(np.sqrt(squares[0])), float(np.sqrt(squares[1]))

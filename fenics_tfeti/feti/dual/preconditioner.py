@@ -95,55 +95,41 @@ class Preconditioner:
         part[coupling.rows] = (null @ (null.T @ coupling.gather(x)[0]))[coupling.positions]
         return part
 
-    def on_turning_kernel(
-        self, rows: Mask, across: Vector, curvature: Vector
+    def on_kernel(
+        self, rows: Mask, across: Vector | None, curvature: Vector, compliance: float
     ) -> Callable[[Vector], Vector] | None:
         """Return x -> this rank's part of N (N'CN)^+ N'x. Collective.
 
         N are the combinations of rows of a face that vanish, B'N = o: neither F nor B_D S B_D' sees
-        them, but the curvature C of forces that turn does.
+        them, but the curvature C of forces that turn and of a proximal term does.
 
         Parameters
         ----------
         rows : (m,) bool array
             The rows of the face, and all of sites whose force turns.
-        across : (k, 2) array
+        across : (k, 2) array or None
             The directions in which forces turn; zero at other sites.
         curvature : (k,) array
-            C.
+            C of forces that turn.
+        compliance : float
+            C of all rows.
 
         Returns
         -------
         callable or None
-            None if no force that turns has a part in N, on all ranks.
+            None if C does not see N, on all ranks.
         """
-        constraints, coupling = self.constraints, self.constraints.coupling
-        if not coupling.groups:
+        coupling = self.constraints.coupling
+        if not coupling.groups or (across is None and not compliance):
             return None
-        friction, size = constraints.friction, rows.size
-        turns = np.zeros(size)
-        turns[friction.flat] = across[friction.present]
-        along = np.zeros(size)
-        along[friction.flat] = (across[:, ::-1] * [1.0, -1.0])[friction.present]
-        of_site = (
-            friction.spread(friction.numbers(constraints.layout), size),
-            friction.spread(curvature, size),
-        )
-        on_rows, turns, along, site, bent = coupling.gather(
-            rows.astype(float), turns, along, *of_site
-        )
-        turning = np.flatnonzero(np.abs(turns) + np.abs(along) > 0.0)
-        null = self._inverse_of(on_rows > 0.0).null
-        if not null.shape[1] or not turning.size:
+        (on_rows,) = coupling.gather(rows.astype(float))
+        kernel = self._inverse_of(on_rows > 0.0).null.toarray()
+        if not kernel.shape[1]:
             return None
-        _, first, at = np.unique(site[turning], return_index=True, return_inverse=True)
-        places, shape = (at.ravel(), turning), (first.size, site.size)
-        fixed = sp.csr_matrix((along[turning], places), shape) @ null
-        moved = sp.csr_matrix((turns[turning], places), shape) @ null
-        # forces of a given size have no part along themselves
-        kernel = null @ null_space(fixed.toarray(), rcond=_NOT_MOVED)
-        turned = moved @ null_space(fixed.toarray(), rcond=_NOT_MOVED)
-        hessian = turned.T @ (bent[turning[first]][:, None] * turned)
+        hessian = compliance * np.identity(kernel.shape[1])
+        if across is not None:
+            kernel, turned, bent = self._turning(kernel, across, curvature)
+            hessian = compliance * np.identity(kernel.shape[1]) + turned.T @ (bent * turned)
         if not hessian.any():
             return None
         inverse = np.linalg.pinv(hessian, rcond=_NOT_MOVED, hermitian=True)
@@ -155,6 +141,33 @@ class Preconditioner:
             return part
 
         return apply
+
+    def _turning(
+        self, kernel: Vector, across: Vector, curvature: Vector
+    ) -> tuple[Vector, Vector, Vector]:
+        """Return the part of a kernel that forces of a given size have no part in along themselves.
+
+        With it what it turns the force of each site by, and the curvature there. Collective.
+        """
+        constraints, coupling = self.constraints, self.constraints.coupling
+        friction, size = constraints.friction, constraints.size
+        turns, along = np.zeros(size), np.zeros(size)
+        turns[friction.flat] = across[friction.present]
+        along[friction.flat] = (across[:, ::-1] * [1.0, -1.0])[friction.present]
+        of_site = (
+            friction.spread(friction.numbers(constraints.layout), size),
+            friction.spread(curvature, size),
+        )
+        turns, along, site, bent = coupling.gather(turns, along, *of_site)
+        turning = np.flatnonzero(np.abs(turns) + np.abs(along) > 0.0)
+        if not turning.size:
+            return kernel, np.zeros((0, kernel.shape[1])), np.zeros((0, 1))
+        _, first, at = np.unique(site[turning], return_index=True, return_inverse=True)
+        places, shape = (at.ravel(), turning), (first.size, site.size)
+        fixed = sp.csr_matrix((along[turning], places), shape) @ kernel
+        moved = sp.csr_matrix((turns[turning], places), shape) @ kernel
+        free = null_space(fixed, rcond=_NOT_MOVED)
+        return kernel @ free, moved @ free, bent[turning[first]][:, None]
 
     def _inverse_of(self, chosen: Mask) -> GramInverse:
         """Factor W_RR, unless R is the same as last."""

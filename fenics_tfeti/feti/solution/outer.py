@@ -2,7 +2,8 @@
 
 repeat
 lambda   by the primal-dual active set method, or by SMALBE-M on (11.40): each continues where the
-         other makes no progress
+         other makes no progress; with friction Newton's method on proximal problems in place of
+         the active set method from then on
 u        by recovery (11.29)
 stop     when the certificate of u and lambda holds
 eps      is reduced by what the certificate lacks
@@ -10,9 +11,9 @@ eps      is reduced by what the certificate lacks
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 from mpi4py import MPI
 
@@ -22,10 +23,11 @@ from numpy.typing import NDArray
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.prescribed_motion import prescribed_motion
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.dual.active_set import primal_dual_active_set
+from fenics_tfeti.feti.dual.active_set import ActiveSetResult, primal_dual_active_set
 from fenics_tfeti.feti.dual.augmented import Stopped, solve_by_smalbe
 from fenics_tfeti.feti.dual.pcpg import PCPGIterate, Signs
 from fenics_tfeti.feti.dual.problem import DualProblem
+from fenics_tfeti.feti.dual.proximal_newton import proximal_newton
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.solution.certificate import Certificate, PrimalProblem
 from fenics_tfeti.feti.solution.idle_bodies import without_idle_forces
@@ -51,6 +53,8 @@ Mask = NDArray[np.bool_]
 
 # Lanczos steps for an upper bound of ||PFP||, the scale of SMALBE-M
 LANCZOS_STEPS = 15
+# products of SMALBE-M with friction after which Newton's method gets as many; doubled each time
+_FIRST_SHARE = 2000
 # a contact force below this part of the two numbers that it is the sum of is rounding
 _CANCELLED = 1e-13
 # gaps farther than this many times the largest jump of displacements are shortened
@@ -75,7 +79,7 @@ class _Stage:
 
     def started_anew(self) -> _Stage:
         """Return the stage without residuals, in whose recurrences rounding has added up."""
-        if self.iterate is None:
+        if self.iterate is None or self.iterate.signs.proximal is not None:
             return self
         active = self.iterate.signs.active
         return replace(self, state=replace(self.state, active=active), iterate=None)
@@ -181,8 +185,9 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
             return replace(outcome, reason="interrupted")
         if stage.at_limit:
             best.rounded = worst
-            # not accurate enough: SMALBE-M goes on from there
+            # not accurate enough: SMALBE-M goes on from the best state
             by_active_set = False
+            stage = replace(stage, state=best.start(loop))
             continue
         if not stage.solved:
             return best.outcome(loop, candidate, stage.reason, tolerance)
@@ -222,6 +227,12 @@ class _Best:
         self.is_last = self.state is None or certificate.worst < self.worst
         if self.is_last:
             self.state, self.worst, self.name = state, certificate.worst, certificate.worst_name
+
+    def start(self, loop: _Loop) -> DualState:
+        """Return the state to go on from: the best one, or none where rounding has spoilt all."""
+        if self.state is not None and np.isfinite(self.worst):
+            return self.state
+        return loop.first_state(None)
 
     def outcome(self, loop: _Loop, last: Candidate, reason: str, tolerance: float) -> Outcome:
         """Return it as not converged, with its displacements; `reason` is what ended the loop."""
@@ -310,48 +321,80 @@ class _Loop:
 
     def minimise(self, stage: _Stage, tolerance: float, by_active_set: bool) -> _Stage:
         """Solve the dual problem: by one method, and where it makes no progress by both in turn."""
+        share, patience = _FIRST_SHARE, self.options.smalbe_patience
+        on_faces = None
         if by_active_set:
-            stage = self.active_set(stage, tolerance)
+            stage = on_faces = self.on_faces(stage, tolerance, share)
             if stage.solved or stage.at_limit or interruption.agreed():
                 return stage
-        patience = self.options.smalbe_patience
         while True:
-            stage = self.smalbe(stage.state, tolerance, patience)
+            stage = self.smalbe(stage.state, tolerance, patience, share)
             if stage.flat and self.setup.deflation is not None:
                 # directions of U have no curvature: rounding of the gradient may have led there
-                on_faces = self.active_set(stage, tolerance)
+                on_faces = self.on_faces(stage, tolerance, share)
                 return on_faces if on_faces.solved else stage
             if not stage.slow or interruption.agreed():
                 return stage
             # the face that SMALBE-M has found; if it is not the last one, SMALBE-M goes on
-            on_faces = self.active_set(stage, tolerance)
+            if on_faces is None or not self.setup.constraints.has_friction:
+                on_faces = stage
+            on_faces = self.on_faces(replace(on_faces, slow=True), tolerance, share)
             if on_faces.solved or interruption.agreed():
                 return on_faces
-            patience *= 2
+            patience, share = 2 * patience, 2 * share
 
-    def active_set(self, stage: _Stage, tolerance: float) -> _Stage:
-        """Run the primal-dual active set method on (11.36)."""
+    def on_faces(self, stage: _Stage, tolerance: float, share: int) -> _Stage:
+        """Run the primal-dual active set method on (11.36), or Newton's on proximal problems.
+
+        The latter, for a share of products, where friction has made the others slow: it does not
+        cycle where forces turn.
+        """
         problem = self._problem(ROUGH_LANCZOS_STEPS)
         start, signs = self._first_face(stage, problem)
+        run = partial(self._run, problem, tolerance)
         with self.timer.phase("iterations"):
-            result = primal_dual_active_set(
-                problem,
-                start,
-                signs,
-                tolerance=tolerance,
-                max_products=self.options.max_products,
-                products=self.monitor.history.products,
-                monitor=self.monitor.face,
-            )
+            if signs.proximal is None and not (stage.slow and problem.constraints.has_friction):
+                result = run(primal_dual_active_set, start, signs)
+            else:
+                result = run(proximal_newton, start, signs, share)
+                if result.solved:
+                    # without the proximal term forces that vanish do so exactly
+                    face = replace(result.iterate.signs, proximal=None)
+                    last = run(primal_dual_active_set, result.iterate, face)
+                    result = last if last.solved else result
             multipliers = self._completed(result.multipliers)
         state = DualState(multipliers, result.coarse_gradient)
         return _Stage(state, result.solved, iterate=result.iterate)
 
-    def smalbe(self, state: DualState, tolerance: float, patience: int) -> _Stage:
+    def _run(
+        self,
+        problem: DualProblem,
+        tolerance: float,
+        method: Callable[..., ActiveSetResult],
+        start: Vector | PCPGIterate,
+        signs: Signs,
+        share: int | None = None,
+    ) -> ActiveSetResult:
+        """Run a method for a share of the products, or for all that are left."""
+        products, limit = self.monitor.history.products, self.options.max_products
+        return method(
+            problem,
+            start,
+            signs,
+            tolerance=tolerance,
+            max_products=limit if share is None else min(limit, products.total + share),
+            products=products,
+            monitor=self.monitor.face,
+        )
+
+    def smalbe(self, state: DualState, tolerance: float, patience: int, share: int) -> _Stage:
         """Run SMALBE-M on (11.40)."""
         before, feasible = len(self.monitor.history.outer), self.data.feasible
         energy_norm = self.scale.energy_norm
-        problem = self._problem(LANCZOS_STEPS)
+        problem, options = self._problem(LANCZOS_STEPS), self.options
+        products, limit = self.monitor.history.products, options.max_products
+        if problem.constraints.has_friction:
+            limit = min(limit, products.total + share)
         try:
             with self.timer.phase("iterations"):
                 result = solve_by_smalbe(
@@ -361,10 +404,10 @@ class _Loop:
                     SMALBEState(state.multipliers - feasible, state.coarse_gradient),
                     rtol=tolerance / (energy_norm or 1.0),
                     norm_b=energy_norm * np.sqrt(problem.norm),
-                    options=self.options,
+                    options=replace(options, max_products=limit),
                     outer_so_far=before,
                     patience=patience,
-                    products=self.monitor.history.products,
+                    products=products,
                     monitor=self.monitor.outer,
                 )
         except Unbounded:
@@ -376,8 +419,8 @@ class _Loop:
         except Stopped:
             return _Stage(state, solved=False)
         limits = {
-            "max_it": f"limit of {self.options.smalbe_max_it} outer iterations (smalbe_max_it)",
-            "max_products": f"limit of {self.options.max_products} products (max_products)",
+            "max_it": f"limit of {options.smalbe_max_it} outer iterations (smalbe_max_it)",
+            "max_products": f"limit of {options.max_products} products (max_products)",
         }
         multipliers = feasible + result.state.x
         cancelled = np.zeros(multipliers.size, dtype=bool)
@@ -389,7 +432,7 @@ class _Loop:
             DualState(multipliers, result.state.q),
             result.converged,
             limits.get(result.reason, result.reason),
-            slow=result.reason == "slow",
+            slow=result.reason == "slow" or options.max_products > products.total >= limit,
         )
 
     def recover(self, state: DualState) -> Candidate:

@@ -85,7 +85,7 @@ def test_bound_holds_where_rounding_ends_the_iterations(inaccurate, monkeypatch)
 
 
 def test_best_iterate_is_returned(inaccurate, monkeypatch):
-    def spoils(self, state, tolerance, patience):
+    def spoils(self, state, tolerance, *limits):
         nothing = np.zeros_like(state.multipliers)
         return outer._Stage(outer.DualState(nothing, nothing), solved=False, reason="spoilt")
 

@@ -1,0 +1,246 @@
+"""Proximal point method with Newton steps for the dual problem (11.36) with friction.
+
+For multipliers l_k that are feasible on the rows with bounds, the proximal problem
+
+    minimise 1/2 l'Fl - d'l + |l - l_k|^2 / (2 rho)  subject to  Gl = e and the bounds,
+
+is the dual of an unconstrained one in the displacements: its cost is that of the bodies and a
+function of the jumps v of the rows with bounds, with the derivative P(l_k + rho v), P the
+projection on the bounds. Newton's method takes the linear part of P, which is a problem on a face
+that PCPG solves, also where rows of the face depend on each other. The cost is convex with a
+continuous derivative, so that with a line search Newton's method converges for any bounds. Along
+the way from one state (l, v) to the next both are linear, and the slope of the cost is
+v'(P(l_k + rho v) - l): the line search takes no product with F.
+
+The solution of one proximal problem is the next l_k, and rho grows: the method of multipliers for
+the displacements.
+
+After Rockafellar, Math. Oper. Res. 1 (1976) 97-116, and Sun, Sun, Qi, SIAM J. Optim. 16 (2006)
+964-1006.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fenics_tfeti.feti import interruption
+from fenics_tfeti.feti.dual.active_set import (
+    ActiveSetResult,
+    ActiveSetStep,
+    active_set_result,
+    close_first_gaps,
+    unused_friction,
+)
+from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Proximal, Signs, iterate_on, pcpg
+from fenics_tfeti.feti.dual.problem import DualProblem
+from fenics_tfeti.qp import Products
+
+__all__ = ["proximal_newton"]
+
+Vector = NDArray[np.float64]
+
+# rho in units of the stiffness that a weight of 1 stands for: the first, growth, the largest
+_FIRST, _GROWTH, _LARGEST = 10.0, 10.0, 1e5
+# error of Newton's method, relative to the way from the centre, up to which the centre moves
+_INEXACT = 0.5
+# residual and energy of a Newton step, relative to the error before it
+_RESIDUAL, _ENERGY = 0.1, 1e-3
+# slope that ends the line search, relative to the first; limit on its halvings
+_SLOPE, _HALVINGS = 0.01, 40
+# steps that may fail to reduce the error by half before rounding is the reason
+_PATIENCE = 40
+
+
+def proximal_newton(
+    problem: DualProblem,
+    start: Vector | PCPGIterate,
+    signs: Signs,
+    *,
+    tolerance: float,
+    max_products: int,
+    products: Products,
+    monitor: Callable[[ActiveSetStep], None],
+) -> ActiveSetResult:
+    """Run the proximal point method until residual, bounds and slips are within the tolerance.
+
+    Parameters
+    ----------
+    problem : DualProblem
+        The dual problem (11.36).
+    start : (m,) array or PCPGIterate
+        First multipliers, or the last iterate of this or the active set method.
+    signs : Signs
+        First face; of an earlier run, its last one, with the proximal term.
+    tolerance : float
+        Tolerance of the energy of the residual [sqrt(J)].
+    max_products : int
+        Limit on `products`.
+    products : Products
+        Counter to add to.
+    monitor : callable
+        Called with every `ActiveSetStep`.
+
+    Returns
+    -------
+    ActiveSetResult
+        The solution, or the last iterate.
+    """
+    bounds = _Bounds(problem)
+    state = _first_state(problem, bounds, start, signs, products, max_products)
+    term = signs.proximal
+    if term is None:
+        term = Proximal(bounds.project(state.multipliers), _FIRST * problem.unit)
+    best, failures = np.inf, 0
+    while True:
+        # a step that fails may have been too inaccurate
+        error = bounds.error(term, state) * 0.5**failures
+        signs = bounds.linear_part(term, state)
+        face = close_first_gaps(problem, signs, state.gradient)
+        following = pcpg(
+            problem,
+            face,
+            state,
+            tolerance=_ENERGY * error / np.sqrt(term.stiffness),
+            sign_factor=0.0,
+            max_products=max_products,
+            products=products,
+            accurate=_RESIDUAL * error / term.stiffness,
+        )
+        state = _on_the_way(problem, face, bounds, term, state, following, products)
+        wanted, error = bounds.wanted(term, state), bounds.error(term, state)
+        monitor(_step(problem, face, signs, state, products))
+        unused = unused_friction(problem, face, replace(state, multipliers=wanted))
+        solved = max(state.energy, error / np.sqrt(term.stiffness), unused) <= tolerance
+        best, failures = (error, 0) if error <= 0.5 * best else (best, failures + 1)
+        limit = products.total >= max_products or failures > _PATIENCE
+        if solved or limit or interruption.agreed():
+            result = active_set_result(problem, replace(state, multipliers=wanted), solved)
+            return replace(result, iterate=replace(state, signs=replace(face.signs, proximal=term)))
+        if error <= _INEXACT * bounds.norm(wanted - term.centre):
+            stiffness = min(_GROWTH * term.stiffness, _LARGEST * problem.unit)
+            term, best, failures = Proximal(bounds.chosen(wanted), stiffness), np.inf, 0
+
+
+@dataclass(frozen=True)
+class _Bounds:
+    """The rows with bounds: contact and tangential ones."""
+
+    problem: DualProblem
+
+    def chosen(self, x: Vector) -> Vector:
+        """Return x on these rows, zero on the others."""
+        return np.where(self.problem.constraints.equality, 0.0, x)
+
+    def project(self, x: Vector) -> Vector:
+        """Return the projection of x on the bounds; zero on equality rows."""
+        feasible = self.problem.multiplier_set(np.zeros_like(x))
+        return self.chosen(feasible.project(x.copy()))
+
+    def norm(self, x: Vector) -> float:
+        """Return the norm on these rows. Collective."""
+        x = self.chosen(x)
+        return float(np.sqrt(self.problem.space.dots((x, x))[0]))
+
+    def forces(self, term: Proximal, state: PCPGIterate) -> Vector:
+        """Return P(l_k + rho v)."""
+        return self.project(term.wanted(state.gradient))
+
+    def wanted(self, term: Proximal, state: PCPGIterate) -> Vector:
+        """Return the multipliers with P(l_k + rho v) on these rows."""
+        equality = self.problem.constraints.equality
+        return np.where(equality, state.multipliers, self.forces(term, state))
+
+    def error(self, term: Proximal, state: PCPGIterate) -> float:
+        """Return the norm of P(l_k + rho v) - l, the residual of the proximal problem [N]."""
+        return self.norm(self.forces(term, state) - state.multipliers)
+
+    def linear_part(self, term: Proximal, state: PCPGIterate) -> Signs:
+        """Return the face that is the linear part of P at l_k + rho v."""
+        constraints, radius = self.problem.constraints, self.problem.radius
+        friction, unbounded = constraints.friction, term.wanted(state.gradient)
+        length = np.linalg.norm(friction.at_sites(unbounded), axis=1)
+        slipping = length >= radius
+        curvature = np.zeros_like(radius)
+        turning = slipping & (radius > 0.0)
+        np.divide(length, radius * term.stiffness, out=curvature, where=turning)
+        active = unbounded[constraints.inequality] > 0.0
+        return Signs(active, ~slipping, self.project(unbounded), curvature, term)
+
+    def slope(self, term: Proximal, state: PCPGIterate, following: PCPGIterate, t: float) -> float:
+        """Return the slope of the cost on the way from one state to another. Collective."""
+        change = state.gradient - following.gradient
+        l = state.multipliers + t * (following.multipliers - state.multipliers)
+        forces = self.project(term.wanted(state.gradient - t * change))
+        return float(self.problem.space.dots((self.chosen(change), forces - l))[0])
+
+
+def _first_state(
+    problem: DualProblem,
+    bounds: _Bounds,
+    start: Vector | PCPGIterate,
+    signs: Signs,
+    products: Products,
+    max_products: int,
+) -> PCPGIterate:
+    """Return an iterate with its gradient on all rows: the start, or one on the face of signs."""
+    if isinstance(start, PCPGIterate):
+        return start
+    face = close_first_gaps(problem, signs, problem.c)
+    return pcpg(
+        problem,
+        face,
+        start,
+        tolerance=0.0,
+        sign_factor=1.0,
+        max_products=max_products,
+        products=products,
+    )
+
+
+def _on_the_way(
+    problem: DualProblem,
+    face: Face,
+    bounds: _Bounds,
+    term: Proximal,
+    state: PCPGIterate,
+    following: PCPGIterate,
+    products: Products,
+) -> PCPGIterate:
+    """Return the state of least cost on the way to the following one, or that. Collective."""
+    t = _root(lambda t: bounds.slope(term, state, following, t))
+    l = state.multipliers + t * (following.multipliers - state.multipliers)
+    gradient = state.gradient + t * (following.gradient - state.gradient)
+    # forces that turn have no residual where the slip is along them
+    none = np.zeros_like(face.signs.curvature)
+    plain = replace(face, signs=replace(face.signs, proximal=None, curvature=none))
+    return iterate_on(problem, plain, l, gradient, following.step_lengths, products)
+
+
+def _root(slope: Callable[[float], float]) -> float:
+    """Return a root in (0, 1) of an increasing function, or 1 if it is negative up to there."""
+    first = slope(0.0)
+    if first >= 0.0 or slope(1.0) <= _SLOPE * abs(first):
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        t = 0.5 * (low + high)
+        value = slope(t)
+        if abs(value) <= _SLOPE * abs(first):
+            return t
+        low, high = (low, t) if value > 0.0 else (t, high)
+    return 0.5 * (low + high)
+
+
+def _step(
+    problem: DualProblem, face: Face, signs: Signs, state: PCPGIterate, products: Products
+) -> ActiveSetStep:
+    """Return what the monitor is told. Collective."""
+    owned = problem.constraints.owned_inequalities
+    active = face.signs.active
+    counts = [np.count_nonzero(x[:owned]) for x in (active, active != signs.active)]
+    active_rows, changed = problem.space.sums(*(float(n) for n in counts))
+    return ActiveSetStep(products.total, state.residual, int(active_rows), int(changed))

@@ -1,0 +1,66 @@
+"""Newton's method on proximal problems finds the forces of friction from any start."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from friction_problems import in_a_corner, in_a_groove, pulled_strip, pushed_block
+
+from fenics_tfeti.feti import Options, TornSolver
+from fenics_tfeti.feti.dual.pcpg import Signs
+from fenics_tfeti.feti.dual.proximal_newton import proximal_newton
+from fenics_tfeti.qp import Products
+
+SYSTEMS = {
+    "strip": pulled_strip,
+    "block": pushed_block,
+    "groove": in_a_groove,
+    # rows of sites in the edge depend on each other, and the active set does not settle
+    "corner": lambda: in_a_corner(4),
+    "small bounds": lambda: in_a_corner(12),
+}
+
+
+def minimum(problem, multipliers):
+    """Return the cost 1/2 l'Fl - d'l."""
+    return multipliers @ (0.5 * problem.F(multipliers) - problem.d)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_cost_is_the_smallest_for_any_bounds(name):
+    solver = TornSolver(SYSTEMS[name](), Options())
+    problem, products, steps = solver.dual_problem(), Products(), []
+    none = np.zeros_like(problem.d)
+    found = proximal_newton(
+        problem,
+        none,
+        Signs.of(problem, none),
+        tolerance=1e-8 * np.sqrt(problem.unit) * np.linalg.norm(problem.d),
+        max_products=20_000,
+        products=products,
+        monitor=steps.append,
+    )
+    feasible = problem.multiplier_set(none).project(found.multipliers.copy())
+    exact = solver.solve().multipliers
+    assert found.solved
+    assert len(steps) > 1
+    np.testing.assert_allclose(feasible, found.multipliers, rtol=1e-12)
+    assert minimum(problem, found.multipliers) == pytest.approx(minimum(problem, exact), rel=1e-4)
+
+
+def test_rows_that_are_free_without_bounds_have_no_proximal_term():
+    """Multipliers of gluing and supports are those of the problem itself."""
+    solver = TornSolver(pulled_strip(), Options(rtol=1e-10))
+    problem, none = solver.dual_problem(), np.zeros(solver.setup.constraints.size)
+    found = proximal_newton(
+        problem,
+        none,
+        Signs.of(problem, none),
+        tolerance=1e-10 * np.sqrt(problem.unit) * np.linalg.norm(problem.d),
+        max_products=20_000,
+        products=Products(),
+        monitor=lambda step: None,
+    )
+    term = found.iterate.signs.proximal
+    assert not term.centre[problem.constraints.equality].any()
+    np.testing.assert_allclose(found.iterate.gradient[problem.constraints.equality], 0.0, atol=1e-8)
