@@ -57,6 +57,7 @@ def _pin() -> int:
 def _group(body: str, side: int) -> str:
     """Return the name of the group of a side of a body; none if it is free."""
     x0, _, z0, x1, _, z1 = gmsh.model.getBoundingBox(2, side)
+    # the round ends of lug and fork are wider
     if gmsh.model.getType(2, side) == "Cylinder" and max(-x0, x1) < RADIUS + 2 * CLEARANCE:
         return f"{body} surface"
     for name, place in {"fork": -LENGTH, "lug": LENGTH}.items():

@@ -15,11 +15,11 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import ContactPair, ContactProblem, ContactResult
 from fenics_tfeti.io import displacement_space, read_msh
 
 MESHES = Path(__file__).resolve().parents[2] / "meshes"
-PULL, CLEARANCE = 5292.0, 0.02  # [N], [mm]
+PULL, CLEARANCE, RADIUS = 5292.0, 0.02, 5.0  # [N], [mm], of the pin [mm]
 
 
 def read_joint(size: float, degree: int, comm: MPI.Intracomm = MPI.COMM_WORLD) -> Any:
@@ -42,12 +42,8 @@ def joint_problem(
     `along` is the traction along the pin, relative to that across.
     """
     mesh, tags, names = bodies.mesh, bodies.facet_tags, bodies.names
-    E, nu = 2.1e5, 0.3
-    mu, lmbda = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
     V = displacement_space(mesh, degree=degree)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    eps_u, eps_v = ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))
-    a = (lmbda * ufl.tr(eps_u) * ufl.tr(eps_v) + 2 * mu * ufl.inner(eps_u, eps_v)) * ufl.dx
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
     one = fem.Constant(mesh, 1.0)
     area = mesh.comm.allreduce(fem.assemble_scalar(fem.form(one * ds(names["lug end"]))))
@@ -60,7 +56,17 @@ def joint_problem(
             slave, master = master, slave
         chosen = {"roles": "given", **of_pair}
         pairs.append(ContactPair(tags, slave, master, name=f"pin in {hole}", **chosen))
-    return ContactProblem(a, L, bcs=[fem.dirichletbc(np.zeros(3), held, V)], contacts=pairs)
+    return ContactProblem(
+        _elasticity(u, v), L, bcs=[fem.dirichletbc(np.zeros(3), held, V)], contacts=pairs
+    )
+
+
+def _elasticity(u: Any, v: Any) -> Any:
+    """Return the form of steel, in the plane with plane strain."""
+    E, nu = 2.1e5, 0.3
+    mu, lmbda = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+    eps_u, eps_v = ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))
+    return (lmbda * ufl.tr(eps_u) * ufl.tr(eps_v) + 2 * mu * ufl.inner(eps_u, eps_v)) * ufl.dx
 
 
 def axial_motion(bodies: Any, uh: fem.Function) -> dict[str, float]:
@@ -73,3 +79,88 @@ def axial_motion(bodies: Any, uh: fem.Function) -> dict[str, float]:
         moved, volume = (mesh.comm.allreduce(fem.assemble_scalar(fem.form(form))) for form in forms)
         motion[name] = moved / volume
     return motion
+
+
+def largest_mean_pressure(contact: ContactResult, low: float, high: float) -> float:
+    """Return the largest mean over 30 degrees and a quarter of the width of a hole [MPa].
+
+    Its edges are at |z| = low and high; of the fork both tines are taken together. The force at a
+    node is spread over a square of its area.
+    """
+    x, side = contact.coordinates, np.sqrt(contact.area)[:, None, None]
+    spread = (np.arange(8) + 0.5) / 8.0 - 0.5
+    z = x[:, 2, None, None] + side * spread[:, None]
+    radius = np.hypot(x[:, 0], x[:, 1])[:, None, None]
+    angle = np.arctan2(x[:, 1], np.abs(x[:, 0]))[:, None, None] + side * spread / radius
+    z, angle = np.broadcast_arrays(np.clip(np.abs(z), low, high), angle)
+    edges = (
+        np.linspace(-np.pi / 3.0, np.pi / 3.0, 5),
+        np.linspace(low, high, 3 if low == 0.0 else 5),
+    )
+    force = np.repeat(contact.pressure * contact.area / spread.size**2, spread.size**2)
+    forces, *_ = np.histogram2d(angle.ravel(), z.ravel(), edges, weights=force)
+    area = 2.0 * radius.mean() * np.diff(edges[0])[0] * np.diff(edges[1])[0]
+    return float(forces.max() / area)
+
+
+def plane_joint(size: float, degree: int, exchange: bool = False, **of_pair: Any) -> ContactProblem:
+    """Return a pin that 540 N/mm press into the hole of a lug, on triangles in the plane."""
+    handler = signal.getsignal(signal.SIGINT)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "plane.msh"
+        _plane_mesh(path, size, degree)
+        signal.signal(signal.SIGINT, handler)
+        bodies = read_msh(path, MPI.COMM_SELF, gdim=2)
+    mesh, tags, names = bodies.mesh, bodies.facet_tags, bodies.names
+    V = displacement_space(mesh, degree=degree)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    dx = ufl.Measure("dx", domain=mesh, subdomain_data=bodies.cell_tags)(names["pin"])
+    area = fem.assemble_scalar(fem.form(fem.Constant(mesh, 1.0) * dx))
+    held = fem.locate_dofs_topological(V, 1, tags.find(names["lug end"]))
+    # nothing but facets resists the pin's rotation
+    along_y, _ = V.sub(1).collapse()
+    point = fem.locate_dofs_geometrical(
+        (V.sub(1), along_y), lambda x: np.hypot(x[0] - RADIUS, x[1]) < 1e-9
+    )
+    bcs = [
+        fem.dirichletbc(np.zeros(2), held, V),
+        fem.dirichletbc(fem.Function(along_y), point, V.sub(1)),
+    ]
+    slave, master = names["lug surface"], names["pin surface"]
+    if exchange:
+        slave, master = master, slave
+    pair = ContactPair(tags, slave, master, discretisation="mortar", roles="given", **of_pair)
+    load = -fem.Constant(mesh, 540.0 / area) * v[0] * dx
+    return ContactProblem(_elasticity(u, v), load, bcs=bcs, contacts=[pair])
+
+
+def _plane_mesh(path: Path, size: float, order: int) -> None:
+    import gmsh
+
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        occ = gmsh.model.occ
+        pin = occ.addDisk(0, 0, 0, RADIUS, RADIUS)
+        plate, end = occ.addRectangle(0, -9, 0, 30, 18), occ.addDisk(0, 0, 0, 9, 9)
+        hole = occ.addDisk(0, 0, 0, RADIUS + CLEARANCE, RADIUS + CLEARANCE)
+        whole, _ = occ.fuse([(2, plate)], [(2, end)])
+        ((_, lug),), _ = occ.cut(whole, [(2, hole)])
+        occ.synchronize()
+        named: dict[str, list[int]] = {}
+        for name, body in (("pin", pin), ("lug", lug)):
+            gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, [body]), name)
+            for _, side in gmsh.model.getBoundary([(2, body)], oriented=False):
+                x0, _, _, x1, y1, _ = gmsh.model.getBoundingBox(1, side)
+                if x0 > 29.0:
+                    named["lug end"] = [side]
+                elif max(-x0, x1, y1) < RADIUS + 2.0 * CLEARANCE:
+                    named.setdefault(f"{name} surface", []).append(side)
+        for name in sorted(named):
+            gmsh.model.setPhysicalName(1, gmsh.model.addPhysicalGroup(1, named[name]), name)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+        gmsh.model.mesh.generate(2)
+        gmsh.model.mesh.setOrder(order)
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()

@@ -14,7 +14,7 @@ from dolfinx.fem import Constant
 from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.io import Box, boxes, tag_facets
 
-PRESSURE = 1e6
+PRESSURE, LOW, WIDTH = 1e6, 0.2, 0.6
 LOADED, CLAMPED, TABLE, FOOT = 1, 2, 10, 11
 
 
@@ -24,6 +24,7 @@ def foot_on_table(
     offset: float = 0.0,
     slave: int = TABLE,
     comm: MPI.Comm = MPI.COMM_SELF,
+    **of_pair: Any,
 ) -> ContactProblem:
     """Solve for a block of 0.6 m that is pressed on a table of 1 m, off its middle along all axes.
 
@@ -37,13 +38,15 @@ def foot_on_table(
         Distance of the foot from the middle along each axis [m].
     slave : int
         TABLE or FOOT.
+    of_pair
+        Further arguments of the pair.
     """
     across = 1 if cell in ("triangle", "quadrilateral") else 2
     on_table, on_foot = grid
-    low = 0.2 + offset
+    low = LOW + offset
     parts = [
         Box((0.0,) * (across + 1), (1.0,) * across + (0.5,), (on_table,) * across + (4,)),
-        Box((low,) * across + (0.5,), (low + 0.6,) * across + (1.0,), (on_foot,) * across + (3,)),
+        Box((low,) * across + (0.5,), (low + WIDTH,) * across + (1.0,), (on_foot,) * across + (3,)),
     ]
     blocks = boxes(comm, parts, cell)
     sides = [
@@ -57,11 +60,12 @@ def foot_on_table(
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     ds = ufl.Measure("ds", domain=blocks.mesh, subdomain_data=tags)
     pressure = Constant(blocks.mesh, PRESSURE)
+    pair = ContactPair(tags, slave, TABLE + FOOT - slave, discretisation="mortar", **of_pair)
     problem = ContactProblem(
         elasticity(u, v, Constant(blocks.mesh, YOUNG)),
         -pressure * v[across] * ds(LOADED),
         bcs=[fixed(V, tags, CLAMPED, None)],
-        contacts=[ContactPair(tags, slave, TABLE + FOOT - slave, discretisation="mortar")],
+        contacts=[pair],
         cell_tags=blocks.cell_tags,
         options={"rtol": 1e-8},
     )

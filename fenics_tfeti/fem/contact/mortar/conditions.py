@@ -57,7 +57,7 @@ class SlaveFacets:
         Global nodes of the rows of ``facets.points``, ascending; of degree 2 with those in the
         middle of edges and facets.
     normals : (f, v, gdim) array
-        The slave's normals at the corners of the facets.
+        The slave's unit normals at the corners of the facets.
     weight : (f, v) array or None
         Weight of the measure at the corners.
     """
@@ -66,6 +66,13 @@ class SlaveFacets:
     nodes: Numbers
     normals: Vector
     weight: Vector | None
+
+    @property
+    def nodal_normals(self) -> Vector:
+        """Normals (n, gdim) at the nodes of `facets`; of degree 2 zero where no corner is."""
+        normal = np.zeros_like(self.facets.points)
+        normal[self.facets.corners] = self.normals
+        return normal
 
     @staticmethod
     def of(
@@ -112,6 +119,9 @@ class MortarConditions:
         Global nodes, ascending.
     terms : MortarTerms
         Their terms.
+    normal : (k, gdim) array
+        Means of the slave's normals with the conditions' dual functions, as unit vectors: those at
+        the nodes, unless they share in the functions of others.
     gap : (k, gdim) array
         Mean vectors from the slave to the master [m].
     area : (k,) array
@@ -134,6 +144,7 @@ class MortarConditions:
 
     slave: Numbers
     terms: MortarTerms
+    normal: Vector
     gap: Vector
     area: Vector
     coverage: Vector
@@ -248,8 +259,10 @@ def _conditions(
         np.repeat([True, False], [D.nnz, M.nnz])[at],
     )
     row, at, share = shared.rows(slave.nodes)
-    integral = share[:, None] * np.column_stack([matrices.gap, matrices.area])[at]
+    normal = slave.nodal_normals * matrices.area[:, None]
+    integral = share[:, None] * np.column_stack([normal, matrices.gap, matrices.area])[at]
     sums = _sums_at(to_owners, nodes, row, integral)
+    normal, gap, area = np.split(sums, np.cumsum(2 * [normal.shape[1]]), axis=1)
     whole, covered = _sums_at(to_owners, nodes, slave.nodes, parts).T
     largest = _largest_at_nodes(to_owners, slave, other, normals, integrals, nodes)
     facets = np.zeros(len(slave.facets), dtype=bool)
@@ -257,8 +270,9 @@ def _conditions(
     return MortarConditions(
         nodes,
         terms,
-        sums[:, :-1] / sums[:, -1:],
-        sums[:, -1],
+        normal / np.linalg.norm(normal, axis=1, keepdims=True),
+        gap / area,
+        area[:, 0],
         covered / whole,
         *largest,
         facets,

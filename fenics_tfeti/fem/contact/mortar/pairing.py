@@ -83,7 +83,8 @@ def match_by_mortar(
     space = boundary.space
     comm, gdim = space.mesh.comm, slave.normal.shape[1]
     points = boundary.coordinates[:, :gdim]
-    facets = slave_facets(space, contact, slave, points, name)
+    oriented = replace(slave, normal=_normals(space, contact, slave, prescribed))
+    facets = slave_facets(space, contact, oriented, points, name)
     check_folds(comm, facets, name)
     with raise_collectively(comm):
         normals = master.normals(name)
@@ -93,8 +94,7 @@ def match_by_mortar(
     if facets.weight is not None:
         what = f"slave of {name}"
         check_weighted_areas(comm, conditions.area, slave.area[at], slave.points[at], what)
-    normal = _normals(space, contact, slave, prescribed)[at]
-    gap = np.sum(conditions.gap * normal, axis=1)
+    gap = np.sum(conditions.gap * conditions.normal, axis=1)
     gap = slave.without_rounding(gap)
     gap = initial_gap(comm, contact.initial_gap, gap, conditions.chord, slave.coordinates[at], name)
     deviation = slave.without_rounding(conditions.deviation)
@@ -109,7 +109,7 @@ def match_by_mortar(
         covered_area=conditions.covered_area,
         deviation=deviation if contact.initial_gap == "geometric" else None,
     )
-    return _pairing(name, conditions, slave, normal, gap, summary, prescribed)
+    return _pairing(name, conditions, slave, gap, summary, prescribed)
 
 
 def match_deformed(
@@ -148,21 +148,20 @@ def match_deformed(
         here = np.searchsorted(slave.nodes, surface.nodes)
         normal = surface.normal if contact.normal is not None else slave.normals(name)[here]
         of_master = master.normals(name)
+    prescribed = pairing.prescribed
+    if prescribed is None:
+        prescribed = np.zeros_like(normal, dtype=bool)
     deformed = replace(surface, normal=normal)
+    deformed = replace(deformed, normal=_normals(space, contact, deformed, prescribed))
     points = boundary.coordinates[:, :gdim] + displacement.x.array.reshape(-1, gdim)
     facets = slave_facets(space, contact, deformed, points, name)
     shared = np.intersect1d(slave.nodes, master.nodes)
     conditions = mortar_conditions(comm, facets, surface.nodes, master, of_master, shared)
     check_covered(comm, conditions, surface, name)
-    prescribed = pairing.prescribed
-    if prescribed is None:
-        prescribed = np.zeros_like(normal, dtype=bool)
-    at = np.searchsorted(surface.nodes, conditions.slave)
-    normal = _normals(space, contact, deformed, prescribed)[at]
-    distance = np.sum(conditions.gap * normal, axis=1)
+    distance = np.sum(conditions.gap * conditions.normal, axis=1)
     relative = mean_relative(conditions.terms, displacement)
-    gap = distance + np.sum(relative * normal, axis=1)
-    new = _pairing(name, conditions, surface, normal, gap, pairing.summary, prescribed)
+    gap = distance + np.sum(relative * conditions.normal, axis=1)
+    new = _pairing(name, conditions, surface, gap, pairing.summary, prescribed)
     new = replace(new, master_surface=pairing.master_surface)
     return new, distance
 
@@ -171,7 +170,6 @@ def _pairing(
     name: str,
     conditions: MortarConditions,
     slave: Surface,
-    normal: Vector,
     gap: Vector,
     summary: dict[str, Any],
     prescribed: Mask,
@@ -181,7 +179,7 @@ def _pairing(
         conditions.slave,
         main_masters(conditions.terms),
         slave.coordinates[np.searchsorted(slave.nodes, conditions.slave)],
-        normal,
+        conditions.normal,
         gap,
         conditions.area,
         summary,

@@ -65,6 +65,23 @@ def test_terms_of_a_condition(cell):
     assert np.unique(pairs).size == pairs.size
 
 
+def test_normal_of_a_condition_with_the_function_of_a_barely_covered_node():
+    """Of the facet from 0.5 to 0.75 m the master covers 0.1 m: 0.08 and 0.02 are of its ends."""
+    V, tags = scene(Blocks("triangle", 4, 3, width=0.6))
+
+    def normals(x):
+        return np.array([x[0], np.ones_like(x[0])]) / np.hypot(x[0], 1.0)
+
+    pair = ContactPair(tags, LOWER, UPPER, normal=normals)
+    pairing = match_contact(MeshBoundary.of(V), pair, 0)
+    x = pairing.coordinates[:, 0].round(15)
+    expected = normals(x[None]).T
+    expected[x == 0.5] = normals(np.array([[0.5, 0.75]])) @ [0.125 + 0.08, 0.02]
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    assert sorted(x) == [0.0, 0.25, 0.5]
+    np.testing.assert_allclose(pairing.normal, expected, atol=1e-14)
+
+
 def test_linear_weight_of_the_measure():
     import ufl
 
