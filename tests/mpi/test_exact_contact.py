@@ -18,8 +18,10 @@ OPTIONS = {
 }
 
 
-@pytest.mark.parametrize("upper", [12, 9])
-@pytest.mark.parametrize("slide", [0.01, 0.3])
+@pytest.mark.parametrize(
+    ("slide", "upper"),
+    [(0.01, 12), (0.01, 9), (0.3, 9), pytest.param(0.3, 12, marks=pytest.mark.heavy)],
+)
 def test_bodies_that_slide(slide, upper):
     """On matching meshes, and with mortars."""
     problem = two_blocks(slide, OPTIONS, comm=COMM, upper=upper)

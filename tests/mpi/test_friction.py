@@ -55,7 +55,16 @@ def test_solution_does_not_depend_on_ranks(name):
     np.testing.assert_allclose(found.report.energy, alone.report.energy, rtol=1e-12)
 
 
-@pytest.mark.parametrize("path", STORED, ids=lambda path: path.stem)
+SLOW = {"friction_50076", "friction_50136", "friction_50140", "friction_50220"}
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, id=path.stem, marks=[pytest.mark.heavy] * (path.stem in SLOW))
+        for path in STORED
+    ],
+)
 def test_dependent_rows_that_stick(path):
     found = TornSolver(load_system(path, COMM)).solve().report
     alone = TornSolver(load_system(path, MPI.COMM_SELF)).solve().report

@@ -10,7 +10,7 @@ from joints import axial_motion, joint_problem, read_joint
 
 @pytest.mark.parametrize(
     ("exchange", "degree"),
-    [(False, 1), (True, 1), (True, 2)],
+    [(False, 1), (True, 1), pytest.param(True, 2, marks=pytest.mark.heavy)],
     ids=["holes", "pin", "pin, degree 2"],
 )
 def test_motions_and_pressures_are_those_of_one_rank(exchange, degree):

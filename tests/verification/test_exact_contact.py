@@ -15,6 +15,8 @@ from dolfinx import fem
 from fenics_tfeti import ContactProblem, NotConverged, Plane, RigidObstacle, Sphere
 from fenics_tfeti.io import Box, boxes, tag_facets
 
+pytestmark = pytest.mark.once
+
 YOUNG = 1e6
 OPTIONS = {"rtol": 1e-8, "non_penetration": "exact", "non_penetration_tolerance": 1e-7}
 BUMP = Sphere(centre=(0.75, -1.0, 0.0), radius=1.0)

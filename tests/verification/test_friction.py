@@ -20,6 +20,8 @@ from scenes import POISSON
 
 from fenics_tfeti import Coulomb, NotConverged, Tresca, UnresistedMotion
 
+pytestmark = pytest.mark.once
+
 CASES = {
     "square on the ground": ("quadrilateral", 6, None),
     "cube on the ground": ("hexahedron", 3, None),

@@ -25,6 +25,8 @@ from dolfinx import fem
 from fenics_tfeti import ContactProblem, InputError, NotConverged, Plane, RigidObstacle
 from fenics_tfeti.io import Box, boxes, tag_facets
 
+pytestmark = pytest.mark.once
+
 every_change = pytest.mark.parametrize("change", CHANGES)
 
 

@@ -16,6 +16,8 @@ from joints import (
 
 from fenics_tfeti import InputError
 
+pytestmark = pytest.mark.once
+
 # slaves are the holes or the pin
 SIDES = {"holes": {}, "pin": {"exchange": True}, "auto": {"roles": "auto"}}
 
