@@ -89,9 +89,10 @@ def _solve(level: str, seed: int, comm: MPI.Comm) -> _Case:
         rtol = problem.options["rtol"]
         return _Case(found, lambda: problem.glued, rtol, problem.story, problem.mutation)
     # dolfinx is not needed for the other level
-    from mesh_problems import draw_mesh, glue
+    from mesh_options import draw_mesh_case
+    from mesh_problems import glue
 
-    meshed = draw_mesh(seed)
+    meshed = draw_mesh_case(seed)
     found = attempt(lambda: _solve_mesh(meshed, comm))
     return _Case(found, lambda: glue(meshed), meshed.options["rtol"], meshed.story)
 
@@ -126,7 +127,7 @@ def _solve_torn(problem: TornProblem, comm: MPI.Comm, seed: int) -> Found:
 
 
 def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
-    from mesh_problems import contact_places, node_numbers, pose
+    from mesh_problems import contact_places, node_numbers, pose, tangents
 
     contact_problem, posed = pose(problem, comm)
     uh = contact_problem.solve()
@@ -137,17 +138,25 @@ def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
     u = np.full((1 + max(nodes.max(initial=-1) for nodes, _ in parts), gdim), np.nan)
     for nodes, values in parts:
         u[nodes] = values
-    first, force = contact_places(problem), []
-    for slave, contact in zip(first, contact_problem.contact, strict=True):
+    force, tangential = [np.zeros(0)], [np.zeros((0, gdim - 1))]
+    places = zip(contact_places(problem), contact_problem.contact, strict=True)
+    for number, (slave, contact) in enumerate(places):
         whole = contact.gather()
         nodes = slave.number(whole.coordinates)
-        assert np.array_equal(np.sort(nodes), slave.nodes), "the contact's nodes"
-        of_node = dict(zip(nodes.tolist(), whole.normal_force.tolist(), strict=True))
-        force.append([of_node[int(i)] for i in slave.nodes])
-    forces = np.concatenate([np.zeros(0), *force])
-    none = np.zeros(0)
+        order = np.argsort(nodes)
+        assert np.array_equal(nodes[order], slave.nodes), "the contact's nodes"
+        force.append(whole.normal_force[order])
+        assert (whole.friction is not None) == (number in problem.friction), "friction"
+        if whole.friction is not None:
+            along = tangents(problem, number, whole.coordinates[order, :gdim])
+            on_slave = whole.friction.force[order]
+            tangential.append(-np.einsum("kta,ka->kt", along, on_slave))
+            off = np.abs(on_slave + np.einsum("kta,kt->ka", along, tangential[-1]))
+            assert off.max(initial=0.0) <= 1e-12 * np.abs(on_slave).max(initial=0.0), "direction"
     report = contact_problem.report
-    return _found(u.ravel(), np.zeros(len(u)), forces, report, none, none)
+    none = np.zeros(0)
+    forces, rubbing = np.concatenate(force), np.concatenate(tangential)
+    return _found(u.ravel(), np.zeros(len(u)), forces, report, none, rubbing)
 
 
 def _found(

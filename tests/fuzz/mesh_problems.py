@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import scipy.sparse as sp
-from glued import GluedProblem, Springs
+from glued import GluedFriction, GluedProblem, Springs
 from numpy.random import Generator
 from numpy.typing import NDArray
 
@@ -25,13 +25,30 @@ from dolfinx import fem
 from dolfinx.fem import petsc
 from dolfinx.mesh import Mesh, meshtags
 
-from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle, Sphere
+from fenics_tfeti import (
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    Plane,
+    RigidObstacle,
+    Sphere,
+    Tresca,
+)
 from fenics_tfeti.io import Box, boxes, tag_facets
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
-__all__ = ["MeshProblem", "contact_places", "draw_mesh", "glue", "node_numbers", "pose"]
+__all__ = [
+    "MeshProblem",
+    "Rubbing",
+    "contact_places",
+    "draw_mesh",
+    "glue",
+    "node_numbers",
+    "pose",
+    "tangents",
+]
 
 CELLS = {"quadrilateral": 2, "triangle": 2, "hexahedron": 3, "tetrahedron": 3}
 FAR = 1e10
@@ -99,6 +116,28 @@ class Spring:
     stiffness: float
 
 
+@dataclass(frozen=True)
+class Rubbing:
+    """Friction at a contact.
+
+    Attributes
+    ----------
+    law : str
+        "Tresca" or "Coulomb".
+    value : float
+        Slip bound [Pa], or coefficient.
+    part : float
+        Part of the face that has friction, as a function of points; 1 is a number.
+    moved : (gdim,) array
+        Displacement of the obstacle; zero for pairs.
+    """
+
+    law: str
+    value: float
+    part: float
+    moved: Vector
+
+
 @dataclass
 class MeshProblem:
     """A description; lengths in metres of the problem's own."""
@@ -119,10 +158,16 @@ class MeshProblem:
     weights: Vector = field(default_factory=lambda: np.zeros(0))  # (boxes, gdim)
     options: dict[str, Any] = field(default_factory=dict)
     story: list[str] = field(default_factory=list)
+    friction: dict[int, Rubbing] = field(default_factory=dict)  # by contact
 
     @property
     def gdim(self) -> int:
         return CELLS[self.cell]
+
+    def faces(self) -> list[tuple[int, int, int]]:
+        """Return box, axis and side of the slave of each contact."""
+        joints = [(j.slave, j.axis, j.side) for j in self.joints]
+        return joints + [(g.box, g.axis, g.side) for g in self.grounds]
 
 
 def draw_mesh(seed: int) -> MeshProblem:
@@ -489,6 +534,25 @@ def ground_function(problem: MeshProblem, ground: Ground) -> Any:
     return rough
 
 
+def _law(problem: MeshProblem, contact: int) -> Tresca | Coulomb | None:
+    """Return the law of friction of a contact as the package gets it."""
+    rubbing = problem.friction.get(contact)
+    if rubbing is None:
+        return None
+    value: Any = rubbing.value
+    if rubbing.part < 1.0:
+        value = lambda x: _values(problem, contact, x)  # noqa: E731
+    return Tresca(value) if rubbing.law == "Tresca" else Coulomb(value)
+
+
+def _values(problem: MeshProblem, contact: int, x: Vector) -> Vector:
+    """Return slip bounds or coefficients at points (3, k)."""
+    rubbing, (box, axis, _) = problem.friction[contact], problem.faces()[contact]
+    along = (axis + 1) % problem.gdim
+    place = (x[along] - problem.lower[box, along]) / problem.edges[along]
+    return rubbing.value * ((place < rubbing.part) | (rubbing.part == 1.0))
+
+
 def pose(problem: MeshProblem, comm: MPI.Comm) -> tuple[ContactProblem, _Posed]:
     """Return the package's problem on a communicator. Collective."""
     posed = _set_up(problem, comm)
@@ -497,17 +561,21 @@ def pose(problem: MeshProblem, comm: MPI.Comm) -> tuple[ContactProblem, _Posed]:
             posed.faces,
             slave=_face_tag(problem, j.slave, j.axis, j.side),
             master=_face_tag(problem, j.master, j.axis, -j.side),
+            friction=_law(problem, number),
         )
-        for j in problem.joints
+        for number, j in enumerate(problem.joints)
     ]
-    contacts += [
-        RigidObstacle(
-            posed.faces,
-            slave=_face_tag(problem, g.box, g.axis, g.side),
-            obstacle=ground_function(problem, g),
+    for number, g in enumerate(problem.grounds, start=len(problem.joints)):
+        rubbing = problem.friction.get(number)
+        contacts.append(
+            RigidObstacle(
+                posed.faces,
+                slave=_face_tag(problem, g.box, g.axis, g.side),
+                obstacle=ground_function(problem, g),
+                friction=_law(problem, number),
+                displacement=None if rubbing is None else rubbing.moved,
+            )
         )
-        for g in problem.grounds
-    ]
     a = sum(posed.springs, posed.elastic)
     problem_ = ContactProblem(
         a, posed.load, posed.bcs, contacts, posed.cell_tags, options=problem.options
@@ -565,9 +633,30 @@ class SlaveNodes:
 
 def contact_places(problem: MeshProblem) -> list[SlaveNodes]:
     """Return the slave nodes of each contact."""
-    faces = [(j.slave, j.axis, j.side) for j in problem.joints]
-    faces += [(g.box, g.axis, g.side) for g in problem.grounds]
-    return [SlaveNodes(problem, face[0], _face_nodes(problem, *face)) for face in faces]
+    return [SlaveNodes(problem, face[0], _face_nodes(problem, *face)) for face in problem.faces()]
+
+
+def tangents(problem: MeshProblem, contact: int, x: Vector) -> Vector:
+    """Return orthonormal tangents (k, gdim - 1, gdim) at slave nodes (k, gdim) of a contact."""
+    gdim, (_, axis, side) = problem.gdim, problem.faces()[contact]
+    normal = np.tile(_outward(problem, axis, side), (len(x), 1))
+    ground = contact - len(problem.joints)
+    if ground >= 0:
+        normal = -_gap_and_normal(problem, problem.grounds[ground], x)[1]
+    if gdim == 2:
+        return np.column_stack([-normal[:, 1], normal[:, 0]])[:, None]
+    # nearly tangential: obstacles are nearly parallel to the face
+    first = np.eye(3)[(axis + 1) % 3] - normal[:, (axis + 1) % 3, None] * normal
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return np.stack([first, np.cross(normal, first)], axis=1)
+
+
+def _gap_and_normal(problem: MeshProblem, ground: Ground, x: Vector) -> tuple[Vector, Vector]:
+    """Return gaps (k,) and normals (k, gdim) of an obstacle at points (k, gdim)."""
+    points = np.zeros((3, len(x)))
+    points[: problem.gdim] = x.T
+    gap, normal = ground_function(problem, ground)(points)
+    return np.asarray(gap), np.asarray(normal)[: problem.gdim].T
 
 
 def _matrix(form: Any, order: Numbers) -> sp.csr_matrix:
@@ -614,7 +703,53 @@ def glue(problem: MeshProblem) -> GluedProblem:
         gap,
         contact,
         gap_rounding=_gap_rounding(problem, coordinates, contact),
+        friction=_friction(problem, posed, coordinates, order, contact),
     )
+
+
+def _friction(
+    problem: MeshProblem, posed: _Posed, x: Vector, order: Numbers, contact: Numbers
+) -> GluedFriction | None:
+    """Return friction at all conditions of the contacts that have it."""
+    if not problem.friction:
+        return None
+    gdim = problem.gdim
+    row, rows, before, bound, coefficient = [], [], [], [], []
+    for number, rubbing in sorted(problem.friction.items()):
+        box, axis, side = problem.faces()[number]
+        slave = _face_nodes(problem, box, axis, side)
+        along = tangents(problem, number, x[slave])
+        S = _select(np.repeat(slave, gdim - 1), along.reshape(-1, gdim), x.size)
+        if number < len(problem.joints):
+            master = _face_nodes(problem, problem.joints[number].master, axis, -side)
+            S = S - _select(np.repeat(master, gdim - 1), along.reshape(-1, gdim), x.size)
+        points = np.zeros((3, slave.size))
+        points[:gdim] = x[slave].T
+        values, zero = _values(problem, number, points), np.zeros(slave.size)
+        given = rubbing.law == "Tresca"
+        row.append(np.flatnonzero(contact == number))
+        rows.append(S)
+        before.append(along @ rubbing.moved)
+        area = _areas(posed, _face_tag(problem, box, axis, side), order)[slave]
+        bound.append(values * area if given else zero)
+        coefficient.append(zero if given else values)
+    return GluedFriction(
+        np.concatenate(row),
+        sp.vstack(rows, format="csr"),
+        np.concatenate(before),
+        np.concatenate(bound),
+        np.concatenate(coefficient),
+    )
+
+
+def _areas(posed: _Posed, tag: int, order: Numbers) -> Vector:
+    """Return the integrals of the nodes' shape functions over a face."""
+    gdim = posed.mesh.geometry.dim
+    along = fem.Constant(posed.mesh, np.eye(gdim)[0].astype(PETSc.ScalarType))
+    on = ufl.Measure("ds", domain=posed.mesh, subdomain_data=posed.faces)
+    form = ufl.inner(along, ufl.TestFunction(posed.V)) * on(tag)
+    areas: Vector = petsc.assemble_vector(fem.form(form)).array[order][::gdim]
+    return areas
 
 
 def _spring_rows(problem: MeshProblem, posed: _Posed, order: Numbers) -> Springs:
@@ -651,7 +786,6 @@ def _gap_rounding(problem: MeshProblem, x: Vector, contact: Numbers) -> Vector:
 
 def _rows(problem: MeshProblem, x: Vector) -> tuple[sp.csr_matrix, Vector, Numbers]:
     """Return C, the gaps and the contacts' numbers, from the lattice alone."""
-    gdim = problem.gdim
     C, gaps, contact = [], [], []
 
     def add(
@@ -671,10 +805,8 @@ def _rows(problem: MeshProblem, x: Vector) -> tuple[sp.csr_matrix, Vector, Numbe
         add(number, slave, master, normal, np.sum((x[master] - x[slave]) * normal, axis=1))
     for number, g in enumerate(problem.grounds, start=len(problem.joints)):
         slave = _face_nodes(problem, g.box, g.axis, g.side)
-        points = np.zeros((3, slave.size))
-        points[:gdim] = x[slave].T
-        gap, normal = ground_function(problem, g)(points)
-        add(number, slave, None, -np.asarray(normal)[:gdim].T, np.asarray(gap))
+        gap, normals = _gap_and_normal(problem, g, x[slave])
+        add(number, slave, None, -normals, gap)
     if not C:
         return sp.csr_matrix((0, x.size)), np.zeros(0), np.zeros(0, dtype=np.int64)
     return sp.vstack(C, format="csr"), np.concatenate(gaps), np.concatenate(contact)

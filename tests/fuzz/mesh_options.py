@@ -1,0 +1,78 @@
+"""What is drawn in addition to a mesh problem: friction.
+
+Each option has a random generator of its own: problems without it stay what they were.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from mesh_problems import MeshProblem, Rubbing, draw_mesh
+from numpy.random import Generator
+from torn_problems import SOFT
+
+__all__ = ["draw_mesh_case"]
+
+
+def draw_mesh_case(seed: int) -> MeshProblem:
+    """Draw the problem of a seed with its options."""
+    problem = draw_mesh(seed)
+    _add_friction(problem, np.random.default_rng([seed, 4]))
+    return problem
+
+
+def _add_friction(problem: MeshProblem, rng: Generator) -> None:
+    """Add friction to some contacts, and push boxes as it holds them."""
+    contacts = problem.faces()
+    soft = any(
+        s.stiffness < SOFT * problem.young[s.box] / problem.edges.max() for s in problem.springs
+    )
+    if rng.random() > 0.35 or not contacts or soft:
+        return
+    infinite = {
+        number
+        for number, g in enumerate(problem.grounds, start=len(problem.joints))
+        if g.kind == "patch" and g.far == np.inf
+    }
+    for number, (box, _, _) in enumerate(contacts):
+        stress = _stress(problem, box)
+        law = str(rng.choice(["Tresca", "Coulomb"]))
+        value = stress * 10.0 ** rng.uniform(-3, 1)
+        value *= float(rng.choice([0.0, 1.0], p=[0.05, 0.95]))
+        if law == "Coulomb":
+            value = float(rng.choice([0.0, 0.05, 0.1, 0.3, 0.5, 0.8]))
+        part = float(rng.choice([1.0, 0.55], p=[0.7, 0.3]))
+        moved = np.zeros(problem.gdim)
+        if number >= len(problem.joints):
+            moved += problem.grounds[number - len(problem.joints)].moved
+            if rng.random() < 0.3:
+                size = stress / problem.young[box] * problem.edges.max()
+                moved += size * rng.normal(size=problem.gdim)
+        if rng.random() < 0.8 and number not in infinite:
+            problem.friction[number] = Rubbing(law, value, part, moved)
+    _push(problem, rng)
+    problem.story.append(f"friction {problem.friction}")
+
+
+def _stress(problem: MeshProblem, box: int) -> float:
+    """Return the size of stresses in a box."""
+    loads = [np.abs(value).max() / problem.young[b] for b, _, _, value in problem.tractions]
+    weights = np.abs(problem.weights).max(axis=1, initial=0.0) * problem.edges.max() / problem.young
+    strain = max([*loads, *weights.tolist()])
+    return float(problem.young[box] * (strain or 1e-6))
+
+
+def _push(problem: MeshProblem, rng: Generator) -> None:
+    """Push boxes that nothing holds along their contacts, less or more than friction resists."""
+    held = {s.box for s in problem.supports if len(s.values) == problem.gdim}
+    for number, rubbing in problem.friction.items():
+        box, axis, _ = problem.faces()[number]
+        if box in held or rng.random() < 0.3:
+            continue
+        way = rng.normal(size=problem.gdim)
+        way[axis] = 0.0
+        way /= np.linalg.norm(way)
+        if rubbing.law == "Tresca":
+            force = rubbing.value / problem.edges[axis]
+        else:
+            force = rubbing.value * abs(problem.weights[box, axis])
+        problem.weights[box] += rng.uniform(0.0, 1.1) * rubbing.part * force * way
