@@ -127,6 +127,7 @@ def _solve_torn(problem: TornProblem, comm: MPI.Comm, seed: int) -> Found:
 
 
 def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
+    from mesh_options import check_roles
     from mesh_problems import contact_places, node_numbers, pose, tangents
 
     contact_problem, posed = pose(problem, comm)
@@ -139,7 +140,10 @@ def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
     for nodes, values in parts:
         u[nodes] = values
     force, tangential = [np.zeros(0)], [np.zeros((0, gdim - 1))]
-    places = zip(contact_places(problem), contact_problem.contact, strict=True)
+    contacts = contact_problem.contact
+    exchanged = [contact.on_master for contact in contacts]
+    check_roles(problem, exchanged)
+    places = zip(contact_places(problem, exchanged), contacts, strict=True)
     for number, (slave, contact) in enumerate(places):
         whole = contact.gather()
         nodes = slave.number(whole.coordinates)

@@ -1,4 +1,4 @@
-"""What is drawn in addition to a mesh problem: friction.
+"""What is drawn in addition to a mesh problem: degree 2, discretisations and roles, friction.
 
 Each option has a random generator of its own: problems without it stay what they were.
 """
@@ -10,14 +10,55 @@ from mesh_problems import MeshProblem, Rubbing, draw_mesh
 from numpy.random import Generator
 from torn_problems import SOFT
 
-__all__ = ["draw_mesh_case"]
+__all__ = ["check_roles", "draw_mesh_case"]
+
+# of degree 2, unknowns of the largest problems
+UNKNOWNS = 1500
+# ratio of Young's moduli that the package has to call large, and one that it must not
+STIFFER, ALIKE = 10.0, 2.0
 
 
 def draw_mesh_case(seed: int) -> MeshProblem:
     """Draw the problem of a seed with its options."""
     problem = draw_mesh(seed)
     _add_friction(problem, np.random.default_rng([seed, 4]))
+    _choose_pairing(problem, np.random.default_rng([seed, 5]))
+    _raise_degree(problem, np.random.default_rng([seed, 6]))
     return problem
+
+
+def _choose_pairing(problem: MeshProblem, rng: Generator) -> None:
+    """Choose mortar conditions, the same as those of nodes on meshes that match, and roles."""
+    for number in range(len(problem.joints)):
+        kind, roles = str(rng.choice(["auto", "mortar"])), str(rng.choice(["auto", "given"]))
+        if rng.random() < 0.4:
+            problem.pairing[number] = {"discretisation": kind, "roles": roles}
+    problem.story.append(f"pairing {problem.pairing}")
+
+
+def _raise_degree(problem: MeshProblem, rng: Generator) -> None:
+    """Take displacements of degree 2, whose conditions are on means."""
+    gdim = problem.gdim
+    unknowns = len(problem.lower) * gdim * (2 * problem.divisions + 1) ** gdim
+    patches = any(g.kind == "patch" for g in problem.grounds)
+    if rng.random() < 0.2 and unknowns <= UNKNOWNS and not patches:
+        problem.degree = 2
+        problem.story.append("displacements of degree 2")
+
+
+def check_roles(problem: MeshProblem, exchanged: list[bool]) -> None:
+    """Check that slave and master are exchanged where that is wanted and better."""
+    for number, j in enumerate(problem.joints):
+        given = problem.pairing.get(number, {})
+        mortar = given.get("discretisation") == "mortar" or problem.degree > 1
+        rubbing = problem.friction.get(number)
+        may = mortar and given.get("roles") != "given" and (rubbing is None or rubbing.part == 1.0)
+        assert may or not exchanged[number], "exchanged without need"
+        ratio = problem.young[j.slave] / problem.young[j.master]
+        if problem.springs or problem.jump != 1.0 or not may:
+            continue
+        assert exchanged[number] or ratio < STIFFER, "not exchanged"
+        assert not exchanged[number] or ratio > ALIKE, "exchanged"
 
 
 def _add_friction(problem: MeshProblem, rng: Generator) -> None:

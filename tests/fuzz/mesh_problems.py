@@ -159,10 +159,17 @@ class MeshProblem:
     options: dict[str, Any] = field(default_factory=dict)
     story: list[str] = field(default_factory=list)
     friction: dict[int, Rubbing] = field(default_factory=dict)  # by contact
+    pairing: dict[int, dict[str, str]] = field(default_factory=dict)  # arguments, by joint
+    degree: int = 1
 
     @property
     def gdim(self) -> int:
         return CELLS[self.cell]
+
+    @property
+    def intervals(self) -> int:
+        """Number of intervals between the nodes of an edge."""
+        return self.degree * self.divisions
 
     def faces(self) -> list[tuple[int, int, int]]:
         """Return box, axis and side of the slave of each contact."""
@@ -394,7 +401,7 @@ def _set_up(problem: MeshProblem, comm: MPI.Comm) -> _Posed:
                     )
                 )
     faces = tag_facets(mesh, markers, tagged.cell_tags)
-    V = _space(mesh, ("Lagrange", 1), gdim)
+    V = _space(mesh, ("Lagrange", problem.degree), gdim)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     young = fem.Function(_space(mesh, ("DG", 0)))
     weight = fem.Function(_space(mesh, ("DG", 0), gdim))
@@ -562,6 +569,7 @@ def pose(problem: MeshProblem, comm: MPI.Comm) -> tuple[ContactProblem, _Posed]:
             slave=_face_tag(problem, j.slave, j.axis, j.side),
             master=_face_tag(problem, j.master, j.axis, -j.side),
             friction=_law(problem, number),
+            **problem.pairing.get(number, {}),
         )
         for number, j in enumerate(problem.joints)
     ]
@@ -605,17 +613,25 @@ def node_numbers(problem: MeshProblem, V: Any, cell_tags: Any) -> Numbers:
 
 def lattice_numbers(problem: MeshProblem, box: int, x: Vector) -> Numbers:
     """Return the numbers of nodes of a box at given places (k, gdim)."""
-    n, gdim = problem.divisions, problem.gdim
+    n, gdim = problem.intervals, problem.gdim
     place = np.rint((x[:, :gdim] - problem.lower[box]) / problem.edges * n).astype(np.int64)
     strides = (n + 1) ** np.arange(gdim)
     return box * (n + 1) ** gdim + place @ strides
 
 
 def _face_nodes(problem: MeshProblem, box: int, axis: int, side: int) -> Numbers:
-    n, gdim = problem.divisions, problem.gdim
+    n, gdim = problem.intervals, problem.gdim
     number = np.arange((n + 1) ** gdim)
     level = number // (n + 1) ** axis % (n + 1)
     return box * (n + 1) ** gdim + number[level == (n if side > 0 else 0)]
+
+
+def _vertices(problem: MeshProblem, nodes: Numbers) -> NDArray[np.bool_]:
+    """Tell which nodes are vertices of cells."""
+    n, gdim = problem.intervals, problem.gdim
+    places = nodes[:, None] // (n + 1) ** np.arange(gdim) % (n + 1)
+    vertices: NDArray[np.bool_] = (places % problem.degree == 0).all(axis=1)
+    return vertices
 
 
 @dataclass(frozen=True)
@@ -631,9 +647,17 @@ class SlaveNodes:
         return lattice_numbers(self.problem, self.box, coordinates)
 
 
-def contact_places(problem: MeshProblem) -> list[SlaveNodes]:
-    """Return the slave nodes of each contact."""
-    return [SlaveNodes(problem, face[0], _face_nodes(problem, *face)) for face in problem.faces()]
+def contact_places(problem: MeshProblem, exchanged: list[bool]) -> list[SlaveNodes]:
+    """Return the slave nodes of each contact, where roles are exchanged those of the master."""
+    faces = problem.faces()
+    for number, j in enumerate(problem.joints):
+        if exchanged[number]:
+            faces[number] = (j.master, j.axis, -j.side)
+    nodes = [_face_nodes(problem, *face) for face in faces]
+    return [
+        SlaveNodes(problem, box, each[_vertices(problem, each)])
+        for (box, *_), each in zip(faces, nodes, strict=True)
+    ]
 
 
 def tangents(problem: MeshProblem, contact: int, x: Vector) -> Vector:
@@ -685,7 +709,8 @@ def glue(problem: MeshProblem) -> GluedProblem:
             for component, value in s.values.items():
                 fixed[gdim * int(i) + component] = value
     where = np.array(sorted(fixed), dtype=np.int64)
-    rows, gap, contact = _rows(problem, coordinates)
+    weights = [_weights(problem, posed, number, face) for face in problem.faces()]
+    rows, gap, contact = _rows(problem, coordinates, weights)
     springs = (
         _spring_rows(problem, posed, order)
         if problem.springs
@@ -693,7 +718,7 @@ def glue(problem: MeshProblem) -> GluedProblem:
     )
     return GluedProblem(
         coordinates,
-        np.sort(number) // (problem.divisions + 1) ** gdim,
+        np.sort(number) // (problem.intervals + 1) ** gdim,
         _matrix(posed.elastic, order),
         springs,
         load,
@@ -703,12 +728,97 @@ def glue(problem: MeshProblem) -> GluedProblem:
         gap,
         contact,
         gap_rounding=_gap_rounding(problem, coordinates, contact),
-        friction=_friction(problem, posed, coordinates, order, contact),
+        friction=_friction(problem, coordinates, contact, weights),
     )
 
 
+@dataclass(frozen=True)
+class _Weights:
+    """The conditions of a face.
+
+    Attributes
+    ----------
+    slave : (k,) integer array
+        The nodes that have a condition, of those of the face.
+    mean : (k, nodes of the face) scipy.sparse.csr_matrix
+        The means of which they are: of sum 1, of degree 1 the identity.
+    area : (k,) array
+        The area that belongs to each.
+    """
+
+    slave: Numbers
+    mean: sp.csr_matrix
+    area: Vector
+
+
+# integrals of dual functions times shape functions of degree 2: on the unit interval, and on a
+# triangle of area 1 the one of a vertex times those of it, another one, edges at it, the other edge
+_ON_INTERVAL = np.array([[2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 6.0
+_ON_TRIANGLE = np.array([2.0, -1.0, 3.0, -1.0]) / 15.0
+
+
+def _weights(
+    problem: MeshProblem, posed: _Posed, number: Numbers, face: tuple[int, int, int]
+) -> _Weights:
+    """Integrate the multipliers of a face: at nodes, or dual functions at the vertices."""
+    gdim, step = problem.gdim, problem.intervals + 1
+    box, axis, side = face
+    nodes = _face_nodes(problem, box, axis, side)
+    rows, columns, values = [], [], []
+    others = [k for k in range(gdim) if k != axis]
+    facets = posed.faces.find(_face_tag(problem, box, axis, side))
+    size = np.prod(problem.edges[others] / problem.divisions)
+    for cell in _cell_of_facets(posed.mesh, facets):
+        local = number[posed.V.dofmap.cell_dofs(int(cell))]
+        local = local[np.isin(local, nodes)]
+        place = local[:, None] // step ** np.array(others) % step
+        vertex = np.flatnonzero((place % problem.degree == 0).all(axis=1))
+        block = _dual_block(problem, place, vertex) * size
+        rows.append(np.repeat(local[vertex], local.size))
+        columns.append(np.tile(local, vertex.size))
+        values.append(block.ravel())
+    slave = nodes[_vertices(problem, nodes)]
+    matrix = sp.csr_matrix(
+        (
+            np.concatenate(values),
+            (
+                np.searchsorted(slave, np.concatenate(rows)),
+                np.searchsorted(nodes, np.concatenate(columns)),
+            ),
+        ),
+        shape=(slave.size, nodes.size),
+    )
+    area = np.asarray(matrix.sum(axis=1)).ravel()
+    return _Weights(slave, (sp.diags(1.0 / area) @ matrix).tocsr(), area)
+
+
+def _dual_block(problem: MeshProblem, place: Numbers, vertex: Numbers) -> Vector:
+    """Return the integrals over a facet, for cells of edge 1, from the places of its nodes."""
+    simplex = problem.cell == "tetrahedron"
+    if problem.degree == 1:
+        whole = 0.5 if simplex else 1.0
+        return whole / vertex.size * np.eye(vertex.size)
+    if not simplex:
+        lower = place - place.min(axis=0)
+        factors = [
+            _ON_INTERVAL[lower[vertex, k][:, None] // 2, lower[:, k]] for k in range(place.shape[1])
+        ]
+        return np.prod(factors, axis=0)
+    # a node between two vertices has half the sum of their places
+    block = np.zeros((3, 6))
+    for i, v in enumerate(vertex):
+        for j, there in enumerate(place):
+            if j in vertex:
+                kind = 0 if j == v else 1
+            else:
+                ends = [2 * there - place[v] - place[w] for w in vertex if w != v]
+                kind = 2 if any(not end.any() for end in ends) else 3
+            block[i, j] = 0.5 * _ON_TRIANGLE[kind]
+    return block
+
+
 def _friction(
-    problem: MeshProblem, posed: _Posed, x: Vector, order: Numbers, contact: Numbers
+    problem: MeshProblem, x: Vector, contact: Numbers, weights: list[_Weights]
 ) -> GluedFriction | None:
     """Return friction at all conditions of the contacts that have it."""
     if not problem.friction:
@@ -716,22 +826,16 @@ def _friction(
     gdim = problem.gdim
     row, rows, before, bound, coefficient = [], [], [], [], []
     for number, rubbing in sorted(problem.friction.items()):
-        box, axis, side = problem.faces()[number]
-        slave = _face_nodes(problem, box, axis, side)
-        along = tangents(problem, number, x[slave])
-        S = _select(np.repeat(slave, gdim - 1), along.reshape(-1, gdim), x.size)
-        if number < len(problem.joints):
-            master = _face_nodes(problem, problem.joints[number].master, axis, -side)
-            S = S - _select(np.repeat(master, gdim - 1), along.reshape(-1, gdim), x.size)
-        points = np.zeros((3, slave.size))
-        points[:gdim] = x[slave].T
-        values, zero = _values(problem, number, points), np.zeros(slave.size)
+        of_face = weights[number]
+        along = tangents(problem, number, x[of_face.slave])
+        rows.append(_condition_rows(problem, number, of_face, along, x.size))
+        points = np.zeros((3, of_face.slave.size))
+        points[:gdim] = x[of_face.slave].T
+        values, zero = _values(problem, number, points), np.zeros(of_face.slave.size)
         given = rubbing.law == "Tresca"
         row.append(np.flatnonzero(contact == number))
-        rows.append(S)
         before.append(along @ rubbing.moved)
-        area = _areas(posed, _face_tag(problem, box, axis, side), order)[slave]
-        bound.append(values * area if given else zero)
+        bound.append(values * of_face.area if given else zero)
         coefficient.append(zero if given else values)
     return GluedFriction(
         np.concatenate(row),
@@ -742,14 +846,24 @@ def _friction(
     )
 
 
-def _areas(posed: _Posed, tag: int, order: Numbers) -> Vector:
-    """Return the integrals of the nodes' shape functions over a face."""
-    gdim = posed.mesh.geometry.dim
-    along = fem.Constant(posed.mesh, np.eye(gdim)[0].astype(PETSc.ScalarType))
-    on = ufl.Measure("ds", domain=posed.mesh, subdomain_data=posed.faces)
-    form = ufl.inner(along, ufl.TestFunction(posed.V)) * on(tag)
-    areas: Vector = petsc.assemble_vector(fem.form(form)).array[order][::gdim]
-    return areas
+def _condition_rows(
+    problem: MeshProblem, contact: int, weights: _Weights, directions: Vector, size: int
+) -> sp.csr_matrix:
+    """Return the rows of conditions along directions (k, d, gdim): slave minus master."""
+    box, axis, side = problem.faces()[contact]
+    mean, (k, d, gdim) = weights.mean.tocoo(), directions.shape
+    sides = [(_face_nodes(problem, box, axis, side), 1.0)]
+    if contact < len(problem.joints):
+        master = problem.joints[contact].master
+        sides.append((_face_nodes(problem, master, axis, -side), -1.0))
+    rows = sp.csr_matrix((k * d, size))
+    for nodes, sign in sides:
+        values = sign * mean.data[:, None, None] * directions[mean.row]
+        row = d * mean.row[:, None, None] + np.arange(d)[:, None]
+        column = gdim * nodes[mean.col][:, None, None] + np.arange(gdim)
+        row, column = (np.broadcast_to(each, values.shape).ravel() for each in (row, column))
+        rows = rows + sp.csr_matrix((values.ravel(), (row, column)), shape=rows.shape)
+    return rows
 
 
 def _spring_rows(problem: MeshProblem, posed: _Posed, order: Numbers) -> Springs:
@@ -784,36 +898,26 @@ def _gap_rounding(problem: MeshProblem, x: Vector, contact: Numbers) -> Vector:
     return 4.0 * np.finfo(float).eps * np.array([0.0, *sizes])[contact + 1]
 
 
-def _rows(problem: MeshProblem, x: Vector) -> tuple[sp.csr_matrix, Vector, Numbers]:
+def _rows(
+    problem: MeshProblem, x: Vector, weights: list[_Weights]
+) -> tuple[sp.csr_matrix, Vector, Numbers]:
     """Return C, the gaps and the contacts' numbers, from the lattice alone."""
-    C, gaps, contact = [], [], []
-
-    def add(
-        number: int, slave: Numbers, master: Numbers | None, normal: Vector, gap: Vector
-    ) -> None:
-        matrix = _select(slave, normal, x.size)
-        if master is not None:
-            matrix = matrix - _select(master, normal, x.size)
-        C.append(matrix)
-        gaps.append(gap)
-        contact.append(np.full(slave.size, number, dtype=np.int64))
-
-    for number, j in enumerate(problem.joints):
-        slave = _face_nodes(problem, j.slave, j.axis, j.side)
-        master = _face_nodes(problem, j.master, j.axis, -j.side)
-        normal = np.tile(_outward(problem, j.axis, j.side), (slave.size, 1))
-        add(number, slave, master, normal, np.sum((x[master] - x[slave]) * normal, axis=1))
-    for number, g in enumerate(problem.grounds, start=len(problem.joints)):
-        slave = _face_nodes(problem, g.box, g.axis, g.side)
-        gap, normals = _gap_and_normal(problem, g, x[slave])
-        add(number, slave, None, -normals, gap)
-    if not C:
-        return sp.csr_matrix((0, x.size)), np.zeros(0), np.zeros(0, dtype=np.int64)
-    return sp.vstack(C, format="csr"), np.concatenate(gaps), np.concatenate(contact)
-
-
-def _select(nodes: Numbers, vectors: Vector, size: int) -> sp.csr_matrix:
-    count, gdim = vectors.shape
-    columns = gdim * nodes[:, None] + np.arange(gdim)
-    indptr = gdim * np.arange(count + 1)
-    return sp.csr_matrix((vectors.ravel().copy(), columns.ravel(), indptr), shape=(count, size))
+    C, gaps, contact = [], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
+    for number, ((box, axis, side), of_face) in enumerate(
+        zip(problem.faces(), weights, strict=True)
+    ):
+        nodes, ground = _face_nodes(problem, box, axis, side), number - len(problem.joints)
+        if ground < 0:
+            normal = np.tile(_outward(problem, axis, side), (of_face.slave.size, 1))
+            master = _face_nodes(problem, problem.joints[number].master, axis, -side)
+            gap = (x[master] - x[nodes]) @ normal[0]
+        else:
+            g = problem.grounds[ground]
+            gap = _gap_and_normal(problem, g, x[nodes])[0]
+            normal = -_gap_and_normal(problem, g, x[of_face.slave])[1]
+        C.append(_condition_rows(problem, number, of_face, normal[:, None], x.size))
+        # infinite gaps have no mean, and are at nodes with conditions of their own
+        gaps.append(of_face.mean @ gap if problem.degree > 1 else gap)
+        contact.append(np.full(of_face.slave.size, number, dtype=np.int64))
+    rows = sp.vstack(C, format="csr") if C else sp.csr_matrix((0, x.size))
+    return rows, np.concatenate(gaps), np.concatenate(contact)
