@@ -127,7 +127,7 @@ def _solve_torn(problem: TornProblem, comm: MPI.Comm, seed: int) -> Found:
 
 
 def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
-    from mesh_options import check_roles
+    from mesh_options import check_roles, check_weak_motions
     from mesh_problems import contact_places, node_numbers, pose, tangents
 
     contact_problem, posed = pose(problem, comm)
@@ -158,6 +158,7 @@ def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
             off = np.abs(on_slave + np.einsum("kta,kt->ka", along, tangential[-1]))
             assert off.max(initial=0.0) <= 1e-12 * np.abs(on_slave).max(initial=0.0), "direction"
     report = contact_problem.report
+    check_weak_motions(problem, np.count_nonzero(force[-1]), report.weak_motions)
     none = np.zeros(0)
     forces, rubbing = np.concatenate(force), np.concatenate(tangential)
     return _found(u.ravel(), np.zeros(len(u)), forces, report, none, rubbing)

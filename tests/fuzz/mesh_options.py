@@ -1,16 +1,18 @@
-"""What is drawn in addition to a mesh problem: degree 2, discretisations and roles, friction.
+"""What is drawn in addition to a mesh problem: friction, roles, degree 2, tilts.
 
 Each option has a random generator of its own: problems without it stay what they were.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
-from mesh_problems import MeshProblem, Rubbing, draw_mesh
+from mesh_problems import Ground, MeshProblem, Rubbing, Support, draw_mesh
 from numpy.random import Generator
 from torn_problems import SOFT
 
-__all__ = ["check_roles", "draw_mesh_case"]
+__all__ = ["check_roles", "check_weak_motions", "draw_mesh_case"]
 
 # of degree 2, unknowns of the largest problems
 UNKNOWNS = 1500
@@ -24,7 +26,73 @@ def draw_mesh_case(seed: int) -> MeshProblem:
     _add_friction(problem, np.random.default_rng([seed, 4]))
     _choose_pairing(problem, np.random.default_rng([seed, 5]))
     _raise_degree(problem, np.random.default_rng([seed, 6]))
+    _tilt_facets(problem, np.random.default_rng([seed, 7]))
     return problem
+
+
+def _tilt_facets(problem: MeshProblem, rng: Generator) -> None:
+    """Tilt facets of obstacles, which then resist motions along them weakly."""
+    if rng.random() < 0.1:
+        _let_slide(problem, rng)
+        return
+    grounds = [
+        replace(g, tilt=float(10.0 ** rng.uniform(-7, -3)))
+        if rng.random() < 0.3 and g.kind != "sphere"
+        else g
+        for g in problem.grounds
+    ]
+    if any(g.tilt for g in grounds):
+        problem.story.append(f"tilts of obstacles {[g.tilt for g in grounds]}")
+        problem.grounds = grounds
+
+
+def _let_slide(problem: MeshProblem, rng: Generator) -> None:
+    """Press a box against an obstacle of tilted facets, and take from it what else holds it."""
+    box = int(rng.integers(len(problem.lower)))
+    stress = _stress(problem, box)
+    strain = stress / problem.young[box]
+    everywhere = dict.fromkeys(range(problem.gdim), 0.0)
+    for j in problem.joints:
+        # what leant on the box is held instead
+        if box == j.master:
+            problem.supports.append(Support(j.slave, j.axis, j.side, everywhere))
+        if box == j.slave:
+            problem.supports.append(Support(j.master, j.axis, -j.side, everywhere))
+    problem.joints = [j for j in problem.joints if box not in (j.slave, j.master)]
+    problem.grounds = [g for g in problem.grounds if g.box != box]
+    problem.supports = [s for s in problem.supports if s.box != box]
+    problem.springs = [s for s in problem.springs if s.box != box]
+    problem.tractions = [t for t in problem.tractions if t[0] != box]
+    problem.friction, problem.pairing = {}, {}
+    axis, side = int(rng.integers(problem.gdim)), int(rng.choice([-1, 1]))
+    gap = strain * float(problem.edges.max()) * float(rng.choice([0.0, rng.random()]))
+    kind, tilt = str(rng.choice(["plane", "rough"])), float(10.0 ** rng.uniform(-7, -3))
+    nowhere = np.zeros(problem.gdim)
+    problem.grounds.append(Ground(box, axis, side, kind, gap, np.inf, nowhere, tilt))
+    problem.weights[box] = 0.0
+    problem.weights[box, axis] = side * stress / problem.edges.max()
+    problem.story.append(f"instead box {box} slides: {problem.grounds[-1]}, no friction")
+    problem.slider = box
+
+
+def check_weak_motions(problem: MeshProblem, active: int, motions: list[str]) -> None:
+    """Check that motions along tilted facets are named.
+
+    Parameters
+    ----------
+    problem : MeshProblem
+        The problem, whose last contact is that of a slider, if there is one.
+    active : int
+        Number of nodes at which the last contact presses. Rows that are not tilted resist three
+        motions, or two in the plane.
+    motions : list of str
+        Those that the package names.
+    """
+    if problem.slider is None or problem.grounds[-1].tilt < 1e-6:
+        return
+    if active > (2 if problem.gdim == 2 else 3):
+        name = f"(cell tag {problem.slider + 1})"
+        assert any(name in motion for motion in motions), f"a weak motion of {name} is not named"
 
 
 def _choose_pairing(problem: MeshProblem, rng: Generator) -> None:

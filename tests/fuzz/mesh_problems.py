@@ -84,6 +84,8 @@ class Ground:
         1e10 or infinite.
     moved : (gdim,) array
         A displacement of the obstacle.
+    tilt : float
+        Its facets are tilted by up to this angle, to and fro; not a sphere's.
     """
 
     box: int
@@ -93,6 +95,7 @@ class Ground:
     gap: float
     far: float
     moved: Vector
+    tilt: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -161,6 +164,7 @@ class MeshProblem:
     friction: dict[int, Rubbing] = field(default_factory=dict)  # by contact
     pairing: dict[int, dict[str, str]] = field(default_factory=dict)  # arguments, by joint
     degree: int = 1
+    slider: int | None = None  # a box that only a contact with tilted facets holds, the last one
 
     @property
     def gdim(self) -> int:
@@ -525,7 +529,7 @@ def ground_function(problem: MeshProblem, ground: Ground) -> Any:
     point = middle.copy()
     point[ground.axis] = level
     point = point + out * ground.gap + ground.moved
-    if ground.kind == "plane":
+    if ground.kind == "plane" and not ground.tilt:
         return Plane(point, -out)
     if ground.kind == "sphere":
         return Sphere(point + _radius(problem) * out, _radius(problem))
@@ -534,11 +538,23 @@ def ground_function(problem: MeshProblem, ground: Ground) -> Any:
         place = (x[:gdim].T - problem.lower[ground.box]) / problem.edges
         wave = 1.0 + 0.5 * np.sin(7.0 * place.sum(axis=1))
         gap = ground.gap * wave + out @ ground.moved
+        if ground.kind == "plane":
+            gap = np.full(len(place), ground.gap + out @ ground.moved)
         if ground.kind == "patch":
             gap = np.where(place[:, (ground.axis + 1) % gdim] < 0.6, gap, ground.far)
-        return gap, np.tile(-out[:, None], (1, x.shape[1]))
+        return gap, _tilted(-out, ground, place).T
 
     return rough
+
+
+def _tilted(normal: Vector, ground: Ground, place: Vector) -> Vector:
+    """Return unit normals (k, gdim) near one of them, which tilt along the surface."""
+    gdim = normal.size
+    tilted = np.tile(normal, (len(place), 1))
+    for k in range(gdim):
+        if k != ground.axis:
+            tilted[:, k] += ground.tilt * np.cos(11.0 * place.sum(axis=1) + 2.0 * k)
+    return tilted / np.linalg.norm(tilted, axis=1)[:, None]
 
 
 def _law(problem: MeshProblem, contact: int) -> Tresca | Coulomb | None:
