@@ -1,4 +1,4 @@
-"""What is drawn in addition to a mesh problem: friction, roles, degree 2, tilts.
+"""What is drawn in addition to a mesh problem: friction, roles, degree 2, tilts, exact passes.
 
 Each option has a random generator of its own: problems without it stay what they were.
 """
@@ -8,16 +8,25 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from mesh_problems import Ground, MeshProblem, Rubbing, Support, draw_mesh
+from mesh_problems import Ground, MeshProblem, Rubbing, Support, draw_mesh, penetrations
 from numpy.random import Generator
+from numpy.typing import NDArray
+from oracle import Answer
+from outcome import Found, Outcome, compare_error, outcome_of, worst
 from torn_problems import SOFT
 
-__all__ = ["check_roles", "check_weak_motions", "draw_mesh_case"]
+from fenics_tfeti.errors import ContactError, NotConverged
+
+Vector = NDArray[np.float64]
+
+__all__ = ["compare_exact", "check_roles", "check_weak_motions", "draw_mesh_case"]
 
 # of degree 2, unknowns of the largest problems
 UNKNOWNS = 1500
 # ratio of Young's moduli that the package has to call large, and one that it must not
 STIFFER, ALIKE = 10.0, 2.0
+# exact non-penetration: depth relative to the largest displacement, the package's default
+PENETRATION = 1e-3
 
 
 def draw_mesh_case(seed: int) -> MeshProblem:
@@ -27,7 +36,40 @@ def draw_mesh_case(seed: int) -> MeshProblem:
     _choose_pairing(problem, np.random.default_rng([seed, 5]))
     _raise_degree(problem, np.random.default_rng([seed, 6]))
     _tilt_facets(problem, np.random.default_rng([seed, 7]))
+    if np.random.default_rng([seed, 8]).random() < 0.1 and problem.slider is None:
+        problem.options["non_penetration"] = "exact"
+        problem.grounds = [replace(g, tilt=0.0) for g in problem.grounds]
+        problem.story.append("exact non-penetration, no tilts")
     return problem
+
+
+def compare_exact(
+    problem: MeshProblem, coordinates: Vector, answer: Answer, found: Found
+) -> Outcome:
+    """Compare a solution with exact non-penetration with what may be said of it.
+
+    Its first pass is the linearised problem. Later ones may find surfaces folded or bodies without
+    hold, or not converge.
+    """
+    error = found.error
+    said = f"{type(error).__name__}: {error}" if error is not None else ""
+    if error is not None and not isinstance(error, ContactError):
+        return Outcome("traceback", f"{said}\n{found.trace}")
+    if answer.verdict == "unsure":
+        return Outcome("skipped", answer.why)
+    if answer.verdict != "solution":
+        return compare_error(answer, error, said)
+    if error is not None:
+        limit = isinstance(error, NotConverged) and "non_penetration_max_it" not in said
+        return Outcome("no convergence" if limit else "no contraction", said)
+    u = found.displacement
+    assert u is not None
+    if not np.isfinite(u).all():
+        return Outcome("wrong", "displacements are not finite")
+    deformed = coordinates + u.reshape(coordinates.shape)
+    allowed = np.array([PENETRATION * np.abs(u).max() + 1e-12 * np.abs(deformed).max()])
+    depths = penetrations(problem, deformed)
+    return outcome_of({"penetration": worst(depths, allowed)})
 
 
 def _tilt_facets(problem: MeshProblem, rng: Generator) -> None:
@@ -52,12 +94,13 @@ def _let_slide(problem: MeshProblem, rng: Generator) -> None:
     stress = _stress(problem, box)
     strain = stress / problem.young[box]
     everywhere = dict.fromkeys(range(problem.gdim), 0.0)
+    held = {s.box for s in problem.supports}
     for j in problem.joints:
         # what leant on the box is held instead
-        if box == j.master:
-            problem.supports.append(Support(j.slave, j.axis, j.side, everywhere))
-        if box == j.slave:
-            problem.supports.append(Support(j.master, j.axis, -j.side, everywhere))
+        other, side = (j.slave, j.side) if box == j.master else (j.master, -j.side)
+        if box in (j.slave, j.master) and other not in held:
+            problem.supports.append(Support(other, j.axis, side, everywhere))
+            held.add(other)
     problem.joints = [j for j in problem.joints if box not in (j.slave, j.master)]
     problem.grounds = [g for g in problem.grounds if g.box != box]
     problem.supports = [s for s in problem.supports if s.box != box]

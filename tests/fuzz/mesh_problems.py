@@ -46,6 +46,7 @@ __all__ = [
     "draw_mesh",
     "glue",
     "node_numbers",
+    "penetrations",
     "pose",
     "tangents",
 ]
@@ -85,7 +86,7 @@ class Ground:
     moved : (gdim,) array
         A displacement of the obstacle.
     tilt : float
-        Its facets are tilted by up to this angle, to and fro; not a sphere's.
+        Its facets are tilted by angles between this and its negative; not a sphere's.
     """
 
     box: int
@@ -542,6 +543,8 @@ def ground_function(problem: MeshProblem, ground: Ground) -> Any:
             gap = np.full(len(place), ground.gap + out @ ground.moved)
         if ground.kind == "patch":
             gap = np.where(place[:, (ground.axis + 1) % gdim] < 0.6, gap, ground.far)
+        if problem.options.get("non_penetration") == "exact":
+            gap = gap + ground.side * (level - x[ground.axis])
         return gap, _tilted(-out, ground, place).T
 
     return rough
@@ -860,6 +863,32 @@ def _friction(
         np.concatenate(bound),
         np.concatenate(coefficient),
     )
+
+
+def penetrations(problem: MeshProblem, deformed: Vector) -> Vector:
+    """Return the depths of deformed slave nodes in obstacles, of degree 1, and in masters.
+
+    Those in masters are known in the plane, with displacements of degree 1.
+    """
+    depths = [np.zeros(1)]
+    for number, face in enumerate(problem.faces()):
+        slave, ground = deformed[_face_nodes(problem, *face)], number - len(problem.joints)
+        if problem.degree > 1:
+            continue
+        if ground >= 0:
+            depths.append(-_gap_and_normal(problem, problem.grounds[ground], slave)[0])
+        elif problem.gdim == 2:
+            joint = problem.joints[number]
+            nodes = _face_nodes(problem, joint.master, joint.axis, -joint.side)
+            along, across = deformed[nodes, 1 - joint.axis], deformed[nodes, joint.axis]
+            if (np.diff(along) <= 0.0).any():
+                continue
+            level = np.interp(slave[:, 1 - joint.axis], along, across, np.nan, np.nan)
+            # less where the master is inclined
+            slope = np.abs(np.diff(across) / np.diff(along)).max()
+            depth = joint.side * (slave[:, joint.axis] - level) / np.sqrt(1.0 + slope**2)
+            depths.append(depth[np.isfinite(depth)])
+    return np.concatenate(depths)
 
 
 def _condition_rows(

@@ -136,6 +136,11 @@ def compare(problem: GluedProblem, answer: Answer, found: Found, rtol: float) ->
         if rtol < needs < np.inf:
             return Outcome("limit of rounding", f"{said}; rounding alone makes {needs:.1e}")
         return Outcome("no convergence", said)
+    if isinstance(error, UnresistedMotion) and 1.0 < _attainable(answer) < np.inf:
+        # what resists the motion is a rounding error of the data
+        return Outcome(
+            "limit of rounding", f"{said}; rounding alone makes {_attainable(answer):.1e}"
+        )
     if error is not None:
         return Outcome("false error", said)
     return _compare_solution(problem, answer, found, rtol)
