@@ -53,9 +53,9 @@ __all__ = ["compare_with_friction", "verdict_with_friction"]
 # part of a load that is left where forces certainly balance it, and where they certainly do not
 _BALANCED, _UNBALANCED = 1e-8, 1e-6
 _EPS = float(np.finfo(float).eps)
-# words of the package where supports slide what friction holds in another direction, and where the
-# fixed point of Coulomb's law does not contract
-_PRESCRIBED = "prescribed displacements slide"
+# words of the package where supports slide what friction holds in another direction, where they
+# leave the force of Coulomb's law unknown, and where its fixed point does not contract
+_PRESCRIBED, _UNKNOWN = "prescribed displacements slide", "the normal force is not known"
 _NO_CONTRACTION = ("the slip bounds of Coulomb's law do not converge", "no slip bounds near")
 
 
@@ -80,7 +80,10 @@ def compare_with_friction(problem: GluedProblem, found: Found, rtol: float) -> O
     if error is not None and not isinstance(error, ContactError):
         return Outcome("traceback", f"{said}\n{found.trace}")
     problem, found = _without_prescribed_slips(problem, found)
-    if isinstance(error, InputError) and _PRESCRIBED in said and _slides_one_way(problem):
+    if isinstance(error, InputError) and (
+        (_PRESCRIBED in said and _slides_one_way(problem))
+        or (_UNKNOWN in said and _has_unknown_bound(problem))
+    ):
         return Outcome("right error", said)
     answer = verdict_with_friction(problem)
     if answer.verdict == "unsure":
@@ -121,6 +124,14 @@ def _slides_one_way(problem: GluedProblem) -> bool:
     directions, sizes, _ = np.linalg.svd(rows, full_matrices=False)
     along = np.einsum("kij,ki->kj", directions, slips)
     return bool(((sizes < 1e-8) & (np.abs(along) > 0.0)).any())
+
+
+def _has_unknown_bound(problem: GluedProblem) -> bool:
+    """Tell whether conditions leave a normal force undetermined that Coulomb's law needs."""
+    friction = problem.friction
+    assert friction is not None
+    needed = friction.row[friction.coefficient > 0.0]
+    return not problem.determined_rows()[needed].all()
 
 
 # -- whether forces balance the load ---------------------------------------------------------------
