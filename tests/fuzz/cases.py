@@ -44,6 +44,8 @@ class _Case:
         What was drawn.
     mutation : str
         What was made wrong on purpose.
+    exact : MeshProblem or None
+        The problem, with exact non-penetration.
     """
 
     found: Found
@@ -51,12 +53,19 @@ class _Case:
     rtol: float
     story: list[str]
     mutation: str = ""
+    exact: Any = None
 
     def outcome(self) -> Outcome:
         """Compare with the oracle."""
         if self.mutation:
             return compare_refused(self.mutation, self.found)
         problem = self.glue()
+        if self.exact is not None:
+            from mesh_options import compare_exact
+
+            rubs = problem.friction is not None
+            answer = verdict_with_friction(problem) if rubs else oracle.solve(problem)
+            return compare_exact(self.exact, problem.coordinates, answer, self.found)
         if problem.friction is not None:
             return compare_with_friction(problem, self.found, self.rtol)
         return compare(problem, oracle.solve(problem), self.found, self.rtol)
@@ -89,11 +98,13 @@ def _solve(level: str, seed: int, comm: MPI.Comm) -> _Case:
         rtol = problem.options["rtol"]
         return _Case(found, lambda: problem.glued, rtol, problem.story, problem.mutation)
     # dolfinx is not needed for the other level
-    from mesh_problems import draw_mesh, glue
+    from mesh_options import draw_mesh_case
+    from mesh_problems import glue
 
-    meshed = draw_mesh(seed)
+    meshed = draw_mesh_case(seed)
     found = attempt(lambda: _solve_mesh(meshed, comm))
-    return _Case(found, lambda: glue(meshed), meshed.options["rtol"], meshed.story)
+    exact = meshed if meshed.options.get("non_penetration") == "exact" else None
+    return _Case(found, lambda: glue(meshed), meshed.options["rtol"], meshed.story, exact=exact)
 
 
 def _solve_torn(problem: TornProblem, comm: MPI.Comm, seed: int) -> Found:
@@ -126,7 +137,8 @@ def _solve_torn(problem: TornProblem, comm: MPI.Comm, seed: int) -> Found:
 
 
 def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
-    from mesh_problems import contact_places, node_numbers, pose
+    from mesh_options import check_roles, check_weak_motions
+    from mesh_problems import contact_places, node_numbers, pose, tangents
 
     contact_problem, posed = pose(problem, comm)
     uh = contact_problem.solve()
@@ -137,17 +149,30 @@ def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
     u = np.full((1 + max(nodes.max(initial=-1) for nodes, _ in parts), gdim), np.nan)
     for nodes, values in parts:
         u[nodes] = values
-    first, force = contact_places(problem), []
-    for slave, contact in zip(first, contact_problem.contact, strict=True):
+    force, tangential = [np.zeros(0)], [np.zeros((0, gdim - 1))]
+    contacts = contact_problem.contact
+    exchanged = [contact.on_master for contact in contacts]
+    check_roles(problem, exchanged)
+    places = zip(contact_places(problem, exchanged), contacts, strict=True)
+    for number, (slave, contact) in enumerate(places):
         whole = contact.gather()
         nodes = slave.number(whole.coordinates)
-        assert np.array_equal(np.sort(nodes), slave.nodes), "the contact's nodes"
-        of_node = dict(zip(nodes.tolist(), whole.normal_force.tolist(), strict=True))
-        force.append([of_node[int(i)] for i in slave.nodes])
-    forces = np.concatenate([np.zeros(0), *force])
-    none = np.zeros(0)
+        order = np.argsort(nodes)
+        assert np.array_equal(nodes[order], slave.nodes), "the contact's nodes"
+        force.append(whole.normal_force[order])
+        assert (whole.friction is not None) == (number in problem.friction), "friction"
+        # tangents of deformed surfaces are others
+        if whole.friction is not None and "non_penetration" not in problem.options:
+            along = tangents(problem, number, whole.coordinates[order, :gdim])
+            on_slave = whole.friction.force[order]
+            tangential.append(-np.einsum("kta,ka->kt", along, on_slave))
+            off = np.abs(on_slave + np.einsum("kta,kt->ka", along, tangential[-1]))
+            assert off.max(initial=0.0) <= 1e-12 * np.abs(on_slave).max(initial=0.0), "direction"
     report = contact_problem.report
-    return _found(u.ravel(), np.zeros(len(u)), forces, report, none, none)
+    check_weak_motions(problem, np.count_nonzero(force[-1]), report.weak_motions)
+    none = np.zeros(0)
+    forces, rubbing = np.concatenate(force), np.concatenate(tangential)
+    return _found(u.ravel(), np.zeros(len(u)), forces, report, none, rubbing)
 
 
 def _found(

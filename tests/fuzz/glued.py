@@ -66,6 +66,13 @@ class GluedFriction:
         """Return S u - before, (k, gdim - 1)."""
         return (self.rows @ u).reshape(self.before.shape) - self.before
 
+    def at(self, sites: NDArray[np.bool_]) -> GluedFriction:
+        """Return some of the sites."""
+        rows = self.rows[np.flatnonzero(np.repeat(sites, self.before.shape[1]))]
+        return GluedFriction(
+            self.row[sites], rows, self.before[sites], self.bound[sites], self.coefficient[sites]
+        )
+
 
 @dataclass(frozen=True)
 class GluedProblem:

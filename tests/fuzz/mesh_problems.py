@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import scipy.sparse as sp
-from glued import GluedProblem, Springs
+from glued import GluedFriction, GluedProblem, Springs
 from numpy.random import Generator
 from numpy.typing import NDArray
 
@@ -25,13 +25,31 @@ from dolfinx import fem
 from dolfinx.fem import petsc
 from dolfinx.mesh import Mesh, meshtags
 
-from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle, Sphere
+from fenics_tfeti import (
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    Plane,
+    RigidObstacle,
+    Sphere,
+    Tresca,
+)
 from fenics_tfeti.io import Box, boxes, tag_facets
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
-__all__ = ["MeshProblem", "contact_places", "draw_mesh", "glue", "node_numbers", "pose"]
+__all__ = [
+    "MeshProblem",
+    "Rubbing",
+    "contact_places",
+    "draw_mesh",
+    "glue",
+    "node_numbers",
+    "penetrations",
+    "pose",
+    "tangents",
+]
 
 CELLS = {"quadrilateral": 2, "triangle": 2, "hexahedron": 3, "tetrahedron": 3}
 FAR = 1e10
@@ -67,6 +85,8 @@ class Ground:
         1e10 or infinite.
     moved : (gdim,) array
         A displacement of the obstacle.
+    tilt : float
+        Its facets are tilted by angles between this and its negative; not a sphere's.
     """
 
     box: int
@@ -76,6 +96,7 @@ class Ground:
     gap: float
     far: float
     moved: Vector
+    tilt: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -99,6 +120,28 @@ class Spring:
     stiffness: float
 
 
+@dataclass(frozen=True)
+class Rubbing:
+    """Friction at a contact.
+
+    Attributes
+    ----------
+    law : str
+        "Tresca" or "Coulomb".
+    value : float
+        Slip bound [Pa], or coefficient.
+    part : float
+        Part of the face that has friction, as a function of points; 1 is a number.
+    moved : (gdim,) array
+        Displacement of the obstacle; zero for pairs.
+    """
+
+    law: str
+    value: float
+    part: float
+    moved: Vector
+
+
 @dataclass
 class MeshProblem:
     """A description; lengths in metres of the problem's own."""
@@ -119,10 +162,24 @@ class MeshProblem:
     weights: Vector = field(default_factory=lambda: np.zeros(0))  # (boxes, gdim)
     options: dict[str, Any] = field(default_factory=dict)
     story: list[str] = field(default_factory=list)
+    friction: dict[int, Rubbing] = field(default_factory=dict)  # by contact
+    pairing: dict[int, dict[str, str]] = field(default_factory=dict)  # arguments, by joint
+    degree: int = 1
+    slider: int | None = None  # a box that only a contact with tilted facets holds, the last one
 
     @property
     def gdim(self) -> int:
         return CELLS[self.cell]
+
+    @property
+    def intervals(self) -> int:
+        """Number of intervals between the nodes of an edge."""
+        return self.degree * self.divisions
+
+    def faces(self) -> list[tuple[int, int, int]]:
+        """Return box, axis and side of the slave of each contact."""
+        joints = [(j.slave, j.axis, j.side) for j in self.joints]
+        return joints + [(g.box, g.axis, g.side) for g in self.grounds]
 
 
 def draw_mesh(seed: int) -> MeshProblem:
@@ -349,7 +406,7 @@ def _set_up(problem: MeshProblem, comm: MPI.Comm) -> _Posed:
                     )
                 )
     faces = tag_facets(mesh, markers, tagged.cell_tags)
-    V = _space(mesh, ("Lagrange", 1), gdim)
+    V = _space(mesh, ("Lagrange", problem.degree), gdim)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     young = fem.Function(_space(mesh, ("DG", 0)))
     weight = fem.Function(_space(mesh, ("DG", 0), gdim))
@@ -473,7 +530,7 @@ def ground_function(problem: MeshProblem, ground: Ground) -> Any:
     point = middle.copy()
     point[ground.axis] = level
     point = point + out * ground.gap + ground.moved
-    if ground.kind == "plane":
+    if ground.kind == "plane" and not ground.tilt:
         return Plane(point, -out)
     if ground.kind == "sphere":
         return Sphere(point + _radius(problem) * out, _radius(problem))
@@ -482,11 +539,44 @@ def ground_function(problem: MeshProblem, ground: Ground) -> Any:
         place = (x[:gdim].T - problem.lower[ground.box]) / problem.edges
         wave = 1.0 + 0.5 * np.sin(7.0 * place.sum(axis=1))
         gap = ground.gap * wave + out @ ground.moved
+        if ground.kind == "plane":
+            gap = np.full(len(place), ground.gap + out @ ground.moved)
         if ground.kind == "patch":
             gap = np.where(place[:, (ground.axis + 1) % gdim] < 0.6, gap, ground.far)
-        return gap, np.tile(-out[:, None], (1, x.shape[1]))
+        if problem.options.get("non_penetration") == "exact":
+            gap = gap + ground.side * (level - x[ground.axis])
+        return gap, _tilted(-out, ground, place).T
 
     return rough
+
+
+def _tilted(normal: Vector, ground: Ground, place: Vector) -> Vector:
+    """Return unit normals (k, gdim) near one of them, which tilt along the surface."""
+    gdim = normal.size
+    tilted = np.tile(normal, (len(place), 1))
+    for k in range(gdim):
+        if k != ground.axis:
+            tilted[:, k] += ground.tilt * np.cos(11.0 * place.sum(axis=1) + 2.0 * k)
+    return tilted / np.linalg.norm(tilted, axis=1)[:, None]
+
+
+def _law(problem: MeshProblem, contact: int) -> Tresca | Coulomb | None:
+    """Return the law of friction of a contact as the package gets it."""
+    rubbing = problem.friction.get(contact)
+    if rubbing is None:
+        return None
+    value: Any = rubbing.value
+    if rubbing.part < 1.0:
+        value = lambda x: _values(problem, contact, x)  # noqa: E731
+    return Tresca(value) if rubbing.law == "Tresca" else Coulomb(value)
+
+
+def _values(problem: MeshProblem, contact: int, x: Vector) -> Vector:
+    """Return slip bounds or coefficients at points (3, k)."""
+    rubbing, (box, axis, _) = problem.friction[contact], problem.faces()[contact]
+    along = (axis + 1) % problem.gdim
+    place = (x[along] - problem.lower[box, along]) / problem.edges[along]
+    return rubbing.value * ((place < rubbing.part) | (rubbing.part == 1.0))
 
 
 def pose(problem: MeshProblem, comm: MPI.Comm) -> tuple[ContactProblem, _Posed]:
@@ -497,17 +587,22 @@ def pose(problem: MeshProblem, comm: MPI.Comm) -> tuple[ContactProblem, _Posed]:
             posed.faces,
             slave=_face_tag(problem, j.slave, j.axis, j.side),
             master=_face_tag(problem, j.master, j.axis, -j.side),
+            friction=_law(problem, number),
+            **problem.pairing.get(number, {}),
         )
-        for j in problem.joints
+        for number, j in enumerate(problem.joints)
     ]
-    contacts += [
-        RigidObstacle(
-            posed.faces,
-            slave=_face_tag(problem, g.box, g.axis, g.side),
-            obstacle=ground_function(problem, g),
+    for number, g in enumerate(problem.grounds, start=len(problem.joints)):
+        rubbing = problem.friction.get(number)
+        contacts.append(
+            RigidObstacle(
+                posed.faces,
+                slave=_face_tag(problem, g.box, g.axis, g.side),
+                obstacle=ground_function(problem, g),
+                friction=_law(problem, number),
+                displacement=None if rubbing is None else rubbing.moved,
+            )
         )
-        for g in problem.grounds
-    ]
     a = sum(posed.springs, posed.elastic)
     problem_ = ContactProblem(
         a, posed.load, posed.bcs, contacts, posed.cell_tags, options=problem.options
@@ -537,17 +632,25 @@ def node_numbers(problem: MeshProblem, V: Any, cell_tags: Any) -> Numbers:
 
 def lattice_numbers(problem: MeshProblem, box: int, x: Vector) -> Numbers:
     """Return the numbers of nodes of a box at given places (k, gdim)."""
-    n, gdim = problem.divisions, problem.gdim
+    n, gdim = problem.intervals, problem.gdim
     place = np.rint((x[:, :gdim] - problem.lower[box]) / problem.edges * n).astype(np.int64)
     strides = (n + 1) ** np.arange(gdim)
     return box * (n + 1) ** gdim + place @ strides
 
 
 def _face_nodes(problem: MeshProblem, box: int, axis: int, side: int) -> Numbers:
-    n, gdim = problem.divisions, problem.gdim
+    n, gdim = problem.intervals, problem.gdim
     number = np.arange((n + 1) ** gdim)
     level = number // (n + 1) ** axis % (n + 1)
     return box * (n + 1) ** gdim + number[level == (n if side > 0 else 0)]
+
+
+def _vertices(problem: MeshProblem, nodes: Numbers) -> NDArray[np.bool_]:
+    """Tell which nodes are vertices of cells."""
+    n, gdim = problem.intervals, problem.gdim
+    places = nodes[:, None] // (n + 1) ** np.arange(gdim) % (n + 1)
+    vertices: NDArray[np.bool_] = (places % problem.degree == 0).all(axis=1)
+    return vertices
 
 
 @dataclass(frozen=True)
@@ -563,11 +666,40 @@ class SlaveNodes:
         return lattice_numbers(self.problem, self.box, coordinates)
 
 
-def contact_places(problem: MeshProblem) -> list[SlaveNodes]:
-    """Return the slave nodes of each contact."""
-    faces = [(j.slave, j.axis, j.side) for j in problem.joints]
-    faces += [(g.box, g.axis, g.side) for g in problem.grounds]
-    return [SlaveNodes(problem, face[0], _face_nodes(problem, *face)) for face in faces]
+def contact_places(problem: MeshProblem, exchanged: list[bool]) -> list[SlaveNodes]:
+    """Return the slave nodes of each contact, where roles are exchanged those of the master."""
+    faces = problem.faces()
+    for number, j in enumerate(problem.joints):
+        if exchanged[number]:
+            faces[number] = (j.master, j.axis, -j.side)
+    nodes = [_face_nodes(problem, *face) for face in faces]
+    return [
+        SlaveNodes(problem, box, each[_vertices(problem, each)])
+        for (box, *_), each in zip(faces, nodes, strict=True)
+    ]
+
+
+def tangents(problem: MeshProblem, contact: int, x: Vector) -> Vector:
+    """Return orthonormal tangents (k, gdim - 1, gdim) at slave nodes (k, gdim) of a contact."""
+    gdim, (_, axis, side) = problem.gdim, problem.faces()[contact]
+    normal = np.tile(_outward(problem, axis, side), (len(x), 1))
+    ground = contact - len(problem.joints)
+    if ground >= 0:
+        normal = -_gap_and_normal(problem, problem.grounds[ground], x)[1]
+    if gdim == 2:
+        return np.column_stack([-normal[:, 1], normal[:, 0]])[:, None]
+    # nearly tangential: obstacles are nearly parallel to the face
+    first = np.eye(3)[(axis + 1) % 3] - normal[:, (axis + 1) % 3, None] * normal
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return np.stack([first, np.cross(normal, first)], axis=1)
+
+
+def _gap_and_normal(problem: MeshProblem, ground: Ground, x: Vector) -> tuple[Vector, Vector]:
+    """Return gaps (k,) and normals (k, gdim) of an obstacle at points (k, gdim)."""
+    points = np.zeros((3, len(x)))
+    points[: problem.gdim] = x.T
+    gap, normal = ground_function(problem, ground)(points)
+    return np.asarray(gap), np.asarray(normal)[: problem.gdim].T
 
 
 def _matrix(form: Any, order: Numbers) -> sp.csr_matrix:
@@ -596,7 +728,8 @@ def glue(problem: MeshProblem) -> GluedProblem:
             for component, value in s.values.items():
                 fixed[gdim * int(i) + component] = value
     where = np.array(sorted(fixed), dtype=np.int64)
-    rows, gap, contact = _rows(problem, coordinates)
+    weights = [_weights(problem, posed, number, face) for face in problem.faces()]
+    rows, gap, contact = _rows(problem, coordinates, weights)
     springs = (
         _spring_rows(problem, posed, order)
         if problem.springs
@@ -604,7 +737,7 @@ def glue(problem: MeshProblem) -> GluedProblem:
     )
     return GluedProblem(
         coordinates,
-        np.sort(number) // (problem.divisions + 1) ** gdim,
+        np.sort(number) // (problem.intervals + 1) ** gdim,
         _matrix(posed.elastic, order),
         springs,
         load,
@@ -614,7 +747,168 @@ def glue(problem: MeshProblem) -> GluedProblem:
         gap,
         contact,
         gap_rounding=_gap_rounding(problem, coordinates, contact),
+        friction=_friction(problem, coordinates, contact, weights),
     )
+
+
+@dataclass(frozen=True)
+class _Weights:
+    """The conditions of a face.
+
+    Attributes
+    ----------
+    slave : (k,) integer array
+        The nodes that have a condition, of those of the face.
+    mean : (k, nodes of the face) scipy.sparse.csr_matrix
+        The means of which they are: of sum 1, of degree 1 the identity.
+    area : (k,) array
+        The area that belongs to each.
+    """
+
+    slave: Numbers
+    mean: sp.csr_matrix
+    area: Vector
+
+
+# integrals of dual functions times shape functions of degree 2: on the unit interval, and on a
+# triangle of area 1 the one of a vertex times those of it, another one, edges at it, the other edge
+_ON_INTERVAL = np.array([[2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 6.0
+_ON_TRIANGLE = np.array([2.0, -1.0, 3.0, -1.0]) / 15.0
+
+
+def _weights(
+    problem: MeshProblem, posed: _Posed, number: Numbers, face: tuple[int, int, int]
+) -> _Weights:
+    """Integrate the multipliers of a face: at nodes, or dual functions at the vertices."""
+    gdim, step = problem.gdim, problem.intervals + 1
+    box, axis, side = face
+    nodes = _face_nodes(problem, box, axis, side)
+    rows, columns, values = [], [], []
+    others = [k for k in range(gdim) if k != axis]
+    facets = posed.faces.find(_face_tag(problem, box, axis, side))
+    size = np.prod(problem.edges[others] / problem.divisions)
+    for cell in _cell_of_facets(posed.mesh, facets):
+        local = number[posed.V.dofmap.cell_dofs(int(cell))]
+        local = local[np.isin(local, nodes)]
+        place = local[:, None] // step ** np.array(others) % step
+        vertex = np.flatnonzero((place % problem.degree == 0).all(axis=1))
+        block = _dual_block(problem, place, vertex) * size
+        rows.append(np.repeat(local[vertex], local.size))
+        columns.append(np.tile(local, vertex.size))
+        values.append(block.ravel())
+    slave = nodes[_vertices(problem, nodes)]
+    matrix = sp.csr_matrix(
+        (
+            np.concatenate(values),
+            (
+                np.searchsorted(slave, np.concatenate(rows)),
+                np.searchsorted(nodes, np.concatenate(columns)),
+            ),
+        ),
+        shape=(slave.size, nodes.size),
+    )
+    area = np.asarray(matrix.sum(axis=1)).ravel()
+    return _Weights(slave, (sp.diags(1.0 / area) @ matrix).tocsr(), area)
+
+
+def _dual_block(problem: MeshProblem, place: Numbers, vertex: Numbers) -> Vector:
+    """Return the integrals over a facet, for cells of edge 1, from the places of its nodes."""
+    simplex = problem.cell == "tetrahedron"
+    if problem.degree == 1:
+        whole = 0.5 if simplex else 1.0
+        return whole / vertex.size * np.eye(vertex.size)
+    if not simplex:
+        lower = place - place.min(axis=0)
+        factors = [
+            _ON_INTERVAL[lower[vertex, k][:, None] // 2, lower[:, k]] for k in range(place.shape[1])
+        ]
+        return np.prod(factors, axis=0)
+    # a node between two vertices has half the sum of their places
+    block = np.zeros((3, 6))
+    for i, v in enumerate(vertex):
+        for j, there in enumerate(place):
+            if j in vertex:
+                kind = 0 if j == v else 1
+            else:
+                ends = [2 * there - place[v] - place[w] for w in vertex if w != v]
+                kind = 2 if any(not end.any() for end in ends) else 3
+            block[i, j] = 0.5 * _ON_TRIANGLE[kind]
+    return block
+
+
+def _friction(
+    problem: MeshProblem, x: Vector, contact: Numbers, weights: list[_Weights]
+) -> GluedFriction | None:
+    """Return friction at all conditions of the contacts that have it."""
+    if not problem.friction:
+        return None
+    gdim = problem.gdim
+    row, rows, before, bound, coefficient = [], [], [], [], []
+    for number, rubbing in sorted(problem.friction.items()):
+        of_face = weights[number]
+        along = tangents(problem, number, x[of_face.slave])
+        rows.append(_condition_rows(problem, number, of_face, along, x.size))
+        points = np.zeros((3, of_face.slave.size))
+        points[:gdim] = x[of_face.slave].T
+        values, zero = _values(problem, number, points), np.zeros(of_face.slave.size)
+        given = rubbing.law == "Tresca"
+        row.append(np.flatnonzero(contact == number))
+        before.append(along @ rubbing.moved)
+        bound.append(values * of_face.area if given else zero)
+        coefficient.append(zero if given else values)
+    return GluedFriction(
+        np.concatenate(row),
+        sp.vstack(rows, format="csr"),
+        np.concatenate(before),
+        np.concatenate(bound),
+        np.concatenate(coefficient),
+    )
+
+
+def penetrations(problem: MeshProblem, deformed: Vector) -> Vector:
+    """Return the depths of deformed slave nodes in obstacles, of degree 1, and in masters.
+
+    Those in masters are known in the plane, with displacements of degree 1.
+    """
+    depths = [np.zeros(1)]
+    for number, face in enumerate(problem.faces()):
+        slave, ground = deformed[_face_nodes(problem, *face)], number - len(problem.joints)
+        if problem.degree > 1:
+            continue
+        if ground >= 0:
+            depths.append(-_gap_and_normal(problem, problem.grounds[ground], slave)[0])
+        elif problem.gdim == 2:
+            joint = problem.joints[number]
+            nodes = _face_nodes(problem, joint.master, joint.axis, -joint.side)
+            along, across = deformed[nodes, 1 - joint.axis], deformed[nodes, joint.axis]
+            if (np.diff(along) <= 0.0).any():
+                continue
+            level = np.interp(slave[:, 1 - joint.axis], along, across, np.nan, np.nan)
+            # less where the master is inclined
+            slope = np.abs(np.diff(across) / np.diff(along)).max()
+            depth = joint.side * (slave[:, joint.axis] - level) / np.sqrt(1.0 + slope**2)
+            depths.append(depth[np.isfinite(depth)])
+    return np.concatenate(depths)
+
+
+def _condition_rows(
+    problem: MeshProblem, contact: int, weights: _Weights, directions: Vector, size: int
+) -> sp.csr_matrix:
+    """Return the rows of conditions along directions (k, d, gdim): slave minus master."""
+    box, axis, side = problem.faces()[contact]
+    mean, (k, d, gdim) = weights.mean.tocoo(), directions.shape
+    sides = [(_face_nodes(problem, box, axis, side), 1.0)]
+    if contact < len(problem.joints):
+        master = problem.joints[contact].master
+        sides.append((_face_nodes(problem, master, axis, -side), -1.0))
+    rows = sp.csr_matrix((k * d, size))
+    for nodes, sign in sides:
+        values = sign * mean.data[:, None, None] * directions[mean.row]
+        row = d * mean.row[:, None, None] + np.arange(d)[:, None]
+        column = gdim * nodes[mean.col][:, None, None] + np.arange(gdim)
+        row, column = (np.broadcast_to(each, values.shape).ravel() for each in (row, column))
+        rows = rows + sp.csr_matrix((values.ravel(), (row, column)), shape=rows.shape)
+    return rows
 
 
 def _spring_rows(problem: MeshProblem, posed: _Posed, order: Numbers) -> Springs:
@@ -649,39 +943,26 @@ def _gap_rounding(problem: MeshProblem, x: Vector, contact: Numbers) -> Vector:
     return 4.0 * np.finfo(float).eps * np.array([0.0, *sizes])[contact + 1]
 
 
-def _rows(problem: MeshProblem, x: Vector) -> tuple[sp.csr_matrix, Vector, Numbers]:
+def _rows(
+    problem: MeshProblem, x: Vector, weights: list[_Weights]
+) -> tuple[sp.csr_matrix, Vector, Numbers]:
     """Return C, the gaps and the contacts' numbers, from the lattice alone."""
-    gdim = problem.gdim
-    C, gaps, contact = [], [], []
-
-    def add(
-        number: int, slave: Numbers, master: Numbers | None, normal: Vector, gap: Vector
-    ) -> None:
-        matrix = _select(slave, normal, x.size)
-        if master is not None:
-            matrix = matrix - _select(master, normal, x.size)
-        C.append(matrix)
-        gaps.append(gap)
-        contact.append(np.full(slave.size, number, dtype=np.int64))
-
-    for number, j in enumerate(problem.joints):
-        slave = _face_nodes(problem, j.slave, j.axis, j.side)
-        master = _face_nodes(problem, j.master, j.axis, -j.side)
-        normal = np.tile(_outward(problem, j.axis, j.side), (slave.size, 1))
-        add(number, slave, master, normal, np.sum((x[master] - x[slave]) * normal, axis=1))
-    for number, g in enumerate(problem.grounds, start=len(problem.joints)):
-        slave = _face_nodes(problem, g.box, g.axis, g.side)
-        points = np.zeros((3, slave.size))
-        points[:gdim] = x[slave].T
-        gap, normal = ground_function(problem, g)(points)
-        add(number, slave, None, -np.asarray(normal)[:gdim].T, np.asarray(gap))
-    if not C:
-        return sp.csr_matrix((0, x.size)), np.zeros(0), np.zeros(0, dtype=np.int64)
-    return sp.vstack(C, format="csr"), np.concatenate(gaps), np.concatenate(contact)
-
-
-def _select(nodes: Numbers, vectors: Vector, size: int) -> sp.csr_matrix:
-    count, gdim = vectors.shape
-    columns = gdim * nodes[:, None] + np.arange(gdim)
-    indptr = gdim * np.arange(count + 1)
-    return sp.csr_matrix((vectors.ravel().copy(), columns.ravel(), indptr), shape=(count, size))
+    C, gaps, contact = [], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
+    for number, ((box, axis, side), of_face) in enumerate(
+        zip(problem.faces(), weights, strict=True)
+    ):
+        nodes, ground = _face_nodes(problem, box, axis, side), number - len(problem.joints)
+        if ground < 0:
+            normal = np.tile(_outward(problem, axis, side), (of_face.slave.size, 1))
+            master = _face_nodes(problem, problem.joints[number].master, axis, -side)
+            gap = (x[master] - x[nodes]) @ normal[0]
+        else:
+            g = problem.grounds[ground]
+            gap = _gap_and_normal(problem, g, x[nodes])[0]
+            normal = -_gap_and_normal(problem, g, x[of_face.slave])[1]
+        C.append(_condition_rows(problem, number, of_face, normal[:, None], x.size))
+        # infinite gaps have no mean, and are at nodes with conditions of their own
+        gaps.append(of_face.mean @ gap if problem.degree > 1 else gap)
+        contact.append(np.full(of_face.slave.size, number, dtype=np.int64))
+    rows = sp.vstack(C, format="csr") if C else sp.csr_matrix((0, x.size))
+    return rows, np.concatenate(gaps), np.concatenate(contact)

@@ -136,6 +136,11 @@ def compare(problem: GluedProblem, answer: Answer, found: Found, rtol: float) ->
         if rtol < needs < np.inf:
             return Outcome("limit of rounding", f"{said}; rounding alone makes {needs:.1e}")
         return Outcome("no convergence", said)
+    if isinstance(error, UnresistedMotion) and 1.0 < _attainable(answer) < np.inf:
+        # what resists the motion is a rounding error of the data
+        return Outcome(
+            "limit of rounding", f"{said}; rounding alone makes {_attainable(answer):.1e}"
+        )
     if error is not None:
         return Outcome("false error", said)
     return _compare_solution(problem, answer, found, rtol)
@@ -309,12 +314,16 @@ def _force_ratio(problem: GluedProblem, answer: Answer, found: Found, rtol: floa
     if not problem.gap.size + problem.tied_jump.size:
         return 0.0
     acting, largest = np.zeros(answer.group.max() + 1), np.abs(answer.displacement).max()
+    whole = float(answer.energy.sum())
     for b in range(problem.bodies):
         at = problem.unknowns(b)
         exact = answer.displacement[at]
         K = problem.elastic[at][:, at]
         local = exact - rigid_part(problem, b, exact)
         here = FACTOR * rtol * np.abs(K @ local).sum() + 1e-14 * (abs(K) @ np.abs(exact)).sum()
+        if answer.energy[b] <= AT_REST**2 * whole:
+            # the energy norm of its error may be AT_REST of all bodies'
+            here += AT_REST * np.sqrt(whole * abs(K).max())
         # and what rounding of the largest motion may strain
         acting[answer.group[b]] += here + 1e-13 * abs(K).max() * largest
     # what rounding makes of the forces on other bodies

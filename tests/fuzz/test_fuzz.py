@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
 import pytest
+from mesh_options import draw_mesh_case
 
 RUN = Path(__file__).with_name("run.py")
 
@@ -29,3 +31,16 @@ def test_random_problems(level, count, tmp_path):
     assert kinds.count("skipped") <= 0.05 * count
     assert kinds.count("right") >= 0.4 * count
     assert kinds.count("right error") >= 0.05 * count
+
+
+def test_options_are_drawn():
+    problems = [draw_mesh_case(seed) for seed in range(40)]
+    given = [pair for problem in problems for pair in problem.pairing.values()]
+    rubbing = [one for problem in problems for one in problem.friction.values()]
+    assert {one.law for one in rubbing} == {"Tresca", "Coulomb"}
+    assert {(pair["discretisation"], pair["roles"]) for pair in given} == set(
+        product(("auto", "mortar"), ("auto", "given"))
+    )
+    assert {problem.degree for problem in problems} == {1, 2}
+    assert any(problem.slider is not None for problem in problems)
+    assert any("non_penetration" in problem.options for problem in problems)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from friction_scenes import (
@@ -360,3 +362,23 @@ def test_belt_on_a_drum(mu):
     assert held == pytest.approx(1e-4 * np.exp(-exponent), rel=0.005)
     friction = scene.problem.contact[0].friction
     assert not friction.sticking[friction.bound > 0.0].any()
+
+
+@pytest.mark.parametrize(
+    ("cell", "n", "lower"),
+    [("quadrilateral", 1, None), ("quadrilateral", 3, None), ("hexahedron", 1, None)],
+)
+def test_ground_carries_a_block_that_slips_everywhere(cell, n, lower):
+    """Forces in balance, all at the bound, leave its place to slips outwards at both ends."""
+    scene = pushed_cube(cell, n, lower, friction=Tresca(1e-5), push=(0.0, 0.0), press=0.05)
+    (given,), d = scene.problem.contacts, scene.problem.space.mesh.geometry.dim
+    rest = scene.problem.solve().x.array.reshape(-1, d)
+    scene.problem.reset_slip()
+    scene.problem.contacts = [replace(given, displacement=np.eye(d)[0] * 0.3)]
+    carried = scene.problem.solve().x.array.reshape(-1, d)
+    friction = scene.problem.contact[0].friction
+    assert not friction.sticking.any()
+    np.testing.assert_allclose(np.linalg.norm(friction.force, axis=1), friction.bound, rtol=1e-9)
+    assert np.all(np.sum(friction.force * friction.slip, axis=1) <= 0.0)
+    # anywhere between slips to one side and to the other
+    np.testing.assert_allclose(carried[:, 0] - rest[:, 0], 0.3, atol=abs(np.ptp(rest[:, 0])))

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.projector import Projector
@@ -30,6 +31,7 @@ from fenics_tfeti.qp import least_distance, least_penetration
 __all__ = ["Recovered", "balance_multipliers", "forces_at_rest", "recover_displacement"]
 
 Vector = NDArray[np.float64]
+Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 # what rounding leaves of a unit motion in a contact row that it does not move
@@ -175,7 +177,7 @@ def recover_displacement(
     rest = face.without_free_motions(face.coefficients(c - F.jumps(torn)))
     torn += coarse_space.rigid_motion(rest)
     if pressing.free.shape[1]:
-        away = _smallest_without_penetration(pressing, c - F.jumps(torn))
+        away = _free_motions(pressing, c - F.jumps(torn), multipliers)
         torn += coarse_space.rigid_motion(pressing.free @ away)
     displacement, closed = close_constraints(F, c, torn, pressing.rows, multipliers, unit)
     sticking = F.constraints.friction.within(pressing.rows)
@@ -340,22 +342,68 @@ def close_with_gram(coupling: Coupling, jump: Vector, closed: Mask) -> tuple[Vec
         R = R | penetrated
 
 
-def _smallest_without_penetration(active: Projector, gap: Vector) -> Vector:
+def _free_motions(active: Projector, gap: Vector, multipliers: Vector) -> Vector:
+    """Return the free motions, in the basis ``active.free``, that the other conditions leave.
+
+    They penetrate nothing, and sites whose friction is at its bound slip along it: forces that
+    balance there leave the place of a body to the slips that the deformation makes.
+    """
+    closing, gaps, contact = _other_contacts(active, gap)
+    z = _smallest_without_penetration(active, closing, gaps, contact)
+    backwards, slips = _slips_against_friction(active, -gap, multipliers)
+    S, left = sp.vstack([closing, backwards], format="csr"), np.append(gaps, slips)
+    comm, space = active.coarse_space.comm, active.coarse_space.constraints.layout.space
+    largest = np.abs(slips).max(initial=0.0)
+    against = np.array([(backwards @ z - slips).max(initial=0.0), largest])
+    against = comm.allreduce(against, MPI.MAX)
+    if against[0] > 1e-9 * against[1]:
+        z = z + least_penetration(
+            S, left - S @ z, space.sum_over_ranks, lambda part: sum_sparse(comm, part)
+        )
+    return z
+
+
+def _other_contacts(active: Projector, gap: Vector) -> tuple[sp.csr_matrix, Vector, Numbers]:
+    """Return closing by the free motions, gaps and contacts of this rank's other contact rows."""
+    constraints = active.coarse_space.constraints
+    owned = constraints.inequality[: constraints.owned_inequalities]
+    inactive = np.flatnonzero(~active.rows[owned])
+    closing = (active.coarse_space.contact[:, inactive].T @ active.free).tocsr()
+    lengths = constraints.row_lengths[owned[inactive]]
+    # rounding is no way to open a gap
+    moved = np.abs(closing.toarray()).max(axis=1, initial=0.0) > _TRACE * lengths
+    inactive = inactive[moved]
+    return closing[moved], gap[owned[inactive]], constraints.contact[inactive]
+
+
+def _slips_against_friction(
+    active: Projector, jump: Vector, multipliers: Vector
+) -> tuple[sp.csr_matrix, Vector]:
+    """Return slip against the force by the free motions, and slip along it, where sites may slip.
+
+    They are those of the sites that this rank owns, in units of jumps.
+    """
+    constraints = active.coarse_space.constraints
+    friction = constraints.friction
+    along = friction.directions(multipliers)
+    mine = friction.owned(constraints.layout.owned) & ~friction.within(active.rows)
+    sites = np.flatnonzero(mine & along.any(axis=1))
+    if not sites.size:
+        return sp.csr_matrix((0, active.free.shape[1])), np.zeros(0)
+    rows = active.coarse_space.friction @ friction.combined(along, jump.size)[sites].T
+    slips = np.sum(friction.at_sites(jump)[sites] * along[sites], axis=1)
+    return (-(rows.T @ active.free)).tocsr(), slips
+
+
+def _smallest_without_penetration(
+    active: Projector, closing: sp.csr_matrix, gap: Vector, contact: Numbers
+) -> Vector:
     """Return the smallest free motions, in the basis ``active.free``, that penetrate nothing.
 
     Bodies that nothing presses together may part, but not overlap. Conditions are added as they are
     violated: the worst one of each contact and rank at a time.
     """
     constraints, comm = active.coarse_space.constraints, active.coarse_space.comm
-    owned = constraints.inequality[: constraints.owned_inequalities]
-    inactive = np.flatnonzero(~active.rows[owned])
-    contact = constraints.contact[inactive]
-    closing = (active.coarse_space.contact[:, inactive].T @ active.free).tocsr()
-    lengths = constraints.row_lengths[owned[inactive]]
-    # rounding is no way to open a gap
-    moved = np.abs(closing.toarray()).max(axis=1, initial=0.0) > _TRACE * lengths
-    inactive, contact, closing = inactive[moved], contact[moved], closing[moved]
-    gap = gap[owned[inactive]]
     z = np.zeros(active.free.shape[1])
     conditions, limits = np.zeros((0, z.size)), np.zeros(0)
     negligible = 1e-9 * comm.allreduce(float((-gap).max(initial=0.0)), MPI.MAX)
