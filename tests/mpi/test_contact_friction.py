@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from mpi4py import MPI
 
 import numpy as np
@@ -75,3 +77,17 @@ def test_load_that_friction_cannot_hold_is_an_error_on_all_ranks(law):
     scene = pushed_cube("triangle", 6, 5, friction=law, press=0.1, comm=COMM)
     with pytest.raises(UnresistedMotion, match=r"which slides .*It would take 1\.2 times"):
         scene.problem.solve()
+
+
+def test_ground_carries_a_block_that_slips_everywhere():
+    moved = []
+    for comm in (COMM, MPI.COMM_SELF):
+        law = Tresca(1e-5)
+        scene = pushed_cube("quadrilateral", 3, friction=law, push=(0.0, 0.0), comm=comm)
+        (given,) = scene.problem.contacts
+        scene.problem.contacts = [replace(given, displacement=[0.3, 0.0])]
+        scene.problem.solve()
+        friction = scene.problem.contact[0].gather().friction
+        assert np.all(np.sum(friction.force * friction.slip, axis=1) <= 0.0)
+        moved.append(np.sort(friction.slip[:, 0]))
+    np.testing.assert_allclose(moved[0], moved[1], rtol=0.0, atol=1e-8)

@@ -353,10 +353,9 @@ def _free_motions(active: Projector, gap: Vector, multipliers: Vector) -> Vector
     backwards, slips = _slips_against_friction(active, -gap, multipliers)
     S, left = sp.vstack([closing, backwards], format="csr"), np.append(gaps, slips)
     comm, space = active.coarse_space.comm, active.coarse_space.constraints.layout.space
-    largest = np.abs(slips).max(initial=0.0)
-    against = np.array([(backwards @ z - slips).max(initial=0.0), largest])
-    against = comm.allreduce(against, MPI.MAX)
-    if against[0] > 1e-9 * against[1]:
+    against = comm.allreduce(float((backwards @ z - slips).max(initial=0.0)), MPI.MAX)
+    largest = comm.allreduce(float(np.abs(slips).max(initial=0.0)), MPI.MAX)
+    if against > 1e-9 * largest:
         z = z + least_penetration(
             S, left - S @ z, space.sum_over_ranks, lambda part: sum_sparse(comm, part)
         )
