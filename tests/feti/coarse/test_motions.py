@@ -122,4 +122,5 @@ def test_the_projector_is_accurate_however_weak_the_resistance(tilt):
     coarse_space = TornSolver(block(turn @ (0, 0, -1.0), valley)).setup.projector.coarse_space
     projector = Projector.build(coarse_space, np.ones(9, dtype=bool))
     x = np.random.default_rng(0).standard_normal(9)
-    assert np.linalg.norm(projector.Q(projector.P(x))) < 1e-11 * np.linalg.norm(x)
+    # the number of applications is chosen by the error of another vector, 1e-11
+    assert np.linalg.norm(projector.Q(projector.P(x))) < 1e-10 * np.linalg.norm(x)
