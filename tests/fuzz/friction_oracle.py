@@ -36,14 +36,14 @@ from outcome import (
     Found,
     Outcome,
     bodies_of_rows,
-    compare_error,
     outcome_of,
     rigid_part,
+    without_solution,
     worst,
 )
 from scipy.sparse.csgraph import connected_components
 
-from fenics_tfeti.errors import ContactError, InputError, NotConverged
+from fenics_tfeti.errors import InputError, NotConverged
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -75,21 +75,16 @@ def verdict_with_friction(problem: GluedProblem) -> Answer:
 
 def compare_with_friction(problem: GluedProblem, found: Found, rtol: float) -> Outcome:
     """Return the class of an outcome."""
-    error = found.error
-    said = f"{type(error).__name__}: {error}" if error is not None else ""
-    if error is not None and not isinstance(error, ContactError):
-        return Outcome("traceback", f"{said}\n{found.trace}")
+    error, said = found.error, found.said
     problem, found = _without_prescribed_slips(problem, found)
     if isinstance(error, InputError) and (
         (_PRESCRIBED in said and _slides_one_way(problem))
         or (_UNKNOWN in said and _has_unknown_bound(problem))
     ):
         return Outcome("right error", said)
-    answer = verdict_with_friction(problem)
-    if answer.verdict == "unsure":
-        return Outcome("skipped", answer.why)
-    if answer.verdict != "solution":
-        return compare_error(answer, error, said)
+    other = without_solution(verdict_with_friction(problem), found)
+    if other is not None:
+        return other
     if isinstance(error, NotConverged):
         no_contraction = any(words in said for words in _NO_CONTRACTION)
         return Outcome("no contraction" if no_contraction else "no convergence", said)

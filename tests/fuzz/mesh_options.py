@@ -12,10 +12,10 @@ from mesh_problems import Ground, MeshProblem, Rubbing, Support, draw_mesh, pene
 from numpy.random import Generator
 from numpy.typing import NDArray
 from oracle import Answer
-from outcome import Found, Outcome, compare_error, outcome_of, worst
+from outcome import Found, Outcome, outcome_of, without_solution, worst
 from torn_problems import SOFT
 
-from fenics_tfeti.errors import ContactError, NotConverged
+from fenics_tfeti.errors import NotConverged
 
 Vector = NDArray[np.float64]
 
@@ -51,14 +51,10 @@ def compare_exact(
     Its first pass is the linearised problem. Later ones may find surfaces folded or bodies without
     hold, or not converge.
     """
-    error = found.error
-    said = f"{type(error).__name__}: {error}" if error is not None else ""
-    if error is not None and not isinstance(error, ContactError):
-        return Outcome("traceback", f"{said}\n{found.trace}")
-    if answer.verdict == "unsure":
-        return Outcome("skipped", answer.why)
-    if answer.verdict != "solution":
-        return compare_error(answer, error, said)
+    other = without_solution(answer, found)
+    if other is not None:
+        return other
+    error, said = found.error, found.said
     if error is not None:
         limit = isinstance(error, NotConverged) and "non_penetration_max_it" not in said
         return Outcome("no convergence" if limit else "no contraction", said)

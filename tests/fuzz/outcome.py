@@ -33,10 +33,10 @@ __all__ = [
     "attempt",
     "bodies_of_rows",
     "compare",
-    "compare_error",
     "compare_refused",
     "outcome_of",
     "rigid_part",
+    "without_solution",
     "worst",
 ]
 
@@ -102,6 +102,11 @@ class Found:
     error: Exception | None = None
     trace: str = ""
 
+    @property
+    def said(self) -> str:
+        """The error in words; nothing without one."""
+        return "" if self.error is None else f"{type(self.error).__name__}: {self.error}"
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -123,14 +128,10 @@ def attempt(solve: Any) -> Found:
 
 def compare(problem: GluedProblem, answer: Answer, found: Found, rtol: float) -> Outcome:
     """Return the class of an outcome."""
-    error = found.error
-    said = f"{type(error).__name__}: {error}" if error is not None else ""
-    if error is not None and not isinstance(error, ContactError):
-        return Outcome("traceback", f"{said}\n{found.trace}")
-    if answer.verdict == "unsure":
-        return Outcome("skipped", answer.why)
-    if answer.verdict != "solution":
-        return compare_error(answer, error, said)
+    other = without_solution(answer, found)
+    if other is not None:
+        return other
+    error, said = found.error, found.said
     if isinstance(error, NotConverged):
         needs = _attainable(answer)
         if rtol < needs < np.inf:
@@ -159,7 +160,18 @@ def compare_refused(mutation: str, found: Found) -> Outcome:
     return Outcome("right error" if right else "false error", said)
 
 
-def compare_error(answer: Answer, error: Exception | None, said: str) -> Outcome:
+def without_solution(answer: Answer, found: Found) -> Outcome | None:
+    """Return the class where the package crashed or no solution is known; None otherwise."""
+    if found.error is not None and not isinstance(found.error, ContactError):
+        return Outcome("traceback", f"{found.said}\n{found.trace}")
+    if answer.verdict == "unsure":
+        return Outcome("skipped", answer.why)
+    if answer.verdict != "solution":
+        return _compare_error(answer, found.error, found.said)
+    return None
+
+
+def _compare_error(answer: Answer, error: Exception | None, said: str) -> Outcome:
     what = f"{answer.verdict}: {answer.why}"
     if error is None:
         return Outcome("wrong", f"converged, but {what}")
