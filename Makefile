@@ -57,8 +57,8 @@ fuzz: env  ## N random problems on RANKS ranks, from seed FIRST, against an inde
 doctest: env  ## the examples in the docstrings
 	$(PY) -m pytest -q --doctest-modules fenics_tfeti/qp fenics_tfeti/feti
 
-verify: env  ## the tests marked heavy
-	$(PY) -m pytest tests -m heavy
+verify: env  ## the tests marked heavy, those of tests/mpi on several ranks
+	@MARKS=heavy MPI_RANKS="$(MPI_RANKS)" tools/test.sh .venv
 
 check: env  ## ruff, mypy and codespell
 	$(PY) -m ruff check .
