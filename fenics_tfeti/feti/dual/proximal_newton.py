@@ -90,7 +90,7 @@ def proximal_newton(
         The solution, or the last iterate.
     """
     bounds = _Bounds(problem)
-    state = _first_state(problem, bounds, start, signs, products, max_products)
+    state = _first_state(problem, start, signs, products, max_products)
     term = signs.proximal
     if term is None:
         term = Proximal(bounds.project(state.multipliers), _FIRST * problem.unit)
@@ -180,7 +180,6 @@ class _Bounds:
 
 def _first_state(
     problem: DualProblem,
-    bounds: _Bounds,
     start: Vector | PCPGIterate,
     signs: Signs,
     products: Products,

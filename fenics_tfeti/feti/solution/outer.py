@@ -335,25 +335,28 @@ class _Loop:
                 return on_faces if on_faces.solved else stage
             if not stage.slow or interruption.agreed():
                 return stage
-            # the face that SMALBE-M has found; if it is not the last one, SMALBE-M goes on
-            if on_faces is None or not self.setup.constraints.has_friction:
-                on_faces = stage
-            on_faces = self.on_faces(replace(on_faces, slow=True), tolerance, share)
+            # from the face that SMALBE-M has found; if it is not the last one, SMALBE-M goes on,
+            # and with friction Newton's method from where it was
+            by_newton = self.setup.constraints.has_friction
+            before = on_faces if on_faces is not None and by_newton else stage
+            on_faces = self.on_faces(before, tolerance, share, by_newton)
             if on_faces.solved or interruption.agreed():
                 return on_faces
             patience, share = 2 * patience, 2 * share
 
-    def on_faces(self, stage: _Stage, tolerance: float, share: int) -> _Stage:
+    def on_faces(
+        self, stage: _Stage, tolerance: float, share: int, by_newton: bool = False
+    ) -> _Stage:
         """Run the primal-dual active set method on (11.36), or Newton's on proximal problems.
 
-        The latter, for a share of products, where friction has made the others slow: it does not
-        cycle where forces turn.
+        The latter gets a share of products, and goes on where it has begun. It does not cycle where
+        forces turn.
         """
         problem = self._problem(ROUGH_LANCZOS_STEPS)
         start, signs = self._first_face(stage, problem)
         run = partial(self._run, problem, tolerance)
         with self.timer.phase("iterations"):
-            if signs.proximal is None and not (stage.slow and problem.constraints.has_friction):
+            if signs.proximal is None and not by_newton:
                 result = run(primal_dual_active_set, start, signs)
             else:
                 result = run(proximal_newton, start, signs, share)

@@ -350,6 +350,8 @@ def _free_motions(active: Projector, gap: Vector, multipliers: Vector) -> Vector
     """
     closing, gaps, contact = _other_contacts(active, gap)
     z = _smallest_without_penetration(active, closing, gaps, contact)
+    if not active.coarse_space.constraints.has_friction:
+        return z
     backwards, slips = _slips_against_friction(active, -gap, multipliers)
     S, left = sp.vstack([closing, backwards], format="csr"), np.append(gaps, slips)
     comm, space = active.coarse_space.comm, active.coarse_space.constraints.layout.space
