@@ -11,7 +11,6 @@ import hashlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +24,11 @@ from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti import ContactGuess, SavedState, TornSystem, save_checkpoint
 from fenics_tfeti.feti.checkpoint import OtherSystem, load_checkpoint, open_checkpoint
 from fenics_tfeti.parallel import raise_collectively, values_of_owners
-
-__all__ = ["Continuation", "nodal_forces", "read_continuation", "write_continuation"]
+from fenics_tfeti.typing import Array, Numbers, Vector
 
 # what a file has of each node, and of some nodes of each contact: one number or a vector
 _NODAL = ("coordinates", "displacement", "slip_origin")
 _ENTRIES = {"force": 0, "obstacle": 1}
-
-Array = NDArray[Any]
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

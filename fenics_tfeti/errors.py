@@ -8,17 +8,6 @@ from contextlib import contextmanager
 from math import floor, isfinite, log10
 from typing import Any
 
-__all__ = [
-    "ContactError",
-    "FactorizationError",
-    "InputError",
-    "Interrupted",
-    "NotConverged",
-    "UnresistedMotion",
-    "format_point",
-    "needs_fenicsx",
-]
-
 _DIGITS = 6
 
 # what comes with FEniCSx, in the order in which it is imported

@@ -18,8 +18,6 @@ from fenics_tfeti.errors import ContactError, needs_fenicsx
 from fenics_tfeti.feti.local.cholesky import available_packages
 from fenics_tfeti.feti.report import versions
 
-__all__ = ["blas", "extra", "facts", "main"]
-
 # Rate of products of dense matrices below which BLAS is slow [operations/s]: the reference
 # implementation reaches 1e9 to 3e9 on one core, others 1e10 and more.
 _SLOW = 4e9

@@ -15,8 +15,6 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.decomposition.partition import Partitioner
 from fenics_tfeti.feti.options import Options, check_range, convert, refuse_unknown
 
-__all__ = ["ContactOptions", "contact_options"]
-
 
 @dataclass(frozen=True)
 class ContactOptions:

@@ -9,25 +9,15 @@ from __future__ import annotations
 import pickle
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from mpi4py import MPI
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "Directory",
-    "concatenate_buffers",
-    "concatenate_ranks",
-    "exchange",
-    "first_of_rank",
-    "raise_collectively",
-    "values_of_owners",
-]
+from fenics_tfeti.typing import Array, Numbers
 
-Keys = NDArray[np.int64]
-Array = NDArray[Any]
 T = TypeVar("T")
 
 
@@ -103,7 +93,7 @@ def exchange(comm: MPI.Intracomm, messages: Sequence[T]) -> list[T]:
 
 
 def values_of_owners(
-    comm: MPI.Intracomm, owned: tuple[int, int], values: Array, numbers: Keys
+    comm: MPI.Intracomm, owned: tuple[int, int], values: Array, numbers: Numbers
 ) -> Array:
     """Return rows of a distributed array whose ranks own consecutive numbers. Collective.
 
@@ -143,7 +133,7 @@ class Directory:
         The keys whose home is this rank, ascending.
     """
 
-    def __init__(self, comm: MPI.Intracomm, keys: Keys) -> None:
+    def __init__(self, comm: MPI.Intracomm, keys: Numbers) -> None:
         self._comm = comm
         limit = comm.allreduce(int(keys.max(initial=-1)), MPI.MAX) + 1
         self._chunk = max(1, -(-limit // comm.size))
@@ -152,10 +142,10 @@ class Directory:
         held = np.concatenate([rows[0] for rows in arrived])
         order = np.argsort(held, kind="stable")
         self._held, self._holders = held[order], ranks[order]
-        self.keys: Keys = np.unique(held)
+        self.keys: Numbers = np.unique(held)
 
     def _by_home(
-        self, keys: Keys, data: list[Array]
+        self, keys: Numbers, data: list[Array]
     ) -> tuple[list[tuple[Array, ...]], NDArray[np.intp]]:
         """Split rows (key, data...) by the keys' homes; also return the order used."""
         # keys that no rank holds may lie beyond the limit
@@ -165,7 +155,7 @@ class Directory:
         columns = [np.split(column[order], cuts) for column in (keys, *data)]
         return list(zip(*columns, strict=True)), order
 
-    def collect(self, keys: Keys, *data: Array) -> tuple[Array, ...]:
+    def collect(self, keys: Numbers, *data: Array) -> tuple[Array, ...]:
         """Send rows (key, data...) to the keys' homes; return the columns that arrive here.
 
         Rows arrive in the order of ranks, those of a rank in the order given.
@@ -173,14 +163,14 @@ class Directory:
         arrived = exchange(self._comm, self._by_home(keys, list(data))[0])
         return tuple(np.concatenate(column) for column in zip(*arrived, strict=True))
 
-    def position(self, keys: Keys) -> Keys:
+    def position(self, keys: Numbers) -> Numbers:
         """Return the positions of keys in ``self.keys``; -1 for keys that no rank holds."""
         if self.keys.size == 0:
             return np.full(keys.shape, -1, dtype=np.int64)
         at = np.minimum(np.searchsorted(self.keys, keys), self.keys.size - 1)
         return np.where(self.keys[at] == keys, at, -1).astype(np.int64)
 
-    def lookup(self, keys: Keys, *tables: Array) -> tuple[Array, ...]:
+    def lookup(self, keys: Numbers, *tables: Array) -> tuple[Array, ...]:
         """Return the rows of distributed tables for any keys.
 
         Parameters
@@ -209,13 +199,13 @@ class Directory:
         return tuple(np.concatenate(column)[inverse] for column in columns)
 
     @staticmethod
-    def _blank_missing(rows: Array, at: Keys, table: Array) -> Array:
+    def _blank_missing(rows: Array, at: Numbers, table: Array) -> Array:
         if rows.shape[0] != at.size:
             return np.zeros((at.size, *table.shape[1:]), dtype=table.dtype)
         rows[at < 0] = 0
         return rows
 
-    def forward(self, keys: Keys, *data: Array) -> tuple[Array, ...]:
+    def forward(self, keys: Numbers, *data: Array) -> tuple[Array, ...]:
         """Send rows (key, data...) to all ranks that hold the keys; return the columns received.
 
         The rows of a key arrive in the order of the ranks that sent them.

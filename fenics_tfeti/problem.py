@@ -99,8 +99,6 @@ from fenics_tfeti.options import contact_options
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.report import ContactReport
 
-__all__ = ["ContactProblem"]
-
 
 class ContactProblem:
     """Contact of linear elastic bodies, with or without friction, solved by Total FETI.

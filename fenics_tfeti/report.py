@@ -18,8 +18,6 @@ from fenics_tfeti.feti.files import write_whole
 from fenics_tfeti.feti.report import without_nan
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["ContactReport", "pairing_table"]
-
 
 @dataclass(frozen=True)
 class ContactReport(Report):

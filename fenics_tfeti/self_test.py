@@ -18,8 +18,6 @@ from fenics_tfeti.fem.contact.contact import ContactPair
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.problem import ContactProblem
 
-__all__ = ["SelfTest", "self_test"]
-
 # Largest error of the self-test, relative to the exact pressure.
 _EXACT = 1e-6
 

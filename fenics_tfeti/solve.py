@@ -25,8 +25,6 @@ from fenics_tfeti.feti import (
 from fenics_tfeti.feti.files import write_arrays
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["main", "save_solution"]
-
 SOLUTION_FORMAT = "fenics_tfeti solution 1"
 
 # the exit code tells whether the iterations have converged

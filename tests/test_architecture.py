@@ -19,11 +19,12 @@ FINITE_ELEMENTS = {"dolfinx", "ufl", "basix", "ffcx"}
 # What the modules of a layer may import from the other layers, and from outside at their top.
 # The modules on no layer (problem, options, report) join the layers and may import all of them.
 LAYERS = {
+    "typing": (set(), {"numpy"}),
     "errors": (set(), set()),
-    "parallel": ({"errors"}, {"mpi4py", "numpy"}),
-    "qp": ({"errors"}, {"numpy", "scipy"}),
-    "feti": ({"errors", "parallel", "qp"}, {"mpi4py", "numpy", "petsc4py", "scipy"}),
-    "fem": ({"errors", "parallel", "feti"}, None),
+    "parallel": ({"typing", "errors"}, {"mpi4py", "numpy"}),
+    "qp": ({"typing", "errors"}, {"numpy", "scipy"}),
+    "feti": ({"typing", "errors", "parallel", "qp"}, {"mpi4py", "numpy", "petsc4py", "scipy"}),
+    "fem": ({"typing", "errors", "parallel", "feti"}, None),
 }
 # The sub-packages of feti: each imports those before it, and of feti's own modules only these.
 FETI_ORDER = ["local", "constraints", "coarse", "dual", "solution"]

@@ -19,14 +19,6 @@ from fenics_tfeti.fem.contact.contact import Contact, ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.friction import check_friction
 from fenics_tfeti.fem.contact.tied import TiedPair, tied_name
 
-__all__ = [
-    "given_conditions",
-    "given_contacts",
-    "given_forms",
-    "given_function",
-    "given_tied",
-]
-
 
 def given_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
     """Return the forms; no load, as L = 0, is a form that vanishes.

@@ -24,19 +24,7 @@ from fenics_tfeti.fem.messages import coordinate_order, format_mesh_point
 from fenics_tfeti.fem.tolerances import SAME_PLACE
 from fenics_tfeti.fem.topology import exterior_cell_facets
 from fenics_tfeti.parallel import Directory, concatenate_ranks
-
-__all__ = [
-    "SurfaceNodes",
-    "check_cracks",
-    "check_joints",
-    "check_pieces",
-    "check_split_nodes",
-    "surface_nodes",
-]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)

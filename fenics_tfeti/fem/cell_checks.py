@@ -21,12 +21,7 @@ from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.tolerances import FLAT_CELL
 from fenics_tfeti.fem.topology import cell_facets, cell_type, cell_vertices
 from fenics_tfeti.parallel import concatenate_ranks
-
-__all__ = ["CellGeometry", "check_overlaps", "check_shapes"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # cells at once: what is computed of them stays in the cache
 _CELLS = 2**12

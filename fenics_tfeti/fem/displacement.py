@@ -18,16 +18,7 @@ from fenics_tfeti.fem.reference_cells import MESH_CELLS
 from fenics_tfeti.fem.tolerances import SAME_VALUE
 from fenics_tfeti.feti.system import Prescribed, Subdomain
 from fenics_tfeti.parallel import raise_collectively
-
-__all__ = [
-    "displacement_function",
-    "fill_owned",
-    "owned_values",
-    "prescribed_values",
-    "space_of_forms",
-]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 
 def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:

@@ -13,10 +13,7 @@ from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.parallel import Directory
-
-__all__ = ["OwnedNodes", "input_numbers"]
-
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers
 
 
 @dataclass(frozen=True)

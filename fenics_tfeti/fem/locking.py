@@ -20,10 +20,7 @@ from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_type, cell_vertices
 from fenics_tfeti.parallel import raise_collectively
-
-__all__ = ["locking_ratio", "warn_of_locking"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 # Poisson's ratio from which on linear elements are much too stiff
 _NEARLY_INCOMPRESSIBLE = 0.49

@@ -25,8 +25,6 @@ from fenics_tfeti.fem.contact.contact import Contact
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["check_mesh"]
-
 
 def check_mesh(domain: Mesh, bodies: Bodies, contacts: Sequence[Contact]) -> None:
     """Check the cells, and that each body is connected through facets. Collective.

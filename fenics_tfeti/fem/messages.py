@@ -13,10 +13,7 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.parallel import concatenate_ranks
-
-__all__ = ["coordinate_order", "format_mesh_point", "raise_where"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 
 def coordinate_order(points: Vector) -> NDArray[np.intp]:

@@ -10,8 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-__all__ = ["MESH_CELLS", "ReferenceCell", "reference_cell"]
-
 Vertices = tuple[int, ...]
 
 

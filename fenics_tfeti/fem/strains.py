@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import Function
 
@@ -16,10 +15,7 @@ from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_type, cell_vertices, vertex_nodes
 from fenics_tfeti.parallel import raise_collectively
-
-__all__ = ["cell_gradients", "warn_of_large_gradients"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 # |grad u| from which on its square, which linear elasticity leaves out, is no small part of it
 _LARGE = 0.1

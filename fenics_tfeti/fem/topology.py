@@ -14,19 +14,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.reference_cells import ReferenceCell, reference_cell
 from fenics_tfeti.parallel import raise_collectively
-
-__all__ = [
-    "cell_facets",
-    "cell_type",
-    "cell_vertices",
-    "exterior_cell_facets",
-    "exterior_facets",
-    "owned_cells",
-    "tags_of_cells",
-    "vertex_nodes",
-]
-
-Indices = NDArray[np.int32]
+from fenics_tfeti.typing import Indices
 
 
 def cell_type(domain: Mesh) -> ReferenceCell:

@@ -12,16 +12,13 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.tolerances import NO_DIRECTION
 from fenics_tfeti.parallel import raise_collectively
-
-__all__ = ["evaluate", "points_of", "unit_vectors", "vectors_at"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 
 def evaluate(function: Callable[[Vector], Any], points: Vector, what: str) -> Any:

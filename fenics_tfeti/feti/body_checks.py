@@ -9,7 +9,6 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import InputError, format_point
@@ -17,12 +16,7 @@ from fenics_tfeti.feti.constraints.nodes import count_copies
 from fenics_tfeti.feti.local.rigid_body_modes import raw_modes
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
-
-__all__ = ["check_bodies"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # distance of a node's copies, relative to the size of their subdomain
 _SAME_PLACE = 1e-6

@@ -16,7 +16,6 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.rows import Constraints
@@ -24,20 +23,7 @@ from fenics_tfeti.feti.files import ArrayFile, open_arrays, write_arrays
 from fenics_tfeti.feti.solution.states import DualState
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import raise_collectively
-
-__all__ = [
-    "Checkpoint",
-    "OtherSystem",
-    "SavedState",
-    "fingerprint",
-    "load_checkpoint",
-    "open_checkpoint",
-    "save_checkpoint",
-]
-
-Array = NDArray[Any]
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Array, Numbers, Vector
 
 _FORMAT = "fenics_tfeti checkpoint 1"
 

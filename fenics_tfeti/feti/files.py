@@ -13,13 +13,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
-
-__all__ = ["ArrayFile", "folder_of", "open_arrays", "write_arrays", "write_whole"]
-
-Array = NDArray[Any]
+from fenics_tfeti.typing import Array
 
 # the entry that says what a file of arrays is
 _FORMAT = "format"

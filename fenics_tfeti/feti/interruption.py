@@ -18,8 +18,6 @@ from mpi4py import MPI
 
 from fenics_tfeti.errors import Interrupted
 
-__all__ = ["agree", "agreed", "check", "deferred", "received"]
-
 
 @dataclass
 class _Signals:

@@ -15,8 +15,6 @@ from fenics_tfeti.feti.dual.operator import DualOperatorKind
 from fenics_tfeti.feti.local.cholesky import Package
 from fenics_tfeti.qp.proportioning import Expansion
 
-__all__ = ["Options", "check_range", "convert", "parse_options", "refuse_unknown"]
-
 T = TypeVar("T")
 
 

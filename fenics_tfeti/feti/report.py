@@ -39,8 +39,6 @@ from fenics_tfeti.feti.tolerances import WEAKLY_RESISTED
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.qp import OuterIteration
 
-__all__ = ["Report", "build_report", "peak_memory", "versions", "without_nan"]
-
 
 def peak_memory(comm: MPI.Intracomm) -> int:
     """Return the peak resident memory of all ranks together [bytes]."""

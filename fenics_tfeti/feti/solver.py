@@ -44,10 +44,7 @@ from fenics_tfeti.feti.system import ContactGuess, TornSystem
 from fenics_tfeti.feti.system_checks import check_guess, check_system, check_types
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
-
-__all__ = ["TornSolution", "TornSolver"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 # A guessed force closes the gap against this part of the stiffness matrix's diagonal. The diagonal
 # is the stiffness of a node whose neighbours are held; on a surface they give way.

@@ -14,11 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from fenics_tfeti.errors import InputError
-
-__all__ = ["ContactGuess", "ContactRows", "Friction", "Prescribed", "Subdomain", "TornSystem"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import InputError
@@ -28,11 +27,7 @@ from fenics_tfeti.feti.system import (
 )
 from fenics_tfeti.feti.tolerances import ORTHOGONAL, SYMMETRIC
 from fenics_tfeti.parallel import raise_collectively
-
-__all__ = ["check_guess", "check_system", "check_types"]
-
-Numbers = NDArray[np.int64]
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Numbers, Vector
 
 # the directory of nodes computes with numbers of up to twice this
 _LARGEST_NODE = 2**61

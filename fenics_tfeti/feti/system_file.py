@@ -23,8 +23,6 @@ from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed, Subdomai
 from fenics_tfeti.feti.system_checks import check_system
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["load_system", "save_system"]
-
 Arrays = dict[str, NDArray[Any]]
 
 _FORMAT = "fenics_tfeti torn system 1"

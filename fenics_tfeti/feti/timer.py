@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 
 from mpi4py import MPI
 
-__all__ = ["Timer"]
-
 
 @dataclass
 class Timer:

@@ -6,24 +6,6 @@ implemented.
 
 from __future__ import annotations
 
-__all__ = [
-    "HARDLY_DEFORMED",
-    "NEARLY_IDLE",
-    "NO_WORK",
-    "ORTHOGONAL",
-    "PARALLEL",
-    "ROUNDED_GAP",
-    "ROUNDED_POSITION",
-    "ROUNDING",
-    "SAME_VALUE",
-    "SOFT_SUPPORT",
-    "SYMMETRIC",
-    "UNDEFORMED",
-    "UNRESISTED",
-    "WEAKLY_RESISTED",
-    "ZERO_ENERGY",
-]
-
 # values that differ by no more than this count as equal: prescribed displacements relative to the
 # largest one of their node, gaps relative to the sum of the magnitudes they are computed from
 SAME_VALUE = 1e-10

@@ -9,15 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.qp.space import Space
-
-__all__ = ["Bounds", "Discs", "FeasibleSet", "ProductSet", "Split"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # distance from a circle, relative to its radius and the coordinates of its centre, that is rounding
 _ON_CIRCLE = 1e-14

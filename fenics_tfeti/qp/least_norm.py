@@ -11,14 +11,10 @@ from collections.abc import Callable
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
-from numpy.typing import NDArray
 
 from fenics_tfeti.qp.cones import FrictionCones
 from fenics_tfeti.qp.feasible_set import ProductSet
-
-__all__ = ["least_norm_in_set", "smallest_factor"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 # decreasing regularisation, relative to ||C||^2, and steps of Newton's method for each
 _REGULARISATION = 10.0 ** -np.arange(1.0, 14.0)

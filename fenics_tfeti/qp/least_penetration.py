@@ -8,13 +8,9 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-__all__ = ["least_penetration"]
-
-Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Vector
 
 # weights of the distance beside the penetration, relative to the fastest closing: they make the
 # problem definite, and what they leave of the penetration is removed by further proximal steps

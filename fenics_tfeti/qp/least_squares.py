@@ -14,14 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.sparse.linalg import splu
 
-__all__ = [
-    "least_distance",
-    "least_norm_nonnegative",
-    "least_norm_partly_nonnegative",
-    "nonnegative_least_squares",
-]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 # cosine of the angle between a column and the residual that counts as a right angle
 _ORTHOGONAL = 1e-12

@@ -9,9 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fenics_tfeti.qp.feasible_set import FeasibleSet, ProductSet, Split
 from fenics_tfeti.qp.proportioning import (
     Hessian,
@@ -21,11 +18,7 @@ from fenics_tfeti.qp.proportioning import (
     ProportioningResult,
 )
 from fenics_tfeti.qp.space import Space
-
-__all__ = ["mpgp"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 
 def mpgp(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.qp.feasible_set import Bounds, Split
 from fenics_tfeti.qp.proportioning import (
@@ -17,11 +16,7 @@ from fenics_tfeti.qp.proportioning import (
     Unbounded,
 )
 from fenics_tfeti.qp.space import Space
-
-__all__ = ["mprgp"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 
 def mprgp(

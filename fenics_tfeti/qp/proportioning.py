@@ -12,22 +12,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.qp.feasible_set import FeasibleSet, Split
 from fenics_tfeti.qp.space import Space
+from fenics_tfeti.typing import Numbers, Vector
 
-__all__ = [
-    "Hessian",
-    "Products",
-    "Proportioning",
-    "ProportioningOptions",
-    "ProportioningResult",
-    "Unbounded",
-]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
 Hessian = Callable[[Vector], tuple[Vector, Vector | None]]
 Expansion = Literal["standard", "projected_cg"]
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.qp.feasible_set import Bounds, FeasibleSet, Split
 from fenics_tfeti.qp.mpgp import mpgp
@@ -22,11 +21,8 @@ from fenics_tfeti.qp.proportioning import (
     ProportioningResult,
 )
 from fenics_tfeti.qp.space import Space
+from fenics_tfeti.typing import Numbers, Vector
 
-__all__ = ["OuterIteration", "SMALBEOptions", "SMALBEResult", "SMALBEState", "smalbe"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
 Reason = Literal["converged", "slow", "max_it", "max_products"]
 
 # lower limit of the inner tolerance, relative to that of the final test: below it the increase of

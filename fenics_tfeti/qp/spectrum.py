@@ -5,14 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh_tridiagonal
 
 from fenics_tfeti.qp.space import Space
-
-__all__ = ["lanczos_upper_bound"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 
 def lanczos_upper_bound(

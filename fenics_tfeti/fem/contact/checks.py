@@ -12,7 +12,6 @@ from itertools import combinations
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
 
@@ -28,22 +27,7 @@ from fenics_tfeti.fem.messages import coordinate_order, raise_where
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.topology import cell_vertices
 from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
-
-__all__ = [
-    "check_arguments",
-    "check_depth",
-    "check_different_nodes",
-    "check_different_surfaces",
-    "check_facing",
-    "check_not_crossed",
-    "check_one_to_one",
-    "check_partners",
-    "check_shared_nodes",
-]
-
-Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
+from fenics_tfeti.typing import Mask, Vector
 
 # -- arguments ---------------------------------------------------------------------------------
 

@@ -16,21 +16,8 @@ from fenics_tfeti.fem.contact.friction import FrictionLaw
 from fenics_tfeti.fem.contact.obstacles import Obstacle
 from fenics_tfeti.fem.contact.surfaces.tagged import GivenNormal, Surface
 from fenics_tfeti.parallel import concatenate_ranks
+from fenics_tfeti.typing import Numbers, Vector
 
-__all__ = [
-    "Contact",
-    "ContactPair",
-    "ContactPairing",
-    "ContactResult",
-    "FrictionResult",
-    "InitialGap",
-    "MortarTerms",
-    "RigidObstacle",
-    "contact_name",
-]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
 VectorField = ArrayLike | Callable[[Vector], ArrayLike]
 InitialGap = Literal["geometric", "touching"] | float | Callable[[Vector], ArrayLike]
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from dolfinx.fem import Function, FunctionSpace
@@ -31,11 +30,7 @@ from fenics_tfeti.fem.contact.obstacle_conditions import deformed_gaps
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.parallel import raise_collectively
-
-__all__ = ["DeformedContact", "GeometryPass", "deformed_contact", "geometry_pass"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 
 @dataclass(frozen=True)

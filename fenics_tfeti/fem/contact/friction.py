@@ -17,10 +17,8 @@ from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.topology import vertex_nodes
 from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.typing import Vector
 
-__all__ = ["Coulomb", "FrictionLaw", "Tresca", "check_friction", "values_at_nodes"]
-
-Vector = NDArray[np.float64]
 # or a Function
 NodalValue = float | Callable[[Vector], ArrayLike] | Any
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.fem.contact.checks import (
     check_arguments,
@@ -49,12 +48,7 @@ from fenics_tfeti.fem.contact.surfaces.tagged import (
 )
 from fenics_tfeti.feti.system import ContactRows, Prescribed
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
-
-__all__ = ["contact_rows", "match_contact", "match_contacts"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 def match_contacts(

@@ -6,7 +6,6 @@ On the undeformed surface, and on the deformed one for exact non-penetration.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import Function
 
@@ -20,11 +19,7 @@ from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_area
 from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas, weighted_form
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.parallel import Directory
-
-__all__ = ["deformed_gaps", "match_obstacle"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 
 def match_obstacle(

@@ -9,17 +9,15 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.tolerances import NO_DIRECTION, NO_OBSTACLE, UNIT_LENGTH
 from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.typing import Vector
 
-__all__ = ["Cylinder", "Obstacle", "Plane", "Sphere", "gap_and_normal"]
-
-Vector = NDArray[np.float64]
 Obstacle = Callable[[Vector], tuple[ArrayLike, ArrayLike] | ArrayLike]
 
 

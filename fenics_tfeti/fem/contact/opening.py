@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
 
@@ -13,10 +12,7 @@ from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.matching import contact_rows
 from fenics_tfeti.feti.system import ContactRows
 from fenics_tfeti.parallel import values_of_owners
-
-__all__ = ["openings", "row_values"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 
 def openings(

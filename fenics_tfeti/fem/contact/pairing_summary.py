@@ -9,14 +9,9 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
-
-__all__ = ["angles_between", "pairing_summary", "warn_of_deviation"]
-
-Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Vector
 
 # share of the area with gaps smaller than the deviation of the facets, above which the user is
 # told: surfaces that touch at a point or on a line have few such nodes around it

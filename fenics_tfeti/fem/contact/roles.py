@@ -24,8 +24,6 @@ from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.parallel import concatenate_ranks
 
-__all__ = ["describe_roles", "exchanged", "prefers_exchange", "roles_ratio", "warn_of_roles"]
-
 # Ratio of E / h from which on an exchange is worth it: it is about that of the two condition
 # numbers, so that bounds of the iterations differ by a factor of two.
 _WORSE = 4.0

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
 
@@ -29,21 +28,7 @@ from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_compone
 from fenics_tfeti.fem.user_data import vectors_at
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed
 from fenics_tfeti.parallel import raise_collectively
-
-__all__ = [
-    "NodalFriction",
-    "SlipOrigin",
-    "friction_result",
-    "friction_rows",
-    "moved_obstacles",
-    "nodal_friction",
-    "obstacle_motion",
-    "tangents",
-]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Vector
 
 # squared length of the tangential part of a prescribed direction that counts as none
 _NORMAL_ONLY = 1e-12

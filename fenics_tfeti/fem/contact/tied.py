@@ -29,10 +29,6 @@ from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.feti.system import ContactRows, Prescribed
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 
-__all__ = ["TiedPair", "TiedPairing", "tie", "tie_pairs", "tied_name", "tied_rows"]
-
-Vector = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class TiedPair:

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import Function
 
@@ -23,10 +22,7 @@ from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti.system import ContactGuess
 from fenics_tfeti.parallel import concatenate_ranks
-
-__all__ = ["SolvedContact", "check_same_contacts", "expected_contact", "gather_solved"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 
 @dataclass(frozen=True)

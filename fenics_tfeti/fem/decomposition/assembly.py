@@ -29,8 +29,6 @@ from fenics_tfeti.fem.topology import exterior_cell_facets
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["FormValues", "PreparedForms", "prepare_forms", "same_values"]
-
 logger = logging.getLogger(__name__)
 
 

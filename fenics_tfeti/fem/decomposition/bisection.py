@@ -8,15 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from fenics_tfeti.fem.decomposition.cell_graph import components
-
-__all__ = ["bisect"]
-
-Points = NDArray[np.float64]
-Indices = NDArray[np.int32]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Indices, Numbers, Points
 
 # variance along a coordinate axis, relative to the largest one, at which cuts are across that axis:
 # slanted cuts of a body along the axes have larger areas

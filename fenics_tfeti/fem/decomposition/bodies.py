@@ -9,7 +9,6 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx.mesh import Mesh
@@ -18,10 +17,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.cell_graph import cell_graph, components
 from fenics_tfeti.fem.topology import cell_facets, owned_cells, tags_of_cells
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
-
-__all__ = ["Bodies", "find_bodies"]
-
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers
 
 
 @dataclass(frozen=True)

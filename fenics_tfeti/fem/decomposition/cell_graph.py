@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem.topology import cell_facets, owned_cells
-
-__all__ = ["cell_graph", "components", "connected_groups", "groups"]
-
-Numbers = NDArray[np.int64]
-Indices = NDArray[np.int32]
+from fenics_tfeti.typing import Indices, Numbers
 
 
 def cell_graph(domain: Mesh) -> sp.csr_matrix:

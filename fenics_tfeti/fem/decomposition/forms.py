@@ -19,11 +19,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.topology import cell_facets, owned_cells
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
-
-__all__ = ["PreparedForm", "prepare_form"]
-
-Indices = NDArray[np.int32]
-Tags = NDArray[np.int64]
+from fenics_tfeti.typing import Indices, Numbers
 
 # geometric quantities of UFL that a translation does not change
 _TRANSLATION_INVARIANT = (
@@ -73,8 +69,8 @@ class PreparedForm:
     compiled: _compat.CompiledForm
     coefficients: list[Function]
     constants: list[Any]
-    cell_tag: Tags | None
-    facet_tag: Tags | None
+    cell_tag: Numbers | None
+    facet_tag: Numbers | None
     cell_ids: list[int]
     facet_ids: list[int]
     translation_invariant: bool
@@ -298,7 +294,7 @@ def _check_used(
         )
 
 
-def _dense_tags(tags: Any, size: int, ids: list[int]) -> Tags:
+def _dense_tags(tags: Any, size: int, ids: list[int]) -> Numbers:
     """Return the tag of each entity, where it is one of the ids."""
     dense = np.full(size, _NO_TAG)
     if tags is not None:
@@ -308,8 +304,8 @@ def _dense_tags(tags: Any, size: int, ids: list[int]) -> Tags:
 
 
 def _tag_everywhere(
-    form: ufl.Form, kind: str, ids: list[int], tags: Tags
-) -> tuple[ufl.Form, list[int], Tags]:
+    form: ufl.Form, kind: str, ids: list[int], tags: Numbers
+) -> tuple[ufl.Form, list[int], Numbers]:
     """Replace "everywhere" in integrals of one kind by all tags in use and one for the rest.
 
     "Everywhere" would include cells of other parts and, in some versions of dolfinx, facets between

@@ -8,15 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-
-__all__ = ["Grid", "block_of_cells", "find_grid"]
-
-Points = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Indices = NDArray[np.int32]
+from fenics_tfeti.typing import Indices, Numbers, Points
 
 # part of all combinations of coordinates at which a grid has nodes
 _LEAST_FILLED = 0.5

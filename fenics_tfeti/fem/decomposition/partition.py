@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
 from dolfinx.mesh import Mesh
@@ -22,13 +21,10 @@ from fenics_tfeti.fem.decomposition.grid import block_of_cells, find_grid
 from fenics_tfeti.fem.decomposition.parts import number_parts
 from fenics_tfeti.fem.topology import cell_vertices, owned_cells
 from fenics_tfeti.parallel import raise_collectively
-
-__all__ = ["Partitioner", "given_subdomains", "split_into_subdomains"]
+from fenics_tfeti.typing import Indices, Numbers
 
 logger = logging.getLogger(__name__)
 
-Indices = NDArray[np.int32]
-Numbers = NDArray[np.int64]
 Partitioner = Literal["auto", "scotch", "bisection"]
 
 # cells from which on SCOTCH takes a tenth of a solve; it makes 1.7 % fewer copies of nodes

@@ -16,11 +16,7 @@ from dolfinx.fem import FunctionSpace
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.images import find_images
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING
-
-__all__ = ["Part", "find_equal", "number_parts", "samples"]
-
-Indices = NDArray[np.int32]
-Points = NDArray[np.float64]
+from fenics_tfeti.typing import Indices, Points
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,6 @@ from typing import Any
 
 from fenics_tfeti.errors import InputError
 
-__all__ = ["import_gmsh", "opened_file"]
-
 # the point of the last double click on a graph of the graphical interface
 _UNUSED_OPTION = "PostProcessing.DoubleClickedGraphPointX"
 

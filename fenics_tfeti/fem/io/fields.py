@@ -28,14 +28,6 @@ from fenics_tfeti.fem.topology import owned_cells, tags_of_cells, vertex_nodes
 from fenics_tfeti.feti.files import folder_of
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = [
-    "contact_fields",
-    "displacement_space",
-    "piecewise_constant",
-    "von_mises",
-    "write_fields",
-]
-
 _COLLECTION = """<?xml version="1.0"?>
 <VTKFile type="Collection" version="0.1">
   <Collection>

@@ -22,8 +22,6 @@ from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
 from fenics_tfeti.fem.reference_cells import MESH_CELLS
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["read_msh"]
-
 _log = logging.getLogger(__name__)
 
 # Gmsh's names of entities, by dimension

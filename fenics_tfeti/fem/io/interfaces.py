@@ -33,12 +33,7 @@ from fenics_tfeti.parallel import (
     first_of_rank,
     raise_collectively,
 )
-
-__all__ = ["Interface", "split_interfaces"]
-
-Numbers = NDArray[np.int64]
-Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 _UNTAGGED = int(np.iinfo(np.int32).min)
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.fem.io.scene import Scene
 
-__all__ = ["page_of_report"]
-
 _FOLDER = Path(__file__).parent
 
 _UNITS = {"displacement": "m", "contact_pressure": "Pa", "von_mises_stress": "Pa"}

@@ -29,16 +29,6 @@ from fenics_tfeti.fem.topology import cell_type, owned_cells
 from fenics_tfeti.feti.files import folder_of, write_arrays, write_whole
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = [
-    "GatheredMesh",
-    "check_colour",
-    "check_displacement",
-    "draw_deformed",
-    "draw_profile",
-    "gather_mesh",
-    "round_scale",
-]
-
 _log = logging.getLogger(__name__)
 
 _RENDER = Path(__file__).with_name("_render.py")

@@ -9,8 +9,6 @@ from typing import TextIO, TypeVar
 
 from mpi4py import MPI
 
-__all__ = ["progress"]
-
 T = TypeVar("T")
 
 _WIDTH = 30  # characters of a full bar

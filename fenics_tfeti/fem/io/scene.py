@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import Function
 
@@ -18,11 +17,7 @@ from fenics_tfeti.fem.io.pictures import (
     round_scale,
 )
 from fenics_tfeti.parallel import raise_collectively
-
-__all__ = ["Scene", "gather_scene", "outer_triangles"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 # outward faces of VTK's cells by their number: triangle, quadrilateral, tetrahedron, hexahedron
 _FACES = {

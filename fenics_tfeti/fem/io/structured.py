@@ -20,8 +20,6 @@ from fenics_tfeti.fem.reference_cells import MESH_CELLS, ReferenceCell, referenc
 from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["Box", "boxes", "tag_facets"]
-
 Marker = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
 
 

@@ -7,8 +7,6 @@ from typing import Any
 
 from dolfinx.mesh import Mesh
 
-__all__ = ["TaggedMesh"]
-
 
 @dataclass(frozen=True)
 class TaggedMesh:

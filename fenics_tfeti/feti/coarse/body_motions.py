@@ -15,10 +15,7 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.local.frames import in_frame, out_of_frame
 from fenics_tfeti.feti.local.rigid_body_modes import describe_motion, raw_modes
 from fenics_tfeti.feti.system import TornSystem
-
-__all__ = ["BodyMotions", "body_motions", "describe_body_motion"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 # what rounding leaves of rigid motions of a body in gluing rows and outside the kernels, and how
 # much the rounding of coordinates far from the origin adds

@@ -34,11 +34,8 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
+from fenics_tfeti.typing import Numbers, Vector
 
-__all__ = ["Deflation", "DeflationKind", "at_most", "same_equality_rows"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
 Operator = Callable[[Vector], Vector]
 DeflationKind = Literal["auto", "on", "off"]
 

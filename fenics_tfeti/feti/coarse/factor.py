@@ -16,15 +16,11 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.local.cholesky import DistributedCholesky, SparseCholesky
 from fenics_tfeti.parallel import concatenate_buffers, exchange
+from fenics_tfeti.typing import Numbers, Vector
 
-__all__ = ["CoarseFactor", "CoarseLayout", "CoarseSolverKind", "choose_coarse_solver"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
 CoarseSolverKind = Literal["auto", "redundant", "distributed", "inverse"]
 
 # Counted on lattices of 108 to 2916 cubes, 1 to 16 ranks (benchmarks/coarse.py):

@@ -18,7 +18,6 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import UnresistedMotion
@@ -37,11 +36,7 @@ from fenics_tfeti.qp import (
     least_norm_partly_nonnegative,
     smallest_factor,
 )
-
-__all__ = ["check_load", "feasible_start", "least_norm_nonnegative"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 # ||B R z|| of equality rows below which contact takes the load first
 _SOFTLY = 0.1

@@ -27,11 +27,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.feti.coarse.factor import CoarseLayout
 from fenics_tfeti.feti.local.cholesky import SparseCholesky
 from fenics_tfeti.parallel import concatenate_buffers, first_of_rank
-
-__all__ = ["InverseByRows", "independent_columns"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Vector
 
 # singular value of columns, relative to the largest, that is rounding
 _DEPENDENT = 1e-13

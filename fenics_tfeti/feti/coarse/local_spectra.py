@@ -15,16 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.constraints.interface import Interface
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
-__all__ = ["LocalVectors", "TornRows", "local_vectors", "threshold"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 Operator = Callable[[Vector], Vector]
 
 # columns of a block and number of products with it: as many vectors as 32 steps of the Lanczos

@@ -5,7 +5,6 @@ from __future__ import annotations
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.constraints.ground import TornUnknowns
 from fenics_tfeti.feti.constraints.interface import Interface
@@ -13,11 +12,7 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.local.fixing_nodes import node_graph
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import Directory
-
-__all__ = ["subdomains_with_jumps"]
-
-Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Vector
 
 # ratio of the stiffness of nodes. In unstructured tetrahedra of one material it reaches 20: a node
 # at a corner of the body beside one within

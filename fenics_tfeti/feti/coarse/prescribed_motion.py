@@ -10,14 +10,10 @@ from __future__ import annotations
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
-
-__all__ = ["prescribed_motion"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 # size of a rigid motion relative to the prescribed displacements: larger ones come from rows that
 # hardly resist them

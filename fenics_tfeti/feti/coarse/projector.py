@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.factor import CoarseFactor
 from fenics_tfeti.feti.coarse.inverse import InverseByRows
@@ -22,13 +21,7 @@ from fenics_tfeti.feti.coarse.resistance import of_one_body, orthonormal_columns
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.tolerances import NO_WORK
-
-__all__ = ["Projector"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
-
+from fenics_tfeti.typing import Mask, Vector
 
 # factor on the diagonal of GG' for pinned motions that are weakly resisted
 _FIRMLY = 1e8

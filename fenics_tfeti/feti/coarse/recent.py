@@ -12,12 +12,9 @@ from typing import Generic, TypeVar
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["RecentFaces"]
+from fenics_tfeti.typing import Mask, Vector
 
-Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 T = TypeVar("T")
 
 # a factor takes as much memory as dozens of multipliers

@@ -21,19 +21,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from fenics_tfeti.parallel import concatenate_buffers
-
-__all__ = [
-    "ColumnGroups",
-    "column_groups",
-    "of_one_body",
-    "orthonormal_columns",
-    "pivot_rows",
-    "sum_sparse",
-    "weak_motions",
-]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 # each pass reduces the errors of the Gram matrix's eigenvectors by a factor of 1e-5 or less
 _PASSES = 3

@@ -15,7 +15,6 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.body_motions import BodyMotions, body_motions
 from fenics_tfeti.feti.coarse.factor import (
@@ -33,12 +32,7 @@ from fenics_tfeti.feti.local.congruence import CongruenceClass
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import UNRESISTED
 from fenics_tfeti.parallel import first_of_rank
-
-__all__ = ["CoarseSpace"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.entries import Entries
@@ -23,12 +22,7 @@ from fenics_tfeti.feti.constraints.redundancy import ContactConditions, Redundan
 from fenics_tfeti.feti.system import ContactRows, TornSystem
 from fenics_tfeti.feti.tolerances import ROUNDED_GAP, SAME_VALUE
 from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
-
-__all__ = ["ConditionRows", "condition_rows"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # a row whose free part, relative to all of it, is shorter than this is the rounding of one that
 # prescribed displacements decide

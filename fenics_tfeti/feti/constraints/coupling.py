@@ -19,18 +19,12 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
 from fenics_tfeti.feti.tolerances import PARALLEL
-
-__all__ = ["Coupling", "GramInverse", "dependent_groups", "null_space"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # pivot of a matrix with a diagonal of 1 below which its row may depend on the rows before, and what
 # is added to the diagonal so that no pivot vanishes

@@ -16,12 +16,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.parallel import Directory, exchange
 from fenics_tfeti.qp import Space
-
-__all__ = ["DualLayout", "seeded_vector"]
-
-Keys = NDArray[np.int64]
-Vector = NDArray[np.float64]
-Array = NDArray[Any]
+from fenics_tfeti.typing import Array, Numbers, Vector
 
 
 class DualLayout:
@@ -52,7 +47,7 @@ class DualLayout:
         The inner product.
     """
 
-    def __init__(self, comm: MPI.Intracomm, numbers: Keys, place: Keys | None = None) -> None:
+    def __init__(self, comm: MPI.Intracomm, numbers: Numbers, place: Numbers | None = None) -> None:
         self.comm = comm
         ascending = np.argsort(numbers)
         numbers = numbers[ascending]
@@ -64,7 +59,7 @@ class DualLayout:
         # the ranks of a key ascend, and of several assignments the last one counts
         owner[np.searchsorted(numbers, keys)[::-1]] = ranks[::-1]
         order = np.lexsort((place, owner != comm.rank))
-        self.numbers: Keys = numbers[order]
+        self.numbers: Numbers = numbers[order]
         self.owned = int(np.count_nonzero(owner == comm.rank))
         self.size: int = comm.allreduce(self.owned)
         self._sorted, self._order = numbers, order
@@ -77,11 +72,11 @@ class DualLayout:
         )
         self.space = Space(self.owned, self._sum_over_ranks, self._sum_and_min_over_ranks)
 
-    def local(self, numbers: Keys) -> Keys:
+    def local(self, numbers: Numbers) -> Numbers:
         """Return the local positions of global numbers that this rank holds."""
         inverse = np.empty(self._order.size, dtype=np.int64)
         inverse[self._order] = np.arange(self._order.size)
-        positions: Keys = inverse[np.searchsorted(self._sorted, numbers)]
+        positions: Numbers = inverse[np.searchsorted(self._sorted, numbers)]
         return positions
 
     def sum(self, part: Vector) -> Vector:
@@ -118,7 +113,7 @@ class DualLayout:
         part[: self.owned] = x[: self.owned]
         return part
 
-    def shared_entries(self, rows: Keys, columns: Keys, values: Vector) -> tuple[Array, ...]:
+    def shared_entries(self, rows: Numbers, columns: Numbers, values: Vector) -> tuple[Array, ...]:
         """Send matrix entries in shared columns to the other ranks that hold the columns.
 
         Parameters

@@ -9,16 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.constraints.entries import Entries
 from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable
 from fenics_tfeti.parallel import Directory
-
-__all__ = ["EqualityRows", "equality_rows"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ common solution if there are forces lambda with lambda_I >= o, B'lambda = o and 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.rows import Constraints
@@ -16,11 +15,7 @@ from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import PARALLEL, SAME_VALUE
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.qp import nonnegative_least_squares
-
-__all__ = ["check_conditions", "contradiction"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 # gap that is far, relative to the largest negative one
 _FAR = 1e6

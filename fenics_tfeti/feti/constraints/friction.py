@@ -14,18 +14,12 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.system import ContactRows
 from fenics_tfeti.qp import Bounds, Discs, FeasibleSet, ProductSet
-
-__all__ = ["FrictionRows", "SlipBound", "Tangential", "check_slides", "common_scale"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # distance from the bound, relative to it, below which a node slips
 _AT_BOUND = 1e-9

@@ -14,12 +14,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.parallel import first_of_rank
-
-__all__ = ["TornUnknowns", "hold_ground"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Numbers, Vector
 
 
 @dataclass(frozen=True)

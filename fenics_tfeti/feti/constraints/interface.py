@@ -13,11 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.local.congruence import CongruenceClass
-
-__all__ = ["Interface"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 
 @dataclass(frozen=True)

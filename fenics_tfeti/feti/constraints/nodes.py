@@ -14,12 +14,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import ROUNDED_POSITION, SAME_VALUE
 from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
-
-__all__ = ["Copies", "NodeTable", "count_copies", "largest_coordinate"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # range of node numbers, in units of their count, up to which counting is faster than sorting
 _DENSE = 8

@@ -16,18 +16,12 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.tolerances import PARALLEL
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
-
-__all__ = ["ContactConditions", "Redundancy", "find_redundant"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)

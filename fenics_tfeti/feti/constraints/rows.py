@@ -26,11 +26,7 @@ from fenics_tfeti.feti.constraints.friction import FrictionRows
 from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank, raise_collectively
-
-__all__ = ["Constraints", "TiedRows", "build_constraints"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 
 @dataclass(frozen=True)

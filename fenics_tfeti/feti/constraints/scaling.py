@@ -14,14 +14,11 @@ from typing import Literal
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.system import TornSystem
-
-__all__ = ["Scaling", "node_weights", "stiffness_of_weight"]
+from fenics_tfeti.typing import Vector
 
 Scaling = Literal["multiplicity", "stiffness"]
-Vector = NDArray[np.float64]
 
 
 def node_weights(system: TornSystem, scaling: Scaling) -> Vector:

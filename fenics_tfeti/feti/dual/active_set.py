@@ -22,7 +22,6 @@ from dataclasses import dataclass, field, replace
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
@@ -32,18 +31,7 @@ from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Signs, friction_step,
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.tolerances import NO_WORK
 from fenics_tfeti.qp import Products
-
-__all__ = [
-    "ActiveSetResult",
-    "ActiveSetStep",
-    "active_set_result",
-    "close_first_gaps",
-    "primal_dual_active_set",
-    "unused_friction",
-]
-
-Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Vector
 
 # limit on changes of one row
 _SINGLE_STEPS = 100

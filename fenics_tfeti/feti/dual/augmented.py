@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.dual.problem import DualProblem
@@ -26,11 +25,7 @@ from fenics_tfeti.qp import (
     SMALBEState,
     smalbe,
 )
-
-__all__ = ["Stopped", "augmented_hessian", "solve_by_smalbe"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 
 class Stopped(Exception):  # noqa: N818 - no error

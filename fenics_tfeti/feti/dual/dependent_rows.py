@@ -12,17 +12,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.constraints.coupling import Coupling, null_space
 from fenics_tfeti.feti.dual.pcpg import Signs
 from fenics_tfeti.feti.dual.problem import DualProblem
-
-__all__ = ["closable"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Numbers, Vector
 
 # part of the gaps of dependent rows that is rounding
 _CONSISTENT = 1e-9

@@ -24,19 +24,13 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.qp import least_penetration
-
-__all__ = ["LooseBodies", "rigid_start"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # stiffness of a row of B in units of that of its nodes (the diagonal of K): what the neighbours on
 # a surface give way

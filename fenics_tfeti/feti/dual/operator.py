@@ -18,10 +18,8 @@ from fenics_tfeti.feti.dual.explicit import ExplicitInverse, Orbits
 from fenics_tfeti.feti.local.congruence import apply_by_class
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 from fenics_tfeti.qp import lanczos_upper_bound
+from fenics_tfeti.typing import Vector
 
-__all__ = ["DualOperator", "DualOperatorKind", "ProjectedNorm"]
-
-Vector = NDArray[np.float64]
 DualOperatorKind = Literal["auto", "implicit", "explicit"]
 
 

@@ -24,18 +24,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.loose_bodies import LooseBodies
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.qp import Products
-
-__all__ = ["Face", "PCPGIterate", "Proximal", "Signs", "friction_step", "iterate_on", "pcpg"]
-
-Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Vector
 
 # r'z above this multiple of its smallest value: the residual is rounding, and the recurrences of
 # conjugate gradients amplify it (r'z of a regular problem may rise by its condition number)

@@ -23,11 +23,7 @@ from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.local.cholesky import SparseCholesky
 from fenics_tfeti.feti.local.congruence import times_rows
 from fenics_tfeti.feti.local.generalized_inverse import regularized_stiffness
-
-__all__ = ["Preconditioner", "interface_operator"]
-
-Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Vector
 
 # singular value of R on the interface, relative to the largest, that is rounding
 _NOT_MOVED = 1e-10

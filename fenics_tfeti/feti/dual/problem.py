@@ -9,18 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.preconditioner import Preconditioner
 from fenics_tfeti.qp import FeasibleSet, Space
-
-__all__ = ["DualProblem"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.dual.active_set import (
@@ -38,10 +37,7 @@ from fenics_tfeti.feti.dual.active_set import (
 from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Proximal, Signs, iterate_on, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.qp import Products
-
-__all__ = ["proximal_newton"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 # rho in units of the stiffness that a weight of 1 stands for: the first, growth, the largest
 _FIRST, _GROWTH, _LARGEST = 10.0, 10.0, 1e5

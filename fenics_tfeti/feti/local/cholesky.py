@@ -16,21 +16,11 @@ from petsc4py import PETSc
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from fenics_tfeti.errors import FactorizationError, InputError
 from fenics_tfeti.feti.local.threads import one_thread
+from fenics_tfeti.typing import Vector
 
-__all__ = [
-    "DistributedCholesky",
-    "Package",
-    "SparseCholesky",
-    "available_packages",
-    "check_real_numbers",
-    "choose_package",
-]
-
-Vector = NDArray[np.float64]
 Package = Literal["auto", "cholmod", "rslab", "mumps"]
 
 _PREFERENCE = ("cholmod", "rslab", "mumps")

@@ -13,24 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.local.frames import Frames
 from fenics_tfeti.feti.local.rigid_body_modes import rigid_body_modes
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.feti.tolerances import ZERO_ENERGY
-
-__all__ = [
-    "SAME",
-    "CongruenceClass",
-    "apply_by_class",
-    "find_congruence_classes",
-    "is_rounding",
-    "times_rows",
-]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 # relative to the largest entry or to the size: what assembly at another place may change
 SAME = 1e-12

@@ -23,14 +23,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.local.rigid_body_modes import low_energy_modes
 from fenics_tfeti.feti.system import Subdomain
-
-__all__ = ["FloatingSubdomain", "set_free"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 # K R_s relative to |K| |R_s|: what rounding leaves at nodes without a support
 _ROUNDING = 1e-14

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.feti.local.rigid_body_modes import rigid_body_modes
-
-__all__ = ["fixing_nodes", "node_graph", "perron_centres", "split_nodes"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 # power steps towards the Perron vector: walks of this length tell a centre from a rim
 _WALK_LENGTH = 30

@@ -10,12 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-__all__ = ["Frames", "in_frame", "out_of_frame"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 
 def in_frame(values: Vector, frame: Vector | None) -> Vector:

@@ -11,10 +11,7 @@ from fenics_tfeti.feti.local.cholesky import SparseCholesky
 from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes
 from fenics_tfeti.feti.local.symmetry import SymmetryGroup
 from fenics_tfeti.feti.system import Subdomain
-
-__all__ = ["GeneralizedInverse", "regularized_stiffness"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 
 def regularized_stiffness(

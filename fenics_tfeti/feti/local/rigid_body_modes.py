@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.feti.tolerances import SOFT_SUPPORT, ZERO_ENERGY
-
-__all__ = ["describe_motion", "kernel", "low_energy_modes", "rigid_body_modes"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 # length of a rotation's part that is orthogonal to other modes, in units of the subdomain's size,
 # below which it moves nothing

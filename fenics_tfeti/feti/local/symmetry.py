@@ -15,16 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.linalg import hadamard
 from scipy.spatial import KDTree
 
 from fenics_tfeti.feti.local.congruence import SAME, is_rounding
-
-__all__ = ["SymmetryGroup", "find_symmetries"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,6 @@ from mpi4py import MPI  # noqa: F401  first, or the wheels' petsc4py does not fi
 
 from petsc4py import PETSc
 
-__all__ = ["one_thread", "openmp"]
-
 
 @cache
 def openmp(path: str) -> ctypes.CDLL | None:

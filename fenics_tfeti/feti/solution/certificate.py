@@ -28,7 +28,6 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.feti.coarse.projector import Projector
@@ -39,12 +38,7 @@ from fenics_tfeti.feti.solution.recovery import Recovered
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import HARDLY_DEFORMED, NEARLY_IDLE, UNDEFORMED
 from fenics_tfeti.parallel import Directory, concatenate_buffers
-
-__all__ = ["BodyError", "Certificate", "GroupError", "PrimalProblem", "RowBodies"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # rounding of motions that were taken out of the data, relative to that of motions in the iterations
 _ROUNDED_ONCE = 1e-3

@@ -17,7 +17,6 @@ from dataclasses import replace
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.errors import UnresistedMotion
 from fenics_tfeti.feti import interruption
@@ -35,10 +34,7 @@ from fenics_tfeti.feti.solution.states import (
 )
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.feti.tolerances import ROUNDING
-
-__all__ = ["iterate_slip_bounds"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 # tolerance of the first solution, and of later ones relative to the last change of the bounds
 _FIRST_RTOL, _INEXACT = 1e-2, 0.05

@@ -9,14 +9,10 @@ the group, which is all error, it never becomes small.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.solution.certificate import RowBodies
-
-__all__ = ["without_idle_forces"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 
 def without_idle_forces(

@@ -12,8 +12,6 @@ from fenics_tfeti.feti.dual.active_set import ActiveSetStep
 from fenics_tfeti.feti.solution.states import History, SlipBoundStep
 from fenics_tfeti.qp import OuterIteration
 
-__all__ = ["Monitor", "MonitorFunction", "describe_step"]
-
 logger = logging.getLogger(__name__)
 
 Step = ActiveSetStep | OuterIteration | SlipBoundStep

@@ -18,7 +18,6 @@ from functools import cached_property, partial
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.prescribed_motion import prescribed_motion
@@ -45,11 +44,7 @@ from fenics_tfeti.feti.solution.states import Candidate, ContactData, DualState,
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.feti.tolerances import ROUNDING
 from fenics_tfeti.qp import SMALBEState, Unbounded
-
-__all__ = ["iterate_until_certified"]
-
-Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Vector
 
 # Lanczos steps for an upper bound of ||PFP||, the scale of SMALBE-M
 LANCZOS_STEPS = 15

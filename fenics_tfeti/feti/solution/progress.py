@@ -8,8 +8,6 @@ import numpy as np
 
 from fenics_tfeti.feti.solution.certificate import Certificate
 
-__all__ = ["Progress"]
-
 # limit on the passes of the outer loop; most solutions take one to three
 _PASSES = 50
 

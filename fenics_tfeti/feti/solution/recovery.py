@@ -17,7 +17,6 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.resistance import sum_sparse
@@ -27,12 +26,7 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.qp import least_distance, least_penetration
-
-__all__ = ["Recovered", "balance_multipliers", "forces_at_rest", "recover_displacement"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # what rounding leaves of a unit motion in a contact row that it does not move
 _TRACE = 1e-13

@@ -22,18 +22,7 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.system import ContactRows, TornSystem
 from fenics_tfeti.parallel import Directory
-
-__all__ = [
-    "Resultant",
-    "Resultants",
-    "normal_forces",
-    "resultants",
-    "tangential_forces",
-    "tied_forces",
-]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 
 @dataclass(frozen=True)

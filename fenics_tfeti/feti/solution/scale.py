@@ -7,17 +7,12 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.solution.setup import DualSetup
 from fenics_tfeti.feti.solution.states import ContactData, History
 from fenics_tfeti.feti.timer import Timer
-
-__all__ = ["ROUGH_LANCZOS_STEPS", "EnergyScale", "FeasibleState"]
-
-Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Vector
 
 # Lanczos steps for a rough value of ||PFP||: the scale of gaps against forces
 ROUGH_LANCZOS_STEPS = 3

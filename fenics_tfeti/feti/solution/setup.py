@@ -13,7 +13,6 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.deflation import Deflation, at_most, same_equality_rows
 from fenics_tfeti.feti.coarse.local_spectra import (
@@ -42,10 +41,7 @@ from fenics_tfeti.feti.solution.certificate import RowBodies
 from fenics_tfeti.feti.solution.states import ContactData
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import raise_collectively
-
-__all__ = ["DualSetup", "LocalSetup", "choose_factor", "dual_problem", "factor_subdomains"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 
 @dataclass(frozen=True)

@@ -4,20 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.friction import SlipBound
 from fenics_tfeti.feti.dual.active_set import ActiveSetStep
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.recovery import Recovered
 from fenics_tfeti.qp import OuterIteration, Products
-
-__all__ = ["Candidate", "ContactData", "DualState", "History", "Outcome", "SlipBoundStep"]
-
-Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Vector
 
 
 @dataclass(frozen=True)

@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes, highest, lowest
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
-
-__all__ = ["FACING", "REACH", "MasterTree"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # Cosine between the normals of two facets, below which they face each other: 96 degrees.
 FACING = -0.1

@@ -10,7 +10,6 @@ from functools import reduce
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
@@ -24,12 +23,7 @@ from fenics_tfeti.fem.contact.mortar.facets import (
     shape_functions,
 )
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
-
-__all__ = ["Cells", "covering_cells"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # Area of a cell, relative to its slave facet, that is rounding.
 _NO_AREA = 1e-12

@@ -5,7 +5,6 @@ from __future__ import annotations
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, SlaveFacets
@@ -14,10 +13,6 @@ from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.parallel import Directory
-
-__all__ = ["check_covered", "check_folds"]
-
-Vector = NDArray[np.float64]
 
 
 def check_covered(

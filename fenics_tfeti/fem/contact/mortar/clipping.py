@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["clip_intervals", "clip_polygons", "fan_triangles"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # Distance from an edge, relative to the edge's length, within which a point is on it.
 _ON_EDGE = 1e-12

@@ -13,7 +13,6 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
 
@@ -31,18 +30,7 @@ from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, facet_deviations
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
 from fenics_tfeti.parallel import Directory, concatenate_buffers
-
-__all__ = [
-    "MortarConditions",
-    "SlaveFacets",
-    "collect_terms",
-    "mortar_conditions",
-    "tied_conditions",
-]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)

@@ -12,21 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property, reduce
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = [
-    "Facets",
-    "Planes",
-    "by_component",
-    "corner_functions",
-    "highest",
-    "lowest",
-    "reference_coordinates",
-    "shape_functions",
-]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 # For the number of nodes of a facet of degree 2, the corners of its pieces.
 _PIECES = {

@@ -22,11 +22,7 @@ from fenics_tfeti.fem.contact.mortar.facets import (
     shape_functions,
 )
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-
-__all__ = ["FacetIntegrals", "integrate", "integrate_alone"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 # Covered part of a slave facet, relative to its area, below which it is rounding.
 _NOT_COVERED = 1e-11

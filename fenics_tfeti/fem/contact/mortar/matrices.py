@@ -25,24 +25,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import FacetIntegrals
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-
-__all__ = [
-    "BARELY_COVERED",
-    "MortarMatrices",
-    "mortar_matrices",
-    "multiplier_shares",
-    "node_areas",
-    "slave_matrix",
-]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # Coverage of a node: the integral of its shape function over the covered part, relative to that
 # over all of its facets. Below the first it has no multiplier where neighbours are covered better:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.fem.contact.contact import MortarTerms
 from fenics_tfeti.fem.contact.mortar.conditions import SlaveFacets, collect_terms
@@ -18,12 +17,7 @@ from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.mortar.integrals import integrate_alone
 from fenics_tfeti.fem.contact.mortar.matrices import slave_matrix
 from fenics_tfeti.parallel import Directory
-
-__all__ = ["nodal_normals", "one_sided_conditions"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 def one_sided_conditions(

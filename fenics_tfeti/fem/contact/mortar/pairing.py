@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import Function, FunctionSpace
 
@@ -27,18 +26,7 @@ from fenics_tfeti.fem.contact.surfaces.symmetry_planes import normals_in_symmetr
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
 from fenics_tfeti.fem.topology import vertex_nodes
 from fenics_tfeti.parallel import raise_collectively, values_of_owners
-
-__all__ = [
-    "match_by_mortar",
-    "match_deformed",
-    "mean_over_terms",
-    "mean_relative",
-    "slave_facets",
-]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 def match_by_mortar(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from dolfinx.fem import FunctionSpace
@@ -13,10 +12,7 @@ from dolfinx.fem import FunctionSpace
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
 from fenics_tfeti.fem.tolerances import SAME_PLACE
-
-__all__ = ["meshes_match"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 
 def meshes_match(

@@ -19,11 +19,7 @@ from fenics_tfeti.fem.messages import coordinate_order
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.user_data import points_of, unit_vectors, vectors_at
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
-
-__all__ = ["Partners", "along_direction", "at_images", "by_coordinates", "nearest"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 _REMEDY = (
     "mesh the two surfaces alike, tag only where they face each other, or raise the pair's "

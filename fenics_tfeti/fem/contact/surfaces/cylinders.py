@@ -14,15 +14,10 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, largest_of_facets
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, SAME_PLACE
-
-__all__ = ["Cylinder", "without_axial_tilt"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 # root mean square of the normals along a second direction, below which a surface is a plane
 _CURVED = 0.1

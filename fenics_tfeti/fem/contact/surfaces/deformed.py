@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import Function
 
@@ -18,11 +17,7 @@ from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.tolerances import VANISHING_NORMAL
 from fenics_tfeti.parallel import concatenate_ranks
-
-__all__ = ["DeformedSurface", "gather_surface"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from fenics_tfeti.typing import Numbers, Vector
 
 
 @dataclass(frozen=True)

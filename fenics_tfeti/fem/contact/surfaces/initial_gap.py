@@ -8,16 +8,12 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively
-
-__all__ = ["check_initial_gap", "chord_heights", "facet_deviations", "initial_gap"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 
 def check_initial_gap(given: Any, name: str) -> None:

@@ -7,7 +7,6 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import Constant
 from dolfinx.mesh import Mesh
@@ -19,10 +18,7 @@ from ufl.domain import extract_domains
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-
-__all__ = ["check_weighted_areas", "given_weight"]
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 
 def given_weight(domain: Mesh, weight: Any, name: str) -> Any:

@@ -25,11 +25,8 @@ from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_s
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets, owned_facets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.parallel import exchange
+from fenics_tfeti.typing import Numbers, Vector
 
-__all__ = ["gather_nearby"]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
 Boxes = tuple[Vector, Vector]
 
 # Boxes by which a rank describes its part of a surface to the others.

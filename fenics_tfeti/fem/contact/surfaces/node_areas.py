@@ -15,8 +15,6 @@ from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, area
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.parallel import raise_collectively
 
-__all__ = ["node_areas", "weighted_form"]
-
 
 def weighted_form(boundary: MeshBoundary, weight: Any, name: str) -> _compat.CompiledForm | None:
     """Return the form of a contact's areas with a weight of ds; None without one. Collective.

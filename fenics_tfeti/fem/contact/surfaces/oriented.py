@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
 from dolfinx.mesh import Mesh
@@ -14,11 +13,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_facets, cell_type, cell_vertices
-
-__all__ = ["corner_normals", "oriented_facets", "owned_facets"]
-
-Vector = NDArray[np.float64]
-Indices = NDArray[np.int32]
+from fenics_tfeti.typing import Indices, Vector
 
 
 def owned_facets(domain: Mesh, facet_tags: Any, tag: int) -> Indices:

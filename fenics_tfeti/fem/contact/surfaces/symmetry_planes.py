@@ -8,18 +8,13 @@ surface has no component across it.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
 from fenics_tfeti.feti.system import Prescribed
 from fenics_tfeti.parallel import Directory
-
-__all__ = ["normals_in_symmetry_planes", "prescribed_components"]
-
-Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from fenics_tfeti.typing import Mask, Vector
 
 # How much larger a component of the normals is at neighbours, if it is that of a curved surface
 # whose symmetry plane the node is in: 2 on a uniform mesh. On a plane, inclined or not, it is 1.

@@ -30,22 +30,8 @@ from fenics_tfeti.fem.topology import (
 )
 from fenics_tfeti.fem.user_data import unit_vectors
 from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
+from fenics_tfeti.typing import Indices, Numbers, Vector
 
-__all__ = [
-    "GivenNormal",
-    "MasterNodes",
-    "MeshBoundary",
-    "Surface",
-    "area_of_facets",
-    "gather_master",
-    "largest_of_facets",
-    "tagged_surface",
-    "values_on_facets",
-]
-
-Vector = NDArray[np.float64]
-Numbers = NDArray[np.int64]
-Indices = NDArray[np.int32]
 GivenNormal = ArrayLike | Callable[[Vector], ArrayLike] | None
 
 

@@ -1,0 +1,13 @@
+"""Arrays by the type of their entries; shapes are stated where they are used."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Vector = NDArray[np.float64]
+Points = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Indices = NDArray[np.int32]
+Mask = NDArray[np.bool_]
