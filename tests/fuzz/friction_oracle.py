@@ -33,6 +33,7 @@ from outcome import (
     OF_ALL,
     OF_GROUP,
     ROUNDINGS,
+    UNDEFORMED,
     Found,
     Outcome,
     bodies_of_rows,
@@ -378,7 +379,11 @@ class _Measured:
             # rounding of lengths, of which the forces make work
             np.add.at(noise2, first, 4.0 * _EPS * force * length / ROUNDINGS**2)
         np.add.at(of_groups.T, group, np.column_stack([error2 + lost, energy, noise2]))
-        floor = self._floor(K) + ROUNDINGS * np.sqrt(of_groups[2][group])
+        motion, load = self._scale_of_rounding(K)
+        floor = 1e-15 * motion + 1e-12 * load + ROUNDINGS * np.sqrt(of_groups[2][group])
+        # the package calls strains rounding up to this part of motions and loads
+        none = UNDEFORMED * (motion + load)
+        floor = floor + none * (of_groups[1][group] <= none**2)
         whole = float(energy.sum())
         # bodies that do not deform
         floor = floor + AT_REST * np.sqrt(whole) * (energy <= AT_REST**2 * whole)
@@ -403,15 +408,14 @@ class _Measured:
             ),
         }
 
-    def _floor(self, K: sp.csr_matrix) -> Vector:
-        """Return the energy norms that rounding of motions and loads may leave in each body."""
+    def _scale_of_rounding(self, K: sp.csr_matrix) -> tuple[Vector, float]:
+        """Return the energy norms that rounding is relative to: of motions by body, of the load."""
         problem = self.problem
         stiffness = np.array(
             [abs(K[at][:, at]).max() for at in map(problem.unknowns, range(problem.bodies))]
         )
         load = float(np.sqrt(np.sum(problem.load**2 / K.diagonal())))
-        floor: Vector = 1e-15 * np.sqrt(stiffness) * np.abs(self.u).max() + 1e-12 * load
-        return floor
+        return np.sqrt(stiffness) * np.abs(self.u).max(), load
 
     def _groups(self, pressing: NDArray[np.bool_]) -> Numbers:
         """Return the group of each body: bodies that press on each other, rub, or are tied."""

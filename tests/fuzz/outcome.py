@@ -326,7 +326,10 @@ def _force_ratio(problem: GluedProblem, answer: Answer, found: Found, rtol: floa
     if not problem.gap.size + problem.tied_jump.size:
         return 0.0
     acting, largest = np.zeros(answer.group.max() + 1), np.abs(answer.displacement).max()
-    whole = float(answer.energy.sum())
+    whole, springs = float(answer.energy.sum()), problem.springs
+    pulls = np.abs(springs.stiffness * (springs.rows @ answer.displacement))
+    of_springs = np.bincount(problem.body_of_springs(), pulls, problem.bodies)
+    acting += FACTOR * rtol * np.bincount(answer.group, of_springs, acting.size)
     for b in range(problem.bodies):
         at = problem.unknowns(b)
         exact = answer.displacement[at]
