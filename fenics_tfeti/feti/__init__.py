@@ -10,7 +10,7 @@ from fenics_tfeti.feti.checkpoint import (
     load_checkpoint,
     save_checkpoint,
 )
-from fenics_tfeti.feti.dual.active_set import ActiveSetStep
+from fenics_tfeti.feti.dual.iterate import ActiveSetStep
 from fenics_tfeti.feti.options import Options, parse_options
 from fenics_tfeti.feti.report import Report
 from fenics_tfeti.feti.solution.certificate import Certificate

@@ -19,13 +19,13 @@ import numpy as np
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.dual.iterate import Iterate
 from fenics_tfeti.feti.files import ArrayFile, open_arrays, write_arrays
-from fenics_tfeti.feti.solution.states import DualState
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Array, Numbers, Vector
 
-_FORMAT = "fenics_tfeti checkpoint 1"
+_FORMAT = "fenics_tfeti checkpoint 2"
 
 
 class OtherSystem(InputError):
@@ -40,8 +40,6 @@ class SavedState:
     ----------
     multipliers : (m,) array
         lambda; the active set is where those of contact rows are positive.
-    coarse_gradient : (m,) array
-        The equality multipliers' part of the gradient.
     numbers : (m,) integer array
         Global numbers of the rows.
     contact_rows, tied_rows : integer arrays
@@ -49,24 +47,22 @@ class SavedState:
     """
 
     multipliers: Vector
-    coarse_gradient: Vector
     numbers: Numbers
     contact_rows: Numbers
     tied_rows: Numbers
 
     @staticmethod
-    def of(state: DualState, constraints: Constraints) -> SavedState:
-        """Return a state with the numbers of its rows."""
+    def of(iterate: Iterate, constraints: Constraints) -> SavedState:
+        """Return an iterate with the numbers of its rows."""
         return SavedState(
-            state.multipliers,
-            state.coarse_gradient,
+            iterate.multipliers,
             constraints.layout.numbers,
             constraints.own_rows,
             constraints.tied.own_rows,
         )
 
-    def for_rows(self, constraints: Constraints) -> DualState | None:
-        """Return the state for rows that are numbered alike on all ranks, or None. Collective."""
+    def for_rows(self, constraints: Constraints) -> Iterate | None:
+        """Return the iterate for rows that are numbered alike on all ranks, or None. Collective."""
         pairs = (
             (self.numbers, constraints.layout.numbers),
             (self.contact_rows, constraints.own_rows),
@@ -75,7 +71,7 @@ class SavedState:
         same = all(np.array_equal(*pair) for pair in pairs)
         if not constraints.layout.comm.allreduce(same, MPI.LAND):
             return None
-        return DualState(self.multipliers.copy(), self.coarse_gradient.copy())
+        return Iterate(self.multipliers.copy())
 
 
 @dataclass(frozen=True)
@@ -223,10 +219,9 @@ def load_checkpoint(path: str | os.PathLike[str], system: TornSystem) -> Checkpo
                     f"distribution of its mesh: the {name} differ"
                 )
         at = f"{comm.rank}/"
-        kinds = {f.name: "numbers" for f in fields(SavedState)[:2]}
-        kinds |= {f.name: "integers" for f in fields(SavedState)[2:]}
+        kinds = {f.name: "integers" for f in fields(SavedState)} | {"multipliers": "numbers"}
         state = {name: file.read(at + name, kind, (None,)) for name, kind in kinds.items()}
-        if len({state[name].size for name in ("multipliers", "coarse_gradient", "numbers")}) > 1:
+        if state["multipliers"].size != state["numbers"].size:
             raise InputError(f"{path}: the multipliers and the numbers of their rows do not fit")
         found = Checkpoint(
             SavedState(**state), file.read_all(f"{at}own/"), file.read_all("common/")

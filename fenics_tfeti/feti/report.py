@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.constraints.rows import Constraints
-from fenics_tfeti.feti.dual.active_set import ActiveSetStep
+from fenics_tfeti.feti.dual.iterate import ActiveSetStep
 from fenics_tfeti.feti.files import write_whole
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.solution.certificate import Certificate

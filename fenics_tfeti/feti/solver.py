@@ -20,17 +20,18 @@ from fenics_tfeti.feti.constraints.feasibility import check_conditions
 from fenics_tfeti.feti.constraints.friction import FrictionRows, SlipBound
 from fenics_tfeti.feti.constraints.ground import hold_ground
 from fenics_tfeti.feti.constraints.rows import build_constraints
+from fenics_tfeti.feti.dual.iterate import Iterate
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.report import Report, build_report
 from fenics_tfeti.feti.solution.coulomb import iterate_slip_bounds
 from fenics_tfeti.feti.solution.monitor import Monitor, MonitorFunction
-from fenics_tfeti.feti.solution.outer import LANCZOS_STEPS
 from fenics_tfeti.feti.solution.resultants import (
     normal_forces,
     tangential_forces,
     tied_forces,
 )
+from fenics_tfeti.feti.solution.scale import LANCZOS_STEPS, EnergyScale, FeasibleState
 from fenics_tfeti.feti.solution.setup import (
     DualSetup,
     LocalSetup,
@@ -39,7 +40,7 @@ from fenics_tfeti.feti.solution.setup import (
     dual_problem,
     factor_subdomains,
 )
-from fenics_tfeti.feti.solution.states import ContactData, DualState, History, Outcome
+from fenics_tfeti.feti.solution.states import ContactData, History, Outcome
 from fenics_tfeti.feti.system import ContactGuess, TornSystem
 from fenics_tfeti.feti.system_checks import check_guess, check_system, check_types
 from fenics_tfeti.feti.timer import Timer
@@ -235,9 +236,9 @@ class TornSolver:
 
     def _first_state(
         self, previous: TornSolver | None, guess: ContactGuess | None, start: SavedState | None
-    ) -> DualState | None:
+    ) -> Iterate | None:
         """Return where the last solve ended, if its multipliers are the same ones, or the guess."""
-        state: DualState | None = None
+        state: Iterate | None = None
         if previous is None and start is not None:
             state = start.for_rows(self.setup.constraints)
             if state is not None:
@@ -245,15 +246,14 @@ class TornSolver:
         if previous is not None and previous._start is not None:
             last, constraints = previous._start, self.setup.constraints
             if constraints.same_numbering(previous._constraints):
-                coarse_gradient = self.setup.projector.Q(last.coarse_gradient)
-                state = DualState(last.multipliers, coarse_gradient)
+                state = Iterate(last.multipliers)
                 self.reused.append("multipliers")
         if guess is None:
             return state
         self.reused.append("contact guess")
         return self._guessed_state(state, guess)
 
-    def _guessed_state(self, state: DualState | None, guess: ContactGuess) -> DualState:
+    def _guessed_state(self, state: Iterate | None, guess: ContactGuess) -> Iterate:
         """Return a state with the guessed forces and active set of the inequality rows."""
         constraints, own = self.setup.constraints, self.setup.constraints.own_rows
         kept, rows = own >= 0, constraints.inequality
@@ -267,8 +267,7 @@ class TornSolver:
         active = force / (unit * constraints.scale**2) > gap
         multipliers = np.zeros(constraints.size) if state is None else state.multipliers.copy()
         multipliers[rows] = np.where(active, force / constraints.scale, 0.0)
-        coarse_gradient = np.zeros_like(multipliers) if state is None else state.coarse_gradient
-        return DualState(multipliers, coarse_gradient, active)
+        return Iterate(multipliers, active=active)
 
     @property
     def state(self) -> SavedState:
@@ -288,8 +287,12 @@ class TornSolver:
 
         It is that with F and d themselves, without deflation.
         """
-        setup = self.setup.without_deflation()
-        return dual_problem(setup, self.data, setup.load(self.data), setup.norm(LANCZOS_STEPS))
+        setup, data = self.setup.without_deflation(), self.data
+        feasible = FeasibleState.of(setup, data)
+        far = np.zeros(setup.constraints.inequality.size, dtype=bool)
+        scale = EnergyScale.of(setup, data, feasible, far, self.timer, History())
+        loads = setup.load(data), feasible.jumps - data.c
+        return dual_problem(setup, data, loads, setup.norm(LANCZOS_STEPS), scale.energy_norm)
 
     def release(self) -> None:
         """Free the factors and the stiffness matrices of this solver, which cannot solve then.
@@ -346,7 +349,7 @@ class TornSolver:
             self.system.body_names,
             self._balance,
         )
-        self._start = outcome.state
+        self._start = outcome.start
         report = build_report(
             self.system,
             self.setup,

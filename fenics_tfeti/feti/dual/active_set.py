@@ -2,21 +2,17 @@
 
 Each step takes the active contact rows as equalities and drops the others, and solves that linear
 problem by PCPG with the projector of these rows. The signs of forces and gaps give the next active
-set. The method alone may cycle: then one row changes at a time, the last one with a wrong sign,
-until fewer signs are wrong than before. For definite problems that ends (Murty's rule); where it
-takes too long, SMALBE-M continues from the last iterate.
+set. The method alone may cycle; then another one goes on.
 
 With friction sites stick, their tangential rows being equalities, or slip with a force of size r
 in the direction of l - k g with a stiffness k, which turns in the linear problem (Newton's
-method). Where the directions do not come to rest, too, SMALBE-M continues.
+method).
 
-After Hintermueller, Ito, Kunisch, SIAM J. Optim. 13 (2002) 865-888, and Judice, Pires, Comput.
-Oper. Res. 21 (1994) 587-596.
+After Hintermueller, Ito, Kunisch, SIAM J. Optim. 13 (2002) 865-888.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from mpi4py import MPI
@@ -26,207 +22,217 @@ import numpy as np
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.dependent_rows import closable
+from fenics_tfeti.feti.dual.iterate import ActiveSetStep, Iterate, Method, SolveStatus, Turn
 from fenics_tfeti.feti.dual.loose_bodies import LooseBodies, rigid_start
 from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Signs, friction_step, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.tolerances import NO_WORK
-from fenics_tfeti.qp import Products
 from fenics_tfeti.typing import Mask, Vector
 
-# limit on changes of one row
-_SINGLE_STEPS = 100
 # force, relative to the largest one, that is rounding
 _NO_FORCE = 1e-14
+# faces in a row that may fail to reduce the violation of signs to this part
+_FAILURES, _REDUCED = 8, 0.7
 
 
-@dataclass(frozen=True)
-class ActiveSetStep:
-    """One face of the primal-dual active set method.
-
-    Attributes
-    ----------
-    products : int
-        Products so far.
-    residual : float
-        Norm of the projected residual on the face [m].
-    active : int
-        Active contact rows of the face.
-    changed : int
-        Rows that enter or leave the set after it, and sites of friction that stick or slip
-        after it.
-    """
-
-    products: int
-    residual: float
-    active: int
-    changed: int
-
-
-@dataclass(frozen=True)
-class ActiveSetResult:
-    """The last iterate of the active set method.
-
-    Attributes
-    ----------
-    multipliers : (m,) array
-        Feasible on contact and tangential rows, and G l = e except for what cutting forces there
-        changes.
-    coarse_gradient : (m,) array
-        Q(Fl - d) + G'a with the rigid motions a: the equalities' part of the gradient.
-    solved : bool
-        Whether the energy of the residual and the signs are within the tolerance; if not, the set
-        has occurred before, a limit was met, or the residual is rounding.
-    iterate : PCPGIterate
-        The last iterate on the last face, to continue to a smaller tolerance.
-    """
-
-    multipliers: Vector
-    coarse_gradient: Vector
-    solved: bool
-    iterate: PCPGIterate
-
-
-def primal_dual_active_set(
-    problem: DualProblem,
-    start: Vector | PCPGIterate,
-    signs: Signs,
-    *,
-    tolerance: float,
-    max_products: int,
-    products: Products,
-    monitor: Callable[[ActiveSetStep], None],
-) -> ActiveSetResult:
+def primal_dual_active_set(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate:
     """Run the active set method until its set does not change, or it cycles.
 
     Parameters
     ----------
     problem : DualProblem
         The dual problem (11.36).
-    start : (m,) array or PCPGIterate
-        First multipliers, or the last iterate of an earlier run to a larger tolerance.
-    signs : Signs
-        First active set, and what sticks; of an earlier run, its last ones.
-    tolerance : float
-        Tolerance of the energy of the residual [sqrt(J)].
-    max_products : int
-        Limit on `products`.
-    products : Products
-        Counter to add to.
-    monitor : callable
-        Called with every `ActiveSetStep`.
+    start : Iterate
+        An iterate on a face, which is continued, or multipliers.
+    turn : Turn
+        Tolerance and limits.
 
     Returns
     -------
-    ActiveSetResult
-        The solution, or the last iterate.
+    Iterate
+        The solution, or the last iterate: AT_ROUNDING if its residual is rounding, STALLED if the
+        set has occurred before or the share of the products is spent.
     """
-    rows, friction = problem.constraints.inequality, problem.constraints.friction
-    rubs = bool(_counts(problem, np.zeros(rows.size, dtype=bool), sites=problem.radius > 0.0)[-1])
-    progress, pivots, previous_sets = _Progress(), _SinglePivots(), list[Mask]()
-    gradient, resume, turns = problem.c, isinstance(start, PCPGIterate), False
-    # contact alone balances no load that friction holds
-    if isinstance(start, np.ndarray) and not rubs and not _counts(problem, signs.active)[0]:
-        pressing = rigid_start(problem)
-        if pressing is not None:
-            active = pressing[rows] > 0.0
-            start, signs = start + pressing, replace(signs, active=active)
-    # the violation of signs in units of energy: F ~ ||PFP|| at worst
-    negligible = tolerance * np.sqrt(problem.norm)
+    method = _ActiveSet.start(problem, start, turn)
     while True:
-        face = close_first_gaps(problem, signs, gradient)
-        start = iterate = pcpg(
-            problem,
-            face,
-            start,
-            tolerance=tolerance,
-            sign_factor=0.0 if pivots.active else progress.sign_factor,
-            max_products=max_products,
-            products=products,
-            resume=resume,
-        )
-        gradient = _without_pulling_rows(problem, face, iterate)
-        following = iterate.multipliers[rows] > gradient[rows] / problem.norm
-        forces = friction_step(problem, face, iterate.multipliers, gradient)
-        rubbing = np.zeros_like(gradient)
-        rubbing[friction.flat] = forces[friction.present]
-        sticking = friction.sticking(rubbing, problem.radius)
-        changed, size, turned = _counts(
-            problem,
-            following != face.signs.active,
-            face.signs.active,
-            sites=sticking != face.signs.sticking,
-        )
-        changed += turned
-        monitor(ActiveSetStep(products.total, iterate.residual, size, changed))
-        exact = iterate.energy <= tolerance
-        nearly = exact and iterate.violation <= negligible
-        # slips beside their forces: one more step of Newton's method
-        turns = (
-            nearly and rubs and not turns and unused_friction(problem, face, iterate) > tolerance
-        )
-        solved = nearly and not turns and closable(problem, face.signs, iterate.multipliers) is None
-        # sets with other directions of friction forces may come back
-        cycles = (
-            exact
-            and not rubs
-            and any(_counts(problem, following != s)[0] == 0 for s in previous_sets)
-        )
-        progress.update(iterate.violation)
-        stuck = cycles or progress.stagnates
-        if (
-            solved
-            or iterate.at_limit
-            or products.total >= max_products
-            or interruption.agreed()
-            or (stuck and rubs)
-            or not pivots.update(changed, stuck)
-        ):
-            return active_set_result(problem, iterate, solved)
-        if pivots.active:
-            following = _change_last(problem, face.signs.active, following)
-            progress, previous_sets = _Progress(), []
-        elif exact:
-            previous_sets.append(face.signs.active)
-        signs = _signs(problem, following, sticking, rubbing, gradient)
-        without = closable(problem, signs, iterate.multipliers)
-        if without is not None:
-            signs = _signs(problem, without.active, without.sticking, without.forces, gradient)
-        # a face that is solved exactly makes no more progress: its directions have to change
-        resume = (
-            changed == 0
-            and without is None
-            and not (rubs and (exact or _turned(problem, face, iterate, forces)))
-        )
-        if resume:
-            signs = replace(face.signs, active=following)
+        step = method.step()
+        status = method.judge(step)
+        if status is not None:
+            return iterate_on_face(problem, start, step.iterate, status)
+        method.update(step)
 
 
-@dataclass
-class _SinglePivots:
-    """When one row changes at a time: from a cycle on, until fewer signs are wrong than ever.
+def iterate_on_face(
+    problem: DualProblem, start: Iterate, on_face: PCPGIterate, status: SolveStatus
+) -> Iterate:
+    """Return the iterate with feasible multipliers that an iterate on a face makes."""
+    none = np.zeros_like(on_face.multipliers)
+    multipliers = problem.multiplier_set(none).project(on_face.multipliers.copy())
+    return replace(
+        start, multipliers=multipliers, method=Method.ACTIVE_SET, status=status, on_face=on_face
+    )
+
+
+@dataclass(frozen=True)
+class _Step:
+    """The solution on a face, and the signs that it has.
 
     Attributes
     ----------
-    active : bool
-        Whether one row changes.
-    fewest : int
-        Smallest number of wrong signs at the beginning and the end of such changes.
-    steps : int
-        Changes of one row.
+    face : Face
+        The face.
+    iterate : PCPGIterate
+        The solution on it, to some accuracy.
+    gradient : (m,) array
+        Its gradient in the position in which signs are judged.
+    active, sticking : bool arrays
+        Which rows and sites would be on the face by these signs.
+    forces : (k, gdim - 1) array
+        The friction forces that the slips ask for.
+    changed : int
+        Rows and sites that differ from those of the face.
     """
 
-    active: bool = False
-    fewest: int = np.iinfo(np.int64).max
-    steps: int = 0
+    face: Face
+    iterate: PCPGIterate
+    gradient: Vector
+    active: Mask
+    sticking: Mask
+    forces: Vector
+    changed: int
 
-    def update(self, changed: int, stuck: bool) -> bool:
-        """Take in the number of wrong signs, and whether it is stuck; tell whether it goes on."""
-        if self.active and changed < self.fewest:
-            self.active, self.fewest = False, changed
-        elif stuck and not self.active and changed:
-            self.active, self.fewest = True, min(self.fewest, changed)
-        self.steps += self.active
-        return self.steps <= _SINGLE_STEPS and (self.active or not stuck)
+
+@dataclass
+class _ActiveSet:
+    """State of the active set method between two faces.
+
+    Attributes
+    ----------
+    problem, turn
+        As given.
+    has_friction : bool
+        Whether some site has a bound.
+    signs : Signs
+        The next face.
+    iterate : (m,) array or PCPGIterate
+        Where it starts.
+    gradient : (m,) array
+        Gaps, and slips with the opposite sign, before it.
+    resumes : bool
+        Whether it is the face of the iterate.
+    repeated : bool
+        Whether the last face was solved, and once more for its slips.
+    progress : _Progress
+        The decrease of the violation of signs.
+    exact_sets : list of bool arrays
+        The sets of faces that were solved to the tolerance.
+    """
+
+    problem: DualProblem
+    turn: Turn
+    has_friction: bool
+    signs: Signs
+    iterate: Vector | PCPGIterate
+    gradient: Vector
+    resumes: bool
+    repeated: bool = False
+    progress: _Progress = field(default_factory=lambda: _Progress())
+    exact_sets: list[Mask] = field(default_factory=list)
+
+    @staticmethod
+    def start(problem: DualProblem, start: Iterate, turn: Turn) -> _ActiveSet:
+        """Return the first face: that of an iterate, of multipliers, or of rigid bodies."""
+        rows = problem.constraints.inequality
+        none = np.zeros(rows.size, dtype=bool)
+        has_friction = bool(_counts(problem, none, sites=problem.radius > 0.0)[-1])
+        if start.on_face is not None:
+            signs = start.on_face.signs
+            return _ActiveSet(problem, turn, has_friction, signs, start.on_face, problem.c, True)
+        multipliers = start.multipliers
+        signs = Signs.of(problem, multipliers, start.active, start.slips)
+        # contact alone balances no load that friction holds
+        if not has_friction and not _counts(problem, signs.active)[0]:
+            pressing = rigid_start(problem)
+            if pressing is not None:
+                signs = replace(signs, active=pressing[rows] > 0.0)
+                multipliers = multipliers + pressing
+        return _ActiveSet(problem, turn, has_friction, signs, multipliers, problem.c, False)
+
+    def step(self) -> _Step:
+        """Solve on the face, and find the signs of forces and gaps."""
+        problem, turn = self.problem, self.turn
+        rows, friction = problem.constraints.inequality, problem.constraints.friction
+        face = close_first_gaps(problem, self.signs, self.gradient)
+        iterate = pcpg(
+            problem,
+            face,
+            self.iterate,
+            tolerance=turn.tolerance,
+            sign_factor=self.progress.sign_factor,
+            max_products=turn.max_products,
+            products=turn.products,
+            resume=self.resumes,
+        )
+        gradient = _without_pulling_rows(problem, face, iterate)
+        active = iterate.multipliers[rows] > gradient[rows] / problem.norm
+        forces = friction_step(problem, face, iterate.multipliers, gradient)
+        sticking = friction.sticking(_on_sites(problem, forces), problem.radius)
+        signs = face.signs
+        changed, size, moved = _counts(
+            problem, active != signs.active, signs.active, sites=sticking != signs.sticking
+        )
+        changed += moved
+        turn.monitor(ActiveSetStep(turn.products.total, iterate.residual, size, changed))
+        return _Step(face, iterate, gradient, active, sticking, forces, changed)
+
+    def judge(self, step: _Step) -> SolveStatus | None:
+        """Return how the method ends with a step; None if it goes on."""
+        problem, iterate, tolerance = self.problem, step.iterate, self.turn.tolerance
+        # the violation of signs in units of energy: F ~ ||PFP|| at worst
+        negligible = tolerance * np.sqrt(problem.norm)
+        solved = iterate.energy <= tolerance and iterate.violation <= negligible
+        # slips beside their forces: one more step of Newton's method
+        self.repeated = (
+            solved
+            and self.has_friction
+            and not self.repeated
+            and unused_friction(problem, step.face, iterate) > tolerance
+        )
+        if (
+            solved
+            and not self.repeated
+            and closable(problem, step.face.signs, iterate.multipliers) is None
+        ):
+            return SolveStatus.SOLVED
+        self.progress.update(iterate.violation)
+        if iterate.at_limit:
+            return SolveStatus.AT_ROUNDING
+        if self._cycles(step) or self.progress.stagnates or self.turn.is_spent:
+            return SolveStatus.STALLED
+        return SolveStatus.INTERRUPTED if interruption.agreed() else None
+
+    def _cycles(self, step: _Step) -> bool:
+        """Tell whether the next set has occurred before; with friction sets may come back."""
+        if self.has_friction or step.iterate.energy > self.turn.tolerance:
+            return False
+        return any(_counts(self.problem, step.active != s)[0] == 0 for s in self.exact_sets)
+
+    def update(self, step: _Step) -> None:
+        """Take the signs of a step as the next face."""
+        problem, face, iterate, gradient = self.problem, step.face, step.iterate, step.gradient
+        exact = iterate.energy <= self.turn.tolerance
+        if exact:
+            self.exact_sets.append(face.signs.active)
+        forces = _on_sites(problem, step.forces)
+        signs = _signs(problem, step.active, step.sticking, forces, gradient)
+        closed = closable(problem, signs, iterate.multipliers)
+        if closed is not None:
+            signs = _signs(problem, closed.active, closed.sticking, closed.forces, gradient)
+        # a face that is solved exactly makes no more progress: its directions have to change
+        rotates = self.has_friction and (exact or _turned(problem, face, iterate, step.forces))
+        self.resumes = step.changed == 0 and closed is None and not rotates
+        self.signs = replace(face.signs, active=step.active) if self.resumes else signs
+        self.iterate, self.gradient = iterate, gradient
 
 
 @dataclass
@@ -242,19 +248,26 @@ class _Progress:
 
     sign_factor: float = 1.0
     best: float = np.inf
-    failures: int = field(default=0)
+    failures: int = 0
 
     def update(self, violation: float) -> None:
         """Compare with the smallest violation so far."""
-        if violation < 0.7 * self.best:
+        if violation < _REDUCED * self.best:
             self.best, self.failures = violation, 0
         else:
             self.sign_factor, self.failures = 0.5 * self.sign_factor, self.failures + 1
 
     @property
     def stagnates(self) -> bool:
-        """Whether the violation has not decreased for more than eight faces."""
-        return self.failures > 8
+        """Whether the violation has not decreased for too many faces."""
+        return self.failures > _FAILURES
+
+
+def _on_sites(problem: DualProblem, values: Vector) -> Vector:
+    """Return values at the sites of friction (k, gdim - 1) as a vector of all rows."""
+    friction, x = problem.constraints.friction, np.zeros_like(problem.c)
+    x[friction.flat] = values[friction.present]
+    return x
 
 
 def _without_pulling_rows(problem: DualProblem, face: Face, iterate: PCPGIterate) -> Vector:
@@ -274,13 +287,6 @@ def _without_pulling_rows(problem: DualProblem, face: Face, iterate: PCPGIterate
     rows = constraints.face(pushing, np.zeros(0, dtype=bool))
     loose = LooseBodies.without(problem.coarse_space, rows)
     return iterate.judged if loose is None else loose.settled(iterate.judged)
-
-
-def active_set_result(problem: DualProblem, iterate: PCPGIterate, solved: bool) -> ActiveSetResult:
-    """Return an iterate with feasible multipliers."""
-    none = np.zeros_like(iterate.multipliers)
-    multipliers = problem.multiplier_set(none).project(iterate.multipliers.copy())
-    return ActiveSetResult(multipliers, problem.projector.Q(iterate.gradient), solved, iterate)
 
 
 def _counts(problem: DualProblem, *masks: Mask, sites: Mask | None = None) -> list[int]:
@@ -312,15 +318,6 @@ def _turned(problem: DualProblem, face: Face, iterate: PCPGIterate, forces: Vect
     slipping = friction.present & ~face.signs.sticking[:, None]
     change[friction.rows[slipping]] = (forces - friction.at_sites(face.signs.forces))[slipping]
     return problem.norm * problem.space.norm(change) > iterate.residual
-
-
-def _change_last(problem: DualProblem, active: Mask, following: Mask) -> Mask:
-    """Return the set in which only the row with the largest number is that of the following set."""
-    layout, rows = problem.constraints.layout, problem.constraints.inequality
-    numbers = layout.numbers[rows]
-    last = int(numbers[following != active].max(initial=-1))
-    one: Mask = active ^ (numbers == layout.comm.allreduce(last, MPI.MAX))
-    return one
 
 
 def close_first_gaps(problem: DualProblem, signs: Signs, gradient: Vector) -> Face:

@@ -14,85 +14,96 @@ from dataclasses import replace
 import numpy as np
 
 from fenics_tfeti.feti import interruption
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.dual.iterate import Iterate, Method, SolveStatus, Turn
+from fenics_tfeti.feti.dual.pcpg import Face, Signs, first_iterate
 from fenics_tfeti.feti.dual.problem import DualProblem
-from fenics_tfeti.feti.options import Options
 from fenics_tfeti.qp import (
-    OuterIteration,
-    Products,
     ProportioningOptions,
     SMALBEOptions,
-    SMALBEResult,
     SMALBEState,
+    Unbounded,
     smalbe,
 )
 from fenics_tfeti.typing import Numbers, Vector
 
 
-class Stopped(Exception):  # noqa: N818 - no error
+class _Stopped(Exception):  # noqa: N818 - no error
     """SMALBE-M was interrupted, on all ranks."""
 
 
-def solve_by_smalbe(
-    problem: DualProblem,
-    feasible: Vector,
-    d: Vector,
-    start: SMALBEState,
-    *,
-    rtol: float,
-    norm_b: float,
-    options: Options,
-    outer_so_far: int,
-    patience: int,
-    products: Products,
-    monitor: Callable[[OuterIteration], None],
-) -> SMALBEResult:
+def solve_by_smalbe(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate:
     """Run SMALBE-M on (11.40).
 
     Parameters
     ----------
     problem : DualProblem
         (11.36), with an upper bound of ||PFP|| as its norm.
-    feasible, d : (m,) array
-        lambda~ and d_0.
-    start : SMALBEState
-        First x, and the equality multipliers' part of the gradient [m].
-    rtol, norm_b : float
-        eps of (11.47) and the norm that it is relative to [m].
-    options : Options
-        Parameters of SMALBE-M and MPRGP.
-    outer_so_far : int
-        Outer iterations of earlier calls.
-    patience : int
-        Outer iterations in a row that may fail to halve ||Gx||.
-    products : Products
-        Counter to add to.
-    monitor : callable
-        Called with every `OuterIteration`.
+    start : Iterate
+        The last iterate of this method, or another one.
+    turn : Turn
+        Tolerance, limits and parameters.
 
     Returns
     -------
-    SMALBEResult
-        With the gradient's part in units of [m] again.
-
-    Raises
-    ------
-    Stopped
-        If a rank was interrupted.
+    Iterate
+        The solution or the last iterate; the start where SMALBE-M is interrupted or finds no
+        curvature.
     """
-    norm = problem.norm
-    result = smalbe(
-        _until_interrupted(augmented_hessian(problem, options.smalbe_rho)),
-        problem.projector.P(d) / norm,
-        problem.multiplier_set(feasible),
-        replace(start, q=start.q / norm),
-        norm_b=norm_b / norm,
-        options=_smalbe_options(options, rtol, outer_so_far, patience),
-        space=problem.space,
-        precondition=_augmented_preconditioner(problem, options.smalbe_rho),
-        products=products,
-        monitor=monitor,
+    norm, options = problem.norm, turn.options
+    start = replace(start, method=Method.SMALBE)
+    state = _first_state(problem, start, turn)
+    norm_b = problem.energy_norm * np.sqrt(norm)
+    try:
+        result = smalbe(
+            _until_interrupted(augmented_hessian(problem, options.smalbe_rho)),
+            problem.projector.P(problem.d_0) / norm,
+            problem.multiplier_set(problem.feasible),
+            replace(state, q=state.q / norm),
+            norm_b=norm_b / norm,
+            options=_smalbe_options(turn, turn.tolerance / (problem.energy_norm or 1.0)),
+            space=problem.space,
+            precondition=_augmented_preconditioner(problem, options.smalbe_rho),
+            products=turn.products,
+            monitor=turn.monitor,
+        )
+    except Unbounded:
+        return replace(start, status=SolveStatus.FLAT)
+    except _Stopped:
+        return replace(start, status=SolveStatus.INTERRUPTED)
+    state = replace(result.state, q=norm * result.state.q)
+    if result.converged:
+        # a balance parameter that the smaller tolerance of the next pass starts anew
+        state = replace(state, M=None)
+    return replace(
+        start,
+        multipliers=problem.feasible + state.x,
+        status=_STATUS[result.reason],
+        on_face=None,
+        smalbe=state,
     )
-    return replace(result, state=replace(result.state, q=norm * result.state.q))
+
+
+_STATUS = {
+    "converged": SolveStatus.SOLVED,
+    "slow": SolveStatus.STALLED,
+    "max_products": SolveStatus.STALLED,
+    "max_it": SolveStatus.OUT_OF_STEPS,
+}
+
+
+def _first_state(problem: DualProblem, start: Iterate, turn: Turn) -> SMALBEState:
+    """Return the first x, and G'mu = Q(Fl - d) + G'a, which costs a product where it is unknown."""
+    if start.smalbe is not None:
+        return start.smalbe
+    x, on_face = start.multipliers - problem.feasible, start.on_face
+    if on_face is None and problem.space.norm(start.multipliers) > 0.0:
+        signs = Signs.of(problem, start.multipliers, start.active)
+        projector = Projector.build(problem.coarse_space, signs.active, signs.sticking)
+        face = Face.build(problem, signs, projector)
+        on_face = first_iterate(problem, face, start.multipliers, turn.products)
+    q = np.zeros_like(x) if on_face is None else problem.projector.Q(on_face.gradient)
+    return SMALBEState(x, q)
 
 
 def _until_interrupted(
@@ -100,7 +111,7 @@ def _until_interrupted(
 ) -> Callable[[Vector], tuple[Vector, Vector]]:
     def apply(x: Vector) -> tuple[Vector, Vector]:
         if interruption.agreed():
-            raise Stopped
+            raise _Stopped
         return hessian(x)
 
     return apply
@@ -144,14 +155,13 @@ def _augmented_preconditioner(
     return apply
 
 
-def _smalbe_options(
-    options: Options, rtol: float, outer_so_far: int, patience: int
-) -> SMALBEOptions:
+def _smalbe_options(turn: Turn, rtol: float) -> SMALBEOptions:
+    options = turn.options
     inner = ProportioningOptions(
         Gamma=options.mprgp_gamma,
         step_length=options.mprgp_alpha / max(1.0, options.smalbe_rho),
         expansion=options.mprgp_expansion,
-        max_products=options.max_products,
+        max_products=turn.max_products,
     )
     return SMALBEOptions(
         rtol=rtol,
@@ -159,7 +169,7 @@ def _smalbe_options(
         M0=options.smalbe_M0,
         beta=options.smalbe_beta,
         eta=options.smalbe_eta,
-        max_it=max(1, options.smalbe_max_it - outer_so_far),
-        patience=patience,
+        max_it=max(1, turn.max_outer),
+        patience=turn.patience,
         inner=inner,
     )

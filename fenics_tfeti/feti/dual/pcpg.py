@@ -319,7 +319,7 @@ def pcpg(
     """
     iterate = start if resume and isinstance(start, PCPGIterate) else None
     if iterate is None:
-        iterate = _first_iterate(problem, face, start, products)
+        iterate = first_iterate(problem, face, start, products)
     test_below, best, peak = 0.5 * iterate.residual, iterate, 0.0
     while iterate.residual > 0.0 and products.total < max_products:
         if interruption.agreed():
@@ -431,7 +431,7 @@ def iterate_on(
     return _with_preconditioned_residual(problem, face, iterate, products)
 
 
-def _first_iterate(
+def first_iterate(
     problem: DualProblem, face: Face, start: Vector | PCPGIterate, products: Products
 ) -> PCPGIterate:
     """Return the iterate nearest to the start with Gl = e and nothing off the face; one product."""

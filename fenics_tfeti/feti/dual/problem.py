@@ -36,13 +36,19 @@ class DualProblem:
     projector : Projector
         P and Q of all rows.
     norm : float
-        ||PFP||, roughly: the scale of gaps against forces.
+        ||PFP||: a rough value as the scale of gaps against forces, an upper bound for SMALBE-M.
     preconditioner : Preconditioner or None
         B_D S B_D' on faces.
     radius : (k,) array
         r of each site of friction.
     unit : float
         The stiffness that a weight of 1 stands for [N/m].
+    feasible : (m,) array
+        lambda~ with G lambda~ = e, feasible on contact and tangential rows.
+    d_0 : (m,) array
+        d - F lambda~, the d of (11.39).
+    energy_norm : float
+        An energy norm as large as the solution's, or larger [sqrt(J)].
     """
 
     F: Callable[[Vector], Vector]
@@ -55,6 +61,9 @@ class DualProblem:
     preconditioner: Preconditioner | None
     radius: Vector
     unit: float
+    feasible: Vector
+    d_0: Vector
+    energy_norm: float
 
     @property
     def coarse_space(self) -> CoarseSpace:

@@ -27,13 +27,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fenics_tfeti.feti import interruption
-from fenics_tfeti.feti.dual.active_set import (
-    ActiveSetResult,
-    ActiveSetStep,
-    active_set_result,
-    close_first_gaps,
-    unused_friction,
-)
+from fenics_tfeti.feti.dual.active_set import close_first_gaps, iterate_on_face, unused_friction
+from fenics_tfeti.feti.dual.iterate import ActiveSetStep, Iterate, Method, SolveStatus, Turn
 from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Proximal, Signs, iterate_on, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.qp import Products
@@ -51,43 +46,26 @@ _SLOPE, _HALVINGS = 0.01, 40
 _PATIENCE = 40
 
 
-def proximal_newton(
-    problem: DualProblem,
-    start: Vector | PCPGIterate,
-    signs: Signs,
-    *,
-    tolerance: float,
-    max_products: int,
-    products: Products,
-    monitor: Callable[[ActiveSetStep], None],
-) -> ActiveSetResult:
+def proximal_newton(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate:
     """Run the proximal point method until residual, bounds and slips are within the tolerance.
 
     Parameters
     ----------
     problem : DualProblem
         The dual problem (11.36).
-    start : (m,) array or PCPGIterate
-        First multipliers, or the last iterate of this or the active set method.
-    signs : Signs
-        First face; of an earlier run, its last one, with the proximal term.
-    tolerance : float
-        Tolerance of the energy of the residual [sqrt(J)].
-    max_products : int
-        Limit on `products`.
-    products : Products
-        Counter to add to.
-    monitor : callable
-        Called with every `ActiveSetStep`.
+    start : Iterate
+        The last iterate of this method, one on a face, or multipliers.
+    turn : Turn
+        Tolerance and limits.
 
     Returns
     -------
-    ActiveSetResult
+    Iterate
         The solution, or the last iterate.
     """
-    bounds = _Bounds(problem)
-    state = _first_state(problem, start, signs, products, max_products)
-    term = signs.proximal
+    bounds, tolerance = _Bounds(problem), turn.tolerance
+    state = _first_state(problem, start, turn)
+    term = state.signs.proximal
     if term is None:
         term = Proximal(bounds.project(state.multipliers), _FIRST * problem.unit)
     best, failures = np.inf, 0
@@ -102,23 +80,32 @@ def proximal_newton(
             state,
             tolerance=_ENERGY * error / np.sqrt(term.stiffness),
             sign_factor=0.0,
-            max_products=max_products,
-            products=products,
+            max_products=turn.max_products,
+            products=turn.products,
             accurate=_RESIDUAL * error / term.stiffness,
         )
-        state = _on_the_way(problem, face, bounds, term, state, following, products)
+        state = _on_the_way(problem, face, bounds, term, state, following, turn.products)
         wanted, error = bounds.wanted(term, state), bounds.error(term, state)
-        monitor(_step(problem, face, signs, state, products))
+        turn.monitor(_step(problem, face, signs, state, turn.products))
         unused = unused_friction(problem, face, replace(state, multipliers=wanted))
         solved = max(state.energy, error / np.sqrt(term.stiffness), unused) <= tolerance
         best, failures = (error, 0) if error <= 0.5 * best else (best, failures + 1)
-        limit = products.total >= max_products or failures > _PATIENCE
-        if solved or limit or interruption.agreed():
-            result = active_set_result(problem, replace(state, multipliers=wanted), solved)
-            return replace(result, iterate=replace(state, signs=replace(face.signs, proximal=term)))
+        if solved or turn.is_spent or failures > _PATIENCE or interruption.agreed():
+            status = SolveStatus.SOLVED if solved else SolveStatus.STALLED
+            state = replace(state, signs=replace(face.signs, proximal=term))
+            return _iterate(problem, start, state, wanted, status)
         if error <= _INEXACT * bounds.norm(wanted - term.centre):
             stiffness = min(_GROWTH * term.stiffness, _LARGEST * problem.unit)
             term, best, failures = Proximal(bounds.chosen(wanted), stiffness), np.inf, 0
+
+
+def _iterate(
+    problem: DualProblem, start: Iterate, state: PCPGIterate, wanted: Vector, status: SolveStatus
+) -> Iterate:
+    """Return the iterate with multipliers P(l_k + rho v), on the face without the proximal term."""
+    iterate = iterate_on_face(problem, start, replace(state, multipliers=wanted), status)
+    on_face = replace(state, signs=replace(state.signs, proximal=None))
+    return replace(iterate, method=Method.NEWTON, on_face=on_face, newton=state)
 
 
 @dataclass(frozen=True)
@@ -174,25 +161,21 @@ class _Bounds:
         return float(self.problem.space.dots((self.chosen(change), forces - l))[0])
 
 
-def _first_state(
-    problem: DualProblem,
-    start: Vector | PCPGIterate,
-    signs: Signs,
-    products: Products,
-    max_products: int,
-) -> PCPGIterate:
-    """Return an iterate with its gradient on all rows: the start, or one on the face of signs."""
-    if isinstance(start, PCPGIterate):
-        return start
+def _first_state(problem: DualProblem, start: Iterate, turn: Turn) -> PCPGIterate:
+    """Return an iterate with its gradient on all rows: that of the start, or one on its face."""
+    known = start.newton or start.on_face
+    if known is not None:
+        return known
+    signs = Signs.of(problem, start.multipliers, start.active, start.slips)
     face = close_first_gaps(problem, signs, problem.c)
     return pcpg(
         problem,
         face,
-        start,
+        start.multipliers,
         tolerance=0.0,
         sign_factor=1.0,
-        max_products=max_products,
-        products=products,
+        max_products=turn.max_products,
+        products=turn.products,
     )
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from fenics_tfeti.errors import UnresistedMotion
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.constraints.friction import SlipBound
+from fenics_tfeti.feti.dual.iterate import Iterate, SolveStatus
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.solution.monitor import Monitor
 from fenics_tfeti.feti.solution.outer import iterate_until_certified
@@ -28,7 +29,6 @@ from fenics_tfeti.feti.solution.setup import DualSetup
 from fenics_tfeti.feti.solution.states import (
     Candidate,
     ContactData,
-    DualState,
     Outcome,
     SlipBoundStep,
 )
@@ -57,7 +57,7 @@ _SHORTEST, _LONG, _LONGEST = 0.1, 3.0, 10.0
 def iterate_slip_bounds(
     setup: DualSetup,
     data: ContactData,
-    start: DualState | None,
+    start: Iterate | None,
     options: Options,
     timer: Timer,
     monitor: Monitor,
@@ -99,27 +99,28 @@ def iterate_slip_bounds(
         ratio = change / changes[-1] if changes else None
         if change > _NOTHING * rtol:
             changes.append(change)
-        monitor.slip_bounds(SlipBoundStep(products.total - before, change, ratio, rtol))
+        monitor.tell(SlipBoundStep(products.total - before, change, ratio, rtol))
         outcome = _with_error(outcome, change)
         certified = outcome.candidate.certificate.worst <= max(options.rtol, ROUNDING)
         if certified and not outcome.converged:
             # rounding is larger than the tolerance of the step, which is finer
-            return replace(outcome, converged=True, reason="converged")
+            return replace(outcome, status=SolveStatus.SOLVED, reason="converged")
         if not outcome.converged or (change <= options.rtol and rtol <= options.rtol):
             return outcome
         if interruption.agreed():
-            return replace(outcome, converged=False, reason="interrupted")
+            return replace(outcome, status=SolveStatus.INTERRUPTED, reason="interrupted")
         reason = _failure(changes)
         if reason:
-            return replace(outcome, converged=False, reason=reason)
+            return replace(outcome, status=SolveStatus.STALLED, reason=reason)
         data, held = loop.step(data, following)
         if not held:
             reason = "no slip bounds near those of the last step can hold the load"
-            return replace(outcome, converged=False, reason=reason)
+            return replace(outcome, status=SolveStatus.STALLED, reason=reason)
         state = loop.moved(outcome, data.radius)
         least = options.rtol if change <= options.rtol else finest
         rtol = max(least, min(rtol, _INEXACT * change))
-    return replace(outcome, converged=False, reason=f"limit of {_MAX_STEPS} steps of Coulomb's law")
+    reason = f"limit of {_MAX_STEPS} steps of Coulomb's law"
+    return replace(outcome, status=SolveStatus.OUT_OF_STEPS, reason=reason)
 
 
 def _failure(changes: Sequence[float]) -> str:
@@ -157,7 +158,7 @@ class _FixedPoint:
         pressing = self._friction.pressing(multipliers, self._layout)
         return self._given.bound.at(pressing)
 
-    def first(self, start: DualState | None) -> ContactData:
+    def first(self, start: Iterate | None) -> ContactData:
         """Return the data with the bounds of a start that can hold the load. Collective."""
         if start is not None:
             found = self._held(self.bound(start.multipliers))
@@ -208,17 +209,18 @@ class _FixedPoint:
             return None
         return replace(self._given, radius=radius, feasible=feasible)
 
-    def moved(self, outcome: Outcome, radius: Vector) -> DualState:
-        """Return a state with the forces of sites that slip at their new bounds.
+    def moved(self, outcome: Outcome, radius: Vector) -> Iterate:
+        """Return an iterate with the forces of sites that slip at their new bounds.
 
         Where they had no bound, their slips give the directions.
         """
-        friction, state, slips = self._friction, outcome.state, outcome.candidate.slips
+        friction, slips = self._friction, outcome.candidate.slips
+        multipliers = outcome.iterate.multipliers
         before = outcome.candidate.radius
-        sticking = friction.sticking(state.multipliers, before)
-        multipliers = friction.back_on_circles(state.multipliers, radius, sticking)
+        sticking = friction.sticking(multipliers, before)
+        multipliers = friction.back_on_circles(multipliers, radius, sticking)
         multipliers = friction.turned_to(slips, multipliers, before == 0.0, radius)
-        return replace(state, multipliers=multipliers, slips=slips)
+        return Iterate(multipliers, slips=slips)
 
     def error(self, candidate: Candidate, radius: Vector) -> float:
         """Return how far forces are from the law with these bounds, relative to the bounds.

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 
 from mpi4py import MPI
 
-from fenics_tfeti.feti.dual.active_set import ActiveSetStep
-from fenics_tfeti.feti.solution.states import History, SlipBoundStep
-from fenics_tfeti.qp import OuterIteration
+from fenics_tfeti.feti.dual.iterate import ActiveSetStep
+from fenics_tfeti.feti.solution.states import History, SlipBoundStep, Step
 
 logger = logging.getLogger(__name__)
 
-Step = ActiveSetStep | OuterIteration | SlipBoundStep
 MonitorFunction = Callable[[Step], None]
 
 
@@ -39,22 +37,9 @@ class Monitor:
     function: MonitorFunction | None = None
     prints: bool = False
 
-    def face(self, step: ActiveSetStep) -> None:
-        """Tell of a face of the active set method."""
-        self.history.faces.append(step)
-        self._tell(step, len(self.history.faces) - 1)
-
-    def outer(self, step: OuterIteration) -> None:
-        """Tell of an outer iteration of SMALBE-M."""
-        self.history.outer.append(step)
-        self._tell(step, len(self.history.outer) - 1)
-
-    def slip_bounds(self, step: SlipBoundStep) -> None:
-        """Tell of a step of Coulomb's law."""
-        self.history.slip_bounds.append(step)
-        self._tell(step, len(self.history.slip_bounds) - 1)
-
-    def _tell(self, step: Step, number: int) -> None:
+    def tell(self, step: Step) -> None:
+        """Tell of a face, an outer iteration of SMALBE-M, or a step of Coulomb's law."""
+        number = self.history.append(step)
         if self.comm.rank == 0:
             line = describe_step(step, number)
             logger.info(line)

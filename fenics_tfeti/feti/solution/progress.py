@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum, auto
 
 import numpy as np
 
+from fenics_tfeti.feti.dual.iterate import Method
 from fenics_tfeti.feti.solution.certificate import Certificate
+from fenics_tfeti.feti.solution.scale import EnergyScale
 
 # limit on the passes of the outer loop; most solutions take one to three
 _PASSES = 50
+# passes, and the decrease of the tolerance, that may fail to halve the certificate
+_FAILURES, _DECREASE = 3, 1e-2
+
+
+class Stagnation(Enum):
+    """What the passes have failed to reduce."""
+
+    NONE = auto()
+    OF_PASS = auto()  # the last one has halved neither number of the certificate
+    OF_SMALBE = auto()  # the active set method has not been tried since
+    FINAL = auto()  # no method reduces it
 
 
 @dataclass
@@ -18,10 +32,14 @@ class Progress:
 
     Attributes
     ----------
+    scale : EnergyScale
+        What rounding is relative to.
+    rounding : float
+        Tolerance that rounding of the jumps makes the smallest [sqrt(J)].
     bound, worst : float
         The smallest so far: the bound of the error, and the largest number of the certificate.
-    at, tolerance : float
-        Tolerances when one of them last halved, and of the last pass.
+    tolerance : float
+        That of the pass in which one of them last halved.
     failures : int
         Passes since then that changed the certificate: one that changes nothing has only brought
         the tolerance down to the iterate.
@@ -29,32 +47,46 @@ class Progress:
         The two numbers of the last pass.
     passes : int
         All passes.
+    by_active_set : bool
+        Whether SMALBE-M has handed over to the active set method.
     """
 
+    scale: EnergyScale
+    rounding: float
     bound: float = np.inf
     worst: float = np.inf
-    at: float = np.inf
     tolerance: float = np.inf
     failures: int = 0
     last: tuple[float, float] = (np.inf, np.inf)
     passes: int = 0
+    by_active_set: bool = False
 
-    def update(self, certificate: Certificate, tolerance: float) -> None:
-        """Compare a certificate with the smallest numbers so far."""
-        self.tolerance = tolerance
+    @staticmethod
+    def start(scale: EnergyScale) -> Progress:
+        """Return that before the first pass."""
+        return Progress(scale, scale.rounding_at(scale.energy_norm))
+
+    def judge(self, method: Method, certificate: Certificate, tolerance: float) -> Stagnation:
+        """Compare the certificate of a pass with the smallest numbers so far."""
+        self._update(certificate, tolerance)
+        self.rounding = min(self.rounding, self.scale.rounding_at(certificate.energy_norm))
+        failed = self.failures >= _FAILURES and tolerance <= _DECREASE * self.tolerance
+        if failed or self.passes >= _PASSES or tolerance <= self.rounding:
+            if method is not Method.SMALBE or self.by_active_set:
+                return Stagnation.FINAL
+            self.bound = self.worst = self.tolerance = np.inf
+            self.failures, self.passes, self.by_active_set = 0, 0, True
+            return Stagnation.OF_SMALBE
+        return Stagnation.OF_PASS if self.failures else Stagnation.NONE
+
+    def _update(self, certificate: Certificate, tolerance: float) -> None:
         self.passes += 1
         last, self.last = self.last, (certificate.bound, certificate.worst)
         if self.last == last:
-            self.at = tolerance
+            self.tolerance = tolerance
         else:
             self.failures += 1
         if certificate.bound <= 0.5 * self.bound or certificate.worst <= 0.5 * self.worst:
             self.bound = min(self.bound, certificate.bound)
             self.worst = min(self.worst, certificate.worst)
-            self.at, self.failures = tolerance, 0
-
-    @property
-    def stagnates(self) -> bool:
-        """Whether three passes, to a hundredth of the tolerance, have halved neither of them."""
-        failed = self.failures >= 3 and self.tolerance <= 1e-2 * self.at
-        return failed or self.passes >= _PASSES
+            self.tolerance, self.failures = tolerance, 0

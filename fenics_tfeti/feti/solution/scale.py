@@ -14,6 +14,8 @@ from fenics_tfeti.feti.solution.states import ContactData, History
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.typing import Mask, Vector
 
+# Lanczos steps for an upper bound of ||PFP||, the scale of SMALBE-M
+LANCZOS_STEPS = 15
 # Lanczos steps for a rough value of ||PFP||: the scale of gaps against forces
 ROUGH_LANCZOS_STEPS = 3
 # rounding errors, in units of the last place, that add up in the jumps

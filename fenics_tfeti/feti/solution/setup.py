@@ -283,11 +283,17 @@ class DualSetup:
         return self.reduced(self.F.load(data.load, data.c))
 
 
-def dual_problem(setup: DualSetup, data: ContactData, d: Vector, norm: float) -> DualProblem:
-    """Return (11.36), deflated or not."""
+def dual_problem(
+    setup: DualSetup,
+    data: ContactData,
+    loads: tuple[Vector, Vector],
+    norm: float,
+    energy_norm: float,
+) -> DualProblem:
+    """Return (11.36), deflated or not; `loads` are d and d_0."""
     return DualProblem(
         setup.part,
-        d,
+        loads[0],
         data.e,
         data.e_size,
         data.c,
@@ -296,6 +302,9 @@ def dual_problem(setup: DualSetup, data: ContactData, d: Vector, norm: float) ->
         setup.preconditioner,
         data.radius,
         setup.local.unit,
+        data.feasible,
+        loads[1],
+        energy_norm,
     )
 
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.friction import SlipBound
-from fenics_tfeti.feti.dual.active_set import ActiveSetStep
+from fenics_tfeti.feti.dual.iterate import ActiveSetStep, Iterate, SolveStatus
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.recovery import Recovered
 from fenics_tfeti.qp import OuterIteration, Products
-from fenics_tfeti.typing import Mask, Vector
+from fenics_tfeti.typing import Vector
 
 
 @dataclass(frozen=True)
@@ -46,29 +46,6 @@ class ContactData:
     bound: SlipBound
     radius: Vector
     removed: Vector | float = 0.0
-
-
-@dataclass(frozen=True)
-class DualState:
-    """An iterate of the dual problem, from which a later solve may start.
-
-    Attributes
-    ----------
-    multipliers : (m,) array
-        lambda.
-    coarse_gradient : (m,) array
-        The equality multipliers' part G'mu of the gradient.
-    active : (i,) bool array or None
-        Active set to start from; None for the rows with positive multipliers.
-    slips : (k, gdim - 1) array or None
-        Slips of the sites of friction to start from, scaled as the rows; None if they are not
-        known.
-    """
-
-    multipliers: Vector
-    coarse_gradient: Vector
-    active: Mask | None = None
-    slips: Vector | None = None
 
 
 @dataclass(frozen=True)
@@ -111,21 +88,31 @@ class Outcome:
     ----------
     candidate : Candidate
         The last candidate, or the one with the smallest certificate if none is certified.
-    state : DualState
-        Where a later solve may start.
-    converged : bool
-        Whether the certificate holds.
+    iterate : Iterate
+        The last or best one.
+    status : SolveStatus
+        How the iterations ended: SOLVED if the certificate holds.
     reason : str
-        Why the iterations ended.
+        The same in words.
     tolerance : float
         Tolerance of the dual problem in the last pass [sqrt(J)].
     """
 
     candidate: Candidate
-    state: DualState
-    converged: bool
+    iterate: Iterate
+    status: SolveStatus
     reason: str
     tolerance: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether the certificate holds."""
+        return self.status is SolveStatus.SOLVED
+
+    @property
+    def start(self) -> Iterate:
+        """Where a later solve may start."""
+        return Iterate(self.iterate.multipliers)
 
 
 @dataclass(frozen=True)
@@ -149,6 +136,9 @@ class SlipBoundStep:
     change: float
     ratio: float | None
     rtol: float
+
+
+Step = ActiveSetStep | OuterIteration | SlipBoundStep
 
 
 @dataclass
@@ -177,3 +167,14 @@ class History:
     slip_bounds: list[SlipBoundStep] = field(default_factory=list)
     norm_products_before: int = 0
     deflation_solves: int = 0
+
+    def append(self, step: Step) -> int:
+        """Add a step to those of its kind, and return its number among them."""
+        if isinstance(step, ActiveSetStep):
+            self.faces.append(step)
+            return len(self.faces) - 1
+        if isinstance(step, SlipBoundStep):
+            self.slip_bounds.append(step)
+            return len(self.slip_bounds) - 1
+        self.outer.append(step)
+        return len(self.outer) - 1

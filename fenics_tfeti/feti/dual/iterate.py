@@ -1,0 +1,161 @@
+"""Iterates of the dual problem, and what the methods for it have in common.
+
+Each method is a function (problem, iterate, turn) -> iterate. It starts from its own last state,
+which the iterate keeps for it, or from the multipliers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+from fenics_tfeti.feti.dual.pcpg import PCPGIterate
+from fenics_tfeti.feti.options import Options
+from fenics_tfeti.qp import OuterIteration, Products, SMALBEState
+from fenics_tfeti.typing import Mask, Vector
+
+
+class SolveStatus(Enum):
+    """How the solution of the dual problem has ended, in words with the names of options."""
+
+    NOT_STARTED = "nothing was solved"
+    SOLVED = "converged"
+    STALLED = "the method makes no more progress, or its share of the products is spent"
+    AT_ROUNDING = "rounding has ended the conjugate gradients"
+    FLAT = (
+        "SMALBE-M found no curvature along a direction: the contact conditions contradict each "
+        "other, or rounding hides it"
+    )
+    OUT_OF_STEPS = "limit of {smalbe_max_it} outer iterations (smalbe_max_it)"
+    OUT_OF_PRODUCTS = "limit of {max_products} products (max_products)"
+    AT_LIMIT = "the accuracy is at the limit of rounding: more iterations do not change it"
+    INTERRUPTED = "interrupted"
+
+    @property
+    def is_final(self) -> bool:
+        """Whether no other method should go on."""
+        return self in _FINAL
+
+    def describe(self, options: Options) -> str:
+        """Return the sentence with the values of the options."""
+        return self.value.format(**vars(options))
+
+
+_FINAL = (
+    SolveStatus.SOLVED,
+    SolveStatus.OUT_OF_STEPS,
+    SolveStatus.OUT_OF_PRODUCTS,
+    SolveStatus.INTERRUPTED,
+)
+
+
+class Method(Enum):
+    """The methods for the dual problem, in the order in which they take turns."""
+
+    ACTIVE_SET = "active_set"
+    NEWTON = "newton"
+    SMALBE = "smalbe"
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """An iterate of the dual problem.
+
+    Attributes
+    ----------
+    multipliers : (m,) array
+        lambda, feasible on contact and tangential rows.
+    method : Method
+        The one that made it, and that goes on first.
+    status : SolveStatus
+        How it ended.
+    on_face : PCPGIterate or None
+        The iterate on a face that the multipliers are those of.
+    newton : PCPGIterate or None
+        The last iterate of Newton's method, with its proximal term.
+    smalbe : SMALBEState or None
+        The last state of SMALBE-M.
+    active : (i,) bool array or None
+        Active set to start from; None for the rows with positive multipliers.
+    slips : (k, gdim - 1) array or None
+        Slips of the sites of friction to start from, scaled as the rows; None if they are not
+        known.
+    """
+
+    multipliers: Vector
+    method: Method = Method.ACTIVE_SET
+    status: SolveStatus = SolveStatus.NOT_STARTED
+    on_face: PCPGIterate | None = None
+    newton: PCPGIterate | None = None
+    smalbe: SMALBEState | None = None
+    active: Mask | None = None
+    slips: Vector | None = None
+
+    def without_residual(self) -> Iterate:
+        """Return the iterate without its residual, in whose recurrences rounding has added up.
+
+        The residual of Newton's method is that of its line search, and stays.
+        """
+        if self.on_face is None or self.method is Method.NEWTON:
+            return self
+        return replace(self, on_face=None, active=self.on_face.signs.active)
+
+
+@dataclass(frozen=True)
+class ActiveSetStep:
+    """One face of the primal-dual active set method, or one step of Newton's method.
+
+    Attributes
+    ----------
+    products : int
+        Products so far.
+    residual : float
+        Norm of the projected residual on the face [m].
+    active : int
+        Active contact rows of the face.
+    changed : int
+        Rows that enter or leave the set after it, and sites of friction that stick or slip
+        after it.
+    """
+
+    products: int
+    residual: float
+    active: int
+    changed: int
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What a method may spend in its turn, and whom it tells.
+
+    Attributes
+    ----------
+    tolerance : float
+        Tolerance of the energy of the residual [sqrt(J)].
+    max_products : int
+        Limit on `products`.
+    products : Products
+        Counter to add to.
+    monitor : callable
+        Called with every `ActiveSetStep` or `OuterIteration`.
+    options : Options
+        Parameters of SMALBE-M and MPRGP.
+    max_outer : int
+        Limit on outer iterations of SMALBE-M.
+    patience : int
+        Outer iterations in a row that may fail to halve ||Gx||.
+    """
+
+    tolerance: float
+    max_products: int
+    products: Products
+    monitor: Callable[[ActiveSetStep | OuterIteration], None]
+    options: Options = field(default_factory=Options)
+    max_outer: int = 200
+    patience: int = 200
+
+    @property
+    def is_spent(self) -> bool:
+        """Whether the limit on products is met."""
+        return self.products.total >= self.max_products
