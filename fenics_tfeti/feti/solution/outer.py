@@ -284,9 +284,8 @@ class _Loop:
 
     def minimise(self, iterate: Iterate, tolerance: float) -> Iterate:
         """Solve the dual problem: the methods take turns, first the one of the iterate."""
-        has_friction = self.setup.constraints.has_friction
-        methods = [m for m in Method if m is not Method.NEWTON or has_friction]
-        first, flat = methods.index(iterate.method), self.setup.deflation is None
+        methods, flat = list(Method), self.setup.deflation is None
+        first = methods.index(iterate.method)
         for number in count():
             method = methods[(first + number) % len(methods)]
             turn = self._turn(tolerance, number, number // len(methods))

@@ -22,7 +22,6 @@ from fenics_tfeti.feti import (
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.active_set import close_first_gaps
 from fenics_tfeti.feti.dual.pcpg import Face, Signs, pcpg
-from fenics_tfeti.feti.solution.setup import dual_problem
 from fenics_tfeti.qp import Products
 
 # Curtis, Han, Robinson, Comput. Optim. Appl. 60 (2015), example 1: active sets that repeat
@@ -50,7 +49,7 @@ def faces(solver: TornSolver) -> list[int]:
     return [step.changed for step in solver.solve().report.faces]
 
 
-def test_cycle_ends_by_changes_of_one_row():
+def test_cycle_ends_by_newtons_method():
     """The sets repeat: the unsafeguarded loop would not end."""
     options = Options(rtol=1e-10, dual_operator="explicit")
     solution = TornSolver(springs(CYCLING, LOAD), options).solve()
@@ -111,9 +110,7 @@ WHATEVER_THE_SIGNS = {"sign_factor": 0.0, "max_products": 10_000}
 
 def linear_products(solver: TornSolver, active: np.ndarray, tolerance: float) -> Products:
     """Count what the linear problem with these rows costs, from nothing."""
-    problem = dual_problem(
-        solver.setup, solver.data, solver.setup.load(solver.data), solver.setup.norm(3)
-    )
+    problem = replace(solver.dual_problem(), norm=solver.setup.norm(3))
     signs = Signs.of(problem, np.zeros_like(problem.d), active)
     face = Face.build(problem, signs, Projector.build(solver.setup.projector.coarse_space, active))
     products = Products()

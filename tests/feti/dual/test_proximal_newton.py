@@ -7,7 +7,7 @@ import pytest
 from friction_problems import in_a_corner, in_a_groove, pulled_strip, pushed_block
 
 from fenics_tfeti.feti import Options, TornSolver
-from fenics_tfeti.feti.dual.pcpg import Signs
+from fenics_tfeti.feti.dual.iterate import Iterate, SolveStatus, Turn
 from fenics_tfeti.feti.dual.proximal_newton import proximal_newton
 from fenics_tfeti.qp import Products
 
@@ -29,16 +29,9 @@ def minimum(problem, multipliers):
 def by_newton(solver, rtol):
     """Solve the dual problem of a solver by this method alone, from nothing."""
     problem = solver.dual_problem()
-    none = np.zeros_like(problem.d)
-    found = proximal_newton(
-        problem,
-        none,
-        Signs.of(problem, none),
-        tolerance=rtol * np.sqrt(problem.unit) * np.linalg.norm(problem.d),
-        max_products=20_000,
-        products=Products(),
-        monitor=lambda step: None,
-    )
+    tolerance = rtol * np.sqrt(problem.unit) * np.linalg.norm(problem.d)
+    turn = Turn(tolerance, 20_000, Products(), lambda step: None)
+    found = proximal_newton(problem, Iterate(np.zeros_like(problem.d)), turn)
     return problem, found
 
 
@@ -48,7 +41,7 @@ def test_cost_is_the_smallest_for_any_bounds(name):
     problem, found = by_newton(solver, 1e-8)
     feasible = problem.multiplier_set(np.zeros_like(problem.d)).project(found.multipliers.copy())
     exact = solver.solve().multipliers
-    assert found.solved
+    assert found.status is SolveStatus.SOLVED
     np.testing.assert_allclose(feasible, found.multipliers, rtol=1e-12)
     assert minimum(problem, found.multipliers) == pytest.approx(minimum(problem, exact), rel=1e-4)
 
@@ -56,6 +49,6 @@ def test_cost_is_the_smallest_for_any_bounds(name):
 def test_rows_that_are_free_without_bounds_have_no_proximal_term():
     """Multipliers of gluing and supports are those of the problem itself."""
     problem, found = by_newton(TornSolver(pulled_strip(), Options()), 1e-10)
-    term = found.iterate.signs.proximal
+    term = found.newton.signs.proximal
     assert not term.centre[problem.constraints.equality].any()
-    np.testing.assert_allclose(found.iterate.gradient[problem.constraints.equality], 0.0, atol=1e-8)
+    np.testing.assert_allclose(found.newton.gradient[problem.constraints.equality], 0.0, atol=1e-8)

@@ -11,6 +11,7 @@ from torn import column
 
 from fenics_tfeti.feti import Options, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse import projector
+from fenics_tfeti.feti.dual.iterate import SolveStatus
 from fenics_tfeti.feti.solution import outer
 
 pytestmark = pytest.mark.once
@@ -43,7 +44,7 @@ def test_smalbe_keeps_its_iterate_when_the_face_is_not_the_last(monkeypatch):
     """The active set method solves nothing: SMALBE-M has to do it alone, as if never stopped."""
 
     def fails(*args, **kwargs):
-        return replace(active_set(*args, **kwargs), solved=False)
+        return replace(active_set(*args, **kwargs), status=SolveStatus.STALLED)
 
     active_set = outer.primal_dual_active_set
     options = Options(method="smalbe", scaling="multiplicity", smalbe_patience=3)
@@ -85,11 +86,11 @@ def test_bound_holds_where_rounding_ends_the_iterations(inaccurate, monkeypatch)
 
 
 def test_best_iterate_is_returned(inaccurate, monkeypatch):
-    def spoils(self, state, tolerance, *limits):
-        nothing = np.zeros_like(state.multipliers)
-        return outer._Stage(outer.DualState(nothing, nothing), solved=False, reason="spoilt")
+    def spoils(problem, start, turn):
+        nothing = np.zeros_like(start.multipliers)
+        return replace(start, multipliers=nothing, status=SolveStatus.OUT_OF_STEPS)
 
-    monkeypatch.setattr(outer._Loop, "smalbe", spoils)
+    monkeypatch.setattr(outer, "solve_by_smalbe", spoils)
     report = TornSolver(inaccurate, Options(error_if_not_converged=False)).solve().report
-    assert report.reason.startswith("spoilt; its certificate has reached")
+    assert report.reason.startswith("limit of 1000 outer iterations (smalbe_max_it); its")
     assert report.certificate.error <= 1e-3

@@ -6,15 +6,22 @@ from types import SimpleNamespace
 
 import pytest
 
-from fenics_tfeti.feti.solution.progress import Progress
+from fenics_tfeti.feti.dual.iterate import Method
+from fenics_tfeti.feti.solution.progress import Progress, Stagnation
+
+# rounding far below all tolerances
+SCALE = SimpleNamespace(energy_norm=1.0, rounding_at=lambda energy_norm: 0.0)
 
 
-def after(numbers: list[float], tolerances: list[float]) -> Progress:
-    """Return the progress after passes with certificates of one number each."""
-    progress = Progress()
-    for number, tolerance in zip(numbers, tolerances, strict=True):
-        progress.update(SimpleNamespace(bound=number, worst=number), tolerance)
-    return progress
+def judged(
+    numbers: list[float], tolerances: list[float], method: Method = Method.ACTIVE_SET
+) -> list[Stagnation]:
+    """Return what is said of passes with certificates of one number each."""
+    progress = Progress.start(SCALE)
+    return [
+        progress.judge(method, SimpleNamespace(bound=x, worst=x, energy_norm=1.0), tolerance)
+        for x, tolerance in zip(numbers, tolerances, strict=True)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -28,10 +35,22 @@ def after(numbers: list[float], tolerances: list[float]) -> Progress:
     ],
 )
 def test_stagnation(numbers, tolerances, stagnates):
-    assert after(numbers, tolerances).stagnates == stagnates
+    assert (judged(numbers, tolerances)[-1] is Stagnation.FINAL) == stagnates
 
 
 def test_passes_are_limited():
     numbers = [0.5**k for k in range(50)]
-    assert not after(numbers[:49], numbers[:49]).stagnates
-    assert after(numbers, numbers).stagnates
+    *before, last = judged(numbers, numbers)
+    assert set(before) == {Stagnation.NONE} and last is Stagnation.FINAL
+
+
+def test_active_set_method_is_tried_once_where_smalbe_stagnates():
+    numbers, tolerances = [1.0, 0.9, 0.8, 0.7], [1.0, 0.1, 0.01, 0.001]
+    twice = judged(2 * numbers, 2 * tolerances, Method.SMALBE)
+    assert twice[3] is Stagnation.OF_SMALBE and twice[7] is Stagnation.FINAL
+
+
+def test_rounding_ends_the_passes():
+    scale = SimpleNamespace(energy_norm=1.0, rounding_at=lambda energy_norm: 1e-3)
+    certificate = SimpleNamespace(bound=1.0, worst=1.0, energy_norm=1.0)
+    assert Progress.start(scale).judge(Method.ACTIVE_SET, certificate, 1e-3) is Stagnation.FINAL
