@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.feti import interruption
-from fenics_tfeti.feti.checkpoint import SavedState
+from fenics_tfeti.feti.checks.system import check_guess, check_system, check_types
 from fenics_tfeti.feti.coarse.feasible_start import check_load, feasible_start
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.feasibility import check_conditions
@@ -21,16 +21,17 @@ from fenics_tfeti.feti.constraints.friction import FrictionRows, SlipBound
 from fenics_tfeti.feti.constraints.ground import hold_ground
 from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.feti.dual.problem import DualProblem
+from fenics_tfeti.feti.files.checkpoint import SavedState
 from fenics_tfeti.feti.options import Options
-from fenics_tfeti.feti.report import Report, build_report
-from fenics_tfeti.feti.solution.coulomb import iterate_slip_bounds
-from fenics_tfeti.feti.solution.monitor import Monitor, MonitorFunction
-from fenics_tfeti.feti.solution.outer import LANCZOS_STEPS
-from fenics_tfeti.feti.solution.resultants import (
+from fenics_tfeti.feti.report.report import Report, build_report
+from fenics_tfeti.feti.report.resultants import (
     normal_forces,
     tangential_forces,
     tied_forces,
 )
+from fenics_tfeti.feti.solution.coulomb import iterate_slip_bounds
+from fenics_tfeti.feti.solution.monitor import Monitor, MonitorFunction
+from fenics_tfeti.feti.solution.outer import LANCZOS_STEPS
 from fenics_tfeti.feti.solution.setup import (
     DualSetup,
     LocalSetup,
@@ -41,7 +42,6 @@ from fenics_tfeti.feti.solution.setup import (
 )
 from fenics_tfeti.feti.solution.states import ContactData, DualState, History, Outcome
 from fenics_tfeti.feti.system import ContactGuess, TornSystem
-from fenics_tfeti.feti.system_checks import check_guess, check_system, check_types
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector

@@ -18,9 +18,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.feti.files import ArrayFile, open_arrays, write_arrays
+from fenics_tfeti.feti.checks.system import check_system
+from fenics_tfeti.feti.files.arrays import ArrayFile, open_arrays, write_arrays
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed, Subdomain, TornSystem
-from fenics_tfeti.feti.system_checks import check_system
 from fenics_tfeti.parallel import raise_collectively
 
 Arrays = dict[str, NDArray[Any]]

@@ -21,10 +21,10 @@ from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.active_set import ActiveSetStep
-from fenics_tfeti.feti.files import write_whole
+from fenics_tfeti.feti.files.arrays import write_whole
 from fenics_tfeti.feti.options import Options
+from fenics_tfeti.feti.report.resultants import Resultant, resultants
 from fenics_tfeti.feti.solution.certificate import Certificate
-from fenics_tfeti.feti.solution.resultants import Resultant, resultants
 from fenics_tfeti.feti.solution.setup import DualSetup
 from fenics_tfeti.feti.solution.states import (
     Candidate,

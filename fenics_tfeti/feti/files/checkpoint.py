@@ -19,7 +19,7 @@ import numpy as np
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.rows import Constraints
-from fenics_tfeti.feti.files import ArrayFile, open_arrays, write_arrays
+from fenics_tfeti.feti.files.arrays import ArrayFile, open_arrays, write_arrays
 from fenics_tfeti.feti.solution.states import DualState
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import raise_collectively

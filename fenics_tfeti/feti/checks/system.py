@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.feti.body_checks import check_bodies
+from fenics_tfeti.feti.checks.bodies import check_bodies
 from fenics_tfeti.feti.local.fixing_nodes import node_graph
 from fenics_tfeti.feti.local.rigid_body_modes import kernel
 from fenics_tfeti.feti.system import (
