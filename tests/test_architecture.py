@@ -28,7 +28,7 @@ LAYERS = {
 }
 # The sub-packages of feti: each imports those before it, and of feti's own modules only these.
 FETI_ORDER = ["local", "constraints", "checks", "coarse", "dual", "solution", "files", "report"]
-FETI_BASE = {"system", "tolerances", "options", "interruption"}
+FETI_BASE = {"system", "tolerances", "costs", "options", "interruption"}
 # the phases of a solve, which the solution adds to and the report has, have a time each
 FETI_OWN = {"solution": {"timer"}, "report": {"timer"}}
 

@@ -23,6 +23,7 @@ from scipy.linalg import qr
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
+from fenics_tfeti.feti.costs import COLUMNS
 from fenics_tfeti.feti.tolerances import PARALLEL
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -31,8 +32,6 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 _SMALL_PIVOT, _SHIFT = 1e-6, 1e-12
 # entry of a null vector, relative to 1, that is rounding
 _TRACE = 1e-9
-# columns that are solved for at once
-_COLUMNS = 64
 
 
 @dataclass(frozen=True)
@@ -211,8 +210,8 @@ def dependent_groups(W: sp.csr_matrix) -> list[Numbers]:
     if others.size:
         factor = _factor(W[others][:, others])
         right = W[others][:, candidates]
-        for start in range(0, candidates.size, _COLUMNS):
-            columns = factor.solve(right[:, start : start + _COLUMNS].toarray())
+        for start in range(0, candidates.size, COLUMNS):
+            columns = factor.solve(right[:, start : start + COLUMNS].toarray())
             reached[others] |= np.abs(columns).max(axis=1) > _TRACE
     rows = np.flatnonzero(reached)
     count, group = connected_components(W[rows][:, rows], directed=False)

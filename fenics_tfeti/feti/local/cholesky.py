@@ -18,6 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.errors import FactorizationError, InputError
+from fenics_tfeti.feti.costs import COLUMNS
 from fenics_tfeti.feti.local.threads import one_thread
 from fenics_tfeti.typing import Vector
 
@@ -104,8 +105,6 @@ def choose_package(package: Package, available: Sequence[str] | None = None) -> 
     )
 
 
-# right-hand sides that are solved for together: the factor is read once for all of them
-_COLUMNS = 64
 # largest residual of a useful factor, relative to the right-hand side
 _USELESS = 1e-6
 # more work than any solve has: rslab's solves stay on the thread that calls them
@@ -192,8 +191,8 @@ class SparseCholesky:
         if b.ndim == 1:
             return self._factor.solve(b)
         x = np.empty(b.shape, order="F")
-        for start in range(0, b.shape[1], _COLUMNS):
-            some = slice(start, start + _COLUMNS)
+        for start in range(0, b.shape[1], COLUMNS):
+            some = slice(start, start + COLUMNS)
             x[:, some] = self._factor.solve_columns(np.asfortranarray(b[:, some]))
         return x
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from fenics_tfeti.feti.costs import ROWS
 from fenics_tfeti.feti.local.frames import Frames
 from fenics_tfeti.feti.local.rigid_body_modes import rigid_body_modes
 from fenics_tfeti.feti.system import Subdomain
@@ -24,8 +25,6 @@ from fenics_tfeti.typing import Numbers, Vector
 SAME = 1e-12
 # digits of the fingerprint by which candidates are found; the comparison decides
 _DIGITS = 8
-# rows at once: they and their transposes stay in the cache
-_ROWS = 64
 
 
 @dataclass(frozen=True)
@@ -68,8 +67,8 @@ class CongruenceClass:
 
     def batches(self) -> Iterator[CongruenceClass]:
         """Yield its members a few at a time: what is computed of them stays in the cache."""
-        for start in range(0, self.members.size, _ROWS):
-            some = slice(start, start + _ROWS)
+        for start in range(0, self.members.size, ROWS):
+            some = slice(start, start + ROWS)
             frames = None if self.frames is None else self.frames[some]
             yield CongruenceClass(self.members[some], self.starts[some], self.size, frames)
 
@@ -197,7 +196,7 @@ def times_rows(matrix: sp.csr_matrix, rows: Vector) -> Vector:
     if len(rows) == 1:
         return np.asarray(matrix @ rows[0])[None]
     product = np.empty_like(rows)
-    for start in range(0, len(rows), _ROWS):
-        some = slice(start, start + _ROWS)
+    for start in range(0, len(rows), ROWS):
+        some = slice(start, start + ROWS)
         product[some] = (matrix @ rows[some].T).T
     return product
