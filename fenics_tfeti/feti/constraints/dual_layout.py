@@ -91,11 +91,13 @@ class DualLayout:
         if self.comm.size == 1:
             return part
         shape = part.shape[1:]
-        received = {rank: np.empty((at.size, *shape)) for rank, at in self._neighbours.items()}
+        received = {
+            rank: np.empty((shared.size, *shape)) for rank, shared in self._neighbours.items()
+        }
         requests = [self.comm.Irecv(buffer, source=rank) for rank, buffer in received.items()]
         requests += [
-            self.comm.Isend(np.ascontiguousarray(part[at]), dest=rank)
-            for rank, at in self._neighbours.items()
+            self.comm.Isend(np.ascontiguousarray(part[shared]), dest=rank)
+            for rank, shared in self._neighbours.items()
         ]
         MPI.Request.Waitall(requests)
         total = part.copy()
@@ -160,9 +162,9 @@ class DualLayout:
         return total
 
 
-def _sum_and_min(some: Any, others: Any, kind: MPI.Datatype) -> None:
+def _sum_and_min(first: Any, second: Any, kind: MPI.Datatype) -> None:
     """Add two buffers, but take the minimum of their last components."""
-    x, y = np.frombuffer(some), np.frombuffer(others)
+    x, y = np.frombuffer(first), np.frombuffer(second)
     y[:-1] += x[:-1]
     y[-1] = min(x[-1], y[-1])
 

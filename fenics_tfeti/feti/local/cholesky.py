@@ -121,7 +121,7 @@ _ERROR, _NEGATIVE_PIVOTS = 1, 12
 
 
 class _Factor(Protocol):
-    """What a package has to offer; its constructor takes a matrix and may raise `_Indefinite`."""
+    """A factor by a package; its constructor takes a matrix and may raise `_Indefinite`."""
 
     def solve(self, b: Vector) -> Vector:
         """Solve for a vector (n,)."""
@@ -192,8 +192,8 @@ class SparseCholesky:
             return self._factor.solve(b)
         x = np.empty(b.shape, order="F")
         for start in range(0, b.shape[1], COLUMNS):
-            some = slice(start, start + COLUMNS)
-            x[:, some] = self._factor.solve_columns(np.asfortranarray(b[:, some]))
+            block = slice(start, start + COLUMNS)
+            x[:, block] = self._factor.solve_columns(np.asfortranarray(b[:, block]))
         return x
 
     @property
@@ -393,9 +393,9 @@ class DistributedCholesky:
                 "positive definite"
             )
 
-    def solve(self, own: Vector) -> Vector:
-        """Return this rank's part (own,) of the solution for its part of the right-hand side."""
-        self._b.array_w[:] = own
+    def solve(self, b: Vector) -> Vector:
+        """Return this rank's part of the solution for its part of the right-hand side."""
+        self._b.array_w[:] = b
         self._factor.solve(self._b, self._x)
         x: Vector = self._x.array_r.copy()
         return x
