@@ -108,13 +108,13 @@ def check_range(options: Any, name: str, low: float, high: float) -> None:
         raise InputError(f"option {name!r} is {value}, it has to be between {low} and {high}")
 
 
-def refuse_unknown(given: Mapping[str, Any], known: list[str]) -> None:
+def refuse_unknown(options: Mapping[str, Any], names: list[str]) -> None:
     """Raise an `InputError` for the first unknown name, with the nearest known one."""
-    for name in given:
-        if name not in known:
-            close = difflib.get_close_matches(str(name), known, n=1)
+    for name in options:
+        if name not in names:
+            close = difflib.get_close_matches(str(name), names, n=1)
             hint = f" Did you mean {close[0]!r}?" if close else ""
-            raise InputError(f"unknown option {name!r}.{hint} Options are: {', '.join(known)}")
+            raise InputError(f"unknown option {name!r}.{hint} Options are: {', '.join(names)}")
 
 
 def parse_options(given: Mapping[str, Any]) -> Options:
@@ -163,12 +163,12 @@ def _convert(name: str, value: Any, kind: Any) -> Any:
             raise InputError(f"option {name!r} is {value!r}, it has to be one of {choices}")
         return value
     if kind is bool:
-        known = {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}
+        truth = {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}
         # an option without a value, as -tfeti_monitor
         word = str(value).lower() or "true"
-        if word not in known:
+        if word not in truth:
             raise InputError(f"option {name!r} is {value!r}, it has to be true or false")
-        return known[word]
+        return truth[word]
     try:
         number = float(value)
         if kind is int and number != int(number):

@@ -272,7 +272,7 @@ class TornSolver:
 
     @property
     def state(self) -> SavedState:
-        """Where the last solve ended, for `save_checkpoint`.
+        """The last iterate, for `save_checkpoint`.
 
         Raises
         ------
@@ -406,27 +406,20 @@ def _check_arguments(system: TornSystem, options: Options | None) -> None:
         )
 
 
-def _has_same_stiffness(one: TornSystem, other: TornSystem) -> bool:
-    """Tell, with one answer on all ranks, whether two systems share their stiffness matrices.
-
-    Raises
-    ------
-    InputError
-        On all ranks, if the subdomains of `one` are not a list of `Subdomain`.
-    """
-    with raise_collectively(one.comm):
-        check_types(one)
-    same = len(one.subdomains) == len(other.subdomains) and all(
+def _has_same_stiffness(system: TornSystem, previous: TornSystem) -> bool:
+    """Tell, with one answer on all ranks, whether two systems share their stiffness matrices."""
+    with raise_collectively(system.comm):
+        check_types(system)
+    same = len(system.subdomains) == len(previous.subdomains) and all(
         s.stiffness is t.stiffness and s.nodes is t.nodes and s.frame is t.frame
-        for s, t in zip(one.subdomains, other.subdomains, strict=True)
+        for s, t in zip(system.subdomains, previous.subdomains, strict=True)
     )
-    return bool(one.comm.allreduce(same, MPI.LAND))
+    return bool(system.comm.allreduce(same, MPI.LAND))
 
 
 def _check_guess(guess: ContactGuess | None, system: TornSystem, options: Options) -> None:
     """Check that all ranks or none give a guess, each for its contact rows. Collective."""
-    given = system.comm.allgather(guess is not None)
-    if not any(given):
+    if not any(system.comm.allgather(guess is not None)):
         return
     with raise_collectively(system.comm):
         if guess is None:
