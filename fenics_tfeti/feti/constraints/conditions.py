@@ -94,7 +94,7 @@ class ConditionRows:
     tolerance : (conditions of this rank,) array
         Rounding of their right-hand sides, scaled.
     local : RowData
-        The rows with entries on this rank, one for each entry.
+        The rows with entries on this rank, once for each of their nodes there.
     infinite_gaps : int
         Number of contact rows with an infinite gap, over all ranks.
     redundancy : Redundancy

@@ -94,7 +94,7 @@ def hold_ground(
     numbers = np.append(layout.numbers, last + 1 + offset + np.arange(new))
 
     # nobody else holds the new rows, which follow the owned ones
-    def moved(rows: Numbers) -> Numbers:
+    def shifted(rows: Numbers) -> Numbers:
         places: Numbers = np.where(rows >= layout.owned, rows + new, rows)
         return places
 
@@ -104,23 +104,23 @@ def hold_ground(
     weights[displacements] = constraints.weights
     weights[ground] = _mean_weights(constraints.weights, unknowns)
     old, ground_rows = constraints.matrix.tocoo(), layout.owned + np.arange(new)
-    rows = np.concatenate([moved(old.row), ground_rows])
+    rows = np.concatenate([shifted(old.row), ground_rows])
     columns = np.concatenate([displacements[old.col], ground])
     values = np.concatenate([old.data, np.sqrt(weights[ground])])
     shape = numbers.size, weights.size
-    coupling = replace(constraints.coupling, rows=moved(constraints.coupling.rows))
+    coupling = replace(constraints.coupling, rows=shifted(constraints.coupling.rows))
     tied = constraints.tied
-    tied = replace(tied, rows=moved(tied.rows), own_rows=moved(tied.own_rows))
+    tied = replace(tied, rows=shifted(tied.rows), own_rows=shifted(tied.own_rows))
     extended = replace(
         constraints,
         matrix=sp.csr_matrix((values, (rows, columns)), shape),
         layout=DualLayout(layout.comm, numbers, np.arange(numbers.size)),
-        inequality=moved(constraints.inequality),
-        own_rows=moved(constraints.own_rows),
+        inequality=shifted(constraints.inequality),
+        own_rows=shifted(constraints.own_rows),
         weights=weights,
         tied=tied,
         coupling=coupling,
-        friction=constraints.friction.moved(moved(np.arange(constraints.size))),
+        friction=constraints.friction.moved(shifted(np.arange(constraints.size))),
     )
     return extended, np.insert(c, layout.owned, np.zeros(new))
 

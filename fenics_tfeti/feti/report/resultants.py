@@ -219,8 +219,8 @@ class _RowForces:
         slave = np.zeros((self.rows.size, self.terms.shape[1]))
         np.add.at(slave, self.rows.row[self.rows.on_slave], self.terms[self.rows.on_slave])
         pressing = -np.sum(slave * self.rows.normal, axis=1)[: contacts.size]
-        sums: Vector = np.bincount(contacts.contact, weights=pressing, minlength=number)
-        return sums
+        sums = np.bincount(contacts.contact, weights=pressing, minlength=number)
+        return sums.astype(np.float64)
 
     def sums_of_sides(self, x: Vector, number: int) -> Vector:
         """Return the sums of forces and moments on slaves and on masters, (2, contacts, ...)."""
