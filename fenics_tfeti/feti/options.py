@@ -117,18 +117,18 @@ def refuse_unknown(options: Mapping[str, Any], names: list[str]) -> None:
             raise InputError(f"unknown option {name!r}.{hint} Options are: {', '.join(names)}")
 
 
-def parse_options(given: Mapping[str, Any]) -> Options:
+def parse_options(options: Mapping[str, Any]) -> Options:
     """Make options from a mapping; strings as of a command line are converted.
 
     Parameters
     ----------
-    given : mapping
+    options : mapping
         Names and values.
 
     Returns
     -------
     Options
-        The given ones, defaults for the others.
+        With defaults for those that are not in the mapping.
 
     Raises
     ------
@@ -140,11 +140,11 @@ def parse_options(given: Mapping[str, Any]) -> Options:
     >>> parse_options({"rtol": "1e-4", "mprgp_expansion": "standard"}).rtol
     0.0001
     """
-    refuse_unknown(given, [f.name for f in fields(Options)])
-    return convert(Options, given)
+    refuse_unknown(options, [f.name for f in fields(Options)])
+    return convert(Options, options)
 
 
-def convert(kind: type[T], given: Mapping[str, Any]) -> T:
+def convert(kind: type[T], values: Mapping[str, Any]) -> T:
     """Make a data class of options from names that it has and values of any kind.
 
     Raises
@@ -153,7 +153,7 @@ def convert(kind: type[T], given: Mapping[str, Any]) -> T:
         For a value of the wrong kind or out of range.
     """
     hints = get_type_hints(kind)
-    return kind(**{name: _convert(name, value, hints[name]) for name, value in given.items()})
+    return kind(**{name: _convert(name, value, hints[name]) for name, value in values.items()})
 
 
 def _convert(name: str, value: Any, kind: Any) -> Any:

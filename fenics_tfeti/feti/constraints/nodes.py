@@ -108,8 +108,8 @@ class NodeTable:
         multiplicity = np.bincount(home, weights=counts, minlength=homes).astype(np.int64)
         weight = np.bincount(home, weights=sums, minlength=homes).astype(np.float64)
 
-        given = system.prescribed
-        arrived = directory.collect(given.nodes, given.components, given.values)
+        conditions = system.prescribed
+        arrived = directory.collect(conditions.nodes, conditions.components, conditions.values)
         rounding = ROUNDED_POSITION * largest_coordinate(system)
         with raise_collectively(system.comm):
             prescribed, values = _merge_prescribed(
