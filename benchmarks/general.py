@@ -38,7 +38,8 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 
 from fenics_tfeti import ContactPair, ContactProblem
-from fenics_tfeti.feti.report import Timer, peak_memory
+from fenics_tfeti.feti import Timer
+from fenics_tfeti.feti.report.report import peak_memory
 from fenics_tfeti.io import TaggedMesh, displacement_space, read_msh
 
 MESHES = Path(__file__).parents[1] / "meshes"

@@ -22,7 +22,7 @@ from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.input_numbers import OwnedNodes
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti import ContactGuess, SavedState, TornSystem, save_checkpoint
-from fenics_tfeti.feti.checkpoint import OtherSystem, load_checkpoint, open_checkpoint
+from fenics_tfeti.feti.files.checkpoint import OtherSystem, load_checkpoint, open_checkpoint
 from fenics_tfeti.parallel import raise_collectively, values_of_owners
 from fenics_tfeti.typing import Array, Numbers, Vector
 

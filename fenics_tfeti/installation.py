@@ -16,7 +16,7 @@ from scipy.linalg.blas import dgemm
 
 from fenics_tfeti.errors import ContactError, needs_fenicsx
 from fenics_tfeti.feti.local.cholesky import available_packages
-from fenics_tfeti.feti.report import versions
+from fenics_tfeti.feti.report.report import versions
 
 # Rate of products of dense matrices below which BLAS is slow [operations/s]: the reference
 # implementation reaches 1e9 to 3e9 on one core, others 1e10 and more.

@@ -14,8 +14,8 @@ from fenics_tfeti.fem.contact.deformed import GeometryPass
 from fenics_tfeti.fem.io.page import page_of_report
 from fenics_tfeti.fem.io.scene import gather_scene
 from fenics_tfeti.feti import Report
-from fenics_tfeti.feti.files import write_whole
-from fenics_tfeti.feti.report import without_nan
+from fenics_tfeti.feti.files.arrays import write_whole
+from fenics_tfeti.feti.report.report import without_nan
 from fenics_tfeti.parallel import raise_collectively
 
 

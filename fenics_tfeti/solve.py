@@ -22,7 +22,7 @@ from fenics_tfeti.feti import (
     load_system,
     parse_options,
 )
-from fenics_tfeti.feti.files import write_arrays
+from fenics_tfeti.feti.files.arrays import write_arrays
 from fenics_tfeti.parallel import raise_collectively
 
 SOLUTION_FORMAT = "fenics_tfeti solution 1"

@@ -16,7 +16,12 @@ PAGE = ROOT / "docs" / "howto" / "errors.md"
 ERRORS = ("InputError", "UnresistedMotion", "FactorizationError", "NotConverged")
 
 # Messages with the field of a torn system, an array of a file, or an internal argument in front.
-BY_THEIR_FIELD = ("feti/system_checks.py", "feti/system_file.py", "feti/files.py", "feti/solver.py")
+BY_THEIR_FIELD = (
+    "feti/checks/system.py",
+    "feti/files/system.py",
+    "feti/files/arrays.py",
+    "feti/solver.py",
+)
 
 
 @cache

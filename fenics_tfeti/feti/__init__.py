@@ -4,18 +4,20 @@ A researcher with K_i, f_i and node numbers from any code fills a `TornSystem` a
 `TornSolver`; ``numpy``, ``scipy``, ``petsc4py`` and ``mpi4py`` are all it needs.
 """
 
-from fenics_tfeti.feti.checkpoint import (
+from fenics_tfeti.feti.checks.system import check_system
+from fenics_tfeti.feti.dual.iterate import ActiveSetStep
+from fenics_tfeti.feti.files.checkpoint import (
     Checkpoint,
     SavedState,
     load_checkpoint,
     save_checkpoint,
 )
-from fenics_tfeti.feti.dual.iterate import ActiveSetStep
+from fenics_tfeti.feti.files.system import load_system, save_system
 from fenics_tfeti.feti.options import Options, parse_options
-from fenics_tfeti.feti.report import Report
+from fenics_tfeti.feti.report.report import Report
+from fenics_tfeti.feti.report.resultants import Resultant
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.monitor import MonitorFunction
-from fenics_tfeti.feti.solution.resultants import Resultant
 from fenics_tfeti.feti.solution.states import SlipBoundStep
 from fenics_tfeti.feti.solver import TornSolution, TornSolver
 from fenics_tfeti.feti.system import (
@@ -26,8 +28,6 @@ from fenics_tfeti.feti.system import (
     Subdomain,
     TornSystem,
 )
-from fenics_tfeti.feti.system_checks import check_system
-from fenics_tfeti.feti.system_file import load_system, save_system
 from fenics_tfeti.feti.timer import Timer
 
 __all__ = [

@@ -21,16 +21,9 @@ from fenics_tfeti.errors import Interrupted
 
 @dataclass
 class _Signals:
-    """State of this process; signals belong to processes.
+    """State of this process: the depth of nested solves, and whether signals were received.
 
-    Attributes
-    ----------
-    depth : int
-        How many times the signal is deferred: solves may be nested.
-    received : bool
-        Whether this rank got the signal.
-    agreed : bool
-        Whether all ranks know that one of them did.
+    `received` is set on the rank that got the signal, `agreed` when all ranks know of it.
     """
 
     depth: int = 0

@@ -108,27 +108,27 @@ def check_range(options: Any, name: str, low: float, high: float) -> None:
         raise InputError(f"option {name!r} is {value}, it has to be between {low} and {high}")
 
 
-def refuse_unknown(given: Mapping[str, Any], known: list[str]) -> None:
+def refuse_unknown(options: Mapping[str, Any], names: list[str]) -> None:
     """Raise an `InputError` for the first unknown name, with the nearest known one."""
-    for name in given:
-        if name not in known:
-            close = difflib.get_close_matches(str(name), known, n=1)
+    for name in options:
+        if name not in names:
+            close = difflib.get_close_matches(str(name), names, n=1)
             hint = f" Did you mean {close[0]!r}?" if close else ""
-            raise InputError(f"unknown option {name!r}.{hint} Options are: {', '.join(known)}")
+            raise InputError(f"unknown option {name!r}.{hint} Options are: {', '.join(names)}")
 
 
-def parse_options(given: Mapping[str, Any]) -> Options:
+def parse_options(options: Mapping[str, Any]) -> Options:
     """Make options from a mapping; strings as of a command line are converted.
 
     Parameters
     ----------
-    given : mapping
+    options : mapping
         Names and values.
 
     Returns
     -------
     Options
-        The given ones, defaults for the others.
+        With defaults for those that are not in the mapping.
 
     Raises
     ------
@@ -140,11 +140,11 @@ def parse_options(given: Mapping[str, Any]) -> Options:
     >>> parse_options({"rtol": "1e-4", "mprgp_expansion": "standard"}).rtol
     0.0001
     """
-    refuse_unknown(given, [f.name for f in fields(Options)])
-    return convert(Options, given)
+    refuse_unknown(options, [f.name for f in fields(Options)])
+    return convert(Options, options)
 
 
-def convert(kind: type[T], given: Mapping[str, Any]) -> T:
+def convert(kind: type[T], values: Mapping[str, Any]) -> T:
     """Make a data class of options from names that it has and values of any kind.
 
     Raises
@@ -153,7 +153,7 @@ def convert(kind: type[T], given: Mapping[str, Any]) -> T:
         For a value of the wrong kind or out of range.
     """
     hints = get_type_hints(kind)
-    return kind(**{name: _convert(name, value, hints[name]) for name, value in given.items()})
+    return kind(**{name: _convert(name, value, hints[name]) for name, value in values.items()})
 
 
 def _convert(name: str, value: Any, kind: Any) -> Any:
@@ -163,12 +163,12 @@ def _convert(name: str, value: Any, kind: Any) -> Any:
             raise InputError(f"option {name!r} is {value!r}, it has to be one of {choices}")
         return value
     if kind is bool:
-        known = {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}
+        truth = {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}
         # an option without a value, as -tfeti_monitor
         word = str(value).lower() or "true"
-        if word not in known:
+        if word not in truth:
             raise InputError(f"option {name!r} is {value!r}, it has to be true or false")
-        return known[word]
+        return truth[word]
     try:
         number = float(value)
         if kind is int and number != int(number):

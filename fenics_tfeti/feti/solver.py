@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.feti import interruption
-from fenics_tfeti.feti.checkpoint import SavedState
+from fenics_tfeti.feti.checks.system import check_guess, check_system, check_types
 from fenics_tfeti.feti.coarse.feasible_start import check_load, feasible_start
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.feasibility import check_conditions
@@ -22,15 +22,16 @@ from fenics_tfeti.feti.constraints.ground import hold_ground
 from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.feti.dual.iterate import Iterate
 from fenics_tfeti.feti.dual.problem import DualProblem
+from fenics_tfeti.feti.files.checkpoint import SavedState
 from fenics_tfeti.feti.options import Options
-from fenics_tfeti.feti.report import Report, build_report
-from fenics_tfeti.feti.solution.coulomb import iterate_slip_bounds
-from fenics_tfeti.feti.solution.monitor import Monitor, MonitorFunction
-from fenics_tfeti.feti.solution.resultants import (
+from fenics_tfeti.feti.report.report import Report, build_report
+from fenics_tfeti.feti.report.resultants import (
     normal_forces,
     tangential_forces,
     tied_forces,
 )
+from fenics_tfeti.feti.solution.coulomb import iterate_slip_bounds
+from fenics_tfeti.feti.solution.monitor import Monitor, MonitorFunction
 from fenics_tfeti.feti.solution.scale import LANCZOS_STEPS, EnergyScale, FeasibleState
 from fenics_tfeti.feti.solution.setup import (
     DualSetup,
@@ -42,7 +43,6 @@ from fenics_tfeti.feti.solution.setup import (
 )
 from fenics_tfeti.feti.solution.states import ContactData, History, Outcome
 from fenics_tfeti.feti.system import ContactGuess, TornSystem
-from fenics_tfeti.feti.system_checks import check_guess, check_system, check_types
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
@@ -271,7 +271,7 @@ class TornSolver:
 
     @property
     def state(self) -> SavedState:
-        """Where the last solve ended, for `save_checkpoint`.
+        """The last iterate, for `save_checkpoint`.
 
         Raises
         ------
@@ -409,27 +409,20 @@ def _check_arguments(system: TornSystem, options: Options | None) -> None:
         )
 
 
-def _has_same_stiffness(one: TornSystem, other: TornSystem) -> bool:
-    """Tell, with one answer on all ranks, whether two systems share their stiffness matrices.
-
-    Raises
-    ------
-    InputError
-        On all ranks, if the subdomains of `one` are not a list of `Subdomain`.
-    """
-    with raise_collectively(one.comm):
-        check_types(one)
-    same = len(one.subdomains) == len(other.subdomains) and all(
+def _has_same_stiffness(system: TornSystem, previous: TornSystem) -> bool:
+    """Tell, with one answer on all ranks, whether two systems share their stiffness matrices."""
+    with raise_collectively(system.comm):
+        check_types(system)
+    same = len(system.subdomains) == len(previous.subdomains) and all(
         s.stiffness is t.stiffness and s.nodes is t.nodes and s.frame is t.frame
-        for s, t in zip(one.subdomains, other.subdomains, strict=True)
+        for s, t in zip(system.subdomains, previous.subdomains, strict=True)
     )
-    return bool(one.comm.allreduce(same, MPI.LAND))
+    return bool(system.comm.allreduce(same, MPI.LAND))
 
 
 def _check_guess(guess: ContactGuess | None, system: TornSystem, options: Options) -> None:
     """Check that all ranks or none give a guess, each for its contact rows. Collective."""
-    given = system.comm.allgather(guess is not None)
-    if not any(given):
+    if not any(system.comm.allgather(guess is not None)):
         return
     with raise_collectively(system.comm):
         if guess is None:

@@ -193,21 +193,24 @@ class ContactRows:
         InputError
             On this rank, if the shapes do not fit.
         """
-        n, one, other = np.asarray(normal, dtype=np.float64), np.asarray(slave), np.asarray(master)
-        if n.ndim != 2 or (len(n),) != one.shape or (len(n),) != other.shape:
+        n = np.asarray(normal, dtype=np.float64)
+        slaves, masters = np.asarray(slave), np.asarray(master)
+        if n.ndim != 2 or (len(n),) != slaves.shape or (len(n),) != masters.shape:
             raise InputError(
-                f"contact rows from node to node: got slaves of shape {one.shape}, masters of "
-                f"shape {other.shape} and normals of shape {n.shape}, expected (k,), (k,) and "
+                f"contact rows from node to node: got slaves of shape {slaves.shape}, masters of "
+                f"shape {masters.shape} and normals of shape {n.shape}, expected (k,), (k,) and "
                 "(k, gdim). Give one of each for every row"
             )
-        ends = np.column_stack([one, other])
+        ends = np.column_stack([slaves, masters])
         lengths = np.linalg.norm(n, axis=1, keepdims=True)
         n = n / np.where(lengths > 0.0, lengths, 1.0)
-        there = ends != -1
-        there[:, 0] = True
-        offsets = np.append(0, np.cumsum(there.sum(axis=1)))
-        coefficients = np.stack([n, -n], axis=1)[there]
-        return ContactRows(offsets, ends[there], coefficients, np.asarray(gap), np.asarray(contact))
+        exists = ends != -1
+        exists[:, 0] = True
+        offsets = np.append(0, np.cumsum(exists.sum(axis=1)))
+        coefficients = np.stack([n, -n], axis=1)[exists]
+        return ContactRows(
+            offsets, ends[exists], coefficients, np.asarray(gap), np.asarray(contact)
+        )
 
     @staticmethod
     def concatenate(parts: Sequence[ContactRows]) -> ContactRows:
@@ -226,11 +229,11 @@ class ContactRows:
         """Return the rows at some positions."""
         terms = np.diff(self.offsets)[rows]
         offsets = np.append(0, np.cumsum(terms))
-        at = np.repeat(self.offsets[rows] - offsets[:-1], terms) + np.arange(offsets[-1])
+        positions = np.repeat(self.offsets[rows] - offsets[:-1], terms) + np.arange(offsets[-1])
         return ContactRows(
             offsets,
-            self.nodes[at],
-            self.coefficients[at],
+            self.nodes[positions],
+            self.coefficients[positions],
             self.gap[rows],
             self.contact[rows],
             np.asarray(self.slaves)[rows],
@@ -417,8 +420,8 @@ class TornSystem:
 
     def body_name(self, body: int) -> str:
         """Return the name of a body."""
-        known = isinstance(body, int | np.integer) and 0 <= body < len(self.body_names)
-        return self.body_names[body] if known else f"body {body}"
+        has_name = isinstance(body, int | np.integer) and 0 <= body < len(self.body_names)
+        return self.body_names[body] if has_name else f"body {body}"
 
     def contact_name(self, contact: int) -> str:
         """Return the name of a contact or tied pair."""
@@ -444,10 +447,9 @@ class TornSystem:
 
 
 def _convert(part: Any, **dtypes: type[np.generic]) -> None:
-    """Convert fields that hold the right numbers in another form; leave others to the check.
+    """Convert lists to arrays, integers to int64, integers and shorter floats to float64.
 
-    Lists become arrays, integers int64, integers and shorter floating point numbers float64. An
-    array of the right type stays the same object.
+    Fields with other numbers are left to the check, and arrays of the right type as they are.
     """
     for name, dtype in dtypes.items():
         try:

@@ -1,4 +1,4 @@
-"""The check of a torn system: mistakes are named, and what is unusual but right is accepted."""
+"""The torn system: conversion of its fields, and names."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from bad_systems import MISTAKES, column_on
 from torn import column, cube
 
 from fenics_tfeti import InputError
 from fenics_tfeti.feti import (
-    ContactGuess,
     ContactRows,
     Options,
     Prescribed,
@@ -22,30 +20,13 @@ from fenics_tfeti.feti import (
     TornSolver,
     TornSystem,
 )
-from fenics_tfeti.feti.system_checks import check_guess, check_system
-
-
-@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.name)
-def test_mistake_is_named(mistake):
-    with pytest.raises(InputError) as raised:
-        TornSolver(mistake.make(column_on(MPI.COMM_SELF)))
-    message = str(raised.value)
-    assert [word for word in mistake.words if word not in message] == [], message
-
-
-def test_right_system_passes():
-    check_system(column_on(MPI.COMM_SELF))
+from fenics_tfeti.feti.checks.system import check_system
 
 
 @pytest.mark.parametrize("comm", [None, MPI.COMM_NULL, "world"], ids=["none", "null", "text"])
 def test_communicator(comm):
     with pytest.raises(InputError, match="comm: got .*intracommunicator"):
         TornSystem([], Prescribed(), ContactRows.none(3), 3, comm=comm)
-
-
-def test_no_subdomains():
-    with pytest.raises(InputError, match="no subdomains.*at least one"):
-        check_system(TornSystem([], Prescribed(), ContactRows.none(3), 3))
 
 
 def as_lists(system: TornSystem) -> TornSystem:
@@ -123,72 +104,6 @@ def test_repeated_entries_that_cannot_be_merged_in_place():
         check_system(TornSystem([subdomain], Prescribed(), ContactRows.none(3), 3))
 
 
-def test_subdomain_in_two_parts_that_elastic_supports_hold():
-    one, other = cube(1), cube(1, (5, 0, 0))
-    K = sp.block_diag([one.stiffness, other.stiffness], format="csr") + 0.1 * sp.identity(48)
-    both = Subdomain(
-        K.tocsr(),
-        np.concatenate([one.load, other.load]),
-        np.concatenate([one.coordinates, other.coordinates]),
-        np.concatenate([one.nodes, other.nodes]),
-        0,
-    )
-    check_system(TornSystem([both], Prescribed(), ContactRows.none(3), 3))
-
-
-# -- bodies in the plane: triangles of springs -----------------------------------------------------
-
-
-def triangle(points, nodes, body: int = 0) -> Subdomain:
-    """Return a triangle of three springs along its sides; its kernel is that of elasticity."""
-    x = np.array(points, float)
-    K = np.zeros((6, 6))
-    for i, j in ((0, 1), (1, 2), (2, 0)):
-        along = (x[j] - x[i]) / np.linalg.norm(x[j] - x[i])
-        b = np.zeros(6)
-        b[2 * i : 2 * i + 2], b[2 * j : 2 * j + 2] = -along, along
-        K += np.outer(b, b)
-    return Subdomain(sp.csr_matrix(K), np.zeros(6), x, np.array(nodes), body)
-
-
-A, B, C, D, E, F = (0, 0), (2, 0), (1, 2), (1, -1), (3, 2), (-1, 2)
-
-
-def in_the_plane(*triangles: Subdomain) -> TornSystem:
-    return TornSystem(triangles, Prescribed(), ContactRows.none(2), 2)
-
-
-def test_two_common_nodes_make_two_triangles_rigid():
-    check_system(in_the_plane(triangle([A, B, C], [0, 1, 2]), triangle([A, B, D], [0, 1, 3])))
-
-
-def test_three_hinges_make_three_triangles_rigid():
-    check_system(
-        in_the_plane(
-            triangle([A, B, D], [0, 1, 3]),
-            triangle([B, C, E], [1, 2, 4]),
-            triangle([A, C, F], [0, 2, 5]),
-        )
-    )
-
-
-def test_two_hinges_leave_three_triangles_movable():
-    with pytest.raises(InputError, match="body 0.*hinged"):
-        check_system(
-            in_the_plane(
-                triangle([A, B, D], [0, 1, 3]),
-                triangle([B, C, E], [1, 2, 4]),
-                triangle([A, C, F], [0, 6, 5]),
-            )
-        )
-
-
-def test_bodies_of_their_own_need_no_connection():
-    check_system(
-        in_the_plane(triangle([A, B, C], [0, 1, 2]), triangle([A, B, D], [3, 4, 5], body=1))
-    )
-
-
 def test_infinite_gaps_bear_no_force():
     system = column()
     rows = system.contacts
@@ -214,41 +129,3 @@ def test_no_contact_rows():
     none = ContactRows.none(2)
     assert none.normal.shape == (0, 2)
     assert none.slave.size == none.nodes.size == none.gap.size == none.contact.size == 0
-
-
-@pytest.mark.parametrize(
-    ("force", "gap", "message"),
-    [
-        (np.zeros(2), np.zeros(3), r"normal_force .* shape \(2,\), expected \(3,\)"),
-        (np.zeros(3), np.zeros(4), r"gap .* shape \(4,\), expected \(3,\)"),
-        (np.array([0.0, np.inf, 1.0]), np.zeros(3), "normal_force .* 1 of 3 numbers are NaN"),
-        (np.zeros(3), np.array([0.0, np.nan, 1.0]), "gap .* 1 of 3 gaps are NaN"),
-    ],
-)
-def test_wrong_guess(force, gap, message):
-    with pytest.raises(InputError, match=message):
-        check_guess(ContactGuess(force, gap), 3)
-
-
-def test_gaps_of_a_guess_may_be_infinite():
-    check_guess(ContactGuess(np.zeros(2), np.array([0.0, np.inf])), 2)
-
-
-def test_guess_of_a_wrong_type():
-    with pytest.raises(InputError, match="guess: got str, expected a ContactGuess"):
-        TornSolver(column(), guess="all closed")
-
-
-@pytest.mark.parametrize("contacts", [None, np.zeros(3)], ids=["none", "array"])
-def test_system_is_checked_before_the_guess(contacts):
-    system = dataclasses.replace(column(), contacts=contacts)
-    guess = ContactGuess(np.zeros(2), np.zeros(2))
-    with pytest.raises(InputError, match="contacts: got .* expected ContactRows"):
-        TornSolver(system, guess=guess)
-
-
-def test_arguments_of_wrong_types():
-    with pytest.raises(InputError, match="system: got NoneType, expected a TornSystem"):
-        TornSolver(None)
-    with pytest.raises(InputError, match="options: got dict, .* parse_options"):
-        TornSolver(column(), {"rtol": 1e-3})

@@ -6,6 +6,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 
@@ -90,18 +91,10 @@ def test_inner_products_count_each_component_once(seed):
 
 
 @each_seed
-def test_matrix_entries_in_shared_columns_reach_the_other_holders(seed):
-    layout, _, _ = layout_and_values(seed)
-    columns = np.arange(layout.numbers.size)
-    rows = 1000 * comm.rank + layout.numbers
-    found = layout.shared_entries(rows, columns, layout.numbers / 7.0)
-    arrived = sorted(zip(found[0].tolist(), layout.numbers[found[1]].tolist(), strict=True))
-    held = holders(seed)
-    expected = sorted(
-        (1000 * rank + number, number)
-        for rank in range(comm.size)
-        for number in np.flatnonzero(held[rank] & held[comm.rank]).tolist()
-        if rank != comm.rank
-    )
-    assert arrived == expected
-    np.testing.assert_array_equal(found[2], layout.numbers[found[1]] / 7.0)
+def test_sums_of_sparse_rows_are_those_of_vectors(seed):
+    layout, part, _ = layout_and_values(seed)
+    # one column is that of all ranks, the others are each of one rank
+    columns = np.zeros((part.size, 1 + comm.size))
+    columns[:, 0] = columns[:, 1 + comm.rank] = part
+    found = layout.sum_sparse(sp.csr_matrix(columns))
+    np.testing.assert_allclose(found.toarray(), layout.sum(columns), atol=1e-14)

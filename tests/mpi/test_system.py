@@ -12,7 +12,7 @@ from bad_systems import MISTAKES, column_on
 
 from fenics_tfeti import InputError
 from fenics_tfeti.feti import ContactGuess, ContactRows, Prescribed, TornSolver, TornSystem
-from fenics_tfeti.feti.system_checks import check_system
+from fenics_tfeti.feti.checks.system import check_system
 
 comm = MPI.COMM_WORLD
 LAST = comm.rank == comm.size - 1

@@ -26,7 +26,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io.fields import field_degree, of_degree
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_type, owned_cells
-from fenics_tfeti.feti.files import folder_of, write_arrays, write_whole
+from fenics_tfeti.feti.files.arrays import folder_of, write_arrays, write_whole
 from fenics_tfeti.parallel import raise_collectively
 
 _log = logging.getLogger(__name__)

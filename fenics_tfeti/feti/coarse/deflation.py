@@ -33,14 +33,13 @@ from fenics_tfeti.feti.coarse.local_spectra import LocalVectors
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.costs import COLUMNS
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Numbers, Vector
 
 Operator = Callable[[Vector], Vector]
 DeflationKind = Literal["auto", "on", "off"]
 
-# coarse right-hand sides at once
-_COLUMNS = 128
 # vectors of all ranks: U'FU is a dense matrix on each of them, here of 72 MB
 _MOST = 3000
 # square of the length of a column of U = P_E C, of 1 in C, that counts as nothing
@@ -131,7 +130,7 @@ class Deflation:
         if not total:
             return None
         own = _columns(constraints, vectors, first, total)
-        everyone = _with_neighbours(constraints, own)
+        everyone = constraints.layout.sum_sparse(own)
         projector = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
         X, W, V, squares = _coefficients(projector, everyone)
         pieces = sp.hstack(
@@ -308,16 +307,6 @@ def _columns(
     return sp.csr_matrix((values, (constraints.layout.local(rows), places)), shape=shape)
 
 
-def _with_neighbours(constraints: Constraints, own: sp.csr_matrix) -> sp.csr_matrix:
-    """Return the columns of all ranks in the rows that this rank holds."""
-    if constraints.layout.comm.size == 1:
-        return own
-    coo = own.tocoo()
-    columns, rows = coo.col.astype(np.int64), coo.row.astype(np.int64)
-    others = constraints.layout.shared_entries(columns, rows, coo.data)
-    return own + sp.csr_matrix((others[2], (others[1], others[0])), shape=own.shape)
-
-
 def _coefficients(projector: Projector, C: sp.csr_matrix) -> tuple[Vector, Vector, Vector, Vector]:
     """Return X, W and V of P_E C = C - G_E'X - WV, and the squares of the lengths of its columns.
 
@@ -332,8 +321,8 @@ def _coefficients(projector: Projector, C: sp.csr_matrix) -> tuple[Vector, Vecto
         W = np.where(projector.rows[:, None], projector.weak.rows, 0.0)
     X, V = np.zeros((places.size, C.shape[1])), np.zeros((W.shape[1], C.shape[1]))
     squares, owned = np.zeros(C.shape[1]), coarse_space.constraints.layout.owned
-    for first in range(0, C.shape[1], _COLUMNS):
-        some = slice(first, first + _COLUMNS)
+    for first in range(0, C.shape[1], COLUMNS):
+        some = slice(first, first + COLUMNS)
         if projector.factor is not None:
             coarse = projector.without_free_motions(layout.gather(own[:, some].toarray()))
             X[:, some] = projector.factor.solve_columns(coarse)[places]

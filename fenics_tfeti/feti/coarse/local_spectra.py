@@ -18,6 +18,7 @@ import scipy.sparse as sp
 
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.constraints.interface import Interface
+from fenics_tfeti.feti.costs import COLUMNS
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 Operator = Callable[[Vector], Vector]
@@ -31,8 +32,6 @@ _TRIAL = 2
 _MOST = 20
 # relative size of what is left of vectors that depend on the ones before
 _DEPENDENT = 1e-10
-# right-hand sides at once
-_COLUMNS = 128
 
 
 def threshold(gdim: int, nodes: int) -> float:
@@ -271,7 +270,7 @@ def _first_subspaces(
 def _solved(interface: Interface, on_interface: Sequence[Operator], forces: Vector) -> Vector:
     """Apply K^+ between the packed interface unknowns to the columns (b, k) of a matrix."""
     result, width, end = np.empty_like(forces), forces.shape[1], 0
-    together = max(1, _COLUMNS // width)
+    together = max(1, COLUMNS // width)
     for congruent, local, operator in zip(
         interface.classes, interface.unknowns, on_interface, strict=True
     ):

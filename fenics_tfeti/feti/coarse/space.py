@@ -121,7 +121,9 @@ class CoarseSpace:
             for congruent, local in zip(interface.classes, interface.unknowns, strict=True)
         ]
         own = (interface.matrix @ _packed_kernels(interface, traces, ends)).tocsr()
-        everyone = _with_neighbours(constraints, own, first, size)
+        everyone = constraints.layout.sum_sparse(
+            sp.csr_matrix((own.data, own.indices + first, own.indptr), (own.shape[0], size))
+        )
         equality = constraints.equality
         rows = (own[equality].T.tocsr() @ everyone[equality]).tocsr()
         own_columns = (everyone.indices >= first) & (everyone.indices < first + ends[-1])
@@ -304,21 +306,3 @@ def _packed_kernels(interface: Interface, traces: Sequence[Vector], ends: Number
         counts.append(np.full(k * len(R), R.shape[1], dtype=np.int32))
     indptr = np.cumsum(np.concatenate(counts))
     return sp.csr_matrix((data, columns, indptr), shape=(interface.columns.size, int(ends[-1])))
-
-
-def _with_neighbours(
-    constraints: Constraints, own: sp.csr_matrix, first: int, size: int
-) -> sp.csr_matrix:
-    """Return G' with the columns of all ranks, in the rows (of G') that this rank holds."""
-    if constraints.layout.comm.size == 1:
-        return own
-    coo = own.tocoo()
-    columns, rows = coo.col.astype(np.int64) + first, coo.row.astype(np.int64)
-    others = constraints.layout.shared_entries(columns, rows, coo.data)
-    return sp.csr_matrix(
-        (
-            np.concatenate([coo.data, others[2]]),
-            (np.concatenate([rows, others[1]]), np.concatenate([columns, others[0]])),
-        ),
-        shape=(own.shape[0], size),
-    )

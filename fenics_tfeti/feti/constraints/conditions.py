@@ -10,6 +10,7 @@ rows, of contact rows with friction, are terms of the same form (`friction`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ from fenics_tfeti.feti.constraints.redundancy import ContactConditions, Redundan
 from fenics_tfeti.feti.system import ContactRows, TornSystem
 from fenics_tfeti.feti.tolerances import ROUNDED_GAP, SAME_VALUE
 from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
-from fenics_tfeti.typing import Mask, Numbers, Vector
+from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
 # a row whose free part, relative to all of it, is shorter than this is the rounding of one that
 # prescribed displacements decide
@@ -30,35 +31,70 @@ _NEGLIGIBLE_ROW = 1e-10
 
 
 @dataclass(frozen=True)
-class ConditionRows:
-    """The contact, tied and tangential rows that this rank gives, or that have entries on it.
+class RowData:
+    """Data of contact, tied and tangential rows.
 
     Attributes
     ----------
-    entries : Entries
-        Their entries on this rank.
     number : (r,) integer array
-        Global row numbers: first the rows that this rank gives, then those that have entries here;
-        numbers repeat.
+        Global row number; -1 of a condition that is no row of B.
     contact : (r,) integer array
         Number of the contact.
     scale : (r,) array
         Factor that makes B D^{-1} B' = 1 of the condition whose slave's sum has length 1.
     rhs : (r,) array
         Right-hand side, scaled.
-    tolerance : (rows of this rank,) array
-        Rounding of the right-hand sides of the rows that this rank gives, scaled.
     tied : (r,) bool array
         Whether it is an equality.
     tangential : Tangential
         Which rows are tangential rows.
-    given_tied : (rows of this rank,) bool array
-        Whether it is an equality, for the contact rows that this rank gives, after them its tied
-        rows, and its tangential rows in the end.
-    given_sites : (rows of this rank,) integer array
-        Number of the site of each tangential row that this rank gives, -1 for others.
-    kept : (rows of this rank,) bool array
-        Those of them that became rows of B.
+    """
+
+    number: Numbers
+    contact: Numbers
+    scale: Vector
+    rhs: Vector
+    tied: Mask
+    tangential: Tangential
+
+    @staticmethod
+    def from_columns(columns: Sequence[Array]) -> RowData:
+        """Return the rows with `columns` of all data."""
+        number, contact, scale, rhs, tied, *tangential = columns
+        return RowData(number, contact, scale, rhs, tied, Tangential(*tangential))
+
+    @property
+    def columns(self) -> list[Array]:
+        """All data as columns (r,)."""
+        data = vars(self).copy()
+        tangential = data.pop("tangential")
+        return [*data.values(), *vars(tangential).values()]
+
+    def chosen(self, rows: Numbers | Mask) -> RowData:
+        """Return the data of some rows."""
+        return RowData.from_columns([column[rows] for column in self.columns])
+
+    def concatenate(self, rows: RowData) -> RowData:
+        """Return these rows with others behind them."""
+        pairs = zip(self.columns, rows.columns, strict=True)
+        return RowData.from_columns([np.concatenate(pair) for pair in pairs])
+
+
+@dataclass(frozen=True)
+class ConditionRows:
+    """The contact, tied and tangential rows that a rank gives, and those with entries on it.
+
+    Attributes
+    ----------
+    entries : Entries
+        Their entries on this rank.
+    given : RowData
+        The conditions that this rank gives: its contact rows, its tied rows, and the tangential
+        rows of its contact rows.
+    tolerance : (conditions of this rank,) array
+        Rounding of their right-hand sides, scaled.
+    local : RowData
+        The rows with entries on this rank, once for each of their nodes there.
     infinite_gaps : int
         Number of contact rows with an infinite gap, over all ranks.
     redundancy : Redundancy
@@ -66,40 +102,27 @@ class ConditionRows:
     """
 
     entries: Entries
-    number: Numbers
-    contact: Numbers
-    scale: Vector
-    rhs: Vector
+    given: RowData
     tolerance: Vector
-    tied: Mask
-    tangential: Tangential
-    given_tied: Mask
-    given_sites: Numbers
-    kept: Mask
+    local: RowData
     infinite_gaps: int
     redundancy: Redundancy
+
+    @property
+    def kept(self) -> Mask:
+        """Which of this rank's conditions became rows of B."""
+        mask: Mask = self.given.number >= 0
+        return mask
 
 
 @dataclass(frozen=True)
 class _Terms:
     """The terms c_k'u(node_k) of this rank's conditions, the slave's sums of unit length.
 
-    Attributes
-    ----------
-    row : (t,) integer array
-        Row of this rank.
-    node : (t,) integer array
-        Global node number.
-    coefficients : (t, gdim) array
-        c_k of the components without prescribed displacement, 0 for the others.
-    length2 : (t,) array
-        c_k'c_k with the components of prescribed displacements.
-    weight : (t,) array
-        Sum of the weights of the node's copies.
-    known : (t,) array
-        The part of c_k'u(node_k) that prescribed displacements decide [m].
-    size : (t,) array
-        Sum of the magnitudes of its summands [m].
+    The coefficients (t, gdim) are 0 for components with a prescribed displacement, `length2` is
+    c_k'c_k with these components, `prescribed` the part of c_k'u(node_k) that they decide [m] and
+    `size` the sum of the magnitudes of its summands; `weight` is the sum of the weights of the
+    node's copies.
     """
 
     row: Numbers
@@ -107,7 +130,7 @@ class _Terms:
     coefficients: Vector
     length2: Vector
     weight: Vector
-    known: Vector
+    prescribed: Vector
     size: Vector
 
 
@@ -122,77 +145,61 @@ def condition_rows(
         On all ranks, if a row names a node of no subdomain, prescribed displacements violate it, or
         two rows exclude each other.
     """
+    comm = system.comm
     contacts, tied, tangential = _all_conditions(system)
     terms = _terms(system, contacts, directory, table)
     # prescribed displacements go to the right-hand side: the row stays orthogonal to their rows
     gap = contacts.gap / contacts.length
     tolerance = np.abs(gap)
-    np.subtract.at(gap, terms.row, terms.known)
+    np.subtract.at(gap, terms.row, terms.prescribed)
     np.add.at(tolerance, terms.row, terms.size)
     tolerance = SAME_VALUE * tolerance + ROUNDED_GAP * largest_coordinate(system)
 
-    squares, norm2, free2 = np.zeros(gap.size), np.zeros(gap.size), np.zeros(gap.size)
-    lengths2 = np.sum(terms.coefficients**2, axis=1)
-    np.add.at(squares, terms.row, terms.length2)
-    np.add.at(free2, terms.row, lengths2)
-    np.add.at(norm2, terms.row, lengths2 / terms.weight)
-    finite, free = np.isfinite(gap), free2 > _NEGLIGIBLE_ROW**2 * squares
-    infinite_gaps = int(system.comm.allreduce(int(np.count_nonzero(~finite))))
+    free, length = _free_rows(terms, gap.size)
+    finite = np.isfinite(gap)
+    infinite_gaps = int(comm.allreduce(int(np.count_nonzero(~finite))))
     # there is no friction where there is nothing to touch
-    rubbing = np.repeat(system.friction.row, system.gdim - 1)
-    finite[tangential.mask] &= finite[rubbing]
-    decided = finite & ~free & ~tangential.mask
-    with raise_collectively(system.comm):
-        _check_decided_rows(contacts, tied, gap, tolerance, decided)
+    finite[tangential.mask] &= finite[np.repeat(system.friction.row, system.gdim - 1)]
+    with raise_collectively(comm):
+        _check_decided_rows(contacts, tied, gap, tolerance, finite & ~free & ~tangential.mask)
         check_slides(contacts, tangential, gap, tolerance, free)
     kept = finite & free
-    scale = common_scale(1.0 / np.sqrt(np.where(kept, norm2, 1.0)), tangential, kept)
+    scale = common_scale(1.0 / np.where(kept, length, 1.0), tangential, kept)
     redundancy = find_redundant(
-        _conditions(terms, kept, scale, gap, tolerance, tied, tangential.mask),
-        directory,
-        system.comm,
+        _conditions(terms, kept, scale, gap, tolerance, tied, tangential.mask), directory, comm
     )
     kept &= ~redundancy.dropped
 
     number = np.full(gap.size, -1, dtype=np.int64)
-    number[kept] = first + first_of_rank(system.comm, int(kept.sum()))[0] + np.arange(kept.sum())
-    rhs, rounding = np.where(kept, scale * gap, 0.0), scale * tolerance
-    here = kept[terms.row]
-    row = terms.row[here]
-    coefficients = (terms.coefficients / terms.weight[:, None])[here] * scale[row][:, None]
-    # the holders of a row's nodes need the row
-    given = (
-        number,
-        contacts.contact,
-        scale,
-        rhs,
-        tied,
-        tangential.site,
-        tangential.direction,
-        tangential.bound,
+    number[kept] = first + first_of_rank(comm, int(kept.sum()))[0] + np.arange(kept.sum())
+    rhs = np.where(kept, scale * gap, 0.0)
+    given = RowData(number, contacts.contact, scale, rhs, tied, tangential)
+    entries, local = _distribute(given, terms, directory, copies)
+    return ConditionRows(entries, given, scale * tolerance, local, infinite_gaps, redundancy)
+
+
+def _free_rows(terms: _Terms, rows: int) -> tuple[Mask, Vector]:
+    """Return which rows have a part that is not prescribed, and sqrt(B D^{-1} B') of it."""
+    squares = np.sum(terms.coefficients**2, axis=1)
+    all2, free2, norm2 = np.zeros((3, rows))
+    np.add.at(all2, terms.row, terms.length2)
+    np.add.at(free2, terms.row, squares)
+    np.add.at(norm2, terms.row, squares / terms.weight)
+    return free2 > _NEGLIGIBLE_ROW**2 * all2, np.sqrt(norm2)
+
+
+def _distribute(
+    given: RowData, terms: _Terms, directory: Directory, copies: Copies
+) -> tuple[Entries, RowData]:
+    """Send the rows of B to the ranks that hold their nodes; return what this rank gets."""
+    kept = given.number[terms.row] >= 0
+    row, coefficients = terms.row[kept], terms.coefficients / terms.weight[:, None]
+    coefficients = coefficients[kept] * given.scale[row][:, None]
+    nodes, coefficients, *columns = directory.forward(
+        terms.node[kept], coefficients, *given.chosen(row).columns
     )
-    nodes, coefficients, *held = directory.forward(
-        terms.node[here], coefficients, *(column[row] for column in given)
-    )
-    entries = _spread_over_copies(copies, nodes, held[0], coefficients)
-    number, contact, scale, rhs, equality, *of_site = (
-        np.concatenate([own[kept], others]) for own, others in zip(given, held, strict=True)
-    )
-    return ConditionRows(
-        entries,
-        number,
-        contact,
-        scale,
-        rhs,
-        rounding,
-        equality,
-        Tangential(*of_site),
-        tied,
-        tangential.site,
-        kept,
-        infinite_gaps,
-        redundancy,
-    )
+    local = RowData.from_columns(columns)
+    return _spread_over_copies(copies, nodes, local.number, coefficients), local
 
 
 def _all_conditions(system: TornSystem) -> tuple[ContactRows, Mask, Tangential]:
@@ -200,17 +207,19 @@ def _all_conditions(system: TornSystem) -> tuple[ContactRows, Mask, Tangential]:
     friction, directions = system.friction, system.gdim - 1
     tangential = friction.tangential_rows(system.contacts)
     contacts = ContactRows.concatenate([system.contacts, system.tied, tangential])
-    before = contacts.size - tangential.size
-    number = np.arange(contacts.size)
-    tied = (number >= system.contacts.size) & (number < before)
-    none = np.full(before, -1, dtype=np.int64)
+    sizes = [system.contacts.size, system.tied.size, tangential.size]
+    tied = np.repeat([False, True, False], sizes)
+    none = np.full(sizes[0] + sizes[1], -1, dtype=np.int64)
     sites = first_of_rank(system.comm, friction.size)[0] + np.arange(friction.size)
-    of_site = Tangential(
-        np.append(none, np.repeat(sites, directions)),
-        np.append(none, np.tile(np.arange(directions), friction.size)),
-        np.append(none.astype(float), np.repeat(friction.bound, directions)),
+    return (
+        contacts,
+        tied,
+        Tangential(
+            np.append(none, np.repeat(sites, directions)),
+            np.append(none, np.tile(np.arange(directions), friction.size)),
+            np.append(none.astype(float), np.repeat(friction.bound, directions)),
+        ),
     )
-    return contacts, tied, of_site
 
 
 def _terms(
@@ -219,18 +228,18 @@ def _terms(
     """Return the terms of this rank's rows. Collective."""
     row, node = contacts.row, contacts.nodes
     coefficients = contacts.coefficients / contacts.length[row][:, None]
-    found = table.lookup(directory, node)
+    nodal = table.lookup(directory, node)
     with raise_collectively(system.comm):
-        _check_known(node, found.multiplicity)
-    known = np.where(found.prescribed, coefficients * found.values, 0.0)
+        _check_known(node, nodal.multiplicity)
+    summands = np.where(nodal.prescribed, coefficients * nodal.values, 0.0)
     return _Terms(
         row,
         node,
-        np.where(found.prescribed, 0.0, coefficients),
+        np.where(nodal.prescribed, 0.0, coefficients),
         np.sum(coefficients**2, axis=1),
-        found.weight,
-        known.sum(axis=1),
-        np.abs(known).sum(axis=1),
+        nodal.weight,
+        summands.sum(axis=1),
+        np.abs(summands).sum(axis=1),
     )
 
 
@@ -264,10 +273,10 @@ def _spread_over_copies(
     """Give every local copy of the nodes the row's coefficients times its weight."""
     order = np.argsort(copies.node, kind="stable")
     first = np.cumsum(copies.count) - copies.count
-    at = np.searchsorted(copies.nodes, nodes)
-    term = np.repeat(np.arange(nodes.size), copies.count[at])
-    start = np.cumsum(copies.count[at]) - copies.count[at]
-    copy = order[first[at][term] + np.arange(term.size) - start[term]]
+    position = np.searchsorted(copies.nodes, nodes)
+    term = np.repeat(np.arange(nodes.size), copies.count[position])
+    start = np.cumsum(copies.count[position]) - copies.count[position]
+    copy = order[first[position][term] + np.arange(term.size) - start[term]]
     gdim = coefficients.shape[1]
     columns = copies.unknown[copy][:, None] + np.arange(gdim)
     values = coefficients[term] * copies.weight[copy][:, None]
@@ -278,9 +287,9 @@ def _spread_over_copies(
 
 
 def _check_known(nodes: Numbers, multiplicity: Numbers) -> None:
-    unknown = nodes[multiplicity == 0]
-    if unknown.size:
-        raise InputError(f"a contact or tied row names node {unknown[0]}, which is in no subdomain")
+    lost = nodes[multiplicity == 0]
+    if lost.size:
+        raise InputError(f"a contact or tied row names node {lost[0]}, which is in no subdomain")
 
 
 def _check_decided_rows(
@@ -292,7 +301,7 @@ def _check_decided_rows(
     if not violated.size:
         return
     k = violated[0]
-    given = contacts.gap[k] / contacts.length[k]
+    distance = contacts.gap[k] / contacts.length[k]
     if tied[k]:
         raise InputError(
             f"prescribed displacements contradict {np.count_nonzero(tied[violated])} tied "
@@ -301,6 +310,6 @@ def _check_decided_rows(
         )
     raise InputError(
         f"prescribed displacements violate {violated.size} contact conditions: at slave node "
-        f"{contacts.slave[k]} they close the gap of {given:g} m by {given - gap[k]:g} m. "
+        f"{contacts.slave[k]} they close the gap of {distance:g} m by {distance - gap[k]:g} m. "
         "Prescribe less, or take the nodes out of the contact"
     )

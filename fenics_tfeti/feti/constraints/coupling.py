@@ -23,6 +23,7 @@ from scipy.linalg import qr
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
+from fenics_tfeti.feti.costs import COLUMNS
 from fenics_tfeti.feti.tolerances import PARALLEL
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -31,8 +32,6 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 _SMALL_PIVOT, _SHIFT = 1e-6, 1e-12
 # entry of a null vector, relative to 1, that is rounding
 _TRACE = 1e-9
-# columns that are solved for at once
-_COLUMNS = 64
 
 
 @dataclass(frozen=True)
@@ -93,21 +92,21 @@ class Coupling:
     def gather(self, *local: Vector) -> Vector:
         """Return the coupled rows of vectors (m,), (k, w), the same on all ranks. Collective."""
         owned = self.rows[self.owned]
-        whole = np.zeros((len(local), self.numbers.size))
-        whole[:, self.positions[self.owned]] = np.stack([x[owned] for x in local])
-        self._sum_over_ranks(whole)
-        return whole
+        coupled = np.zeros((len(local), self.numbers.size))
+        coupled[:, self.positions[self.owned]] = np.stack([x[owned] for x in local])
+        self._sum_over_ranks(coupled)
+        return coupled
 
     def sum(self, part: Vector) -> Vector:
         """Return the coupled rows (w,) of the sum of the ranks' parts (m,). Collective."""
-        whole = np.zeros(self.numbers.size)
-        whole[self.positions] = part[self.rows]
-        self._sum_over_ranks(whole)
-        return whole
+        coupled = np.zeros(self.numbers.size)
+        coupled[self.positions] = part[self.rows]
+        self._sum_over_ranks(coupled)
+        return coupled
 
-    def _sum_over_ranks(self, whole: Vector) -> None:
+    def _sum_over_ranks(self, coupled: Vector) -> None:
         if self.comm.size > 1:
-            self.comm.Allreduce(MPI.IN_PLACE, whole)
+            self.comm.Allreduce(MPI.IN_PLACE, coupled)
 
     def inverse(self, chosen: Mask) -> GramInverse:
         """Return W_RR^+ of the chosen rows (w,)."""
@@ -155,14 +154,17 @@ class GramInverse:
         """
         independent, columns = chosen.copy(), [sp.csc_matrix((chosen.size, 0))]
         for members in groups:
-            own = members[chosen[members]]
-            null = null_space(_block(W, own))
+            rows_of_group = members[chosen[members]]
+            null = null_space(_block(W, rows_of_group))
             if null.shape[1]:
                 # rows without which the others are independent
                 pivots = qr(null.T, mode="r", pivoting=True)[1][: null.shape[1]]
-                independent[own[pivots]] = False
-                at = np.repeat(own, null.shape[1]), np.tile(np.arange(null.shape[1]), own.size)
-                columns.append(sp.csc_matrix((null.ravel(), at), (chosen.size, null.shape[1])))
+                independent[rows_of_group[pivots]] = False
+                places = (
+                    np.repeat(rows_of_group, null.shape[1]),
+                    np.tile(np.arange(null.shape[1]), rows_of_group.size),
+                )
+                columns.append(sp.csc_matrix((null.ravel(), places), (chosen.size, null.shape[1])))
         rows = np.flatnonzero(independent)
         factor = _factor(W[rows][:, rows]) if rows.size else None
         return GramInverse(chosen, rows, sp.hstack(columns, format="csr"), factor)
@@ -203,21 +205,21 @@ def dependent_groups(W: sp.csr_matrix) -> list[Numbers]:
         return []
     factor = _factor(W + _SHIFT * sp.identity(w, format="csr"))
     small = factor.U.diagonal()[factor.perm_r] <= _SMALL_PIVOT
-    candidates, others = np.flatnonzero(small), np.flatnonzero(~small)
+    candidates, regular = np.flatnonzero(small), np.flatnonzero(~small)
     if not candidates.size:
         return []
     # a null vector n of W is -W_II^{-1} W_ID n_D on the independent rows I
     reached = small.copy()
-    if others.size:
-        factor = _factor(W[others][:, others])
-        right = W[others][:, candidates]
-        for start in range(0, candidates.size, _COLUMNS):
-            columns = factor.solve(right[:, start : start + _COLUMNS].toarray())
-            reached[others] |= np.abs(columns).max(axis=1) > _TRACE
+    if regular.size:
+        factor = _factor(W[regular][:, regular])
+        right = W[regular][:, candidates]
+        for start in range(0, candidates.size, COLUMNS):
+            columns = factor.solve(right[:, start : start + COLUMNS].toarray())
+            reached[regular] |= np.abs(columns).max(axis=1) > _TRACE
     rows = np.flatnonzero(reached)
     count, group = connected_components(W[rows][:, rows], directed=False)
-    found = (rows[group == g] for g in range(count))
-    return [members for members in found if null_space(_block(W, members)).shape[1]]
+    groups = (rows[group == g] for g in range(count))
+    return [members for members in groups if null_space(_block(W, members)).shape[1]]
 
 
 def null_space(W: Vector) -> Vector:

@@ -11,6 +11,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti import interruption
@@ -90,11 +91,13 @@ class DualLayout:
         if self.comm.size == 1:
             return part
         shape = part.shape[1:]
-        received = {rank: np.empty((at.size, *shape)) for rank, at in self._neighbours.items()}
+        received = {
+            rank: np.empty((shared.size, *shape)) for rank, shared in self._neighbours.items()
+        }
         requests = [self.comm.Irecv(buffer, source=rank) for rank, buffer in received.items()]
         requests += [
-            self.comm.Isend(np.ascontiguousarray(part[at]), dest=rank)
-            for rank, at in self._neighbours.items()
+            self.comm.Isend(np.ascontiguousarray(part[shared]), dest=rank)
+            for rank, shared in self._neighbours.items()
         ]
         MPI.Request.Waitall(requests)
         total = part.copy()
@@ -113,31 +116,29 @@ class DualLayout:
         part[: self.owned] = x[: self.owned]
         return part
 
-    def shared_entries(self, rows: Numbers, columns: Numbers, values: Vector) -> tuple[Array, ...]:
-        """Send matrix entries in shared columns to the other ranks that hold the columns.
+    def sum_sparse(self, part: sp.csr_matrix) -> sp.csr_matrix:
+        """Add up the parts of sparse rows over the ranks that hold them. Collective.
 
         Parameters
         ----------
-        rows : (e,) integer array
-            Global row numbers.
-        columns : (e,) integer array
-            Local positions of the columns.
-        values : (e,) array
-            The entries.
-
-        Returns
-        -------
-        rows, columns, values : arrays
-            Entries from the neighbours, columns as local positions on this rank.
+        part : (m, k) scipy.sparse.csr_matrix
+            This rank's part; its columns are global.
         """
+        if self.comm.size == 1:
+            return part
+        entries = part.tocoo()
+        rows, columns = entries.row.astype(np.int64), entries.col.astype(np.int64)
         messages: list[tuple[Array, ...]] = [
-            (rows[:0], columns[:0], values[:0]) for _ in range(self.comm.size)
+            (rows[:0], columns[:0], entries.data[:0]) for _ in range(self.comm.size)
         ]
-        for rank, at in self._neighbours.items():
-            chosen = np.isin(columns, at)
-            messages[rank] = (rows[chosen], self.numbers[columns[chosen]], values[chosen])
+        for rank, shared in self._neighbours.items():
+            chosen = np.isin(rows, shared)
+            messages[rank] = (self.numbers[rows[chosen]], columns[chosen], entries.data[chosen])
         arrived = [np.concatenate(c) for c in zip(*exchange(self.comm, messages), strict=True)]
-        return arrived[0], self.local(arrived[1]), arrived[2]
+        rows = np.concatenate([rows, self.local(arrived[0])])
+        columns = np.concatenate([columns, arrived[1]])
+        values = np.concatenate([entries.data, arrived[2]])
+        return sp.csr_matrix((values, (rows, columns)), shape=part.shape)
 
     def _sum_over_ranks(self, partial: Vector) -> Vector:
         if self.comm.size == 1:
@@ -161,9 +162,9 @@ class DualLayout:
         return total
 
 
-def _sum_and_min(some: Any, others: Any, kind: MPI.Datatype) -> None:
+def _sum_and_min(first: Any, second: Any, kind: MPI.Datatype) -> None:
     """Add two buffers, but take the minimum of their last components."""
-    x, y = np.frombuffer(some), np.frombuffer(others)
+    x, y = np.frombuffer(first), np.frombuffer(second)
     y[:-1] += x[:-1]
     y[-1] = min(x[-1], y[-1])
 

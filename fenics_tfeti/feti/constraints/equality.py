@@ -37,27 +37,17 @@ class EqualityRows:
 
 @dataclass(frozen=True)
 class _Chain:
-    """The copies, on all ranks, of the nodes held here: ordered within their node.
+    """The copies, on all ranks, of this rank's nodes, numbered 0, 1, ... within their node.
 
-    Attributes
-    ----------
-    node : (c,) integer array
-        Position in the nodes held here.
-    number : (c,) integer array
-        0, 1, ..., k - 1 within the node.
-    own : (c,) integer array
-        The copy on this rank; -1 for copies on other ranks.
-    weight : (c,) array
-        Entry of D.
-    before : (c,) array
-        Sum of the weights of the node's preceding copies.
+    `copy` is the position of a copy among those of this rank, -1 for copies of other ranks, and
+    `weight_before` the sum of the weights of the node's preceding copies.
     """
 
     node: Numbers
     number: Numbers
-    own: Numbers
+    copy: Numbers
     weight: Vector
-    before: Vector
+    weight_before: Vector
 
 
 def equality_rows(
@@ -77,9 +67,9 @@ def equality_rows(
         Components of a displacement; this rank.
     """
     chain = _chain(directory, copies, rank)
-    here = chain.own >= 0
+    local_copies = chain.copy >= 0
     number = np.empty(copies.node.size, dtype=np.int64)
-    number[chain.own[here]] = chain.number[here]
+    number[chain.copy[local_copies]] = chain.number[local_copies]
     contrasts = _contrasts(chain, local.multiplicity)
     multiplicity, row = local.multiplicity[copies.node], local.first_row[copies.node]
     parts: list[Entries] = []
@@ -107,19 +97,19 @@ def equality_rows(
 
 def _chain(directory: Directory, copies: Copies, rank: int) -> _Chain:
     """Order the copies of all ranks, in the same way on all ranks."""
-    own = np.arange(copies.node.size)
-    keys, ranks, own, weight = directory.forward(
-        copies.nodes[copies.node], np.full(own.size, rank, dtype=np.int64), own, copies.weight
+    copy = np.arange(copies.node.size)
+    keys, ranks, copy, weight = directory.forward(
+        copies.nodes[copies.node], np.full(copy.size, rank, dtype=np.int64), copy, copies.weight
     )
-    order = np.lexsort((own, ranks, keys))
-    keys, ranks, own, weight = keys[order], ranks[order], own[order], weight[order]
+    order = np.lexsort((copy, ranks, keys))
+    keys, ranks, copy, weight = keys[order], ranks[order], copy[order], weight[order]
     node = np.searchsorted(copies.nodes, keys)
     number = np.arange(keys.size) - np.searchsorted(keys, keys)
-    before = np.zeros(keys.size)
+    weight_before = np.zeros(keys.size)
     for r in range(1, int(number.max(initial=0)) + 1):
-        at = np.flatnonzero(number == r)
-        before[at] = before[at - 1] + weight[at - 1]
-    return _Chain(node, number, np.where(ranks == rank, own, -1), weight, before)
+        position = np.flatnonzero(number == r)
+        weight_before[position] = weight_before[position - 1] + weight[position - 1]
+    return _Chain(node, number, np.where(ranks == rank, copy, -1), weight, weight_before)
 
 
 def _contrasts(chain: _Chain, multiplicity: Numbers) -> Entries:
@@ -127,20 +117,16 @@ def _contrasts(chain: _Chain, multiplicity: Numbers) -> Entries:
 
     With weights d_0, d_1, ... and s_r = d_0 + ... + d_{r-1}, row r = 1, ..., k - 1 is
     (d_0, ..., d_{r-1}, -s_r, 0, ..., 0) / s_r / sqrt(1 / s_r + 1 / d_r); Helmert's for weights 1.
-
-    Returns
-    -------
-    Entries
-        Rows counted from 0 within the node, columns as copies on this rank.
+    Rows are counted from 0 within the node, columns are copies on this rank.
     """
-    mine = np.flatnonzero(chain.own >= 0)
-    number = chain.number[mine]
+    local = np.flatnonzero(chain.copy >= 0)
+    number = chain.number[local]
     first = np.maximum(number, 1)
-    rows_of_copy = multiplicity[chain.node[mine]] - first
-    term = np.repeat(np.arange(mine.size), rows_of_copy)
+    rows_of_copy = multiplicity[chain.node[local]] - first
+    term = np.repeat(np.arange(local.size), rows_of_copy)
     start = np.cumsum(rows_of_copy) - rows_of_copy
     r = (np.arange(term.size) - start[term] + first[term]).astype(np.int64)
-    of_row = mine[term] - number[term] + r  # position of copy r in the chain
-    s, d = chain.before[of_row], chain.weight[of_row]
-    values = np.where(r == number[term], -1.0, chain.weight[mine[term]] / s)
-    return Entries(r - 1, chain.own[mine[term]], values / np.sqrt(1.0 / s + 1.0 / d))
+    new = local[term] - number[term] + r  # position of copy r in the chain
+    s, d = chain.weight_before[new], chain.weight[new]
+    values = np.where(r == number[term], -1.0, chain.weight[local[term]] / s)
+    return Entries(r - 1, chain.copy[local[term]], values / np.sqrt(1.0 / s + 1.0 / d))

@@ -102,17 +102,17 @@ def contradiction(W: Vector, gaps: Vector, rounding: Vector | float = 0.0) -> Nu
 
 def _raise(system: TornSystem, constraints: Constraints, numbers: Numbers) -> None:
     """Raise the error; rows are named by the ranks that gave them."""
-    nodes, which = [], []
-    for rows, own in (
+    nodes, contact_numbers = [], []
+    for rows, positions in (
         (system.contacts, constraints.own_rows),
         (system.tied, constraints.tied.own_rows),
     ):
-        given = np.flatnonzero(own >= 0)
-        mine = given[np.isin(constraints.layout.numbers[own[given]], numbers)]
-        nodes.append(rows.slave[mine])
-        which.append(rows.contact[mine])
+        known = np.flatnonzero(positions >= 0)
+        named = known[np.isin(constraints.layout.numbers[positions[known]], numbers)]
+        nodes.append(rows.slave[named])
+        contact_numbers.append(rows.contact[named])
     slaves = np.unique(concatenate_ranks(system.comm, np.concatenate(nodes)))
-    contacts = np.unique(concatenate_ranks(system.comm, np.concatenate(which)))
+    contacts = np.unique(concatenate_ranks(system.comm, np.concatenate(contact_numbers)))
     names = [system.contact_name(i) for i in contacts]
     raise InputError(
         "contact or tied conditions and prescribed displacements contradict each other: "

@@ -87,14 +87,14 @@ def hold_ground(
         c.
     """
     layout, new = constraints.layout, int(unknowns.grounds.sum())
-    before, total = first_of_rank(layout.comm, new)
+    offset, total = first_of_rank(layout.comm, new)
     if not total:
         return constraints, c
     last = layout.comm.allreduce(int(layout.numbers.max(initial=-1)), MPI.MAX)
-    numbers = np.append(layout.numbers, last + 1 + before + np.arange(new))
+    numbers = np.append(layout.numbers, last + 1 + offset + np.arange(new))
 
     # nobody else holds the new rows, which follow the owned ones
-    def moved(rows: Numbers) -> Numbers:
+    def shifted(rows: Numbers) -> Numbers:
         places: Numbers = np.where(rows >= layout.owned, rows + new, rows)
         return places
 
@@ -103,30 +103,30 @@ def hold_ground(
     weights = np.ones(int(unknowns.ends[-1]))
     weights[displacements] = constraints.weights
     weights[ground] = _mean_weights(constraints.weights, unknowns)
-    old, held = constraints.matrix.tocoo(), layout.owned + np.arange(new)
-    rows = np.concatenate([moved(old.row), held])
+    old, ground_rows = constraints.matrix.tocoo(), layout.owned + np.arange(new)
+    rows = np.concatenate([shifted(old.row), ground_rows])
     columns = np.concatenate([displacements[old.col], ground])
     values = np.concatenate([old.data, np.sqrt(weights[ground])])
     shape = numbers.size, weights.size
-    coupling = replace(constraints.coupling, rows=moved(constraints.coupling.rows))
+    coupling = replace(constraints.coupling, rows=shifted(constraints.coupling.rows))
     tied = constraints.tied
-    tied = replace(tied, rows=moved(tied.rows), own_rows=moved(tied.own_rows))
+    tied = replace(tied, rows=shifted(tied.rows), own_rows=shifted(tied.own_rows))
     extended = replace(
         constraints,
         matrix=sp.csr_matrix((values, (rows, columns)), shape),
         layout=DualLayout(layout.comm, numbers, np.arange(numbers.size)),
-        inequality=moved(constraints.inequality),
-        own_rows=moved(constraints.own_rows),
+        inequality=shifted(constraints.inequality),
+        own_rows=shifted(constraints.own_rows),
         weights=weights,
         tied=tied,
         coupling=coupling,
-        friction=constraints.friction.moved(moved(np.arange(constraints.size))),
+        friction=constraints.friction.moved(shifted(np.arange(constraints.size))),
     )
     return extended, np.insert(c, layout.owned, np.zeros(new))
 
 
 def _mean_weights(weights: Vector, unknowns: TornUnknowns) -> Vector:
     """Return the mean weight of its subdomain for each unknown of the ground."""
-    of_subdomain = np.repeat(np.arange(unknowns.sizes.size), unknowns.sizes)
-    sums = np.bincount(of_subdomain, weights=weights, minlength=unknowns.sizes.size)
+    subdomain = np.repeat(np.arange(unknowns.sizes.size), unknowns.sizes)
+    sums = np.bincount(subdomain, weights=weights, minlength=unknowns.sizes.size)
     return np.repeat(sums / np.maximum(unknowns.sizes, 1), unknowns.grounds)

@@ -47,10 +47,12 @@ class Copies:
     @staticmethod
     def build(system: TornSystem, weights: Vector | None) -> Copies:
         """Collect the copies; weights are 1 by default."""
-        every = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in system.subdomains)])
-        nodes, node, count = count_copies(every)
-        unknown = system.gdim * np.arange(every.size, dtype=np.int64)
-        weight = np.ones(every.size) if weights is None else weights
+        numbers = np.concatenate(
+            [np.zeros(0, dtype=np.int64), *(s.nodes for s in system.subdomains)]
+        )
+        nodes, node, count = count_copies(numbers)
+        unknown = system.gdim * np.arange(numbers.size, dtype=np.int64)
+        weight = np.ones(numbers.size) if weights is None else weights
         return Copies(node, unknown, weight, nodes, count)
 
     def of_nodes(self, chosen: Mask) -> Copies:
@@ -67,7 +69,7 @@ class Copies:
 
 @dataclass(frozen=True)
 class NodeTable:
-    """What all ranks together know of some nodes: those at home on this rank, or those looked up.
+    """Data of nodes over all ranks: of those at home on this rank, or of those looked up.
 
     Attributes
     ----------
@@ -102,12 +104,12 @@ class NodeTable:
         homes = directory.keys.size
         sums = np.bincount(copies.node, weights=copies.weight, minlength=copies.nodes.size)
         keys, counts, sums = directory.collect(copies.nodes, copies.count, sums)
-        at = directory.position(keys)
-        multiplicity = np.bincount(at, weights=counts, minlength=homes).astype(np.int64)
-        weight = np.bincount(at, weights=sums, minlength=homes).astype(np.float64)
+        home = directory.position(keys)
+        multiplicity = np.bincount(home, weights=counts, minlength=homes).astype(np.int64)
+        weight = np.bincount(home, weights=sums, minlength=homes).astype(np.float64)
 
-        given = system.prescribed
-        arrived = directory.collect(given.nodes, given.components, given.values)
+        conditions = system.prescribed
+        arrived = directory.collect(conditions.nodes, conditions.components, conditions.values)
         rounding = ROUNDED_POSITION * largest_coordinate(system)
         with raise_collectively(system.comm):
             prescribed, values = _merge_prescribed(
@@ -135,18 +137,20 @@ def count_copies(nodes: Numbers) -> tuple[Numbers, Numbers, Numbers]:
     """
     lowest, highest = (int(nodes.min()), int(nodes.max())) if nodes.size else (0, 0)
     if highest - lowest > _DENSE * nodes.size:
-        held, position, count = np.unique(nodes, return_inverse=True, return_counts=True)
-        return held, position.ravel(), count
+        distinct, position, count = np.unique(nodes, return_inverse=True, return_counts=True)
+        return distinct, position.ravel(), count
     count = np.bincount(nodes - lowest)
-    held = np.flatnonzero(count)
+    distinct = np.flatnonzero(count)
     position = np.cumsum(count > 0) - 1
-    return held + lowest, position[nodes - lowest], count[held]
+    return distinct + lowest, position[nodes - lowest], count[distinct]
 
 
 def largest_coordinate(system: TornSystem) -> float:
     """Return the largest coordinate in magnitude over all ranks [m]. Collective."""
-    own = max((float(np.abs(s.coordinates).max(initial=0.0)) for s in system.subdomains), default=0)
-    return float(system.comm.allreduce(own, MPI.MAX))
+    largest = max(
+        (float(np.abs(s.coordinates).max(initial=0.0)) for s in system.subdomains), default=0
+    )
+    return float(system.comm.allreduce(largest, MPI.MAX))
 
 
 def _equality_rows(multiplicity: Numbers, prescribed: Mask) -> Numbers:
@@ -164,23 +168,23 @@ def _merge_prescribed(
 ) -> tuple[Mask, Vector]:
     """Merge (node, component, value) of all ranks; the values of one displacement have to agree."""
     nodes, components, values = arrived
-    at = directory.position(nodes)
-    if np.any(at < 0):
+    home = directory.position(nodes)
+    if np.any(home < 0):
         raise InputError(
-            f"a displacement is prescribed for node {nodes[at < 0][0]}, which is in no subdomain"
+            f"a displacement is prescribed for node {nodes[home < 0][0]}, which is in no subdomain"
         )
     prescribed, merged = np.zeros(shape, dtype=bool), np.zeros(shape)
-    prescribed[at, components] = True
-    merged[at, components] = values
+    prescribed[home, components] = True
+    merged[home, components] = values
     largest = np.zeros(shape[0])
-    np.maximum.at(largest, at, np.abs(values))
-    difference = np.abs(merged[at, components] - values)
-    wrong = np.flatnonzero(difference > SAME_VALUE * largest[at] + rounding)
+    np.maximum.at(largest, home, np.abs(values))
+    difference = np.abs(merged[home, components] - values)
+    wrong = np.flatnonzero(difference > SAME_VALUE * largest[home] + rounding)
     if wrong.size:
         k = wrong[0]
         raise InputError(
             f"contradictory Dirichlet values: component {components[k]} of node {nodes[k]} is "
-            f"prescribed as {values[k]:g} and as {merged[at[k], components[k]]:g} "
+            f"prescribed as {values[k]:g} and as {merged[home[k], components[k]]:g} "
             f"({wrong.size} such contradictions). Give each displacement one value"
         )
     return prescribed, merged

@@ -58,7 +58,7 @@ class ContactConditions:
 
 @dataclass(frozen=True)
 class Redundancy:
-    """What was found.
+    """Rows that others imply, and rows that are not orthogonal to all others.
 
     Attributes
     ----------
@@ -160,24 +160,23 @@ def _examine(
         return rows.number, rows.number, sp.csr_matrix((0, 0))
     gdim = coefficients.shape[1]
     column = np.unique(node, return_inverse=True)[1].ravel()
-    at = np.repeat(np.searchsorted(rows.number, row), gdim)
+    position = np.repeat(np.searchsorted(rows.number, row), gdim)
     columns = (gdim * column[:, None] + np.arange(gdim)).ravel()
     C = sp.csr_matrix(
-        (coefficients.ravel(), (at, columns)), (rows.number.size, int(columns.max()) + 1)
+        (coefficients.ravel(), (position, columns)), (rows.number.size, int(columns.max()) + 1)
     )
     gram = (C @ C.T).tocoo()
     limited = (rows.tangential[gram.row] | rows.tangential[gram.col]) & (gram.row != gram.col)
     implying = sp.coo_matrix((np.where(limited, 0.0, gram.data), (gram.row, gram.col)), gram.shape)
-    _check_room(rows, implying, node, row)
-    _check_tied(rows, implying, node, row)
+    _check_pairs(rows, implying, node, row)
 
     # a tied row decides those that are opposite to it, too
-    either = rows.tied[gram.row] | rows.tied[gram.col]
-    parallel = np.where(either, np.abs(implying.data), implying.data) > 1.0 - PARALLEL
-    alike = sp.coo_matrix(
+    decided = rows.tied[gram.row] | rows.tied[gram.col]
+    parallel = np.where(decided, np.abs(implying.data), implying.data) > 1.0 - PARALLEL
+    graph = sp.coo_matrix(
         (gram.data[parallel], (gram.row[parallel], gram.col[parallel])), gram.shape
     )
-    group = connected_components(alike, directed=False)[1]
+    group = connected_components(graph, directed=False)[1]
     # a tied row of each group stays, or the smallest right-hand side, the first of equal ones
     order = np.lexsort((rows.number, rows.rhs, ~rows.tied, group))
     stays = np.sort(order[np.unique(group[order], return_index=True)[1]])
@@ -191,33 +190,30 @@ def _examine(
     return dropped, rows.number[stays[coupled]], gram[coupled][:, coupled]
 
 
-def _check_room(rows: _Rows, gram: sp.coo_matrix, node: Numbers, row: Numbers) -> None:
-    """Check that opposite conditions leave room; the data are the same on all ranks."""
-    opposite = gram.data < -(1.0 - PARALLEL)
-    opposite &= ~(rows.tied[gram.row] | rows.tied[gram.col])
-    i, j = gram.row[opposite], gram.col[opposite]
-    tolerance = rows.tolerance[i] + rows.tolerance[j]
-    excluded = np.flatnonzero(rows.rhs[i] + rows.rhs[j] < -tolerance)
+def _check_pairs(rows: _Rows, gram: sp.coo_matrix, node: Numbers, row: Numbers) -> None:
+    """Check that opposite contact rows leave room, and that tied rows agree with parallel ones.
+
+    Condition i, or its opposite, implies condition j where s rhs_i <= rhs_j, s = 1 or -1. The data
+    are the same on all ranks.
+    """
+    parallel = np.abs(gram.data) > 1.0 - PARALLEL
+    i, j, sign = gram.row[parallel], gram.col[parallel], np.sign(gram.data[parallel])
+    excess = sign * rows.rhs[i] - rows.rhs[j]
+    violated = np.where(rows.tied[i] & rows.tied[j], np.abs(excess), excess)
+    wrong = violated > rows.tolerance[i] + rows.tolerance[j]
+    excluded = i[wrong & (sign < 0.0) & ~(rows.tied[i] | rows.tied[j])]
     if excluded.size:
-        first = node[row == rows.number[i[excluded[0]]]].tolist()
+        nodes = node[row == rows.number[excluded[0]]].tolist()
         raise InputError(
             f"{excluded.size // 2} pairs of contact conditions exclude each other: they press on "
-            f"the same nodes from opposite sides and leave no room, the first at the nodes {first} "
+            f"the same nodes from opposite sides and leave no room, the first at the nodes {nodes} "
             f"(global numbers). Make more room between the contacts, or remove one of them"
         )
-
-
-def _check_tied(rows: _Rows, gram: sp.coo_matrix, node: Numbers, row: Numbers) -> None:
-    """Check that tied rows agree with rows parallel or opposite to them."""
-    alike = rows.tied[gram.row] & (np.abs(gram.data) > 1.0 - PARALLEL)
-    i, j = gram.row[alike], gram.col[alike]
-    excess = np.sign(gram.data[alike]) * rows.rhs[i] - rows.rhs[j]
-    violated = np.where(rows.tied[j], np.abs(excess), excess)
-    wrong = np.flatnonzero(violated > rows.tolerance[i] + rows.tolerance[j])
-    if wrong.size:
-        first = node[row == rows.number[i[wrong[0]]]].tolist()
+    contradicted = i[wrong & rows.tied[i]]
+    if contradicted.size:
+        nodes = node[row == rows.number[contradicted[0]]].tolist()
         raise InputError(
-            f"{np.unique(i[wrong]).size} tied conditions contradict other conditions of the same "
-            f"nodes, the first at the nodes {first} (global numbers). Tie each surface once, and "
-            "take tied nodes out of contacts that leave them no room"
+            f"{np.unique(contradicted).size} tied conditions contradict other conditions of the "
+            f"same nodes, the first at the nodes {nodes} (global numbers). Tie each surface once, "
+            "and take tied nodes out of contacts that leave them no room"
         )

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.feti.constraints.conditions import ConditionRows, condition_rows
+from fenics_tfeti.feti.constraints.conditions import ConditionRows, RowData, condition_rows
 from fenics_tfeti.feti.constraints.coupling import Coupling
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.constraints.entries import Entries
@@ -227,72 +227,81 @@ def build_constraints(
     equality_total = first_of_rank(system.comm, int(table.rows.sum()))[1]
     conditions = condition_rows(system, directory, copies, table, equality_total)
 
+    given, kept = conditions.given, conditions.kept
     entries = Entries.concatenate([equality.entries, conditions.entries])
-    layout = _along_subdomains(system.comm, equality.entries, conditions.number)
+    rows = given.chosen(kept).concatenate(conditions.local)
+    layout = _along_subdomains(system.comm, equality.entries, rows.number)
     shape = layout.numbers.size, sum(subdomain.size for subdomain in system.subdomains)
     matrix = sp.csr_matrix((entries.values, (layout.local(entries.rows), entries.columns)), shape)
-    at = layout.local(conditions.number)
     c = np.zeros(layout.numbers.size)
     c[layout.local(equality.prescribed)] = equality.values
-    c[at] = conditions.rhs
+    c[layout.local(rows.number)] = rows.rhs
 
-    kept = conditions.kept
     own_rows = np.full(kept.size, -1, dtype=np.int64)
-    own_rows[kept] = at[: np.count_nonzero(kept)]
+    own_rows[kept] = layout.local(given.number[kept])
+    contact_rows = own_rows[: system.contacts.size]
     # each row once
-    rows, first = np.unique(at, return_index=True)
-    tied, tangential = conditions.tied[first], conditions.tangential.chosen(first)
-    contact, scale = conditions.contact[first], conditions.scale[first]
-    pressing, slip = ~tied & ~tangential.mask, tangential.mask
-    given_contact = ~conditions.given_tied & (conditions.given_sites < 0)
-    inequality, factor = rows[pressing], scale[pressing]
-    friction = FrictionRows.build(
-        rows[slip],
-        tangential.chosen(slip),
-        contact[slip],
-        scale[slip],
-        system.gdim - 1,
-        np.unique(conditions.given_sites[conditions.given_sites >= 0]),
-        system.comm,
-    )
-    normal = own_rows[given_contact][system.friction.row]
-    _check_pressed(system, friction, normal)
-    with_none = np.append(factor, 0.0)
-    friction = friction.with_normals(
-        normal,
-        with_none[np.where(normal >= 0, np.searchsorted(inequality, normal), -1)],
-        np.asarray(system.friction.coefficient),
-        layout,
-    )
+    position, first = np.unique(layout.local(rows.number), return_index=True)
+    rows = rows.chosen(first)
+    slip, tied = rows.tangential.mask, rows.tied
+    pressing = ~tied & ~slip
     constraints = Constraints(
         matrix,
         layout,
-        inequality=inequality,
-        contact=contact[pressing],
-        scale=factor,
-        own_rows=own_rows[given_contact],
+        inequality=position[pressing],
+        contact=rows.contact[pressing],
+        scale=rows.scale[pressing],
+        own_rows=contact_rows,
         weights=np.repeat(copies.weight, system.gdim),
         nodes=first_of_rank(system.comm, directory.keys.size)[1],
         redundant=conditions.redundancy.dropped_total,
         infinite_gaps=conditions.infinite_gaps,
-        tied=TiedRows(rows[tied], contact[tied], scale[tied], own_rows[conditions.given_tied]),
+        tied=TiedRows(position[tied], rows.contact[tied], rows.scale[tied], own_rows[given.tied]),
         coupling=_coupling(layout, conditions),
-        friction=friction,
+        friction=_friction_rows(
+            system, layout, given, rows, position, contact_rows[system.friction.row]
+        ),
     )
     return constraints, c
+
+
+def _friction_rows(
+    system: TornSystem,
+    layout: DualLayout,
+    given: RowData,
+    rows: RowData,
+    position: Numbers,
+    normal: Numbers,
+) -> FrictionRows:
+    """Return the tangential ones of rows at local positions; `normal` are their contact rows."""
+    slip, sites = rows.tangential.mask, given.tangential.site
+    friction = FrictionRows.build(
+        position[slip],
+        rows.tangential.chosen(slip),
+        rows.contact[slip],
+        rows.scale[slip],
+        system.gdim - 1,
+        np.unique(sites[sites >= 0]),
+        system.comm,
+    )
+    _check_pressed(system, friction, normal)
+    scale = np.zeros(layout.numbers.size + 1)
+    scale[position] = rows.scale
+    coefficient = np.asarray(system.friction.coefficient)
+    return friction.with_normals(normal, scale[normal], coefficient, layout)
 
 
 def _along_subdomains(comm: MPI.Intracomm, equality: Entries, conditions: Numbers) -> DualLayout:
     """Lay out the equality rows by their first torn unknowns, then the others by their numbers.
 
-    Products with B and B' read vectors in sequence then, not at random. Collective.
+    Products with B and B' then read vectors in sequence, not at random. Collective.
     """
     by_row = np.argsort(equality.rows, kind="stable")
     numbers, starts = np.unique(equality.rows[by_row], return_index=True)
     first = np.minimum.reduceat(equality.columns[by_row], starts) if starts.size else starts
     conditions = np.unique(conditions)
-    after = 1 + equality.columns.max(initial=0)
-    place = np.concatenate([first, after + np.arange(conditions.size)])
+    end = 1 + equality.columns.max(initial=0)
+    place = np.concatenate([first, end + np.arange(conditions.size)])
     return DualLayout(comm, np.concatenate([numbers, conditions]), place)
 
 
@@ -312,19 +321,17 @@ def _check_pressed(system: TornSystem, friction: FrictionRows, normal: Numbers) 
 
 def _coupling(layout: DualLayout, conditions: ConditionRows) -> Coupling:
     """Find the coupled rows' numbers and those that this rank holds. Collective."""
-    kept, redundancy = conditions.kept, conditions.redundancy
-    own = redundancy.coupled[kept]
-    numbers = concatenate_ranks(layout.comm, conditions.number[: own.size][own])
-    tied, tangential, tolerance = (
-        concatenate_ranks(layout.comm, column[kept][own])
-        for column in (conditions.given_tied, conditions.given_sites >= 0, conditions.tolerance)
+    given, coupled = conditions.given, conditions.redundancy.coupled
+    numbers, tied, tangential, tolerance = (
+        concatenate_ranks(layout.comm, column[coupled])
+        for column in (given.number, given.tied, given.tangential.mask, conditions.tolerance)
     )
     positions = np.flatnonzero(np.isin(numbers, layout.numbers))
     rows = layout.local(numbers[positions])
     owned = rows < layout.owned
     return Coupling(
         numbers,
-        redundancy.gram,
+        conditions.redundancy.gram,
         tied,
         tangential,
         tolerance,

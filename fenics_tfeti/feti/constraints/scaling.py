@@ -57,8 +57,8 @@ def _diagonals(system: TornSystem) -> Vector:
     """Return the mean diagonal of K_i at each copy of a node."""
     matrices = {id(s.stiffness): s.stiffness for s in system.subdomains}
     mean = {
-        which: matrix.diagonal().reshape(-1, system.gdim).mean(axis=1)
-        for which, matrix in matrices.items()
+        key: matrix.diagonal().reshape(-1, system.gdim).mean(axis=1)
+        for key, matrix in matrices.items()
     }
     return np.concatenate([np.zeros(0), *(mean[id(s.stiffness)] for s in system.subdomains)])
 

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fenics_tfeti.feti.costs import COLUMNS, ROWS
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 from fenics_tfeti.feti.local.symmetry import SymmetryGroup
 from fenics_tfeti.typing import Numbers, Vector
 
-# right-hand sides at once for the explicit matrix
-_COLUMNS = 512
 # by how much several right-hand sides make a triangular solve and a dense product cheaper, measured
 _SHARING_OF_SOLVES = 3
 _SHARING_OF_PRODUCTS = 8
@@ -26,8 +25,6 @@ _PRODUCTS = 50
 # by how much blocks may differ from solves, relative to the largest displacement: a dual operator
 # that disagrees with the recovery by more limits its accuracy
 _SYMMETRIC = 1e-13
-# rows at once: their coordinates in the orbits stay in the cache
-_ROWS = 64
 
 
 @dataclass(frozen=True)
@@ -105,8 +102,8 @@ class ExplicitInverse:
     def _of_orbits(inverse: GeneralizedInverse, orbits: Orbits) -> ExplicitInverse:
         group, chosen = orbits.group, orbits.representatives
         columns = np.empty((orbits.unknowns.size, chosen.size))
-        for start in range(0, chosen.size, _COLUMNS):
-            some = orbits.unknowns[chosen[start : start + _COLUMNS]]
+        for start in range(0, chosen.size, COLUMNS):
+            some = orbits.unknowns[chosen[start : start + COLUMNS]]
             unit = np.zeros((inverse.size, some.size), order="F")
             unit[some, np.arange(some.size)] = 1.0
             columns[:, start : start + some.size] = inverse.solve(unit)[orbits.unknowns]
@@ -134,8 +131,8 @@ class ExplicitInverse:
             product: Vector = rows @ self.blocks[0]
             return product
         result = np.empty_like(rows)
-        for start in range(0, len(rows), _ROWS):
-            some = slice(start, start + _ROWS)
+        for start in range(0, len(rows), ROWS):
+            some = slice(start, start + ROWS)
             result[some] = self._by_characters(rows[some])
         return result
 

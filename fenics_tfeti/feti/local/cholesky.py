@@ -18,6 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.errors import FactorizationError, InputError
+from fenics_tfeti.feti.costs import COLUMNS
 from fenics_tfeti.feti.local.threads import one_thread
 from fenics_tfeti.typing import Vector
 
@@ -104,8 +105,6 @@ def choose_package(package: Package, available: Sequence[str] | None = None) -> 
     )
 
 
-# right-hand sides that are solved for together: the factor is read once for all of them
-_COLUMNS = 64
 # largest residual of a useful factor, relative to the right-hand side
 _USELESS = 1e-6
 # more work than any solve has: rslab's solves stay on the thread that calls them
@@ -122,7 +121,7 @@ _ERROR, _NEGATIVE_PIVOTS = 1, 12
 
 
 class _Factor(Protocol):
-    """What a package has to offer; its constructor takes a matrix and may raise `_Indefinite`."""
+    """A factor by a package; its constructor takes a matrix and may raise `_Indefinite`."""
 
     def solve(self, b: Vector) -> Vector:
         """Solve for a vector (n,)."""
@@ -192,9 +191,9 @@ class SparseCholesky:
         if b.ndim == 1:
             return self._factor.solve(b)
         x = np.empty(b.shape, order="F")
-        for start in range(0, b.shape[1], _COLUMNS):
-            some = slice(start, start + _COLUMNS)
-            x[:, some] = self._factor.solve_columns(np.asfortranarray(b[:, some]))
+        for start in range(0, b.shape[1], COLUMNS):
+            block = slice(start, start + COLUMNS)
+            x[:, block] = self._factor.solve_columns(np.asfortranarray(b[:, block]))
         return x
 
     @property
@@ -394,9 +393,9 @@ class DistributedCholesky:
                 "positive definite"
             )
 
-    def solve(self, own: Vector) -> Vector:
-        """Return this rank's part (own,) of the solution for its part of the right-hand side."""
-        self._b.array_w[:] = own
+    def solve(self, b: Vector) -> Vector:
+        """Return this rank's part of the solution for its part of the right-hand side."""
+        self._b.array_w[:] = b
         self._factor.solve(self._b, self._x)
         x: Vector = self._x.array_r.copy()
         return x

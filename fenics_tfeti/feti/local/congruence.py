@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from fenics_tfeti.feti.costs import ROWS
 from fenics_tfeti.feti.local.frames import Frames
 from fenics_tfeti.feti.local.rigid_body_modes import rigid_body_modes
 from fenics_tfeti.feti.system import Subdomain
@@ -24,8 +25,6 @@ from fenics_tfeti.typing import Numbers, Vector
 SAME = 1e-12
 # digits of the fingerprint by which candidates are found; the comparison decides
 _DIGITS = 8
-# rows at once: they and their transposes stay in the cache
-_ROWS = 64
 
 
 @dataclass(frozen=True)
@@ -61,33 +60,33 @@ class CongruenceClass:
         return places
 
     @property
-    def _adjacent(self) -> slice | None:
-        """Where the members' unknowns are, if nothing is between them."""
+    def _range(self) -> slice | None:
+        """The range of the members' unknowns, if nothing is between them."""
         begin, end = int(self.starts[0]), int(self.starts[-1]) + self.size
         return slice(begin, end) if end - begin == self.members.size * self.size else None
 
     def batches(self) -> Iterator[CongruenceClass]:
         """Yield its members a few at a time: what is computed of them stays in the cache."""
-        for start in range(0, self.members.size, _ROWS):
-            some = slice(start, start + _ROWS)
-            frames = None if self.frames is None else self.frames[some]
-            yield CongruenceClass(self.members[some], self.starts[some], self.size, frames)
+        for start in range(0, self.members.size, ROWS):
+            batch = slice(start, start + ROWS)
+            frames = None if self.frames is None else self.frames[batch]
+            yield CongruenceClass(self.members[batch], self.starts[batch], self.size, frames)
 
     def rows(self, torn: Vector) -> Vector:
         """Return the members' parts of a torn vector, in their frames, as rows of a matrix."""
-        at = self._adjacent
-        rows = torn[self.places] if at is None else torn[at].reshape(-1, self.size)
-        return rows if self.frames is None else self.frames.turned_in(rows)
+        span = self._range
+        rows = torn[self.places] if span is None else torn[span].reshape(-1, self.size)
+        return rows if self.frames is None else self.frames.to_frame(rows)
 
     def put(self, torn: Vector, rows: Vector) -> None:
         """Write the rows back into a torn vector."""
-        at = self._adjacent
+        span = self._range
         if self.frames is not None:
-            rows = self.frames.turned_out(rows)
-        if at is None:
+            rows = self.frames.from_frame(rows)
+        if span is None:
             torn[self.places] = rows
         else:
-            torn[at] = rows.ravel()
+            torn[span] = rows.ravel()
 
 
 def find_congruence_classes(subdomains: Sequence[Subdomain]) -> list[CongruenceClass]:
@@ -105,19 +104,19 @@ def find_congruence_classes(subdomains: Sequence[Subdomain]) -> list[CongruenceC
     """
     starts = np.cumsum([0, *(s.size for s in subdomains)])[:-1]
     candidates: dict[int, list[list[int]]] = {}
-    known: dict[int, int] = {}
+    fingerprints: dict[int, int] = {}
     for i, subdomain in enumerate(subdomains):
         matrix = id(subdomain.stiffness)
-        if matrix not in known:
-            known[matrix] = _fingerprint(subdomain.stiffness)
-        classes = candidates.setdefault(known[matrix], [])
+        if matrix not in fingerprints:
+            fingerprints[matrix] = _fingerprint(subdomain.stiffness)
+        classes = candidates.setdefault(fingerprints[matrix], [])
         for members in classes:
             if _same(subdomain, subdomains[members[0]]):
                 members.append(i)
                 break
         else:
             classes.append([i])
-    found = sorted(members for classes in candidates.values() for members in classes)
+    groups = sorted(members for classes in candidates.values() for members in classes)
     return [
         CongruenceClass(
             np.array(members),
@@ -125,7 +124,7 @@ def find_congruence_classes(subdomains: Sequence[Subdomain]) -> list[CongruenceC
             subdomains[members[0]].size,
             _frames([subdomains[i] for i in members]),
         )
-        for members in found
+        for members in groups
     ]
 
 
@@ -145,19 +144,21 @@ def _fingerprint(K: sp.csr_matrix) -> int:
     return hash((K.shape, K.nnz, K.indices[:64].tobytes(), *digits))
 
 
-def _same(one: Subdomain, other: Subdomain) -> bool:
-    K, L = one.stiffness, other.stiffness
+def _same(first: Subdomain, second: Subdomain) -> bool:
+    K, L = first.stiffness, second.stiffness
     if K is not L:
         if K.shape != L.shape or K.nnz != L.nnz:
             return False
         if not (np.array_equal(K.indptr, L.indptr) and np.array_equal(K.indices, L.indices)):
             return False
         change = sp.csr_matrix((K.data - L.data, K.indices, K.indptr), shape=K.shape)
-        if not is_rounding(change, L, one.coordinates_in_frame):
+        if not is_rounding(change, L, first.coordinates_in_frame):
             return False
-    offset = one.coordinates_in_frame - other.coordinates_in_frame
+    offset = first.coordinates_in_frame - second.coordinates_in_frame
     offset -= offset[:1]
-    reach = max(np.abs(one.coordinates).max(initial=0.0), np.abs(other.coordinates).max(initial=0))
+    reach = max(
+        np.abs(first.coordinates).max(initial=0.0), np.abs(second.coordinates).max(initial=0)
+    )
     return bool(np.abs(offset).max(initial=0.0) <= SAME * reach)
 
 
@@ -197,7 +198,7 @@ def times_rows(matrix: sp.csr_matrix, rows: Vector) -> Vector:
     if len(rows) == 1:
         return np.asarray(matrix @ rows[0])[None]
     product = np.empty_like(rows)
-    for start in range(0, len(rows), _ROWS):
-        some = slice(start, start + _ROWS)
-        product[some] = (matrix @ rows[some].T).T
+    for start in range(0, len(rows), ROWS):
+        block = slice(start, start + ROWS)
+        product[block] = (matrix @ rows[block].T).T
     return product

@@ -131,12 +131,12 @@ def fixing_nodes(
 
 def _with_images(chosen: Numbers, images: Numbers) -> Numbers:
     """Return the images of the first few nodes, at least as many as there are nodes."""
-    whole = np.zeros(0, dtype=np.int64)
+    nodes = np.zeros(0, dtype=np.int64)
     for node in chosen:
-        if whole.size >= chosen.size:
+        if nodes.size >= chosen.size:
             break
-        whole = np.union1d(whole, images[:, node])
-    return whole
+        nodes = np.union1d(nodes, images[:, node])
+    return nodes
 
 
 def _hold_still(coordinates: Vector, chosen: Numbers) -> bool:

@@ -51,15 +51,15 @@ class Frames:
     turns: Vector
     nodes: int
 
-    def __getitem__(self, some: slice) -> Frames:
-        """Return the frames of some of them."""
-        return Frames(self.turns[some], self.nodes)
+    def __getitem__(self, batch: slice) -> Frames:
+        """Return the frames of a part of the subdomains."""
+        return Frames(self.turns[batch], self.nodes)
 
-    def turned_in(self, rows: Vector) -> Vector:
+    def to_frame(self, rows: Vector) -> Vector:
         """Return T'u of each subdomain's row of a (k, n) matrix."""
         return self._turned(rows, self.turns)
 
-    def turned_out(self, rows: Vector) -> Vector:
+    def from_frame(self, rows: Vector) -> Vector:
         """Return Tu' of each subdomain's row of a (k, n) matrix."""
         return self._turned(rows, self.turns.transpose(0, 2, 1))
 
@@ -74,16 +74,19 @@ class Frames:
         gdim = self.turns.shape[1]
         turned = unknowns < gdim * self.nodes
         nodes = np.unique(unknowns[turned] // gdim)
-        of_nodes = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
-        return np.concatenate([of_nodes, unknowns[~turned]])
+        nodal = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
+        return np.concatenate([nodal, unknowns[~turned]])
 
     def matrix(self, unknowns: Numbers) -> sp.csr_matrix:
         """Return the block diagonal matrix of T on these unknowns, of whole nodes, of each."""
         gdim = self.turns.shape[1]
-        turned = np.count_nonzero(unknowns < gdim * self.nodes)
-        nodes, others = sp.identity(turned // gdim), sp.identity(unknowns.size - turned)
+        nodal = np.count_nonzero(unknowns < gdim * self.nodes)
+        identity, further = sp.identity(nodal // gdim), sp.identity(unknowns.size - nodal)
         blocks = [
-            block for turn in self.turns for block in (sp.kron(nodes, turn), others) if block.nnz
+            block
+            for turn in self.turns
+            for block in (sp.kron(identity, turn), further)
+            if block.nnz
         ]
         size = len(self.turns) * unknowns.size
         return sp.block_diag(blocks, format="csr") if blocks else sp.csr_matrix((size, size))

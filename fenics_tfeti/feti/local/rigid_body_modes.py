@@ -155,17 +155,17 @@ def describe_motion(
     if either_way:
         parts = parts * np.sign(parts[np.abs(parts) > 1e-6 * np.abs(parts).max()][0])
     translation, rotation = parts[:gdim], parts[gdim:]
-    whole = np.linalg.norm(np.append(translation, size * rotation))
+    amount = np.linalg.norm(np.append(translation, size * rotation))
     words = []
-    turns = size * np.linalg.norm(rotation) > negligible * whole
-    if turns:
-        pole, along = _pole(centre, translation, rotation)
+    rotates = size * np.linalg.norm(rotation) > negligible * amount
+    if rotates:
+        pole, translation_of_pole = _pole(centre, translation, rotation)
         # a rotation about a point farther than the body is wide looks like a translation
         if np.linalg.norm(pole - centre) <= _AS_WIDE * size:
-            centre, translation = pole, along
-    if np.linalg.norm(translation) > negligible * whole:
+            centre, translation = pole, translation_of_pole
+    if np.linalg.norm(translation) > negligible * amount:
         words.append(f"translation along {_direction(translation)}")
-    if turns:
+    if rotates:
         axis = "" if gdim == 2 else f" about the axis {_direction(rotation)}"
         words.append(f"rotation{axis} through {format_point(centre, size)}")
     return " with ".join(words)
@@ -176,8 +176,8 @@ def _pole(centre: Vector, translation: Vector, rotation: Vector) -> tuple[Vector
     if rotation.size == 1:
         return centre + np.array([-translation[1], translation[0]]) / rotation, np.zeros(2)
     square = rotation @ rotation
-    along = rotation * (rotation @ translation) / square
-    return centre + np.cross(rotation, translation) / square, along
+    translation_along = rotation * (rotation @ translation) / square
+    return centre + np.cross(rotation, translation) / square, translation_along
 
 
 def _direction(vector: Vector) -> str:

@@ -73,10 +73,10 @@ class SymmetryGroup:
         inside[unknowns] = True
         place = np.cumsum(inside) - 1
         group = SymmetryGroup.trivial(unknowns.size)
-        known = {0}
+        elements = {0}
         for element in np.flatnonzero(inside[self.images[:, unknowns]].all(axis=1)).tolist():
-            if element not in known:
-                known |= {element ^ other for other in known}
+            if element not in elements:
+                elements |= {element ^ member for member in elements}
                 image = place[self.images[element, unknowns]]
                 group = group.times(image, self.signs[element, unknowns])
         return group
@@ -111,29 +111,31 @@ def find_symmetries(stiffness: sp.csr_matrix, coordinates: Vector) -> SymmetryGr
     tolerance = SAME * float(np.abs(coordinates).max(initial=0.0))
     tree, generators = KDTree(x), [np.eye(gdim)]
     for Q in _involutions(gdim):
-        new = not any(np.array_equal(Q, known) for known in generators)
-        if not new or not all(np.array_equal(Q @ known, known @ Q) for known in generators):
+        new = not any(np.array_equal(Q, generator) for generator in generators)
+        if not new or not all(
+            np.array_equal(Q @ generator, generator @ Q) for generator in generators
+        ):
             continue
-        distance, at = tree.query(x @ Q.T)
+        distance, nearest = tree.query(x @ Q.T)
         if distance.max(initial=0.0) > tolerance:
             continue
-        image, sign = _of_unknowns(at, Q)
+        image, sign = _of_unknowns(nearest, Q)
         turn = sp.csr_matrix((sign, (image, np.arange(image.size))), shape=stiffness.shape)
         if is_rounding(turn @ stiffness @ turn.T - stiffness, stiffness, coordinates):
-            generators += [Q @ known for known in generators]
+            generators += [Q @ generator for generator in generators]
             group = group.times(image, sign)
     return group
 
 
 def _involutions(gdim: int) -> Sequence[Vector]:
     """Return the signed permutation matrices that are their own inverses, mirrors first."""
-    found = [
+    candidates = [
         np.diag(signs)[:, list(order)]
         for order in itertools.permutations(range(gdim))
         for signs in itertools.product([1.0, -1.0], repeat=gdim)
     ]
-    own_inverse = [Q for Q in found if np.array_equal(Q @ Q, np.eye(gdim))]
-    return sorted(own_inverse, key=lambda Q: (-np.count_nonzero(Q.diagonal()), -np.trace(Q)))
+    involutions = [Q for Q in candidates if np.array_equal(Q @ Q, np.eye(gdim))]
+    return sorted(involutions, key=lambda Q: (-np.count_nonzero(Q.diagonal()), -np.trace(Q)))
 
 
 def _of_unknowns(nodes: Numbers, Q: Vector) -> tuple[Numbers, Vector]:

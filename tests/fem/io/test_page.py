@@ -17,7 +17,7 @@ import scenes
 
 from fenics_tfeti import InputError
 from fenics_tfeti.fem.io.page import page_of_report
-from fenics_tfeti.feti.report import without_nan
+from fenics_tfeti.feti.report.report import without_nan
 from fenics_tfeti.io import contact_fields, von_mises
 
 pytestmark = pytest.mark.once

@@ -31,10 +31,10 @@ def test_vectors_and_columns():
 
 def test_rows_with_unknowns_of_no_node():
     rows = np.random.default_rng(0).random((4, 17))
-    turned = Frames(TURNS, 5).turned_in(rows)
+    turned = Frames(TURNS, 5).to_frame(rows)
     for row, expected, turn in zip(turned, rows, TURNS, strict=True):
         np.testing.assert_allclose(row, blocks(turn, 5, 2).T @ expected)
-    np.testing.assert_allclose(Frames(TURNS, 5).turned_out(turned), rows)
+    np.testing.assert_allclose(Frames(TURNS, 5).from_frame(turned), rows)
 
 
 def test_matrix_on_some_nodes():

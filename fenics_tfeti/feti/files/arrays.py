@@ -150,7 +150,7 @@ class ArrayFile:
         if array.dtype.kind not in _KINDS[kind] or not array.dtype.isnative:
             raise InputError(f"{self.path}: {name!r} is of type {array.dtype}, expected {kind}")
         fits = array.ndim == len(shape) and all(
-            wanted is None or n == wanted for n, wanted in zip(array.shape, shape, strict=True)
+            expected in (None, n) for n, expected in zip(array.shape, shape, strict=True)
         )
         if not fits:
             expected = tuple("any" if n is None else n for n in shape)
@@ -168,8 +168,8 @@ class ArrayFile:
 
     def read_all(self, prefix: str) -> dict[str, Array]:
         """Return all arrays under a prefix, by the rest of their names; of any kind and shape."""
-        found = sorted(name for name in self.names if name.startswith(prefix))
-        return {name.removeprefix(prefix): self._read(name) for name in found}
+        names = sorted(name for name in self.names if name.startswith(prefix))
+        return {name.removeprefix(prefix): self._read(name) for name in names}
 
     def _read(self, name: str) -> Array:
         # the check sum is that of all bytes, so they are read before they are interpreted
@@ -215,9 +215,9 @@ def open_arrays(path: str | os.PathLike[str], file_format: str) -> Iterator[Arra
 def _check_format(arrays: ArrayFile, file_format: str) -> None:
     if _FORMAT not in arrays.names:
         raise InputError(f"{arrays.path}: the entry 'format' is missing, expected {file_format!r}")
-    found = str(arrays.read(_FORMAT, "strings", ()))
-    if found != file_format:
-        raise InputError(f"{arrays.path}: the format is {found!r}, expected {file_format!r}")
+    name = str(arrays.read(_FORMAT, "strings", ()))
+    if name != file_format:
+        raise InputError(f"{arrays.path}: the format is {name!r}, expected {file_format!r}")
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 from mpi4py import MPI
 
@@ -28,15 +29,7 @@ _FREE_MOTION = 1e-9
 
 @dataclass(frozen=True)
 class _SharedNodes:
-    """Nodes that two subdomains of one body share; a subdomain is known by a global number.
-
-    Attributes
-    ----------
-    first, second : (k,) integer arrays
-        The subdomains, first < second.
-    x : (k, gdim) array
-        Coordinates of the node.
-    """
+    """Pairs of subdomains of one body, by global numbers, and the coordinates of a shared node."""
 
     first: Numbers
     second: Numbers
@@ -46,8 +39,8 @@ class _SharedNodes:
     def size(self) -> int:
         return int(self.first.size)
 
-    def chosen(self, at: Numbers) -> _SharedNodes:
-        return _SharedNodes(self.first[at], self.second[at], self.x[at])
+    def chosen(self, positions: Numbers | Mask) -> _SharedNodes:
+        return _SharedNodes(self.first[positions], self.second[positions], self.x[positions])
 
 
 def check_bodies(system: TornSystem) -> None:
@@ -69,98 +62,91 @@ def check_bodies(system: TornSystem) -> None:
     with raise_collectively(comm):
         if gathered is not None:
             parts, lists = zip(*gathered, strict=True)
-            every = _SharedNodes(
-                np.concatenate([part.first for part in parts]),
-                np.concatenate([part.second for part in parts]),
-                np.concatenate([part.x for part in parts]),
-            )
+            fields = ([getattr(part, name) for part in parts] for name in ("first", "second", "x"))
+            shared = _SharedNodes(*map(np.concatenate, fields))
             ends = np.cumsum([part.size for part in lists])
-            _check_rigid(system, every, np.concatenate(lists), ends)
+            _check_rigid(system, shared, np.concatenate(lists), ends)
 
 
 def _shared_nodes(system: TornSystem, first: int) -> _SharedNodes:
     """Return the shared nodes at home on this rank, once for each pair of subdomains."""
     subdomains = system.subdomains
-    every = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in subdomains)])
-    directory, shared = _find_shared(system.comm, every)
-    chosen = np.split(shared, np.cumsum([s.nodes.size for s in subdomains])[:-1])
-    of_subdomain = list(zip(subdomains, chosen, strict=True)) if subdomains else []
-    none = np.zeros((0, system.gdim))
-    x = np.concatenate([none, *(s.coordinates[own] for s, own in of_subdomain)])
-    sizes = [np.count_nonzero(own) for _, own in of_subdomain]
-    number = np.repeat(first + np.arange(len(sizes), dtype=np.int64), sizes)
-    body = np.repeat(np.array([s.body for s in subdomains], dtype=np.int64), sizes)
-    size = np.repeat([float(np.ptp(s.coordinates, axis=0).max()) for s in subdomains], sizes)
-    columns = directory.collect(every[shared], number, body, x, size)
+    nodes = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in subdomains)])
+    directory, shared = _find_shared(system.comm, nodes)
+    ends = np.cumsum([0, *(s.nodes.size for s in subdomains)])
+    masks = [shared[begin:end] for begin, end in pairwise(ends)]
+    local = np.repeat(np.arange(len(masks)), np.array([m.sum() for m in masks], dtype=np.int64))
+    bodies = np.array([s.body for s in subdomains], dtype=np.int64)
+    widths = np.array([np.ptp(s.coordinates, axis=0).max() for s in subdomains], dtype=np.float64)
+    x = [s.coordinates[mask] for s, mask in zip(subdomains, masks, strict=True)]
+    arrived = directory.collect(
+        nodes[shared],
+        first + local,
+        bodies[local],
+        np.concatenate([np.zeros((0, system.gdim)), *x]),
+        widths[local],
+    )
     # copies arrive by ascending subdomain, and a stable sort keeps that order within a node
-    order = np.argsort(columns[0], kind="stable")
-    nodes, number, body, x, size = (column[order] for column in columns)
+    order = np.argsort(arrived[0], kind="stable")
+    nodes, number, body, points, width = (column[order] for column in arrived)
 
-    pairs = list(_pairs_of_copies(nodes))
-    one = np.concatenate([np.zeros(0, dtype=np.int64), *(pair[0] for pair in pairs)])
-    two = np.concatenate([np.zeros(0, dtype=np.int64), *(pair[1] for pair in pairs)])
+    pairs = [np.zeros((2, 0), dtype=np.int64), *_pairs_of_copies(nodes)]
+    i, j = np.concatenate(pairs, axis=1)
     with raise_collectively(system.comm):
-        _check_places(nodes, x, size, one, two)
-    same_body = body[one] == body[two]
-    one, two = one[same_body], two[same_body]
-    return _SharedNodes(number[one], number[two], x[one])
+        _check_places(nodes, points, width, i, j)
+    return _SharedNodes(number[i], number[j], points[i]).chosen(body[i] == body[j])
 
 
 def _find_shared(comm: MPI.Intracomm, nodes: Numbers) -> tuple[Directory, Mask]:
     """Return a directory of the nodes, and which of them have copies; most have none."""
-    held, position, count = count_copies(nodes)
-    directory = Directory(comm, held)
-    keys, counts = directory.collect(held, count)
+    distinct, position, count = count_copies(nodes)
+    directory = Directory(comm, distinct)
+    keys, counts = directory.collect(distinct, count)
     copies = np.bincount(directory.position(keys), weights=counts, minlength=directory.keys.size)
-    return directory, directory.lookup(held, copies)[1][position] > 1
+    return directory, directory.lookup(distinct, copies)[1][position] > 1
 
 
-def _pairs_of_copies(nodes: Numbers) -> Iterator[tuple[Numbers, Numbers]]:
-    """Yield all pairs of positions with equal numbers in a sorted array."""
-    one = np.arange(nodes.size)
+def _pairs_of_copies(nodes: Numbers) -> Iterator[Numbers]:
+    """Yield all pairs (2, k) of positions with equal numbers in a sorted array."""
+    position = np.arange(nodes.size)
     for distance in range(1, nodes.size):
-        one = one[one + distance < nodes.size]
+        position = position[position + distance < nodes.size]
         # a number that ends within one distance has no copy at a larger one
-        one = one[nodes[one] == nodes[one + distance]]
-        if one.size == 0:
+        position = position[nodes[position] == nodes[position + distance]]
+        if position.size == 0:
             return
-        yield one, one + distance
+        yield np.array([position, position + distance])
 
 
-def _check_places(nodes: Numbers, x: Vector, size: Vector, one: Numbers, two: Numbers) -> None:
-    distance = np.abs(x[one] - x[two]).max(axis=1, initial=0.0)
-    wrong = np.flatnonzero(distance > _SAME_PLACE * np.minimum(size[one], size[two]))
+def _check_places(nodes: Numbers, x: Vector, width: Vector, i: Numbers, j: Numbers) -> None:
+    """Check that the copies i and j of nodes are at the same place."""
+    distance = np.abs(x[i] - x[j]).max(axis=1, initial=0.0)
+    wrong = np.flatnonzero(distance > _SAME_PLACE * np.minimum(width[i], width[j]))
     if wrong.size:
-        i, j = one[wrong[0]], two[wrong[0]]
+        i, j = i[wrong], j[wrong]
         raise InputError(
-            f"coordinates of glued nodes: {np.unique(nodes[one[wrong]]).size} node numbers are at "
-            f"different places in different subdomains, the first is {nodes[i]} at "
-            f"{format_point(x[i])} and at {format_point(x[j])}. Node numbers are global: give "
-            "nodes at different places different numbers"
+            f"coordinates of glued nodes: {np.unique(nodes[i]).size} node numbers are at "
+            f"different places in different subdomains, the first is {nodes[i[0]]} at "
+            f"{format_point(x[i[0]])} and at {format_point(x[j[0]])}. Node numbers are global: "
+            "give nodes at different places different numbers"
         )
 
 
 def _spanning_points(shared: _SharedNodes) -> tuple[Numbers, Vector, Vector]:
     """Choose three points of each pair's shared nodes that span the line or plane of all.
 
-    Returns
-    -------
-    at : (3, pairs) integer array
-        Positions in `shared`: the first point, the farthest one from it, and the farthest one from
-        the line through both.
-    length, height : (pairs,) arrays
-        The two distances.
+    They are a first point, the farthest one from it, and the farthest one from the line through
+    both; returned are their positions (3, pairs) and the two distances (pairs,).
     """
     number = max(int(shared.second.max(initial=0)) + 1, 1)
     group = np.unique(shared.first * number + shared.second, return_inverse=True)[1].ravel()
-    x = shared.x
     first = _last_of_groups(np.zeros(group.size), group)
-    away = x - x[first[group]]
-    length = np.linalg.norm(away, axis=1)
+    offset = shared.x - shared.x[first[group]]
+    length = np.linalg.norm(offset, axis=1)
     second = _last_of_groups(length, group)
-    direction = away[second] / np.maximum(length[second], np.finfo(float).tiny)[:, None]
-    along = np.sum(away * direction[group], axis=1)
-    height = np.linalg.norm(away - along[:, None] * direction[group], axis=1)
+    direction = offset[second] / np.maximum(length[second], np.finfo(float).tiny)[:, None]
+    component = np.sum(offset * direction[group], axis=1)
+    height = np.linalg.norm(offset - component[:, None] * direction[group], axis=1)
     third = _last_of_groups(height, group)
     return np.array([first, second, third]), length[second], height[third]
 
@@ -175,10 +161,10 @@ def _last_of_groups(value: Vector, group: Numbers) -> Numbers:
 
 def _check_rigid(system: TornSystem, shared: _SharedNodes, bodies: Numbers, ends: Numbers) -> None:
     """Check the bodies' connections; `ends` are the ends of the ranks' subdomains."""
-    at, length, height = _spanning_points(shared)
+    points, length, height = _spanning_points(shared)
     rigid = (length > 0.0) & ((system.gdim == 2) | (height > _ON_A_LINE * length))
     shape = bodies.size, bodies.size
-    first, second = shared.first[at[0]], shared.second[at[0]]
+    first, second = shared.first[points[0]], shared.second[points[0]]
     graph = sp.coo_matrix((np.ones(rigid.sum()), (first[rigid], second[rigid])), shape)
     clusters, cluster = connected_components(graph, directed=False)
     if clusters == np.unique(bodies).size:
@@ -189,43 +175,41 @@ def _check_rigid(system: TornSystem, shared: _SharedNodes, bodies: Numbers, ends
         members = np.flatnonzero(bodies == body)
         if np.unique(cluster[members]).size == 1:
             continue
-        other = members[piece[members] != piece[members[0]]]
-        if other.size:
+        apart = members[piece[members] != piece[members[0]]]
+        if apart.size:
             raise InputError(
-                f"{system.body_name(body)}: {other.size} of its {members.size} subdomains share no "
+                f"{system.body_name(body)}: {apart.size} of its {members.size} subdomains share no "
                 f"node with {_name(members[0], ends)} or its neighbours, the first is "
-                f"{_name(other[0], ends)}. Glue them by equal node numbers, or give every part a "
+                f"{_name(apart[0], ends)}. Glue them by equal node numbers, or give every part a "
                 "body number of its own"
             )
-        own = np.flatnonzero(np.isin(shared.first, members))
-        _check_motions(system, shared.chosen(own), cluster, body, ends)
+        inside = np.isin(shared.first, members)
+        _check_motions(system, shared.chosen(inside), cluster, body, ends)
 
 
 def _check_motions(
     system: TornSystem, shared: _SharedNodes, cluster: Numbers, body: int, ends: Numbers
 ) -> None:
     """Check that shared nodes leave no relative motion between clusters of a body."""
-    between = cluster[shared.first] != cluster[shared.second]
-    shared = shared.chosen(np.flatnonzero(between))
+    shared = shared.chosen(cluster[shared.first] != cluster[shared.second])
     number = np.unique([cluster[shared.first], cluster[shared.second]], return_inverse=True)[1]
-    one, two = number.reshape(2, -1)
+    first, second = number.reshape(2, -1)
     centred = shared.x - shared.x.mean(axis=0)
     centred /= max(float(np.abs(centred).max()), np.finfo(float).tiny)
     motions = raw_modes(centred, np.zeros(system.gdim)).reshape(shared.size, system.gdim, -1)
     modes, clusters = motions.shape[2], int(number.max()) + 1
     jumps = np.zeros((shared.size, system.gdim, clusters, modes))
-    at = np.arange(shared.size)
-    jumps[at, :, one] += motions
-    jumps[at, :, two] -= motions
+    point = np.arange(shared.size)
+    jumps[point, :, first] += motions
+    jumps[point, :, second] -= motions
     values = np.linalg.svd(jumps.reshape(-1, clusters * modes), compute_uv=False)
     if clusters * modes - np.count_nonzero(values > _FREE_MOTION * values[0]) > modes:
-        i = shared.first[0], shared.second[0]
         raise InputError(
             f"{system.body_name(body)}: its subdomains can move against each other as if hinged: "
-            f"{_name(i[0], ends)} and {_name(i[1], ends)} share too few nodes, one of them at "
-            f"{format_point(shared.x[0])}. Subdomains of a body have to share 2 nodes, in three "
-            "dimensions 3 that are not on a line, as cells with a common facet do; or give every "
-            "part that moves a body number of its own"
+            f"{_name(shared.first[0], ends)} and {_name(shared.second[0], ends)} share too few "
+            f"nodes, one of them at {format_point(shared.x[0])}. Subdomains of a body have to "
+            "share 2 nodes, in three dimensions 3 that are not on a line, as cells with a common "
+            "facet do; or give every part that moves a body number of its own"
         )
 
 

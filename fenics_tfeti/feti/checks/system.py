@@ -1,7 +1,7 @@
 """Checks of a torn system: every field of every part, on all ranks, before anything is computed.
 
 Each error names the thing and the remedy, and is raised on all ranks. How subdomains are glued is
-checked in `body_checks`.
+checked in `bodies`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.feti.body_checks import check_bodies
+from fenics_tfeti.feti.checks.bodies import check_bodies
 from fenics_tfeti.feti.local.fixing_nodes import node_graph
 from fenics_tfeti.feti.local.rigid_body_modes import kernel
 from fenics_tfeti.feti.system import (
@@ -27,7 +27,7 @@ from fenics_tfeti.feti.system import (
 )
 from fenics_tfeti.feti.tolerances import ORTHOGONAL, SYMMETRIC
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Vector
 
 # the directory of nodes computes with numbers of up to twice this
 _LARGEST_NODE = 2**61
@@ -37,6 +37,16 @@ _MOST_CONDITIONS = 10**6
 _NO_LENGTH = 1e-12
 # deviation of products of tangents and normals from the identity
 _NOT_ORTHONORMAL = 1e-8
+# the parts of a system, their types, and the words for what is expected
+_PARTS = {
+    "prescribed": (Prescribed, "a Prescribed; Prescribed() for no prescribed displacement"),
+    "contacts": (ContactRows, "ContactRows; ContactRows.none(gdim) for no contact"),
+    "tied": (ContactRows, "ContactRows; leave it out where nothing is tied"),
+    "friction": (Friction, "Friction; leave it out where nothing rubs"),
+}
+
+# shape of an array; None stands for any length
+Shape = tuple[int | None, ...]
 
 
 def check_system(system: TornSystem, stiffness: bool = True) -> None:
@@ -72,13 +82,9 @@ def check_types(system: TornSystem) -> None:
     InputError
         On this rank.
     """
-    if not isinstance(system.subdomains, Sequence):
-        raise InputError(
-            f"subdomains: got {_kind(system.subdomains)}, expected a list of Subdomain"
-        )
+    _check_type("subdomains", system.subdomains, Sequence, "a list of Subdomain")
     for number, subdomain in enumerate(system.subdomains):
-        if not isinstance(subdomain, Subdomain):
-            raise InputError(f"subdomains[{number}]: got {_kind(subdomain)}, expected a Subdomain")
+        _check_type(f"subdomains[{number}]", subdomain, Subdomain, "a Subdomain")
 
 
 def check_guess(guess: ContactGuess, rows: int) -> None:
@@ -89,10 +95,9 @@ def check_guess(guess: ContactGuess, rows: int) -> None:
     InputError
         On this rank.
     """
-    if not isinstance(guess, ContactGuess):
-        raise InputError(f"guess: got {_kind(guess)}, expected a ContactGuess")
-    for what, values in (("normal_force", guess.normal_force), ("gap", guess.gap)):
-        _check_array(f"{what} of the contact guess", values, (rows,), np.float64)
+    _check_type("guess", guess, ContactGuess, "a ContactGuess")
+    for name in ("normal_force", "gap"):
+        _check_array(f"{name} of the contact guess", getattr(guess, name), (rows,))
     _check_finite("normal_force of the contact guess", guess.normal_force)
     _check_gaps("gap of the contact guess", guess.gap)
 
@@ -102,30 +107,16 @@ def _check_parts(system: TornSystem) -> None:
     gdim = system.gdim
     if not isinstance(gdim, int) or gdim not in (2, 3):
         raise InputError(f"gdim: got {gdim!r}, expected 2 or 3")
-    _check_names("body_names", system.body_names)
-    _check_names("contact_names", system.contact_names)
-    _check_names("condition_names", system.condition_names)
+    for names in ("body_names", "contact_names", "condition_names"):
+        _check_names(names, getattr(system, names))
     check_types(system)
     for number, subdomain in enumerate(system.subdomains):
         _check_subdomain(_name(system, number), subdomain, gdim)
-    if not isinstance(system.prescribed, Prescribed):
-        raise InputError(
-            f"prescribed: got {_kind(system.prescribed)}, expected a Prescribed; Prescribed() for "
-            "no prescribed displacement"
-        )
+    for part, (kind, expected) in _PARTS.items():
+        _check_type(part, getattr(system, part), kind, expected)
     _check_prescribed(system.prescribed, gdim)
-    if not isinstance(system.contacts, ContactRows):
-        raise InputError(
-            f"contacts: got {_kind(system.contacts)}, expected ContactRows; ContactRows.none(gdim) "
-            "for no contact"
-        )
     _check_rows("contacts", system.contacts, gdim, system.contact_names)
     _check_gaps("contacts.gap", system.contacts.gap)
-    if not isinstance(system.tied, ContactRows):
-        raise InputError(
-            f"tied: got {_kind(system.tied)}, expected ContactRows; leave it out where nothing is "
-            "tied"
-        )
     _check_rows("tied", system.tied, gdim, system.contact_names)
     _check_finite("tied.gap", system.tied.gap, "Leave rows out where there is nothing to tie to")
     _check_friction(system.friction, system.contacts, gdim)
@@ -133,36 +124,39 @@ def _check_parts(system: TornSystem) -> None:
 
 def _check_matrices(system: TornSystem) -> None:
     """Check this rank's stiffness matrices, each object once."""
-    known: set[int] = set()
+    checked: set[int] = set()
     for number, subdomain in enumerate(system.subdomains):
-        if id(subdomain.stiffness) not in known:
+        if id(subdomain.stiffness) not in checked:
             _check_matrix(f"stiffness of {_name(system, number)}", subdomain, system.gdim)
-            known.add(id(subdomain.stiffness))
+            checked.add(id(subdomain.stiffness))
 
 
 def _check_numbering(system: TornSystem) -> None:
-    """Check what takes the numbers of all ranks. Collective."""
-    bodies = np.unique(np.array([s.body for s in system.subdomains], dtype=np.int64))
+    """Check the numbers that have to fit over all ranks. Collective."""
+    rank_bodies = np.unique(np.array([s.body for s in system.subdomains], dtype=np.int64))
     contact = np.append(system.contacts.contact, system.tied.contact)
-    own = (system.gdim, bodies, int(contact.max(initial=-1)), contact.size)
-    gdims, lists, largest, rows = zip(*system.comm.allgather(own), strict=True)
+    gdims, lists, largest, rows = zip(
+        *system.comm.allgather(
+            (system.gdim, rank_bodies, int(contact.max(initial=-1)), contact.size)
+        ),
+        strict=True,
+    )
     if len(set(gdims)) > 1:
         raise InputError(
             f"gdim differs between the ranks: {', '.join(map(str, gdims))}. Give all ranks the same"
         )
-    every = np.unique(np.concatenate(lists))
-    if every.size == 0:
+    bodies = np.unique(np.concatenate(lists))
+    if bodies.size == 0:
         raise InputError(
             "no subdomains: the torn system has none on any rank. Give at least one rank some"
         )
-    if every[-1] != every.size - 1:
-        missing = int(np.flatnonzero(every != np.arange(every.size))[0])
+    if bodies[-1] != bodies.size - 1:
+        missing = int(np.flatnonzero(bodies != np.arange(bodies.size))[0])
         raise InputError(
-            f"body numbers: {every.size} bodies with numbers of up to {every[-1]}, but no "
+            f"body numbers: {bodies.size} bodies with numbers of up to {bodies[-1]}, but no "
             f"subdomain of body {missing}. Number the bodies 0, 1, ... without gaps"
         )
-    limit = max(sum(rows), len(system.contact_names))
-    if max(largest) >= limit:
+    if max(largest) >= max(sum(rows), len(system.contact_names)):
         raise InputError(
             f"contacts.contact and tied.contact: contact number {max(largest)} with {sum(rows)} "
             f"contact rows and tied rows, and {len(system.contact_names)} contact_names. Number "
@@ -170,10 +164,27 @@ def _check_numbering(system: TornSystem) -> None:
         )
 
 
-def _check_array(
-    what: str, value: Any, shape: tuple[int | None, ...], dtype: type[np.generic]
-) -> None:
-    """Check that a field is an array of a shape and type; None stands for any length."""
+def _check_type(what: str, value: Any, kind: type[Any], expected: str) -> None:
+    if not isinstance(value, kind):
+        raise InputError(f"{what}: got {_kind(value)}, expected {expected}")
+
+
+def _check_names(what: str, names: Any) -> None:
+    if isinstance(names, str) or not isinstance(names, Sequence):
+        raise InputError(f"{what}: got {_kind(names)}, expected a list of strings")
+    for name in names:
+        if not isinstance(name, str):
+            raise InputError(f"{what}: got {_kind(name)} in it, expected strings")
+
+
+def _check_fields(label: str, part: Any, dtype: type[np.generic], **shapes: Shape) -> None:
+    """Check the arrays of a part; in the label stands FIELD for the name of each."""
+    for field, shape in shapes.items():
+        _check_array(label.replace("FIELD", field, 1), getattr(part, field), shape, dtype)
+
+
+def _check_array(what: str, value: Any, shape: Shape, dtype: type[np.generic] = np.float64) -> None:
+    """Check that a field is an array of a shape and type."""
     if not isinstance(value, np.ndarray):
         raise InputError(
             f"{what}: got {_kind(value)}, expected a NumPy array of {_numbers(dtype)} with shape "
@@ -184,72 +195,26 @@ def _check_array(
             f"{what}: got numbers of type {value.dtype}, expected {_numbers(dtype)}. If they are, "
             f"convert them with numpy.asarray(values).astype(numpy.{dtype.__name__})"
         )
-    fits = value.ndim == len(shape) and all(
-        expected is None or n == expected for n, expected in zip(value.shape, shape, strict=True)
-    )
-    if not fits:
+    if value.ndim != len(shape) or any(
+        expected not in (None, n) for n, expected in zip(value.shape, shape, strict=True)
+    ):
         raise InputError(f"{what}: got shape {_shape(value.shape)}, expected {_shape(shape)}")
 
 
 def _check_finite(what: str, values: Vector, hint: str = "") -> None:
-    """Check that there is no NaN or infinity."""
-    bad = np.flatnonzero(~np.isfinite(values).ravel())
-    if bad.size:
+    bad = np.count_nonzero(~np.isfinite(values))
+    if bad:
         raise InputError(
-            f"{what}: {bad.size} of {values.size} numbers are NaN or infinite. {hint}".rstrip()
+            f"{what}: {bad} of {values.size} numbers are NaN or infinite. {hint}".rstrip()
         )
 
 
 def _check_gaps(what: str, gaps: Vector) -> None:
-    """Check that gaps are numbers or +inf."""
-    bad = np.flatnonzero(np.isnan(gaps) | (gaps == -np.inf))
-    if bad.size:
+    bad = np.count_nonzero(np.isnan(gaps) | (gaps == -np.inf))
+    if bad:
         raise InputError(
-            f"{what}: {bad.size} of {gaps.size} gaps are NaN or -inf. Where there is nothing to "
+            f"{what}: {bad} of {gaps.size} gaps are NaN or -inf. Where there is nothing to "
             "touch, give +inf"
-        )
-
-
-def _check_names(what: str, names: Any) -> None:
-    if isinstance(names, str) or not isinstance(names, Sequence):
-        raise InputError(f"{what}: got {_kind(names)}, expected a list of strings")
-    wrong = [name for name in names if not isinstance(name, str)]
-    if wrong:
-        raise InputError(f"{what}: got {_kind(wrong[0])} in it, expected strings")
-
-
-def _check_subdomain(name: str, subdomain: Subdomain, gdim: int) -> None:
-    body = subdomain.body
-    if not isinstance(body, int) or isinstance(body, bool):
-        raise InputError(f"body of {name}: got {body!r}, expected an integer")
-    if body < 0:
-        raise InputError(f"body of {name}: got {body}, expected a number from 0 on")
-    _check_array(f"nodes of {name}", subdomain.nodes, (None,), np.int64)
-    _check_nodes(name, subdomain.nodes)
-    n = subdomain.nodes.size
-    _check_array(f"coordinates of {name}", subdomain.coordinates, (n, gdim), np.float64)
-    _check_array(f"load of {name}", subdomain.load, (gdim * n,), np.float64)
-    _check_finite(f"coordinates of {name}", subdomain.coordinates)
-    _check_finite(f"load of {name}", subdomain.load, "a traction or body force?")
-    _check_format(f"stiffness of {name}", subdomain.stiffness, gdim * n)
-    if subdomain.frame is not None:
-        _check_array(f"frame of {name}", subdomain.frame, (gdim, gdim), np.float64)
-        error = float(np.abs(subdomain.frame @ subdomain.frame.T - np.eye(gdim)).max())
-        if not error <= ORTHOGONAL:
-            raise InputError(
-                f"frame of {name}: |T T' - I| = {error:.3e}, expected an orthogonal matrix T"
-            )
-
-
-def _check_nodes(name: str, nodes: Numbers) -> None:
-    if nodes.size == 0:
-        raise InputError(f"nodes of {name}: there are none. Leave the subdomain out")
-    _check_range(f"nodes of {name}", nodes, 0, _LARGEST_NODE)
-    distinct, count = np.unique(nodes, return_counts=True)
-    if distinct.size < nodes.size:
-        raise InputError(
-            f"nodes of {name}: {np.count_nonzero(count > 1)} node numbers occur more than once, "
-            f"the first is {distinct[count > 1][0]}. Number each node of a subdomain once"
         )
 
 
@@ -260,6 +225,37 @@ def _check_range(what: str, numbers: Any, first: int, beyond: int) -> None:
             f"{what}: {wrong.size} of {numbers.size} numbers are not in [{first}, {beyond}), the "
             f"first is {numbers[wrong[0]]} at position {wrong[0]}"
         )
+
+
+def _check_subdomain(name: str, subdomain: Subdomain, gdim: int) -> None:
+    body = subdomain.body
+    if not isinstance(body, int) or isinstance(body, bool):
+        raise InputError(f"body of {name}: got {body!r}, expected an integer")
+    if body < 0:
+        raise InputError(f"body of {name}: got {body}, expected a number from 0 on")
+    nodes, label = subdomain.nodes, f"FIELD of {name}"
+    _check_fields(label, subdomain, np.int64, nodes=(None,))
+    if nodes.size == 0:
+        raise InputError(f"nodes of {name}: there are none. Leave the subdomain out")
+    _check_range(f"nodes of {name}", nodes, 0, _LARGEST_NODE)
+    distinct, count = np.unique(nodes, return_counts=True)
+    if distinct.size < nodes.size:
+        raise InputError(
+            f"nodes of {name}: {np.count_nonzero(count > 1)} node numbers occur more than once, "
+            f"the first is {distinct[count > 1][0]}. Number each node of a subdomain once"
+        )
+    n = gdim * nodes.size
+    _check_fields(label, subdomain, np.float64, coordinates=(nodes.size, gdim), load=(n,))
+    _check_finite(f"coordinates of {name}", subdomain.coordinates)
+    _check_finite(f"load of {name}", subdomain.load, "a traction or body force?")
+    _check_format(f"stiffness of {name}", subdomain.stiffness, n)
+    if subdomain.frame is not None:
+        _check_fields(label, subdomain, np.float64, frame=(gdim, gdim))
+        error = float(np.abs(subdomain.frame @ subdomain.frame.T - np.eye(gdim)).max())
+        if not error <= ORTHOGONAL:
+            raise InputError(
+                f"frame of {name}: |T T' - I| = {error:.3e}, expected an orthogonal matrix T"
+            )
 
 
 def _check_format(what: str, K: Any, n: int) -> None:
@@ -287,6 +283,7 @@ def _check_format(what: str, K: Any, n: int) -> None:
 
 
 def _check_matrix(what: str, subdomain: Subdomain, gdim: int) -> None:
+    """Check the entries of a stiffness matrix, and that they connect the subdomain."""
     K = subdomain.stiffness
     try:
         K.check_format(full_check=True)
@@ -298,8 +295,7 @@ def _check_matrix(what: str, subdomain: Subdomain, gdim: int) -> None:
             "Give a copy with K.sum_duplicates()"
         )
     _check_finite(what, K.data, "a material coefficient?")
-    difference = K - K.T
-    skew = float(np.abs(difference.data).max(initial=0.0))
+    skew = float(np.abs((K - K.T).data).max(initial=0.0))
     largest = float(np.abs(K.data).max(initial=0.0))
     if skew > SYMMETRIC * largest:
         raise InputError(
@@ -344,11 +340,10 @@ def _check_connected(what: str, subdomain: Subdomain, gdim: int) -> None:
 
 
 def _check_prescribed(prescribed: Prescribed, gdim: int) -> None:
-    _check_array("prescribed.nodes", prescribed.nodes, (None,), np.int64)
+    _check_fields("prescribed.FIELD", prescribed, np.int64, nodes=(None,))
     shape = prescribed.nodes.shape
-    _check_array("prescribed.components", prescribed.components, shape, np.int64)
-    _check_array("prescribed.values", prescribed.values, shape, np.float64)
-    _check_array("prescribed.condition", prescribed.condition, shape, np.int64)
+    _check_fields("prescribed.FIELD", prescribed, np.int64, components=shape, condition=shape)
+    _check_fields("prescribed.FIELD", prescribed, np.float64, values=shape)
     _check_range("prescribed.nodes", prescribed.nodes, 0, _LARGEST_NODE)
     _check_range("prescribed.components", prescribed.components, 0, gdim)
     _check_range("prescribed.condition", prescribed.condition, 0, _MOST_CONDITIONS)
@@ -357,35 +352,32 @@ def _check_prescribed(prescribed: Prescribed, gdim: int) -> None:
 
 def _check_rows(what: str, rows: ContactRows, gdim: int, names: Sequence[str]) -> None:
     """Check contact or tied rows, whose field of the system is `what`."""
-    _check_array(f"{what}.gap", rows.gap, (None,), np.float64)
+    label = f"{what}.FIELD"
+    _check_fields(label, rows, np.float64, gap=(None,))
     k = rows.size
-    _check_array(f"{what}.contact", rows.contact, (k,), np.int64)
+    shapes: dict[str, Shape] = {"nodes": (None,), "offsets": (k + 1,)}
+    _check_fields(label, rows, np.int64, contact=(k,), slaves=(k,), **shapes)
     _check_range(f"{what}.contact", rows.contact, 0, np.iinfo(np.int64).max)
-    _check_array(f"{what}.nodes", rows.nodes, (None,), np.int64)
-    _check_array(f"{what}.offsets", rows.offsets, (k + 1,), np.int64)
     _check_offsets(what, rows, names)
-    _check_array(f"{what}.slaves", rows.slaves, (k,), np.int64)
-    _check_slaves(what, rows, names)
     _check_range(f"{what}.nodes", rows.nodes, 0, _LARGEST_NODE)
     _check_distinct_nodes(what, rows, names)
-    shape = rows.nodes.size, gdim
-    _check_array(f"{what}.coefficients", rows.coefficients, shape, np.float64)
+    _check_fields(label, rows, np.float64, coefficients=(rows.nodes.size, gdim))
     _check_finite(f"{what}.coefficients", rows.coefficients)
     _check_normals(what, rows, names)
 
 
 def _check_offsets(what: str, rows: ContactRows, names: Sequence[str]) -> None:
-    """Check that the terms of the rows follow each other, and that every row has some."""
-    offsets, terms = rows.offsets, rows.nodes.size
+    """Check that every row has terms, which follow each other, those of its slave first."""
+    offsets, terms, slaves = rows.offsets, rows.nodes.size, np.asarray(rows.slaves)
     if offsets[0] != 0 or offsets[-1] != terms:
         raise InputError(
             f"{what}.offsets: from {offsets[0]} to {offsets[-1]}, but there are {terms} nodes. "
             f"The first has to be 0 and the last {terms}"
         )
     counts = np.diff(offsets)
-    wrong = np.flatnonzero(counts < 0)
-    if wrong.size:
-        k = wrong[0]
+    descending = np.flatnonzero(counts < 0)
+    if descending.size:
+        k = descending[0]
         raise InputError(
             f"{what}.offsets: not ascending, from {offsets[k]} to {offsets[k + 1]} in "
             f"{_row(rows, k, names)}. Offsets are positions in {what}.nodes"
@@ -396,17 +388,11 @@ def _check_offsets(what: str, rows: ContactRows, names: Sequence[str]) -> None:
             f"{what}.offsets: {empty.size} rows have no terms, the first is "
             f"{_row(rows, empty[0], names)}. Leave them out"
         )
-
-
-def _check_slaves(what: str, rows: ContactRows, names: Sequence[str]) -> None:
-    """Check that the slave's terms are the first ones of their row."""
-    slaves = np.asarray(rows.slaves)
-    wrong = np.flatnonzero((slaves < 1) | (slaves > np.diff(rows.offsets)))
+    wrong = np.flatnonzero((slaves < 1) | (slaves > counts))
     if wrong.size:
-        k = wrong[0]
         raise InputError(
             f"{what}.slaves: {wrong.size} rows have other numbers than 1 to that of their terms, "
-            f"the first is {_row(rows, k, names)} with {slaves[k]}"
+            f"the first is {_row(rows, wrong[0], names)} with {slaves[wrong[0]]}"
         )
 
 
@@ -414,29 +400,26 @@ def _check_distinct_nodes(what: str, rows: ContactRows, names: Sequence[str]) ->
     """Check that no row names a node twice."""
     order = np.lexsort((rows.nodes, rows.row))
     row, node = rows.row[order], rows.nodes[order]
-    twice = order[1:][(row[1:] == row[:-1]) & (node[1:] == node[:-1])]
-    if twice.size:
-        k = int(rows.row[twice].min())
-        first = rows.nodes[twice[rows.row[twice] == k]][0]
+    repeats = np.flatnonzero((row[1:] == row[:-1]) & (node[1:] == node[:-1]))
+    if repeats.size:
         raise InputError(
-            f"{what}.nodes: {np.unique(rows.row[twice]).size} rows name a node twice, the "
-            f"first is {_row(rows, k, names)} with node {first}. Add up the "
-            "coefficients, or leave out rows whose slave is its own master"
+            f"{what}.nodes: {np.unique(row[repeats]).size} rows name a node twice, the "
+            f"first is {_row(rows, row[repeats[0]], names)} with node {node[repeats[0]]}. Add up "
+            "the coefficients, or leave out rows whose slave is its own master"
         )
 
 
 def _check_normals(what: str, rows: ContactRows, names: Sequence[str]) -> None:
     """Check that every row has a normal: the direction of the sum of its slave's coefficients."""
-    largest = np.zeros(rows.size)
-    lengths = np.linalg.norm(rows.coefficients, axis=1)
-    np.maximum.at(largest, rows.row, lengths)
-    vanishing = np.flatnonzero(rows.length <= _NO_LENGTH * largest)
+    largest, length = np.zeros(rows.size), rows.length
+    np.maximum.at(largest, rows.row, np.linalg.norm(rows.coefficients, axis=1))
+    vanishing = np.flatnonzero(length <= _NO_LENGTH * largest)
     if vanishing.size:
         k = vanishing[0]
         raise InputError(
             f"{what}.coefficients: the sum of the slave's coefficients vanishes in "
             f"{vanishing.size} rows, the first is {_row(rows, k, names)} at slave node "
-            f"{rows.slave[k]} with a sum of length {rows.length[k]:.3e} and coefficients of up to "
+            f"{rows.slave[k]} with a sum of length {length[k]:.3e} and coefficients of up to "
             f"{largest[k]:.3e}. The slave's terms come first and add up to a vector along the "
             "normal; leave other rows out"
         )
@@ -444,43 +427,37 @@ def _check_normals(what: str, rows: ContactRows, names: Sequence[str]) -> None:
 
 def _check_friction(friction: Friction, contacts: ContactRows, gdim: int) -> None:
     """Check friction against the contact rows of this rank, which have been checked."""
-    if not isinstance(friction, Friction):
-        raise InputError(
-            f"friction: got {_kind(friction)}, expected Friction; leave it out where nothing rubs"
-        )
-    k, directions = np.size(friction.row), gdim - 1
-    _check_array("friction.row", friction.row, (None,), np.int64)
-    _check_array("friction.tangents", friction.tangents, (k, directions, gdim), np.float64)
-    _check_array("friction.bound", friction.bound, (k,), np.float64)
-    _check_array("friction.slip", friction.slip, (k, directions), np.float64)
-    coefficient = np.asarray(friction.coefficient)
-    _check_array("friction.coefficient", coefficient, (k,), np.float64)
+    _check_fields("friction.FIELD", friction, np.int64, row=(None,))
+    rows, directions = friction.row.size, gdim - 1
+    shapes = {
+        "tangents": (rows, directions, gdim),
+        "bound": (rows,),
+        "slip": (rows, directions),
+        "coefficient": (rows,),
+    }
+    _check_fields("friction.FIELD", friction, np.float64, **shapes)
     _check_range("friction.row", friction.row, 0, contacts.size)
     if np.any(np.diff(friction.row) <= 0):
         raise InputError("friction.row: positions must ascend, each contact row once")
-    _check_finite("friction.tangents", friction.tangents)
-    _check_finite("friction.bound", friction.bound)
-    _check_finite("friction.slip", np.asarray(friction.slip))
-    _check_finite("friction.coefficient", coefficient)
-    if np.any(friction.bound < 0.0):
-        worst = int(np.argmin(friction.bound))
-        raise InputError(
-            f"friction.bound: {friction.bound[worst]:g} N at position {worst}; a slip bound is at "
-            "least 0"
-        )
-    if np.any(coefficient < 0.0):
-        worst = int(np.argmin(coefficient))
-        raise InputError(
-            f"friction.coefficient: {coefficient[worst]:g} at position {worst}; a coefficient of "
-            "friction is at least 0"
-        )
+    for field in shapes:
+        _check_finite(f"friction.{field}", getattr(friction, field))
+    for field, unit, meaning in (
+        ("bound", " N", "slip bound"),
+        ("coefficient", "", "coefficient of friction"),
+    ):
+        values = getattr(friction, field)
+        if np.any(values < 0.0):
+            k = np.argmin(values)
+            raise InputError(
+                f"friction.{field}: {values[k]:g}{unit} at position {k}; a {meaning} is at least 0"
+            )
     frame = np.concatenate([friction.tangents, contacts.normal[friction.row][:, None]], axis=1)
     error = np.abs(frame @ frame.transpose(0, 2, 1) - np.eye(gdim)).max(axis=(1, 2), initial=0.0)
     if np.any(error > _NOT_ORTHONORMAL):
-        worst = int(np.argmax(error))
+        k = np.argmax(error)
         raise InputError(
-            f"friction.tangents: at position {worst} tangents and normal are not orthonormal: "
-            f"their products differ by {error[worst]:g} from the identity. Give unit tangents that "
+            f"friction.tangents: at position {k} tangents and normal are not orthonormal: "
+            f"their products differ by {error[k]:g} from the identity. Give unit tangents that "
             "are orthogonal to each other and to the normal of the contact row"
         )
 
@@ -506,7 +483,7 @@ def _numbers(dtype: type[np.generic]) -> str:
     return "integers (int64)" if issubclass(dtype, np.integer) else "numbers (float64)"
 
 
-def _shape(shape: tuple[int | None, ...]) -> str:
+def _shape(shape: Shape) -> str:
     """Write a shape; k stands for any length."""
     inside = ", ".join("k" if n is None else str(n) for n in shape)
     return f"({inside},)" if len(shape) == 1 else f"({inside})"

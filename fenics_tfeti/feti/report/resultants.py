@@ -99,7 +99,7 @@ def normal_forces(constraints: Constraints, multipliers: Vector) -> Vector:
     implied by others.
     """
     rows = constraints.inequality
-    return _given(multipliers, rows, constraints.scale, constraints.own_rows)
+    return _of_rows(multipliers, rows, constraints.scale, constraints.own_rows)
 
 
 def tied_forces(constraints: Constraints, multipliers: Vector) -> Vector:
@@ -109,7 +109,7 @@ def tied_forces(constraints: Constraints, multipliers: Vector) -> Vector:
     that are no rows of B: decided by prescribed displacements, or implied by others.
     """
     tied = constraints.tied
-    return _given(multipliers, tied.rows, tied.scale, tied.own_rows)
+    return _of_rows(multipliers, tied.rows, tied.scale, tied.own_rows)
 
 
 def tangential_forces(constraints: Constraints, multipliers: Vector) -> Vector:
@@ -122,13 +122,13 @@ def tangential_forces(constraints: Constraints, multipliers: Vector) -> Vector:
     return friction.given(friction.scale[:, None] * friction.at_sites(multipliers))
 
 
-def _given(multipliers: Vector, rows: Numbers, scale: Vector, own: Numbers) -> Vector:
+def _of_rows(multipliers: Vector, rows: Numbers, scale: Vector, positions: Numbers) -> Vector:
     """Return the multipliers of the rows that this rank gave, times their scale."""
     # -1 is the last one, zero; a rank may give rows without holding a single row of B
     force = np.zeros(multipliers.size + 1)
     force[rows] = scale * multipliers[rows]
-    given: Vector = force[own]
-    return given
+    forces: Vector = force[positions]
+    return forces
 
 
 def resultants(
@@ -157,75 +157,93 @@ def resultants(
         lambda.
     """
     gdim, comm = system.gdim, system.comm
-    tangential = system.friction.tangential_rows(system.contacts)
-    rows = ContactRows.concatenate([system.contacts, system.tied, tangential])
+    forces = _contact_forces(system, F.constraints, multipliers)
+    rows = forces.rows
     x = np.concatenate([np.zeros((0, gdim)), *(s.coordinates for s in system.subdomains)])
     loads = unknowns.without_ground(load).reshape(-1, gdim)
-    held = -unknowns.without_ground(F.constraint_forces(multipliers)).reshape(-1, gdim)
-    normal = normal_forces(F.constraints, multipliers)
-    force = np.concatenate(
-        [
-            normal,
-            tied_forces(F.constraints, multipliers),
-            tangential_forces(F.constraints, multipliers).ravel(),
-        ]
-    )
-    on_nodes = -(force / rows.length)[rows.row][:, None] * rows.coefficients
-    on_slave = np.zeros((rows.size, gdim))
-    np.add.at(on_slave, rows.row[rows.on_slave], on_nodes[rows.on_slave])
-    pressing = -np.sum(on_slave * rows.normal, axis=1)[: normal.size]
+    constraint_forces = F.constraint_forces(multipliers)
+    supports = -unknowns.without_ground(constraint_forces).reshape(-1, gdim)
 
     sprung = _with_springs(system, kernels, unknowns)
     # the other forces on a subdomain with springs, f - B'lambda = K u_t, balance theirs
-    springs = _NodalForces(x[sprung], -(loads + held)[sprung])
-    reactions = _reactions(system, x, held, rows.nodes, on_nodes)
-    outside = [_NodalForces(x, loads), springs, *reactions]
-    sums = comm.allreduce(np.array([forces.sums() for forces in outside]))
+    springs = _NodalForces(x[sprung], -(loads + supports)[sprung])
+    reactions = _reactions(system, x, supports, rows.nodes, forces.terms)
+    external = [_NodalForces(x, loads), springs, *reactions]
+    sums = comm.allreduce(np.array([part.sums() for part in external]))
 
     contacts = max(
         len(system.contact_names), comm.allreduce(int(rows.contact.max(initial=-1)), MPI.MAX) + 1
     )
-    normal_sums = np.bincount(system.contacts.contact, weights=pressing, minlength=contacts)
-    at = _points(system, x, F, unknowns, rows.nodes)
-    of_contact = _of_contacts(rows, at, on_nodes, contacts)
-    normal_sums, of_contact = comm.allreduce(normal_sums), comm.allreduce(of_contact)
+    normal_sums = comm.allreduce(forces.normal_sums(system.contacts, contacts))
+    points = _points(system, x, F, unknowns, rows.nodes)
+    sides = comm.allreduce(forces.sums_of_sides(points, contacts))
     # what a row exerts in all is a force from outside: that of an obstacle
-    of_obstacles = np.zeros((rows.size, gdim))
-    np.add.at(of_obstacles, rows.row, on_nodes)
-    obstacles = comm.allreduce(np.append(of_obstacles.sum(axis=0), _size(of_obstacles)))
+    obstacle = np.zeros((rows.size, gdim))
+    np.add.at(obstacle, rows.row, forces.terms)
+    obstacles = comm.allreduce(np.append(obstacle.sum(axis=0), _size(obstacle)))
 
     largest = max(sums[0, -1], sums[2:, -1].sum(), obstacles[-1])
     missing = float(np.linalg.norm(sums[:, :gdim].sum(axis=0) + obstacles[:gdim]))
     names = ["load", "springs", *_condition_names(system, len(reactions))]
-    load_sum, spring_sum, *supports = (
+    load_sum, spring_sum, *support_sums = (
         Resultant(name, row[:gdim].tolist(), row[gdim:-1].tolist())
         for name, row in zip(names, sums, strict=True)
     )
-    on_slaves, on_masters = (
+    slaves, masters = (
         [
             Resultant(system.contact_name(i), row[:gdim].tolist(), row[gdim:].tolist())
             for i, row in enumerate(side)
         ]
-        for side in of_contact
+        for side in sides
     )
     return Resultants(
         load_sum,
-        supports,
+        support_sums,
         spring_sum,
         normal_sums.tolist(),
-        on_slaves,
-        on_masters,
+        slaves,
+        masters,
         missing / largest if largest > 0.0 else 0.0,
     )
 
 
-def _of_contacts(rows: ContactRows, x: Vector, on_nodes: Vector, contacts: int) -> Vector:
-    """Return the sums of forces and moments on slaves and on masters, (2, contacts, ...)."""
-    on_master = (~rows.on_slave).astype(np.int64)
-    both = np.column_stack([on_nodes, _moments(x, on_nodes)])
-    sums = np.zeros((2, contacts, both.shape[1]))
-    np.add.at(sums, (on_master, rows.contact[rows.row]), both)
-    return sums
+@dataclass(frozen=True)
+class _RowForces:
+    """The forces (terms, gdim) that contact, tied and tangential rows exert at their nodes."""
+
+    rows: ContactRows
+    terms: Vector
+
+    def normal_sums(self, contacts: ContactRows, number: int) -> Vector:
+        """Return the sum of the normal forces of each contact; the contact rows come first."""
+        slave = np.zeros((self.rows.size, self.terms.shape[1]))
+        np.add.at(slave, self.rows.row[self.rows.on_slave], self.terms[self.rows.on_slave])
+        pressing = -np.sum(slave * self.rows.normal, axis=1)[: contacts.size]
+        sums = np.bincount(contacts.contact, weights=pressing, minlength=number)
+        return sums.astype(np.float64)
+
+    def sums_of_sides(self, x: Vector, number: int) -> Vector:
+        """Return the sums of forces and moments on slaves and on masters, (2, contacts, ...)."""
+        side = (~self.rows.on_slave).astype(np.int64)
+        columns = np.column_stack([self.terms, _moments(x, self.terms)])
+        sums = np.zeros((2, number, columns.shape[1]))
+        np.add.at(sums, (side, self.rows.contact[self.rows.row]), columns)
+        return sums
+
+
+def _contact_forces(
+    system: TornSystem, constraints: Constraints, multipliers: Vector
+) -> _RowForces:
+    """Return the forces of all rows that this rank gave at their nodes."""
+    tangential = system.friction.tangential_rows(system.contacts)
+    rows = ContactRows.concatenate([system.contacts, system.tied, tangential])
+    forces = [
+        normal_forces(constraints, multipliers),
+        tied_forces(constraints, multipliers),
+        tangential_forces(constraints, multipliers).ravel(),
+    ]
+    factor = -(np.concatenate(forces) / rows.length)[rows.row]
+    return _RowForces(rows, factor[:, None] * rows.coefficients)
 
 
 def _points(
@@ -235,14 +253,14 @@ def _points(
     gdim = system.gdim
     touched = np.zeros(int(unknowns.ends[-1]), dtype=bool)
     touched[F.interface.columns] = True
-    here = unknowns.without_ground(touched).reshape(-1, gdim).any(axis=1)
-    of_copies = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in system.subdomains)])
+    local = unknowns.without_ground(touched).reshape(-1, gdim).any(axis=1)
+    copies = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in system.subdomains)])
     directory = Directory(system.comm, np.unique(nodes))
     table = np.zeros((directory.keys.size, gdim))
-    at, (points,) = _known(directory, *directory.collect(of_copies[here], x[here]))
-    table[at] = points
-    found: Vector = directory.lookup(nodes, table)[1]
-    return found
+    home, (points,) = _known(directory, *directory.collect(copies[local], x[local]))
+    table[home] = points
+    coordinates: Vector = directory.lookup(nodes, table)[1]
+    return coordinates
 
 
 def _size(forces: Vector) -> float:
@@ -280,36 +298,37 @@ def _with_springs(
 
 
 def _reactions(
-    system: TornSystem, x: Vector, held: Vector, ends: Numbers, on_ends: Vector
+    system: TornSystem, x: Vector, supports: Vector, ends: Numbers, end_forces: Vector
 ) -> list[_NodalForces]:
     """Return for each Dirichlet condition the forces at prescribed components. Collective.
 
     Each node's forces are summed on its home rank, from all its copies and the terms of contact
-    and tied rows, which exert `on_ends` at the nodes `ends`.
+    and tied rows, which exert `end_forces` at the nodes `ends`.
     """
-    comm, gdim, given = system.comm, system.gdim, system.prescribed
-    number = np.asarray(given.condition, dtype=np.int64)
+    comm, gdim, prescribed = system.comm, system.gdim, system.prescribed
+    number = np.asarray(prescribed.condition, dtype=np.int64)
     conditions = max(
         len(system.condition_names), comm.allreduce(int(number.max(initial=-1)), MPI.MAX) + 1
     )
-    directory = Directory(comm, np.unique(given.nodes))
+    directory = Directory(comm, np.unique(prescribed.nodes))
     shape = (directory.keys.size, gdim)
-    nodes, components, number = directory.collect(given.nodes, given.components, number)
+    nodes, components, number = directory.collect(prescribed.nodes, prescribed.components, number)
     condition = np.full(shape, -1, dtype=np.int64)
     np.maximum.at(condition, (directory.position(nodes), components), number)
 
     nodes = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in system.subdomains)])
-    loaded = held.any(axis=1)
+    loaded = supports.any(axis=1)
     points, reaction = np.zeros(shape), np.zeros(shape)
-    at, where, force = directory.collect(nodes[loaded], x[loaded], held[loaded])
-    at, (where, force) = _known(directory, at, where, force)
-    points[at] = where
-    np.add.at(reaction, at, force)
+    home, (point, force) = _known(
+        directory, *directory.collect(nodes[loaded], x[loaded], supports[loaded])
+    )
+    points[home] = point
+    np.add.at(reaction, home, force)
 
     # a contact force on a prescribed component is in the multiplier of the support
-    pressed = on_ends.any(axis=1)
-    at, (force,) = _known(directory, *directory.collect(ends[pressed], on_ends[pressed]))
-    np.subtract.at(reaction, at, force)
+    pressed = end_forces.any(axis=1)
+    home, (force,) = _known(directory, *directory.collect(ends[pressed], end_forces[pressed]))
+    np.subtract.at(reaction, home, force)
     return [
         _NodalForces(points, np.where(condition == i, reaction, 0.0)) for i in range(conditions)
     ]
@@ -319,5 +338,5 @@ def _known(
     directory: Directory, nodes: Numbers, *columns: Vector
 ) -> tuple[Numbers, tuple[Vector, ...]]:
     """Return the positions at home of the nodes that the directory has, and their columns."""
-    at = directory.position(nodes)
-    return at[at >= 0], tuple(column[at >= 0] for column in columns)
+    home = directory.position(nodes)
+    return home[home >= 0], tuple(column[home >= 0] for column in columns)

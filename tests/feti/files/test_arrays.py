@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fenics_tfeti import InputError
-from fenics_tfeti.feti.files import open_arrays, write_arrays, write_whole
+from fenics_tfeti.feti.files.arrays import open_arrays, write_arrays, write_whole
 
 KIND = "test 1"
 

@@ -18,9 +18,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.feti.files import ArrayFile, open_arrays, write_arrays
+from fenics_tfeti.feti.checks.system import check_system
+from fenics_tfeti.feti.files.arrays import ArrayFile, open_arrays, write_arrays
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed, Subdomain, TornSystem
-from fenics_tfeti.feti.system_checks import check_system
 from fenics_tfeti.parallel import raise_collectively
 
 Arrays = dict[str, NDArray[Any]]
@@ -131,7 +131,7 @@ def _conditions(system: TornSystem) -> Mapping[str, Arrays]:
         ("tied", system.tied, _ROWS),
         ("friction", system.friction, _FRICTION),
     ]
-    return {part: {name: getattr(of, name) for name in names} for part, of, names in parts}
+    return {part: {name: getattr(fields, name) for name in names} for part, fields, names in parts}
 
 
 def _names(system: TornSystem) -> Arrays:
@@ -140,7 +140,9 @@ def _names(system: TornSystem) -> Arrays:
         "contacts": system.contact_names,
         "conditions": system.condition_names,
     }
-    return {f"names/{things}": np.array(list(of), dtype=np.str_) for things, of in lists.items()}
+    return {
+        f"names/{things}": np.array(list(names), dtype=np.str_) for things, names in lists.items()
+    }
 
 
 def _numbered(ranks: Sequence[tuple[list[Arrays], list[Arrays]]]) -> Arrays:
@@ -160,18 +162,18 @@ def _joined(ranks: Sequence[Mapping[str, Arrays]]) -> Arrays:
     """Return prescribed displacements and rows of all ranks, one after the other."""
     arrays = Arrays()
     for rows in ("contacts", "tied"):
-        whole = ContactRows.concatenate([ContactRows(**rank[rows]) for rank in ranks])
-        arrays |= {f"{rows}/{name}": getattr(whole, name) for name in _ROWS}
+        rows_of_ranks = ContactRows.concatenate([ContactRows(**rank[rows]) for rank in ranks])
+        arrays |= {f"{rows}/{name}": getattr(rows_of_ranks, name) for name in _ROWS}
     for name in _PRESCRIBED:
         arrays[f"prescribed/{name}"] = np.concatenate([rank["prescribed"][name] for rank in ranks])
     for name in _FRICTION:
         arrays[f"friction/{name}"] = np.concatenate([rank["friction"][name] for rank in ranks])
     # positions among the contact rows of all ranks
     sizes = [rank["contacts"]["gap"].size for rank in ranks]
-    before = np.repeat(
+    offset = np.repeat(
         np.cumsum([0, *sizes[:-1]]), [rank["friction"]["row"].size for rank in ranks]
     )
-    arrays["friction/row"] = arrays["friction/row"] + before
+    arrays["friction/row"] = arrays["friction/row"] + offset
     return arrays
 
 
@@ -209,19 +211,21 @@ def _check_names(file: ArrayFile) -> None:
 
 def _count(file: ArrayFile, things: str) -> int:
     """Return how many matrices or subdomains there are, numbered from 0 without gaps."""
-    found = {int(name.split("/")[1]) for name in file.names if name.startswith(f"{things}/")}
-    missing = sorted(set(range(len(found))) - found)
+    numbers = {int(name.split("/")[1]) for name in file.names if name.startswith(f"{things}/")}
+    missing = sorted(set(range(len(numbers))) - numbers)
     if missing:
-        raise InputError(f"{file.path}: '{things}/{missing[0]}' is missing; {max(found)} is there")
-    return len(found)
+        raise InputError(
+            f"{file.path}: '{things}/{missing[0]}' is missing; {max(numbers)} is there"
+        )
+    return len(numbers)
 
 
 def _subdomain(
     file: ArrayFile, number: int, gdim: int, matrices: dict[int, sp.csr_matrix]
 ) -> Subdomain:
-    at = f"subdomains/{number}"
-    nodes = file.read(f"{at}/nodes", "integers", (None,))
-    matrix, n = file.integer(f"{at}/matrix"), gdim * nodes.size
+    path = f"subdomains/{number}"
+    nodes = file.read(f"{path}/nodes", "integers", (None,))
+    matrix, n = file.integer(f"{path}/matrix"), gdim * nodes.size
     if matrix not in matrices:
         matrices[matrix] = _matrix(file, matrix)
     if matrices[matrix].shape != (n, n):
@@ -230,29 +234,29 @@ def _subdomain(
             f"subdomain {number} has {nodes.size} nodes with {gdim} unknowns each"
         )
     frame = None
-    if f"{at}/frame" in file.names:
-        frame = file.read(f"{at}/frame", "numbers", (gdim, gdim))
+    if f"{path}/frame" in file.names:
+        frame = file.read(f"{path}/frame", "numbers", (gdim, gdim))
     return Subdomain(
         matrices[matrix],
-        file.read(f"{at}/load", "numbers", (n,)),
-        file.read(f"{at}/coordinates", "numbers", (nodes.size, gdim)),
+        file.read(f"{path}/load", "numbers", (n,)),
+        file.read(f"{path}/coordinates", "numbers", (nodes.size, gdim)),
         nodes,
-        file.integer(f"{at}/body"),
+        file.integer(f"{path}/body"),
         frame,
     )
 
 
 def _matrix(file: ArrayFile, number: int) -> sp.csr_matrix:
-    at = f"matrices/{number}"
-    indptr = file.read(f"{at}/indptr", "integers", (None,))
-    indices = file.read(f"{at}/indices", "integers", (None,))
-    data = file.read(f"{at}/data", "numbers", indices.shape).astype(np.float64, copy=False)
+    path = f"matrices/{number}"
+    indptr = file.read(f"{path}/indptr", "integers", (None,))
+    indices = file.read(f"{path}/indices", "integers", (None,))
+    data = file.read(f"{path}/data", "numbers", indices.shape).astype(np.float64, copy=False)
     n = indptr.size - 1
     try:
         matrix = sp.csr_matrix((data, indices, indptr), shape=(n, n))
         matrix.check_format(full_check=True)
     except ValueError as error:
-        raise InputError(f"{file.path}: '{at}' is not a csr matrix: {error}") from None
+        raise InputError(f"{file.path}: '{path}' is not a csr matrix: {error}") from None
     return matrix
 
 
@@ -291,8 +295,8 @@ def _rows(file: ArrayFile, part: str, gdim: int, comm: MPI.Intracomm) -> Contact
 
 def _friction(file: ArrayFile, gdim: int, comm: MPI.Intracomm) -> Friction:
     """Return the friction of this rank's contact rows."""
-    given = any(name.startswith("friction/") for name in file.names)
-    if not given or not file.read("friction/row", "integers", (None,)).size:
+    has_friction = any(name.startswith("friction/") for name in file.names)
+    if not has_friction or not file.read("friction/row", "integers", (None,)).size:
         return Friction.none(gdim)
     contacts = file.read("contacts/gap", "numbers", (None,)).size
     row = file.read("friction/row", "integers", (None,)).astype(np.int64)
@@ -310,7 +314,9 @@ def _friction(file: ArrayFile, gdim: int, comm: MPI.Intracomm) -> Friction:
             f"{file.path}: 'friction/row' has {row[outside[0]]}, but there are {contacts} contact "
             "rows, numbered from 0"
         )
-    mine = np.array_split(np.arange(contacts), comm.size)[comm.rank]
-    here = np.flatnonzero(np.isin(row, mine))
-    first = int(mine[0]) if mine.size else 0
-    return Friction(row[here] - first, tangents[here], bound[here], slip[here], coefficient[here])
+    local_rows = np.array_split(np.arange(contacts), comm.size)[comm.rank]
+    local = np.flatnonzero(np.isin(row, local_rows))
+    first = int(local_rows[0]) if local_rows.size else 0
+    return Friction(
+        row[local] - first, tangents[local], bound[local], slip[local], coefficient[local]
+    )

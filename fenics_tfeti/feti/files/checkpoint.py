@@ -20,7 +20,7 @@ import numpy as np
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.iterate import Iterate
-from fenics_tfeti.feti.files import ArrayFile, open_arrays, write_arrays
+from fenics_tfeti.feti.files.arrays import ArrayFile, open_arrays, write_arrays
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Array, Numbers, Vector
@@ -76,7 +76,7 @@ class SavedState:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What a file has for this rank.
+    """The part of a checkpoint that belongs to this rank.
 
     Attributes
     ----------
@@ -123,9 +123,9 @@ def fingerprint(system: TornSystem) -> dict[str, str]:
         ],
         "tied surfaces": [(system.tied.offsets, system.tied.nodes, system.tied.contact)],
     }
-    own = {name: _check_sum(part) for name, part in parts.items()}
-    every = system.comm.allgather(own)
-    return {name: _check_sum([tuple(rank[name] for rank in every)]) for name in parts}
+    local_sums = {name: _check_sum(part) for name, part in parts.items()}
+    gathered = system.comm.allgather(local_sums)
+    return {name: _check_sum([tuple(rank[name] for rank in gathered)]) for name in parts}
 
 
 def _check_sum(parts: list[Any]) -> str:
@@ -164,8 +164,11 @@ def save_checkpoint(
         On all ranks, if rank 0 cannot write the file.
     """
     comm, sums = system.comm, fingerprint(system)
-    mine = {**vars(state), **{f"own/{name}": array for name, array in (own or {}).items()}}
-    parts = comm.gather(mine)
+    arrays_of_rank = {
+        **vars(state),
+        **{f"own/{name}": array for name, array in (own or {}).items()},
+    }
+    parts = comm.gather(arrays_of_rank)
     with raise_collectively(comm):
         if parts is not None:
             arrays = {"ranks": np.array(comm.size)}
@@ -204,7 +207,7 @@ def load_checkpoint(path: str | os.PathLike[str], system: TornSystem) -> Checkpo
         On all ranks, if the file cannot be read.
     """
     comm, sums = system.comm, fingerprint(system)
-    found: Checkpoint | None = None
+    checkpoint: Checkpoint | None = None
     with raise_collectively(comm), open_checkpoint(path) as file:
         ranks = file.integer("ranks")
         if ranks != comm.size:
@@ -218,13 +221,13 @@ def load_checkpoint(path: str | os.PathLike[str], system: TornSystem) -> Checkpo
                     f"{path}: the checkpoint is that of another problem, or of another "
                     f"distribution of its mesh: the {name} differ"
                 )
-        at = f"{comm.rank}/"
+        prefix = f"{comm.rank}/"
         kinds = {f.name: "integers" for f in fields(SavedState)} | {"multipliers": "numbers"}
-        state = {name: file.read(at + name, kind, (None,)) for name, kind in kinds.items()}
+        state = {name: file.read(prefix + name, kind, (None,)) for name, kind in kinds.items()}
         if state["multipliers"].size != state["numbers"].size:
             raise InputError(f"{path}: the multipliers and the numbers of their rows do not fit")
-        found = Checkpoint(
-            SavedState(**state), file.read_all(f"{at}own/"), file.read_all("common/")
+        checkpoint = Checkpoint(
+            SavedState(**state), file.read_all(f"{prefix}own/"), file.read_all("common/")
         )
-    assert found is not None
-    return found
+    assert checkpoint is not None
+    return checkpoint

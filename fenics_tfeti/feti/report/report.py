@@ -21,10 +21,10 @@ from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep
-from fenics_tfeti.feti.files import write_whole
+from fenics_tfeti.feti.files.arrays import write_whole
 from fenics_tfeti.feti.options import Options
+from fenics_tfeti.feti.report.resultants import Resultant, resultants
 from fenics_tfeti.feti.solution.certificate import Certificate
-from fenics_tfeti.feti.solution.resultants import Resultant, resultants
 from fenics_tfeti.feti.solution.setup import DualSetup
 from fenics_tfeti.feti.solution.states import (
     Candidate,
@@ -48,7 +48,7 @@ def peak_memory(comm: MPI.Intracomm) -> int:
 
 @dataclass(frozen=True)
 class Report:
-    """What a solve did, and how accurate its result is; equal on all ranks.
+    """Sizes, iterations, accuracy and times of a solve; equal on all ranks.
 
     Attributes
     ----------
@@ -247,34 +247,15 @@ def build_report(
     reused: list[str],
 ) -> Report:
     """Gather the figures of a solve from all ranks. Collective."""
-    constraints, comm, candidate = setup.constraints, system.comm, outcome.candidate
-    layout = constraints.layout
-    owned, rubbing = constraints.owned_inequalities, constraints.friction.owned(layout.owned)
-    force = constraints.scale * candidate.multipliers[constraints.inequality]
-    explicit, classes = comm.allreduce(setup.F.explicit), comm.allreduce(len(setup.local.classes))
+    comm, candidate, local = system.comm, outcome.candidate, setup.local
+    explicit, classes = comm.allreduce(setup.F.explicit), comm.allreduce(len(local.classes))
     subdomains = comm.allreduce(len(system.subdomains))
     products = history.products
-    local = setup.local
     sums = resultants(
         system, setup.F, local.kernels, local.unknowns, data.load, candidate.multipliers
     )
     return Report(
-        unknowns={
-            "primal": system.gdim * constraints.nodes,
-            "torn": comm.allreduce(int(data.load.size)),
-            "dual": constraints.layout.size,
-            "inequalities": comm.allreduce(owned),
-            "active": comm.allreduce(int(np.count_nonzero(force[:owned] > 0.0))),
-            "tied": comm.allreduce(constraints.owned_tied),
-            "coarse": setup.projector.coarse_space.size,
-            "redundant": constraints.redundant,
-            "dependent": constraints.dependent,
-            "infinite_gaps": constraints.infinite_gaps,
-            "friction": comm.allreduce(int(np.count_nonzero(rubbing))),
-            "sticking": comm.allreduce(
-                int(np.count_nonzero(rubbing & candidate.recovered.sticking))
-            ),
-        },
+        unknowns=_unknowns(system, setup, data, candidate),
         reused=reused,
         subdomains=subdomains,
         classes=classes,
@@ -296,7 +277,7 @@ def build_report(
         seconds=timer.slowest(comm),
         peak_memory_bytes=peak_memory(comm),
         energy=candidate.energy,
-        friction_work=_friction_work(constraints, candidate, len(sums.normal_forces)),
+        friction_work=_friction_work(setup.constraints, candidate, len(sums.normal_forces)),
         contact_force=sums.normal_forces,
         contact_forces=[side.force for side in sums.on_slaves],
         on_slaves=sums.on_slaves,
@@ -324,12 +305,39 @@ def build_report(
     )
 
 
+def _unknowns(
+    system: TornSystem, setup: DualSetup, data: ContactData, candidate: Candidate
+) -> dict[str, int]:
+    """Count the unknowns and rows over all ranks; see `Report`. Collective."""
+    constraints, comm = setup.constraints, system.comm
+    owned = constraints.owned_inequalities
+    sites = constraints.friction.owned(constraints.layout.owned)
+    force = constraints.scale * candidate.multipliers[constraints.inequality]
+    counts = {
+        "torn": data.load.size,
+        "inequalities": owned,
+        "active": np.count_nonzero(force[:owned] > 0.0),
+        "tied": constraints.owned_tied,
+        "friction": np.count_nonzero(sites),
+        "sticking": np.count_nonzero(sites & candidate.recovered.sticking),
+    }
+    return {
+        "primal": system.gdim * constraints.nodes,
+        "dual": constraints.layout.size,
+        "coarse": setup.projector.coarse_space.size,
+        "redundant": constraints.redundant,
+        "dependent": constraints.dependent,
+        "infinite_gaps": constraints.infinite_gaps,
+        **{name: comm.allreduce(int(count)) for name, count in counts.items()},
+    }
+
+
 def _described(
     system: TornSystem, setup: DualSetup, motion: NDArray[np.float64], negligible: float = 1e-6
 ) -> str:
     """Name the bodies that take part in a motion (coarse,). Collective."""
-    own = setup.projector.coarse_space.own_part(motion)
-    bodies = describe_body_motion(system, setup.local.kernels, own, True, negligible)
+    local = setup.projector.coarse_space.own_part(motion)
+    bodies = describe_body_motion(system, setup.local.kernels, local, True, negligible)
     return "; ".join(bodies)
 
 
@@ -340,7 +348,7 @@ def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) ->
     owned = constraints.inequality[: constraints.owned_inequalities]
     contact, active = constraints.contact[: owned.size], candidate.face.rows[owned]
     number = coarse_space.comm.allreduce(int(contact.max(initial=-1)), MPI.MAX) + 1
-    found = []
+    descriptions = []
     for z in weak.T.tocsr():
         motion = z.toarray().ravel()
         closing = (coarse_space.bodies.moved[owned[active]] @ motion) ** 2
@@ -355,16 +363,16 @@ def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) ->
             for i in np.argsort(-resistance)
             if resistance[i] > 0.1 * resistance.max()
         ]
-        found.append(f"{words}; closes only {', '.join(names)} of the motion")
-    return found
+        descriptions.append(f"{words}; closes only {', '.join(names)} of the motion")
+    return descriptions
 
 
 def _friction_work(constraints: Constraints, candidate: Candidate, contacts: int) -> list[float]:
     """Return the work of tangential forces on slips for each contact [J]. Collective."""
     friction = constraints.friction
-    mine = friction.owned(constraints.layout.owned)
-    work = np.sum(candidate.slips * friction.at_sites(candidate.multipliers), axis=1)[mine]
-    sums = np.bincount(friction.contact[mine], weights=work, minlength=contacts)
+    owned = friction.owned(constraints.layout.owned)
+    work = np.sum(candidate.slips * friction.at_sites(candidate.multipliers), axis=1)[owned]
+    sums = np.bincount(friction.contact[owned], weights=work, minlength=contacts)
     total: list[float] = constraints.layout.comm.allreduce(sums).tolist()
     return total
 

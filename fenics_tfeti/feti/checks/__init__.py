@@ -1,0 +1,1 @@
+"""Checks of a torn system before anything is computed."""

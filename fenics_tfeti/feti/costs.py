@@ -1,0 +1,10 @@
+"""Sizes of blocks: they decide about memory and time, not about results."""
+
+from __future__ import annotations
+
+# right-hand sides that are solved for at once: a factor is read once for all of them, and they are
+# a dense matrix for that long
+COLUMNS = 64
+# rows of a matrix, one for each subdomain, that are treated at once: with their transposes and
+# products they stay in the cache
+ROWS = 64

@@ -1,0 +1,1 @@
+"""Arrays, torn systems and checkpoints in files."""

@@ -1,0 +1,1 @@
+"""The figures of a solve, and the forces and moments of its solution."""
