@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from conic_oracle import ConicSolution, conic_solution
 from numpy.typing import NDArray
 
-from fenics_tfeti.qp import Bounds, Discs, FeasibleSet, ProductSet
+from fenics_tfeti.qp import Bounds, Discs, ProductSet
 
 DATA = Path(__file__).parent.parent / "data"
 Vector = NDArray[np.float64]
@@ -40,9 +40,9 @@ class Problem:
         return Bounds.from_vector(self.lower, self.upper)
 
     @property
-    def feasible(self) -> FeasibleSet:
+    def feasible(self) -> ProductSet:
         """The bounds, with the discs where there are some."""
-        return ProductSet(self.bounds, self.discs) if self.discs.radius.size else self.bounds
+        return ProductSet(self.bounds, self.discs if self.discs.radius.size else None)
 
     @property
     def norm(self) -> float:

@@ -30,7 +30,7 @@ from fenics_tfeti.feti.dual.loose_bodies import LooseBodies, rigid_start
 from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Signs, friction_step, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.tolerances import NO_WORK
-from fenics_tfeti.qp import Products
+from fenics_tfeti.qp import Products, balls
 from fenics_tfeti.typing import Mask, Vector
 
 # limit on changes of one row
@@ -147,9 +147,8 @@ def primal_dual_active_set(
         gradient = _without_pulling_rows(problem, face, iterate)
         following = iterate.multipliers[rows] > gradient[rows] / problem.norm
         forces = friction_step(problem, face, iterate.multipliers, gradient)
-        rubbing = np.zeros_like(gradient)
-        rubbing[friction.flat] = forces[friction.present]
-        sticking = friction.sticking(rubbing, problem.radius)
+        rubbing = friction.with_sites(np.zeros_like(gradient), forces)
+        sticking = balls.inside(forces, problem.radius)
         changed, size, turned = _counts(
             problem,
             following != face.signs.active,
@@ -299,8 +298,8 @@ def unused_friction(problem: DualProblem, face: Face, iterate: PCPGIterate) -> f
     It is part of the error of the displacement; zero where slips s are along the forces.
     """
     friction = problem.constraints.friction
-    slips, along = -friction.at_sites(iterate.gradient), friction.directions(iterate.multipliers)
-    unused = problem.radius * friction.misaligned(slips, along)
+    along = balls.directions(friction.at_sites(iterate.multipliers))
+    unused = problem.radius * balls.misalignment(-friction.at_sites(iterate.gradient), along)
     counted = ~face.signs.sticking & friction.owned(problem.constraints.layout.owned)
     return float(np.sqrt(2.0 * max(problem.space.sums(float(unused @ counted))[0], 0.0)))
 
@@ -347,7 +346,7 @@ def close_first_gaps(problem: DualProblem, signs: Signs, gradient: Vector) -> Fa
     """
     coarse_space, friction = problem.coarse_space, problem.constraints.friction
     gap = np.maximum(gradient[problem.constraints.inequality], 0.0)
-    along = friction.directions(signs.forces)
+    along = balls.directions(friction.at_sites(signs.forces))
     slip = np.maximum(np.sum(-friction.at_sites(gradient) * along, axis=1), 0.0)
     active, sticking = signs.active, signs.sticking
     while True:
@@ -380,7 +379,8 @@ def _signs(
     """Return a set with the curvature that the slips of a gradient have along the forces."""
     friction = problem.constraints.friction
     slips = -friction.at_sites(gradient)
-    return Signs(active, sticking, forces, friction.curvature(forces, slips, problem.radius))
+    curvature = balls.curvature(friction.at_sites(forces), slips, problem.radius)
+    return Signs(active, sticking, forces, curvature)
 
 
 def _load(problem: DualProblem, signs: Signs) -> Vector:

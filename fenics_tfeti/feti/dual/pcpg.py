@@ -29,7 +29,7 @@ from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.loose_bodies import LooseBodies
 from fenics_tfeti.feti.dual.problem import DualProblem
-from fenics_tfeti.qp import Products
+from fenics_tfeti.qp import Products, balls
 from fenics_tfeti.typing import Mask, Vector
 
 # r'z above this multiple of its smallest value: the residual is rounding, and the recurrences of
@@ -110,11 +110,12 @@ class Signs:
             active = multipliers[constraints.inequality] > 0.0
         forces = problem.multiplier_set(np.zeros_like(multipliers)).project(multipliers.copy())
         forces = friction.at_bound(forces, problem.radius)
-        sticking = friction.sticking(forces, problem.radius)
+        at_sites = friction.at_sites(forces)
+        sticking = balls.inside(at_sites, problem.radius)
         curvature = np.zeros(friction.size)
         if slips is not None:
             slipping = np.where(sticking, 0.0, 1.0)
-            curvature = slipping * friction.curvature(forces, slips, problem.radius)
+            curvature = slipping * balls.curvature(at_sites, slips, problem.radius)
         return Signs(active, sticking, forces, curvature)
 
 
@@ -499,12 +500,13 @@ def friction_step(
     site sticks first.
     """
     friction = problem.constraints.friction
-    sticking, along = face.signs.sticking, friction.directions(face.signs.forces)
+    sticking = face.signs.sticking
+    along = balls.directions(friction.at_sites(face.signs.forces))
     slip = np.where(sticking[:, None], 0.0, friction.at_sites(gradient))
     step = friction.at_sites(multipliers) - _SLIP_STIFFNESS * problem.unit * slip
     back = np.where(sticking, 0.0, np.minimum(np.sum(step * along, axis=1), 0.0))
     step -= back[:, None] * along
-    return friction.projected(step, problem.radius)
+    return balls.project(step, problem.radius)
 
 
 def _norms(
