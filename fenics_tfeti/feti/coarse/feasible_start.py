@@ -290,8 +290,8 @@ def _forces_with_friction(
         motion = group.motions @ residual
         _raise_unresisted(system, kernels, coarse_space, motion, factor, " and ".join(kinds))
     multipliers[owned] = forces[first : first + owned.size]
-    first = first_rubbing // present.shape[1]
-    of_sites = forces[feasible.tangential][first : first + len(present)]
+    first = pressing.shape[1] + first_rubbing
+    of_sites = forces[first : first + present.size].reshape(present.shape)
     multipliers[friction.rows[mine][present]] = of_sites[present]
     return constraints.layout.sum(multipliers)
 
