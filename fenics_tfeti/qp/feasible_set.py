@@ -166,11 +166,6 @@ class Discs:
     centre: Vector
     radius: Vector
 
-    @staticmethod
-    def none() -> Discs:
-        """Return no discs."""
-        return Discs(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)), np.zeros(0))
-
     def scaled(self, factor: float) -> Discs:
         """Return the set with centres and radii multiplied by a positive factor."""
         return Discs(self.indices, factor * self.centre, factor * self.radius)

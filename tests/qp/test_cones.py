@@ -1,4 +1,4 @@
-"""Projections onto sets of forces with friction, and their derivatives."""
+"""Friction cones: projection, its derivative, steps to the boundary, and MPGP on them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from fenics_tfeti.qp import Bounds, FrictionCones, ProductSet, least_norm_in_set, smallest_factor
+from fenics_tfeti.qp import (
+    Bounds,
+    FrictionCones,
+    ProductSet,
+    ProportioningOptions,
+    least_norm_in_set,
+    proportioning,
+    smallest_factor,
+)
 
 pytestmark = pytest.mark.once
 
@@ -63,6 +71,63 @@ def test_derivative_is_that_of_differences(d):
             # but for the few blocks that are within a step of an edge
             wrong = np.abs(found[:, k] - expected) > 1e-5
             assert np.count_nonzero(wrong) <= 2 * (1 + d)
+
+
+@pytest.mark.parametrize("d", [1, 2])
+def test_longest_step_ends_on_the_boundary(d):
+    """Of single cones, so that each kind of end occurs: on the side, at n = 0, and none."""
+    rng, infinite = np.random.default_rng(30 + d), 0
+    for _ in range(500):
+        radius, slope = rng.random((2, 1)) * (rng.random((2, 1)) < 0.7)
+        feasible = ProductSet(cones=FrictionCones(np.arange(1 + d)[None], radius, slope))
+        x = feasible.project(2.0 * rng.standard_normal(1 + d))
+        p = rng.standard_normal(1 + d)
+        step = feasible.longest_step(x, p)
+        infinite += step == np.inf
+        for length in (0.5 * step, step) if np.isfinite(step) else (1e3,):
+            y = x - length * p
+            np.testing.assert_allclose(feasible.project(y.copy()), y, rtol=1e-11, atol=1e-11)
+        if np.isfinite(step):
+            y = x - (step + 1e-6) * p
+            assert np.linalg.norm(feasible.project(y.copy()) - y) > 0.0
+    assert 10 < infinite < 200
+
+
+@pytest.mark.parametrize(("x", "p", "step"), [
+    ([1.0, 0.5], [1.0, 0.0], 0.5),
+    ([1.0, 0.5], [0.0, -1.0], 0.5),
+    ([1.0, 0.5], [-1.0, -1.0], np.inf),
+    ([1.0, 0.0], [1.0, 0.0], 1.0),
+    ([0.0, 0.0], [-2.0, -1.0], np.inf),
+    ([0.0, 0.0], [-1.0, -2.0], 0.0),
+    ([0.0, 0.0], [0.0, 0.0], np.inf),
+])  # fmt: skip
+def test_longest_step_by_hand(x, p, step):
+    cone = FrictionCones(np.array([[0, 1]]), np.zeros(1), np.ones(1))
+    assert cone.longest_step(np.array(x), np.array(p)) == step
+
+
+@pytest.mark.parametrize("d", [1, 2])
+def test_minimum_on_cones_is_the_projected_step_from_itself(d):
+    rng = np.random.default_rng(40 + d)
+    feasible, size = cones(d, k=8), 3 + 8 * (1 + d)
+    basis = np.linalg.qr(rng.standard_normal((size, size)))[0]
+    A, unbounded = (basis * np.geomspace(1.0, 1e-2, size)) @ basis.T, rng.standard_normal(size)
+    unbounded[feasible.cones.indices[:, 0]] += 0.5
+    b = A @ unbounded
+    result = proportioning(
+        lambda x: (A @ x, None),
+        b,
+        feasible,
+        np.zeros(size),
+        lambda split: split.gradient_norm <= 1e-11,
+        options=ProportioningOptions(step_length=1.9),
+    )
+    assert result.converged
+    x = result.x
+    np.testing.assert_allclose(feasible.project(x - A @ x + b), x, atol=1e-10)
+    on_boundary = np.isin(feasible.cones.indices[:, 0], feasible.on_boundary(x))
+    assert 0 < np.count_nonzero(on_boundary) < 8
 
 
 @pytest.mark.parametrize(("push", "factor"), [(0.29, 1.0), (0.31, 0.31 / 0.3)])

@@ -232,10 +232,9 @@ class FrictionRows:
         return values
 
     def spread(self, at_sites: Vector, size: int) -> Vector:
-        """Return values (k,) at sites on their rows, (m,), zero on other rows."""
-        x = np.zeros(size)
-        x[self.flat] = np.broadcast_to(at_sites[:, None], self.rows.shape)[self.present]
-        return x
+        """Return values at sites, (k,) or (k, gdim - 1), on their rows, (m,), zero on others."""
+        at_sites = at_sites if at_sites.ndim == 2 else at_sites[:, None]
+        return self.with_sites(np.zeros(size), np.broadcast_to(at_sites, self.rows.shape))
 
     def on_rows(self, sites: Mask, size: int) -> Mask:
         """Return the mask (m,) of the rows of some sites (k,)."""
@@ -245,10 +244,8 @@ class FrictionRows:
 
     def off_face(self, sticking: Mask, multipliers: Vector) -> Vector:
         """Return the multipliers (m,) of the sites that slip, with zeros elsewhere."""
-        fixed = np.zeros_like(multipliers)
-        slipping = self.on_rows(~sticking, multipliers.size)
-        fixed[slipping] = multipliers[slipping]
-        return fixed
+        forces = np.where(sticking[:, None], 0.0, self.at_sites(multipliers))
+        return self.spread(forces, multipliers.size)
 
     def combined(self, across: Vector, size: int) -> sp.csr_matrix:
         """Return the combinations (k, m) of the rows of each site with coefficients across."""

@@ -147,7 +147,7 @@ def primal_dual_active_set(
         gradient = _without_pulling_rows(problem, face, iterate)
         following = iterate.multipliers[rows] > gradient[rows] / problem.norm
         forces = friction_step(problem, face, iterate.multipliers, gradient)
-        rubbing = friction.with_sites(np.zeros_like(gradient), forces)
+        rubbing = friction.spread(forces, gradient.size)
         sticking = balls.inside(forces, problem.radius)
         changed, size, turned = _counts(
             problem,

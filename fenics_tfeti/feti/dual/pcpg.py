@@ -168,7 +168,7 @@ class Face:
         if across is not None:
             friction = self.projector.coarse_space.constraints.friction
             size = self.signs.curvature * np.sum(friction.at_sites(x) * across, axis=1)
-            derivative[friction.flat] += (size[:, None] * across)[friction.present]
+            derivative += friction.spread(size[:, None] * across, x.size)
         return derivative
 
     def derivative(self, multipliers: Vector) -> Vector:
@@ -199,9 +199,7 @@ def _scaled(
 
     def scale(x: Vector) -> Vector:
         size = less * np.sum(friction.at_sites(x) * across, axis=1)
-        scaled = x.copy()
-        scaled[friction.flat] -= (size[:, None] * across)[friction.present]
-        return scaled
+        return x - friction.spread(size[:, None] * across, x.size)
 
     return lambda x: scale(apply(scale(x)))
 
@@ -517,13 +515,10 @@ def _norms(
     wrong = np.zeros_like(gradient)
     force = problem.norm * multipliers[rows]
     wrong[rows] = np.minimum(np.where(face.signs.active, force, gradient[rows]), 0.0)
-    friction, sites = (
-        problem.constraints.friction,
-        friction_step(problem, face, multipliers, gradient),
-    )
-    wrong[friction.flat] = (friction.at_sites(multipliers) - sites)[friction.present] / (
-        _SLIP_STIFFNESS * problem.unit
-    )
+    friction = problem.constraints.friction
+    forces = friction_step(problem, face, multipliers, gradient)
+    change = (friction.at_sites(multipliers) - forces) / (_SLIP_STIFFNESS * problem.unit)
+    wrong += friction.spread(change, wrong.size)
     residual = face.projector.on_rows(gradient + face.derivative(multipliers))
     squares = problem.space.dots((residual, residual), (wrong, wrong))
     return float(np.sqrt(squares[0])), float(np.sqrt(squares[1]))
