@@ -270,20 +270,22 @@ class FrictionCones:
 
     def derivative(self, x: Vector) -> Vector:
         """Return P'(x) of each cone, (k, 1 + d, 1 + d)."""
-        n, size, on_side = self._places(x[self.indices])
-        direction, m = balls.directions(x[self.indices][:, 1:]), self.slope[:, None]
-        pressed = np.zeros(self.indices.shape)
-        pressed[:, 0] = n > 0.0
+        y, m = x[self.indices], self.slope[:, None]
+        n, size, on_side = self._places(y)
+        direction = balls.directions(y[:, 1:])
+        # the derivative of the normal force n' of the projection
+        normal = np.zeros(y.shape)
+        normal[:, 0] = n > 0.0
         side = np.column_stack([np.ones(n.size), m * direction]) / (1.0 + m**2)
-        pressed = np.where(on_side[:, None], side, pressed)
+        normal = np.where(on_side[:, None], side, normal)
+        # the tangential force is t where |t| <= b = r + m n', and b t / |t| elsewhere
         bound = self.radius + self.slope * self._pressed(n, size, on_side)
-        blocks = np.tile(np.identity(self.indices.shape[1]), (n.size, 1, 1))
         outside = size > bound
+        blocks = np.tile(np.identity(y.shape[1]), (n.size, 1, 1))
         blocks[:, 1:, 1:] -= outside[:, None, None] * direction[:, :, None] * direction[:, None, :]
         blocks[outside] *= (bound[outside] / size[outside])[:, None, None]
-        outwards = (outside[:, None] * m * direction)[:, :, None]
-        blocks[:, 1:] += outwards * pressed[:, None, :]
-        blocks[:, 0] = pressed
+        blocks[:, 1:] += (outside[:, None] * m * direction)[:, :, None] * normal[:, None, :]
+        blocks[:, 0] = normal
         return blocks
 
     def on_boundary(self, x: Vector) -> Numbers:
