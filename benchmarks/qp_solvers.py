@@ -33,11 +33,12 @@ import scipy.sparse as sp
 from fenics_tfeti.qp import (
     Bounds,
     Products,
+    ProductSet,
     ProportioningOptions,
     SMALBEOptions,
     SMALBEState,
     lanczos_upper_bound,
-    mprgp,
+    proportioning,
     smalbe,
 )
 
@@ -101,7 +102,7 @@ def obstacle(n: int) -> Problem:
 def by_mprgp(problem: Problem, tolerance: float) -> tuple[np.ndarray, int]:
     """Solve by SMALBE-M, or by MPRGP alone where there are no equalities."""
     A, b, G = problem.A, problem.b, problem.G
-    products, bounds = Products(), Bounds.from_vector(problem.lower)
+    products, feasible = Products(), ProductSet(Bounds.from_vector(problem.lower))
     start = np.random.default_rng(0).standard_normal(b.size)
     norm = lanczos_upper_bound(lambda x: A @ x, start, LANCZOS_STEPS)
     inner = ProportioningOptions(
@@ -109,10 +110,10 @@ def by_mprgp(problem: Problem, tolerance: float) -> tuple[np.ndarray, int]:
     )
     if not len(G):
         limit = tolerance * np.linalg.norm(b)
-        found = mprgp(
+        found = proportioning(
             lambda x: (A @ x, None),
             b,
-            bounds,
+            feasible,
             np.zeros_like(b),
             lambda split: split.gradient_norm <= limit,
             options=inner,
@@ -131,7 +132,7 @@ def by_mprgp(problem: Problem, tolerance: float) -> tuple[np.ndarray, int]:
     result = smalbe(
         augmented,
         projected(b),
-        bounds,
+        feasible,
         SMALBEState(zeros, zeros),
         options=SMALBEOptions(rtol=tolerance, rho=norm, max_it=1000, patience=1000, inner=inner),
         products=products,

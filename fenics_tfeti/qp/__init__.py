@@ -1,11 +1,12 @@
-"""Quadratic programmes on products of intervals and discs with equalities, given by an operator.
+"""Quadratic programmes on products of simple sets with equalities, given by an operator.
 
-Independent of finite elements and domain decomposition: MPRGP (algorithm 8.2), MPGP for sets with
-curved boundaries, SMALBE-M (algorithm 9.2) and a Lanczos bound of the spectrum.
+Independent of finite elements and domain decomposition: intervals, discs and friction cones, MPRGP
+(algorithm 8.2), MPGP for sets with curved boundaries, SMALBE-M (algorithm 9.2) and a Lanczos bound
+of the spectrum.
 """
 
-from fenics_tfeti.qp.cones import FrictionCones
-from fenics_tfeti.qp.feasible_set import Bounds, Discs, FeasibleSet, ProductSet, Split
+from fenics_tfeti.qp import balls
+from fenics_tfeti.qp.feasible_set import Bounds, Discs, FrictionCones, ProductSet, Split
 from fenics_tfeti.qp.least_norm import least_norm_in_set, smallest_factor
 from fenics_tfeti.qp.least_penetration import least_penetration
 from fenics_tfeti.qp.least_squares import (
@@ -14,14 +15,13 @@ from fenics_tfeti.qp.least_squares import (
     least_norm_partly_nonnegative,
     nonnegative_least_squares,
 )
-from fenics_tfeti.qp.mpgp import mpgp
-from fenics_tfeti.qp.mprgp import mprgp
 from fenics_tfeti.qp.proportioning import (
     Hessian,
     Products,
     ProportioningOptions,
     ProportioningResult,
     Unbounded,
+    proportioning,
 )
 from fenics_tfeti.qp.smalbe import OuterIteration, SMALBEOptions, SMALBEResult, SMALBEState, smalbe
 from fenics_tfeti.qp.space import Space
@@ -30,7 +30,6 @@ from fenics_tfeti.qp.spectrum import lanczos_upper_bound
 __all__ = [
     "Bounds",
     "Discs",
-    "FeasibleSet",
     "FrictionCones",
     "Hessian",
     "OuterIteration",
@@ -44,15 +43,15 @@ __all__ = [
     "Space",
     "Split",
     "Unbounded",
+    "balls",
     "lanczos_upper_bound",
     "least_distance",
     "least_norm_in_set",
     "least_norm_nonnegative",
     "least_norm_partly_nonnegative",
     "least_penetration",
-    "mpgp",
-    "mprgp",
     "nonnegative_least_squares",
+    "proportioning",
     "smalbe",
     "smallest_factor",
 ]

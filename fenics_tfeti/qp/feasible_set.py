@@ -1,7 +1,8 @@
-"""Feasible sets that are products of lines, half-lines, intervals and discs.
+"""Feasible sets: products of lines, half-lines, intervals, discs and friction cones.
 
-All that the algorithms ask of a feasible set: the projection onto it, the components on its
-boundary, the longest feasible step, and the parts of a gradient (`Split`).
+`ProductSet` has all that the algorithms ask of a feasible set: the projection and its derivative,
+the components on the boundary, the longest feasible step, and the parts of a gradient (`Split`).
+Its factors `Bounds`, `Discs` and `FrictionCones` compute them for their own components.
 """
 
 from __future__ import annotations
@@ -9,12 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy.sparse as sp
 
+from fenics_tfeti.qp import balls
 from fenics_tfeti.qp.space import Space
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
-# distance from a circle, relative to its radius and the coordinates of its centre, that is rounding
-_ON_CIRCLE = 1e-14
+# distance from a curved boundary, relative to its size and the coordinates of its centre, that is
+# rounding
+_ON_BOUNDARY = 1e-14
 
 
 @dataclass(frozen=True)
@@ -25,13 +29,14 @@ class Split:
     ----------
     free : (n,) array
         The free gradient phi: g without the components on the boundary of the set.
+    boundary : (n,) array
+        The gradient beta on the boundary, zero in the interior: the reduced gradient
+        g~ = (x - P(x - a g)) / a with the step length a. On half-lines it is the chopped gradient.
     gradient2 : float
-        Square of the norm that vanishes exactly at the solution, for stopping tests: of the
-        projected gradient g^P = phi + beta where the set is given by `Bounds`, of the reduced
-        gradient g~ where it has discs.
+        ||phi||^2 + ||beta||^2, which vanishes exactly at the solution, for stopping tests. On
+        half-lines phi + beta is the projected gradient g^P.
     boundary2 : float
-        The same of the part on the boundary: ||beta||^2 with the chopped gradient beta, or
-        ||beta~||^2 with the part of g~ on the boundary.
+        ||beta||^2.
     reduced_free : float
         phi~'phi with the reduced free gradient phi~.
     constraint2 : float
@@ -42,6 +47,7 @@ class Split:
     """
 
     free: Vector
+    boundary: Vector
     gradient2: float
     boundary2: float
     reduced_free: float
@@ -50,7 +56,7 @@ class Split:
 
     @property
     def gradient_norm(self) -> float:
-        """Norm of the projected or the reduced gradient."""
+        """Norm of phi + beta."""
         return float(np.sqrt(self.gradient2))
 
     @property
@@ -61,7 +67,7 @@ class Split:
 
 @dataclass(frozen=True)
 class Bounds:
-    """The feasible set {x : lower <= x[indices] <= upper}.
+    """The factor of the x with lower <= x[indices] <= upper.
 
     Attributes
     ----------
@@ -99,38 +105,25 @@ class Bounds:
         """Return no bounds."""
         return Bounds.from_below(np.zeros(0, dtype=np.int64), np.zeros(0))
 
+    def scaled(self, factor: float) -> Bounds:
+        """Return the set with all finite bounds multiplied by a positive factor."""
+        return Bounds(self.indices, factor * self.lower, factor * self.upper)
+
     def project(self, x: Vector) -> Vector:
         """Project x in place onto the feasible set and return it."""
         x[self.indices] = np.minimum(np.maximum(x[self.indices], self.lower), self.upper)
         return x
 
-    def scaled(self, factor: float) -> Bounds:
-        """Return the set with all finite bounds multiplied by a positive factor."""
-        return Bounds(self.indices, factor * self.lower, factor * self.upper)
-
-    def derivative_times(self, x: Vector, columns: Vector) -> Vector:
-        """Return the bounded rows of P'(x) columns, for any x; at a bound a generalized derivative.
-
-        Parameters
-        ----------
-        x : (n,) array
-            Any point.
-        columns : (n, r) array
-            Directions.
-        """
+    def derivative(self, x: Vector) -> Vector:
+        """Return P'(x) of each component, (bounded, 1, 1): 1 between the bounds, else 0."""
         bounded = x[self.indices]
         inside = (bounded > self.lower) & (bounded < self.upper)
-        return np.where(inside[:, None], columns[self.indices], 0.0)
-
-    def active(self, x: Vector) -> Mask:
-        """Tell which components are at a bound; exact, since `project` assigns it."""
-        bounded = x[self.indices]
-        mask: Mask = (bounded <= self.lower) | (bounded >= self.upper)
-        return mask
+        return inside.astype(float)[:, None, None]
 
     def on_boundary(self, x: Vector) -> Numbers:
-        """Return the components at a bound, ascending."""
-        components: Numbers = self.indices[self.active(x)]
+        """Return the components at a bound; exact, since `project` assigns it."""
+        bounded = x[self.indices]
+        components: Numbers = self.indices[(bounded <= self.lower) | (bounded >= self.upper)]
         return components
 
     def longest_step(self, x: Vector, p: Vector) -> float:
@@ -140,14 +133,6 @@ class Bounds:
         way = np.where(speed > 0.0, bounded - self.lower, bounded - self.upper)[moving]
         return float(np.min(way / speed[moving], initial=np.inf))
 
-    def chopped_gradient(self, x: Vector, g: Vector) -> Vector:
-        """Return beta on the bounded components: g at active bounds where -g leaves the bound."""
-        bounded, g_bounded = x[self.indices], g[self.indices]
-        at_lower, at_upper = bounded <= self.lower, bounded >= self.upper
-        inwards = (at_lower & (g_bounded < 0.0)) | (at_upper & (g_bounded > 0.0))
-        # between equal bounds no direction is feasible
-        return np.where(inwards & ~(at_lower & at_upper), g_bounded, 0.0)
-
     def reduced_gradient(self, x: Vector, g: Vector, step_length: float) -> Vector:
         """Return (x - P(x - a g)) / a on the bounded components, a the step length."""
         bounded = x[self.indices]
@@ -155,56 +140,10 @@ class Bounds:
         smallest = (bounded - self.upper) / step_length
         return np.maximum(np.minimum(g[self.indices], largest), smallest)
 
-    def split(
-        self,
-        x: Vector,
-        g: Vector,
-        step_length: float,
-        space: Space,
-        Qx: Vector | None = None,
-        Ap: Vector | None = None,
-    ) -> Split:
-        """Split the gradient g at x into phi and beta; one reduction over the ranks.
-
-        Parameters
-        ----------
-        x, g : (n,) array
-            Feasible point and gradient there.
-        step_length : float
-            The fixed step length in the reduced free gradient.
-        space : Space
-            The inner product.
-        Qx : (n,) array, optional
-            G'Gx with orthonormal rows of G, for ||Gx||.
-        Ap : (n,) array, optional
-            Product with the last direction, for phi'Ap.
-
-        Returns
-        -------
-        Split
-            The parts and their norms.
-        """
-        free = g.copy()
-        free[self.on_boundary(x)] = 0.0
-        phi, beta = free[self.indices], self.chopped_gradient(x, g)
-        cut = phi - self.reduced_gradient(x, free, step_length)
-
-        owned = None if space.owned is None else int(np.searchsorted(self.indices, space.owned))
-        free2 = space.partial(free, free)
-        beta2 = float(beta[:owned] @ beta[:owned])
-        gradient2, beta2, reduced_free, constraint2, conjugation = space.sums(
-            free2 + beta2,
-            beta2,
-            free2 - float(phi[:owned] @ cut[:owned]),
-            0.0 if Qx is None else space.partial(Qx, Qx),
-            0.0 if Ap is None else space.partial(free, Ap),
-        )
-        return Split(free, gradient2, beta2, reduced_free, constraint2, conjugation)
-
 
 @dataclass(frozen=True)
 class Discs:
-    """The feasible set of the x with ``|x[indices[k]] - centre[k]| <= radius[k]`` for all k.
+    """The factor of the x with ``|x[indices[k]] - centre[k]| <= radius[k]`` for all k.
 
     Attributes
     ----------
@@ -227,10 +166,9 @@ class Discs:
     centre: Vector
     radius: Vector
 
-    @staticmethod
-    def none() -> Discs:
-        """Return no discs."""
-        return Discs(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)), np.zeros(0))
+    def scaled(self, factor: float) -> Discs:
+        """Return the set with centres and radii multiplied by a positive factor."""
+        return Discs(self.indices, factor * self.centre, factor * self.radius)
 
     def project(self, x: Vector) -> Vector:
         """Project x in place onto the feasible set and return it."""
@@ -240,28 +178,23 @@ class Discs:
         x[self.indices[outside]] = self.centre[outside] + factor[:, None] * y[outside]
         return x
 
-    def scaled(self, factor: float) -> Discs:
-        """Return the set with centres and radii multiplied by a positive factor."""
-        return Discs(self.indices, factor * self.centre, factor * self.radius)
+    def derivative(self, x: Vector) -> Vector:
+        """Return P'(x) of each disc, (discs, 2, 2).
 
-    def derivative_times(self, x: Vector, columns: Vector) -> Vector:
-        """Return the rows (discs, 2, r) of P'(x) columns of the discs, for any x.
-
-        Outside of a disc the derivative is r / |y| times the projection on the tangent.
+        Outside of a disc it is r / |y| times the projection on the tangent.
         """
         y, distance = self._from_centre(x)
-        moved = columns[self.indices]
+        blocks = np.tile(np.identity(2), (self.radius.size, 1, 1))
         outside = distance > self.radius
-        n = y[outside] / distance[outside, None]
-        tangential = moved[outside]
-        tangential -= n[:, :, None] * np.sum(n[:, :, None] * tangential, axis=1, keepdims=True)
-        moved[outside] = (self.radius[outside] / distance[outside])[:, None, None] * tangential
-        return moved
+        tangent = balls.tangents(y[outside] / distance[outside, None])
+        factor = (self.radius[outside] / distance[outside])[:, None, None]
+        blocks[outside] = factor * tangent[:, :, None] * tangent[:, None, :]
+        return blocks
 
     def on_circle(self, x: Vector) -> Mask:
         """Tell of which discs the point is on the boundary, up to rounding of the projection."""
         distance = self._from_centre(x)[1]
-        rounding = _ON_CIRCLE * (self.radius + np.abs(self.centre).sum(axis=1))
+        rounding = _ON_BOUNDARY * (self.radius + np.abs(self.centre).sum(axis=1))
         mask: Mask = distance >= self.radius - rounding
         return mask
 
@@ -271,18 +204,9 @@ class Discs:
 
     def longest_step(self, x: Vector, p: Vector) -> float:
         """Return the largest a for which this rank's part of x - a p is feasible."""
-        speed = p[self.indices]
-        moving = speed.any(axis=1)
-        y, distance = self._from_centre(x)
-        y, speed, distance = y[moving], speed[moving], distance[moving]
-        # the positive root of |y - a p|^2 = r^2, without cancellation for either sign of y'p
-        pp, yp = np.sum(speed**2, axis=1), np.sum(y * speed, axis=1)
-        room = np.maximum((self.radius[moving] - distance) * (self.radius[moving] + distance), 0.0)
-        root = np.sqrt(yp**2 + pp * room)
-        inwards = yp > 0.0
-        far = np.divide(yp + root, pp, out=np.zeros_like(pp), where=inwards)
-        near = np.divide(room, root - yp, out=np.zeros_like(pp), where=~inwards & (room > 0.0))
-        return float(np.min(np.where(inwards, far, near), initial=np.inf))
+        speed, (y, distance) = p[self.indices], self._from_centre(x)
+        room = (self.radius - distance) * (self.radius + distance)
+        return _longest_step(np.sum(speed**2, axis=1), np.sum(y * speed, axis=1), room)
 
     def reduced_gradient(self, x: Vector, g: Vector, step_length: float) -> Vector:
         """Return (x - P(x - a g)) / a on the discs, (discs, 2), a the step length."""
@@ -308,15 +232,119 @@ class Discs:
 
 
 @dataclass(frozen=True)
+class FrictionCones:
+    """The factor of normal forces n >= 0 and tangential forces with |t| <= r + m n.
+
+    With m = 0 the bound of the tangential force is given; with r = 0 the set is a second-order
+    cone.
+
+    Attributes
+    ----------
+    indices : (k, 1 + d) integer array
+        The components n, t of each, d = 1 or 2; a rank holds and owns all of them or none.
+    radius, slope : (k,) arrays
+        r and m, at least 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> cone = FrictionCones(np.array([[0, 1]]), np.zeros(1), np.ones(1))
+    >>> cone.project(np.array([0.0, 2.0])).round(12).tolist()
+    [1.0, 1.0]
+    >>> (cone.project(np.array([-3.0, 2.0])) + 0.0).tolist()
+    [0.0, 0.0]
+    """
+
+    indices: Numbers
+    radius: Vector
+    slope: Vector
+
+    def scaled(self, factor: float) -> FrictionCones:
+        """Return the set with r and m multiplied by a positive factor."""
+        return FrictionCones(self.indices, factor * self.radius, factor * self.slope)
+
+    def project(self, x: Vector) -> Vector:
+        """Project x in place onto the set and return it."""
+        x[self.indices] = self._nearest(x[self.indices])
+        return x
+
+    def derivative(self, x: Vector) -> Vector:
+        """Return P'(x) of each cone, (k, 1 + d, 1 + d)."""
+        y, m = x[self.indices], self.slope[:, None]
+        n, size, on_side = self._places(y)
+        direction = balls.directions(y[:, 1:])
+        # the derivative of the normal force n' of the projection
+        normal = np.zeros(y.shape)
+        normal[:, 0] = n > 0.0
+        side = np.column_stack([np.ones(n.size), m * direction]) / (1.0 + m**2)
+        normal = np.where(on_side[:, None], side, normal)
+        # the tangential force is t where |t| <= b = r + m n', and b t / |t| elsewhere
+        bound = self.radius + self.slope * self._pressed(n, size, on_side)
+        outside = size > bound
+        blocks = np.tile(np.identity(y.shape[1]), (n.size, 1, 1))
+        blocks[:, 1:, 1:] -= outside[:, None, None] * direction[:, :, None] * direction[:, None, :]
+        blocks[outside] *= (bound[outside] / size[outside])[:, None, None]
+        blocks[:, 1:] += (outside[:, None] * m * direction)[:, :, None] * normal[:, None, :]
+        blocks[:, 0] = normal
+        return blocks
+
+    def on_boundary(self, x: Vector) -> Numbers:
+        """Return the components of the cones whose boundary the point is on, up to rounding."""
+        n, size, _ = self._places(x[self.indices])
+        bound = self.radius + self.slope * n
+        return self.indices[(n <= 0.0) | (size >= (1.0 - _ON_BOUNDARY) * bound)].ravel()
+
+    def longest_step(self, x: Vector, p: Vector) -> float:
+        """Return the largest a for which this rank's part of x - a p is feasible."""
+        y, v = x[self.indices], p[self.indices]
+        bound, slower = self.radius + self.slope * y[:, 0], self.slope * v[:, 0]
+        side = _longest_step(
+            np.sum(v[:, 1:] ** 2, axis=1) - slower**2,
+            np.sum(y[:, 1:] * v[:, 1:], axis=1) - slower * bound,
+            bound**2 - np.sum(y[:, 1:] ** 2, axis=1),
+        )
+        pressed = v[:, 0] > 0.0
+        return float(np.min(y[pressed, 0] / v[pressed, 0], initial=side))
+
+    def reduced_gradient(self, x: Vector, g: Vector, step_length: float) -> Vector:
+        """Return (x - P(x - a g)) / a on the cones, (k, 1 + d), a the step length."""
+        y = x[self.indices]
+        reduced: Vector = (y - self._nearest(y - step_length * g[self.indices])) / step_length
+        return reduced
+
+    def _nearest(self, y: Vector) -> Vector:
+        """Return the nearest points of blocks (k, 1 + d)."""
+        n = self._pressed(*self._places(y))
+        return np.column_stack([n, balls.project(y[:, 1:], self.radius + self.slope * n)])
+
+    def _places(self, y: Vector) -> tuple[Vector, Vector, Mask]:
+        """Return n, |t|, and whether the projection is on the cone's side, n' > 0."""
+        n, size = y[:, 0], np.linalg.norm(y[:, 1:], axis=1)
+        outside = size > self.radius + self.slope * np.maximum(n, 0.0)
+        return n, size, outside & (self._along(n, size) > 0.0)
+
+    def _pressed(self, n: Vector, size: Vector, on_side: Mask) -> Vector:
+        """Return the normal force of the projection."""
+        return np.where(on_side, self._along(n, size), np.maximum(n, 0.0))
+
+    def _along(self, n: Vector, size: Vector) -> Vector:
+        """Return n' of the nearest point of the line |t| = r + m n."""
+        along: Vector = (n + self.slope * (size - self.radius)) / (1.0 + self.slope**2)
+        return along
+
+
+@dataclass(frozen=True)
 class ProductSet:
-    """The product of half-lines and intervals, of discs, and of lines for all other components.
+    """The product of bounds, discs and friction cones, and of lines for all other components.
 
     Attributes
     ----------
     bounds : Bounds
         The half-lines and intervals.
-    discs : Discs
-        The discs, of components without bounds.
+    discs : Discs or None
+        The discs, of components without bounds; None where no rank has one.
+    cones : FrictionCones or None
+        The cones, of other components; None where no rank has one.
 
     Examples
     --------
@@ -328,37 +356,60 @@ class ProductSet:
     """
 
     bounds: Bounds = field(default_factory=Bounds.none)
-    discs: Discs = field(default_factory=Discs.none)
+    discs: Discs | None = None
+    cones: FrictionCones | None = None
+
+    @property
+    def factors(self) -> list[Bounds | Discs | FrictionCones]:
+        """The factors, the same kinds on all ranks."""
+        return [factor for factor in (self.bounds, self.discs, self.cones) if factor is not None]
+
+    @property
+    def curved(self) -> bool:
+        """Whether there are other factors than bounds, on any rank."""
+        return len(self.factors) > 1
+
+    def scaled(self, factor: float) -> ProductSet:
+        """Return the set with finite bounds, centres, radii and slopes times a positive factor."""
+        return ProductSet(
+            self.bounds.scaled(factor),
+            None if self.discs is None else self.discs.scaled(factor),
+            None if self.cones is None else self.cones.scaled(factor),
+        )
 
     def project(self, x: Vector) -> Vector:
         """Project x in place onto the feasible set and return it."""
-        return self.discs.project(self.bounds.project(x))
+        for factor in self.factors:
+            factor.project(x)
+        return x
 
-    def scaled(self, factor: float) -> ProductSet:
-        """Return the set with all finite bounds, centres and radii times a positive factor."""
-        return ProductSet(self.bounds.scaled(factor), self.discs.scaled(factor))
-
-    def derivative_times(self, x: Vector, columns: Vector) -> Vector:
-        """Return P'(x) columns for any x and columns (n, r); a generalized derivative at edges."""
-        moved = columns.copy()
-        moved[self.bounds.indices] = self.bounds.derivative_times(x, columns)
-        moved[self.discs.indices] = self.discs.derivative_times(x, columns)
-        return moved
+    def derivative(self, x: Vector) -> sp.csr_matrix:
+        """Return P'(x), (n, n), for any x; on the boundary a generalized derivative."""
+        lines = np.ones(x.size)
+        parts: list[tuple[Vector, Numbers, Numbers]] = []
+        for factor in self.factors:
+            blocks = factor.derivative(x)
+            indices = factor.indices.reshape(blocks.shape[:2])
+            lines[indices] = 0.0
+            rows, columns = np.broadcast_arrays(indices[:, :, None], indices[:, None, :])
+            parts.append((blocks.ravel(), rows.ravel(), columns.ravel()))
+        entries, row, column = (np.concatenate(part) for part in zip(*parts, strict=True))
+        curved = sp.csr_matrix((entries, (row, column)), (x.size, x.size))
+        return (curved + sp.diags(lines)).tocsr()
 
     def on_boundary(self, x: Vector) -> Numbers:
-        """Return the components at a bound or on the boundary of their disc, ascending."""
-        parts = self.bounds.on_boundary(x), self.discs.on_boundary(x)
-        return np.sort(np.concatenate(parts))
+        """Return the components of blocks on the boundary of their factor, ascending."""
+        return np.sort(np.concatenate([factor.on_boundary(x) for factor in self.factors]))
 
     def longest_step(self, x: Vector, p: Vector) -> float:
         """Return the largest a for which this rank's part of x - a p is feasible."""
-        return min(self.bounds.longest_step(x, p), self.discs.longest_step(x, p))
+        return min(factor.longest_step(x, p) for factor in self.factors)
 
     def reduced_gradient(self, x: Vector, g: Vector, step_length: float) -> Vector:
-        """Return g~ = (x - P(x - a g)) / a, a the step length; g on components without bounds."""
+        """Return g~ = (x - P(x - a g)) / a, a the step length; g on lines."""
         reduced = g.copy()
-        reduced[self.bounds.indices] = self.bounds.reduced_gradient(x, g, step_length)
-        reduced[self.discs.indices] = self.discs.reduced_gradient(x, g, step_length)
+        for factor in self.factors:
+            reduced[factor.indices] = factor.reduced_gradient(x, g, step_length)
         return reduced
 
     def split(
@@ -372,33 +423,50 @@ class ProductSet:
     ) -> Split:
         """Split the gradient g at x; one reduction over the ranks.
 
-        A block is in the interior or on the boundary of its factor of the set, so g~ consists of
-        phi~ on the one and beta~ on the other.
+        A block is in the interior or on the boundary of its factor of the set.
 
         Parameters
         ----------
-        x, g, step_length, space, Qx, Ap
-            As in `Bounds.split`.
+        x, g : (n,) array
+            Feasible point and gradient there.
+        step_length : float
+            The fixed step length in the reduced gradient.
+        space : Space
+            The inner product.
+        Qx : (n,) array, optional
+            G'Gx with orthonormal rows of G, for ||Gx||.
+        Ap : (n,) array, optional
+            Product with the last direction, for phi'Ap.
 
         Returns
         -------
         Split
             The parts and their norms.
         """
-        free, interior = g.copy(), self.reduced_gradient(x, g, step_length)
-        on_boundary = self.on_boundary(x)
-        boundary = np.zeros_like(g)
-        boundary[on_boundary] = interior[on_boundary]
-        free[on_boundary] = interior[on_boundary] = 0.0
-        interior2, boundary2 = space.partial(interior, interior), space.partial(boundary, boundary)
+        free, boundary = g.copy(), np.zeros_like(g)
+        reduced, on_boundary = self.reduced_gradient(x, g, step_length), self.on_boundary(x)
+        free[on_boundary] = 0.0
+        boundary[on_boundary] = reduced[on_boundary]
+        free2, boundary2 = space.partial(free, free), space.partial(boundary, boundary)
         gradient2, boundary2, reduced_free, constraint2, conjugation = space.sums(
-            interior2 + boundary2,
+            free2 + boundary2,
             boundary2,
-            space.partial(interior, free),
+            space.partial(reduced, free),
             0.0 if Qx is None else space.partial(Qx, Qx),
             0.0 if Ap is None else space.partial(free, Ap),
         )
-        return Split(free, gradient2, boundary2, reduced_free, constraint2, conjugation)
+        return Split(free, boundary, gradient2, boundary2, reduced_free, constraint2, conjugation)
 
 
-FeasibleSet = Bounds | ProductSet
+def _longest_step(quadratic: Vector, linear: Vector, room: Vector) -> float:
+    """Return the end of the a >= 0 from 0 on with q a^2 - 2 l a <= room, at all of many places."""
+    room = np.maximum(room, 0.0)
+    square = linear**2 + quadratic * room
+    root, inwards = np.sqrt(np.maximum(square, 0.0)), linear > 0.0
+    # the smallest positive root, without cancellation for either sign of l
+    far = np.divide(
+        linear + root, quadratic, out=np.full_like(root, np.inf), where=inwards & (quadratic > 0.0)
+    )
+    near = np.divide(room, root - linear, out=np.zeros_like(root), where=~inwards & (root > linear))
+    never = (quadratic <= 0.0) & ((linear == 0.0) | (square < 0.0))
+    return float(np.min(np.where(never, np.inf, np.where(inwards, far, near)), initial=np.inf))

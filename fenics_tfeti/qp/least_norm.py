@@ -12,7 +12,6 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
-from fenics_tfeti.qp.cones import FrictionCones
 from fenics_tfeti.qp.feasible_set import ProductSet
 from fenics_tfeti.typing import Vector
 
@@ -30,7 +29,7 @@ _ACCURACY = 1e-4
 
 
 def least_norm_in_set(
-    C: Vector | sp.csr_matrix, d: Vector, feasible: ProductSet | FrictionCones
+    C: Vector | sp.csr_matrix, d: Vector, feasible: ProductSet
 ) -> tuple[Vector, Vector]:
     """Minimise 1/2 ||x||^2 subject to Cx = d on a convex set that contains o.
 
@@ -43,10 +42,10 @@ def least_norm_in_set(
     Parameters
     ----------
     C : (r, n) array or scipy.sparse.csr_matrix
-        Few rows; a sparse matrix of many rows with `FrictionCones` only.
+        Few rows, or a sparse matrix of many.
     d : (r,) array
         Right-hand side.
-    feasible : ProductSet or FrictionCones
+    feasible : ProductSet
         The set.
 
     Returns
@@ -85,9 +84,7 @@ def least_norm_in_set(
     return x, residual
 
 
-def smallest_factor(
-    C: Vector | sp.csr_matrix, d: Vector, feasible: ProductSet | FrictionCones
-) -> float:
+def smallest_factor(C: Vector | sp.csr_matrix, d: Vector, feasible: ProductSet) -> float:
     """Return the smallest factor of radii, intervals and slopes with which Cx = d has a solution.
 
     Parameters
@@ -128,7 +125,7 @@ def smallest_factor(
 def _newton(
     C: Vector | sp.csr_matrix,
     d: Vector,
-    feasible: ProductSet | FrictionCones,
+    feasible: ProductSet,
     centre: Vector,
     delta: float,
     tolerance: float,
@@ -170,15 +167,14 @@ def _step_length(gradient: Callable[[Vector], Vector], y: Vector, p: Vector) -> 
 
 def _newton_step(
     C: Vector | sp.csr_matrix,
-    feasible: ProductSet | FrictionCones,
+    feasible: ProductSet,
     v: Vector,
     delta: float,
     b: Vector,
 ) -> Vector:
     """Solve (C P'(v) C' + delta) p = b."""
     if sp.issparse(C):
-        assert isinstance(feasible, FrictionCones)
         H = (C @ feasible.derivative(v) @ C.T + delta * sp.identity(b.size)).tocsc()
         step: Vector = spl.splu(H).solve(b)
         return step
-    return np.linalg.solve(C @ feasible.derivative_times(v, C.T) + delta * np.eye(b.size), b)
+    return np.linalg.solve(C @ (feasible.derivative(v) @ C.T) + delta * np.eye(b.size), b)

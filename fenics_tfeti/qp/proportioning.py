@@ -1,8 +1,8 @@
-"""Modified proportioning: the steps that MPRGP and MPGP have in common.
+"""Modified proportioning: MPRGP (algorithm 8.2) for bounds, MPGP for sets with curved boundaries.
 
-Both take conjugate gradient steps in the face of the iterate while the gradient on the boundary of
-the feasible set is small against the rest, and expand the face when such a step would leave the
-set. They differ in what they do when it is not small.
+Conjugate gradient steps in the face of the iterate while the gradient on the boundary of the
+feasible set is small against the rest; such a step that would leave the set expands the face. Where
+it is not small the face is left.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from fenics_tfeti.qp.feasible_set import FeasibleSet, Split
+from fenics_tfeti.qp.feasible_set import ProductSet, Split
 from fenics_tfeti.qp.space import Space
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -97,27 +97,123 @@ class ProportioningResult:
     converged: bool
 
 
+def proportioning(
+    hessian: Hessian,
+    b: Vector,
+    feasible: ProductSet,
+    x: Vector,
+    stop: Callable[[Split], bool],
+    *,
+    options: ProportioningOptions | None = None,
+    space: Space | None = None,
+    gradient: tuple[Vector, Vector | None] | None = None,
+    precondition: Callable[[Vector, Numbers], Vector] | None = None,
+    products: Products | None = None,
+) -> ProportioningResult:
+    """Minimise 1/2 x'Ax - b'x on a product set by MPRGP or MPGP.
+
+    With the parts phi, phi~ and beta of the gradient (see `Split`):
+
+    1. Where ||beta||^2 <= Gamma^2 phi~'phi, a conjugate gradient step in the face. If it leaves the
+       set, an expansion step instead.
+    2. Otherwise a step that leaves the face.
+
+    The two methods differ in step 2. Where the set has bounds alone it is the proportioning step of
+    MPRGP (algorithm 8.2), to the minimum along beta but no farther than feasible. Boundaries of
+    discs and cones are curved, and MPGP takes the projected gradient step x = P(x - a g) of fixed
+    length a. (A step along the part of g tangential to the boundary would increase the cost where
+    the normal gradient divided by the radius exceeds 2 / a.)
+
+    Parameters
+    ----------
+    hessian : callable
+        x -> (Ax, Qx): the product with the symmetric positive definite A, and a second linear
+        function of x that is updated by the same recurrences, or None.
+    b : (n,) array
+        Right-hand side.
+    feasible : ProductSet
+        The set.
+    x : (n,) array
+        Start; projected to the feasible set.
+    stop : callable
+        Stopping test, a function of the `Split` of the gradient.
+    options : ProportioningOptions, optional
+        Parameters of the method.
+    space : Space, optional
+        The inner product; by default that of vectors on one rank.
+    gradient : (array, array or None), optional
+        Ax - b and Qx at a feasible x, where known: saves the first product.
+    precondition : callable, optional
+        phi, on_boundary -> M^{-1} phi in the face, with the indices of the components on the
+        boundary; components there are set to zero afterwards.
+    products : Products, optional
+        Counter to add to.
+
+    Returns
+    -------
+    ProportioningResult
+        Last iterate, its gradient, and whether the stopping test was met.
+
+    Raises
+    ------
+    Unbounded
+        If the cost has no lower bound on the feasible set.
+
+    Examples
+    --------
+    A string of two nodes over an obstacle; the first node touches it.
+
+    >>> import numpy as np
+    >>> from fenics_tfeti.qp import Bounds, Discs, ProductSet
+    >>> A = np.array([[2.0, -1.0], [-1.0, 2.0]])
+    >>> result = proportioning(
+    ...     lambda x: (A @ x, None),
+    ...     np.array([-3.0, 0.0]),
+    ...     ProductSet(Bounds.from_vector(np.array([-1.0, -1.0]))),
+    ...     np.zeros(2),
+    ...     lambda split: split.gradient_norm < 1e-12,
+    ...     options=ProportioningOptions(step_length=1.9 / 3.0),
+    ... )
+    >>> result.x.round(12).tolist()
+    [-1.0, -0.5]
+
+    The point of the unit disc that is nearest to (3, 4).
+
+    >>> result = proportioning(
+    ...     lambda x: (x, None),
+    ...     np.array([3.0, 4.0]),
+    ...     ProductSet(discs=Discs(np.array([[0, 1]]), np.zeros((1, 2)), np.ones(1))),
+    ...     np.zeros(2),
+    ...     lambda split: split.gradient_norm < 1e-12,
+    ... )
+    >>> result.x.round(12).tolist()
+    [0.6, 0.8]
+    """
+    method = Proportioning(
+        hessian,
+        b,
+        feasible,
+        options or ProportioningOptions(),
+        space or Space(),
+        precondition,
+        Products() if products is None else products,
+    )
+    method.start(x, gradient)
+    return method.run(stop)
+
+
 @dataclass
 class Proportioning:
     """The state of the iteration, and the steps that change it.
 
-    Attributes
-    ----------
-    hessian, b, feasible, options, space, precondition, products
-        As given to `mprgp` or `mpgp`.
-    x, g, Qx : (n,) array
-        Iterate, gradient Ax - b, and the second result of the Hessian or None.
-    split : Split
-        The parts of g.
-    p : (n,) array or None
-        Conjugate direction; None for the preconditioned free gradient.
-    recurrences : int
-        Updates of g since it was computed from its definition.
+    x, g and Qx are the iterate, the gradient Ax - b and the second result of the Hessian; `split`
+    the parts of g. The conjugate direction p is None for the preconditioned free gradient, and
+    `recurrences` counts the updates of g since it was computed from its definition.
     """
 
     hessian: Hessian
     b: Vector
-    feasible: FeasibleSet
+    feasible: ProductSet
     options: ProportioningOptions
     space: Space
     precondition: Callable[[Vector, Numbers], Vector] | None
@@ -139,32 +235,41 @@ class Proportioning:
             self.Qx = None if gradient[1] is None else gradient[1].copy()
         self.new_face()
 
-    def run(
-        self, stop: Callable[[Split], bool], leave_face: Callable[[], None]
-    ) -> ProportioningResult:
-        """Step until the stopping test holds or the limit on products is met.
-
-        Parameters
-        ----------
-        stop : callable
-            Stopping test, a function of the `Split` of the gradient.
-        leave_face : callable
-            Step 2, taken where the iterate is not strictly proportional.
-        """
-        while not stop(self.split):
+    def run(self, stop: Callable[[Split], bool]) -> ProportioningResult:
+        """Step until the stopping test holds or the limit on products is met."""
+        while not (converged := stop(self.split)):
             if self.products.total >= self.options.max_products:
-                return self.result(converged=False)
-            # Step 1: the gradient on the boundary is at most Gamma^2 phi~'phi
+                break
             if self.split.boundary2 <= self.options.Gamma**2 * self.split.reduced_free:
                 self.conjugate_gradient_step()
-            # Step 2: otherwise
+            elif self.feasible.curved:
+                self.gradient_projection_step()
             else:
-                leave_face()
-        return self.result(converged=True)
-
-    def result(self, converged: bool) -> ProportioningResult:
-        """Return the last iterate."""
+                self.proportioning_step()
         return ProportioningResult(self.x, self.g, self.Qx, self.split, converged)
+
+    def proportioning_step(self) -> None:
+        """Step 2 of MPRGP: x -= (g'd / d'Ad) d along d = beta, no farther than feasible."""
+        d = self.split.boundary
+        Ad, Qd = self.product(d, "proportioning")
+        # lower bounds cannot be hit, but the opposite ends of intervals can
+        gd, curvature, longest = self.space.dots_and_min(
+            (self.g, d), (d, Ad), value=self.feasible.longest_step(self.x, d)
+        )
+        if curvature <= 0.0 and not np.isfinite(longest):
+            raise Unbounded(
+                "the cost function falls without limit when a bound is released: the Hessian is "
+                "not positive definite there; add the missing constraints or regularise"
+            )
+        length = gd / curvature if curvature > 0.0 else np.inf
+        self.move(min(length, longest), d, Ad, Qd)
+        self.new_face()
+
+    def gradient_projection_step(self) -> None:
+        """Step 2 of MPGP: x = P(x - a g) with the fixed step length a."""
+        self.x = self.feasible.project(self.x - self.options.step_length * self.g)
+        self.recompute_gradient("proportioning")
+        self.new_face()
 
     def conjugate_gradient_step(self) -> None:
         """Take a conjugate gradient step, or an expansion step if that leaves the feasible set."""
@@ -206,8 +311,7 @@ class Proportioning:
         self.products.expansion += 1
         self.move(longest, p, Ap, Qp)
         free = self.g.copy()
-        on_boundary = self.feasible.on_boundary(self.x)
-        free[on_boundary] = 0.0
+        free[self.feasible.on_boundary(self.x)] = 0.0
         self.x -= self.options.step_length * free
         self.feasible.project(self.x)
         self.recompute_gradient("expansion")

@@ -1,4 +1,4 @@
-"""SMALBE-M: semimonotonic augmented Lagrangians for separable sets and equalities (algorithm 9.2).
+"""SMALBE-M: semimonotonic augmented Lagrangians for product sets and equalities (algorithm 9.2).
 
 For problems of the form (11.43), as (11.40) is; steps and tests as in theorem 11.2.
 """
@@ -11,14 +11,12 @@ from typing import Literal
 
 import numpy as np
 
-from fenics_tfeti.qp.feasible_set import Bounds, FeasibleSet, Split
-from fenics_tfeti.qp.mpgp import mpgp
-from fenics_tfeti.qp.mprgp import mprgp
+from fenics_tfeti.qp.feasible_set import ProductSet, Split
 from fenics_tfeti.qp.proportioning import (
     Hessian,
     Products,
     ProportioningOptions,
-    ProportioningResult,
+    proportioning,
 )
 from fenics_tfeti.qp.space import Space
 from fenics_tfeti.typing import Numbers, Vector
@@ -76,7 +74,7 @@ class OuterIteration:
     products : int
         Products with the Hessian so far.
     gradient, constraint : float
-        ||g^P||, or ||g~|| where the set has discs, and ||Gx||, relative to ||b||.
+        ||g^P|| (see `Split`) and ||Gx||, relative to ||b||.
     M : float
         The balance parameter M_k.
     active : int
@@ -138,7 +136,7 @@ class SMALBEResult:
 def smalbe(
     hessian: Hessian,
     b: Vector,
-    feasible: FeasibleSet,
+    feasible: ProductSet,
     start: SMALBEState,
     *,
     norm_b: float | None = None,
@@ -150,7 +148,7 @@ def smalbe(
 ) -> SMALBEResult:
     """Minimise 1/2 x'Ax - b'x subject to Gx = o on a product set by SMALBE-M (algorithm 9.2).
 
-    The inner solver is MPRGP where the set is given by `Bounds`, and MPGP for a `ProductSet`.
+    The inner solver is that of `proportioning` for the set: MPRGP where it has bounds alone.
 
     Parameters
     ----------
@@ -159,8 +157,8 @@ def smalbe(
         an outer iteration costs no product.
     b : (n,) array
         Right-hand side.
-    feasible : FeasibleSet
-        Bounds, or a product with discs.
+    feasible : ProductSet
+        The set.
     start : SMALBEState
         First iterate and multipliers; zeros for theorem 11.2.
     norm_b : float, optional
@@ -170,7 +168,7 @@ def smalbe(
     space : Space, optional
         The inner product.
     precondition : callable, optional
-        Preconditioner in the face, see `mprgp`.
+        Preconditioner in the face, see `proportioning`.
     products : Products, optional
         Counter to add to.
     monitor : callable, optional
@@ -186,11 +184,12 @@ def smalbe(
     Minimise 1/2 ||x||^2 - x_1 - 2 x_2 subject to x_1 = x_2 and x >= o.
 
     >>> import numpy as np
+    >>> from fenics_tfeti.qp import Bounds, ProductSet
     >>> Q = 0.5 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     >>> result = smalbe(
     ...     lambda x: (x + Q @ x, Q @ x),
     ...     np.array([1.0, 2.0]),
-    ...     Bounds.from_vector(np.zeros(2)),
+    ...     ProductSet(Bounds.from_vector(np.zeros(2))),
     ...     SMALBEState(np.zeros(2), np.zeros(2)),
     ...     options=SMALBEOptions(rtol=1e-10, inner=ProportioningOptions(step_length=0.9)),
     ... )
@@ -206,7 +205,6 @@ def smalbe(
     def solved(split: Split) -> bool:  # (11.47)
         return max(split.gradient_norm, split.constraint_norm) <= tolerance
 
-    minimise: Callable[..., ProportioningResult] = mprgp if isinstance(feasible, Bounds) else mpgp
     x, q = feasible.project(start.x.copy()), start.q
     M = options.M0 if start.M is None else start.M
     gradient = _first_gradient(hessian, b, x, q, space, products)
@@ -221,7 +219,7 @@ def smalbe(
             return split.gradient_norm <= min(wanted, options.eta * norm_b)
 
         # Step 1: inner iterations until ||g^P(x, mu, rho)|| <= min(M_k ||Gx||, eta), or (11.47)
-        inner = minimise(
+        inner = proportioning(
             hessian,
             b - q,
             feasible,
@@ -282,7 +280,7 @@ def _first_gradient(
     return Ax - b + q, Qx
 
 
-def _count_active(feasible: FeasibleSet, x: Vector, space: Space) -> int:
+def _count_active(feasible: ProductSet, x: Vector, space: Space) -> int:
     on_boundary = feasible.on_boundary(x)
     owned = on_boundary.size if space.owned is None else np.searchsorted(on_boundary, space.owned)
     return int(space.sums(float(owned))[0])

@@ -369,7 +369,7 @@ def test_limit_of_what_friction_holds(part):
     coarse_space = solver.setup.projector.coarse_space
     np.testing.assert_allclose(coarse_space.restrict(start), solver.data.e, atol=1e-9)
     force = np.linalg.norm(friction.at_sites(start), axis=1)
-    assert np.all(force <= friction.radius * (1.0 + 1e-12))
+    assert np.all(force <= friction.bound.radius * (1.0 + 1e-12))
     assert np.all(start[solver.setup.constraints.inequality] >= 0.0)
 
 

@@ -13,15 +13,13 @@ from qp_problems import Problem, random_discs, random_intervals, random_problem
 from fenics_tfeti.qp import (
     Bounds,
     Discs,
-    FeasibleSet,
     Products,
     ProductSet,
     ProportioningOptions,
     SMALBEOptions,
     Space,
     lanczos_upper_bound,
-    mpgp,
-    mprgp,
+    proportioning,
     smalbe,
 )
 from fenics_tfeti.qp.smalbe import SMALBEState
@@ -53,11 +51,11 @@ class Shared:
             ),
         )
 
-    def _part(self, problem: Problem) -> FeasibleSet:
+    def _part(self, problem: Problem) -> ProductSet:
         bounds = Bounds.from_vector(problem.lower[self.held], problem.upper[self.held])
         discs = problem.discs
         if not discs.radius.size:
-            return bounds
+            return ProductSet(bounds)
         local = np.full(problem.b.size, -1)
         local[self.held] = np.arange(self.held.size)
         here = np.flatnonzero(local[discs.indices[:, 0]] >= 0)
@@ -101,11 +99,11 @@ def test_mprgp(expansion, seed, problem_of):
     def stop(split):
         return split.gradient_norm <= 1e-8
 
-    expected = mprgp(
+    expected = proportioning(
         problem.hessian, problem.b, problem.feasible, np.zeros(N), stop,
         options=options, products=alone,
     ).x  # fmt: skip
-    found = mprgp(
+    found = proportioning(
         shared.hessian, problem.b[shared.held], shared.feasible, np.zeros(shared.held.size), stop,
         options=options, products=on_ranks, space=shared.space,
     ).x  # fmt: skip
@@ -124,11 +122,11 @@ def test_mpgp(expansion, seed):
     def stop(split):
         return split.gradient_norm <= 1e-8
 
-    expected = mpgp(
+    expected = proportioning(
         problem.hessian, problem.b, problem.feasible, np.zeros(24), stop,
         options=options, products=alone,
     ).x  # fmt: skip
-    found = mpgp(
+    found = proportioning(
         shared.hessian, problem.b[shared.held], shared.feasible, np.zeros(shared.held.size), stop,
         options=options, products=on_ranks, space=shared.space,
     ).x  # fmt: skip

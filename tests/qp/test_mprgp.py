@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from qp_problems import Problem, random_intervals, random_problem, string
 
-from fenics_tfeti.qp import Products, ProportioningOptions, mprgp
+from fenics_tfeti.qp import Products, ProductSet, ProportioningOptions, proportioning
 
 pytestmark = pytest.mark.once
 
@@ -21,10 +21,10 @@ def solve(problem: Problem, rtol: float = 1e-12, x=None, products=None, **option
     arguments = {key: options.pop(key) for key in ("precondition", "gradient") if key in options}
     options.setdefault("step_length", 1.9 / problem.norm)
     tolerance = rtol * np.linalg.norm(problem.b)
-    return mprgp(
+    return proportioning(
         problem.hessian,
         problem.b,
-        problem.bounds,
+        ProductSet(problem.bounds),
         np.zeros_like(problem.b) if x is None else x,
         lambda split: split.gradient_norm <= tolerance,
         options=ProportioningOptions(**options),

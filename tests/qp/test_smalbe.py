@@ -11,7 +11,14 @@ import pytest
 import quadprog
 from qp_problems import Problem, membranes, random_discs, random_intervals, random_problem
 
-from fenics_tfeti.qp import Bounds, Products, ProportioningOptions, SMALBEOptions, smalbe
+from fenics_tfeti.qp import (
+    Bounds,
+    Products,
+    ProductSet,
+    ProportioningOptions,
+    SMALBEOptions,
+    smalbe,
+)
 from fenics_tfeti.qp.smalbe import SMALBEState
 
 pytestmark = pytest.mark.once
@@ -276,7 +283,7 @@ def test_patience_ends_where_the_constraint_does_not_decrease():
     result = smalbe(
         lambda x: (P @ x + Q @ x, Q @ x),
         b,
-        Bounds.from_below(np.array([0]), np.zeros(1)),
+        ProductSet(Bounds.from_below(np.array([0]), np.zeros(1))),
         SMALBEState(np.zeros(2), np.zeros(2)),
         options=SMALBEOptions(
             rtol=1e-9, patience=5, inner=ProportioningOptions(step_length=1.9, max_products=1000)

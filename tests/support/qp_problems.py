@@ -13,10 +13,11 @@ import scipy.sparse as sp
 from conic_oracle import ConicSolution, conic_solution
 from numpy.typing import NDArray
 
-from fenics_tfeti.qp import Bounds, Discs, FeasibleSet, ProductSet
+from fenics_tfeti.qp import Bounds, Discs, ProductSet
 
 DATA = Path(__file__).parent.parent / "data"
 Vector = NDArray[np.float64]
+NO_DISCS = Discs(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)), np.zeros(0))
 
 
 @dataclass
@@ -28,7 +29,7 @@ class Problem:
     lower: Vector
     G: Vector = field(default_factory=lambda: np.zeros((0, 0)))
     upper: Vector = field(default_factory=lambda: np.full(1, np.inf))
-    discs: Discs = field(default_factory=Discs.none)
+    discs: Discs = NO_DISCS
     calls: int = 0
 
     def __post_init__(self) -> None:
@@ -40,9 +41,9 @@ class Problem:
         return Bounds.from_vector(self.lower, self.upper)
 
     @property
-    def feasible(self) -> FeasibleSet:
+    def feasible(self) -> ProductSet:
         """The bounds, with the discs where there are some."""
-        return ProductSet(self.bounds, self.discs) if self.discs.radius.size else self.bounds
+        return ProductSet(self.bounds, self.discs if self.discs.radius.size else None)
 
     @property
     def norm(self) -> float:

@@ -30,7 +30,9 @@ from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import NO_WORK, UNRESISTED
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.qp import (
+    Bounds,
     FrictionCones,
+    ProductSet,
     least_norm_in_set,
     least_norm_nonnegative,
     least_norm_partly_nonnegative,
@@ -288,15 +290,15 @@ def _forces_with_friction(
         motion = group.motions @ residual
         _raise_unresisted(system, kernels, coarse_space, motion, factor, " and ".join(kinds))
     multipliers[owned] = forces[first : first + owned.size]
-    first = first_rubbing // present.shape[1]
-    of_sites = forces[feasible.tangential][first : first + len(present)]
+    first = pressing.shape[1] + first_rubbing
+    of_sites = forces[first : first + present.size].reshape(present.shape)
     multipliers[friction.rows[mine][present]] = of_sites[present]
     return constraints.layout.sum(multipliers)
 
 
 def _contact_and_friction(
     number: Numbers, normal: Numbers, radius: Vector, slope: Vector, directions: int
-) -> tuple[FrictionCones, int]:
+) -> tuple[ProductSet, int]:
     """Return the set of contact forces, after them those of friction, and their number.
 
     A site whose bound does not depend on a normal force has one of its own, which does nothing.
@@ -321,7 +323,9 @@ def _contact_and_friction(
     at[pressed] = order[found[pressed]]
     below = np.setdiff1d(np.arange(contact), at[pressed])
     slope = np.where(at < contact, slope, 0.0)
-    return FrictionCones(below, at, tangential, radius, slope), contact + (directions + 1) * k
+    cones = FrictionCones(np.column_stack([at, tangential]), radius, slope)
+    bounds = Bounds.from_below(below, np.zeros(below.size))
+    return ProductSet(bounds, cones=cones), contact + (directions + 1) * k
 
 
 def _moved_rows(coarse_space: CoarseSpace, motions: sp.csc_matrix) -> sp.csr_matrix:

@@ -18,11 +18,8 @@ import scipy.sparse as sp
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.system import ContactRows
-from fenics_tfeti.qp import Bounds, Discs, FeasibleSet, ProductSet
+from fenics_tfeti.qp import Bounds, Discs, ProductSet, balls
 from fenics_tfeti.typing import Mask, Numbers, Vector
-
-# distance from the bound, relative to it, below which a node slips
-_AT_BOUND = 1e-9
 
 
 @dataclass(frozen=True)
@@ -86,8 +83,6 @@ class FrictionRows:
         Number of the contact.
     scale : (k,) array
         Factor t: a jump divided by t is a slip [m], and t lambda_T a force [N].
-    radius : (k,) array
-        r = Psi / t, as given.
     own : (sites of this rank,) integer array
         Position of each site that this rank gave; -1 where it has no rows.
     curved : bool
@@ -95,19 +90,18 @@ class FrictionRows:
     normal : (sites of this rank,) integer array
         Local position of the contact row of each site that this rank gave; -1 where it is no row of
         B.
-    slope : (k,) array
-        m of Coulomb's law |lambda_T| <= r + m lambda_N: its coefficient times the factor of the
-        contact row over t.
+    bound : SlipBound
+        The law of friction as given: r = Psi / t, and m the coefficient of Coulomb's law times the
+        factor of the contact row over t.
     """
 
     rows: Numbers
     contact: Numbers
     scale: Vector
-    radius: Vector
     own: Numbers
     curved: bool
     normal: Numbers
-    slope: Vector
+    bound: SlipBound
 
     @staticmethod
     def build(
@@ -149,11 +143,10 @@ class FrictionRows:
             table[order],
             contact[first],
             scale[first],
-            tangential.bound[first] / scale[first],
             position[np.where(there, found, sites.size)],
             bool(comm.allreduce(directions == 2 and (table >= 0).all(axis=1).any(), MPI.LOR)),
             np.full(own_sites.size, -1, dtype=np.int64),
-            np.zeros(sites.size),
+            SlipBound(tangential.bound[first] / scale[first], np.zeros(sites.size)),
         )
 
     def with_normals(
@@ -173,7 +166,8 @@ class FrictionRows:
             Of the rows.
         """
         slope = self.from_given(np.where(normal >= 0, coefficient * factor, 0.0), layout)
-        return replace(self, normal=normal, slope=slope / self.scale)
+        bound = SlipBound(self.bound.radius, slope / self.scale)
+        return replace(self, normal=normal, bound=bound)
 
     @property
     def size(self) -> int:
@@ -201,10 +195,11 @@ class FrictionRows:
         """Return a vector (m,) at the sites, (k, gdim - 1), zero in directions without a row."""
         return np.where(self.present, x[self.rows], 0.0)
 
-    @property
-    def bound(self) -> SlipBound:
-        """The law of friction, as given."""
-        return SlipBound(self.radius, self.slope)
+    def with_sites(self, x: Vector, at_sites: Vector) -> Vector:
+        """Return a vector (m,) with other values at the sites, (k, gdim - 1)."""
+        x = x.copy()
+        x[self.flat] = at_sites[self.present]
+        return x
 
     def from_given(self, values: Vector, layout: DualLayout) -> Vector:
         """Return the values (k,) of all sites from those that each rank gave. Collective."""
@@ -237,10 +232,9 @@ class FrictionRows:
         return values
 
     def spread(self, at_sites: Vector, size: int) -> Vector:
-        """Return values (k,) at sites on their rows, (m,), zero on other rows."""
-        x = np.zeros(size)
-        x[self.flat] = np.broadcast_to(at_sites[:, None], self.rows.shape)[self.present]
-        return x
+        """Return values at sites, (k,) or (k, gdim - 1), on their rows, (m,), zero on others."""
+        at_sites = at_sites if at_sites.ndim == 2 else at_sites[:, None]
+        return self.with_sites(np.zeros(size), np.broadcast_to(at_sites, self.rows.shape))
 
     def on_rows(self, sites: Mask, size: int) -> Mask:
         """Return the mask (m,) of the rows of some sites (k,)."""
@@ -248,18 +242,10 @@ class FrictionRows:
         mask[self.rows[self.present & sites[:, None]]] = True
         return mask
 
-    def sticking(self, multipliers: Vector, radius: Vector) -> Mask:
-        """Tell at which sites the force is below the bound r; at the others there may be slip."""
-        force = np.linalg.norm(self.at_sites(multipliers), axis=1)
-        mask: Mask = force < (1.0 - _AT_BOUND) * radius
-        return mask
-
     def off_face(self, sticking: Mask, multipliers: Vector) -> Vector:
         """Return the multipliers (m,) of the sites that slip, with zeros elsewhere."""
-        fixed = np.zeros_like(multipliers)
-        slipping = self.on_rows(~sticking, multipliers.size)
-        fixed[slipping] = multipliers[slipping]
-        return fixed
+        forces = np.where(sticking[:, None], 0.0, self.at_sites(multipliers))
+        return self.spread(forces, multipliers.size)
 
     def combined(self, across: Vector, size: int) -> sp.csr_matrix:
         """Return the combinations (k, m) of the rows of each site with coefficients across."""
@@ -267,32 +253,11 @@ class FrictionRows:
         entries = across[self.present], (sites, self.flat)
         return sp.csr_matrix(entries, (self.size, size))
 
-    def projected(self, forces: Vector, radius: Vector) -> Vector:
-        """Return the projections of forces (k, gdim - 1) onto the sets |lambda_T| <= r."""
-        length = np.linalg.norm(forces, axis=1)
-        outside = length > radius
-        factor = np.divide(radius, length, out=np.ones_like(length), where=outside)
-        return factor[:, None] * forces
-
     def at_bound(self, multipliers: Vector, radius: Vector) -> Vector:
         """Return the multipliers with forces that are at the bound up to rounding exactly there."""
-        return self.back_on_circles(multipliers, radius, self.sticking(multipliers, radius))
-
-    def back_on_circles(self, multipliers: Vector, radius: Vector, sticking: Mask) -> Vector:
-        """Return the multipliers with forces of sites that slip scaled to their bound."""
-        force = self.at_sites(multipliers)
-        length = np.linalg.norm(force, axis=1)
-        slipping = ~sticking & (length > 0.0)
-        factor = np.divide(radius, length, out=np.ones_like(length), where=slipping)
-        multipliers = multipliers.copy()
-        multipliers[self.flat] = (factor[:, None] * force)[self.present]
-        return multipliers
-
-    def directions(self, multipliers: Vector) -> Vector:
-        """Return the unit vectors of the forces at the sites, (k, gdim - 1), or zeros."""
-        force = self.at_sites(multipliers)
-        length = np.linalg.norm(force, axis=1, keepdims=True)
-        return np.divide(force, length, out=np.zeros_like(force), where=length > 0.0)
+        forces = self.at_sites(multipliers)
+        at_bound = balls.on_boundary(forces, radius, ~balls.inside(forces, radius))
+        return self.with_sites(multipliers, at_bound)
 
     def across(self, multipliers: Vector, sticking: Mask) -> Vector | None:
         """Return the unit vectors across the forces of sites that slip, (k, 2); zeros at others.
@@ -302,43 +267,9 @@ class FrictionRows:
         """
         if not self.curved:
             return None
-        along = self.directions(multipliers) * self.present.all(axis=1, keepdims=True)
-        turned = np.column_stack([-along[:, 1], along[:, 0]])
-        return np.where(sticking[:, None], 0.0, turned)
-
-    def misaligned(self, slips: Vector, along: Vector) -> Vector:
-        """Return |s| - s'l (k,) for slips s and unit vectors l, both (k, gdim - 1)."""
-        size, forwards = np.linalg.norm(slips, axis=1), np.sum(slips * along, axis=1)
-        # without the difference where s is almost along l
-        across = np.linalg.norm(slips - forwards[:, None] * along, axis=1)
-        ahead = forwards > 0.0
-        quotient = np.divide(across**2, size + forwards, out=np.zeros_like(size), where=ahead)
-        return np.where(ahead, quotient, size - forwards)
-
-    def curvature(self, forces: Vector, slips: Vector, radius: Vector) -> Vector:
-        """Return the second derivative of the cost (k,) for forces that turn, |s| / r.
-
-        Parameters
-        ----------
-        forces : (m,) array
-            Multipliers.
-        slips : (k, gdim - 1) array
-            s; the part along the force counts.
-        radius : (k,) array
-            r.
-        """
-        along = np.maximum(np.sum(slips * self.directions(forces), axis=1), 0.0)
-        return np.divide(along, radius, out=np.zeros_like(radius), where=radius > 0.0)
-
-    def turned_to(self, slips: Vector, multipliers: Vector, sites: Mask, radius: Vector) -> Vector:
-        """Return the multipliers with forces of some sites at the bound, along their slips."""
-        length = np.linalg.norm(slips, axis=1)
-        moving = sites & (length > 0.0)
-        factor = np.divide(radius, length, out=np.zeros_like(length), where=moving)
-        force = np.where(moving[:, None], factor[:, None] * slips, self.at_sites(multipliers))
-        multipliers = multipliers.copy()
-        multipliers[self.flat] = force[self.present]
-        return multipliers
+        along = balls.directions(self.at_sites(multipliers))
+        along *= self.present.all(axis=1, keepdims=True)
+        return np.where(sticking[:, None], 0.0, balls.tangents(along))
 
     def within(self, rows: Mask) -> Mask:
         """Tell of which sites the rows are in a mask (m,)."""
@@ -350,7 +281,7 @@ class FrictionRows:
         rows = np.where(self.present, places[self.rows], -1)
         return replace(self, rows=rows, normal=np.append(places, -1)[self.normal])
 
-    def multiplier_set(self, inequality: Numbers, shift: Vector, radius: Vector) -> FeasibleSet:
+    def multiplier_set(self, inequality: Numbers, shift: Vector, radius: Vector) -> ProductSet:
         """Return {x : shift + x is feasible}, with lambda_I >= o and |lambda_T| <= r.
 
         Parameters
@@ -361,11 +292,6 @@ class FrictionRows:
             lambda~.
         radius : (k,) array
             r of each site.
-
-        Returns
-        -------
-        FeasibleSet
-            Bounds where no rank has a disc.
         """
         below = np.full(shift.size, -np.inf)
         above = np.full(shift.size, np.inf)
@@ -374,12 +300,8 @@ class FrictionRows:
         alone = self.present & ~several[:, None]
         rows, half = self.rows[alone], np.broadcast_to(radius[:, None], alone.shape)[alone]
         below[rows], above[rows] = -half - shift[rows], half - shift[rows]
-        bounds = Bounds.from_vector(below, above)
-        # the same kind of set on all ranks: the method depends on it
-        if not self.curved:
-            return bounds
-        at = self.rows[several]
-        return ProductSet(bounds, Discs(at, -shift[at], radius[several]))
+        bounds, at = Bounds.from_vector(below, above), self.rows[several]
+        return ProductSet(bounds, Discs(at, -shift[at], radius[several]) if self.curved else None)
 
 
 def check_slides(

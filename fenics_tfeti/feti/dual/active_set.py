@@ -27,6 +27,7 @@ from fenics_tfeti.feti.dual.loose_bodies import LooseBodies, rigid_start
 from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Signs, friction_step, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.tolerances import NO_WORK
+from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
 # force, relative to the largest one, that is rounding
@@ -161,7 +162,7 @@ class _ActiveSet:
     def step(self) -> _Step:
         """Solve on the face, and find the signs of forces and gaps."""
         problem, turn = self.problem, self.turn
-        rows, friction = problem.constraints.inequality, problem.constraints.friction
+        rows = problem.constraints.inequality
         face = close_first_gaps(problem, self.signs, self.gradient)
         iterate = pcpg(
             problem,
@@ -176,7 +177,7 @@ class _ActiveSet:
         gradient = _without_pulling_rows(problem, face, iterate)
         active = iterate.multipliers[rows] > gradient[rows] / problem.norm
         forces = friction_step(problem, face, iterate.multipliers, gradient)
-        sticking = friction.sticking(_on_sites(problem, forces), problem.radius)
+        sticking = balls.inside(forces, problem.radius)
         signs = face.signs
         changed, size, moved = _counts(
             problem, active != signs.active, signs.active, sites=sticking != signs.sticking
@@ -223,7 +224,7 @@ class _ActiveSet:
         exact = iterate.energy <= self.turn.tolerance
         if exact:
             self.exact_sets.append(face.signs.active)
-        forces = _on_sites(problem, step.forces)
+        forces = problem.constraints.friction.spread(step.forces, gradient.size)
         signs = _signs(problem, step.active, step.sticking, forces, gradient)
         closed = closable(problem, signs, iterate.multipliers)
         if closed is not None:
@@ -263,13 +264,6 @@ class _Progress:
         return self.failures > _FAILURES
 
 
-def _on_sites(problem: DualProblem, values: Vector) -> Vector:
-    """Return values at the sites of friction (k, gdim - 1) as a vector of all rows."""
-    friction, x = problem.constraints.friction, np.zeros_like(problem.c)
-    x[friction.flat] = values[friction.present]
-    return x
-
-
 def _without_pulling_rows(problem: DualProblem, face: Face, iterate: PCPGIterate) -> Vector:
     """Return the gradient after the motion with the least penetration of what pushes do not hold.
 
@@ -305,8 +299,8 @@ def unused_friction(problem: DualProblem, face: Face, iterate: PCPGIterate) -> f
     It is part of the error of the displacement; zero where slips s are along the forces.
     """
     friction = problem.constraints.friction
-    slips, along = -friction.at_sites(iterate.gradient), friction.directions(iterate.multipliers)
-    unused = problem.radius * friction.misaligned(slips, along)
+    along = balls.directions(friction.at_sites(iterate.multipliers))
+    unused = problem.radius * balls.misalignment(-friction.at_sites(iterate.gradient), along)
     counted = ~face.signs.sticking & friction.owned(problem.constraints.layout.owned)
     return float(np.sqrt(2.0 * max(problem.space.sums(float(unused @ counted))[0], 0.0)))
 
@@ -344,7 +338,7 @@ def close_first_gaps(problem: DualProblem, signs: Signs, gradient: Vector) -> Fa
     """
     coarse_space, friction = problem.coarse_space, problem.constraints.friction
     gap = np.maximum(gradient[problem.constraints.inequality], 0.0)
-    along = friction.directions(signs.forces)
+    along = balls.directions(friction.at_sites(signs.forces))
     slip = np.maximum(np.sum(-friction.at_sites(gradient) * along, axis=1), 0.0)
     active, sticking = signs.active, signs.sticking
     while True:
@@ -377,7 +371,8 @@ def _signs(
     """Return a set with the curvature that the slips of a gradient have along the forces."""
     friction = problem.constraints.friction
     slips = -friction.at_sites(gradient)
-    return Signs(active, sticking, forces, friction.curvature(forces, slips, problem.radius))
+    curvature = balls.curvature(friction.at_sites(forces), slips, problem.radius)
+    return Signs(active, sticking, forces, curvature)
 
 
 def _load(problem: DualProblem, signs: Signs) -> Vector:

@@ -29,7 +29,7 @@ from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.loose_bodies import LooseBodies
 from fenics_tfeti.feti.dual.problem import DualProblem
-from fenics_tfeti.qp import Products
+from fenics_tfeti.qp import Products, balls
 from fenics_tfeti.typing import Mask, Vector
 
 # r'z above this multiple of its smallest value: the residual is rounding, and the recurrences of
@@ -110,11 +110,12 @@ class Signs:
             active = multipliers[constraints.inequality] > 0.0
         forces = problem.multiplier_set(np.zeros_like(multipliers)).project(multipliers.copy())
         forces = friction.at_bound(forces, problem.radius)
-        sticking = friction.sticking(forces, problem.radius)
+        at_sites = friction.at_sites(forces)
+        sticking = balls.inside(at_sites, problem.radius)
         curvature = np.zeros(friction.size)
         if slips is not None:
             slipping = np.where(sticking, 0.0, 1.0)
-            curvature = slipping * friction.curvature(forces, slips, problem.radius)
+            curvature = slipping * balls.curvature(at_sites, slips, problem.radius)
         return Signs(active, sticking, forces, curvature)
 
 
@@ -167,7 +168,7 @@ class Face:
         if across is not None:
             friction = self.projector.coarse_space.constraints.friction
             size = self.signs.curvature * np.sum(friction.at_sites(x) * across, axis=1)
-            derivative[friction.flat] += (size[:, None] * across)[friction.present]
+            derivative += friction.spread(size[:, None] * across, x.size)
         return derivative
 
     def derivative(self, multipliers: Vector) -> Vector:
@@ -198,9 +199,7 @@ def _scaled(
 
     def scale(x: Vector) -> Vector:
         size = less * np.sum(friction.at_sites(x) * across, axis=1)
-        scaled = x.copy()
-        scaled[friction.flat] -= (size[:, None] * across)[friction.present]
-        return scaled
+        return x - friction.spread(size[:, None] * across, x.size)
 
     return lambda x: scale(apply(scale(x)))
 
@@ -499,12 +498,13 @@ def friction_step(
     site sticks first.
     """
     friction = problem.constraints.friction
-    sticking, along = face.signs.sticking, friction.directions(face.signs.forces)
+    sticking = face.signs.sticking
+    along = balls.directions(friction.at_sites(face.signs.forces))
     slip = np.where(sticking[:, None], 0.0, friction.at_sites(gradient))
     step = friction.at_sites(multipliers) - _SLIP_STIFFNESS * problem.unit * slip
     back = np.where(sticking, 0.0, np.minimum(np.sum(step * along, axis=1), 0.0))
     step -= back[:, None] * along
-    return friction.projected(step, problem.radius)
+    return balls.project(step, problem.radius)
 
 
 def _norms(
@@ -515,13 +515,10 @@ def _norms(
     wrong = np.zeros_like(gradient)
     force = problem.norm * multipliers[rows]
     wrong[rows] = np.minimum(np.where(face.signs.active, force, gradient[rows]), 0.0)
-    friction, sites = (
-        problem.constraints.friction,
-        friction_step(problem, face, multipliers, gradient),
-    )
-    wrong[friction.flat] = (friction.at_sites(multipliers) - sites)[friction.present] / (
-        _SLIP_STIFFNESS * problem.unit
-    )
+    friction = problem.constraints.friction
+    forces = friction_step(problem, face, multipliers, gradient)
+    change = (friction.at_sites(multipliers) - forces) / (_SLIP_STIFFNESS * problem.unit)
+    wrong += friction.spread(change, wrong.size)
     residual = face.projector.on_rows(gradient + face.derivative(multipliers))
     squares = problem.space.dots((residual, residual), (wrong, wrong))
     return float(np.sqrt(squares[0])), float(np.sqrt(squares[1]))

@@ -147,14 +147,9 @@ class Preconditioner:
         """
         constraints, coupling = self.constraints, self.constraints.coupling
         friction, size = constraints.friction, constraints.size
-        turns, along = np.zeros(size), np.zeros(size)
-        turns[friction.flat] = across[friction.present]
-        along[friction.flat] = (across[:, ::-1] * [1.0, -1.0])[friction.present]
-        of_site = (
-            friction.spread(friction.numbers(constraints.layout), size),
-            friction.spread(curvature, size),
-        )
-        turns, along, site, bent = coupling.gather(turns, along, *of_site)
+        along, number = across[:, ::-1] * [1.0, -1.0], friction.numbers(constraints.layout)
+        at_sites = (across, along, number, curvature)
+        turns, along, site, bent = coupling.gather(*(friction.spread(x, size) for x in at_sites))
         turning = np.flatnonzero(np.abs(turns) + np.abs(along) > 0.0)
         if not turning.size:
             return kernel, np.zeros((0, kernel.shape[1])), np.zeros((0, 1))

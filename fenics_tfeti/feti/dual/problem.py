@@ -13,7 +13,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.preconditioner import Preconditioner
-from fenics_tfeti.qp import FeasibleSet, Space
+from fenics_tfeti.qp import ProductSet, Space
 from fenics_tfeti.typing import Vector
 
 
@@ -75,7 +75,7 @@ class DualProblem:
         """B."""
         return self.projector.coarse_space.constraints
 
-    def multiplier_set(self, shift: Vector) -> FeasibleSet:
+    def multiplier_set(self, shift: Vector) -> ProductSet:
         """Return {x : shift + x is feasible}, without regard to Gl = e."""
         constraints = self.constraints
         return constraints.friction.multiplier_set(constraints.inequality, shift, self.radius)

@@ -38,6 +38,7 @@ from fenics_tfeti.feti.solution.recovery import Recovered
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import HARDLY_DEFORMED, NEARLY_IDLE, UNDEFORMED
 from fenics_tfeti.parallel import Directory, concatenate_buffers
+from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # rounding of motions that were taken out of the data, relative to that of motions in the iterations
@@ -531,7 +532,8 @@ class PrimalProblem:
     def _unused_friction(self, recovered: Recovered, multipliers: Vector) -> tuple[Numbers, Vector]:
         """Return 2 (r |s| - lambda_T's) of each owned site, with one of its bodies [J]."""
         friction = self.F.constraints.friction
-        unused = friction.misaligned(self.slips(recovered), friction.directions(multipliers))
+        along = balls.directions(friction.at_sites(multipliers))
+        unused = balls.misalignment(self.slips(recovered), along)
         return self._at_owned_sites(2.0 * self.radius * unused)
 
     def _lost_to_friction(self, recovered: Recovered) -> tuple[Numbers, Vector]:
@@ -553,21 +555,21 @@ class PrimalProblem:
         """Return excess over the bound, slip below it and slip across the force, relative."""
         friction, bodies = self.F.constraints.friction, self.row_bodies
         slip = friction.at_sites(recovered.jumps) / friction.scale[:, None]
-        force = np.linalg.norm(friction.at_sites(multipliers), axis=1)
+        forces = friction.at_sites(multipliers)
         largest = np.zeros(bodies.contacts)
         np.maximum.at(largest, friction.contact, friction.scale * self.radius)
         self._comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
         bound = largest[friction.contact]
         scale = bodies.largest_at_sites(deformation, friction.size)
         scale = np.where(scale > 0.0, scale, np.inf)
-        along = friction.directions(multipliers)
+        along = balls.directions(forces)
         forwards = np.maximum(np.sum(slip * along, axis=1, keepdims=True), 0.0)
         across = np.linalg.norm(slip - forwards * along, axis=1) / scale
         slipping = ~recovered.sticking & (self.radius > 0.0)
         bound = np.where(bound > 0.0, bound, 1.0)
         # of small forces the direction matters little
         across *= friction.scale * self.radius / bound
-        excess = friction.scale * (force - self.radius) / bound
+        excess = friction.scale * (np.linalg.norm(forces, axis=1) - self.radius) / bound
         below = np.linalg.norm(slip, axis=1) / scale
         numbers = np.array(
             [

@@ -34,6 +34,7 @@ from fenics_tfeti.feti.solution.states import (
 )
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.feti.tolerances import ROUNDING
+from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Vector
 
 # tolerance of the first solution, and of later ones relative to the last change of the bounds
@@ -166,7 +167,7 @@ class _FixedPoint:
                 return found
         feasible = self._given.feasible
         radius = self.bound(feasible)
-        limited = (radius > 0.0) & ~self._friction.sticking(feasible, radius)
+        limited = (radius > 0.0) & ~balls.inside(self._friction.at_sites(feasible), radius)
         if self._layout.comm.allreduce(bool(limited.any()), MPI.LOR):
             # these bounds may hold the load just so, and the motion at the limit is not unique
             radius = self.bound(_AMPLE * feasible)
@@ -215,12 +216,12 @@ class _FixedPoint:
         Where they had no bound, their slips give the directions.
         """
         friction, slips = self._friction, outcome.candidate.slips
-        multipliers = outcome.iterate.multipliers
-        before = outcome.candidate.radius
-        sticking = friction.sticking(multipliers, before)
-        multipliers = friction.back_on_circles(multipliers, radius, sticking)
-        multipliers = friction.turned_to(slips, multipliers, before == 0.0, radius)
-        return Iterate(multipliers, slips=slips)
+        multipliers, before = outcome.iterate.multipliers, outcome.candidate.radius
+        forces = friction.at_sites(multipliers)
+        forces = balls.on_boundary(forces, radius, ~balls.inside(forces, before))
+        starting = (before == 0.0) & slips.any(axis=1)
+        forces = np.where(starting[:, None], balls.on_boundary(slips, radius, starting), forces)
+        return Iterate(friction.with_sites(multipliers, forces), slips=slips)
 
     def error(self, candidate: Candidate, radius: Vector) -> float:
         """Return how far forces are from the law with these bounds, relative to the bounds.

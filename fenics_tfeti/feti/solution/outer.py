@@ -48,6 +48,7 @@ from fenics_tfeti.feti.solution.setup import DualSetup, dual_problem
 from fenics_tfeti.feti.solution.states import Candidate, ContactData, Outcome
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.feti.tolerances import ROUNDING
+from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
 # products of a turn after the first one, in the first round; doubled in each round
@@ -264,7 +265,8 @@ class _Loop:
         setup, none = self.setup, np.zeros_like(self.data.load)
         active = np.zeros(setup.constraints.inequality.size, dtype=bool)
         with self.timer.phase("recovery"):
-            sticking = setup.constraints.friction.sticking(multipliers, self.data.radius)
+            forces = setup.constraints.friction.at_sites(multipliers)
+            sticking = balls.inside(forces, self.data.radius)
             face = Projector.build(setup.projector.coarse_space, active, sticking)
             recovered = Recovered(none, none, none, -self.data.c, active, sticking)
             certificate, energy = self.primal.certify(recovered, multipliers, face)

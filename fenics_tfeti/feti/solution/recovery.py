@@ -25,7 +25,7 @@ from fenics_tfeti.feti.constraints.coupling import Coupling
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.parallel import concatenate_ranks
-from fenics_tfeti.qp import least_distance, least_penetration
+from fenics_tfeti.qp import balls, least_distance, least_penetration
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # what rounding leaves of a unit motion in a contact row that it does not move
@@ -104,7 +104,7 @@ def balance_multipliers(
     limits = friction.multiplier_set(rows[:0], np.zeros_like(multipliers), radius)
     turns = 0
     while True:
-        sticking = friction.sticking(balanced, radius)
+        sticking = balls.inside(friction.at_sites(balanced), radius)
         across = friction.across(balanced, sticking)
         face = Projector.build(coarse_space, balanced[rows] > 0.0, sticking, across)
         corrected = balanced
@@ -112,9 +112,10 @@ def balance_multipliers(
         for _ in range(2):
             missing = face.without_free_motions(e - coarse_space.restrict(corrected))
             corrected = corrected + face.least_norm(missing)
-            corrected = friction.back_on_circles(corrected, radius, sticking)
+            forces = balls.on_boundary(friction.at_sites(corrected), radius, ~sticking)
+            corrected = friction.with_sites(corrected, forces)
         negative, limited = corrected[rows] < 0.0, limits.project(corrected.copy())
-        sliding = sticking & ~friction.sticking(limited, radius)
+        sliding = sticking & ~balls.inside(friction.at_sites(limited), radius)
         left = np.count_nonzero(negative) + np.count_nonzero(sliding)
         if not space.sums(float(left))[0]:
             if across is None or turns == _TURNS:
@@ -280,9 +281,9 @@ def close_constraints(
     closed[rows] |= jump[rows] > 0.0
     correction = np.where(closed, jump, 0.0)
     friction = constraints.friction
-    slip, along = friction.at_sites(jump), friction.directions(multipliers)
-    radius = np.linalg.norm(friction.at_sites(multipliers), axis=1)
-    unused = 2.0 * radius * friction.misaligned(slip, along)
+    slip, force = friction.at_sites(jump), friction.at_sites(multipliers)
+    along, radius = balls.directions(force), np.linalg.norm(force, axis=1)
+    unused = 2.0 * radius * balls.misalignment(slip, along)
     forwards = np.sum(slip * along, axis=1)
     slip -= np.maximum(forwards, 0.0)[:, None] * along
     cheaper = unit * np.sum(slip**2, axis=1) < unused
@@ -380,7 +381,7 @@ def _slips_against_friction(
     """
     constraints = active.coarse_space.constraints
     friction = constraints.friction
-    along = friction.directions(multipliers)
+    along = balls.directions(friction.at_sites(multipliers))
     mine = friction.owned(constraints.layout.owned) & ~friction.within(active.rows)
     sites = np.flatnonzero(mine & along.any(axis=1))
     if not sites.size:

@@ -12,6 +12,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.solution.setup import DualSetup
 from fenics_tfeti.feti.solution.states import ContactData, History
 from fenics_tfeti.feti.timer import Timer
+from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
 # Lanczos steps for an upper bound of ||PFP||, the scale of SMALBE-M
@@ -115,11 +116,12 @@ def _energy_of_jumps(
     """
     layout, rows = setup.constraints.layout, setup.constraints.inequality
     pressing = (data.feasible[rows] > 0.0) & ~far
-    sticking = setup.constraints.friction.sticking(data.feasible, data.radius)
+    friction = setup.constraints.friction
+    sticking = balls.inside(friction.at_sites(data.feasible), data.radius)
     face = Projector.build(setup.projector.coarse_space, pressing, sticking)
     r = face.remove_rigid_motion(layout.owned_part(d), d)[0]
     r[rows] = np.where(pressing, r[rows], np.maximum(r[rows], 0.0))
-    r[setup.constraints.friction.on_rows(~sticking, r.size)] = 0.0
+    r[friction.on_rows(~sticking, r.size)] = 0.0
     if setup.preconditioner is None:
         with timer.phase("norm"):
             norm = setup.norm(ROUGH_LANCZOS_STEPS)

@@ -18,9 +18,9 @@ from friction_problems import (
 
 from fenics_tfeti.feti import Prescribed
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
-from fenics_tfeti.feti.constraints.friction import FrictionRows
+from fenics_tfeti.feti.constraints.friction import FrictionRows, SlipBound
 from fenics_tfeti.feti.constraints.rows import build_constraints
-from fenics_tfeti.qp import Bounds, ProductSet
+from fenics_tfeti.qp import balls
 
 SYSTEMS = {
     "pushed": pushed_block,
@@ -72,7 +72,7 @@ def test_both_tangential_rows_have_one_scale_and_one_bound(name):
     assert friction.rows.shape == (system.friction.size, system.gdim - 1)
     assert friction.present.all()
     np.testing.assert_allclose(
-        friction.given(friction.radius * friction.scale), system.friction.bound, rtol=1e-14
+        friction.given(friction.bound.radius * friction.scale), system.friction.bound, rtol=1e-14
     )
 
 
@@ -102,9 +102,9 @@ def test_direction_that_prescribed_displacements_decide_has_no_row():
     assert np.count_nonzero(~friction.present[:, 1]) == 4
     assert friction.present[:, 0].all()
     feasible = friction.multiplier_set(
-        constraints.inequality, np.zeros(constraints.size), friction.radius
+        constraints.inequality, np.zeros(constraints.size), friction.bound.radius
     )
-    assert isinstance(feasible, ProductSet)
+    assert feasible.discs is not None
     assert feasible.discs.radius.size == 12
     assert np.count_nonzero(np.isfinite(feasible.bounds.upper)) == 4
 
@@ -113,32 +113,34 @@ SITES = FrictionRows(
     rows=np.array([[1, 2], [3, -1], [5, 4]]),
     contact=np.zeros(3, dtype=np.int64),
     scale=np.ones(3),
-    radius=np.array([5.0, 2.0, 0.0]),
     own=np.array([2, -1, 0]),
     curved=True,
     normal=np.array([0, -1, -1]),
-    slope=np.array([0.0, 0.5, 0.5]),
+    bound=SlipBound(np.array([5.0, 2.0, 0.0]), np.array([0.0, 0.5, 0.5])),
 )
+RADIUS = SITES.bound.radius
 
 
 def test_set_of_multipliers_is_shifted():
     shift = np.array([1.0, 0.5, -0.5, 3.0, 0.1, 0.2])
-    feasible = SITES.multiplier_set(np.array([0]), shift, SITES.radius)
+    feasible = SITES.multiplier_set(np.array([0]), shift, RADIUS)
     x = feasible.project(np.array([-9.0, 5.5, 8.5, -9.0, 7.0, 7.0]))
     np.testing.assert_allclose(shift + x, [0.0, 3.0, 4.0, -2.0, 0.0, 0.0], atol=1e-14)
     plane = dataclasses.replace(SITES, rows=SITES.rows[:, :1], curved=False)
-    assert isinstance(plane.multiplier_set(np.array([0]), shift, SITES.radius), Bounds)
+    assert not plane.multiplier_set(np.array([0]), shift, RADIUS).curved
 
 
 def test_state_of_sites():
     inside = np.array([9.0, 3.0, 4.0 - 1e-6, 1.9, 0.0, 0.0])
-    assert SITES.sticking(inside, SITES.radius).tolist() == [True, True, False]
+    assert balls.inside(SITES.at_sites(inside), RADIUS).tolist() == [True, True, False]
     rounded = np.array([9.0, 3.0, 4.0 - 1e-12, -2.0 + 1e-13, 0.0, 0.0])
-    assert SITES.sticking(rounded, SITES.radius).tolist() == [False, False, False]
-    at_bound = SITES.at_bound(rounded, SITES.radius)
+    assert balls.inside(SITES.at_sites(rounded), RADIUS).tolist() == [False, False, False]
+    at_bound = SITES.at_bound(rounded, RADIUS)
     np.testing.assert_allclose(np.linalg.norm(SITES.at_sites(at_bound), axis=1), [5.0, 2.0, 0.0])
-    np.testing.assert_allclose(SITES.directions(at_bound), [[0.6, 0.8], [-1.0, 0.0], [0.0, 0.0]])
-    assert SITES.at_bound(inside, SITES.radius).tolist() == inside.tolist()
+    np.testing.assert_allclose(
+        balls.directions(SITES.at_sites(at_bound)), [[0.6, 0.8], [-1.0, 0.0], [0.0, 0.0]]
+    )
+    assert SITES.at_bound(inside, RADIUS).tolist() == inside.tolist()
 
 
 def test_values_at_sites_rows_and_what_was_given():
@@ -165,7 +167,7 @@ def test_bounds_follow_the_normal_forces():
     assert SITES.pressing(-multipliers, layout).tolist() == [0.0, 0.0, 0.0]
     assert SITES.normal_numbers(layout).tolist() == [-1, -1, 7]
     given = SITES.with_normals(SITES.normal, np.array([2.0, 1, 1]), np.full(3, 0.3), layout)
-    assert given.slope.tolist() == [0.0, 0.0, 0.6]
+    assert given.bound.slope.tolist() == [0.0, 0.0, 0.6]
 
 
 def test_rows_of_different_lengths_have_one_scale():

@@ -22,7 +22,7 @@ from fenics_tfeti.feti import (
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.active_set import close_first_gaps
 from fenics_tfeti.feti.dual.pcpg import Face, Signs, pcpg
-from fenics_tfeti.qp import Products
+from fenics_tfeti.qp import Products, balls
 
 # Curtis, Han, Robinson, Comput. Optim. Appl. 60 (2015), example 1: active sets that repeat
 CYCLING = np.array([[4.0, 5.0, -5.0], [5.0, 9.0, -5.0], [-5.0, -5.0, 7.0]])
@@ -241,7 +241,9 @@ def test_face_with_forces_that_turn_is_a_linear_problem(preconditioner):
     friction = constraints.friction
     active = np.ones(constraints.inequality.size, dtype=bool)
     sticking = np.arange(friction.size) % 2 == 0
-    forces = friction.back_on_circles(rng.standard_normal(n), problem.radius, sticking)
+    forces = rng.standard_normal(n)
+    at_sites = balls.on_boundary(friction.at_sites(forces), problem.radius, ~sticking)
+    forces = friction.with_sites(forces, at_sites)
     curvature = np.where(sticking, 0.0, 10.0 ** rng.uniform(-2, 2, friction.size))
     across = friction.across(forces, sticking)
     projector = Projector.build(problem.coarse_space, active, sticking, across)
