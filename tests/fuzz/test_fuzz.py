@@ -8,10 +8,36 @@ import sys
 from itertools import product
 from pathlib import Path
 
+from mpi4py import MPI
+
 import pytest
+from cases import solve_case
 from mesh_options import draw_mesh_case
 
 RUN = Path(__file__).with_name("run.py")
+
+
+# problems that fail without the mechanism that is named
+NEEDS = {
+    49: "Newton's method where the active set cycles",
+    67: "the ground of soft springs as unknowns",
+    162: "free motions of several bodies together",
+    193: "polished forces of rigid bodies, SMALBE-M",
+    196: "the solution at rest",
+    199: "polished forces of rigid bodies",
+    446: "Newton's method where the sets repeat",
+    694: "passes without the residual of the recurrences",
+    961: "passes without the residual of the recurrences",
+    1059: "passes without the residual of the recurrences",
+    1078: "methods that take turns",
+}
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("seed", NEEDS)
+def test_problem_that_needs_a_mechanism(seed):
+    outcome = solve_case("both", seed, MPI.COMM_WORLD, MPI.COMM_SELF)
+    assert outcome.kind in ("right", "right error"), f"{NEEDS[seed]}: {outcome.detail}"
 
 
 @pytest.mark.timeout(900)
