@@ -327,18 +327,15 @@ def _coefficients(projector: Projector, C: sp.csr_matrix) -> tuple[Vector, Vecto
     G = coarse_space.motions_of_rows(projector.rows)
     own = (G[:, : int(coarse_space.ends[-1])].T @ C).tocsc()
     places = np.concatenate([np.arange(layout.size)[layout.own], layout.others])
-    W = np.zeros((C.shape[0], 0))
-    if projector.weak is not None:
-        W = np.where(projector.rows[:, None], projector.weak.rows, 0.0)
+    gram = projector.gram
+    W = np.where(projector.rows[:, None], gram.rows, 0.0)
     X, V = np.zeros((places.size, C.shape[1])), np.zeros((W.shape[1], C.shape[1]))
     squares, owned = np.zeros(C.shape[1]), coarse_space.constraints.layout.owned
     for first in range(0, C.shape[1], _COLUMNS):
         some = slice(first, first + _COLUMNS)
-        if projector.factor is not None:
-            coarse = projector.without_free_motions(layout.gather(own[:, some].toarray()))
-            X[:, some] = projector.factor.solve_columns(coarse)[places]
-        if projector.weak is not None:
-            V[:, some] = projector.weak.motions.T @ coarse
+        coarse = projector.without_free_motions(layout.gather(own[:, some].toarray()))
+        X[:, some] = gram.factor.solve_columns(coarse)[places]
+        V[:, some] = gram.motions.T @ coarse
         U = C[:owned, some].toarray() - G[:owned] @ X[:, some] - W[:owned] @ V[:, some]
         squares[some] = np.sum(U**2, axis=0)
     return X, W, V, coarse_space.constraints.layout.space.sum_over_ranks(squares)

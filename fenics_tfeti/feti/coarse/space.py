@@ -17,13 +17,13 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.feti.coarse.body_motions import BodyMotions, body_motions
+from fenics_tfeti.feti.coarse.face_cache import FaceCache
 from fenics_tfeti.feti.coarse.factor import (
     CoarseLayout,
     CoarseSolverKind,
     choose_coarse_solver,
 )
 from fenics_tfeti.feti.coarse.inverse import InverseByRows, independent_columns
-from fenics_tfeti.feti.coarse.recent import RecentFaces
 from fenics_tfeti.feti.coarse.resistance import weak_motions
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
@@ -66,8 +66,8 @@ class CoarseSpace:
         Rigid motions of bodies.
     constraints : Constraints
         The columns.
-    recent : RecentFaces
-        How the projectors of the last faces are made of the coarse space.
+    faces : FaceCache
+        What belongs to the projectors of the last faces.
     inverse : InverseByRows or None
         The inverse of GG' of all rows, if faces are to be changes of it; `Projector.build` of all
         rows makes it.
@@ -84,7 +84,7 @@ class CoarseSpace:
     equality: sp.csr_matrix
     bodies: BodyMotions
     constraints: Constraints
-    recent: RecentFaces[Callable[[CoarseSpace], Any]]
+    faces: FaceCache
     inverse: InverseByRows | None = None
 
     @staticmethod
@@ -146,7 +146,7 @@ class CoarseSpace:
             layout.rows(rows),
             body_motions(system, kernels, constraints, everyone),
             constraints,
-            RecentFaces(system.comm),
+            FaceCache(system.comm),
         )
 
     @property

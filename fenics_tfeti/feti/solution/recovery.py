@@ -191,7 +191,7 @@ def _motions(face: Projector, jumps: Vector) -> tuple[Projector, Vector]:
     sticking = coarse_space.constraints.friction.within(face.rows)
     alpha, pressing = face.coefficients(jumps), face.rows[rows]
     for _ in range(_NEWTON_STEPS):
-        if face.weak is None:
+        if not face.gram.is_corrected:
             break
         moved = coarse_space.prolong(alpha)
         largest = float(max(np.abs(moved).max(initial=0.0), np.abs(jumps).max(initial=0.0)))
