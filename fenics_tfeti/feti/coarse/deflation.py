@@ -33,6 +33,7 @@ from fenics_tfeti.feti.coarse.local_spectra import LocalVectors
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.tolerances import WEAK, ZERO
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -43,11 +44,6 @@ DeflationKind = Literal["auto", "on", "off"]
 _COLUMNS = 128
 # vectors of all ranks: U'FU is a dense matrix on each of them, here of 72 MB
 _MOST = 3000
-# square of the length of a column of U = P_E C, of 1 in C, that counts as nothing
-_VANISHED = 1e-8
-# energy of what a vector adds to those before it, relative to its own, that counts as nothing: less
-# would be lost in rounding where moduli differ by 1e6
-_DEPENDENT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -140,7 +136,7 @@ class Deflation:
         forces = (coarse_space.interface.transposed @ pieces.tocsr()).tocsr()
         combination = np.vstack([np.identity(total), -X, -V])
         responses, gram = _responses(coarse_space, on_interface, forces, combination)
-        kept, factor = _factor(constraints, gram, squares > _VANISHED)
+        kept, factor = _factor(constraints, gram, squares > WEAK**2)
         if not kept.size:
             return None
         solves = sum(response.columns.size for response in responses)
@@ -409,7 +405,7 @@ def _factor(
     lengths = np.sqrt(np.maximum(whole.diagonal(), np.finfo(float).tiny))
     scaled = whole / np.outer(lengths, lengths)
     scaled[~nonzero], scaled[:, ~nonzero] = 0.0, 0.0
-    factor, pivots, rank, _ = dpstrf(scaled, tol=_DEPENDENT, lower=1)
+    factor, pivots, rank, _ = dpstrf(scaled, tol=ZERO, lower=1)
     kept = (pivots[:rank] - 1).astype(np.int64)
     lower: Vector = np.tril(factor[:rank, :rank]) * lengths[kept, None]
     return kept, lower

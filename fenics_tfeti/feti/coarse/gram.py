@@ -21,10 +21,8 @@ from fenics_tfeti.feti.coarse.inverse import InverseByRows
 from fenics_tfeti.feti.coarse.resistance import pivot_rows
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
+from fenics_tfeti.feti.tolerances import WEAK, rounding
 from fenics_tfeti.typing import Mask, Vector
-
-# factor on the diagonal of GG' for pinned motions that are weakly resisted
-_FIRMLY = 1e8
 
 
 @dataclass(frozen=True)
@@ -100,7 +98,7 @@ def corrected(
     owned = np.column_stack([on_rows(column) for column in W.T])[: layout.owned]
     # Z and W times V S^{-1/2} with W'W = VSV'; motions that only springs resist move no row
     squares, V = np.linalg.eigh(layout.space.sum_over_ranks(owned.T @ owned))
-    moving = squares > np.finfo(float).eps * squares.max(initial=0.0)
+    moving = squares > rounding(squares.max(initial=0.0))
     normalize = V[:, moving] / np.sqrt(squares[moving])
     Z = (coarse_space.coarse_motions(weak) - follow) @ normalize
     return replace(inverse, motions=Z, rows=W @ normalize)
@@ -155,9 +153,9 @@ def pins(
         largest: float = coarse_space.layout.largest_diagonal(gram)
         row: float = coarse_space.longest_row**2
         if weak.shape[1]:
-            pin = _FIRMLY * max(largest, row)
+            pin = WEAK**2 / rounding(1.0) * max(largest, row)
         else:
-            pin = max(largest, float(np.finfo(float).eps) * row) or 1.0
+            pin = max(largest, rounding(row)) or 1.0
         added[pivot_rows(single, sp.hstack([several, weak], format="csr"))] = pin
     return added
 

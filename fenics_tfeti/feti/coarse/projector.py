@@ -23,11 +23,9 @@ from fenics_tfeti.feti.coarse.inverse import InverseByRows
 from fenics_tfeti.feti.coarse.resistance import of_one_body, orthonormal_columns
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
-from fenics_tfeti.feti.tolerances import NO_WORK
+from fenics_tfeti.feti.tolerances import FEW, ZERO, rounding
 from fenics_tfeti.typing import Mask, Vector
 
-# work of the load on a free motion, relative to the load of all bodies, that is rounding
-_CARRIED = 1e-14
 # error of one application of P up to which it is accurate, and limit on the applications
 _ACCURATE, _MOST_PASSES = 1e-11, 4
 
@@ -173,7 +171,7 @@ class Projector:
         work, load = (np.sqrt(np.bincount(body, x**2)) for x in (part, size))
         # free motions are known up to rounding, which is carried from one body to another
         free = np.sqrt(np.bincount(body, np.asarray(self.free.power(2).sum(axis=1)).ravel()))
-        negligible = work <= NO_WORK * load + _CARRIED * free * np.linalg.norm(size)
+        negligible = work <= ZERO * load + rounding(free * np.linalg.norm(size), FEW)
         part[negligible[body]] = 0.0
         return part
 

@@ -20,19 +20,16 @@ from scipy.linalg import qr
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
+from fenics_tfeti.feti.tolerances import WEAK, rounding
 from fenics_tfeti.parallel import concatenate_buffers
 from fenics_tfeti.typing import Numbers, Vector
 
 # each pass reduces the errors of the Gram matrix's eigenvectors by a factor of 1e-5 or less
 _PASSES = 3
-# limit of the resistance from which on they are accurate without
-_ACCURATE = 1e-2
 # share of entries from which on products of matrices are cheaper by dense algebra
 _FULL = 0.1
 # bodies whose numbers of rows are the same up to this are treated together
 _ROWS = 8
-# entry of a vector of length 1 that is rounding
-_NO_PART = 1e-16
 # order up to which the eigenvectors of a Gram matrix are found by dense algebra
 _LARGE = 200
 # inverse iteration for larger ones: first number of vectors, steps, and shift relative to the limit
@@ -197,7 +194,7 @@ def _of_several_bodies(
     if not parts:
         return np.zeros(0), sp.csr_matrix((gram.shape[0], 0))
     # eigenvectors of the Gram matrix have errors of 1e-16 / below^2; here nothing is squared
-    for _ in range(_PASSES if below < _ACCURATE else 0):
+    for _ in range(_PASSES if below <= WEAK else 0):
         z = _assembled(parts, blocks, gram.shape[0])
         product = (sum_sparse(comm, B.T @ (B @ z)) + springs @ z).tocsr()
         for k, part in enumerate(parts):
@@ -395,7 +392,7 @@ def orthonormal_columns(columns: sp.csr_matrix, others: sp.csr_matrix) -> sp.csr
     for _ in range(2):
         rest = np.linalg.qr(rest - first @ (first.T @ rest))[0]
     # where a group has no part in the others, rounding leaves none
-    rest[np.abs(rest) <= _NO_PART] = 0.0
+    rest[np.abs(rest) <= rounding(1.0)] = 0.0
     return sp.hstack([first, sp.csr_matrix(rest)], format="csr")
 
 

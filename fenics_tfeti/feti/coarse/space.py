@@ -30,7 +30,7 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.local.cholesky import available_packages
 from fenics_tfeti.feti.local.congruence import CongruenceClass
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.feti.tolerances import UNRESISTED
+from fenics_tfeti.feti.tolerances import WEAK, ZERO
 from fenics_tfeti.parallel import first_of_rank
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -233,7 +233,7 @@ class CoarseSpace:
         return places
 
     def weakly_resisted(
-        self, rows: Mask, below: float = 1e-4, combinations: sp.csr_matrix | None = None
+        self, rows: Mask, below: float = WEAK, combinations: sp.csr_matrix | None = None
     ) -> tuple[sp.csr_matrix, sp.csr_matrix]:
         """Return the rigid motions of bodies that some rows resist not at all, and weakly.
 
@@ -254,7 +254,7 @@ class CoarseSpace:
             weak one. Where bodies move by themselves, each motion is that of one body.
         """
         owned = np.flatnonzero(rows[: self.constraints.layout.owned])
-        unresisted = max(UNRESISTED, self.bodies.rounding)
+        unresisted = max(ZERO, self.bodies.rounding)
         moved = self.bodies.moved[owned[np.diff(self.bodies.moved.indptr)[owned] > 0]]
         if combinations is not None:
             moved = sp.vstack([moved, combinations @ self.bodies.moved], format="csr")

@@ -20,13 +20,9 @@ from fenics_tfeti.feti.constraints.friction import Tangential, check_slides, com
 from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable, largest_coordinate
 from fenics_tfeti.feti.constraints.redundancy import ContactConditions, Redundancy, find_redundant
 from fenics_tfeti.feti.system import ContactRows, TornSystem
-from fenics_tfeti.feti.tolerances import ROUNDED_GAP, SAME_VALUE
+from fenics_tfeti.feti.tolerances import GIVEN, SAME_VALUE, rounding
 from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
-
-# a row whose free part, relative to all of it, is shorter than this is the rounding of one that
-# prescribed displacements decide
-_NEGLIGIBLE_ROW = 1e-10
 
 
 @dataclass(frozen=True)
@@ -129,14 +125,15 @@ def condition_rows(
     tolerance = np.abs(gap)
     np.subtract.at(gap, terms.row, terms.known)
     np.add.at(tolerance, terms.row, terms.size)
-    tolerance = SAME_VALUE * tolerance + ROUNDED_GAP * largest_coordinate(system)
+    tolerance = SAME_VALUE * tolerance + rounding(largest_coordinate(system), GIVEN)
 
     squares, norm2, free2 = np.zeros(gap.size), np.zeros(gap.size), np.zeros(gap.size)
     lengths2 = np.sum(terms.coefficients**2, axis=1)
     np.add.at(squares, terms.row, terms.length2)
     np.add.at(free2, terms.row, lengths2)
     np.add.at(norm2, terms.row, lengths2 / terms.weight)
-    finite, free = np.isfinite(gap), free2 > _NEGLIGIBLE_ROW**2 * squares
+    # what is left of a row that prescribed displacements decide may be rounding
+    finite, free = np.isfinite(gap), free2 > SAME_VALUE**2 * squares
     infinite_gaps = int(system.comm.allreduce(int(np.count_nonzero(~finite))))
     # there is no friction where there is nothing to touch
     rubbing = np.repeat(system.friction.row, system.gdim - 1)
@@ -156,7 +153,7 @@ def condition_rows(
 
     number = np.full(gap.size, -1, dtype=np.int64)
     number[kept] = first + first_of_rank(system.comm, int(kept.sum()))[0] + np.arange(kept.sum())
-    rhs, rounding = np.where(kept, scale * gap, 0.0), scale * tolerance
+    rhs, errors = np.where(kept, scale * gap, 0.0), scale * tolerance
     here = kept[terms.row]
     row = terms.row[here]
     coefficients = (terms.coefficients / terms.weight[:, None])[here] * scale[row][:, None]
@@ -184,7 +181,7 @@ def condition_rows(
         contact,
         scale,
         rhs,
-        rounding,
+        errors,
         equality,
         Tangential(*of_site),
         tied,

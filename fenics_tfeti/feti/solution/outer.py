@@ -42,7 +42,7 @@ from fenics_tfeti.feti.solution.scale import ROUGH_LANCZOS_STEPS, EnergyScale, F
 from fenics_tfeti.feti.solution.setup import DualSetup, dual_problem
 from fenics_tfeti.feti.solution.states import Candidate, ContactData, DualState, Outcome
 from fenics_tfeti.feti.timer import Timer
-from fenics_tfeti.feti.tolerances import ROUNDING
+from fenics_tfeti.feti.tolerances import CERTIFIED, FAR
 from fenics_tfeti.qp import SMALBEState, Unbounded
 from fenics_tfeti.typing import Mask, Vector
 
@@ -52,8 +52,6 @@ LANCZOS_STEPS = 15
 _FIRST_SHARE = 2000
 # a contact force below this part of the two numbers that it is the sum of is rounding
 _CANCELLED = 1e-13
-# gaps farther than this many times the largest jump of displacements are shortened
-_FAR = 1e6
 
 
 @dataclass(frozen=True)
@@ -126,7 +124,7 @@ def iterate_until_certified(
         data = replace(data, c=data.c - removed, removed=removed)
         feasible = FeasibleState.of(setup, data)
     rows, comm = setup.constraints.inequality, setup.constraints.layout.comm
-    longest = _FAR * feasible.largest_jump
+    longest = FAR * feasible.largest_jump
     while True:
         far = data.c[rows] > longest if longest > 0.0 else np.zeros(rows.size, dtype=bool)
         c = data.c.copy()
@@ -138,7 +136,7 @@ def iterate_until_certified(
         if not comm.allreduce(closed, MPI.LOR) or interruption.agreed():
             candidate = _moved(outcome.candidate, data, motion)
             return replace(outcome, candidate=candidate)
-        longest, start = _FAR * longest, outcome.state
+        longest, start = FAR * longest, outcome.state
 
 
 def _moved(candidate: Candidate, data: ContactData, motion: Vector) -> Candidate:
@@ -162,7 +160,7 @@ def _iterate(loop: _Loop, start: DualState | None) -> Outcome:
         return loop.at_rest(forces)
     stage = _Stage(loop.first_state(start), solved=False)
     by_active_set = options.method == "active_set"
-    scale, limit = loop.scale, max(options.rtol, ROUNDING)
+    scale, limit = loop.scale, max(options.rtol, CERTIFIED)
     tolerance, rounding = options.rtol * scale.energy_norm, scale.rounding_at(scale.energy_norm)
     changed_method = False
     progress, best = Progress(), _Best()
