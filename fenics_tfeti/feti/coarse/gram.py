@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
+from fenics_tfeti.feti.coarse.column_groups import pivot_rows
 from fenics_tfeti.feti.coarse.factor import CoarseFactor
 from fenics_tfeti.feti.coarse.inverse import InverseByRows
-from fenics_tfeti.feti.coarse.resistance import pivot_rows
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.tolerances import WEAK, rounding

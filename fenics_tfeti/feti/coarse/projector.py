@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
+from fenics_tfeti.feti.coarse.column_groups import of_one_body, orthonormal_columns
 from fenics_tfeti.feti.coarse.gram import (
     GramInverse,
     coarse_matrix,
@@ -20,7 +21,6 @@ from fenics_tfeti.feti.coarse.gram import (
     pins,
 )
 from fenics_tfeti.feti.coarse.inverse import InverseByRows
-from fenics_tfeti.feti.coarse.resistance import of_one_body, orthonormal_columns
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.tolerances import FEW, ZERO, rounding
