@@ -24,18 +24,15 @@ from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.coupling import Coupling
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
+from fenics_tfeti.feti.tolerances import FEW, MANY, ZERO, rounding
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.qp import least_distance, least_penetration
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
-# what rounding leaves of a unit motion in a contact row that it does not move
-_TRACE = 1e-13
-# rounding of a load that equality rows take, relative to the largest nodal load of a rank
-_SHARED_OUT = 1e-15
 # rounds in which the worst condition of each contact is added for loose bodies
 _CONDITIONS = 100
-# limit on the corrections of forces that turn, and ||G lambda - e|| / ||e|| that is rounding
-_TURNS, _BALANCED = 8, 1e-13
+# limit on the corrections of forces that turn
+_TURNS = 8
 
 
 @dataclass(frozen=True)
@@ -116,7 +113,7 @@ def balance_multipliers(
             if across is None or turns == _TURNS:
                 return corrected, face
             missing = face.without_free_motions(e - coarse_space.restrict(corrected))
-            if np.linalg.norm(missing) <= _BALANCED * np.linalg.norm(e):
+            if np.linalg.norm(missing) <= rounding(float(np.linalg.norm(e)), MANY):
                 return corrected, face
             # Newton's method for forces that turn on circles
             balanced, turns = corrected, turns + 1
@@ -205,7 +202,7 @@ def forces_at_rest(F: DualOperator, load: Vector, c: Vector) -> Vector | None:
         not c[constraints.equality].any()
         and not c[constraints.friction.flat].any()
         and bool((c[constraints.inequality] >= 0.0).all())
-        and bool((left <= _SHARED_OUT * np.abs(load).max(initial=0.0)).all())
+        and bool((left <= rounding(np.abs(load).max(initial=0.0), FEW)).all())
     )
     return forces if constraints.layout.comm.allreduce(rest, MPI.LAND) else None
 
@@ -299,7 +296,7 @@ def close_with_gram(coupling: Coupling, jump: Vector, closed: Mask) -> tuple[Vec
     np.maximum.at(negligible, block, np.where(R, np.abs(jump), np.maximum(jump, 0.0)))
     while True:
         y = coupling.inverse(R).solve(jump)
-        penetrated = ~(R | coupling.tangential) & (jump - W @ y > 1e-14 * negligible[block])
+        penetrated = ~(R | coupling.tangential) & (jump - W @ y > rounding(negligible[block], FEW))
         if not penetrated.any():
             return y, R
         R = R | penetrated
@@ -320,7 +317,7 @@ def _free_motions(active: Projector, gap: Vector, multipliers: Vector) -> Vector
     comm, space = active.coarse_space.comm, active.coarse_space.constraints.layout.space
     against = comm.allreduce(float((backwards @ z - slips).max(initial=0.0)), MPI.MAX)
     largest = comm.allreduce(float(np.abs(slips).max(initial=0.0)), MPI.MAX)
-    if against > 1e-9 * largest:
+    if against > ZERO * largest:
         z = z + least_penetration(
             S, left - S @ z, space.sum_over_ranks, lambda part: sum_sparse(comm, part)
         )
@@ -335,7 +332,7 @@ def _other_contacts(active: Projector, gap: Vector) -> tuple[sp.csr_matrix, Vect
     closing = (active.coarse_space.contact[:, inactive].T @ active.free).tocsr()
     lengths = constraints.row_lengths[owned[inactive]]
     # rounding is no way to open a gap
-    moved = np.abs(closing.toarray()).max(axis=1, initial=0.0) > _TRACE * lengths
+    moved = np.abs(closing.toarray()).max(axis=1, initial=0.0) > rounding(lengths, MANY)
     inactive = inactive[moved]
     return closing[moved], gap[owned[inactive]], constraints.contact[inactive]
 
@@ -370,7 +367,7 @@ def _smallest_without_penetration(
     constraints, comm = active.coarse_space.constraints, active.coarse_space.comm
     z = np.zeros(active.free.shape[1])
     conditions, limits = np.zeros((0, z.size)), np.zeros(0)
-    negligible = 1e-9 * comm.allreduce(float((-gap).max(initial=0.0)), MPI.MAX)
+    negligible = ZERO * comm.allreduce(float((-gap).max(initial=0.0)), MPI.MAX)
     for _ in range(_CONDITIONS):
         excess = closing @ z - gap
         order = np.lexsort((-excess, contact))
