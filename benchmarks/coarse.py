@@ -79,7 +79,7 @@ def measure(m: int, solver: str) -> dict[str, Any]:
     changes = independent_columns(space.contact[:, ~first_half]).shape[1]
     counts.reset()
     begin = time.process_time()
-    factor = Projector.build(space, first_half).factor
+    factor = Projector.build(space, first_half).gram.factor
     factoring = time.process_time() - begin
     of_factor = counts.largest()
     b = np.random.default_rng(0).standard_normal(space.size)

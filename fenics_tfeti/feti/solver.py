@@ -44,12 +44,9 @@ from fenics_tfeti.feti.solution.setup import (
 from fenics_tfeti.feti.solution.states import ContactData, History, Outcome
 from fenics_tfeti.feti.system import ContactGuess, TornSystem
 from fenics_tfeti.feti.timer import Timer
+from fenics_tfeti.feti.tolerances import SURFACE
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
-
-# A guessed force closes the gap against this part of the stiffness matrix's diagonal. The diagonal
-# is the stiffness of a node whose neighbours are held; on a surface they give way.
-_SURFACE_STIFFNESS = 0.3
 
 
 @dataclass(frozen=True)
@@ -263,7 +260,8 @@ class TornSolver:
         gap[own[kept]] = np.minimum(guess.gap[kept], np.finfo(float).max)
         force, gap = (constraints.layout.sum(x)[rows] for x in (force, gap))
         # scale^2 is the stiffness, relative to that of a weight, of the row's nodes in series
-        unit = _SURFACE_STIFFNESS * self.setup.local.unit
+        # a guessed force closes the gap against the stiffness of the surface
+        unit = SURFACE * self.setup.local.unit
         active = force / (unit * constraints.scale**2) > gap
         multipliers = np.zeros(constraints.size) if state is None else state.multipliers.copy()
         multipliers[rows] = np.where(active, force / constraints.scale, 0.0)

@@ -1,39 +1,82 @@
-"""Relative sizes below which a quantity counts as rounding, in one place for the layer.
+"""Relative sizes that mean the same in the whole layer, each with what it is relative to.
 
-Each constant says what it is relative to. Parameters of a single algorithm stand where it is
-implemented.
+Parameters of a single algorithm stand where it is implemented.
 """
 
 from __future__ import annotations
 
+from typing import TypeVar
+
+import numpy as np
+
+from fenics_tfeti.typing import Vector
+
+T = TypeVar("T", float, Vector)
+
+# numbers of rounding errors for `rounding`: those of a few operations on given numbers and of sums
+# over a node, those of sums over a body and of solutions of systems, and those that a user's
+# program may have made before
+FEW, MANY, GIVEN = 32, 512, 4096
+
+
+def rounding(size: T, n: int = 1) -> T:
+    """Return the size of n rounding errors of numbers of a size in double precision.
+
+    Parameters
+    ----------
+    size : float or array
+        Size of the numbers that are rounded.
+    n : int, optional
+        Number of errors: 1, `FEW`, `MANY` or `GIVEN`.
+
+    Examples
+    --------
+    >>> rounding(1.0), rounding(8.0, FEW)
+    (2.220446049250313e-16, 5.684341886080802e-14)
+    """
+    return size * (n * float(np.finfo(float).eps))
+
+
+# -- thresholds of rank, work and resistance -------------------------------------------------------
+
+# part of a vector, relative to the vector, that counts as none: in the rank of matrices whose rows
+# or columns have length 1, in the work of loads relative to force times displacement, and in
+# closing speeds. Rows of B that resist a rigid motion of a root mean square displacement of 1 by
+# no more, ||B R xi||, leave it free
+ZERO = 1e-9
+# resistance ||B R xi|| that GG', which squares it, does not show: half the digits
+WEAK = 1e-4
+# the same below which only the tilt of normals on faceted surfaces resists, which holds nothing:
+# the report names the motions
+FACETED = 1e-2
+# 1 - |cos| of the angle between rows of B that count as one row; eigenvalue of a Gram matrix of
+# unit rows that counts as zero
+PARALLEL = rounding(1.0, GIVEN)
+
+# -- data ------------------------------------------------------------------------------------------
+
 # values that differ by no more than this count as equal: prescribed displacements relative to the
 # largest one of their node, gaps relative to the sum of the magnitudes they are computed from
 SAME_VALUE = 1e-10
-# rounding of positions relative to the largest coordinate: in displacements computed as differences
-# of positions, and in gaps, which may come from surfaces far from the origin
-ROUNDED_POSITION = 16 * 2.0**-52
-ROUNDED_GAP = 1e-12
-# |K - K'| relative to |K|
-SYMMETRIC = 1e-9
-# |TT' - I| of an orthogonal matrix T
-ORTHOGONAL = 1e-12
-# energy of a rigid mode relative to the largest stiffness: what rounding leaves of none, and below
-# which a support is soft
-ZERO_ENERGY = 8 * 2.0**-52
+# parts of positions and motions, relative to the body or the motion, that do not matter: places of
+# the copies of a node, points on a line, and what is not named in messages
+NEGLIGIBLE = 1e-6
+# gap, relative to the largest penetration, that is far: it has no part in a contradiction
+FAR = 1e6
+
+# -- stiffness -------------------------------------------------------------------------------------
+
+# energy of a rigid mode, relative to the largest entry of the stiffness matrix, below which the
+# supports that resist it are soft: they get unknowns of their own
 SOFT_SUPPORT = 1e-3
-# ||B R xi|| below which no constraint resists a rigid motion, relative to its root mean square
-# displacement, for rows of unit length
-UNRESISTED = 1e-9
-# the same, below which only the tilt of normals on faceted surfaces resists, which holds nothing
-WEAKLY_RESISTED = 1e-2
-# work of the load on a rigid motion, relative to the sum of forces on the bodies that move times
-# the same displacement; closing speed relative to the motion
-NO_WORK = 1e-9
-# 1 - |cos| of the angle between rows of B that count as one row; eigenvalue of a Gram matrix of
-# unit rows that counts as zero
-PARALLEL = 1e-12
+# stiffness of a row of B on a surface, relative to that of its nodes (the diagonal of K): what
+# neighbours give way that the diagonal takes as held
+SURFACE = 0.3
+
+# -- accuracy --------------------------------------------------------------------------------------
+
 # the certificate of an exact solution in double precision
-ROUNDING = 1e-9
+CERTIFIED = 1e-9
 # energy norm of a body, relative to that of its group, below which the body hardly deforms: its
 # error need not be smaller than the tolerance times this part of the group's energy norm
 HARDLY_DEFORMED = 1e-3

@@ -15,8 +15,8 @@ from torn import column
 
 from fenics_tfeti.errors import FactorizationError
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
+from fenics_tfeti.feti.coarse.face_cache import FaceCache
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.coarse.recent import RecentFaces
 from fenics_tfeti.feti.local.cholesky import DistributedCholesky
 from fenics_tfeti.report import ContactReport
 
@@ -144,11 +144,11 @@ def test_indefinite_matrix_is_an_error_on_all_ranks():
 
 
 def test_faces_are_known_again_on_all_ranks_or_on_none():
-    recent: RecentFaces[int] = RecentFaces(comm)
+    cache = FaceCache(comm)
     rows = np.zeros(3, dtype=bool)
-    recent.keep(rows, None, 0)
-    recent.keep(~rows, None, 1)
-    assert recent.find(rows, None) == 0
+    cache.keep(rows, None, 0)
+    cache.keep(~rows, None, 1)
+    assert cache.find(rows, None) == 0
     changed = rows.copy()
     changed[0] = comm.rank == comm.size - 1
-    assert recent.find(changed, None) is None
+    assert cache.find(changed, None) is None

@@ -16,15 +16,9 @@ from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.feti.constraints.nodes import count_copies
 from fenics_tfeti.feti.local.rigid_body_modes import raw_modes
 from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.feti.tolerances import NEGLIGIBLE, ZERO
 from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
-
-# distance of a node's copies, relative to the size of their subdomain
-_SAME_PLACE = 1e-6
-# distance of points from a line, relative to its length
-_ON_A_LINE = 1e-6
-# singular values, relative to the largest one, of motions that constraints do not prevent
-_FREE_MOTION = 1e-9
 
 
 @dataclass(frozen=True)
@@ -121,7 +115,7 @@ def _pairs_of_copies(nodes: Numbers) -> Iterator[Numbers]:
 def _check_places(nodes: Numbers, x: Vector, width: Vector, i: Numbers, j: Numbers) -> None:
     """Check that the copies i and j of nodes are at the same place."""
     distance = np.abs(x[i] - x[j]).max(axis=1, initial=0.0)
-    wrong = np.flatnonzero(distance > _SAME_PLACE * np.minimum(width[i], width[j]))
+    wrong = np.flatnonzero(distance > NEGLIGIBLE * np.minimum(width[i], width[j]))
     if wrong.size:
         i, j = i[wrong], j[wrong]
         raise InputError(
@@ -162,7 +156,7 @@ def _last_of_groups(value: Vector, group: Numbers) -> Numbers:
 def _check_rigid(system: TornSystem, shared: _SharedNodes, bodies: Numbers, ends: Numbers) -> None:
     """Check the bodies' connections; `ends` are the ends of the ranks' subdomains."""
     points, length, height = _spanning_points(shared)
-    rigid = (length > 0.0) & ((system.gdim == 2) | (height > _ON_A_LINE * length))
+    rigid = (length > 0.0) & ((system.gdim == 2) | (height > NEGLIGIBLE * length))
     shape = bodies.size, bodies.size
     first, second = shared.first[points[0]], shared.second[points[0]]
     graph = sp.coo_matrix((np.ones(rigid.sum()), (first[rigid], second[rigid])), shape)
@@ -203,7 +197,7 @@ def _check_motions(
     jumps[point, :, first] += motions
     jumps[point, :, second] -= motions
     values = np.linalg.svd(jumps.reshape(-1, clusters * modes), compute_uv=False)
-    if clusters * modes - np.count_nonzero(values > _FREE_MOTION * values[0]) > modes:
+    if clusters * modes - np.count_nonzero(values > ZERO * values[0]) > modes:
         raise InputError(
             f"{system.body_name(body)}: its subdomains can move against each other as if hinged: "
             f"{_name(shared.first[0], ends)} and {_name(shared.second[0], ends)} share too few "

@@ -25,7 +25,7 @@ from fenics_tfeti.feti.system import (
     Subdomain,
     TornSystem,
 )
-from fenics_tfeti.feti.tolerances import ORTHOGONAL, SYMMETRIC
+from fenics_tfeti.feti.tolerances import GIVEN, ZERO, rounding
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
@@ -33,8 +33,6 @@ from fenics_tfeti.typing import Vector
 _LARGEST_NODE = 2**61
 # the report has an entry for each Dirichlet condition
 _MOST_CONDITIONS = 10**6
-# length of the sum of the slave's coefficients, relative to the longest of the row, that is none
-_NO_LENGTH = 1e-12
 # deviation of products of tangents and normals from the identity
 _NOT_ORTHONORMAL = 1e-8
 # the parts of a system, their types, and the words for what is expected
@@ -252,7 +250,7 @@ def _check_subdomain(name: str, subdomain: Subdomain, gdim: int) -> None:
     if subdomain.frame is not None:
         _check_fields(label, subdomain, np.float64, frame=(gdim, gdim))
         error = float(np.abs(subdomain.frame @ subdomain.frame.T - np.eye(gdim)).max())
-        if not error <= ORTHOGONAL:
+        if not error <= rounding(1.0, GIVEN):
             raise InputError(
                 f"frame of {name}: |T T' - I| = {error:.3e}, expected an orthogonal matrix T"
             )
@@ -297,7 +295,7 @@ def _check_matrix(what: str, subdomain: Subdomain, gdim: int) -> None:
     _check_finite(what, K.data, "a material coefficient?")
     skew = float(np.abs((K - K.T).data).max(initial=0.0))
     largest = float(np.abs(K.data).max(initial=0.0))
-    if skew > SYMMETRIC * largest:
+    if skew > ZERO * largest:
         raise InputError(
             f"the bilinear form is not symmetric: {what} has |K - K'| = {skew:.3e} where |K| = "
             f"{largest:.3e}. Contact by minimisation needs a symmetric form a(u, v) = a(v, u)"
@@ -413,7 +411,7 @@ def _check_normals(what: str, rows: ContactRows, names: Sequence[str]) -> None:
     """Check that every row has a normal: the direction of the sum of its slave's coefficients."""
     largest, length = np.zeros(rows.size), rows.length
     np.maximum.at(largest, rows.row, np.linalg.norm(rows.coefficients, axis=1))
-    vanishing = np.flatnonzero(length <= _NO_LENGTH * largest)
+    vanishing = np.flatnonzero(length <= rounding(largest, GIVEN))
     if vanishing.size:
         k = vanishing[0]
         raise InputError(

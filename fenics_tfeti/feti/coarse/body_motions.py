@@ -15,12 +15,8 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.local.frames import in_frame, out_of_frame
 from fenics_tfeti.feti.local.rigid_body_modes import describe_motion, raw_modes
 from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.feti.tolerances import FEW, MANY, NEGLIGIBLE, rounding
 from fenics_tfeti.typing import Vector
-
-# what rounding leaves of rigid motions of a body in gluing rows and outside the kernels, and how
-# much the rounding of coordinates far from the origin adds
-_TRACE = 1e-13
-_OFFSET = 16 * 2.0**-52
 
 
 @dataclass(frozen=True)
@@ -82,13 +78,14 @@ def body_motions(
         G' with the columns of all ranks, in the rows that this rank holds.
     """
     basis, supports, distance = _motions_and_supports(system, kernels)
-    rounding = max(_TRACE, _OFFSET * distance)
+    # also that of coordinates far from the origin
+    trace = max(rounding(1.0, MANY), rounding(distance, FEW))
     lengths = constraints.row_lengths
     moved = sp.diags(1.0 / np.where(lengths > 0.0, lengths, 1.0)) @ (everyone @ basis)
     # gluing rows resist no motion of a whole body; rounding leaves traces of them
-    moved.data[np.abs(moved.data) <= rounding] = 0.0
+    moved.data[np.abs(moved.data) <= trace] = 0.0
     moved.eliminate_zeros()
-    return BodyMotions(basis, moved.tocsr(), supports, rounding)
+    return BodyMotions(basis, moved.tocsr(), supports, trace)
 
 
 def _motions_and_supports(
@@ -130,7 +127,7 @@ def _motions_and_supports(
     basis = sp.vstack(comm.allgather(sp.vstack(rows, format="csr")), format="csr")
     scaled = [e @ t for t, e in zip(inverse, outside, strict=True)]
     supports = np.array(scaled).reshape(bodies, modes, modes)
-    supports[np.abs(supports) <= _TRACE] = 0.0
+    supports[np.abs(supports) <= rounding(1.0, MANY)] = 0.0
     return basis, supports, float(comm.allreduce(distance, MPI.MAX))
 
 
@@ -157,7 +154,7 @@ def describe_body_motion(
     kernels: Sequence[Vector],
     own_motion: Vector,
     either_way: bool = False,
-    negligible: float = 1e-6,
+    negligible: float = NEGLIGIBLE,
 ) -> list[str]:
     """Name the bodies that take part in a motion, and how each of them moves.
 

@@ -34,6 +34,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.costs import COLUMNS
+from fenics_tfeti.feti.tolerances import WEAK, ZERO
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -42,11 +43,6 @@ DeflationKind = Literal["auto", "on", "off"]
 
 # vectors of all ranks: U'FU is a dense matrix on each of them, here of 72 MB
 _MOST = 3000
-# square of the length of a column of U = P_E C, of 1 in C, that counts as nothing
-_VANISHED = 1e-8
-# energy of what a vector adds to those before it, relative to its own, that counts as nothing: less
-# would be lost in rounding where moduli differ by 1e6
-_DEPENDENT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -139,7 +135,7 @@ class Deflation:
         forces = (coarse_space.interface.transposed @ pieces.tocsr()).tocsr()
         combination = np.vstack([np.identity(total), -X, -V])
         responses, gram = _responses(coarse_space, on_interface, forces, combination)
-        kept, factor = _factor(constraints, gram, squares > _VANISHED)
+        kept, factor = _factor(constraints, gram, squares > WEAK**2)
         if not kept.size:
             return None
         solves = sum(response.columns.size for response in responses)
@@ -316,18 +312,15 @@ def _coefficients(projector: Projector, C: sp.csr_matrix) -> tuple[Vector, Vecto
     G = coarse_space.motions_of_rows(projector.rows)
     own = (G[:, : int(coarse_space.ends[-1])].T @ C).tocsc()
     places = np.concatenate([np.arange(layout.size)[layout.own], layout.others])
-    W = np.zeros((C.shape[0], 0))
-    if projector.weak is not None:
-        W = np.where(projector.rows[:, None], projector.weak.rows, 0.0)
+    gram = projector.gram
+    W = np.where(projector.rows[:, None], gram.rows, 0.0)
     X, V = np.zeros((places.size, C.shape[1])), np.zeros((W.shape[1], C.shape[1]))
     squares, owned = np.zeros(C.shape[1]), coarse_space.constraints.layout.owned
     for first in range(0, C.shape[1], COLUMNS):
         some = slice(first, first + COLUMNS)
-        if projector.factor is not None:
-            coarse = projector.without_free_motions(layout.gather(own[:, some].toarray()))
-            X[:, some] = projector.factor.solve_columns(coarse)[places]
-        if projector.weak is not None:
-            V[:, some] = projector.weak.motions.T @ coarse
+        coarse = projector.without_free_motions(layout.gather(own[:, some].toarray()))
+        X[:, some] = gram.factor.solve_columns(coarse)[places]
+        V[:, some] = gram.motions.T @ coarse
         U = C[:owned, some].toarray() - G[:owned] @ X[:, some] - W[:owned] @ V[:, some]
         squares[some] = np.sum(U**2, axis=0)
     return X, W, V, coarse_space.constraints.layout.space.sum_over_ranks(squares)
@@ -401,7 +394,7 @@ def _factor(
     lengths = np.sqrt(np.maximum(whole.diagonal(), np.finfo(float).tiny))
     scaled = whole / np.outer(lengths, lengths)
     scaled[~nonzero], scaled[:, ~nonzero] = 0.0, 0.0
-    factor, pivots, rank, _ = dpstrf(scaled, tol=_DEPENDENT, lower=1)
+    factor, pivots, rank, _ = dpstrf(scaled, tol=ZERO, lower=1)
     kept = (pivots[:rank] - 1).astype(np.int64)
     lower: Vector = np.tril(factor[:rank, :rank]) * lengths[kept, None]
     return kept, lower

@@ -228,9 +228,20 @@ class CoarseLayout:
 
     def factor(self, rows: sp.csr_matrix) -> CoarseFactor:
         """Factor a symmetric positive definite matrix, given the rows that this rank keeps."""
+        if not self.size:
+            return _Redundant(self, _NoUnknowns())
         if self.solver == "distributed":
             return _Distributed(self, DistributedCholesky(self.comm, rows))
         return _Redundant(self, SparseCholesky(rows.tocsr(), self.package, quick=True))
+
+
+class _NoUnknowns:
+    """The factor of a matrix of order 0: no subdomain can move."""
+
+    entries = 0
+
+    def solve(self, b: Vector) -> Vector:
+        return b
 
 
 @dataclass(frozen=True)
@@ -238,7 +249,7 @@ class _Redundant:
     """Every rank has the whole factor: one reduction of a coarse vector for each solve."""
 
     layout: CoarseLayout
-    whole: SparseCholesky
+    whole: SparseCholesky | _NoUnknowns
 
     @property
     def entries(self) -> int:

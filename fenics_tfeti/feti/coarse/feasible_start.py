@@ -27,7 +27,7 @@ from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.friction import SlipBound
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.feti.tolerances import NO_WORK, UNRESISTED
+from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.qp import (
     Bounds,
@@ -69,7 +69,7 @@ def check_load(
     """
     coarse_space = projector.coarse_space
     for group in _groups(system, coarse_space, projector.free_bodies, e):
-        if np.linalg.norm(group.work) > NO_WORK * group.force:
+        if np.linalg.norm(group.work) > ZERO * group.force:
             _raise_unresisted(system, kernels, coarse_space, group.motions @ group.work)
 
 
@@ -206,7 +206,7 @@ def _contact_forces(
     """
     constraints = coarse_space.constraints
     multipliers = np.zeros(constraints.size)
-    if np.linalg.norm(group.work) <= NO_WORK * group.force:
+    if np.linalg.norm(group.work) <= ZERO * group.force:
         return multipliers
     # the ranks' columns side by side: as many as contact rows, not as unknowns
     owned = constraints.inequality[: constraints.owned_inequalities]
@@ -225,7 +225,7 @@ def _contact_forces(
     else:
         forces, residual = least_norm_nonnegative(contact, group.work)
     unresisted = free @ (free.T @ (group.motions @ residual))
-    if np.linalg.norm(unresisted) > NO_WORK * group.force:
+    if np.linalg.norm(unresisted) > ZERO * group.force:
         _raise_unresisted(system, kernels, coarse_space, unresisted)
     multipliers[owned] = forces[first : first + owned.size]
     return constraints.layout.sum(multipliers)
@@ -254,7 +254,7 @@ def _forces_with_friction(
     """
     constraints, comm = coarse_space.constraints, coarse_space.comm
     multipliers, friction = np.zeros(constraints.size), constraints.friction
-    if np.linalg.norm(group.work) <= NO_WORK * group.force:
+    if np.linalg.norm(group.work) <= ZERO * group.force:
         return multipliers
     moved_rows = _moved_rows(coarse_space, group.motions)
     owned = constraints.inequality[: constraints.owned_inequalities]
@@ -281,7 +281,7 @@ def _forces_with_friction(
     C = sp.hstack([pressing, rubbing, nothing], format="csr")
     C = C.toarray() if group.work.size <= _DENSE else C
     forces, residual = least_norm_in_set(C, group.work, feasible)
-    if np.linalg.norm(residual) > NO_WORK * group.force:
+    if np.linalg.norm(residual) > ZERO * group.force:
         some = explain and (radius.any() or slope.any())
         factor = smallest_factor(C, group.work, feasible) if some else np.inf
         kinds = ["slip bounds"] * bool(radius.any()) + ["coefficients of friction"] * bool(
@@ -346,7 +346,7 @@ def _weak_columns(coarse_space: CoarseSpace, motions: sp.csc_matrix) -> Vector:
     rows = np.linalg.qr(moved[moving].toarray(), mode="r")
     whole = np.concatenate(coarse_space.comm.allgather(rows))
     columns = np.transpose(np.linalg.qr(whole, mode="r"))
-    return columns[:, np.abs(columns).max(axis=0, initial=0.0) > UNRESISTED]
+    return columns[:, np.abs(columns).max(axis=0, initial=0.0) > ZERO]
 
 
 def _raise_unresisted(

@@ -26,13 +26,12 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.factor import CoarseLayout
 from fenics_tfeti.feti.local.cholesky import SparseCholesky
+from fenics_tfeti.feti.tolerances import MANY, rounding
 from fenics_tfeti.parallel import concatenate_buffers, first_of_rank
 from fenics_tfeti.typing import Vector
 
-# singular value of columns, relative to the largest, that is rounding
-_DEPENDENT = 1e-13
-# residual, relative to what is subtracted in it, that a factor would leave too; most refinements
-_ACCURATE, _REFINEMENTS = 2.0**-52, 3
+# most refinements of a solution
+_REFINEMENTS = 3
 
 
 @dataclass(frozen=True)
@@ -170,7 +169,8 @@ class InverseByRows:
                 size = np.abs(b) + abs(self.matrix) @ np.abs(whole)
             squares = np.array([r @ r, size @ size])
             self.layout.comm.Allreduce(MPI.IN_PLACE, squares)
-            if squares[0] <= _ACCURATE**2 * squares[1]:
+            # a factor would leave as much
+            if squares[0] <= rounding(1.0) ** 2 * squares[1]:
                 return refinements
         return _REFINEMENTS + 1
 
@@ -250,7 +250,7 @@ def independent_columns(columns: sp.spmatrix) -> sp.csc_matrix:
         at = np.frombuffer(unknowns, dtype=C.indices.dtype)
         values = np.array([C.data[C.indptr[j] : C.indptr[j + 1]] for j in some])
         left, sizes, _ = np.linalg.svd(values.T, full_matrices=False)
-        kept = sizes > _DEPENDENT * sizes.max()
+        kept = sizes > rounding(sizes.max(), MANY)
         V = left[:, kept] * sizes[kept]
         places = (np.tile(at, V.shape[1]), np.repeat(np.arange(V.shape[1]), at.size))
         parts.append(sp.csc_matrix((V.T.ravel(), places), shape=(C.shape[0], V.shape[1])))

@@ -19,6 +19,7 @@ import scipy.sparse as sp
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.costs import COLUMNS
+from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 Operator = Callable[[Vector], Vector]
@@ -30,8 +31,6 @@ _BLOCK, _STEPS = 8, 4
 _TRIAL = 2
 # vectors of a subdomain
 _MOST = 20
-# relative size of what is left of vectors that depend on the ones before
-_DEPENDENT = 1e-10
 
 
 def threshold(gdim: int, nodes: int) -> float:
@@ -221,7 +220,7 @@ class _Subspace:
         for _ in range(2):
             x = x - known @ (known.T @ x)
         Q, R = np.linalg.qr(x)
-        new: Vector = Q[:, np.abs(np.diag(R)) > _DEPENDENT * size]
+        new: Vector = Q[:, np.abs(np.diag(R)) > ZERO * size]
         return new
 
     def take(self, jumps: Vector, last: bool) -> None:
@@ -259,7 +258,7 @@ def _first_subspaces(
     for s in np.flatnonzero(np.diff(torn.ends)):
         rows = slice(int(torn.ends[s]), int(torn.ends[s + 1]))
         U, sizes, _ = np.linalg.svd(G[rows], full_matrices=False)
-        motions = U[:, sizes > _DEPENDENT * sizes.max(initial=0.0)]
+        motions = U[:, sizes > ZERO * sizes.max(initial=0.0)]
         none = np.zeros((rows.stop - rows.start, 0))
         space = _Subspace(rows, float(limits[s]), motions, none, none, none)
         space.block = space.new_directions(first[rows])

@@ -17,20 +17,20 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.feti.coarse.body_motions import BodyMotions, body_motions
+from fenics_tfeti.feti.coarse.face_cache import FaceCache
 from fenics_tfeti.feti.coarse.factor import (
     CoarseLayout,
     CoarseSolverKind,
     choose_coarse_solver,
 )
 from fenics_tfeti.feti.coarse.inverse import InverseByRows, independent_columns
-from fenics_tfeti.feti.coarse.recent import RecentFaces
 from fenics_tfeti.feti.coarse.resistance import weak_motions
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.local.cholesky import available_packages
 from fenics_tfeti.feti.local.congruence import CongruenceClass
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.feti.tolerances import UNRESISTED
+from fenics_tfeti.feti.tolerances import WEAK, ZERO
 from fenics_tfeti.parallel import first_of_rank
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -66,8 +66,8 @@ class CoarseSpace:
         Rigid motions of bodies.
     constraints : Constraints
         The columns.
-    recent : RecentFaces
-        How the projectors of the last faces are made of the coarse space.
+    faces : FaceCache
+        What belongs to the projectors of the last faces.
     inverse : InverseByRows or None
         The inverse of GG' of all rows, if faces are to be changes of it; `Projector.build` of all
         rows makes it.
@@ -84,7 +84,7 @@ class CoarseSpace:
     equality: sp.csr_matrix
     bodies: BodyMotions
     constraints: Constraints
-    recent: RecentFaces[Callable[[CoarseSpace], Any]]
+    faces: FaceCache
     inverse: InverseByRows | None = None
 
     @staticmethod
@@ -148,7 +148,7 @@ class CoarseSpace:
             layout.rows(rows),
             body_motions(system, kernels, constraints, everyone),
             constraints,
-            RecentFaces(system.comm),
+            FaceCache(system.comm),
         )
 
     @property
@@ -235,7 +235,7 @@ class CoarseSpace:
         return places
 
     def weakly_resisted(
-        self, rows: Mask, below: float = 1e-4, combinations: sp.csr_matrix | None = None
+        self, rows: Mask, below: float = WEAK, combinations: sp.csr_matrix | None = None
     ) -> tuple[sp.csr_matrix, sp.csr_matrix]:
         """Return the rigid motions of bodies that some rows resist not at all, and weakly.
 
@@ -256,7 +256,7 @@ class CoarseSpace:
             weak one. Where bodies move by themselves, each motion is that of one body.
         """
         owned = np.flatnonzero(rows[: self.constraints.layout.owned])
-        unresisted = max(UNRESISTED, self.bodies.rounding)
+        unresisted = max(ZERO, self.bodies.rounding)
         moved = self.bodies.moved[owned[np.diff(self.bodies.moved.indptr)[owned] > 0]]
         if combinations is not None:
             moved = sp.vstack([moved, combinations @ self.bodies.moved], format="csr")

@@ -21,13 +21,9 @@ from fenics_tfeti.feti.constraints.friction import Tangential, check_slides, com
 from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable, largest_coordinate
 from fenics_tfeti.feti.constraints.redundancy import ContactConditions, Redundancy, find_redundant
 from fenics_tfeti.feti.system import ContactRows, TornSystem
-from fenics_tfeti.feti.tolerances import ROUNDED_GAP, SAME_VALUE
+from fenics_tfeti.feti.tolerances import GIVEN, SAME_VALUE, rounding
 from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
 from fenics_tfeti.typing import Array, Mask, Numbers, Vector
-
-# a row whose free part, relative to all of it, is shorter than this is the rounding of one that
-# prescribed displacements decide
-_NEGLIGIBLE_ROW = 1e-10
 
 
 @dataclass(frozen=True)
@@ -153,7 +149,7 @@ def condition_rows(
     tolerance = np.abs(gap)
     np.subtract.at(gap, terms.row, terms.prescribed)
     np.add.at(tolerance, terms.row, terms.size)
-    tolerance = SAME_VALUE * tolerance + ROUNDED_GAP * largest_coordinate(system)
+    tolerance = SAME_VALUE * tolerance + rounding(largest_coordinate(system), GIVEN)
 
     free, length = _free_rows(terms, gap.size)
     finite = np.isfinite(gap)
@@ -185,7 +181,7 @@ def _free_rows(terms: _Terms, rows: int) -> tuple[Mask, Vector]:
     np.add.at(all2, terms.row, terms.length2)
     np.add.at(free2, terms.row, squares)
     np.add.at(norm2, terms.row, squares / terms.weight)
-    return free2 > _NEGLIGIBLE_ROW**2 * all2, np.sqrt(norm2)
+    return free2 > SAME_VALUE**2 * all2, np.sqrt(norm2)
 
 
 def _distribute(

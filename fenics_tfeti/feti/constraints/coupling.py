@@ -24,14 +24,12 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
 from fenics_tfeti.feti.costs import COLUMNS
-from fenics_tfeti.feti.tolerances import PARALLEL
+from fenics_tfeti.feti.tolerances import GIVEN, PARALLEL, ZERO, rounding
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # pivot of a matrix with a diagonal of 1 below which its row may depend on the rows before, and what
 # is added to the diagonal so that no pivot vanishes
-_SMALL_PIVOT, _SHIFT = 1e-6, 1e-12
-# entry of a null vector, relative to 1, that is rounding
-_TRACE = 1e-9
+_SMALL_PIVOT, _SHIFT = 1e-6, rounding(1.0, GIVEN)
 
 
 @dataclass(frozen=True)
@@ -215,7 +213,7 @@ def dependent_groups(W: sp.csr_matrix) -> list[Numbers]:
         right = W[regular][:, candidates]
         for start in range(0, candidates.size, COLUMNS):
             columns = factor.solve(right[:, start : start + COLUMNS].toarray())
-            reached[regular] |= np.abs(columns).max(axis=1) > _TRACE
+            reached[regular] |= np.abs(columns).max(axis=1) > ZERO
     rows = np.flatnonzero(reached)
     count, group = connected_components(W[rows][:, rows], directed=False)
     groups = (rows[group == g] for g in range(count))

@@ -12,13 +12,10 @@ import numpy as np
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.feti.tolerances import PARALLEL, SAME_VALUE
+from fenics_tfeti.feti.tolerances import FAR, PARALLEL, SAME_VALUE
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.qp import nonnegative_least_squares
 from fenics_tfeti.typing import Numbers, Vector
-
-# gap that is far, relative to the largest negative one
-_FAR = 1e6
 
 
 def check_conditions(system: TornSystem, constraints: Constraints, c: Vector) -> None:
@@ -80,7 +77,7 @@ def contradiction(W: Vector, gaps: Vector, rounding: Vector | float = 0.0) -> Nu
     gaps = gaps + rounding
     # gaps that are so much larger than what others lack have no part in a contradiction, and the
     # other gaps would be lost in their rounding
-    near = np.flatnonzero(gaps <= _FAR * (-gaps).max(initial=0.0))
+    near = np.flatnonzero(gaps <= FAR * (-gaps).max(initial=0.0))
     W, gaps = W[near][:, near], gaps[near]
     # gaps that contradict each other by rounding only leave a single point
     gaps = gaps + SAME_VALUE * np.abs(gaps).max(initial=0.0)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.feti.tolerances import ROUNDED_POSITION, SAME_VALUE
+from fenics_tfeti.feti.tolerances import FEW, SAME_VALUE, rounding
 from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -110,11 +110,9 @@ class NodeTable:
 
         conditions = system.prescribed
         arrived = directory.collect(conditions.nodes, conditions.components, conditions.values)
-        rounding = ROUNDED_POSITION * largest_coordinate(system)
+        shift = rounding(largest_coordinate(system), FEW)
         with raise_collectively(system.comm):
-            prescribed, values = _merge_prescribed(
-                directory, arrived, (homes, system.gdim), rounding
-            )
+            prescribed, values = _merge_prescribed(directory, arrived, (homes, system.gdim), shift)
         rows = _equality_rows(multiplicity, prescribed)
         first = first_of_rank(system.comm, int(rows.sum()))[0] + np.cumsum(rows) - rows
         return NodeTable(multiplicity, weight, first.astype(np.int64), prescribed, values)
@@ -164,7 +162,7 @@ def _merge_prescribed(
     directory: Directory,
     arrived: tuple[NDArray[Any], ...],
     shape: tuple[int, int],
-    rounding: float,
+    shift: float,
 ) -> tuple[Mask, Vector]:
     """Merge (node, component, value) of all ranks; the values of one displacement have to agree."""
     nodes, components, values = arrived
@@ -179,7 +177,7 @@ def _merge_prescribed(
     largest = np.zeros(shape[0])
     np.maximum.at(largest, home, np.abs(values))
     difference = np.abs(merged[home, components] - values)
-    wrong = np.flatnonzero(difference > SAME_VALUE * largest[home] + rounding)
+    wrong = np.flatnonzero(difference > SAME_VALUE * largest[home] + shift)
     if wrong.size:
         k = wrong[0]
         raise InputError(

@@ -26,7 +26,7 @@ from fenics_tfeti.feti.dual.iterate import ActiveSetStep, Iterate, Method, Solve
 from fenics_tfeti.feti.dual.loose_bodies import LooseBodies, rigid_start
 from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Signs, friction_step, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
-from fenics_tfeti.feti.tolerances import NO_WORK
+from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
@@ -349,18 +349,18 @@ def close_first_gaps(problem: DualProblem, signs: Signs, gradient: Vector) -> Fa
         if not work.any():
             return Face.build(problem, signs, projector)
         speed = coarse_space.contact.T @ work
-        closing = ~active & (speed > NO_WORK * np.linalg.norm(work))
+        closing = ~active & (speed > ZERO * np.linalg.norm(work))
         way = np.divide(gap, speed, out=np.full(gap.size, np.inf), where=closing)
         back = -np.sum(friction.at_sites(coarse_space.friction.T @ work) * along, axis=1)
-        returning = ~sticking & (back > NO_WORK * np.linalg.norm(work))
+        returning = ~sticking & (back > ZERO * np.linalg.norm(work))
         way_back = np.divide(slip, back, out=np.full(slip.size, np.inf), where=returning)
         nearest = min(way.min(initial=np.inf), way_back.min(initial=np.inf))
         first = problem.space.dots_and_min(value=float(nearest))[0]
         if not np.isfinite(first):
             return Face.build(problem, signs, projector)
         # rows that close at once, up to rounding, join together
-        active = active | (way <= first * (1.0 + NO_WORK))
-        sticking = sticking | (way_back <= first * (1.0 + NO_WORK))
+        active = active | (way <= first * (1.0 + ZERO))
+        sticking = sticking | (way_back <= first * (1.0 + ZERO))
         gap = np.where(active, 0.0, np.maximum(gap - first * speed, 0.0))
         slip = np.maximum(slip - first * back, 0.0)
 

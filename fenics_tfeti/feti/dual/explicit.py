@@ -15,6 +15,7 @@ import numpy as np
 from fenics_tfeti.feti.costs import COLUMNS, ROWS
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 from fenics_tfeti.feti.local.symmetry import SymmetryGroup
+from fenics_tfeti.feti.tolerances import MANY, rounding
 from fenics_tfeti.typing import Numbers, Vector
 
 # by how much several right-hand sides make a triangular solve and a dense product cheaper, measured
@@ -22,9 +23,6 @@ _SHARING_OF_SOLVES = 3
 _SHARING_OF_PRODUCTS = 8
 # products of a typical solve
 _PRODUCTS = 50
-# by how much blocks may differ from solves, relative to the largest displacement: a dual operator
-# that disagrees with the recovery by more limits its accuracy
-_SYMMETRIC = 1e-13
 
 
 @dataclass(frozen=True)
@@ -123,7 +121,8 @@ class ExplicitInverse:
         expected = inverse.solve(forces)[self.orbits.unknowns]
         found = self(forces[self.orbits.unknowns][None])[0]
         largest = np.abs(expected).max(initial=0.0)
-        return bool(np.abs(found - expected).max(initial=0.0) <= _SYMMETRIC * largest)
+        # a dual operator that disagrees with the recovery by more limits its accuracy
+        return bool(np.abs(found - expected).max(initial=0.0) <= rounding(largest, MANY))
 
     def __call__(self, rows: Vector) -> Vector:
         """Apply it to each row of a (k, b) matrix."""

@@ -29,12 +29,10 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.dual.problem import DualProblem
+from fenics_tfeti.feti.tolerances import SURFACE
 from fenics_tfeti.qp import least_penetration
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
-# stiffness of a row of B in units of that of its nodes (the diagonal of K): what the neighbours on
-# a surface give way
-_OF_SURFACE = 0.3
 # closing of a row, relative to its length, by a unit motion that does not move it
 _TRACE = 1e-13
 # resistance of motions whose position takes an accurate residual: distances are known to the
@@ -307,7 +305,7 @@ def rigid_start(problem: DualProblem) -> Vector | None:
     load = projector.unresisted(problem.e, problem.e_size)
     if not load.any():
         return None
-    stiffness = _OF_SURFACE * problem.unit
+    stiffness = SURFACE * problem.unit
     return stiffness * loose.pressing(problem.c, load / stiffness)
 
 

@@ -17,6 +17,7 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.explicit import ExplicitInverse, Orbits
 from fenics_tfeti.feti.local.congruence import apply_by_class
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
+from fenics_tfeti.feti.tolerances import rounding
 from fenics_tfeti.qp import lanczos_upper_bound
 from fenics_tfeti.typing import Vector
 
@@ -160,7 +161,7 @@ class ProjectedNorm:
         self, part: Callable[[Vector], Vector], projector: Projector, flexibility: float
     ) -> None:
         self._part, self._projector = part, projector
-        self._least = float(np.finfo(float).eps) * flexibility
+        self._least = rounding(flexibility)
         self._steps, self._value = 0, 0.0
         self.products = 0
 

@@ -23,10 +23,8 @@ from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.local.cholesky import SparseCholesky
 from fenics_tfeti.feti.local.congruence import times_rows
 from fenics_tfeti.feti.local.generalized_inverse import regularized_stiffness
+from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.typing import Mask, Vector
-
-# singular value of R on the interface, relative to the largest, that is rounding
-_NOT_MOVED = 1e-10
 
 
 @dataclass
@@ -128,7 +126,7 @@ class Preconditioner:
             hessian = compliance * np.identity(kernel.shape[1]) + turned.T @ (bent * turned)
         if not hessian.any():
             return None
-        inverse = np.linalg.pinv(hessian, rcond=_NOT_MOVED, hermitian=True)
+        inverse = np.linalg.pinv(hessian, rcond=ZERO, hermitian=True)
 
         def apply(x: Vector) -> Vector:
             y = kernel @ (inverse @ (kernel.T @ coupling.gather(x)[0]))
@@ -157,7 +155,7 @@ class Preconditioner:
         places, shape = (at.ravel(), turning), (first.size, site.size)
         fixed = sp.csr_matrix((along[turning], places), shape) @ kernel
         moved = sp.csr_matrix((turns[turning], places), shape) @ kernel
-        free = null_space(fixed, rcond=_NOT_MOVED)
+        free = null_space(fixed, rcond=ZERO)
         return kernel @ free, moved @ free, bent[turning[first]][:, None]
 
     def _inverse_of(self, chosen: Mask) -> GramInverse:
@@ -239,7 +237,7 @@ def _held_interior(
     These do no work on K_ib u, so that any generalized inverse of K_ii gives the same reactions.
     """
     K_ii = K[interior][:, interior].tocsr()
-    left = null_space(R[local], rcond=_NOT_MOVED) if R.shape[1] else R
+    left = null_space(R[local], rcond=ZERO) if R.shape[1] else R
     if not left.shape[1]:
         return K_ii
     N = R[interior] @ left

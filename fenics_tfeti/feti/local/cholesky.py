@@ -386,7 +386,7 @@ class DistributedCholesky:
         self._factor.solve(b, self._x)
         residual = (A * self._x - b).norm()
         negative = self._factor.getMumpsInfog(_NEGATIVE_PIVOTS)
-        if negative or not residual <= 1e-6 * b.norm():
+        if negative or not residual <= _USELESS * b.norm():
             raise FactorizationError(
                 f"the distributed Cholesky factorisation by MUMPS is useless ({negative} negative "
                 f"pivots, residual {residual:.1e}): the matrix of order {A.size[0]} is not "

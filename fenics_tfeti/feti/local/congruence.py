@@ -18,11 +18,9 @@ from fenics_tfeti.feti.costs import ROWS
 from fenics_tfeti.feti.local.frames import Frames
 from fenics_tfeti.feti.local.rigid_body_modes import rigid_body_modes
 from fenics_tfeti.feti.system import Subdomain
-from fenics_tfeti.feti.tolerances import ZERO_ENERGY
+from fenics_tfeti.feti.tolerances import FEW, GIVEN, rounding
 from fenics_tfeti.typing import Numbers, Vector
 
-# relative to the largest entry or to the size: what assembly at another place may change
-SAME = 1e-12
 # digits of the fingerprint by which candidates are found; the comparison decides
 _DIGITS = 8
 
@@ -159,7 +157,7 @@ def _same(first: Subdomain, second: Subdomain) -> bool:
     reach = max(
         np.abs(first.coordinates).max(initial=0.0), np.abs(second.coordinates).max(initial=0)
     )
-    return bool(np.abs(offset).max(initial=0.0) <= SAME * reach)
+    return bool(np.abs(offset).max(initial=0.0) <= rounding(reach, GIVEN))
 
 
 def is_rounding(change: sp.csr_matrix, stiffness: sp.csr_matrix, coordinates: Vector) -> bool:
@@ -173,11 +171,12 @@ def is_rounding(change: sp.csr_matrix, stiffness: sp.csr_matrix, coordinates: Ve
         [m].
     """
     largest = np.abs(stiffness.data).max(initial=0.0)
-    if np.abs(change.data).max(initial=0.0) > SAME * largest:
+    # assembly at another place may change as much
+    if np.abs(change.data).max(initial=0.0) > rounding(largest, GIVEN):
         return False
     # a soft elastic support changes no entry by more, but the energies of rigid motions
     R = rigid_body_modes(coordinates)
-    return bool(np.abs(R.T @ (change @ R)).max(initial=0.0) <= ZERO_ENERGY * largest)
+    return bool(np.abs(R.T @ (change @ R)).max(initial=0.0) <= rounding(largest, FEW))
 
 
 def apply_by_class(

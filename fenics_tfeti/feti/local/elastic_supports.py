@@ -26,10 +26,8 @@ import scipy.sparse as sp
 
 from fenics_tfeti.feti.local.rigid_body_modes import low_energy_modes
 from fenics_tfeti.feti.system import Subdomain
+from fenics_tfeti.feti.tolerances import FEW, rounding
 from fenics_tfeti.typing import Vector
-
-# K R_s relative to |K| |R_s|: what rounding leaves at nodes without a support
-_ROUNDING = 1e-14
 
 
 @dataclass(frozen=True)
@@ -76,4 +74,4 @@ def set_free(subdomain: Subdomain) -> FloatingSubdomain:
 def _forces_of_supports(K: sp.csr_matrix, R: Vector) -> Vector:
     """Return KR without what rounding leaves where no support is."""
     KR = K @ R
-    return np.where(np.abs(KR) > _ROUNDING * (abs(K) @ np.abs(R)), KR, 0.0)
+    return np.where(np.abs(KR) > rounding(abs(K) @ np.abs(R), FEW), KR, 0.0)

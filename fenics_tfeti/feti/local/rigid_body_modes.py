@@ -6,7 +6,7 @@ import numpy as np
 
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.system import Subdomain
-from fenics_tfeti.feti.tolerances import SOFT_SUPPORT, ZERO_ENERGY
+from fenics_tfeti.feti.tolerances import FEW, NEGLIGIBLE, SOFT_SUPPORT, rounding
 from fenics_tfeti.typing import Vector
 
 # length of a rotation's part that is orthogonal to other modes, in units of the subdomain's size,
@@ -90,13 +90,13 @@ def low_energy_modes(subdomain: Subdomain) -> tuple[Vector, Vector]:
     """
     R = rigid_body_modes(subdomain.coordinates_in_frame)
     stiffness = np.abs(subdomain.stiffness.data).max(initial=0.0)
-    gram, rounding = R.T @ (subdomain.stiffness @ R), ZERO_ENERGY * stiffness
+    gram, none = R.T @ (subdomain.stiffness @ R), rounding(stiffness, FEW)
     # rounding would couple motions along a soft support with others that it leaves free
-    energies, vectors = np.linalg.eigh(np.where(np.abs(gram) > rounding, gram, 0.0))
-    if energies.max(initial=0.0) <= rounding:
+    energies, vectors = np.linalg.eigh(np.where(np.abs(gram) > none, gram, 0.0))
+    if energies.max(initial=0.0) <= none:
         return R, np.zeros(energies.size)
     low = energies <= SOFT_SUPPORT * stiffness
-    return R @ vectors[:, low], np.where(energies > rounding, energies, 0.0)[low]
+    return R @ vectors[:, low], np.where(energies > none, energies, 0.0)[low]
 
 
 def kernel(subdomain: Subdomain) -> Vector:
@@ -121,7 +121,7 @@ def describe_motion(
     coordinates: Vector,
     displacement: Vector,
     either_way: bool = False,
-    negligible: float = 1e-6,
+    negligible: float = NEGLIGIBLE,
     about: tuple[Vector, float] | None = None,
 ) -> str:
     """Say in words which rigid motion a displacement field is.
@@ -153,7 +153,7 @@ def describe_motion(
     modes = raw_modes(coordinates, centre)
     parts = np.linalg.lstsq(modes, displacement, rcond=None)[0]
     if either_way:
-        parts = parts * np.sign(parts[np.abs(parts) > 1e-6 * np.abs(parts).max()][0])
+        parts = parts * np.sign(parts[np.abs(parts) > NEGLIGIBLE * np.abs(parts).max()][0])
     translation, rotation = parts[:gdim], parts[gdim:]
     amount = np.linalg.norm(np.append(translation, size * rotation))
     words = []
@@ -183,4 +183,8 @@ def _pole(centre: Vector, translation: Vector, rotation: Vector) -> tuple[Vector
 def _direction(vector: Vector) -> str:
     unit = vector / np.linalg.norm(vector)
     # 0.0 is added because of -0.0
-    return "(" + ", ".join(f"{v + 0.0:.3g}" for v in np.where(np.abs(unit) < 1e-6, 0.0, unit)) + ")"
+    return (
+        "("
+        + ", ".join(f"{v + 0.0:.3g}" for v in np.where(np.abs(unit) < NEGLIGIBLE, 0.0, unit))
+        + ")"
+    )

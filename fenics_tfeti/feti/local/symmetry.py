@@ -18,7 +18,8 @@ import scipy.sparse as sp
 from scipy.linalg import hadamard
 from scipy.spatial import KDTree
 
-from fenics_tfeti.feti.local.congruence import SAME, is_rounding
+from fenics_tfeti.feti.local.congruence import is_rounding
+from fenics_tfeti.feti.tolerances import GIVEN, rounding
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -108,7 +109,7 @@ def find_symmetries(stiffness: sp.csr_matrix, coordinates: Vector) -> SymmetryGr
         return group
     middle = 0.5 * (coordinates.min(axis=0) + coordinates.max(axis=0))
     x = coordinates - middle
-    tolerance = SAME * float(np.abs(coordinates).max(initial=0.0))
+    tolerance = rounding(float(np.abs(coordinates).max(initial=0.0)), GIVEN)
     tree, generators = KDTree(x), [np.eye(gdim)]
     for Q in _involutions(gdim):
         new = not any(np.array_equal(Q, generator) for generator in generators)

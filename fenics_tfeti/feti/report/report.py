@@ -35,7 +35,7 @@ from fenics_tfeti.feti.solution.states import (
 )
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.timer import Timer
-from fenics_tfeti.feti.tolerances import WEAKLY_RESISTED
+from fenics_tfeti.feti.tolerances import FACETED, NEGLIGIBLE
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.qp import OuterIteration
 
@@ -333,7 +333,10 @@ def _unknowns(
 
 
 def _described(
-    system: TornSystem, setup: DualSetup, motion: NDArray[np.float64], negligible: float = 1e-6
+    system: TornSystem,
+    setup: DualSetup,
+    motion: NDArray[np.float64],
+    negligible: float = NEGLIGIBLE,
 ) -> str:
     """Name the bodies that take part in a motion (coarse,). Collective."""
     local = setup.projector.coarse_space.own_part(motion)
@@ -344,7 +347,7 @@ def _described(
 def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) -> list[str]:
     """Describe the motions that active rows resist weakly, and by which contacts. Collective."""
     constraints, coarse_space = setup.constraints, setup.projector.coarse_space
-    _, weak = coarse_space.weakly_resisted(candidate.face.rows, WEAKLY_RESISTED)
+    _, weak = coarse_space.weakly_resisted(candidate.face.rows, FACETED)
     owned = constraints.inequality[: constraints.owned_inequalities]
     contact, active = constraints.contact[: owned.size], candidate.face.rows[owned]
     number = coarse_space.comm.allreduce(int(contact.max(initial=-1)), MPI.MAX) + 1
@@ -357,7 +360,7 @@ def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) ->
         # what is not the contacts' is that of supports or friction
         if not resistance.any():
             continue
-        words = _described(system, setup, coarse_space.coarse_motions(motion), WEAKLY_RESISTED)
+        words = _described(system, setup, coarse_space.coarse_motions(motion), FACETED)
         names = [
             f"{system.contact_name(int(i))!r} by {resistance[i]:.0e}"
             for i in np.argsort(-resistance)

@@ -33,7 +33,7 @@ from fenics_tfeti.feti.solution.states import (
     SlipBoundStep,
 )
 from fenics_tfeti.feti.timer import Timer
-from fenics_tfeti.feti.tolerances import ROUNDING
+from fenics_tfeti.feti.tolerances import CERTIFIED
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Vector
 
@@ -102,7 +102,7 @@ def iterate_slip_bounds(
             changes.append(change)
         monitor.tell(SlipBoundStep(products.total - before, change, ratio, rtol))
         outcome = _with_error(outcome, change)
-        certified = outcome.candidate.certificate.worst <= max(options.rtol, ROUNDING)
+        certified = outcome.candidate.certificate.worst <= max(options.rtol, CERTIFIED)
         if certified and not outcome.converged:
             # rounding is larger than the tolerance of the step, which is finer
             return replace(outcome, status=SolveStatus.SOLVED, reason="converged")

@@ -47,14 +47,12 @@ from fenics_tfeti.feti.solution.scale import (
 from fenics_tfeti.feti.solution.setup import DualSetup, dual_problem
 from fenics_tfeti.feti.solution.states import Candidate, ContactData, Outcome
 from fenics_tfeti.feti.timer import Timer
-from fenics_tfeti.feti.tolerances import ROUNDING
+from fenics_tfeti.feti.tolerances import CERTIFIED, FAR
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
 # products of a turn after the first one, in the first round; doubled in each round
 _SHARE = 2000
-# gaps farther than this many times the largest jump of displacements are shortened
-_FAR = 1e6
 
 
 def iterate_until_certified(
@@ -103,7 +101,7 @@ def iterate_until_certified(
         data = replace(data, c=data.c - removed, removed=removed)
         feasible = FeasibleState.of(setup, data)
     rows, comm = setup.constraints.inequality, setup.constraints.layout.comm
-    longest = _FAR * feasible.largest_jump
+    longest = FAR * feasible.largest_jump
     while True:
         far = data.c[rows] > longest if longest > 0.0 else np.zeros(rows.size, dtype=bool)
         c = data.c.copy()
@@ -115,7 +113,7 @@ def iterate_until_certified(
         if not comm.allreduce(closed, MPI.LOR) or interruption.agreed():
             candidate = _moved(outcome.candidate, data, motion)
             return replace(outcome, candidate=candidate)
-        longest, start = _FAR * longest, outcome.start
+        longest, start = FAR * longest, outcome.start
 
 
 def _moved(candidate: Candidate, data: ContactData, motion: Vector) -> Candidate:
@@ -136,7 +134,7 @@ def _iterate(loop: _Loop, start: Iterate | None) -> Outcome:
     forces = forces_at_rest(loop.setup.F, loop.data.load, loop.data.c)
     if forces is not None:
         return loop.at_rest(forces)
-    iterate, limit = loop.first(start), max(loop.options.rtol, ROUNDING)
+    iterate, limit = loop.first(start), max(loop.options.rtol, CERTIFIED)
     tolerance = loop.options.rtol * loop.scale.energy_norm
     progress, best = Progress.start(loop.scale), _Best()
     while True:

@@ -24,22 +24,15 @@ from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.coupling import Coupling
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
+from fenics_tfeti.feti.tolerances import FEW, MANY, ZERO, rounding
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.qp import balls, least_distance, least_penetration
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
-# what rounding leaves of a unit motion in a contact row that it does not move
-_TRACE = 1e-13
-# rounding of a load that equality rows take, relative to the largest nodal load of a rank
-_SHARED_OUT = 1e-15
-# rounding of the jumps that rigid motions make, relative to the largest
-_LAST_PLACES = 16 * 2.0**-52
-# limit on the changes of the rows that determine the rigid motions
-_NEWTON_STEPS = 20
 # rounds in which the worst condition of each contact is added for loose bodies
 _CONDITIONS = 100
-# limit on the corrections of forces that turn, and ||G lambda - e|| / ||e|| that is rounding
-_TURNS, _BALANCED = 8, 1e-13
+# limit on the corrections of forces that turn
+_TURNS = 8
 
 
 @dataclass(frozen=True)
@@ -121,7 +114,7 @@ def balance_multipliers(
             if across is None or turns == _TURNS:
                 return corrected, face
             missing = face.without_free_motions(e - coarse_space.restrict(corrected))
-            if np.linalg.norm(missing) <= _BALANCED * np.linalg.norm(e):
+            if np.linalg.norm(missing) <= rounding(float(np.linalg.norm(e)), MANY):
                 return corrected, face
             # Newton's method for forces that turn on circles
             balanced, turns = corrected, turns + 1
@@ -139,7 +132,7 @@ def recover_displacement(
 
     alpha makes the equality rows and the rows with a force hold in the least squares sense (end of
     sec. 11.6). Where these leave motions free, it is the one of smallest norm that penetrates
-    nothing; where they resist motions weakly, what is penetrated takes part in the least squares.
+    nothing.
 
     Parameters
     ----------
@@ -162,8 +155,7 @@ def recover_displacement(
     strained = F.generalized_inverse(
         forces - coarse_space.rigid_motion(coarse_space.coarse_load(forces))
     )
-    pressing = face
-    face, alpha = _motions(pressing, c - F.jumps(strained))
+    alpha = face.coefficients(c - F.jumps(strained))
     # K^+ leaves some of the free motions in u
     present = alpha + coarse_space.coarse_load(strained)
     alpha -= face.free @ (face.free.T @ present)
@@ -171,39 +163,13 @@ def recover_displacement(
     # once more for what rounding has left, without the free motions
     rest = face.without_free_motions(face.coefficients(c - F.jumps(torn)))
     torn += coarse_space.rigid_motion(rest)
-    if pressing.free.shape[1]:
-        away = _free_motions(pressing, c - F.jumps(torn), multipliers)
-        torn += coarse_space.rigid_motion(pressing.free @ away)
-    displacement, closed = close_constraints(F, c, torn, pressing.rows, multipliers, unit)
-    sticking = F.constraints.friction.within(pressing.rows)
+    if face.free.shape[1]:
+        away = _free_motions(face, c - F.jumps(torn), multipliers)
+        torn += coarse_space.rigid_motion(face.free @ away)
+    displacement, closed = close_constraints(F, c, torn, face.rows, multipliers, unit)
+    sticking = F.constraints.friction.within(face.rows)
     jumps = F.jumps(displacement) - c
     return Recovered(strained, torn, displacement, jumps, closed[rows], sticking)
-
-
-def _motions(face: Projector, jumps: Vector) -> tuple[Projector, Vector]:
-    """Return alpha with B R alpha = jumps in the least squares sense, and the face of its rows.
-
-    Rows that resist weakly turn a small error of the multipliers into a large motion; the contact
-    rows that it penetrates limit it. They join the least squares, and leave them where they would
-    pull: the semismooth Newton method for the sum of squares of jumps and penetrations.
-    """
-    coarse_space = face.coarse_space
-    rows, layout = coarse_space.constraints.inequality, coarse_space.constraints.layout
-    sticking = coarse_space.constraints.friction.within(face.rows)
-    alpha, pressing = face.coefficients(jumps), face.rows[rows]
-    for _ in range(_NEWTON_STEPS):
-        if face.weak is None:
-            break
-        moved = coarse_space.prolong(alpha)
-        largest = float(max(np.abs(moved).max(initial=0.0), np.abs(jumps).max(initial=0.0)))
-        negligible = _LAST_PLACES * layout.comm.allreduce(largest, MPI.MAX)
-        penetration, joined = (moved - jumps)[rows], face.rows[rows]
-        active = pressing | (penetration > np.where(joined, -negligible, negligible))
-        if not layout.space.sums(float(np.count_nonzero(active != joined)))[0]:
-            break
-        face = Projector.build(coarse_space, active, sticking, face.across)
-        alpha = face.coefficients(jumps)
-    return face, alpha
 
 
 def forces_at_rest(F: DualOperator, load: Vector, c: Vector) -> Vector | None:
@@ -237,7 +203,7 @@ def forces_at_rest(F: DualOperator, load: Vector, c: Vector) -> Vector | None:
         not c[constraints.equality].any()
         and not c[constraints.friction.flat].any()
         and bool((c[constraints.inequality] >= 0.0).all())
-        and bool((left <= _SHARED_OUT * np.abs(load).max(initial=0.0)).all())
+        and bool((left <= rounding(np.abs(load).max(initial=0.0), FEW)).all())
     )
     return forces if constraints.layout.comm.allreduce(rest, MPI.LAND) else None
 
@@ -331,7 +297,7 @@ def close_with_gram(coupling: Coupling, jump: Vector, closed: Mask) -> tuple[Vec
     np.maximum.at(negligible, block, np.where(R, np.abs(jump), np.maximum(jump, 0.0)))
     while True:
         y = coupling.inverse(R).solve(jump)
-        penetrated = ~(R | coupling.tangential) & (jump - W @ y > 1e-14 * negligible[block])
+        penetrated = ~(R | coupling.tangential) & (jump - W @ y > rounding(negligible[block], FEW))
         if not penetrated.any():
             return y, R
         R = R | penetrated
@@ -352,7 +318,7 @@ def _free_motions(active: Projector, gap: Vector, multipliers: Vector) -> Vector
     comm, space = active.coarse_space.comm, active.coarse_space.constraints.layout.space
     against = comm.allreduce(float((backwards @ z - slips).max(initial=0.0)), MPI.MAX)
     largest = comm.allreduce(float(np.abs(slips).max(initial=0.0)), MPI.MAX)
-    if against > 1e-9 * largest:
+    if against > ZERO * largest:
         z = z + least_penetration(
             S, left - S @ z, space.sum_over_ranks, lambda part: sum_sparse(comm, part)
         )
@@ -367,7 +333,7 @@ def _other_contacts(active: Projector, gap: Vector) -> tuple[sp.csr_matrix, Vect
     closing = (active.coarse_space.contact[:, inactive].T @ active.free).tocsr()
     lengths = constraints.row_lengths[owned[inactive]]
     # rounding is no way to open a gap
-    moved = np.abs(closing.toarray()).max(axis=1, initial=0.0) > _TRACE * lengths
+    moved = np.abs(closing.toarray()).max(axis=1, initial=0.0) > rounding(lengths, MANY)
     inactive = inactive[moved]
     return closing[moved], gap[owned[inactive]], constraints.contact[inactive]
 
@@ -402,7 +368,7 @@ def _smallest_without_penetration(
     constraints, comm = active.coarse_space.constraints, active.coarse_space.comm
     z = np.zeros(active.free.shape[1])
     conditions, limits = np.zeros((0, z.size)), np.zeros(0)
-    negligible = 1e-9 * comm.allreduce(float((-gap).max(initial=0.0)), MPI.MAX)
+    negligible = ZERO * comm.allreduce(float((-gap).max(initial=0.0)), MPI.MAX)
     for _ in range(_CONDITIONS):
         excess = closing @ z - gap
         order = np.lexsort((-excess, contact))

@@ -1,0 +1,53 @@
+"""A cache of the last faces, so that one that comes back is not factored again.
+
+The feasible start, the scale of the energy, the first steps of the active set method and the
+recovery of the displacement use the same two or three faces in turn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from fenics_tfeti.typing import Mask, Vector
+
+# a factor takes as much memory as dozens of multipliers
+_KEPT = 2
+
+
+@dataclass(frozen=True)
+class FaceCache:
+    """The last faces, the latest one first.
+
+    Attributes
+    ----------
+    comm : MPI.Intracomm
+        The ranks; each of them has its rows of a face.
+    kept : list of ((rows, across), object)
+        Rows and combinations of rows, see `Projector`, and what is kept for them.
+    """
+
+    comm: MPI.Intracomm
+    kept: list[tuple[tuple[Any, ...], Any]] = field(default_factory=list)
+
+    def find(self, rows: Mask, across: Vector | None) -> Any:
+        """Return what was kept for a face, or None, on all ranks alike. Collective."""
+        face: tuple[Any, ...] = rows, across
+        same = np.zeros(_KEPT, dtype=np.int32)
+        for i, (other, _) in enumerate(self.kept):
+            same[i] = all(np.array_equal(x, y) for x, y in zip(face, other, strict=True))
+        if self.kept:
+            self.comm.Allreduce(MPI.IN_PLACE, same, MPI.LAND)
+        if not same.any():
+            return None
+        self.kept.insert(0, self.kept.pop(int(same.argmax())))
+        return self.kept[0][1]
+
+    def keep(self, rows: Mask, across: Vector | None, belonging: Any) -> None:
+        """Keep an object for a face in place of that of the oldest one."""
+        self.kept.insert(0, ((rows, across), belonging))
+        del self.kept[_KEPT:]

@@ -1,0 +1,204 @@
+"""GG' of the rows of a face, and its generalized inverse.
+
+Motions that the rows do not resist are pinned in the matrix A = GG' + pins that is factored: for
+right-hand sides without a part in them the pinned unknowns are zero, and A^{-1} is a generalized
+inverse of GG'.
+
+GG', which squares G, does not show motions that the rows resist weakly either. They are pinned,
+too, and return as a correction: (GG')^+ = A^{-1} + ZZ' and Q = G'A^{-1}G + WW' with W = G'Z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from fenics_tfeti.feti.coarse.column_groups import pivot_rows
+from fenics_tfeti.feti.coarse.factor import CoarseFactor
+from fenics_tfeti.feti.coarse.inverse import InverseByRows
+from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.dual_layout import DualLayout
+from fenics_tfeti.feti.tolerances import WEAK, rounding
+from fenics_tfeti.typing import Mask, Vector
+
+
+@dataclass(frozen=True)
+class GramInverse:
+    """(GG')^+ of the rows of a face: a factor, and what it lacks of weakly resisted motions.
+
+    Attributes
+    ----------
+    layout : DualLayout
+        That of the multipliers.
+    factor : CoarseFactor
+        That of A.
+    motions : (coarse, k) array
+        Z; without columns where the rows resist no motion weakly.
+    rows : (m, k) array
+        W on all rows that this rank holds; on the rows of the face orthonormal.
+    """
+
+    layout: DualLayout
+    factor: CoarseFactor
+    motions: Vector
+    rows: Vector
+
+    @staticmethod
+    def of(coarse_space: CoarseSpace, factor: CoarseFactor) -> GramInverse:
+        """Return A^{-1} alone, given the factor of A."""
+        layout = coarse_space.constraints.layout
+        none = np.zeros((coarse_space.size, 0)), np.zeros((layout.numbers.size, 0))
+        return GramInverse(layout, factor, *none)
+
+    def solve(self, coarse: Vector) -> Vector:
+        """Return (GG')^+ applied to a coarse vector in the range of G."""
+        solution: Vector = self.factor.solve(coarse) + self.motions @ (self.motions.T @ coarse)
+        return solution
+
+    def weak_part(self, x: Vector) -> Vector:
+        """Return W'x for a vector on the rows; one reduction, if there are such motions."""
+        part: Vector = self.rows[: self.layout.owned].T @ x[: self.layout.owned]
+        return self.layout.space.sum_over_ranks(part) if part.size else part
+
+
+def corrected(
+    inverse: GramInverse,
+    coarse_space: CoarseSpace,
+    weak: Vector,
+    on_rows: Callable[[Vector], Vector],
+) -> GramInverse:
+    """Return A^{-1} with its correction for weakly resisted motions, which A pins. Collective.
+
+    Parameters
+    ----------
+    inverse : GramInverse
+        A^{-1} alone.
+    coarse_space : CoarseSpace
+        G.
+    weak : (modes * bodies, k) array
+        The motions z, see `BodyMotions`.
+    on_rows : callable
+        x -> its part on the rows of the face.
+    """
+    if not weak.shape[1]:
+        return inverse
+    layout, restrict = coarse_space.constraints.layout, coarse_space.restrict
+    # Z = (I - A^{-1} GG') T z, W = G'Z; what T z does to the rows is known without rounding
+    moved = coarse_space.moved_rows(weak)
+    follow = np.column_stack([inverse.factor.solve(restrict(on_rows(x))) for x in moved.T])
+    W = moved - np.column_stack([coarse_space.prolong(column) for column in follow.T])
+    owned = np.column_stack([on_rows(column) for column in W.T])[: layout.owned]
+    # Z and W times V S^{-1/2} with W'W = VSV'; motions that only springs resist move no row
+    squares, V = np.linalg.eigh(layout.space.sum_over_ranks(owned.T @ owned))
+    moving = squares > rounding(squares.max(initial=0.0))
+    normalize = V[:, moving] / np.sqrt(squares[moving])
+    Z = (coarse_space.coarse_motions(weak) - follow) @ normalize
+    return replace(inverse, motions=Z, rows=W @ normalize)
+
+
+def coarse_matrix(
+    coarse_space: CoarseSpace, rows: Mask, combined: sp.csr_matrix | None
+) -> sp.csr_matrix:
+    """Return the rows of GG' that this rank keeps.
+
+    Parameters
+    ----------
+    coarse_space : CoarseSpace
+        G.
+    rows : (m,) bool array
+        The rows of B that are meant: those of the equality constraints and others.
+    combined : (k, m) scipy.sparse.csr_matrix or None
+        Combinations of tangential rows that are meant as well.
+    """
+    columns, layout = _columns(coarse_space, rows, combined), coarse_space.layout
+    gram: sp.csr_matrix = coarse_space.equality + layout.rows(
+        (columns[layout.own] @ columns.T).tocsr()
+    )
+    return gram
+
+
+def pins(
+    coarse_space: CoarseSpace,
+    gram: sp.csr_matrix,
+    free: tuple[sp.csr_matrix, sp.csr_matrix],
+    weak: sp.csr_matrix,
+) -> Vector:
+    """Return what is added to the diagonal of GG' for motions that are resisted too little.
+
+    Weak motions are pinned so firmly that what resists them is rounding beside it. That is relative
+    to rows that resist fully: perhaps no row of GG' does.
+
+    Parameters
+    ----------
+    coarse_space : CoarseSpace
+        G.
+    gram : (coarse or own, coarse) scipy.sparse.csr_matrix
+        GG'.
+    free : (coarse, k), (coarse, l) scipy.sparse.csr_matrix
+        Motions without resistance, those of one body and those of several.
+    weak : (coarse, n) scipy.sparse.csr_matrix
+        Motions with a weak one.
+    """
+    single, several = free
+    added = np.zeros(coarse_space.layout.size)
+    if single.shape[1] + several.shape[1] + weak.shape[1]:
+        largest: float = coarse_space.layout.largest_diagonal(gram)
+        row: float = coarse_space.longest_row**2
+        if weak.shape[1]:
+            pin = WEAK**2 / rounding(1.0) * max(largest, row)
+        else:
+            pin = max(largest, rounding(row)) or 1.0
+        added[pivot_rows(single, sp.hstack([several, weak], format="csr"))] = pin
+    return added
+
+
+def factored(
+    coarse_space: CoarseSpace,
+    gram: sp.csr_matrix,
+    rows: Mask,
+    combined: sp.csr_matrix | None,
+    added: Vector,
+) -> CoarseFactor:
+    """Factor GG' of a face with pins, or change the inverse of that of all rows. Collective.
+
+    Parameters
+    ----------
+    coarse_space : CoarseSpace
+        G.
+    gram : (coarse or own, coarse) scipy.sparse.csr_matrix
+        GG'.
+    rows, combined
+        As for `coarse_matrix`.
+    added : (coarse,) array
+        The pins.
+    """
+    layout = coarse_space.layout
+    if layout.solver != "inverse" or not layout.size:
+        return layout.factor(layout.add_to_diagonal(gram, added))
+    if coarse_space.inverse is None:
+        return InverseByRows.build(layout, gram, added)
+    removed = _columns(coarse_space, ~rows & ~coarse_space.constraints.equality, None, owned=True)
+    more = _columns(coarse_space, np.zeros_like(rows), combined, owned=True)
+    return coarse_space.inverse.changed(gram, removed, more, added)
+
+
+def _columns(
+    coarse_space: CoarseSpace, rows: Mask, combined: sp.csr_matrix | None, owned: bool = False
+) -> sp.csr_matrix:
+    """Return the columns of G of contact and tangential rows, and of combinations of the latter.
+
+    They are all that this rank holds, or those that it owns.
+    """
+    constraints = coarse_space.constraints
+    if owned:
+        rows = rows & (np.arange(rows.size) < constraints.layout.owned)
+    columns = [coarse_space.contact[:, np.flatnonzero(rows[constraints.inequality])]]
+    if constraints.friction.size:
+        columns.append(coarse_space.friction[:, np.flatnonzero(rows & ~constraints.equality)])
+    if combined is not None:
+        mine = constraints.friction.owned(constraints.layout.owned) if owned else slice(None)
+        columns.append(coarse_space.friction @ combined[mine].T)
+    return sp.hstack(columns, format="csr")
