@@ -128,8 +128,8 @@ def pins(
 ) -> Vector:
     """Return what is added to the diagonal of GG' for motions that are resisted too little.
 
-    Weak motions are pinned so firmly that what resists them is rounding beside it. That is relative
-    to rows that resist fully: perhaps no row of GG' does.
+    Weak motions are pinned so firmly that what resists them, the square of `WEAK` at most, is
+    rounding beside it. That is relative to rows that resist fully: perhaps no row of GG' does.
 
     Parameters
     ----------
@@ -147,10 +147,9 @@ def pins(
     if single.shape[1] + several.shape[1] + weak.shape[1]:
         largest: float = coarse_space.layout.largest_diagonal(gram)
         row: float = coarse_space.longest_row**2
+        pin = max(largest, rounding(row)) or 1.0
         if weak.shape[1]:
-            pin = WEAK**2 / rounding(1.0) * max(largest, row)
-        else:
-            pin = max(largest, rounding(row)) or 1.0
+            pin = max(largest, row) / WEAK**2
         added[pivot_rows(single, sp.hstack([several, weak], format="csr"))] = pin
     return added
 
