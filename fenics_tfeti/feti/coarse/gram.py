@@ -53,6 +53,11 @@ class GramInverse:
         none = np.zeros((coarse_space.size, 0)), np.zeros((layout.numbers.size, 0))
         return GramInverse(layout, factor, *none)
 
+    @property
+    def is_corrected(self) -> bool:
+        """Whether there are motions that the rows resist weakly."""
+        return bool(self.motions.shape[1])
+
     def solve(self, coarse: Vector) -> Vector:
         """Return (GG')^+ applied to a coarse vector in the range of G."""
         solution: Vector = self.factor.solve(coarse) + self.motions @ (self.motions.T @ coarse)
@@ -61,7 +66,7 @@ class GramInverse:
     def weak_part(self, x: Vector) -> Vector:
         """Return W'x for a vector on the rows; one reduction, if there are such motions."""
         part: Vector = self.rows[: self.layout.owned].T @ x[: self.layout.owned]
-        return self.layout.space.sum_over_ranks(part) if part.size else part
+        return self.layout.space.sum_over_ranks(part) if self.is_corrected else part
 
 
 def corrected(
