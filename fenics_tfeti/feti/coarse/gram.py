@@ -53,6 +53,11 @@ class GramInverse:
         none = np.zeros((coarse_space.size, 0)), np.zeros((layout.numbers.size, 0))
         return GramInverse(layout, factor, *none)
 
+    @property
+    def is_corrected(self) -> bool:
+        """Whether there are motions that the rows resist weakly."""
+        return bool(self.motions.shape[1])
+
     def solve(self, coarse: Vector) -> Vector:
         """Return (GG')^+ applied to a coarse vector in the range of G."""
         solution: Vector = self.factor.solve(coarse) + self.motions @ (self.motions.T @ coarse)
@@ -61,7 +66,7 @@ class GramInverse:
     def weak_part(self, x: Vector) -> Vector:
         """Return W'x for a vector on the rows; one reduction, if there are such motions."""
         part: Vector = self.rows[: self.layout.owned].T @ x[: self.layout.owned]
-        return self.layout.space.sum_over_ranks(part) if part.size else part
+        return self.layout.space.sum_over_ranks(part) if self.is_corrected else part
 
 
 def corrected(
@@ -128,8 +133,8 @@ def pins(
 ) -> Vector:
     """Return what is added to the diagonal of GG' for motions that are resisted too little.
 
-    Weak motions are pinned so firmly that what resists them is rounding beside it. That is relative
-    to rows that resist fully: perhaps no row of GG' does.
+    Weak motions are pinned so firmly that what resists them, the square of `WEAK` at most, is
+    rounding beside it. That is relative to rows that resist fully: perhaps no row of GG' does.
 
     Parameters
     ----------
@@ -147,10 +152,9 @@ def pins(
     if single.shape[1] + several.shape[1] + weak.shape[1]:
         largest: float = coarse_space.layout.largest_diagonal(gram)
         row: float = coarse_space.longest_row**2
+        pin = max(largest, rounding(row)) or 1.0
         if weak.shape[1]:
-            pin = WEAK**2 / rounding(1.0) * max(largest, row)
-        else:
-            pin = max(largest, rounding(row)) or 1.0
+            pin = max(largest, row) / WEAK**2
         added[pivot_rows(single, sp.hstack([several, weak], format="csr"))] = pin
     return added
 

@@ -29,6 +29,8 @@ from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.qp import balls, least_distance, least_penetration
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
+# limit on the changes of the rows that determine the rigid motions
+_NEWTON_STEPS = 20
 # rounds in which the worst condition of each contact is added for loose bodies
 _CONDITIONS = 100
 # limit on the corrections of forces that turn
@@ -132,7 +134,7 @@ def recover_displacement(
 
     alpha makes the equality rows and the rows with a force hold in the least squares sense (end of
     sec. 11.6). Where these leave motions free, it is the one of smallest norm that penetrates
-    nothing.
+    nothing; where they resist motions weakly, what is penetrated takes part in the least squares.
 
     Parameters
     ----------
@@ -155,7 +157,8 @@ def recover_displacement(
     strained = F.generalized_inverse(
         forces - coarse_space.rigid_motion(coarse_space.coarse_load(forces))
     )
-    alpha = face.coefficients(c - F.jumps(strained))
+    pressing = face
+    face, alpha = _motions(pressing, c - F.jumps(strained))
     # K^+ leaves some of the free motions in u
     present = alpha + coarse_space.coarse_load(strained)
     alpha -= face.free @ (face.free.T @ present)
@@ -163,13 +166,39 @@ def recover_displacement(
     # once more for what rounding has left, without the free motions
     rest = face.without_free_motions(face.coefficients(c - F.jumps(torn)))
     torn += coarse_space.rigid_motion(rest)
-    if face.free.shape[1]:
-        away = _free_motions(face, c - F.jumps(torn), multipliers)
-        torn += coarse_space.rigid_motion(face.free @ away)
-    displacement, closed = close_constraints(F, c, torn, face.rows, multipliers, unit)
-    sticking = F.constraints.friction.within(face.rows)
+    if pressing.free.shape[1]:
+        away = _free_motions(pressing, c - F.jumps(torn), multipliers)
+        torn += coarse_space.rigid_motion(pressing.free @ away)
+    displacement, closed = close_constraints(F, c, torn, pressing.rows, multipliers, unit)
+    sticking = F.constraints.friction.within(pressing.rows)
     jumps = F.jumps(displacement) - c
     return Recovered(strained, torn, displacement, jumps, closed[rows], sticking)
+
+
+def _motions(face: Projector, jumps: Vector) -> tuple[Projector, Vector]:
+    """Return alpha with B R alpha = jumps in the least squares sense, and the face of its rows.
+
+    Rows that resist weakly turn a small error of the multipliers into a large motion; the contact
+    rows that it penetrates limit it. They join the least squares, and leave them where they would
+    pull: the semismooth Newton method for the sum of squares of jumps and penetrations.
+    """
+    coarse_space = face.coarse_space
+    rows, layout = coarse_space.constraints.inequality, coarse_space.constraints.layout
+    sticking = coarse_space.constraints.friction.within(face.rows)
+    alpha, pressing = face.coefficients(jumps), face.rows[rows]
+    for _ in range(_NEWTON_STEPS):
+        if not face.gram.is_corrected:
+            break
+        moved = coarse_space.prolong(alpha)
+        largest = float(max(np.abs(moved).max(initial=0.0), np.abs(jumps).max(initial=0.0)))
+        negligible = rounding(layout.comm.allreduce(largest, MPI.MAX), FEW)
+        penetration, joined = (moved - jumps)[rows], face.rows[rows]
+        active = pressing | (penetration > np.where(joined, -negligible, negligible))
+        if not layout.space.sums(float(np.count_nonzero(active != joined)))[0]:
+            break
+        face = Projector.build(coarse_space, active, sticking, face.across)
+        alpha = face.coefficients(jumps)
+    return face, alpha
 
 
 def forces_at_rest(F: DualOperator, load: Vector, c: Vector) -> Vector | None:
