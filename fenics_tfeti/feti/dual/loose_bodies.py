@@ -29,7 +29,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.dual.problem import DualProblem
-from fenics_tfeti.qp import least_penetration
+from fenics_tfeti.qp import projected_newton
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # stiffness of a row of B in units of that of its nodes (the diagonal of K): what the neighbours on
@@ -201,17 +201,17 @@ class LooseBodies:
     def motion(
         self, gap: Vector, load: Vector | None = None, stiffness: sp.csr_matrix | None = None
     ) -> Vector:
-        """Return the motion with the least penetration, see `least_penetration`. Collective."""
+        """Return the motion with the least penetration, see `projected_newton`. Collective."""
         coarse_space = self.coarse_space
         space, comm = coarse_space.constraints.layout.space, coarse_space.comm
-        return least_penetration(
+        return projected_newton(
             self.closing,
             gap[self.rows],
-            space.sum_over_ranks,
-            lambda part: sum_sparse(comm, part),
             basis=self.motions,
             load=load,
             stiffness=stiffness,
+            sum_vectors=space.sum_over_ranks,
+            sum_matrices=lambda part: sum_sparse(comm, part),
         )
 
 
