@@ -6,14 +6,14 @@ curved boundaries, SMALBE-M (algorithm 9.2) and a Lanczos bound of the spectrum.
 
 from fenics_tfeti.qp.cones import FrictionCones
 from fenics_tfeti.qp.feasible_set import Bounds, Discs, FeasibleSet, ProductSet, Split
-from fenics_tfeti.qp.least_norm import least_norm_in_set, smallest_factor
-from fenics_tfeti.qp.least_squares import (
-    least_norm_nonnegative,
-    least_norm_partly_nonnegative,
-)
 from fenics_tfeti.qp.mpgp import mpgp
 from fenics_tfeti.qp.mprgp import mprgp
-from fenics_tfeti.qp.projected_newton import HalfLines, projected_newton
+from fenics_tfeti.qp.projected_newton import (
+    HalfLines,
+    least_norm,
+    projected_newton,
+    smallest_factor,
+)
 from fenics_tfeti.qp.proportioning import (
     Hessian,
     Products,
@@ -44,9 +44,7 @@ __all__ = [
     "Split",
     "Unbounded",
     "lanczos_upper_bound",
-    "least_norm_in_set",
-    "least_norm_nonnegative",
-    "least_norm_partly_nonnegative",
+    "least_norm",
     "mpgp",
     "mprgp",
     "projected_newton",

@@ -27,15 +27,19 @@ from fenics_tfeti.qp.cones import FrictionCones
 from fenics_tfeti.qp.feasible_set import ProductSet
 from fenics_tfeti.typing import Vector
 
-# weights of the distance, relative to the stiffness of the springs: what is nearest without a load;
-# under a load, which may move bodies far, decreasing ones down to what factors resolve
-_NEAREST = (1e-10, 1e-10, 1e-10)
-_SPARSE = (1e-1, 1e-3, 1e-5, 1e-7, *_NEAREST)
-_DENSE = (1e-1, 1e-3, 1e-5, 1e-7, 1e-9, 1e-11, 1e-13, 1e-15, 1e-15, 1e-15)
+# weights of the distance, relative to the stiffness of the springs: under a load, which may move
+# bodies far, they decrease to what factors resolve, or to what resolves the residual of no solution
+_FIRST, _DECREASE, _REPEATED = 1e-1, 1e-2, 5
+_NEAREST, _SPARSE, _DENSE, _NO_SOLUTION = 1e-10, 1e-13, 1e-15, 1e-5
 # limits on Newton steps, on the bisections of each, and on the corrections of forces
 _NEWTON_STEPS, _BISECTIONS, _CORRECTIONS = 60, 60, 20
 # rounding of the gradient, relative to the sizes of its terms; residual that counts as none
 _ROUNDING, _SOLVED = 2.0**-51, 1e-12
+# singular value of rows, relative to the largest, that is rounding, and what rounding leaves of a
+# column in their combinations
+_UNRESISTED, _TRACE = 1e-13, 1e-14
+# largest factor of bounds, its relative accuracy, and ||Cx - d|| / ||d|| of a solution
+_LARGEST_FACTOR, _ACCURACY, _BALANCED = 2.0**40, 1e-4, 1e-9
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,7 @@ class HalfLines:
         return sp.diags(self._inside(x).astype(float), format="csr")
 
     def _inside(self, x: Vector) -> Vector:
-        return np.append(x[: self.number] > 0.0, np.ones(x.size - self.number, dtype=bool))
+        return np.append(x[: self.number] >= 0.0, np.ones(x.size - self.number, dtype=bool))
 
 
 ForceSet = HalfLines | FrictionCones | ProductSet
@@ -82,6 +86,7 @@ def projected_newton(
     basis: sp.csr_matrix | None = None,
     load: Vector | None = None,
     stiffness: sp.csr_matrix | None = None,
+    least_weight: float | None = None,
     sum_vectors: Callable[[Vector], Vector] = _same,
     sum_matrices: Callable[[sp.csr_matrix], sp.csr_matrix] = _same,
 ) -> Vector:
@@ -103,6 +108,9 @@ def projected_newton(
         Forces on the motions; the same on all ranks.
     stiffness : (k, k) scipy.sparse.csr_matrix, optional
         K, positive semidefinite; the same on all ranks.
+    least_weight : float, optional
+        Last weight of the distance under a load, relative to the stiffness of the springs: by
+        default as small as factors allow.
     sum_vectors, sum_matrices : callable
         Sums over the ranks of arrays and of sparse matrices (n, n).
 
@@ -137,18 +145,25 @@ def projected_newton(
         sum_vectors,
         sum_matrices,
     )
+    if least_weight is None:
+        least_weight = _SPARSE if sp.issparse(S) else _DENSE
+    return _proximal_points(problem, z, least_weight)
+
+
+def _proximal_points(problem: _Problem, z: Vector, least_weight: float) -> Vector:
+    """Return the last of the points that are nearest with decreasing weights. Collective."""
     size = float(np.linalg.norm(problem.at(z).gradient))
     if size == 0.0:
         return z
-    if not problem.load.any():
-        for relative in _NEAREST:
-            z = _nearest(problem, z, relative * problem.stiffest)
-        return z
-    for relative in _SPARSE if sp.issparse(S) else _DENSE:
-        weight = relative * problem.stiffest
-        centre, z = z, _nearest(problem, z, weight)
-        if weight * np.linalg.norm(z - centre) <= _SOLVED * size:
+    has_load, repeated = bool(problem.load.any()), 0
+    weight = _FIRST if has_load else _NEAREST
+    while repeated < _REPEATED:
+        centre, z = z, _nearest(problem, z, weight * problem.stiffest)
+        left = weight * problem.stiffest * np.linalg.norm(z - centre)
+        if has_load and left <= _SOLVED * size:
             break
+        repeated += weight <= least_weight or not has_load
+        weight = max(_DECREASE * weight, least_weight) if has_load else weight
     return z
 
 
@@ -190,10 +205,7 @@ class _Problem:
             assert not isinstance(self.feasible, ProductSet)
             H = (self.S.T @ self.feasible.derivative(point.v) @ self.S).tocsr()
             H = self.T.T @ self.sum_matrices(H) @ self.T + self.K
-            H = (H + weight * sp.identity(self.load.size)).tocsc()
-            symmetric = {"SymmetricMode": True}
-            factor = splu(H, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
-            return -np.asarray(factor.solve(point.gradient))
+            return -np.asarray(_factor(H, weight).solve(point.gradient))
         rows = self.S @ self.T
         H = rows.T @ self.feasible.derivative_times(point.v, rows) + self.K.toarray()
         return -np.linalg.solve(H + weight * np.identity(self.load.size), point.gradient)
@@ -233,3 +245,196 @@ def _less_steep(
                 break
             low, high = (low, t) if slope > 0.0 else (t, high)
     return z + t * p, following
+
+
+def least_norm(
+    C: Vector | sp.csr_matrix,
+    d: Vector,
+    feasible: ForceSet | None = None,
+    *,
+    springs: Vector | None = None,
+    gap: Vector | None = None,
+) -> tuple[Vector, Vector]:
+    """Minimise 1/2 ||x||^2 + 1/2 ||p||^2 + gap'x subject to Cx + Ep = d on a convex set of x.
+
+    It is the dual problem of `projected_newton`: x = P(C'z - gap) and p = E'z. Where columns are
+    small, z is large: of an array, rows are combined such that those of (C, E) are orthonormal, and
+    what z leaves of the balance is corrected on the components that are not at a bound.
+
+    Parameters
+    ----------
+    C : (r, n) array or scipy.sparse.csr_matrix
+        Few rows, or sparse ones of similar lengths.
+    d : (r,) array
+        Right-hand side.
+    feasible : HalfLines, FrictionCones or ProductSet, optional
+        The set, which contains o; by default x >= o. With `springs` it leaves these components,
+        the last ones, free.
+    springs : (r, q) array, optional
+        E, if C is an array; its columns may be small.
+    gap : (n,) array, optional
+        Linear term, zero by default; if C is an array.
+
+    Returns
+    -------
+    x : (n,) array
+        The solution without p; if there is none, x of a minimiser of ||Cx + Ep - d||.
+    residual : (r,) array
+        d - Cx - Ep; that of the minimiser without the rounding of x if there is no solution, which
+        it certifies: its product with d is larger than that with any Cx + Ep.
+
+    Examples
+    --------
+    A weight of 1 is held against a push of 0.3 by friction of at most 0.2, and by a side wall.
+
+    >>> import numpy as np
+    >>> from fenics_tfeti.qp import Bounds, Discs, ProductSet
+    >>> C = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 1.0, 0.0]])
+    >>> wall = Bounds.from_below(np.array([0, 1]), np.zeros(2))
+    >>> disc = Discs(np.array([[2, 3]]), np.zeros((1, 2)), np.array([0.1]))
+    >>> x, residual = least_norm(C, np.array([1.0, 0.3]), ProductSet(wall, disc))
+    >>> (x.round(9) + 0.0).tolist(), bool(np.abs(residual).max() < 1e-9)
+    ([1.0, 0.2, 0.1, 0.0], True)
+    """
+    n = C.shape[1]
+    feasible = HalfLines(n) if feasible is None else feasible
+    A = C if springs is None else np.hstack([C, springs])
+    gap = np.zeros(A.shape[1]) if gap is None else np.append(gap, np.zeros(A.shape[1] - n))
+    B, b, lengths = _combinations(A, d)
+    if not (b.any() and A.shape[1]):
+        return np.zeros(n), d.copy()
+    rows = (sp.diags(1.0 / lengths) @ B).T
+    z = projected_newton(rows, gap, feasible, load=b / lengths)
+    x = _balanced(B, b, feasible, rows @ z - gap)
+    residual: Vector = d - A @ x
+    if np.linalg.norm(residual) > _SOLVED * np.linalg.norm(d):
+        # the smallest residual in the norm of d, for which gaps and sizes of forces do not matter
+        units = _units(B, feasible)
+        B = B @ sp.diags(units)
+        none = np.zeros_like(gap)
+        z = projected_newton(B.T, none, feasible, load=b, least_weight=_NO_SOLUTION)
+        tried = units * _balanced(B, b, feasible, B.T @ z)
+        if np.linalg.norm(d - A @ tried) < np.linalg.norm(residual):
+            x, residual = tried, d - A @ tried
+    if np.linalg.norm(residual) > _BALANCED * np.linalg.norm(d):
+        residual = _certificate(A, d, feasible, residual)
+    return x[:n], residual
+
+
+def _certificate(A: Any, d: Vector, feasible: ForceSet, residual: Vector) -> Vector:
+    """Return the residual, on half-lines the point next to d at which no force does work.
+
+    That is the same but for rounding, which large forces that cancel leave of the balance.
+    """
+    if not isinstance(feasible, HalfLines):
+        return residual
+    columns = A @ sp.diags(_units(A, feasible))
+    free = columns[:, feasible.number :]
+    S = sp.hstack([columns, -free]) if sp.issparse(A) else np.hstack([columns, -free])
+    point: Vector = d + projected_newton(S.T, -(S.T @ d))
+    certain = np.linalg.norm(point) > _BALANCED * np.linalg.norm(d)
+    return point if certain else residual
+
+
+def _units(B: Any, feasible: ForceSet) -> Vector:
+    """Return factors that make columns as long as 1, where the set stays the same with them."""
+    if not isinstance(feasible, HalfLines):
+        return np.ones(B.shape[1])
+    squares = B.multiply(B) if sp.issparse(B) else B**2
+    lengths = np.sqrt(np.asarray(squares.sum(axis=0)).ravel())
+    units: Vector = np.divide(1.0, lengths, out=np.ones_like(lengths), where=lengths > 0.0)
+    return units
+
+
+def _combinations(A: Any, d: Vector) -> tuple[Any, Vector, Vector]:
+    """Return combinations Bx = b of the rows of Ax = d, and lengths to divide them by.
+
+    In a dense B, divided, they are orthonormal: what only small columns resist is separated from
+    the rest. A sparse B is A.
+    """
+    if sp.issparse(A):
+        lengths = np.sqrt(np.asarray(A.multiply(A).sum(axis=1)).ravel())
+        return A, d, np.where(lengths > 0.0, lengths, 1.0)
+    # the factor has as few columns as rows
+    R = np.asarray(np.linalg.qr(A.T, mode="r"))
+    U, lengths, _ = np.linalg.svd(R.T, full_matrices=False)
+    kept = lengths > _UNRESISTED * lengths.max(initial=0.0)
+    B, b = U[:, kept].T @ A, U[:, kept].T @ d
+    B[np.abs(B) <= _TRACE * np.abs(B).max(axis=0, initial=0.0)] = 0.0
+    return B, b, lengths[kept]
+
+
+def _balanced(B: Any, b: Vector, feasible: ForceSet, v: Vector) -> Vector:
+    """Return P(v), or a point near it with a smaller residual b - Bx."""
+    best = x = feasible.project(v.copy())
+    least = float(np.linalg.norm(b - B @ x))
+    for _ in range(_CORRECTIONS):
+        if least <= _ROUNDING * np.linalg.norm(b):
+            break
+        v = x + _correction(B, b - B @ x, feasible, v)
+        x = feasible.project(v.copy())
+        left = float(np.linalg.norm(b - B @ x))
+        if left < least:
+            best, least = x, left
+    return best
+
+
+def _correction(B: Any, missing: Vector, feasible: ForceSet, v: Vector) -> Vector:
+    """Return D y, D = P'(v), for the smallest y with B D y = missing in the least squares sense."""
+    if sp.issparse(B):
+        assert not isinstance(feasible, ProductSet)
+        D = feasible.derivative(v)
+        BD = (B @ D).tocsr()
+        H = BD @ BD.T
+        weight = _SPARSE * float(H.diagonal().max(initial=0.0))
+        step: Vector = D @ (BD.T @ _factor(H, weight or 1.0).solve(missing))
+        return step
+    y = np.linalg.lstsq(feasible.derivative_times(v, B.T).T, missing, rcond=None)[0]
+    return feasible.derivative_times(v, y[:, None])[:, 0]
+
+
+def _factor(H: Any, weight: float) -> Any:
+    """Return the sparse factors of H + weight I."""
+    shifted = (H + weight * sp.identity(H.shape[0])).tocsc()
+    symmetric = {"SymmetricMode": True}
+    return splu(shifted, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+
+
+def smallest_factor(
+    C: Vector | sp.csr_matrix, d: Vector, feasible: FrictionCones | ProductSet
+) -> float:
+    """Return the smallest factor of radii, intervals and slopes with which Cx = d has a solution.
+
+    Parameters
+    ----------
+    C, d, feasible
+        As in `least_norm`; intervals contain 0 inside, half-lines begin there.
+
+    Returns
+    -------
+    float
+        To a relative accuracy of 1e-4, from above; infinite if there is none.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fenics_tfeti.qp import Discs, ProductSet
+    >>> disc = Discs(np.array([[0, 1]]), np.zeros((1, 2)), np.array([0.5]))
+    >>> round(smallest_factor(np.identity(2), np.array([0.6, 0.8]), ProductSet(discs=disc)), 3)
+    2.0
+    """
+
+    def solvable(factor: float) -> bool:
+        residual = least_norm(C, d, feasible.scaled(factor))[1]
+        return bool(np.linalg.norm(residual) <= _BALANCED * np.linalg.norm(d))
+
+    lower, upper = 0.0, 1.0
+    while not solvable(upper):
+        # 2, 4, 16, 256, ...
+        lower, upper = upper, max(2.0, upper**2)
+        if upper > _LARGEST_FACTOR:
+            return np.inf
+    while upper - lower > _ACCURACY * upper:
+        middle = np.sqrt(lower * upper) if lower else 0.5 * upper
+        lower, upper = (lower, middle) if solvable(middle) else (middle, upper)
+    return float(upper)

@@ -31,9 +31,7 @@ from fenics_tfeti.feti.tolerances import NO_WORK, UNRESISTED
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.qp import (
     FrictionCones,
-    least_norm_in_set,
-    least_norm_nonnegative,
-    least_norm_partly_nonnegative,
+    least_norm,
     smallest_factor,
 )
 from fenics_tfeti.typing import Numbers, Vector
@@ -219,9 +217,9 @@ def _contact_forces(
     if weakly.shape[1]:
         whole = concatenate_ranks(coarse_space.comm, gaps)
         dense = contact.toarray() if sp.issparse(contact) else contact
-        forces, residual = least_norm_partly_nonnegative(dense, weakly, group.work, whole)
+        forces, residual = least_norm(dense, group.work, springs=weakly, gap=whole)
     else:
-        forces, residual = least_norm_nonnegative(contact, group.work)
+        forces, residual = least_norm(contact, group.work)
     unresisted = free @ (free.T @ (group.motions @ residual))
     if np.linalg.norm(unresisted) > NO_WORK * group.force:
         _raise_unresisted(system, kernels, coarse_space, unresisted)
@@ -278,7 +276,7 @@ def _forces_with_friction(
     nothing = sp.csr_matrix((group.work.size, columns - pressing.shape[1] - rubbing.shape[1]))
     C = sp.hstack([pressing, rubbing, nothing], format="csr")
     C = C.toarray() if group.work.size <= _DENSE else C
-    forces, residual = least_norm_in_set(C, group.work, feasible)
+    forces, residual = least_norm(C, group.work, feasible)
     if np.linalg.norm(residual) > NO_WORK * group.force:
         some = explain and (radius.any() or slope.any())
         factor = smallest_factor(C, group.work, feasible) if some else np.inf

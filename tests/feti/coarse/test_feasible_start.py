@@ -12,7 +12,7 @@ from torn import column
 
 from fenics_tfeti import UnresistedMotion
 from fenics_tfeti.feti import ContactRows, TornSolver
-from fenics_tfeti.feti.coarse.feasible_start import least_norm_nonnegative
+from fenics_tfeti.qp import least_norm
 
 
 @pytest.mark.parametrize("load", [(0, 0, -1.0), (0.3, -0.2, -2.0)])
@@ -49,11 +49,11 @@ def test_load_on_a_motion_that_nothing_resists():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_least_norm_nonnegative_fulfils_its_conditions(seed):
+def test_least_norm_fulfils_its_conditions(seed):
     rng = np.random.default_rng(seed)
     C = rng.standard_normal((4, 30))
     d = C @ rng.random(30)
-    x, residual = least_norm_nonnegative(C, d)
+    x, residual = least_norm(C, d)
     np.testing.assert_allclose(C @ x, d, atol=1e-10)
     assert np.all(x >= 0) and np.linalg.norm(residual) < 1e-10
     other = minimize(
@@ -68,7 +68,7 @@ def test_least_norm_nonnegative_fulfils_its_conditions(seed):
     np.testing.assert_allclose(x, other.x, atol=1e-5)
 
 
-def test_least_norm_nonnegative_certifies_that_there_is_no_solution():
+def test_least_norm_certifies_that_there_is_no_solution():
     C, d = np.array([[1.0, 2.0], [0.0, 1.0]]), np.array([-1.0, 1.0])
-    _, residual = least_norm_nonnegative(C, d)
+    _, residual = least_norm(C, d)
     assert np.all(C.T @ residual <= 1e-12) and d @ residual > 0.1
