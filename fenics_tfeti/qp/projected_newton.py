@@ -273,7 +273,7 @@ def least_norm(
     springs : (r, q) array, optional
         E, if C is an array; its columns may be small.
     gap : (n,) array, optional
-        Linear term, zero by default; if C is an array.
+        Linear term, zero by default.
 
     Returns
     -------

@@ -1,9 +1,10 @@
 """A start with G lambda = e (11.37) and lambda_I >= o: lemma 11.1, also in the semicoercive case.
 
 Gluing and supports resist all but a few rigid motions of bodies; forces of contact must balance the
-load on those. Least-norm contact forces that do are the solution of a small problem; the equality
-multipliers then follow from (11.38). In the coercive case there are no such motions, the contact
-forces are zero, and the start is that of lemma 11.1.
+load on those. They are those of rigid bodies with elastic surfaces, which are also the first active
+set: between rigid rings the load is shared by as many rollers. The equality multipliers then follow
+from (11.38). In the coercive case there are no such motions, the contact forces are zero, and the
+start is that of lemma 11.1.
 
 Friction takes part within its bounds. Whether contact and friction together can balance the load is
 decided here.
@@ -38,6 +39,9 @@ from fenics_tfeti.typing import Numbers, Vector
 
 # ||B R z|| of equality rows below which contact takes the load first
 _SOFTLY = 0.1
+# stiffness of a row of B in units of that of its nodes (the diagonal of K): what the neighbours on
+# a surface give way
+_OF_SURFACE = 0.3
 # motions of a group up to which dense matrices take no longer than sparse ones
 _DENSE = 200
 
@@ -81,8 +85,8 @@ def feasible_start(
 ) -> Vector:
     """Return lambda~ with G lambda~ = e, lambda~_I >= o and |lambda~_T| <= r + m lambda~_N.
 
-    Where equality rows resist motions weakly, as soft springs do, contact and springs share the
-    load as they do between rigid bodies: F is replaced by 1 / unit.
+    Bodies are rigid, and contact rows springs of a part of the stiffness `unit`; with friction, of
+    any stiffness. Where equality rows resist motions weakly, as soft springs do, they are too.
 
     Parameters
     ----------
@@ -121,7 +125,7 @@ def feasible_start(
     free, weak = _softly_supported(coarse_space)
     if free.shape[1] + weak.shape[1]:
         prescribed = coarse_space.prolong(supports.without_free_motions(supports.coefficients(c)))
-        gaps = unit * (c - prescribed)[constraints.inequality]
+        gaps = _OF_SURFACE * unit * (c - prescribed)[constraints.inequality]
         if coarse_space.comm.allreduce(int(np.count_nonzero(bound.radius + bound.slope))):
             # soft supports carry what contact and friction need not
             for group in _groups(system, coarse_space, free, e):
@@ -194,11 +198,11 @@ def _contact_forces(
     free: sp.csr_matrix,
     gaps: Vector,
 ) -> Vector:
-    """Return the contact multipliers of least-norm ones that balance the load on a group.
+    """Return the contact multipliers that balance the load on a group of rigid bodies.
 
-    Forces of equality rows take part where they resist the motions weakly, and then `gaps`, times
-    stiffness, have to be closed before contacts press. Of motions `free` of them contact has to
-    take the whole load.
+    Contact rows are springs, and equality rows where they resist the motions weakly; `gaps`, times
+    stiffness, have to be closed before contacts press. Of motions `free` of equality rows contact
+    has to take the whole load.
     """
     constraints = coarse_space.constraints
     multipliers = np.zeros(constraints.size)
@@ -211,15 +215,15 @@ def _contact_forces(
     apart = ~np.isfinite(gaps) | (np.diff(moved.indptr) == 0)
     moved, gaps = sp.diags((~apart).astype(float)) @ moved, np.where(apart, 0.0, gaps)
     contact, first = _side_by_side(coarse_space.comm, moved)
-    if len(group.work) <= _DENSE:
-        contact = contact.toarray()
     weakly = _weak_columns(coarse_space, group.motions)
-    if weakly.shape[1]:
-        whole = concatenate_ranks(coarse_space.comm, gaps)
-        dense = contact.toarray() if sp.issparse(contact) else contact
-        forces, residual = least_norm(dense, group.work, springs=weakly, gap=whole)
-    else:
-        forces, residual = least_norm(contact, group.work)
+    if len(group.work) <= _DENSE or weakly.shape[1]:
+        contact = contact.toarray()
+    forces, residual = least_norm(
+        contact,
+        group.work,
+        springs=weakly if weakly.shape[1] else None,
+        gap=concatenate_ranks(coarse_space.comm, gaps),
+    )
     unresisted = free @ (free.T @ (group.motions @ residual))
     if np.linalg.norm(unresisted) > NO_WORK * group.force:
         _raise_unresisted(system, kernels, coarse_space, unresisted)

@@ -26,7 +26,7 @@ import numpy as np
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.dependent_rows import closable
-from fenics_tfeti.feti.dual.loose_bodies import LooseBodies, rigid_start
+from fenics_tfeti.feti.dual.loose_bodies import LooseBodies
 from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Signs, friction_step, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.tolerances import NO_WORK
@@ -126,10 +126,10 @@ def primal_dual_active_set(
     gradient, resume, turns = problem.c, isinstance(start, PCPGIterate), False
     # contact alone balances no load that friction holds
     if isinstance(start, np.ndarray) and not rubs and not _counts(problem, signs.active)[0]:
-        pressing = rigid_start(problem)
-        if pressing is not None:
-            active = pressing[rows] > 0.0
-            start, signs = start + pressing, replace(signs, active=active)
+        pressing = problem.feasible[rows]
+        start = start.copy()
+        start[rows] += pressing
+        signs = replace(signs, active=pressing > 0.0)
     # the violation of signs in units of energy: F ~ ||PFP|| at worst
     negligible = tolerance * np.sqrt(problem.norm)
     while True:

@@ -39,6 +39,8 @@ class DualProblem:
         ||PFP||, roughly: the scale of gaps against forces.
     preconditioner : Preconditioner or None
         B_D S B_D' on faces.
+    feasible : (m,) array
+        lambda~ with G lambda~ = e and feasible forces: those of rigid bodies.
     radius : (k,) array
         r of each site of friction.
     unit : float
@@ -53,6 +55,7 @@ class DualProblem:
     projector: Projector
     norm: float
     preconditioner: Preconditioner | None
+    feasible: Vector
     radius: Vector
     unit: float
 

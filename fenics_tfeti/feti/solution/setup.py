@@ -294,6 +294,7 @@ def dual_problem(setup: DualSetup, data: ContactData, d: Vector, norm: float) ->
         setup.projector,
         norm,
         setup.preconditioner,
+        data.feasible,
         data.radius,
         setup.local.unit,
     )
