@@ -6,6 +6,7 @@ import hypothesis
 import hypothesis.strategies as st
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from qp_problems import Problem
 from scipy.optimize import nnls
 
@@ -178,3 +179,34 @@ def test_what_no_column_resists_is_left():
     x, residual = least_norm(C, d, springs=E, gap=np.zeros(1))
     assert x.tolist() == [0.0]
     np.testing.assert_array_equal(residual, d)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_rows_of_many_lengths(seed):
+    """Each row is balanced relative to its own length."""
+    rng = np.random.default_rng(seed)
+    feasible, lengths = random_set(rng), 10.0 ** -np.arange(0.0, 8.0, 2.0)
+    C = rng.standard_normal((4, 17)) * lengths[:, None]
+    d = C @ feasible.project(rng.standard_normal(17))
+    x, residual = least_norm(C, d, feasible)
+    np.testing.assert_allclose(feasible.project(x.copy()), x, atol=1e-13)
+    assert (np.abs(residual) <= 1e-9 * lengths).all()
+
+
+@pytest.mark.parametrize("gap", [1e3, 1e9, 1e15])
+def test_load_that_only_a_far_row_holds(gap):
+    C, d = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([1.0, 1e-6])
+    x, residual = least_norm(C, d, gap=np.array([0.0, gap]))
+    np.testing.assert_allclose(x, [1.0 - 1e-6, 1e-6], rtol=1e-9)
+    assert np.abs(residual).max() <= 1e-15
+
+
+def test_many_sparse_rows():
+    """Blocks on each other, held by those below: as dense."""
+    n = 40
+    C = np.eye(n) - np.eye(n, k=1)
+    C, d = np.hstack([C, -C]), np.linspace(1.0, 2.0, n)
+    x, residual = least_norm(sp.csr_matrix(C), d)
+    expected, _ = least_norm(C, d)
+    np.testing.assert_allclose(x, expected, atol=1e-9)
+    assert np.linalg.norm(residual) <= 1e-12 * np.linalg.norm(d)
