@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.checks.system import check_guess, check_system, check_types
-from fenics_tfeti.feti.coarse.feasible_start import check_load, feasible_start
+from fenics_tfeti.feti.coarse.feasible_start import feasible_start
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.unresisted import check_load
 from fenics_tfeti.feti.constraints.feasibility import check_conditions
 from fenics_tfeti.feti.constraints.friction import FrictionRows, SlipBound
 from fenics_tfeti.feti.constraints.ground import hold_ground

@@ -7,13 +7,10 @@ of the spectrum.
 
 from fenics_tfeti.qp import balls
 from fenics_tfeti.qp.feasible_set import Bounds, Discs, FrictionCones, ProductSet, Split
-from fenics_tfeti.qp.least_norm import least_norm_in_set, smallest_factor
-from fenics_tfeti.qp.least_penetration import least_penetration
-from fenics_tfeti.qp.least_squares import (
-    least_distance,
-    least_norm_nonnegative,
-    least_norm_partly_nonnegative,
-    nonnegative_least_squares,
+from fenics_tfeti.qp.projected_newton import (
+    least_norm,
+    projected_newton,
+    smallest_factor,
 )
 from fenics_tfeti.qp.proportioning import (
     Hessian,
@@ -45,12 +42,8 @@ __all__ = [
     "Unbounded",
     "balls",
     "lanczos_upper_bound",
-    "least_distance",
-    "least_norm_in_set",
-    "least_norm_nonnegative",
-    "least_norm_partly_nonnegative",
-    "least_penetration",
-    "nonnegative_least_squares",
+    "least_norm",
+    "projected_newton",
     "proportioning",
     "smalbe",
     "smallest_factor",

@@ -115,9 +115,9 @@ class Bounds:
         return x
 
     def derivative(self, x: Vector) -> Vector:
-        """Return P'(x) of each component, (bounded, 1, 1): 1 between the bounds, else 0."""
+        """Return P'(x) of each component, (bounded, 1, 1): 1 between the bounds and at them."""
         bounded = x[self.indices]
-        inside = (bounded > self.lower) & (bounded < self.upper)
+        inside = (bounded >= self.lower) & (bounded <= self.upper) & (self.lower < self.upper)
         return inside.astype(float)[:, None, None]
 
     def on_boundary(self, x: Vector) -> Numbers:

@@ -11,7 +11,7 @@ from fenics_tfeti.qp import (
     FrictionCones,
     ProductSet,
     ProportioningOptions,
-    least_norm_in_set,
+    least_norm,
     proportioning,
     smallest_factor,
 )
@@ -138,11 +138,11 @@ def test_weight_on_rough_ground(push, factor):
     on_feet = np.array([[0, 2, 3], [1, 4, 5]])
     feet = ProductSet(cones=FrictionCones(on_feet, np.zeros(2), np.full(2, 0.3)))
     load = np.array([1.0, push * 0.6, push * 0.8])
-    x, residual = least_norm_in_set(C, load, feet)
+    x, residual = least_norm(C, load, feet)
     assert contains(feet, x, 1e-9)
     assert (np.linalg.norm(residual) < 1e-9) == (factor == 1.0)
     assert smallest_factor(C, load, feet) == pytest.approx(push / 0.3, rel=2e-4)
-    sparse, rest = least_norm_in_set(sp.csr_matrix(C), load, feet)
+    sparse, rest = least_norm(sp.csr_matrix(C), load, feet)
     # without a solution the smallest residual is a limit, to which the regularisations differ
     accuracy = 1e-9 if factor == 1.0 else 1e-5
     np.testing.assert_allclose(sparse, x, rtol=0.0, atol=accuracy)
@@ -152,7 +152,7 @@ def test_weight_on_rough_ground(push, factor):
 def test_ground_that_is_not_pressed_holds_nothing():
     C = np.array([[0.0, 1.0]])
     foot = ProductSet(cones=FrictionCones(np.array([[0, 1]]), np.zeros(1), np.ones(1)))
-    x, _ = least_norm_in_set(C, np.array([1.0]), foot)
+    x, _ = least_norm(C, np.array([1.0]), foot)
     # nothing asks for the normal force, which comes at no cost to the balance
     assert x[1] == pytest.approx(1.0)
     assert x[0] >= 1.0 - 1e-9

@@ -6,12 +6,17 @@ import hypothesis
 import hypothesis.strategies as st
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from qp_problems import Problem
+from scipy.optimize import nnls
 
-from fenics_tfeti.qp import Bounds, Discs, ProductSet, least_norm_in_set, smallest_factor
+from fenics_tfeti.qp import Bounds, Discs, ProductSet, least_norm, smallest_factor
 
 pytestmark = pytest.mark.once
 
+seeds = st.integers(0, 2**32 - 1)
+decades = st.sampled_from([0, 3, 6])
+many = hypothesis.settings(max_examples=200, deadline=None)
 accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)
 
 
@@ -34,7 +39,7 @@ def test_solution_against_a_conic_solver(seed, rows, scale):
     rng = np.random.default_rng(seed)
     feasible, C = random_set(rng), rng.standard_normal((rows, 17))
     d = C @ feasible.project(rng.standard_normal(17))
-    x, residual = least_norm_in_set(scale * C, scale * d, feasible)
+    x, residual = least_norm(scale * C, scale * d, feasible)
     assert np.linalg.norm(residual) <= 1e-9 * scale * np.linalg.norm(d)
     np.testing.assert_allclose(feasible.project(x.copy()), x, atol=1e-13)
     # with orthonormal rows, and the constant d moved into x
@@ -60,7 +65,7 @@ def test_residual_certifies_that_there_is_no_solution(seed):
     )
     C = C[:, :11]
     d = 100.0 * rng.standard_normal(3)
-    _, residual = least_norm_in_set(C, d, feasible)
+    _, residual = least_norm(C, d, feasible)
     v = C.T @ residual
     farthest = np.maximum(v[:3] * feasible.bounds.lower, v[:3] * feasible.bounds.upper).sum()
     farthest += feasible.discs.radius @ np.linalg.norm(v[3:].reshape(-1, 2), axis=1)
@@ -69,10 +74,10 @@ def test_residual_certifies_that_there_is_no_solution(seed):
 
 def test_nothing_to_balance():
     feasible = random_set(np.random.default_rng(0))
-    x, residual = least_norm_in_set(np.ones((2, 17)), np.zeros(2), feasible)
+    x, residual = least_norm(np.ones((2, 17)), np.zeros(2), feasible)
     assert not x.any()
     assert not residual.any()
-    x, residual = least_norm_in_set(np.zeros((1, 17)), np.ones(1), feasible)
+    x, residual = least_norm(np.zeros((1, 17)), np.ones(1), feasible)
     assert not x.any()
     assert residual.tolist() == [1.0]
 
@@ -92,3 +97,116 @@ def test_no_factor_is_enough_where_only_half_lines_resist():
         random_set(np.random.default_rng(0), half_lines=1, intervals=0, discs=1).discs,
     )
     assert smallest_factor(np.array([[1.0, 0.0, 0.0]]), np.array([-1.0]), feasible) == np.inf
+
+
+def scales(rng, count: int, decades: int):
+    """Return factors over some decades, about every eighth of them zero."""
+    factors = 10.0 ** rng.uniform(-decades, decades, count)
+    return np.where(rng.random(count) < 0.125, 0.0, factors)
+
+
+@many
+@hypothesis.given(seeds, decades)
+def test_a_solution_that_exists_is_found(seed, decades):
+    rng = np.random.default_rng(seed)
+    r, n = rng.integers(1, 7), rng.integers(0, 40)
+    C = rng.standard_normal((r, n)) * scales(rng, n, decades)
+    C[rng.random(r) < 0.125] = 0.0
+    d = C @ (rng.random(n) * (rng.random(n) < 0.5))
+    x, residual = least_norm(C, d)
+    assert np.all(x >= 0.0) and np.linalg.norm(residual) <= 1e-9 * np.linalg.norm(d)
+    np.testing.assert_allclose(d - C @ x, residual, atol=1e-12 * np.linalg.norm(d))
+
+
+@many
+@hypothesis.given(seeds, decades)
+def test_what_has_no_solution_is_certified(seed, decades):
+    """C'y <= o and d'y > 0 for a y: Farkas' lemma, with the residual as the y that is found."""
+    rng = np.random.default_rng(seed)
+    r, n = rng.integers(1, 7), rng.integers(0, 40)
+    y = rng.standard_normal(r)
+    y /= np.linalg.norm(y)
+    C = rng.standard_normal((r, n))
+    C -= np.outer(y, np.maximum(y @ C, 0.0))
+    C = C * scales(rng, n, decades)
+    d = y + 0.5 * rng.standard_normal(r)
+    if d @ y <= 0.0:
+        d = -d
+    _, residual = least_norm(C, d)
+    lengths = np.linalg.norm(C, axis=0)
+    assert d @ residual > 0.0
+    assert np.all(C.T @ residual <= 1e-9 * lengths * np.linalg.norm(d))
+
+
+def two_bodies(seed, size):
+    """Return columns that press two bodies apart, small columns, load and gaps."""
+    rng = np.random.default_rng(seed)
+    pair = rng.normal(size=(6, 40))
+    C, E = np.vstack([pair, -pair]), size * np.diag(rng.uniform(0.5, 2.0, size=12))
+    return C, E, rng.normal(size=12), rng.exponential(size=40)
+
+
+@pytest.mark.parametrize("size", [1e-2, 1e-4, 3e-7])
+@pytest.mark.parametrize("seed", range(4))
+def test_small_columns_share_with_nonnegative_ones(seed, size):
+    """Compared with NNLS for x alone, p = E^{-1}(d - Cx): 1/2 ||x + g||^2 + 1/2 ||p||^2."""
+    C, E, d, g = two_bodies(seed, size)
+    x, residual = least_norm(C, d, springs=E, gap=g)
+    A = np.vstack([np.identity(40), np.linalg.solve(E, C)])
+    expected = nnls(A, np.append(-g, np.linalg.solve(E, d)), maxiter=10_000)[0]
+    assert (x >= 0.0).all()
+    assert np.linalg.norm(residual) <= 1e-10 * np.linalg.norm(d)
+
+    def value(x):
+        p = np.linalg.solve(E, d - C @ x)
+        return 0.5 * (x @ x + p @ p) + g @ x
+
+    # what the bodies exchange is known to 1e-16 / size^2 only, but p^2 is flat there
+    assert value(x) <= value(expected) * (1.0 + 1e-8)
+
+
+def test_a_wide_gap_leaves_the_load_to_the_small_columns():
+    C, E = np.array([[1.0], [-1.0]]), 1e-3 * np.identity(2)
+    load = np.array([1.0, 0.0])
+    assert least_norm(C, load, springs=E, gap=np.zeros(1))[0] == pytest.approx(0.5, 1e-5)
+    # apart by less than p / E = 1e6, and by more
+    assert least_norm(C, load, springs=E, gap=np.array([5e5]))[0] == pytest.approx(0.25, 1e-5)
+    assert least_norm(C, load, springs=E, gap=np.array([2e6]))[0].tolist() == [0.0]
+
+
+def test_what_no_column_resists_is_left():
+    C, E, d = np.array([[1.0], [0.0]]), np.array([[0.0], [0.0]]), np.array([-1.0, 0.0])
+    x, residual = least_norm(C, d, springs=E, gap=np.zeros(1))
+    assert x.tolist() == [0.0]
+    np.testing.assert_array_equal(residual, d)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_rows_of_many_lengths(seed):
+    """Each row is balanced relative to its own length."""
+    rng = np.random.default_rng(seed)
+    feasible, lengths = random_set(rng), 10.0 ** -np.arange(0.0, 8.0, 2.0)
+    C = rng.standard_normal((4, 17)) * lengths[:, None]
+    d = C @ feasible.project(rng.standard_normal(17))
+    x, residual = least_norm(C, d, feasible)
+    np.testing.assert_allclose(feasible.project(x.copy()), x, atol=1e-13)
+    assert (np.abs(residual) <= 1e-9 * lengths).all()
+
+
+@pytest.mark.parametrize("gap", [1e3, 1e9, 1e15])
+def test_load_that_only_a_far_row_holds(gap):
+    C, d = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([1.0, 1e-6])
+    x, residual = least_norm(C, d, gap=np.array([0.0, gap]))
+    np.testing.assert_allclose(x, [1.0 - 1e-6, 1e-6], rtol=1e-9)
+    assert np.abs(residual).max() <= 1e-15
+
+
+def test_many_sparse_rows():
+    """Blocks on each other, held by those below: as dense."""
+    n = 40
+    C = np.eye(n) - np.eye(n, k=1)
+    C, d = np.hstack([C, -C]), np.linspace(1.0, 2.0, n)
+    x, residual = least_norm(sp.csr_matrix(C), d)
+    expected, _ = least_norm(C, d)
+    np.testing.assert_allclose(x, expected, atol=1e-9)
+    assert np.linalg.norm(residual) <= 1e-12 * np.linalg.norm(d)

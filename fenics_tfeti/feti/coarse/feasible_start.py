@@ -1,9 +1,10 @@
 """A start with G lambda = e (11.37) and lambda_I >= o: lemma 11.1, also in the semicoercive case.
 
 Gluing and supports resist all but a few rigid motions of bodies; forces of contact must balance the
-load on those. Least-norm contact forces that do are the solution of a small problem; the equality
-multipliers then follow from (11.38). In the coercive case there are no such motions, the contact
-forces are zero, and the start is that of lemma 11.1.
+load on those. They are those of rigid bodies with elastic surfaces, which are also the first active
+set: between rigid rings the load is shared by as many rollers. The equality multipliers then follow
+from (11.38). In the coercive case there are no such motions, the contact forces are zero, and the
+start is that of lemma 11.1.
 
 Friction takes part within its bounds. Whether contact and friction together can balance the load is
 decided here.
@@ -12,65 +13,30 @@ decided here.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
-from fenics_tfeti.errors import UnresistedMotion
-from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.coarse.unresisted import LoadedGroup, raise_unresisted, split_by_groups
 from fenics_tfeti.feti.constraints.friction import SlipBound
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
-from fenics_tfeti.qp import (
-    Bounds,
-    FrictionCones,
-    ProductSet,
-    least_norm_in_set,
-    least_norm_nonnegative,
-    least_norm_partly_nonnegative,
-    smallest_factor,
-)
+from fenics_tfeti.qp import Bounds, FrictionCones, ProductSet, least_norm, smallest_factor
 from fenics_tfeti.typing import Numbers, Vector
 
 # ||B R z|| of equality rows below which contact takes the load first
 _SOFTLY = 0.1
+# stiffness of a row of B in units of that of its nodes (the diagonal of K): what the neighbours on
+# a surface give way
+_OF_SURFACE = 0.3
 # motions of a group up to which dense matrices take no longer than sparse ones
 _DENSE = 200
-
-
-def check_load(
-    system: TornSystem, kernels: Sequence[Vector], projector: Projector, e: Vector
-) -> None:
-    """Check that the load does no work on the motions that no constraint resists.
-
-    Parameters
-    ----------
-    system : TornSystem
-        The subdomains.
-    kernels : sequence of arrays
-        R_i of this rank's subdomains.
-    projector : Projector
-        Of all constraints.
-    e : (coarse,) array
-        R'f.
-
-    Raises
-    ------
-    UnresistedMotion
-        Naming body and motion.
-    """
-    coarse_space = projector.coarse_space
-    for group in _groups(system, coarse_space, projector.free_bodies, e):
-        if np.linalg.norm(group.work) > ZERO * group.force:
-            _raise_unresisted(system, kernels, coarse_space, group.motions @ group.work)
 
 
 def feasible_start(
@@ -85,8 +51,8 @@ def feasible_start(
 ) -> Vector:
     """Return lambda~ with G lambda~ = e, lambda~_I >= o and |lambda~_T| <= r + m lambda~_N.
 
-    Where equality rows resist motions weakly, as soft springs do, contact and springs share the
-    load as they do between rigid bodies: F is replaced by 1 / unit.
+    Bodies are rigid, and contact rows springs of a part of the stiffness `unit`; with friction, of
+    any stiffness. Where equality rows resist motions weakly, as soft springs do, they are too.
 
     Parameters
     ----------
@@ -125,15 +91,16 @@ def feasible_start(
     free, weak = _softly_supported(coarse_space)
     if free.shape[1] + weak.shape[1]:
         prescribed = coarse_space.prolong(supports.without_free_motions(supports.coefficients(c)))
-        gaps = unit * (c - prescribed)[constraints.inequality]
+        gaps = _OF_SURFACE * unit * (c - prescribed)[constraints.inequality]
         if coarse_space.comm.allreduce(int(np.count_nonzero(bound.radius + bound.slope))):
             # soft supports carry what contact and friction need not
-            for group in _groups(system, coarse_space, free, e):
+            for group in split_by_groups(system, coarse_space, free, e):
                 start += _forces_with_friction(
                     system, kernels, coarse_space, group, gaps, bound, explain
                 )
         else:
-            for group in _groups(system, coarse_space, sp.hstack([free, weak], format="csc"), e):
+            both = sp.hstack([free, weak], format="csc")
+            for group in split_by_groups(system, coarse_space, both, e):
                 start += _contact_forces(system, kernels, coarse_space, group, free, gaps)
     # (11.38) for what the contact forces leave
     left = supports.without_free_motions(e - coarse_space.restrict(start))
@@ -145,64 +112,19 @@ def _softly_supported(coarse_space: CoarseSpace) -> tuple[sp.csr_matrix, sp.csr_
     return coarse_space.weakly_resisted(coarse_space.constraints.equality, _SOFTLY)
 
 
-@dataclass(frozen=True)
-class _Group:
-    """Bodies that contacts connect, and their motions that some rows do not resist.
-
-    Attributes
-    ----------
-    motions : (modes * bodies, k) scipy.sparse.csc_matrix
-        Orthonormal z, see `BodyMotions`.
-    work : (k,) array
-        Work of the load on these motions [N].
-    force : float
-        Sum of the magnitudes of the nodal loads [N]: the work is at most this, but for rotations of
-        what reaches far.
-    """
-
-    motions: sp.csc_matrix
-    work: Vector
-    force: float
-
-
-def _groups(
-    system: TornSystem, coarse_space: CoarseSpace, free: sp.csr_matrix, e: Vector
-) -> list[_Group]:
-    """Split unresisted motions by groups of bodies, each with a scale of forces of its own."""
-    comm, bodies = system.comm, coarse_space.bodies
-    modes, number = bodies.modes, len(bodies.supports)
-    force = np.zeros(number)
-    for subdomain in system.subdomains:
-        nodal = np.linalg.norm(subdomain.load.reshape(-1, system.gdim), axis=1)
-        force[subdomain.body] += nodal.sum()
-    force = comm.allreduce(force)
-    of_body = sp.kron(sp.identity(number), np.ones((modes, 1)), format="csr")
-    moved = abs(bodies.moved) @ of_body
-    group = connected_components(sum_sparse(comm, moved.T @ moved), directed=False)[1]
-    # bodies that move together are connected by the rows that hold them together
-    columns = free.tocsc()
-    group_of_motion = group[columns.indices[columns.indptr[:-1]] // modes]
-    work = bodies.basis.T @ e
-    found = []
-    for g in np.unique(group_of_motion):
-        motions = columns[:, np.flatnonzero(group_of_motion == g)]
-        found.append(_Group(motions, motions.T @ work, float(force[group == g].sum())))
-    return found
-
-
 def _contact_forces(
     system: TornSystem,
     kernels: Sequence[Vector],
     coarse_space: CoarseSpace,
-    group: _Group,
+    group: LoadedGroup,
     free: sp.csr_matrix,
     gaps: Vector,
 ) -> Vector:
-    """Return the contact multipliers of least-norm ones that balance the load on a group.
+    """Return the contact multipliers that balance the load on a group of rigid bodies.
 
-    Forces of equality rows take part where they resist the motions weakly, and then `gaps`, times
-    stiffness, have to be closed before contacts press. Of motions `free` of them contact has to
-    take the whole load.
+    Contact rows are springs, and equality rows where they resist the motions weakly; `gaps`, times
+    stiffness, have to be closed before contacts press. Of motions `free` of equality rows contact
+    has to take the whole load.
     """
     constraints = coarse_space.constraints
     multipliers = np.zeros(constraints.size)
@@ -215,18 +137,18 @@ def _contact_forces(
     apart = ~np.isfinite(gaps) | (np.diff(moved.indptr) == 0)
     moved, gaps = sp.diags((~apart).astype(float)) @ moved, np.where(apart, 0.0, gaps)
     contact, first = _side_by_side(coarse_space.comm, moved)
-    if len(group.work) <= _DENSE:
-        contact = contact.toarray()
     weakly = _weak_columns(coarse_space, group.motions)
-    if weakly.shape[1]:
-        whole = concatenate_ranks(coarse_space.comm, gaps)
-        dense = contact.toarray() if sp.issparse(contact) else contact
-        forces, residual = least_norm_partly_nonnegative(dense, weakly, group.work, whole)
-    else:
-        forces, residual = least_norm_nonnegative(contact, group.work)
+    if len(group.work) <= _DENSE or weakly.shape[1]:
+        contact = contact.toarray()
+    forces, residual = least_norm(
+        contact,
+        group.work,
+        springs=weakly if weakly.shape[1] else None,
+        gap=concatenate_ranks(coarse_space.comm, gaps),
+    )
     unresisted = free @ (free.T @ (group.motions @ residual))
     if np.linalg.norm(unresisted) > ZERO * group.force:
-        _raise_unresisted(system, kernels, coarse_space, unresisted)
+        raise_unresisted(system, kernels, coarse_space, unresisted)
     multipliers[owned] = forces[first : first + owned.size]
     return constraints.layout.sum(multipliers)
 
@@ -243,7 +165,7 @@ def _forces_with_friction(
     system: TornSystem,
     kernels: Sequence[Vector],
     coarse_space: CoarseSpace,
-    group: _Group,
+    group: LoadedGroup,
     gaps: Vector,
     bound: SlipBound,
     explain: bool,
@@ -280,7 +202,7 @@ def _forces_with_friction(
     nothing = sp.csr_matrix((group.work.size, columns - pressing.shape[1] - rubbing.shape[1]))
     C = sp.hstack([pressing, rubbing, nothing], format="csr")
     C = C.toarray() if group.work.size <= _DENSE else C
-    forces, residual = least_norm_in_set(C, group.work, feasible)
+    forces, residual = least_norm(C, group.work, feasible)
     if np.linalg.norm(residual) > ZERO * group.force:
         some = explain and (radius.any() or slope.any())
         factor = smallest_factor(C, group.work, feasible) if some else np.inf
@@ -288,7 +210,7 @@ def _forces_with_friction(
             slope.any()
         )
         motion = group.motions @ residual
-        _raise_unresisted(system, kernels, coarse_space, motion, factor, " and ".join(kinds))
+        raise_unresisted(system, kernels, coarse_space, motion, factor, " and ".join(kinds))
     multipliers[owned] = forces[first : first + owned.size]
     first = pressing.shape[1] + first_rubbing
     of_sites = forces[first : first + present.size].reshape(present.shape)
@@ -347,28 +269,3 @@ def _weak_columns(coarse_space: CoarseSpace, motions: sp.csc_matrix) -> Vector:
     whole = np.concatenate(coarse_space.comm.allgather(rows))
     columns = np.transpose(np.linalg.qr(whole, mode="r"))
     return columns[:, np.abs(columns).max(axis=0, initial=0.0) > ZERO]
-
-
-def _raise_unresisted(
-    system: TornSystem,
-    kernels: Sequence[Vector],
-    coarse_space: CoarseSpace,
-    z: Vector,
-    factor: float = np.inf,
-    friction: str = "",
-) -> None:
-    """Raise the error; `friction`, what limits it, times `factor` would balance the load."""
-    own_motion = coarse_space.own_part(coarse_space.coarse_motions(z))
-    motions = describe_body_motion(system, kernels, own_motion)
-    if np.isfinite(factor):
-        raise UnresistedMotion(
-            "friction cannot hold the load, which slides " + "; ".join(motions) + ". It would take "
-            f"{factor:.4g} times the {friction}. Raise them, prescribe displacements that hold "
-            "the body, or reduce the load"
-        )
-    raise UnresistedMotion(
-        "the load does work on a rigid motion that no support and no contact resists (11.16): "
-        + "; ".join(motions)
-        + ". Prescribe displacements that hold the body, add the contact it should rest on, or "
-        "balance the load"
-    )

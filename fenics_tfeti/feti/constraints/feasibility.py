@@ -14,7 +14,7 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import FAR, PARALLEL, SAME_VALUE
 from fenics_tfeti.parallel import concatenate_ranks
-from fenics_tfeti.qp import nonnegative_least_squares
+from fenics_tfeti.qp import projected_newton
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -87,11 +87,10 @@ def contradiction(W: Vector, gaps: Vector, rounding: Vector | float = 0.0) -> Nu
     values, vectors = np.linalg.eigh(W)
     there = values > PARALLEL
     rows = np.sqrt(values[there]) * vectors[:, there]
-    # Farkas: forces with sum of rows o and c'lambda = -violation
-    A = np.vstack([rows.T, gaps / violation])
-    b = np.append(np.zeros(rows.shape[1]), -1.0)
-    forces = nonnegative_least_squares(A, b)
-    if np.linalg.norm(A @ forces - b) > np.sqrt(PARALLEL):
+    # the least violation of all rows: forces with sum of rows o and c'lambda < 0, or none
+    z = projected_newton(rows, gaps)
+    forces = np.maximum(rows @ z - gaps, 0.0)
+    if forces.max() <= SAME_VALUE * violation:
         return near[:0]
     found: Numbers = near[forces > SAME_VALUE * forces.max()]
     return found

@@ -23,7 +23,7 @@ from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.dependent_rows import closable
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep, Iterate, Method, SolveStatus, Turn
-from fenics_tfeti.feti.dual.loose_bodies import LooseBodies, rigid_start
+from fenics_tfeti.feti.dual.loose_bodies import LooseBodies
 from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Signs, friction_step, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.tolerances import ZERO
@@ -153,10 +153,10 @@ class _ActiveSet:
         signs = Signs.of(problem, multipliers, start.active, start.slips)
         # contact alone balances no load that friction holds
         if not has_friction and not _counts(problem, signs.active)[0]:
-            pressing = rigid_start(problem)
-            if pressing is not None:
-                signs = replace(signs, active=pressing[rows] > 0.0)
-                multipliers = multipliers + pressing
+            pressing = problem.feasible[rows]
+            signs = replace(signs, active=pressing > 0.0)
+            multipliers = multipliers.copy()
+            multipliers[rows] += pressing
         return _ActiveSet(problem, turn, has_friction, signs, multipliers, problem.c, False)
 
     def step(self) -> _Step:

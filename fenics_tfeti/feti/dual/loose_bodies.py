@@ -28,9 +28,7 @@ import scipy.sparse as sp
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
-from fenics_tfeti.feti.dual.problem import DualProblem
-from fenics_tfeti.feti.tolerances import SURFACE
-from fenics_tfeti.qp import least_penetration
+from fenics_tfeti.qp import projected_newton
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # closing of a row, relative to its length, by a unit motion that does not move it
@@ -162,30 +160,6 @@ class LooseBodies:
         settled[np.abs(settled) <= self._rounding(np.abs(moved))] = 0.0
         return settled
 
-    def pressing(self, gap: Vector, load: Vector) -> Vector:
-        """Return the forces on the rows if bodies were rigid and the rows springs of stiffness 1.
-
-        Parameters
-        ----------
-        gap : (m,) array
-            Gaps of the contact rows.
-        load : (coarse,) array
-            Load of the bodies, which the rows can balance.
-
-        Returns
-        -------
-        (m,) array
-            Zero but for contact rows that press. Collective.
-        """
-        basis = self.coarse_space.bodies.basis
-        z = self.motion(gap, self.motions.T @ (basis.T @ load))
-        moved = self._moved_rows(z)
-        rows, forces = self.coarse_space.constraints.inequality, np.zeros_like(gap)
-        depth = (moved - gap)[rows]
-        touching = self._rounding(np.abs(moved[rows]))
-        forces[rows] = np.where(depth > touching, depth, 0.0)
-        return forces - self.held(forces)
-
     def _moved_rows(self, z: Vector) -> Vector:
         """Return what a motion does to the rows, bitwise the same on all their holders."""
         layout = self.coarse_space.constraints.layout
@@ -199,17 +173,17 @@ class LooseBodies:
     def motion(
         self, gap: Vector, load: Vector | None = None, stiffness: sp.csr_matrix | None = None
     ) -> Vector:
-        """Return the motion with the least penetration, see `least_penetration`. Collective."""
+        """Return the motion with the least penetration, see `projected_newton`. Collective."""
         coarse_space = self.coarse_space
         space, comm = coarse_space.constraints.layout.space, coarse_space.comm
-        return least_penetration(
+        return projected_newton(
             self.closing,
             gap[self.rows],
-            space.sum_over_ranks,
-            lambda part: sum_sparse(comm, part),
             basis=self.motions,
             load=load,
             stiffness=stiffness,
+            sum_vectors=space.sum_over_ranks,
+            sum_matrices=lambda part: sum_sparse(comm, part),
         )
 
 
@@ -278,35 +252,6 @@ class WeakBodies:
         z = self.bodies.motion(gradient, load, self.resistance)
         size = float(np.sqrt(z @ (self.resistance @ z)))
         return self.bodies._moved(gradient, z * (limit / size) if size > limit else z)
-
-
-def rigid_start(problem: DualProblem) -> Vector | None:
-    """Return the contact forces between rigid bodies with elastic surfaces. Collective.
-
-    Where contact holds bodies against the load, the elastic solution has about the same rows in
-    contact: between rigid rings the load is shared by as many rollers.
-
-    Parameters
-    ----------
-    problem : DualProblem
-        The dual problem.
-
-    Returns
-    -------
-    (m,) array or None
-        Multipliers, zero but for contact rows that press; None if the equality rows balance the
-        load.
-    """
-    none = np.zeros(problem.constraints.inequality.size, dtype=bool)
-    projector = Projector.build(problem.coarse_space, none)
-    loose = LooseBodies.on_face(projector)
-    if loose is None:
-        return None
-    load = projector.unresisted(problem.e, problem.e_size)
-    if not load.any():
-        return None
-    stiffness = SURFACE * problem.unit
-    return stiffness * loose.pressing(problem.c, load / stiffness)
 
 
 def _moving(motions: sp.csr_matrix) -> sp.csr_matrix:

@@ -44,7 +44,7 @@ class DualProblem:
     unit : float
         The stiffness that a weight of 1 stands for [N/m].
     feasible : (m,) array
-        lambda~ with G lambda~ = e, feasible on contact and tangential rows.
+        lambda~ with G lambda~ = e and feasible forces: those of rigid bodies.
     d_0 : (m,) array
         d - F lambda~, the d of (11.39).
     energy_norm : float

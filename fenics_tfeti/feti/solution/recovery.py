@@ -25,14 +25,11 @@ from fenics_tfeti.feti.constraints.coupling import Coupling
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.tolerances import FEW, MANY, ZERO, rounding
-from fenics_tfeti.parallel import concatenate_ranks
-from fenics_tfeti.qp import balls, least_distance, least_penetration
-from fenics_tfeti.typing import Mask, Numbers, Vector
+from fenics_tfeti.qp import balls, projected_newton
+from fenics_tfeti.typing import Mask, Vector
 
 # limit on the changes of the rows that determine the rigid motions
 _NEWTON_STEPS = 20
-# rounds in which the worst condition of each contact is added for loose bodies
-_CONDITIONS = 100
 # limit on the corrections of forces that turn
 _TURNS = 8
 
@@ -338,24 +335,31 @@ def _free_motions(active: Projector, gap: Vector, multipliers: Vector) -> Vector
     They penetrate nothing, and sites whose friction is at its bound slip along it: forces that
     balance there leave the place of a body to the slips that the deformation makes.
     """
-    closing, gaps, contact = _other_contacts(active, gap)
-    z = _smallest_without_penetration(active, closing, gaps, contact)
+    S, gaps = _other_contacts(active, gap)
+    comm, space = active.coarse_space.comm, active.coarse_space.constraints.layout.space
+
+    def smallest(S: sp.csr_matrix, gaps: Vector) -> Vector:
+        return projected_newton(
+            S,
+            gaps,
+            sum_vectors=space.sum_over_ranks,
+            sum_matrices=lambda part: sum_sparse(comm, part),
+        )
+
+    z = smallest(S, gaps)
     if not active.coarse_space.constraints.has_friction:
         return z
     backwards, slips = _slips_against_friction(active, -gap, multipliers)
-    S, left = sp.vstack([closing, backwards], format="csr"), np.append(gaps, slips)
-    comm, space = active.coarse_space.comm, active.coarse_space.constraints.layout.space
     against = comm.allreduce(float((backwards @ z - slips).max(initial=0.0)), MPI.MAX)
     largest = comm.allreduce(float(np.abs(slips).max(initial=0.0)), MPI.MAX)
     if against > ZERO * largest:
-        z = z + least_penetration(
-            S, left - S @ z, space.sum_over_ranks, lambda part: sum_sparse(comm, part)
-        )
+        S, left = sp.vstack([S, backwards], format="csr"), np.append(gaps, slips)
+        z = z + smallest(S, left - S @ z)
     return z
 
 
-def _other_contacts(active: Projector, gap: Vector) -> tuple[sp.csr_matrix, Vector, Numbers]:
-    """Return closing by the free motions, gaps and contacts of this rank's other contact rows."""
+def _other_contacts(active: Projector, gap: Vector) -> tuple[sp.csr_matrix, Vector]:
+    """Return closing by the free motions and gaps of this rank's other contact rows."""
     constraints = active.coarse_space.constraints
     owned = constraints.inequality[: constraints.owned_inequalities]
     inactive = np.flatnonzero(~active.rows[owned])
@@ -363,8 +367,7 @@ def _other_contacts(active: Projector, gap: Vector) -> tuple[sp.csr_matrix, Vect
     lengths = constraints.row_lengths[owned[inactive]]
     # rounding is no way to open a gap
     moved = np.abs(closing.toarray()).max(axis=1, initial=0.0) > rounding(lengths, MANY)
-    inactive = inactive[moved]
-    return closing[moved], gap[owned[inactive]], constraints.contact[inactive]
+    return closing[moved], gap[owned[inactive[moved]]]
 
 
 def _slips_against_friction(
@@ -384,37 +387,3 @@ def _slips_against_friction(
     rows = active.coarse_space.friction @ friction.combined(along, jump.size)[sites].T
     slips = np.sum(friction.at_sites(jump)[sites] * along[sites], axis=1)
     return (-(rows.T @ active.free)).tocsr(), slips
-
-
-def _smallest_without_penetration(
-    active: Projector, closing: sp.csr_matrix, gap: Vector, contact: Numbers
-) -> Vector:
-    """Return the smallest free motions, in the basis ``active.free``, that penetrate nothing.
-
-    Bodies that nothing presses together may part, but not overlap. Conditions are added as they are
-    violated: the worst one of each contact and rank at a time.
-    """
-    constraints, comm = active.coarse_space.constraints, active.coarse_space.comm
-    z = np.zeros(active.free.shape[1])
-    conditions, limits = np.zeros((0, z.size)), np.zeros(0)
-    negligible = ZERO * comm.allreduce(float((-gap).max(initial=0.0)), MPI.MAX)
-    for _ in range(_CONDITIONS):
-        excess = closing @ z - gap
-        order = np.lexsort((-excess, contact))
-        worst = order[np.unique(contact[order], return_index=True)[1]]
-        worst = worst[excess[worst] > negligible]
-        new = concatenate_ranks(comm, closing[worst].toarray())
-        if not len(new):
-            break
-        conditions = np.concatenate([conditions, new])
-        limits = np.concatenate([limits, concatenate_ranks(comm, gap[worst])])
-        z = least_distance(conditions, limits)
-    else:
-        # too many conditions to take them in one by one: from here all of them at once
-        z = z + least_penetration(
-            closing,
-            gap - closing @ z,
-            constraints.layout.space.sum_over_ranks,
-            lambda part: sum_sparse(comm, part),
-        )
-    return z

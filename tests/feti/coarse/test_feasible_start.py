@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from dense import DenseSystem
 from scipy.optimize import minimize
-from torn import column
+from torn import column, cube
 
 from fenics_tfeti import UnresistedMotion
-from fenics_tfeti.feti import ContactRows, TornSolver
-from fenics_tfeti.feti.coarse.feasible_start import least_norm_nonnegative
+from fenics_tfeti.feti import ContactRows, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.qp import least_norm
 
 
 @pytest.mark.parametrize("load", [(0, 0, -1.0), (0.3, -0.2, -2.0)])
@@ -48,12 +48,38 @@ def test_load_on_a_motion_that_nothing_resists():
         TornSolver(free)
 
 
+def test_start_of_rigid_bodies():
+    """A cube on four springs under an eccentric load, and one that stays open for its gap."""
+    block = cube(1, load=(0.0, 0.0, -1.0))
+    force = block.load.reshape(-1, 3)
+    lower = np.flatnonzero(block.coordinates[:, 2] == 0.0)
+    x, y = block.coordinates[:, 0], block.coordinates[:, 1]
+    force[:, 2] = -(0.65 - 0.3 * x) * (0.65 - 0.3 * y) / 2.0
+    side = np.concatenate([np.full(4, 0), np.full(4, 1)])
+    slides = Prescribed(np.tile(block.nodes[lower], 2), side, np.zeros(8))
+    down = np.tile([0.0, 0.0, -1.0], (4, 1))
+    for gap, expected in ((0.0, [0.4, 0.25, 0.25, 0.1]), (9.0, [0.3, 0.35, 0.35, 0.0])):
+        rows = ContactRows.node_to_node(
+            block.nodes[lower],
+            np.full(4, -1),
+            down,
+            np.array([0.0, 0.0, 0.0, gap]),
+            np.zeros(4, int),
+        )
+        solver = TornSolver(
+            TornSystem([dataclasses.replace(block, load=force.ravel())], slides, rows, 3)
+        )
+        constraints = solver.setup.constraints
+        forces = (solver.data.feasible * constraints.row_lengths)[constraints.inequality]
+        np.testing.assert_allclose(forces, expected, atol=1e-8)
+
+
 @pytest.mark.parametrize("seed", range(5))
-def test_least_norm_nonnegative_fulfils_its_conditions(seed):
+def test_least_norm_fulfils_its_conditions(seed):
     rng = np.random.default_rng(seed)
     C = rng.standard_normal((4, 30))
     d = C @ rng.random(30)
-    x, residual = least_norm_nonnegative(C, d)
+    x, residual = least_norm(C, d)
     np.testing.assert_allclose(C @ x, d, atol=1e-10)
     assert np.all(x >= 0) and np.linalg.norm(residual) < 1e-10
     other = minimize(
@@ -68,7 +94,7 @@ def test_least_norm_nonnegative_fulfils_its_conditions(seed):
     np.testing.assert_allclose(x, other.x, atol=1e-5)
 
 
-def test_least_norm_nonnegative_certifies_that_there_is_no_solution():
+def test_least_norm_certifies_that_there_is_no_solution():
     C, d = np.array([[1.0, 2.0], [0.0, 1.0]]), np.array([-1.0, 1.0])
-    _, residual = least_norm_nonnegative(C, d)
+    _, residual = least_norm(C, d)
     assert np.all(C.T @ residual <= 1e-12) and d @ residual > 0.1

@@ -9,13 +9,11 @@ from torn import column, cube
 from fenics_tfeti.feti import (
     ContactRows,
     Options,
-    Prescribed,
     TornSolver,
     TornSystem,
 )
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.active_set import _without_pulling_rows
-from fenics_tfeti.feti.dual.loose_bodies import rigid_start
 from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Signs, _settled
 
 pytestmark = pytest.mark.once
@@ -125,38 +123,6 @@ def test_rows_that_do_not_push_hold_no_body(force, holds):
     judged = _without_pulling_rows(problem, face, nothing)
     penetrated = (judged[rows] < 0.0) & (contact == 1) & ~active
     assert penetrated.any() == holds
-
-
-def test_start_of_rigid_bodies():
-    """A cube on four springs under an eccentric load, and one that stays open for its gap."""
-    block = cube(1, load=(0.0, 0.0, -1.0))
-    force = block.load.reshape(-1, 3)
-    lower = np.flatnonzero(block.coordinates[:, 2] == 0.0)
-    x, y = block.coordinates[:, 0], block.coordinates[:, 1]
-    force[:, 2] = -(0.65 - 0.3 * x) * (0.65 - 0.3 * y) / 2.0
-    side = np.concatenate([np.full(4, 0), np.full(4, 1)])
-    slides = Prescribed(np.tile(block.nodes[lower], 2), side, np.zeros(8))
-    down = np.tile([0.0, 0.0, -1.0], (4, 1))
-    for gap, expected in ((0.0, [0.4, 0.25, 0.25, 0.1]), (9.0, [0.3, 0.35, 0.35, 0.0])):
-        rows = ContactRows.node_to_node(
-            block.nodes[lower],
-            np.full(4, -1),
-            down,
-            np.array([0.0, 0.0, 0.0, gap]),
-            np.zeros(4, int),
-        )
-        solver = TornSolver(TornSystem([replace(block, load=force.ravel())], slides, rows, 3))
-        problem = solver.dual_problem()
-        found = rigid_start(problem)
-        assert found is not None
-        rows_of_b = problem.constraints.inequality
-        forces = (found * problem.constraints.row_lengths)[rows_of_b]
-        np.testing.assert_allclose(forces, expected, atol=1e-8)
-
-
-def test_bodies_that_supports_hold_start_without_forces():
-    system = column(n=2, contact=False)
-    assert rigid_start(TornSolver(system).dual_problem()) is None
 
 
 def test_faces_that_hold_all_bodies_have_none():

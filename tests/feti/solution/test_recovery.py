@@ -4,27 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from daqp import solve as daqp_solve
 from friction_problems import pushed_block
 from torn import column, cube
 
 from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver
-from fenics_tfeti.feti.solution.recovery import balance_multipliers, least_distance
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_least_distance_is_the_solution_of_a_quadratic_programme(seed):
-    rng = np.random.default_rng(seed)
-    A, inside = rng.standard_normal((12, 4)), rng.standard_normal(4)
-    b = A @ inside + rng.random(12)
-    lower = np.full(12, -1e30)
-    exact = daqp_solve(np.eye(4), np.zeros(4), A, b, lower, np.zeros(12, dtype=np.int32))[0]
-    np.testing.assert_allclose(least_distance(A, b), exact, atol=1e-8)
-
-
-def test_conditions_without_solution_leave_zero():
-    A = np.array([[1.0], [-1.0]])
-    assert least_distance(A, np.array([-1.0, -1.0])).tolist() == [0.0]
+from fenics_tfeti.feti.solution.recovery import balance_multipliers
 
 
 def two_blocks(overlap: float):

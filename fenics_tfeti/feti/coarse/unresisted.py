@@ -1,0 +1,122 @@
+"""Loads that no constraint balances: the motion they do work on, and the error that names it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from fenics_tfeti.errors import UnresistedMotion
+from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.resistance import sum_sparse
+from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.feti.tolerances import NO_WORK
+from fenics_tfeti.typing import Vector
+
+
+def check_load(
+    system: TornSystem, kernels: Sequence[Vector], projector: Projector, e: Vector
+) -> None:
+    """Check that the load does no work on the motions that no constraint resists.
+
+    Parameters
+    ----------
+    system : TornSystem
+        The subdomains.
+    kernels : sequence of arrays
+        R_i of this rank's subdomains.
+    projector : Projector
+        Of all constraints.
+    e : (coarse,) array
+        R'f.
+
+    Raises
+    ------
+    UnresistedMotion
+        Naming body and motion.
+    """
+    coarse_space = projector.coarse_space
+    for group in split_by_groups(system, coarse_space, projector.free_bodies, e):
+        if np.linalg.norm(group.work) > NO_WORK * group.force:
+            raise_unresisted(system, kernels, coarse_space, group.motions @ group.work)
+
+
+@dataclass(frozen=True)
+class LoadedGroup:
+    """Bodies that contacts connect, and their motions that some rows do not resist.
+
+    Attributes
+    ----------
+    motions : (modes * bodies, k) scipy.sparse.csc_matrix
+        Orthonormal z, see `BodyMotions`.
+    work : (k,) array
+        Work of the load on these motions [N].
+    force : float
+        Sum of the magnitudes of the nodal loads [N]: the work is at most this, but for rotations of
+        what reaches far.
+    """
+
+    motions: sp.csc_matrix
+    work: Vector
+    force: float
+
+
+def split_by_groups(
+    system: TornSystem, coarse_space: CoarseSpace, free: sp.csr_matrix, e: Vector
+) -> list[LoadedGroup]:
+    """Split unresisted motions by groups of bodies, each with a scale of forces of its own.
+
+    Collective.
+    """
+    comm, bodies = system.comm, coarse_space.bodies
+    modes, number = bodies.modes, len(bodies.supports)
+    force = np.zeros(number)
+    for subdomain in system.subdomains:
+        nodal = np.linalg.norm(subdomain.load.reshape(-1, system.gdim), axis=1)
+        force[subdomain.body] += nodal.sum()
+    force = comm.allreduce(force)
+    of_body = sp.kron(sp.identity(number), np.ones((modes, 1)), format="csr")
+    moved = abs(bodies.moved) @ of_body
+    group = connected_components(sum_sparse(comm, moved.T @ moved), directed=False)[1]
+    # bodies that move together are connected by the rows that hold them together
+    columns = free.tocsc()
+    group_of_motion = group[columns.indices[columns.indptr[:-1]] // modes]
+    work = bodies.basis.T @ e
+    found = []
+    for g in np.unique(group_of_motion):
+        motions = columns[:, np.flatnonzero(group_of_motion == g)]
+        found.append(LoadedGroup(motions, motions.T @ work, float(force[group == g].sum())))
+    return found
+
+
+def raise_unresisted(
+    system: TornSystem,
+    kernels: Sequence[Vector],
+    coarse_space: CoarseSpace,
+    z: Vector,
+    factor: float = np.inf,
+    friction: str = "",
+) -> None:
+    """Raise the error for a load that does work on the motion z of bodies. Collective.
+
+    `friction`, what limits it, times `factor` would balance the load.
+    """
+    own_motion = coarse_space.own_part(coarse_space.coarse_motions(z))
+    motions = describe_body_motion(system, kernels, own_motion)
+    if np.isfinite(factor):
+        raise UnresistedMotion(
+            "friction cannot hold the load, which slides " + "; ".join(motions) + ". It would take "
+            f"{factor:.4g} times the {friction}. Raise them, prescribe displacements that hold "
+            "the body, or reduce the load"
+        )
+    raise UnresistedMotion(
+        "the load does work on a rigid motion that no support and no contact resists (11.16): "
+        + "; ".join(motions)
+        + ". Prescribe displacements that hold the body, add the contact it should rest on, or "
+        "balance the load"
+    )
