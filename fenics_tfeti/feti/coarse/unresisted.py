@@ -15,7 +15,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.feti.tolerances import NO_WORK
+from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.typing import Vector
 
 
@@ -42,7 +42,7 @@ def check_load(
     """
     coarse_space = projector.coarse_space
     for group in split_by_groups(system, coarse_space, projector.free_bodies, e):
-        if np.linalg.norm(group.work) > NO_WORK * group.force:
+        if np.linalg.norm(group.work) > ZERO * group.force:
             raise_unresisted(system, kernels, coarse_space, group.motions @ group.work)
 
 
