@@ -99,7 +99,7 @@ class Iterate:
         """
         if self.on_face is None or self.method is Method.NEWTON:
             return self
-        return replace(self, on_face=None, active=self.on_face.signs.active)
+        return replace(self, on_face=None, active=self.on_face.contact_state.active)
 
 
 @dataclass(frozen=True)

@@ -105,8 +105,8 @@ def balance_multipliers(
     turns = 0
     while True:
         sticking = balls.inside(friction.at_sites(balanced), radius)
-        across = friction.across(balanced, sticking)
-        face = Projector.build(coarse_space, balanced[rows] > 0.0, sticking, across)
+        tangent = friction.across(balanced, sticking)
+        face = Projector.build(coarse_space, balanced[rows] > 0.0, sticking, tangent)
         corrected = balanced
         # the second time for what rounding leaves where contact rows resist much less than others
         for _ in range(2):
@@ -118,7 +118,7 @@ def balance_multipliers(
         sliding = sticking & ~balls.inside(friction.at_sites(limited), radius)
         left = np.count_nonzero(negative) + np.count_nonzero(sliding)
         if not space.sums(float(left))[0]:
-            if across is None or turns == _TURNS:
+            if tangent is None or turns == _TURNS:
                 return corrected, face
             missing = face.without_free_motions(e - coarse_space.restrict(corrected))
             if np.linalg.norm(missing) <= _BALANCED * np.linalg.norm(e):
