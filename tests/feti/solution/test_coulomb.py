@@ -33,9 +33,9 @@ def test_one_large_change_is_no_failure():
 def test_step_that_misses_its_tolerance_may_be_accurate_enough(monkeypatch):
     """Steps take finer tolerances than asked for, which rounding may not allow."""
 
-    def limited(setup, data, start, options, *others):
-        outcome = solve(setup, data, start, options, *others)
-        solved = outcome.converged and options.rtol > 1e-4
+    def limited(context, start):
+        outcome = solve(context, start)
+        solved = outcome.converged and context.options.rtol > 1e-4
         status = SolveStatus.SOLVED if solved else SolveStatus.AT_LIMIT
         return replace(outcome, status=status, reason="rounding")
 
