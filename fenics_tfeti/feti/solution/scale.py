@@ -98,10 +98,10 @@ def _energy_of_jumps(context: SolveContext, shortened: Mask, d: Vector) -> float
     """Return r'Mr of the jumps r = B u_t - c at lambda~ that have to be closed [J].
 
     These are the jumps on the face of lambda~, with slips where friction is below its bound, and on
-    other contact rows the penetrations. Rows with a shortened gap are expected to stay open, whatever
-    lambda~ is there.
     other contact rows the penetrations. Rows with a shortened gap are expected to stay open,
     whatever lambda~ is there.
+    """
+    setup, data = context.setup, context.data
     layout, rows = setup.constraints.layout, setup.constraints.inequality
     pressing = (data.feasible[rows] > 0.0) & ~shortened
     friction = setup.constraints.friction
