@@ -26,8 +26,8 @@ from fenics_tfeti.feti.dual.augmented import solve_by_smalbe
 from fenics_tfeti.feti.dual.iterate import Iterate, Method, SolveStatus, Turn
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.dual.proximal_newton import proximal_newton
-from fenics_tfeti.feti.solution.certificate import Certificate, PrimalProblem
-from fenics_tfeti.feti.solution.idle_bodies import without_idle_forces
+from fenics_tfeti.feti.solution.certificate import Certificate
+from fenics_tfeti.feti.solution.primal_problem import PrimalProblem
 from fenics_tfeti.feti.solution.progress import Progress, Stagnation
 from fenics_tfeti.feti.solution.recovery import (
     Recovered,
@@ -35,6 +35,7 @@ from fenics_tfeti.feti.solution.recovery import (
     forces_at_rest,
     recover_displacement,
 )
+from fenics_tfeti.feti.solution.row_bodies import without_unloaded_groups
 from fenics_tfeti.feti.solution.scale import (
     LANCZOS_STEPS,
     ROUGH_LANCZOS_STEPS,
@@ -135,7 +136,7 @@ def _iterate(loop: _Loop, start: Iterate | None) -> Outcome:
             return best.outcome(loop, candidate, iterate.status, tolerance)
         stagnation = progress.judge(iterate.method, certificate, tolerance)
         if stagnation is Stagnation.FINAL:
-            if certificate.with_idle_bodies().worst <= limit:
+            if certificate.with_nearly_unloaded_bodies().worst <= limit:
                 return Outcome(candidate, iterate, SolveStatus.SOLVED, "converged", tolerance)
             return best.outcome(loop, candidate, SolveStatus.AT_LIMIT, tolerance)
         if stagnation is Stagnation.OF_SMALBE:
@@ -213,20 +214,9 @@ class _Loop:
     @staticmethod
     def begin(context: SolveContext, shortened: Mask, feasible: FeasibleState) -> _Loop:
         """Compute d_0 and the scale."""
-        setup, data = context.setup, context.data
-        primal = PrimalProblem(
-            setup.local.stiffness,
-            data.load,
-            data.c,
-            np.broadcast_to(data.removed, data.c.shape),
-            setup.F,
-            setup.row_bodies,
-            context.body_names,
-            setup.local.unit,
-            data.radius,
-        )
+        primal = PrimalProblem(context.setup, context.data, context.body_names)
         scale = EnergyScale.of(context, feasible, shortened)
-        return _Loop(context, primal, feasible.jumps - data.c, scale)
+        return _Loop(context, primal, feasible.jumps - context.data.c, scale)
 
     def at_rest(self, multipliers: Vector) -> Outcome:
         """Return u = o, with multipliers that balance the load."""
@@ -322,7 +312,7 @@ class _Loop:
             coarse_space = setup.projector.coarse_space
             multipliers, face = balance_multipliers(coarse_space, data.e, multipliers, data.radius)
             # F makes jumps of what the balance has added, large ones in the deflated directions
-            multipliers = without_idle_forces(
+            multipliers = without_unloaded_groups(
                 constraints, setup.row_bodies, data.load, data.c, self._completed(multipliers)
             )
             recovered = recover_displacement(

@@ -37,8 +37,8 @@ from fenics_tfeti.feti.local.elastic_supports import set_free
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 from fenics_tfeti.feti.local.symmetry import SymmetryGroup, find_symmetries
 from fenics_tfeti.feti.options import Options
-from fenics_tfeti.feti.solution.certificate import RowBodies
 from fenics_tfeti.feti.solution.monitor import Monitor
+from fenics_tfeti.feti.solution.row_bodies import RowBodies
 from fenics_tfeti.feti.solution.states import ContactData
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.timer import Timer
