@@ -127,7 +127,7 @@ class ActiveSetStep:
 
 @dataclass(frozen=True)
 class Turn:
-    """What a method may spend in its turn, and whom it tells.
+    """Tolerance and limits of a method in its turn.
 
     Attributes
     ----------

@@ -71,7 +71,7 @@ class GroupError:
 
     @property
     def scale(self) -> float:
-        """What the error is relative to: the energy norm [sqrt(J)]."""
+        """Scale of the error: the energy norm [sqrt(J)]."""
         return self.energy_norm
 
 

@@ -29,22 +29,16 @@ from fenics_tfeti.feti.tolerances import ROUNDING
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Vector
 
-# tolerance of the first solution, and of later ones relative to the last change of the bounds
-_FIRST_RTOL, _INEXACT = 1e-2, 0.05
-# the smallest tolerance of a solution, relative to the one asked for, and where that is small
-_FINER, _FINEST = 0.1, 1e-9
-# change below this part of the tolerance: nothing was iterated
-_NOTHING = 1e-3
+# tolerance of the first solution; of later ones relative to the last change of the bounds; the
+# smallest one relative to the one asked for
+_FIRST_RTOL, _INEXACT, _FINEST = 1e-2, 0.05, 0.1
 # the fixed point does not contract if so many steps reduce its changes by less than the ratio each
 _STEPS, _RATIO = 15, 0.9
-# limits on the steps, and on halvings of one whose bounds could not hold the load
-_MAX_STEPS, _MAX_HALVINGS = 100, 30
-# growth of the changes above which the last one was small by chance
-_SUDDEN = 3.0
+_MAX_STEPS = 100
 # normal forces for the first bounds, relative to those of a feasible start at its limit
 _AMPLE = 2.0
-# lengths of a step of the fixed point
-_SHORTEST, _LONG, _LONGEST = 0.1, 3.0, 10.0
+# the longest step of the fixed point; the shortest is its inverse
+_LONGEST = 10.0
 
 
 def iterate_slip_bounds(
@@ -109,8 +103,6 @@ class _FixedPoint:
         Its tolerance.
     changes : list of float
         The errors of the steps so far.
-    steps : int
-        Their number.
     residual : (k,) array or None
         Change of the bounds that the last step asked for.
     length : float
@@ -122,7 +114,6 @@ class _FixedPoint:
     iterate: Iterate | None
     rtol: float
     changes: list[float] = field(default_factory=list)
-    steps: int = 0
     residual: Vector | None = None
     length: float = 1.0
 
@@ -153,13 +144,8 @@ class _FixedPoint:
         outcome = iterate_until_certified(inner, self.iterate)
         radius = self._bounds(outcome.candidate.multipliers)
         change = self._error(outcome.candidate, radius)
-        self.steps += 1
-        if change <= _NOTHING * self.rtol:
-            # a solution that is the last one says nothing about the map
-            self.changes.clear()
-        ratio = change / self.changes[-1] if self.changes else None
-        if change > _NOTHING * self.rtol:
-            self.changes.append(change)
+        ratio = change / self.changes[-1] if self.changes and self.changes[-1] > 0.0 else None
+        self.changes.append(change)
         context.monitor.tell(SlipBoundStep(products.total - before, change, ratio, self.rtol))
         return _Step(outcome, radius, change)
 
@@ -177,7 +163,7 @@ class _FixedPoint:
         reason = _failure(self.changes)
         if reason:
             return SolveStatus.STALLED, reason
-        if self.steps == _MAX_STEPS:
+        if len(self.changes) == _MAX_STEPS:
             return SolveStatus.OUT_OF_STEPS, f"limit of {_MAX_STEPS} steps of Coulomb's law"
         return None
 
@@ -190,7 +176,7 @@ class _FixedPoint:
         residual = scale * (step.radius - data.radius)
         self.length, self.residual = self._aitken_length(residual), residual
         part, halved = self.length, False
-        for _ in range(_MAX_HALVINGS):
+        while part > ROUNDING:
             bounds = np.maximum(data.radius + part * residual / scale, 0.0)
             # no parts of bounds where nothing presses any more: they would have large curvatures
             held = self._hold(np.where(step.radius > 0.0, bounds, 0.0))
@@ -203,28 +189,21 @@ class _FixedPoint:
             return SolveStatus.STALLED, reason
         self.iterate = self._moved(step.outcome)
         rtol = self.context.options.rtol
-        finest = max(_FINER * rtol, min(rtol, _FINEST))
+        finest = max(_FINEST * rtol, min(rtol, ROUNDING))
         least = rtol if step.change <= rtol else finest
         self.rtol = max(least, min(self.rtol, _INEXACT * step.change))
         return None
 
     def _aitken_length(self, residual: Vector) -> float:
-        """Return the length of a step by Aitken's method for vectors (Irons, Tuck 1969).
-
-        Collective.
-        """
-        length, longest = self.length, min(max(_LONG, 2.0 * self.length), _LONGEST)
-        if self.residual is not None:
-            turn = residual - self.residual
-            turn2 = self._dot(turn, turn)
-            if turn2 > 0.0:
-                length *= -self._dot(self.residual, turn) / turn2
-            if length <= 0.0:
-                # bounds that grow more and more: the sooner the better where all sticks in the end
-                last2 = self._dot(self.residual, self.residual)
-                sudden = self._dot(residual, residual) > _SUDDEN**2 * last2
-                length = longest = 1.0 if sudden else _LONGEST
-        return min(max(length, _SHORTEST), longest)
+        """Return the length of a step by Aitken's method (Irons, Tuck 1969). Collective."""
+        if self.residual is None:
+            return self.length
+        turn = residual - self.residual
+        length, turn2 = self.length, self._dot(turn, turn)
+        if turn2 > 0.0:
+            length *= -self._dot(self.residual, turn) / turn2
+        # bounds that grow more and more: the sooner the better where all sticks in the end
+        return min(max(length, 1.0 / _LONGEST), _LONGEST) if length > 0.0 else _LONGEST
 
     def _hold(self, radius: Vector) -> bool:
         """Take bounds for the next step if they can hold the load. Collective."""
@@ -243,25 +222,19 @@ class _FixedPoint:
         return self.context.data.bound.at(pressing)
 
     def _moved(self, outcome: Outcome) -> Iterate:
-        """Return an iterate with the forces of sites that slip at their new bounds.
-
-        Where they had no bound, their slips give the directions.
-        """
+        """Return an iterate with the forces of sites that slip at their new bounds."""
         friction, slips = self.context.setup.constraints.friction, outcome.candidate.slips
         radius, before = self.context.data.radius, outcome.candidate.radius
         multipliers = outcome.iterate.multipliers
         forces = friction.at_sites(multipliers)
         forces = balls.on_boundary(forces, radius, ~balls.inside(forces, before))
+        # without a bound before, slips give the directions
         starting = (before == 0.0) & slips.any(axis=1)
         forces = np.where(starting[:, None], balls.on_boundary(slips, radius, starting), forces)
         return Iterate(friction.with_sites(multipliers, forces), slips=slips)
 
     def _error(self, candidate: Candidate, radius: Vector) -> float:
-        """Return how much forces violate the law with these bounds, relative to the bounds.
-
-        Where something slips that is the difference between force and bound, elsewhere the excess
-        over the bound.
-        """
+        """Return the excess of forces over bounds, the difference at slips, relative to bounds."""
         friction = self.context.setup.constraints.friction
         force = np.linalg.norm(friction.at_sites(candidate.multipliers), axis=1)
         excess = force - radius
@@ -282,7 +255,10 @@ class _FixedPoint:
 def _failure(changes: Sequence[float]) -> str:
     """Return why the fixed point is given up; nothing if it goes on."""
     last = len(changes) - 1
-    if last >= _STEPS and changes[last] > _RATIO**_STEPS * changes[last - _STEPS] > 0.0:
+    # changes that are rounding, as of a solution that is the last one, say nothing about the map
+    if last < _STEPS or changes[last - _STEPS] <= ROUNDING:
+        return ""
+    if changes[last] > _RATIO**_STEPS * changes[last - _STEPS]:
         ratio = (changes[last] / changes[last - _STEPS]) ** (1.0 / _STEPS)
         return (
             f"the slip bounds of Coulomb's law do not converge: their changes are reduced by a "

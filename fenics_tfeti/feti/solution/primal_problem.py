@@ -42,7 +42,7 @@ class _Sums:
 
 @dataclass(frozen=True)
 class _BodyMeasures:
-    """What errors of each body are, and what they are relative to."""
+    """Errors of each body, and their scales."""
 
     error2: Vector  # ||u - u_t||_K^2 [J]; infinite where G lambda = e does not hold
     strain2: Vector  # ||u_t||_K^2 [J]

@@ -55,7 +55,7 @@ class FeasibleState:
 
 @dataclass(frozen=True)
 class EnergyScale:
-    """What errors of displacements are compared with.
+    """Scale of the errors of displacements.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Set-up of Total FETI: what depends on K alone, and what depends on K and B.
+"""Set-up of Total FETI: the part that depends on K alone, and the part for K and B.
 
 Both are built once and reused as long as K, or K and B, stay the same.
 """
@@ -48,7 +48,7 @@ from fenics_tfeti.typing import Vector
 
 @dataclass(frozen=True)
 class LocalSetup:
-    """What depends on the stiffness matrices alone.
+    """Set-up that depends on the stiffness matrices alone.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ def _symmetries(
 
 @dataclass(frozen=True)
 class DualSetup:
-    """What depends on the stiffness matrices and the rows of B.
+    """Set-up that depends on the stiffness matrices and the rows of B.
 
     Attributes
     ----------
