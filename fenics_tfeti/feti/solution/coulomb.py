@@ -29,9 +29,8 @@ from fenics_tfeti.feti.tolerances import ROUNDING
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Vector
 
-# tolerance of the first solution; of later ones relative to the last change of the bounds; the
-# smallest one relative to the one asked for
-_FIRST_RTOL, _INEXACT, _FINEST = 1e-2, 0.05, 0.1
+# tolerance of the first solution, and of later ones relative to the last change of the bounds
+_FIRST_RTOL, _INEXACT = 1e-2, 0.05
 # the fixed point does not contract if so many steps reduce its changes by less than the ratio each
 _STEPS, _RATIO = 15, 0.9
 _MAX_STEPS = 100
@@ -152,10 +151,6 @@ class _FixedPoint:
     def judge(self, step: _Step) -> tuple[SolveStatus, str] | None:
         """Return how the fixed point ends with a step; None if it goes on."""
         rtol, outcome = self.context.options.rtol, step.outcome
-        worst = max(outcome.candidate.certificate.worst, step.change)
-        if not outcome.converged and worst <= max(rtol, ROUNDING):
-            # rounding is larger than the tolerance of the step, which is finer
-            return SolveStatus.SOLVED, "converged"
         if not outcome.converged or max(step.change, self.rtol) <= rtol:
             return outcome.status, outcome.reason
         if interruption.agreed():
@@ -188,10 +183,7 @@ class _FixedPoint:
             reason = "no slip bounds near those of the last step can hold the load"
             return SolveStatus.STALLED, reason
         self.iterate = self._moved(step.outcome)
-        rtol = self.context.options.rtol
-        finest = max(_FINEST * rtol, min(rtol, ROUNDING))
-        least = rtol if step.change <= rtol else finest
-        self.rtol = max(least, min(self.rtol, _INEXACT * step.change))
+        self.rtol = max(self.context.options.rtol, min(self.rtol, _INEXACT * step.change))
         return None
 
     def _aitken_length(self, residual: Vector) -> float:
