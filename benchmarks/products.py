@@ -37,7 +37,7 @@ from dolfinx import fem
 from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle
 from fenics_tfeti.feti import Options, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.dual.pcpg import Face, Signs, pcpg
+from fenics_tfeti.feti.dual.pcpg import ContactState, Face, pcpg
 from fenics_tfeti.io import TaggedMesh, displacement_space, read_msh
 from fenics_tfeti.qp import Products
 
@@ -153,7 +153,7 @@ def linear_products(solver: TornSolver, multipliers: np.ndarray, rtol: float) ->
     limit, start = solver.options.max_products, np.zeros_like(multipliers)
     pcpg(
         problem,
-        Face.build(problem, Signs.of(problem, multipliers), projector),
+        Face.build(problem, ContactState.of(problem, multipliers), projector),
         start,
         tolerance=tolerance,
         sign_factor=0.0,

@@ -37,6 +37,7 @@ from fenics_tfeti.feti.solution.scale import LANCZOS_STEPS, EnergyScale, Feasibl
 from fenics_tfeti.feti.solution.setup import (
     DualSetup,
     LocalSetup,
+    SolveContext,
     build_projector,
     choose_factor,
     dual_problem,
@@ -288,8 +289,10 @@ class TornSolver:
         """
         setup, data = self.setup.without_deflation(), self.data
         feasible = FeasibleState.of(setup, data)
-        far = np.zeros(setup.constraints.inequality.size, dtype=bool)
-        scale = EnergyScale.of(setup, data, feasible, far, self.timer, History())
+        shortened = np.zeros(setup.constraints.inequality.size, dtype=bool)
+        monitor = Monitor(History(), self.system.comm)
+        context = SolveContext(setup, data, self.options, self.timer, monitor)
+        scale = EnergyScale.of(context, feasible, shortened)
         loads = setup.load(data), feasible.jumps - data.c
         return dual_problem(setup, data, loads, setup.norm(LANCZOS_STEPS), scale.energy_norm)
 
@@ -338,27 +341,12 @@ class TornSolver:
             return self._solve(Monitor(history, self.system.comm, monitor, self.options.monitor))
 
     def _solve(self, monitor: Monitor) -> TornSolution:
-        outcome = iterate_slip_bounds(
-            self.setup,
-            self.data,
-            self._start,
-            self.options,
-            self.timer,
-            monitor,
-            self.system.body_names,
-            self._balance,
+        context = SolveContext(
+            self.setup, self.data, self.options, self.timer, monitor, self.system.body_names
         )
+        outcome = iterate_slip_bounds(context, self._start, self._balance)
         self._start = outcome.start
-        report = build_report(
-            self.system,
-            self.setup,
-            self.data,
-            outcome,
-            monitor.history,
-            self.options,
-            self.timer,
-            self.reused,
-        )
+        report = build_report(self.system, context, outcome, self.reused)
         solution = self._solution(outcome, report)
         try:
             interruption.check(self.system.comm)

@@ -91,9 +91,9 @@ CERTIFIED = 1e-9
 # energy norm of a body, relative to that of its group, below which the body hardly deforms: its
 # error need not be smaller than the tolerance times this part of the group's energy norm
 HARDLY_DEFORMED = 1e-3
-# energy norm of a body or a group, relative to that of all, below which it is nearly idle: where
-# rounding ends the iterations its error may be as large as if it had this part
-NEARLY_IDLE = 1e-6
+# energy norm of a body or a group, relative to that of all, below which it is nearly unloaded:
+# where rounding ends the iterations its error may be as large as if it had this part
+NEARLY_UNLOADED = 1e-6
 # energy norm, in units of what rounding leaves of forces and displacements, that counts as none.
 # At twice it a problem takes 26 products instead of 53
 UNDEFORMED = 1e5

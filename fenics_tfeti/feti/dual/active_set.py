@@ -24,7 +24,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.dependent_rows import closable
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep, Iterate, Method, SolveStatus, Turn
 from fenics_tfeti.feti.dual.loose_bodies import LooseBodies
-from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Signs, friction_step, pcpg
+from fenics_tfeti.feti.dual.pcpg import ContactState, Face, PCPGIterate, friction_step, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.qp import balls
@@ -85,7 +85,7 @@ class _Step:
     iterate : PCPGIterate
         The solution on it, to some accuracy.
     gradient : (m,) array
-        Its gradient in the position in which signs are judged.
+        Its gradient in the position of loose bodies in which signs are tested.
     active, sticking : bool arrays
         Which rows and sites would be on the face by these signs.
     forces : (k, gdim - 1) array
@@ -113,7 +113,7 @@ class _ActiveSet:
         As given.
     has_friction : bool
         Whether some site has a bound.
-    signs : Signs
+    contact_state : ContactState
         The next face.
     iterate : (m,) array or PCPGIterate
         Where it starts.
@@ -132,7 +132,7 @@ class _ActiveSet:
     problem: DualProblem
     turn: Turn
     has_friction: bool
-    signs: Signs
+    contact_state: ContactState
     iterate: Vector | PCPGIterate
     gradient: Vector
     resumes: bool
@@ -147,23 +147,25 @@ class _ActiveSet:
         none = np.zeros(rows.size, dtype=bool)
         has_friction = bool(_counts(problem, none, sites=problem.radius > 0.0)[-1])
         if start.on_face is not None:
-            signs = start.on_face.signs
-            return _ActiveSet(problem, turn, has_friction, signs, start.on_face, problem.c, True)
+            contact_state = start.on_face.contact_state
+            return _ActiveSet(
+                problem, turn, has_friction, contact_state, start.on_face, problem.c, True
+            )
         multipliers = start.multipliers
-        signs = Signs.of(problem, multipliers, start.active, start.slips)
+        contact_state = ContactState.of(problem, multipliers, start.active, start.slips)
         # contact alone balances no load that friction holds
-        if not has_friction and not _counts(problem, signs.active)[0]:
+        if not has_friction and not _counts(problem, contact_state.active)[0]:
             pressing = problem.feasible[rows]
-            signs = replace(signs, active=pressing > 0.0)
+            contact_state = replace(contact_state, active=pressing > 0.0)
             multipliers = multipliers.copy()
             multipliers[rows] += pressing
-        return _ActiveSet(problem, turn, has_friction, signs, multipliers, problem.c, False)
+        return _ActiveSet(problem, turn, has_friction, contact_state, multipliers, problem.c, False)
 
     def step(self) -> _Step:
         """Solve on the face, and find the signs of forces and gaps."""
         problem, turn = self.problem, self.turn
         rows = problem.constraints.inequality
-        face = close_first_gaps(problem, self.signs, self.gradient)
+        face = close_first_gaps(problem, self.contact_state, self.gradient)
         iterate = pcpg(
             problem,
             face,
@@ -174,13 +176,16 @@ class _ActiveSet:
             products=turn.products,
             resume=self.resumes,
         )
-        gradient = _without_pulling_rows(problem, face, iterate)
+        gradient = _without_tensile_rows(problem, face, iterate)
         active = iterate.multipliers[rows] > gradient[rows] / problem.norm
         forces = friction_step(problem, face, iterate.multipliers, gradient)
         sticking = balls.inside(forces, problem.radius)
-        signs = face.signs
+        contact_state = face.contact_state
         changed, size, moved = _counts(
-            problem, active != signs.active, signs.active, sites=sticking != signs.sticking
+            problem,
+            active != contact_state.active,
+            contact_state.active,
+            sites=sticking != contact_state.sticking,
         )
         changed += moved
         turn.monitor(ActiveSetStep(turn.products.total, iterate.residual, size, changed))
@@ -202,7 +207,7 @@ class _ActiveSet:
         if (
             solved
             and not self.repeated
-            and closable(problem, step.face.signs, iterate.multipliers) is None
+            and closable(problem, step.face.contact_state, iterate.multipliers) is None
         ):
             return SolveStatus.SOLVED
         self.progress.update(iterate.violation)
@@ -223,16 +228,20 @@ class _ActiveSet:
         problem, face, iterate, gradient = self.problem, step.face, step.iterate, step.gradient
         exact = iterate.energy <= self.turn.tolerance
         if exact:
-            self.exact_sets.append(face.signs.active)
+            self.exact_sets.append(face.contact_state.active)
         forces = problem.constraints.friction.spread(step.forces, gradient.size)
-        signs = _signs(problem, step.active, step.sticking, forces, gradient)
-        closed = closable(problem, signs, iterate.multipliers)
+        contact_state = _contact_state(problem, step.active, step.sticking, forces, gradient)
+        closed = closable(problem, contact_state, iterate.multipliers)
         if closed is not None:
-            signs = _signs(problem, closed.active, closed.sticking, closed.forces, gradient)
+            contact_state = _contact_state(
+                problem, closed.active, closed.sticking, closed.forces, gradient
+            )
         # a face that is solved exactly makes no more progress: its directions have to change
         rotates = self.has_friction and (exact or _turned(problem, face, iterate, step.forces))
         self.resumes = step.changed == 0 and closed is None and not rotates
-        self.signs = replace(face.signs, active=step.active) if self.resumes else signs
+        self.contact_state = (
+            replace(face.contact_state, active=step.active) if self.resumes else contact_state
+        )
         self.iterate, self.gradient = iterate, gradient
 
 
@@ -244,7 +253,7 @@ class _Progress:
     ----------
     sign_factor : float
         Accuracy of the faces relative to the violation; halved where the violation does not
-        decrease, since signs may have been judged by inaccurate solutions.
+        decrease, since signs may have been those of inaccurate solutions.
     """
 
     sign_factor: float = 1.0
@@ -264,23 +273,27 @@ class _Progress:
         return self.failures > _FAILURES
 
 
-def _without_pulling_rows(problem: DualProblem, face: Face, iterate: PCPGIterate) -> Vector:
+def _without_tensile_rows(problem: DualProblem, face: Face, iterate: PCPGIterate) -> Vector:
     """Return the gradient after the motion with the least penetration of what pushes do not hold.
 
     Rows that pull will leave the set. The position of a body that only they hold is no more known
     than that of a loose one.
     """
-    constraints, active = problem.constraints, face.signs.active
+    constraints, active = problem.constraints, face.contact_state.active
     forces = iterate.multipliers[constraints.inequality]
     largest = float(constraints.layout.comm.allreduce(forces.max(initial=0.0), MPI.MAX))
-    pushing = active & (forces > _NO_FORCE * largest)
+    compressive = active & (forces > _NO_FORCE * largest)
     everywhere = np.ones(constraints.friction.size, dtype=bool)
-    pulling, sites = _counts(problem, active & ~pushing, sites=everywhere)
-    if sites or not pulling:
-        return iterate.judged
-    rows = constraints.face(pushing, np.zeros(0, dtype=bool))
+    tensile, sites = _counts(problem, active & ~compressive, sites=everywhere)
+    if sites or not tensile:
+        return iterate.sign_test_gradient
+    rows = constraints.face(compressive, np.zeros(0, dtype=bool))
     loose = LooseBodies.without(problem.coarse_space, rows)
-    return iterate.judged if loose is None else loose.settled(iterate.judged)
+    return (
+        iterate.sign_test_gradient
+        if loose is None
+        else loose.at_least_penetration(iterate.sign_test_gradient)
+    )
 
 
 def _counts(problem: DualProblem, *masks: Mask, sites: Mask | None = None) -> list[int]:
@@ -301,7 +314,7 @@ def unused_friction(problem: DualProblem, face: Face, iterate: PCPGIterate) -> f
     friction = problem.constraints.friction
     along = balls.directions(friction.at_sites(iterate.multipliers))
     unused = problem.radius * balls.misalignment(-friction.at_sites(iterate.gradient), along)
-    counted = ~face.signs.sticking & friction.owned(problem.constraints.layout.owned)
+    counted = ~face.contact_state.sticking & friction.owned(problem.constraints.layout.owned)
     return float(np.sqrt(2.0 * max(problem.space.sums(float(unused @ counted))[0], 0.0)))
 
 
@@ -309,12 +322,14 @@ def _turned(problem: DualProblem, face: Face, iterate: PCPGIterate, forces: Vect
     """Tell whether the forces of slips change by more than the residual on the face. Collective."""
     friction = problem.constraints.friction
     change = np.zeros_like(iterate.gradient)
-    slipping = friction.present & ~face.signs.sticking[:, None]
-    change[friction.rows[slipping]] = (forces - friction.at_sites(face.signs.forces))[slipping]
+    slipping = friction.present & ~face.contact_state.sticking[:, None]
+    change[friction.rows[slipping]] = (forces - friction.at_sites(face.contact_state.forces))[
+        slipping
+    ]
     return problem.norm * problem.space.norm(change) > iterate.residual
 
 
-def close_first_gaps(problem: DualProblem, signs: Signs, gradient: Vector) -> Face:
+def close_first_gaps(problem: DualProblem, contact_state: ContactState, gradient: Vector) -> Face:
     """Return the face of a set, with the rows added that bodies close when the load moves them.
 
     Where the load does work on motions that the rows leave free, the bodies move until the first
@@ -325,7 +340,7 @@ def close_first_gaps(problem: DualProblem, signs: Signs, gradient: Vector) -> Fa
     ----------
     problem : DualProblem
         The dual problem.
-    signs : Signs
+    contact_state : ContactState
         The set.
     gradient : (m,) array
         On contact rows the gap, scaled as the row; negative gaps count as closed. On tangential
@@ -338,45 +353,45 @@ def close_first_gaps(problem: DualProblem, signs: Signs, gradient: Vector) -> Fa
     """
     coarse_space, friction = problem.coarse_space, problem.constraints.friction
     gap = np.maximum(gradient[problem.constraints.inequality], 0.0)
-    along = balls.directions(friction.at_sites(signs.forces))
+    along = balls.directions(friction.at_sites(contact_state.forces))
     slip = np.maximum(np.sum(-friction.at_sites(gradient) * along, axis=1), 0.0)
-    active, sticking = signs.active, signs.sticking
+    active, sticking = contact_state.active, contact_state.sticking
     while True:
-        across = friction.across(signs.forces, sticking)
-        projector = Projector.build(coarse_space, active, sticking, across)
-        signs = replace(signs, active=active, sticking=sticking)
-        work = projector.unresisted(_load(problem, signs), problem.e_size)
+        tangent = friction.across(contact_state.forces, sticking)
+        projector = Projector.build(coarse_space, active, sticking, tangent)
+        contact_state = replace(contact_state, active=active, sticking=sticking)
+        work = projector.unresisted(_load(problem, contact_state), problem.e_size)
         if not work.any():
-            return Face.build(problem, signs, projector)
+            return Face.build(problem, contact_state, projector)
         speed = coarse_space.contact.T @ work
         closing = ~active & (speed > ZERO * np.linalg.norm(work))
-        way = np.divide(gap, speed, out=np.full(gap.size, np.inf), where=closing)
+        step = np.divide(gap, speed, out=np.full(gap.size, np.inf), where=closing)
         back = -np.sum(friction.at_sites(coarse_space.friction.T @ work) * along, axis=1)
         returning = ~sticking & (back > ZERO * np.linalg.norm(work))
-        way_back = np.divide(slip, back, out=np.full(slip.size, np.inf), where=returning)
-        nearest = min(way.min(initial=np.inf), way_back.min(initial=np.inf))
+        step_back = np.divide(slip, back, out=np.full(slip.size, np.inf), where=returning)
+        nearest = min(step.min(initial=np.inf), step_back.min(initial=np.inf))
         first = problem.space.dots_and_min(value=float(nearest))[0]
         if not np.isfinite(first):
-            return Face.build(problem, signs, projector)
+            return Face.build(problem, contact_state, projector)
         # rows that close at once, up to rounding, join together
-        active = active | (way <= first * (1.0 + ZERO))
-        sticking = sticking | (way_back <= first * (1.0 + ZERO))
+        active = active | (step <= first * (1.0 + ZERO))
+        sticking = sticking | (step_back <= first * (1.0 + ZERO))
         gap = np.where(active, 0.0, np.maximum(gap - first * speed, 0.0))
         slip = np.maximum(slip - first * back, 0.0)
 
 
-def _signs(
+def _contact_state(
     problem: DualProblem, active: Mask, sticking: Mask, forces: Vector, gradient: Vector
-) -> Signs:
+) -> ContactState:
     """Return a set with the curvature that the slips of a gradient have along the forces."""
     friction = problem.constraints.friction
     slips = -friction.at_sites(gradient)
     curvature = balls.curvature(friction.at_sites(forces), slips, problem.radius)
-    return Signs(active, sticking, forces, curvature)
+    return ContactState(active, sticking, forces, curvature)
 
 
-def _load(problem: DualProblem, signs: Signs) -> Vector:
+def _load(problem: DualProblem, contact_state: ContactState) -> Vector:
     """Return e without what the forces of slips carry."""
-    fixed = problem.constraints.friction.off_face(signs.sticking, signs.forces)
+    fixed = problem.constraints.friction.off_face(contact_state.sticking, contact_state.forces)
     carried = problem.space.sums(float(np.count_nonzero(fixed)))[0]
     return problem.e - problem.coarse_space.restrict(fixed) if carried else problem.e

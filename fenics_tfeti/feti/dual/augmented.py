@@ -16,7 +16,7 @@ import numpy as np
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.iterate import Iterate, Method, SolveStatus, Turn
-from fenics_tfeti.feti.dual.pcpg import Face, Signs, first_iterate
+from fenics_tfeti.feti.dual.pcpg import ContactState, Face, first_iterate
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.qp import (
     ProportioningOptions,
@@ -98,9 +98,11 @@ def _first_state(problem: DualProblem, start: Iterate, turn: Turn) -> SMALBEStat
         return start.smalbe
     x, on_face = start.multipliers - problem.feasible, start.on_face
     if on_face is None and problem.space.norm(start.multipliers) > 0.0:
-        signs = Signs.of(problem, start.multipliers, start.active)
-        projector = Projector.build(problem.coarse_space, signs.active, signs.sticking)
-        face = Face.build(problem, signs, projector)
+        contact_state = ContactState.of(problem, start.multipliers, start.active)
+        projector = Projector.build(
+            problem.coarse_space, contact_state.active, contact_state.sticking
+        )
+        face = Face.build(problem, contact_state, projector)
         on_face = first_iterate(problem, face, start.multipliers, turn.products)
     q = np.zeros_like(x) if on_face is None else problem.projector.Q(on_face.gradient)
     return SMALBEState(x, q)

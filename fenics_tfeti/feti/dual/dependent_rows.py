@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from fenics_tfeti.feti.constraints.coupling import Coupling, null_space
-from fenics_tfeti.feti.dual.pcpg import Signs
+from fenics_tfeti.feti.dual.pcpg import ContactState
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -22,21 +22,23 @@ from fenics_tfeti.typing import Numbers, Vector
 _CONSISTENT = 1e-9
 
 
-def closable(problem: DualProblem, signs: Signs, multipliers: Vector) -> Signs | None:
+def closable(
+    problem: DualProblem, contact_state: ContactState, multipliers: Vector
+) -> ContactState | None:
     """Return a set without the rows and sites that cannot be closed together with the others.
 
     Parameters
     ----------
     problem : DualProblem
         The dual problem.
-    signs : Signs
+    contact_state : ContactState
         The set, with the friction forces of all sites.
     multipliers : (m,) array
         lambda of the contact rows; negative forces count as zero.
 
     Returns
     -------
-    Signs or None
+    ContactState or None
         A subset, with forces of sites that slip now at their bound; None if all of the set can be
         closed. Collective.
     """
@@ -45,14 +47,14 @@ def closable(problem: DualProblem, signs: Signs, multipliers: Vector) -> Signs |
         return None
     friction, size = constraints.friction, multipliers.size
     forces = np.maximum(multipliers, 0.0)
-    forces[friction.flat] = signs.forces[friction.flat]
+    forces[friction.flat] = contact_state.forces[friction.flat]
     of_site = (
         friction.numbers(constraints.layout),
         np.linalg.norm(friction.at_sites(forces), axis=1),
         problem.radius,
     )
     on_tangents = [friction.spread(values, size) for values in of_site]
-    on_face = constraints.face(signs.active, signs.sticking).astype(float)
+    on_face = constraints.face(contact_state.active, contact_state.sticking).astype(float)
     coupled = _CoupledRows(coupling, *coupling.gather(on_face, forces, problem.c, *on_tangents))
     before = coupled.on_face.copy()
     for group in coupling.groups:
@@ -61,15 +63,15 @@ def closable(problem: DualProblem, signs: Signs, multipliers: Vector) -> Signs |
     if not removed.any():
         return None
     here, position = coupling.rows, coupling.positions
-    gone, moved = np.zeros(size, dtype=bool), signs.forces.copy()
+    gone, moved = np.zeros(size, dtype=bool), contact_state.forces.copy()
     gone[here] = removed[position]
     tangential = here[coupling.tangential[position]]
     moved[tangential] = coupled.force[position[coupling.tangential[position]]]
     return replace(
-        signs,
-        active=signs.active & ~gone[constraints.inequality],
-        sticking=signs.sticking & ~friction.within(gone),
-        forces=np.where(gone, moved, signs.forces),
+        contact_state,
+        active=contact_state.active & ~gone[constraints.inequality],
+        sticking=contact_state.sticking & ~friction.within(gone),
+        forces=np.where(gone, moved, contact_state.forces),
     )
 
 

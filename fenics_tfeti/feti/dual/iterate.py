@@ -99,7 +99,7 @@ class Iterate:
         """
         if self.on_face is None or self.method is Method.NEWTON:
             return self
-        return replace(self, on_face=None, active=self.on_face.signs.active)
+        return replace(self, on_face=None, active=self.on_face.contact_state.active)
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class ActiveSetStep:
 
 @dataclass(frozen=True)
 class Turn:
-    """What a method may spend in its turn, and whom it tells.
+    """Tolerance and limits of a method in its turn.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
-"""The position of loose bodies in which gaps are judged.
+"""The position of loose bodies in which the signs of gaps are tested.
 
 The multipliers on a face determine the displacements up to the rigid motions that its rows leave
 free. Rows off the face are moved by these motions: what is penetrated in one position of a loose
-body is open in another one. Their gaps are judged in the position with the smallest sum of squares
+body is open in another one. Their gaps are tested in the position with the smallest sum of squares
 of penetrations. If that sum is zero no row of these bodies has a wrong sign. If it is not, the
 body is squeezed by others, and penetrations are forces in balance on the free motions, since the
 sum's gradient with respect to them vanishes.
@@ -112,7 +112,7 @@ class LooseBodies:
         closing = sp.diags(constraints.row_lengths[off[moved]]) @ rows_moved[moved]
         return LooseBodies(coarse_space, motions, off[moved], closing.tocsr(), held)
 
-    def settled(self, gradient: Vector) -> Vector:
+    def at_least_penetration(self, gradient: Vector) -> Vector:
         """Return the gradient after the free motion with the least penetration. Collective.
 
         Parameters
@@ -122,26 +122,26 @@ class LooseBodies:
         """
         return self._moved(gradient, self.motion(gradient))
 
-    def judged(self, settled: Vector) -> Vector:
-        """Return a settled gradient after motions within the accuracy of the residual. Collective.
+    def sign_test_gradient(self, moved_gradient: Vector) -> Vector:
+        """Return such a gradient after motions within the accuracy of the residual. Collective.
 
         It is no gradient on the face, which these motions change: what more steps on the face
         correct is decided anew after them.
         """
         if self.face is None:
-            return settled
+            return moved_gradient
         constraints = self.coarse_space.constraints
         owned = constraints.layout.owned
-        deep = np.minimum(settled[self.rows], 0.0)
-        own = self.held(settled)[:owned]
+        deep = np.minimum(moved_gradient[self.rows], 0.0)
+        own = self.held(moved_gradient)[:owned]
         depth2, residual2 = constraints.layout.space.sum_over_ranks(
             np.array([deep @ deep, own @ own])
         )
         weak = self._weak if depth2 > residual2 else None
         if weak is None:
-            return settled
+            return moved_gradient
         limit = _TIMES_RESIDUAL * float(np.sqrt(residual2))
-        return self.settled(weak.settled(settled, limit))
+        return self.at_least_penetration(weak.at_least_penetration(moved_gradient, limit))
 
     @cached_property
     def _weak(self) -> WeakBodies | None:
@@ -155,10 +155,10 @@ class LooseBodies:
         moved = self._moved_rows(z)
         moved -= self.held(moved)
         moved[self.coarse_space.constraints.equality] = 0.0
-        settled: Vector = gradient - moved
+        moved_gradient: Vector = gradient - moved
         # bodies that find their position touch others without pressing on them
-        settled[np.abs(settled) <= self._rounding(np.abs(moved))] = 0.0
-        return settled
+        moved_gradient[np.abs(moved_gradient) <= self._rounding(np.abs(moved))] = 0.0
+        return moved_gradient
 
     def _moved_rows(self, z: Vector) -> Vector:
         """Return what a motion does to the rows, bitwise the same on all their holders."""
@@ -237,7 +237,7 @@ class WeakBodies:
         gram = sum_sparse(coarse_space.comm, closing.T @ closing)
         return WeakBodies(bodies, owned, closing, weak, (weak.T @ gram @ weak).tocsr())
 
-    def settled(self, gradient: Vector, limit: float = np.inf) -> Vector:
+    def at_least_penetration(self, gradient: Vector, limit: float = np.inf) -> Vector:
         """Return the gradient after the motion with the least penetration and residual. Collective.
 
         Parameters

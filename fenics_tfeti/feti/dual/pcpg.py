@@ -69,7 +69,7 @@ class Proximal:
 
 
 @dataclass(frozen=True)
-class Signs:
+class ContactState:
     """Which conditions of contact and friction hold with equality: the choice of a face.
 
     Attributes
@@ -99,7 +99,7 @@ class Signs:
         multipliers: Vector,
         active: Mask | None = None,
         slips: Vector | None = None,
-    ) -> Signs:
+    ) -> ContactState:
         """Return those of multipliers, with forces of sites that slip at the bound.
 
         Without `slips` (k, gdim - 1) the forces may turn freely.
@@ -116,7 +116,7 @@ class Signs:
         if slips is not None:
             slipping = np.where(sticking, 0.0, 1.0)
             curvature = slipping * balls.curvature(at_sites, slips, problem.radius)
-        return Signs(active, sticking, forces, curvature)
+        return ContactState(active, sticking, forces, curvature)
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class Face:
 
     Attributes
     ----------
-    signs : Signs
+    contact_state : ContactState
         Which rows are on it; its forces are the multipliers off the face.
     projector : Projector
         P and Q of the rows on the face, and of the tangents of sites that slip.
@@ -135,45 +135,47 @@ class Face:
         Bodies whose position the rows on the face do not determine.
     """
 
-    signs: Signs
+    contact_state: ContactState
     projector: Projector
     precondition: Callable[[Vector], Vector] | None
     loose: LooseBodies | None
 
     @staticmethod
-    def build(problem: DualProblem, signs: Signs, projector: Projector) -> Face:
+    def build(problem: DualProblem, contact_state: ContactState, projector: Projector) -> Face:
         """Make the preconditioner of a face. Collective."""
         kind, friction = problem.preconditioner, problem.constraints.friction
         rows = projector.rows
         if projector.across is not None:
             rows = rows | friction.on_rows(projector.across.any(axis=1), rows.size)
-        fixed = friction.off_face(signs.sticking, signs.forces)
+        fixed = friction.off_face(contact_state.sticking, contact_state.forces)
         precondition = None if kind is None else kind.on_face(rows)
         if kind is not None and precondition is not None:
-            across, curvature = projector.across, signs.curvature
-            if across is not None:
-                precondition = _scaled(problem, precondition, curvature, across)
-            compliance = 0.0 if signs.proximal is None else 1.0 / signs.proximal.stiffness
-            kernel = kind.on_kernel(rows, across, curvature, compliance)
+            tangent, curvature = projector.across, contact_state.curvature
+            if tangent is not None:
+                precondition = _scaled(problem, precondition, curvature, tangent)
+            compliance = (
+                0.0 if contact_state.proximal is None else 1.0 / contact_state.proximal.stiffness
+            )
+            kernel = kind.on_kernel(rows, tangent, curvature, compliance)
             precondition = precondition if kernel is None else _sum_of(precondition, kernel)
-        signs, loose = replace(signs, forces=fixed), LooseBodies.on_face(projector)
-        return Face(signs, projector, precondition, loose)
+        contact_state, loose = replace(contact_state, forces=fixed), LooseBodies.on_face(projector)
+        return Face(contact_state, projector, precondition, loose)
 
-    def bent(self, x: Vector) -> Vector:
+    def curvature_gradient(self, x: Vector) -> Vector:
         """Return Cx on the face, C the second derivative of the terms beside 1/2 l'Fl."""
         derivative = np.zeros_like(x)
-        if self.signs.proximal is not None:
-            derivative = self._bounded(x) / self.signs.proximal.stiffness
-        across = self.projector.across
-        if across is not None:
+        if self.contact_state.proximal is not None:
+            derivative = self._bounded(x) / self.contact_state.proximal.stiffness
+        tangent = self.projector.across
+        if tangent is not None:
             friction = self.projector.coarse_space.constraints.friction
-            size = self.signs.curvature * np.sum(friction.at_sites(x) * across, axis=1)
-            derivative += friction.spread(size[:, None] * across, x.size)
+            size = self.contact_state.curvature * np.sum(friction.at_sites(x) * tangent, axis=1)
+            derivative += friction.spread(size[:, None] * tangent, x.size)
         return derivative
 
     def derivative(self, multipliers: Vector) -> Vector:
         """Return the gradient on the face of the terms beside 1/2 l'Fl - d'l."""
-        proximal, derivative = self.signs.proximal, self.bent(multipliers)
+        proximal, derivative = self.contact_state.proximal, self.curvature_gradient(multipliers)
         if proximal is None:
             return derivative
         pull = self.projector.on_rows(proximal.centre) / proximal.stiffness
@@ -187,7 +189,7 @@ class Face:
 
 
 def _scaled(
-    problem: DualProblem, apply: Callable[[Vector], Vector], curvature: Vector, across: Vector
+    problem: DualProblem, apply: Callable[[Vector], Vector], curvature: Vector, tangent: Vector
 ) -> Callable[[Vector], Vector]:
     """Return the preconditioner with forces that turn scaled for their curvature.
 
@@ -198,8 +200,8 @@ def _scaled(
     less = 1.0 - 1.0 / np.sqrt(1.0 + problem.unit * curvature)
 
     def scale(x: Vector) -> Vector:
-        size = less * np.sum(friction.at_sites(x) * across, axis=1)
-        return x - friction.spread(size[:, None] * across, x.size)
+        size = less * np.sum(friction.at_sites(x) * tangent, axis=1)
+        return x - friction.spread(size[:, None] * tangent, x.size)
 
     return lambda x: scale(apply(scale(x)))
 
@@ -215,14 +217,14 @@ class PCPGIterate:
 
     Attributes
     ----------
-    signs : Signs
+    contact_state : ContactState
         The face.
     multipliers : (m,) array
         l, with Gl = e and the fixed ones off the face.
     gradient : (m,) array
         Fl - d + G'a.
-    judged : (m,) array
-        The same on contact rows off the face in the position in which their signs are judged.
+    sign_test_gradient : (m,) array
+        The same in the position of loose bodies in which signs are tested.
     residual : float
         ||P(d - Fl)|| on the face [m].
     violation : float
@@ -242,10 +244,10 @@ class PCPGIterate:
         Whether the residual is rounding: more steps do not reduce it.
     """
 
-    signs: Signs
+    contact_state: ContactState
     multipliers: Vector
     gradient: Vector
-    judged: Vector
+    sign_test_gradient: Vector
     residual: float
     violation: float
     direction: Vector
@@ -324,7 +326,7 @@ def pcpg(
         if interruption.agreed():
             return iterate
         if iterate.residual <= test_below:
-            iterate = _settled(problem, face, iterate)
+            iterate = _at_least_penetration(problem, face, iterate)
             if iterate.residual <= max(sign_factor * iterate.violation, accurate):
                 return iterate
             test_below = 0.5 * iterate.residual
@@ -333,7 +335,7 @@ def pcpg(
         if _improves(iterate, best, tolerance) and peak > _RISEN * best.rz:
             true = _true_iterate(problem, face, iterate, products)
             if not _improves(true, best, tolerance):
-                return _settled(problem, face, replace(best, at_limit=True))
+                return _at_least_penetration(problem, face, replace(best, at_limit=True))
             iterate = iterate if true.rz <= _SAME * iterate.rz else true
         if iterate.energy <= tolerance:
             break
@@ -341,19 +343,21 @@ def pcpg(
             best, peak = iterate, iterate.rz
         following = None if _is_rounding(iterate, best) else _step(problem, face, iterate, products)
         if following is None:
-            return _settled(problem, face, replace(best, at_limit=True))
+            return _at_least_penetration(problem, face, replace(best, at_limit=True))
         iterate = following
-    return _settled(problem, face, iterate)
+    return _at_least_penetration(problem, face, iterate)
 
 
-def _settled(problem: DualProblem, face: Face, iterate: PCPGIterate) -> PCPGIterate:
-    """Return the iterate with gaps and their signs in the position that loose bodies settle in."""
+def _at_least_penetration(problem: DualProblem, face: Face, iterate: PCPGIterate) -> PCPGIterate:
+    """Return the iterate with the gaps that remain at the least penetration of loose bodies."""
     if face.loose is None:
         return iterate
-    gradient = face.loose.settled(iterate.gradient)
-    judged = face.loose.judged(gradient)
-    _, violation = _norms(problem, face, iterate.multipliers, judged)
-    return replace(iterate, gradient=gradient, judged=judged, violation=violation)
+    gradient = face.loose.at_least_penetration(iterate.gradient)
+    sign_test_gradient = face.loose.sign_test_gradient(gradient)
+    _, violation = _norms(problem, face, iterate.multipliers, sign_test_gradient)
+    return replace(
+        iterate, gradient=gradient, sign_test_gradient=sign_test_gradient, violation=violation
+    )
 
 
 def _improves(iterate: PCPGIterate, best: PCPGIterate, tolerance: float) -> bool:
@@ -388,16 +392,18 @@ def _step(
     # 2. direction: p = z + (r'z / r'z of the last step) p
     p = z + rz / iterate.rz_of_direction * iterate.direction
     # 3. product: PFp on the face, off it what the gaps change by; p'Fp
-    bent = face.bent(p)
-    part = _product(problem, p, products) + problem.constraints.layout.owned_part(bent)
+    curvature_gradient = face.curvature_gradient(p)
+    part = _product(problem, p, products) + problem.constraints.layout.owned_part(
+        curvature_gradient
+    )
     change, curvature = face.projector.remove_rigid_motion(part, p)
     if curvature <= _NO_CURVATURE * rz:
         return None
     # 4. step: l += alpha p, g += alpha PFp with alpha = r'z / p'Fp
     alpha = rz / curvature
-    l, g = l + alpha * p, g + alpha * (change - bent)
+    l, g = l + alpha * p, g + alpha * (change - curvature_gradient)
     lengths = (*iterate.step_lengths, alpha)
-    return PCPGIterate(face.signs, l, g, g, *_norms(problem, face, l, g), p, rz, lengths)
+    return PCPGIterate(face.contact_state, l, g, g, *_norms(problem, face, l, g), p, rz, lengths)
 
 
 def _with_preconditioned_residual(
@@ -425,7 +431,7 @@ def iterate_on(
     """Return the iterate of multipliers with a known gradient on a face, with its energy."""
     norms, none = _norms(problem, face, multipliers, gradient), np.zeros_like(gradient)
     iterate = PCPGIterate(
-        face.signs, multipliers, gradient, gradient, *norms, none, 1.0, step_lengths
+        face.contact_state, multipliers, gradient, gradient, *norms, none, 1.0, step_lengths
     )
     return _with_preconditioned_residual(problem, face, iterate, products)
 
@@ -459,17 +465,19 @@ def _iterate_at(
 ) -> PCPGIterate:
     """Return the iterate at l, from the known gradient at other multipliers; one product."""
     part = _product(problem, l - known_at, products)
-    bent = face.derivative(l)
-    part = part + problem.constraints.layout.owned_part(known + bent)
-    g = face.projector.remove_rigid_motion(part, l)[0] - bent
+    curvature_gradient = face.derivative(l)
+    part = part + problem.constraints.layout.owned_part(known + curvature_gradient)
+    g = face.projector.remove_rigid_motion(part, l)[0] - curvature_gradient
     none = np.zeros_like(l)
-    return PCPGIterate(face.signs, l, g, g, *_norms(problem, face, l, g), none, 1.0, step_lengths)
+    return PCPGIterate(
+        face.contact_state, l, g, g, *_norms(problem, face, l, g), none, 1.0, step_lengths
+    )
 
 
 def _nearest_on_face(problem: DualProblem, face: Face, multipliers: Vector) -> Vector:
     """Return the nearest multipliers with Gl = e and the fixed ones off the face."""
     projector = face.projector
-    l = projector.on_rows(multipliers) + face.signs.forces
+    l = projector.on_rows(multipliers) + face.contact_state.forces
     missing = problem.e - problem.coarse_space.restrict(l)
     nearest: Vector = l + projector.least_norm(projector.without_free_motions(missing))
     return nearest
@@ -498,8 +506,8 @@ def friction_step(
     site sticks first.
     """
     friction = problem.constraints.friction
-    sticking = face.signs.sticking
-    along = balls.directions(friction.at_sites(face.signs.forces))
+    sticking = face.contact_state.sticking
+    along = balls.directions(friction.at_sites(face.contact_state.forces))
     slip = np.where(sticking[:, None], 0.0, friction.at_sites(gradient))
     step = friction.at_sites(multipliers) - _SLIP_STIFFNESS * problem.unit * slip
     back = np.where(sticking, 0.0, np.minimum(np.sum(step * along, axis=1), 0.0))
@@ -514,7 +522,7 @@ def _norms(
     rows = problem.constraints.inequality
     wrong = np.zeros_like(gradient)
     force = problem.norm * multipliers[rows]
-    wrong[rows] = np.minimum(np.where(face.signs.active, force, gradient[rows]), 0.0)
+    wrong[rows] = np.minimum(np.where(face.contact_state.active, force, gradient[rows]), 0.0)
     friction = problem.constraints.friction
     forces = friction_step(problem, face, multipliers, gradient)
     change = (friction.at_sites(multipliers) - forces) / (_SLIP_STIFFNESS * problem.unit)

@@ -90,7 +90,7 @@ class Preconditioner:
         return part
 
     def on_kernel(
-        self, rows: Mask, across: Vector | None, curvature: Vector, compliance: float
+        self, rows: Mask, tangent: Vector | None, curvature: Vector, compliance: float
     ) -> Callable[[Vector], Vector] | None:
         """Return x -> this rank's part of N (N'CN)^+ N'x. Collective.
 
@@ -101,7 +101,7 @@ class Preconditioner:
         ----------
         rows : (m,) bool array
             The rows of the face, and all of sites whose force turns.
-        across : (k, 2) array or None
+        tangent : (k, 2) array or None
             The directions in which forces turn; zero at other sites.
         curvature : (k,) array
             C of forces that turn.
@@ -114,16 +114,16 @@ class Preconditioner:
             None if C does not see N, on all ranks.
         """
         coupling = self.constraints.coupling
-        if not coupling.groups or (across is None and not compliance):
+        if not coupling.groups or (tangent is None and not compliance):
             return None
         (on_rows,) = coupling.gather(rows.astype(float))
         kernel = self._inverse_of(on_rows > 0.0).null.toarray()
         if not kernel.shape[1]:
             return None
         hessian = compliance * np.identity(kernel.shape[1])
-        if across is not None:
-            kernel, turned, bent = self._turning(kernel, across, curvature)
-            hessian = compliance * np.identity(kernel.shape[1]) + turned.T @ (bent * turned)
+        if tangent is not None:
+            kernel, turned, curvature = self._turning(kernel, tangent, curvature)
+            hessian = compliance * np.identity(kernel.shape[1]) + turned.T @ (curvature * turned)
         if not hessian.any():
             return None
         inverse = np.linalg.pinv(hessian, rcond=ZERO, hermitian=True)
@@ -137,7 +137,7 @@ class Preconditioner:
         return apply
 
     def _turning(
-        self, kernel: Vector, across: Vector, curvature: Vector
+        self, kernel: Vector, tangent: Vector, curvature: Vector
     ) -> tuple[Vector, Vector, Vector]:
         """Return the part of a kernel that forces of a given size have no part in along themselves.
 
@@ -145,9 +145,11 @@ class Preconditioner:
         """
         constraints, coupling = self.constraints, self.constraints.coupling
         friction, size = constraints.friction, constraints.size
-        along, number = across[:, ::-1] * [1.0, -1.0], friction.numbers(constraints.layout)
-        at_sites = (across, along, number, curvature)
-        turns, along, site, bent = coupling.gather(*(friction.spread(x, size) for x in at_sites))
+        along, number = tangent[:, ::-1] * [1.0, -1.0], friction.numbers(constraints.layout)
+        at_sites = (tangent, along, number, curvature)
+        turns, along, site, curvature = coupling.gather(
+            *(friction.spread(x, size) for x in at_sites)
+        )
         turning = np.flatnonzero(np.abs(turns) + np.abs(along) > 0.0)
         if not turning.size:
             return kernel, np.zeros((0, kernel.shape[1])), np.zeros((0, 1))
@@ -156,7 +158,7 @@ class Preconditioner:
         fixed = sp.csr_matrix((along[turning], places), shape) @ kernel
         moved = sp.csr_matrix((turns[turning], places), shape) @ kernel
         free = null_space(fixed, rcond=ZERO)
-        return kernel @ free, moved @ free, bent[turning[first]][:, None]
+        return kernel @ free, moved @ free, curvature[turning[first]][:, None]
 
     def _inverse_of(self, chosen: Mask) -> GramInverse:
         """Factor W_RR, unless R is the same as last."""

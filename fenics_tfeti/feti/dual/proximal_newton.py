@@ -29,7 +29,7 @@ import numpy as np
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.dual.active_set import close_first_gaps, iterate_on_face, unused_friction
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep, Iterate, Method, SolveStatus, Turn
-from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Proximal, Signs, iterate_on, pcpg
+from fenics_tfeti.feti.dual.pcpg import ContactState, Face, PCPGIterate, Proximal, iterate_on, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.qp import Products
 from fenics_tfeti.typing import Vector
@@ -65,15 +65,15 @@ def proximal_newton(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate
     """
     bounds, tolerance = _Bounds(problem), turn.tolerance
     state = _first_state(problem, start, turn)
-    term = state.signs.proximal
+    term = state.contact_state.proximal
     if term is None:
         term = Proximal(bounds.project(state.multipliers), _FIRST * problem.unit)
     best, failures = np.inf, 0
     while True:
         # a step that fails may have been too inaccurate
         error = bounds.error(term, state) * 0.5**failures
-        signs = bounds.linear_part(term, state)
-        face = close_first_gaps(problem, signs, state.gradient)
+        contact_state = bounds.linear_part(term, state)
+        face = close_first_gaps(problem, contact_state, state.gradient)
         following = pcpg(
             problem,
             face,
@@ -86,13 +86,13 @@ def proximal_newton(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate
         )
         state = _on_the_way(problem, face, bounds, term, state, following, turn.products)
         wanted, error = bounds.wanted(term, state), bounds.error(term, state)
-        turn.monitor(_step(problem, face, signs, state, turn.products))
+        turn.monitor(_step(problem, face, contact_state, state, turn.products))
         unused = unused_friction(problem, face, replace(state, multipliers=wanted))
         solved = max(state.energy, error / np.sqrt(term.stiffness), unused) <= tolerance
         best, failures = (error, 0) if error <= 0.5 * best else (best, failures + 1)
         if solved or turn.is_spent or failures > _PATIENCE or interruption.agreed():
             status = SolveStatus.SOLVED if solved else SolveStatus.STALLED
-            state = replace(state, signs=replace(face.signs, proximal=term))
+            state = replace(state, contact_state=replace(face.contact_state, proximal=term))
             return _iterate(problem, start, state, wanted, status)
         if error <= _INEXACT * bounds.norm(wanted - term.centre):
             stiffness = min(_GROWTH * term.stiffness, _LARGEST * problem.unit)
@@ -104,7 +104,7 @@ def _iterate(
 ) -> Iterate:
     """Return the iterate with multipliers P(l_k + rho v), on the face without the proximal term."""
     iterate = iterate_on_face(problem, start, replace(state, multipliers=wanted), status)
-    on_face = replace(state, signs=replace(state.signs, proximal=None))
+    on_face = replace(state, contact_state=replace(state.contact_state, proximal=None))
     return replace(iterate, method=Method.NEWTON, on_face=on_face, newton=state)
 
 
@@ -141,7 +141,7 @@ class _Bounds:
         """Return the norm of P(l_k + rho v) - l, the residual of the proximal problem [N]."""
         return self.norm(self.forces(term, state) - state.multipliers)
 
-    def linear_part(self, term: Proximal, state: PCPGIterate) -> Signs:
+    def linear_part(self, term: Proximal, state: PCPGIterate) -> ContactState:
         """Return the face that is the linear part of P at l_k + rho v."""
         constraints, radius = self.problem.constraints, self.problem.radius
         friction, unbounded = constraints.friction, term.wanted(state.gradient)
@@ -151,7 +151,7 @@ class _Bounds:
         turning = slipping & (radius > 0.0)
         np.divide(length, radius * term.stiffness, out=curvature, where=turning)
         active = unbounded[constraints.inequality] > 0.0
-        return Signs(active, ~slipping, self.project(unbounded), curvature, term)
+        return ContactState(active, ~slipping, self.project(unbounded), curvature, term)
 
     def slope(self, term: Proximal, state: PCPGIterate, following: PCPGIterate, t: float) -> float:
         """Return the slope of the cost on the way from one state to another. Collective."""
@@ -166,8 +166,8 @@ def _first_state(problem: DualProblem, start: Iterate, turn: Turn) -> PCPGIterat
     known = start.newton or start.on_face
     if known is not None:
         return known
-    signs = Signs.of(problem, start.multipliers, start.active, start.slips)
-    face = close_first_gaps(problem, signs, problem.c)
+    contact_state = ContactState.of(problem, start.multipliers, start.active, start.slips)
+    face = close_first_gaps(problem, contact_state, problem.c)
     return pcpg(
         problem,
         face,
@@ -193,8 +193,8 @@ def _on_the_way(
     l = state.multipliers + t * (following.multipliers - state.multipliers)
     gradient = state.gradient + t * (following.gradient - state.gradient)
     # forces that turn have no residual where the slip is along them
-    none = np.zeros_like(face.signs.curvature)
-    plain = replace(face, signs=replace(face.signs, proximal=None, curvature=none))
+    none = np.zeros_like(face.contact_state.curvature)
+    plain = replace(face, contact_state=replace(face.contact_state, proximal=None, curvature=none))
     return iterate_on(problem, plain, l, gradient, following.step_lengths, products)
 
 
@@ -214,11 +214,15 @@ def _root(slope: Callable[[float], float]) -> float:
 
 
 def _step(
-    problem: DualProblem, face: Face, signs: Signs, state: PCPGIterate, products: Products
+    problem: DualProblem,
+    face: Face,
+    contact_state: ContactState,
+    state: PCPGIterate,
+    products: Products,
 ) -> ActiveSetStep:
     """Return what the monitor is told. Collective."""
     owned = problem.constraints.owned_inequalities
-    active = face.signs.active
-    counts = [np.count_nonzero(x[:owned]) for x in (active, active != signs.active)]
+    active = face.contact_state.active
+    counts = [np.count_nonzero(x[:owned]) for x in (active, active != contact_state.active)]
     active_rows, changed = problem.space.sums(*(float(n) for n in counts))
     return ActiveSetStep(products.total, state.residual, int(active_rows), int(changed))

@@ -22,19 +22,16 @@ from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep
 from fenics_tfeti.feti.files.arrays import write_whole
-from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.report.resultants import Resultant, resultants
 from fenics_tfeti.feti.solution.certificate import Certificate
-from fenics_tfeti.feti.solution.setup import DualSetup
+from fenics_tfeti.feti.solution.setup import DualSetup, SolveContext
 from fenics_tfeti.feti.solution.states import (
     Candidate,
     ContactData,
-    History,
     Outcome,
     SlipBoundStep,
 )
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.feti.tolerances import FACETED, NEGLIGIBLE
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.qp import OuterIteration
@@ -237,16 +234,10 @@ def without_nan(value: Any) -> Any:
 
 
 def build_report(
-    system: TornSystem,
-    setup: DualSetup,
-    data: ContactData,
-    outcome: Outcome,
-    history: History,
-    options: Options,
-    timer: Timer,
-    reused: list[str],
+    system: TornSystem, context: SolveContext, outcome: Outcome, reused: list[str]
 ) -> Report:
     """Gather the figures of a solve from all ranks. Collective."""
+    setup, data, history = context.setup, context.data, context.monitor.history
     comm, candidate, local = system.comm, outcome.candidate, setup.local
     explicit, classes = comm.allreduce(setup.F.explicit), comm.allreduce(len(local.classes))
     subdomains = comm.allreduce(len(system.subdomains))
@@ -274,7 +265,7 @@ def build_report(
             "vectors": 0 if setup.deflation is None else setup.deflation.size,
             "bytes": comm.allreduce(0 if setup.deflation is None else setup.deflation.bytes),
         },
-        seconds=timer.slowest(comm),
+        seconds=context.timer.slowest(comm),
         peak_memory_bytes=peak_memory(comm),
         energy=candidate.energy,
         friction_work=_friction_work(setup.constraints, candidate, len(sums.normal_forces)),
@@ -297,7 +288,7 @@ def build_report(
         reason=outcome.reason,
         ranks=comm.size,
         versions=versions(),
-        options=asdict(options),
+        options=asdict(context.options),
         history=history.outer,
         faces=history.faces,
         slip_bounds=history.slip_bounds,

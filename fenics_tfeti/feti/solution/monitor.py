@@ -1,4 +1,4 @@
-"""What the iterations tell while they run: to the history, the log and the user's function."""
+"""Messages of the iterations while they run, to the history, the log and the user's function."""
 
 from __future__ import annotations
 

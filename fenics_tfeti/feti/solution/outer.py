@@ -10,7 +10,6 @@ eps      is reduced by what the certificate lacks
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count
@@ -27,10 +26,8 @@ from fenics_tfeti.feti.dual.augmented import solve_by_smalbe
 from fenics_tfeti.feti.dual.iterate import Iterate, Method, SolveStatus, Turn
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.dual.proximal_newton import proximal_newton
-from fenics_tfeti.feti.options import Options
-from fenics_tfeti.feti.solution.certificate import Certificate, PrimalProblem
-from fenics_tfeti.feti.solution.idle_bodies import without_idle_forces
-from fenics_tfeti.feti.solution.monitor import Monitor
+from fenics_tfeti.feti.solution.certificate import Certificate
+from fenics_tfeti.feti.solution.primal_problem import PrimalProblem
 from fenics_tfeti.feti.solution.progress import Progress, Stagnation
 from fenics_tfeti.feti.solution.recovery import (
     Recovered,
@@ -38,15 +35,15 @@ from fenics_tfeti.feti.solution.recovery import (
     forces_at_rest,
     recover_displacement,
 )
+from fenics_tfeti.feti.solution.row_bodies import without_unloaded_groups
 from fenics_tfeti.feti.solution.scale import (
     LANCZOS_STEPS,
     ROUGH_LANCZOS_STEPS,
     EnergyScale,
     FeasibleState,
 )
-from fenics_tfeti.feti.solution.setup import DualSetup, dual_problem
+from fenics_tfeti.feti.solution.setup import SolveContext, dual_problem
 from fenics_tfeti.feti.solution.states import Candidate, ContactData, Outcome
-from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.feti.tolerances import CERTIFIED, FAR
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
@@ -55,15 +52,7 @@ from fenics_tfeti.typing import Mask, Vector
 _SHARE = 2000
 
 
-def iterate_until_certified(
-    setup: DualSetup,
-    data: ContactData,
-    start: Iterate | None,
-    options: Options,
-    timer: Timer,
-    monitor: Monitor,
-    body_names: Sequence[str] = (),
-) -> Outcome:
+def iterate_until_certified(context: SolveContext, start: Iterate | None) -> Outcome:
     """Solve the dual problem to tolerances that decrease until the certificate holds.
 
     Rigid motions that supports prescribe are taken out, and put back in the end.
@@ -74,27 +63,18 @@ def iterate_until_certified(
 
     Parameters
     ----------
-    setup : DualSetup
-        Operators.
-    data : ContactData
-        Loads and right-hand sides.
+    context : SolveContext
+        Operators, data and options.
     start : Iterate or None
         First iterate; multipliers that vanish by default.
-    options : Options
-        Methods, tolerances and limits.
-    timer : Timer
-        To add the times of phases to.
-    monitor : Monitor
-        To tell of each step; with the history to add to.
-    body_names : sequence of str
-        Names of the bodies for the certificate.
 
     Returns
     -------
     Outcome
         The certified candidate, or the one with the smallest certificate.
     """
-    with timer.phase("iterations"):
+    setup, data = context.setup, context.data
+    with context.timer.phase("iterations"):
         coarse_space = setup.projector.coarse_space
         motion = prescribed_motion(coarse_space, data.c)
         removed = coarse_space.prolong(motion)
@@ -103,13 +83,12 @@ def iterate_until_certified(
     rows, comm = setup.constraints.inequality, setup.constraints.layout.comm
     longest = FAR * feasible.largest_jump
     while True:
-        far = data.c[rows] > longest if longest > 0.0 else np.zeros(rows.size, dtype=bool)
+        shortened = (data.c[rows] > longest) & (longest > 0.0)
         c = data.c.copy()
-        c[rows] = np.where(far, longest, data.c[rows])
-        near = replace(data, c=c)
-        loop = _Loop.begin(setup, near, far, feasible, options, timer, monitor, body_names)
+        c[rows] = np.where(shortened, longest, data.c[rows])
+        loop = _Loop.begin(replace(context, data=replace(data, c=c)), shortened, feasible)
         outcome = _iterate(loop, start)
-        closed = bool((outcome.candidate.recovered.closed & far).any())
+        closed = bool((outcome.candidate.recovered.closed & shortened).any())
         if not comm.allreduce(closed, MPI.LOR) or interruption.agreed():
             candidate = _moved(outcome.candidate, data, motion)
             return replace(outcome, candidate=candidate)
@@ -131,11 +110,12 @@ def _moved(candidate: Candidate, data: ContactData, motion: Vector) -> Candidate
 
 def _iterate(loop: _Loop, start: Iterate | None) -> Outcome:
     """Solve the dual problem to tolerances that decrease until the certificate holds."""
-    forces = forces_at_rest(loop.setup.F, loop.data.load, loop.data.c)
+    context = loop.context
+    forces = forces_at_rest(context.setup.F, context.data.load, context.data.c)
     if forces is not None:
         return loop.at_rest(forces)
-    iterate, limit = loop.first(start), max(loop.options.rtol, CERTIFIED)
-    tolerance = loop.options.rtol * loop.scale.energy_norm
+    iterate, limit = loop.first(start), max(context.options.rtol, CERTIFIED)
+    tolerance = context.options.rtol * loop.scale.energy_norm
     progress, best = Progress.start(loop.scale), _Best()
     while True:
         tolerance = max(tolerance, progress.rounding)
@@ -154,7 +134,7 @@ def _iterate(loop: _Loop, start: Iterate | None) -> Outcome:
             return best.outcome(loop, candidate, iterate.status, tolerance)
         stagnation = progress.judge(iterate.method, certificate, tolerance)
         if stagnation is Stagnation.FINAL:
-            if certificate.with_idle_bodies().worst <= limit:
+            if certificate.with_nearly_unloaded_bodies().worst <= limit:
                 return Outcome(candidate, iterate, SolveStatus.SOLVED, "converged", tolerance)
             return best.outcome(loop, candidate, SolveStatus.AT_LIMIT, tolerance)
         if stagnation is Stagnation.OF_SMALBE:
@@ -195,26 +175,27 @@ class _Best:
     ) -> Outcome:
         """Return it as not converged, with its displacements; `status` is what ended the loop."""
         assert self.iterate is not None
+        options = loop.context.options
         candidate = last if self.is_last else loop.recover(self.iterate.multipliers)
         reached = "the contact forces do not balance the load"
         if np.isfinite(self.worst):
             reached = f"its certificate has reached {self.worst:.1e} ({self.name})"
         if self.rounded is not None:
             reached += f"; rounding has ended the conjugate gradients at {self.rounded:.1e}"
-        reason = f"{status.describe(loop.options)}; {reached}"
+        reason = f"{status.describe(options)}; {reached}"
         if status is SolveStatus.INTERRUPTED:
-            reason = status.describe(loop.options)
+            reason = status.describe(options)
         return Outcome(candidate, self.iterate, status, reason, tolerance)
 
 
 @dataclass(frozen=True)
 class _Loop:
-    """What stays the same during the outer loop.
+    """The problem and the scale of one outer loop.
 
     Attributes
     ----------
-    setup, data, options, timer, monitor
-        As given.
+    context : SolveContext
+        With the data of this loop.
     primal : PrimalProblem
         The primal problem (11.21).
     d_0 : (m,) array
@@ -223,60 +204,36 @@ class _Loop:
         What the tolerances are relative to.
     """
 
-    setup: DualSetup
-    data: ContactData
-    options: Options
-    timer: Timer
-    monitor: Monitor
+    context: SolveContext
     primal: PrimalProblem
     d_0: Vector
     scale: EnergyScale
 
     @staticmethod
-    def begin(
-        setup: DualSetup,
-        data: ContactData,
-        far: Mask,
-        feasible: FeasibleState,
-        options: Options,
-        timer: Timer,
-        monitor: Monitor,
-        body_names: Sequence[str],
-    ) -> _Loop:
+    def begin(context: SolveContext, shortened: Mask, feasible: FeasibleState) -> _Loop:
         """Compute d_0 and the scale."""
-        primal = PrimalProblem(
-            setup.local.stiffness,
-            data.load,
-            data.c,
-            np.broadcast_to(data.removed, data.c.shape),
-            setup.F,
-            setup.row_bodies,
-            body_names,
-            setup.local.unit,
-            data.radius,
-        )
-        scale = EnergyScale.of(setup, data, feasible, far, timer, monitor.history)
-        return _Loop(setup, data, options, timer, monitor, primal, feasible.jumps - data.c, scale)
+        primal = PrimalProblem(context.setup, context.data, context.body_names)
+        scale = EnergyScale.of(context, feasible, shortened)
+        return _Loop(context, primal, feasible.jumps - context.data.c, scale)
 
     def at_rest(self, multipliers: Vector) -> Outcome:
         """Return u = o, with multipliers that balance the load."""
-        setup, none = self.setup, np.zeros_like(self.data.load)
+        setup, data = self.context.setup, self.context.data
+        none = np.zeros_like(data.load)
         active = np.zeros(setup.constraints.inequality.size, dtype=bool)
-        with self.timer.phase("recovery"):
+        with self.context.timer.phase("recovery"):
             forces = setup.constraints.friction.at_sites(multipliers)
-            sticking = balls.inside(forces, self.data.radius)
+            sticking = balls.inside(forces, data.radius)
             face = Projector.build(setup.projector.coarse_space, active, sticking)
-            recovered = Recovered(none, none, none, -self.data.c, active, sticking)
+            recovered = Recovered(none, none, none, -data.c, active, sticking)
             certificate, energy = self.primal.certify(recovered, multipliers, face)
             slips = self.primal.slips(recovered)
-        candidate = Candidate(
-            recovered, multipliers, certificate, energy, face, slips, self.data.radius
-        )
+        candidate = Candidate(recovered, multipliers, certificate, energy, face, slips, data.radius)
         return Outcome(candidate, Iterate(multipliers), SolveStatus.SOLVED, "converged", 0.0)
 
     def first(self, start: Iterate | None) -> Iterate:
         """Return the start, or multipliers that vanish: no contact, nothing glued."""
-        method = Method(self.options.method)
+        method = Method(self.context.options.method)
         # where nothing moves, other multipliers would leave displacements of rounding size
         if start is None or self.scale.energy_norm == 0.0:
             return Iterate(np.zeros_like(self.d_0), method)
@@ -284,7 +241,7 @@ class _Loop:
 
     def minimise(self, iterate: Iterate, tolerance: float) -> Iterate:
         """Solve the dual problem: the methods take turns, first the one of the iterate."""
-        methods, flat = list(Method), self.setup.deflation is None
+        methods, flat = list(Method), self.context.setup.deflation is None
         first = methods.index(iterate.method)
         for number in count():
             method = methods[(first + number) % len(methods)]
@@ -300,7 +257,8 @@ class _Loop:
 
     def _turn(self, tolerance: float, number: int, round_number: int) -> Turn:
         """Return what a method may spend: in the first turn what is left, later a share."""
-        options, history = self.options, self.monitor.history
+        options, monitor = self.context.options, self.context.monitor
+        history = monitor.history
         limit, factor = options.max_products, 2**round_number
         if number:
             limit = min(limit, history.products.total + _SHARE * factor)
@@ -308,7 +266,7 @@ class _Loop:
             tolerance,
             limit,
             history.products,
-            self.monitor.tell,
+            monitor.tell,
             options,
             max_outer=options.smalbe_max_it - len(history.outer),
             patience=factor * options.smalbe_patience,
@@ -323,11 +281,11 @@ class _Loop:
             Method.NEWTON: proximal_newton,
             Method.SMALBE: solve_by_smalbe,
         }[method]
-        with self.timer.phase("iterations"):
+        with self.context.timer.phase("iterations"):
             iterate = run(problem, iterate, turn)
             if method is Method.NEWTON and iterate.status is SolveStatus.SOLVED:
                 # without the proximal term forces that vanish do so exactly
-                whole = replace(turn, max_products=self.options.max_products)
+                whole = replace(turn, max_products=self.context.options.max_products)
                 exact = primal_dual_active_set(problem, iterate, whole)
                 iterate = exact if exact.status is SolveStatus.SOLVED else iterate
             iterate = replace(iterate, multipliers=self._completed(iterate.multipliers))
@@ -335,23 +293,24 @@ class _Loop:
             return iterate
         if interruption.agreed():
             return replace(iterate, status=SolveStatus.INTERRUPTED)
-        if turn.products.total >= self.options.max_products:
+        if turn.products.total >= self.context.options.max_products:
             return replace(iterate, status=SolveStatus.OUT_OF_PRODUCTS)
         return iterate
 
     def recover(self, multipliers: Vector) -> Candidate:
         """Recover displacements, and measure how well they and lambda solve (11.21)."""
-        setup, data, constraints = self.setup, self.data, self.setup.constraints
+        setup, data = self.context.setup, self.context.data
+        constraints = setup.constraints
         feasible = constraints.friction.multiplier_set(
             constraints.inequality, np.zeros(constraints.size), data.radius
         )
         multipliers = feasible.project(multipliers.copy())
         multipliers = constraints.friction.at_bound(multipliers, data.radius)
-        with self.timer.phase("recovery"):
+        with self.context.timer.phase("recovery"):
             coarse_space = setup.projector.coarse_space
             multipliers, face = balance_multipliers(coarse_space, data.e, multipliers, data.radius)
             # F makes jumps of what the balance has added, large ones in the deflated directions
-            multipliers = without_idle_forces(
+            multipliers = without_unloaded_groups(
                 constraints, setup.row_bodies, data.load, data.c, self._completed(multipliers)
             )
             recovered = recover_displacement(
@@ -363,18 +322,20 @@ class _Loop:
 
     def _completed(self, multipliers: Vector) -> Vector:
         """Return the multipliers with their part in the deflated directions."""
-        deflation = self.setup.deflation
+        deflation = self.context.setup.deflation
         if deflation is None:
             return multipliers
-        return deflation.completed(multipliers, self.d_0, self.data.feasible)
+        return deflation.completed(multipliers, self.d_0, self.context.data.feasible)
 
     @cached_property
     def _loads(self) -> tuple[Vector, Vector]:
         """D and d_0, deflated or not."""
-        with self.timer.phase("iterations"):
-            return self.setup.load(self.data), self.setup.reduced(self.d_0)
+        setup = self.context.setup
+        with self.context.timer.phase("iterations"):
+            return setup.load(self.context.data), setup.reduced(self.d_0)
 
     def _problem(self, lanczos_steps: int) -> DualProblem:
-        with self.timer.phase("norm"):
-            norm = self.setup.norm(lanczos_steps)
-        return dual_problem(self.setup, self.data, self._loads, norm, self.scale.energy_norm)
+        setup = self.context.setup
+        with self.context.timer.phase("norm"):
+            norm = setup.norm(lanczos_steps)
+        return dual_problem(setup, self.context.data, self._loads, norm, self.scale.energy_norm)

@@ -18,7 +18,7 @@ _FAILURES, _DECREASE = 3, 1e-2
 
 
 class Stagnation(Enum):
-    """What the passes have failed to reduce."""
+    """Number that the passes have failed to reduce."""
 
     NONE = auto()
     OF_PASS = auto()  # the last one has halved neither number of the certificate

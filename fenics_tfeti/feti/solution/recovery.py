@@ -92,36 +92,46 @@ def balance_multipliers(
         directions across the forces of the others.
     """
     rows, space = coarse_space.constraints.inequality, coarse_space.constraints.layout.space
-    friction, balanced = coarse_space.constraints.friction, multipliers
+    friction, balanced, turns = coarse_space.constraints.friction, multipliers, 0
     limits = friction.multiplier_set(rows[:0], np.zeros_like(multipliers), radius)
-    turns = 0
     while True:
         sticking = balls.inside(friction.at_sites(balanced), radius)
-        across = friction.across(balanced, sticking)
-        face = Projector.build(coarse_space, balanced[rows] > 0.0, sticking, across)
-        corrected = balanced
-        # the second time for what rounding leaves where contact rows resist much less than others
-        for _ in range(2):
-            missing = face.without_free_motions(e - coarse_space.restrict(corrected))
-            corrected = corrected + face.least_norm(missing)
-            forces = balls.on_boundary(friction.at_sites(corrected), radius, ~sticking)
-            corrected = friction.with_sites(corrected, forces)
+        tangent = friction.across(balanced, sticking)
+        face = Projector.build(coarse_space, balanced[rows] > 0.0, sticking, tangent)
+        corrected = _with_missing_forces(face, e, balanced, radius, sticking)
         negative, limited = corrected[rows] < 0.0, limits.project(corrected.copy())
         sliding = sticking & ~balls.inside(friction.at_sites(limited), radius)
-        left = np.count_nonzero(negative) + np.count_nonzero(sliding)
-        if not space.sums(float(left))[0]:
-            if across is None or turns == _TURNS:
-                return corrected, face
-            missing = face.without_free_motions(e - coarse_space.restrict(corrected))
-            if np.linalg.norm(missing) <= rounding(float(np.linalg.norm(e)), MANY):
-                return corrected, face
+        if space.sums(float(np.count_nonzero(negative) + np.count_nonzero(sliding)))[0]:
+            balanced = balanced.copy()
+            balanced[rows[negative]] = 0.0
+            slipping = friction.on_rows(sliding, balanced.size)
+            balanced[slipping] = limited[slipping]
+        elif tangent is None or turns == _TURNS or _is_balanced(face, e, corrected):
+            return corrected, face
+        else:
             # Newton's method for forces that turn on circles
             balanced, turns = corrected, turns + 1
-            continue
-        balanced = balanced.copy()
-        balanced[rows[negative]] = 0.0
-        slipping = friction.on_rows(sliding, balanced.size)
-        balanced[slipping] = limited[slipping]
+
+
+def _with_missing_forces(
+    face: Projector, e: Vector, multipliers: Vector, radius: Vector, sticking: Mask
+) -> Vector:
+    """Return the multipliers with what is missing of G lambda = e; sites that slip at the bound."""
+    coarse_space = face.coarse_space
+    friction = coarse_space.constraints.friction
+    # the second time for what rounding leaves where contact rows resist much less than others
+    for _ in range(2):
+        missing = face.without_free_motions(e - coarse_space.restrict(multipliers))
+        multipliers = multipliers + face.least_norm(missing)
+        forces = balls.on_boundary(friction.at_sites(multipliers), radius, ~sticking)
+        multipliers = friction.with_sites(multipliers, forces)
+    return multipliers
+
+
+def _is_balanced(face: Projector, e: Vector, multipliers: Vector) -> bool:
+    """Tell whether G lambda = e up to rounding, but for free motions."""
+    missing = face.without_free_motions(e - face.coarse_space.restrict(multipliers))
+    return bool(np.linalg.norm(missing) <= rounding(float(np.linalg.norm(e)), MANY))
 
 
 def recover_displacement(
@@ -154,25 +164,32 @@ def recover_displacement(
     strained = F.generalized_inverse(
         forces - coarse_space.rigid_motion(coarse_space.coarse_load(forces))
     )
-    pressing = face
-    face, alpha = _motions(pressing, c - F.jumps(strained))
-    # K^+ leaves some of the free motions in u
-    present = alpha + coarse_space.coarse_load(strained)
-    alpha -= face.free @ (face.free.T @ present)
-    torn = strained + coarse_space.rigid_motion(alpha)
-    # once more for what rounding has left, without the free motions
-    rest = face.without_free_motions(face.coefficients(c - F.jumps(torn)))
-    torn += coarse_space.rigid_motion(rest)
-    if pressing.free.shape[1]:
-        away = _free_motions(pressing, c - F.jumps(torn), multipliers)
-        torn += coarse_space.rigid_motion(pressing.free @ away)
-    displacement, closed = close_constraints(F, c, torn, pressing.rows, multipliers, unit)
-    sticking = F.constraints.friction.within(pressing.rows)
+    torn = strained + coarse_space.rigid_motion(_motions(F, face, c, strained, multipliers))
+    displacement, closed = close_constraints(F, c, torn, face.rows, multipliers, unit)
+    sticking = F.constraints.friction.within(face.rows)
     jumps = F.jumps(displacement) - c
     return Recovered(strained, torn, displacement, jumps, closed[rows], sticking)
 
 
-def _motions(face: Projector, jumps: Vector) -> tuple[Projector, Vector]:
+def _motions(
+    F: DualOperator, face: Projector, c: Vector, strained: Vector, multipliers: Vector
+) -> Vector:
+    """Return alpha for a torn displacement without rigid motions: in each of its three parts."""
+    coarse_space = face.coarse_space
+    joined, alpha = _least_squares(face, c - F.jumps(strained))
+    # K^+ leaves some of the free motions in u
+    free_part = joined.free.T @ (alpha + coarse_space.coarse_load(strained))
+    alpha -= joined.free @ free_part
+    # once more for what rounding has left
+    jumps = c - F.jumps(strained + coarse_space.rigid_motion(alpha))
+    alpha += joined.without_free_motions(joined.coefficients(jumps))
+    if face.free.shape[1]:
+        gap = c - F.jumps(strained + coarse_space.rigid_motion(alpha))
+        alpha += face.free @ _free_motions(face, gap, multipliers)
+    return alpha
+
+
+def _least_squares(face: Projector, jumps: Vector) -> tuple[Projector, Vector]:
     """Return alpha with B R alpha = jumps in the least squares sense, and the face of its rows.
 
     Rows that resist weakly turn a small error of the multipliers into a large motion; the contact
@@ -273,20 +290,32 @@ def close_constraints(
     closed[rows] |= jump[rows] > 0.0
     correction = np.where(closed, jump, 0.0)
     friction = constraints.friction
+    slip, backwards = _wrong_slips(constraints, jump, multipliers, unit)
+    slip[friction.within(face)] = 0.0
+    wrong = friction.present & slip.any(axis=1)[:, None]
+    correction[friction.rows[wrong]] = slip[wrong]
+    # slip against the force is taken back; of a coupled row that costs all of its slip
+    closed |= friction.on_rows(slip.any(axis=1) & backwards, closed.size)
+    _close_coupled_rows(constraints, jump, correction, closed)
+    u: Vector = torn - F.constraint_forces(correction) / constraints.weights
+    return u, closed
+
+
+def _wrong_slips(
+    constraints: Constraints, jump: Vector, multipliers: Vector, unit: float
+) -> tuple[Vector, Mask]:
+    """Return the parts of slips not along the forces, and which slips are against the forces.
+
+    Parts whose removal takes more energy than friction loses by them are left out.
+    """
+    friction = constraints.friction
     slip, force = friction.at_sites(jump), friction.at_sites(multipliers)
     along, radius = balls.directions(force), np.linalg.norm(force, axis=1)
     unused = 2.0 * radius * balls.misalignment(slip, along)
     forwards = np.sum(slip * along, axis=1)
     slip -= np.maximum(forwards, 0.0)[:, None] * along
-    cheaper = unit * np.sum(slip**2, axis=1) < unused
-    slipping = cheaper & ~friction.within(face)
-    wrong = friction.present & slipping[:, None]
-    correction[friction.rows[wrong]] = slip[wrong]
-    # slip against the force is taken back; of a coupled row that costs all of its slip
-    closed |= friction.on_rows(slipping & (forwards < 0.0), closed.size)
-    _close_coupled_rows(constraints, jump, correction, closed)
-    u: Vector = torn - F.constraint_forces(correction) / constraints.weights
-    return u, closed
+    slip[unit * np.sum(slip**2, axis=1) >= unused] = 0.0
+    return slip, forwards < 0.0
 
 
 def _close_coupled_rows(

@@ -9,9 +9,8 @@ from mpi4py import MPI
 import numpy as np
 
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.solution.setup import DualSetup
-from fenics_tfeti.feti.solution.states import ContactData, History
-from fenics_tfeti.feti.timer import Timer
+from fenics_tfeti.feti.solution.setup import DualSetup, SolveContext
+from fenics_tfeti.feti.solution.states import ContactData
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
@@ -56,7 +55,7 @@ class FeasibleState:
 
 @dataclass(frozen=True)
 class EnergyScale:
-    """What errors of displacements are compared with.
+    """Scale of the errors of displacements.
 
     Attributes
     ----------
@@ -70,30 +69,20 @@ class EnergyScale:
     closing: float
 
     @staticmethod
-    def of(
-        setup: DualSetup,
-        data: ContactData,
-        feasible: FeasibleState,
-        far: Mask,
-        timer: Timer,
-        history: History,
-    ) -> EnergyScale:
+    def of(context: SolveContext, feasible: FeasibleState, shortened: Mask) -> EnergyScale:
         """Take the larger of the energy norms of u_t at lambda~ and of its jumps.
 
         Parameters
         ----------
-        setup : DualSetup
-            Operators.
-        data : ContactData
-            Loads and right-hand sides.
+        context : SolveContext
+            Operators and data; with timer and history to add to.
         feasible : FeasibleState
             u_t at lambda~.
-        far : (i,) bool array
-            Contact rows with a far gap, which are expected to stay open.
-        timer, history
-            To add to.
+        shortened : (i,) bool array
+            Contact rows with a shortened gap, which are expected to stay open.
         """
-        jumps = _energy_of_jumps(setup, data, far, feasible.jumps - data.c, timer, history)
+        setup, data = context.setup, context.data
+        jumps = _energy_of_jumps(context, shortened, feasible.jumps - data.c)
         # jumps that have to be closed, with prescribed displacements and penetrated gaps
         rows, closing = setup.constraints.inequality, data.c.copy()
         closing[rows] = np.minimum(closing[rows], 0.0)
@@ -105,17 +94,16 @@ class EnergyScale:
         return float(_ROUNDING_ERRORS * np.finfo(float).eps * (energy_norm + self.closing))
 
 
-def _energy_of_jumps(
-    setup: DualSetup, data: ContactData, far: Mask, d: Vector, timer: Timer, history: History
-) -> float:
+def _energy_of_jumps(context: SolveContext, shortened: Mask, d: Vector) -> float:
     """Return r'Mr of the jumps r = B u_t - c at lambda~ that have to be closed [J].
 
     These are the jumps on the face of lambda~, with slips where friction is below its bound, and on
-    other contact rows the penetrations. Rows with a far gap are expected to stay open, whatever
-    lambda~ is there.
+    other contact rows the penetrations. Rows with a shortened gap are expected to stay open,
+    whatever lambda~ is there.
     """
+    setup, data = context.setup, context.data
     layout, rows = setup.constraints.layout, setup.constraints.inequality
-    pressing = (data.feasible[rows] > 0.0) & ~far
+    pressing = (data.feasible[rows] > 0.0) & ~shortened
     friction = setup.constraints.friction
     sticking = balls.inside(friction.at_sites(data.feasible), data.radius)
     face = Projector.build(setup.projector.coarse_space, pressing, sticking)
@@ -123,10 +111,10 @@ def _energy_of_jumps(
     r[rows] = np.where(pressing, r[rows], np.maximum(r[rows], 0.0))
     r[friction.on_rows(~sticking, r.size)] = 0.0
     if setup.preconditioner is None:
-        with timer.phase("norm"):
+        with context.timer.phase("norm"):
             norm = setup.norm(ROUGH_LANCZOS_STEPS)
         return layout.space.dots((r, r))[0] / (norm or 1.0)
-    history.products.preconditioner += 1
+    context.monitor.history.products.preconditioner += 1
     precondition = setup.preconditioner.on_face(setup.constraints.equality | (r != 0.0))
     part = np.array([r @ precondition(r)])
     return float(layout.space.sum_over_ranks(part)[0])

@@ -1,4 +1,4 @@
-"""Set-up of Total FETI: what depends on K alone, and what depends on K and B.
+"""Set-up of Total FETI: the part that depends on K alone, and the part for K and B.
 
 Both are built once and reused as long as K, or K and B, stay the same.
 """
@@ -37,16 +37,18 @@ from fenics_tfeti.feti.local.elastic_supports import set_free
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 from fenics_tfeti.feti.local.symmetry import SymmetryGroup, find_symmetries
 from fenics_tfeti.feti.options import Options
-from fenics_tfeti.feti.solution.certificate import RowBodies
+from fenics_tfeti.feti.solution.monitor import Monitor
+from fenics_tfeti.feti.solution.row_bodies import RowBodies
 from fenics_tfeti.feti.solution.states import ContactData
 from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
 
 @dataclass(frozen=True)
 class LocalSetup:
-    """What depends on the stiffness matrices alone.
+    """Set-up that depends on the stiffness matrices alone.
 
     Attributes
     ----------
@@ -133,7 +135,7 @@ def _symmetries(
 
 @dataclass(frozen=True)
 class DualSetup:
-    """What depends on the stiffness matrices and the rows of B.
+    """Set-up that depends on the stiffness matrices and the rows of B.
 
     Attributes
     ----------
@@ -281,6 +283,34 @@ class DualSetup:
     def load(self, data: ContactData) -> Vector:
         """Return d, or d_c, by one application of K^+. Collective."""
         return self.reduced(self.F.load(data.load, data.c))
+
+
+@dataclass(frozen=True)
+class SolveContext:
+    """Operators, data and options of one solve.
+
+    Attributes
+    ----------
+    setup : DualSetup
+        Operators.
+    data : ContactData
+        Loads and right-hand sides.
+    options : Options
+        Methods, tolerances and limits.
+    timer : Timer
+        To add the times of phases to.
+    monitor : Monitor
+        To tell of each step; with the history to add to.
+    body_names : sequence of str
+        Names of the bodies for the certificate.
+    """
+
+    setup: DualSetup
+    data: ContactData
+    options: Options
+    timer: Timer
+    monitor: Monitor
+    body_names: Sequence[str] = ()
 
 
 def dual_problem(

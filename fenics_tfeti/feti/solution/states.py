@@ -1,4 +1,4 @@
-"""What travels through one solve: its data, its iterates, the outcome, and the counters."""
+"""Data, candidates, outcome and counters of one solve."""
 
 from __future__ import annotations
 

@@ -144,7 +144,7 @@ def test_friction_on_a_face(system, turning, sticking):
     active = rng.random(constraints.inequality.size) < 0.7
     stick = np.arange(friction.size) < sticking * friction.size
     forces = rng.standard_normal(constraints.size)
-    across = friction.across(forces, stick) if turning else None
+    tangent = friction.across(forces, stick) if turning else None
     S = np.diag(constraints.face(active, stick).astype(float))
     for rows, sticks in zip(friction.rows, stick, strict=True):
         if turning and not sticks:
@@ -152,7 +152,7 @@ def test_friction_on_a_face(system, turning, sticking):
             S[np.ix_(rows, rows)] = np.outer(t, t) / (t @ t)
     G = dense.G @ S
     P = S - np.linalg.pinv(G, rcond=1e-10) @ G
-    projector = Projector.build(solver.setup.projector.coarse_space, active, stick, across)
+    projector = Projector.build(solver.setup.projector.coarse_space, active, stick, tangent)
     x, y = rng.standard_normal((2, constraints.size))
     np.testing.assert_allclose(projector.on_rows(x), S @ x, atol=1e-13)
     np.testing.assert_allclose(projector.P(S @ x), P @ x, atol=1e-11)

@@ -21,7 +21,7 @@ from fenics_tfeti.feti import (
 )
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.active_set import close_first_gaps
-from fenics_tfeti.feti.dual.pcpg import Face, Signs, pcpg
+from fenics_tfeti.feti.dual.pcpg import ContactState, Face, pcpg
 from fenics_tfeti.qp import Products, balls
 
 # Curtis, Han, Robinson, Comput. Optim. Appl. 60 (2015), example 1: active sets that repeat
@@ -111,8 +111,10 @@ WHATEVER_THE_SIGNS = {"sign_factor": 0.0, "max_products": 10_000}
 def linear_products(solver: TornSolver, active: np.ndarray, tolerance: float) -> Products:
     """Count what the linear problem with these rows costs, from nothing."""
     problem = replace(solver.dual_problem(), norm=solver.setup.norm(3))
-    signs = Signs.of(problem, np.zeros_like(problem.d), active)
-    face = Face.build(problem, signs, Projector.build(solver.setup.projector.coarse_space, active))
+    contact_state = ContactState.of(problem, np.zeros_like(problem.d), active)
+    face = Face.build(
+        problem, contact_state, Projector.build(solver.setup.projector.coarse_space, active)
+    )
     products = Products()
     start = np.zeros_like(problem.d)
     pcpg(problem, face, start, tolerance=tolerance, **WHATEVER_THE_SIGNS, products=products)
@@ -186,8 +188,10 @@ def test_smaller_tolerance_goes_on_where_the_larger_one_ended():
     solver = TornSolver(system, options)
     active = solver.solve().multipliers[solver.setup.constraints.inequality] > 0.0
     problem, start = solver.dual_problem(), np.zeros(solver.setup.constraints.size)
-    signs = Signs.of(problem, np.zeros_like(problem.d), active)
-    face = Face.build(problem, signs, Projector.build(solver.setup.projector.coarse_space, active))
+    contact_state = ContactState.of(problem, np.zeros_like(problem.d), active)
+    face = Face.build(
+        problem, contact_state, Projector.build(solver.setup.projector.coarse_space, active)
+    )
     once, twice = Products(), Products()
     scale = np.linalg.norm(solver.setup.projector.P(problem.d))
     coarse, fine = (
@@ -245,23 +249,23 @@ def test_face_with_forces_that_turn_is_a_linear_problem(preconditioner):
     at_sites = balls.on_boundary(friction.at_sites(forces), problem.radius, ~sticking)
     forces = friction.with_sites(forces, at_sites)
     curvature = np.where(sticking, 0.0, 10.0 ** rng.uniform(-2, 2, friction.size))
-    across = friction.across(forces, sticking)
-    projector = Projector.build(problem.coarse_space, active, sticking, across)
-    face = Face.build(problem, Signs(active, sticking, forces, curvature), projector)
+    tangent = friction.across(forces, sticking)
+    projector = Projector.build(problem.coarse_space, active, sticking, tangent)
+    face = Face.build(problem, ContactState(active, sticking, forces, curvature), projector)
     found = pcpg(
         problem, face, np.zeros(n), tolerance=1e-12, **WHATEVER_THE_SIGNS, products=Products()
     )
     unit = np.eye(n)
     F = np.column_stack([problem.F(x) for x in unit])
     S = np.column_stack([projector.on_rows(x) for x in unit])
-    bent = np.column_stack([face.bent(x) for x in unit])
-    np.testing.assert_allclose(bent, bent.T, atol=1e-15)
+    curvature_gradient = np.column_stack([face.curvature_gradient(x) for x in unit])
+    np.testing.assert_allclose(curvature_gradient, curvature_gradient.T, atol=1e-15)
     G = np.column_stack([problem.coarse_space.restrict(x) for x in unit])
     basis = np.linalg.svd(S)[0][:, : round(np.trace(S))]
     fixed = friction.off_face(sticking, forces)
     k = len(G)
     matrix = np.block(
-        [[basis.T @ (F + bent) @ basis, basis.T @ G.T], [G @ basis, np.zeros((k, k))]]
+        [[basis.T @ (F + curvature_gradient) @ basis, basis.T @ G.T], [G @ basis, np.zeros((k, k))]]
     )
     right = np.append(basis.T @ (problem.d - F @ fixed), problem.e - G @ fixed)
     exact = fixed + basis @ np.linalg.lstsq(matrix, right, rcond=1e-12)[0][: basis.shape[1]]
@@ -277,17 +281,17 @@ def test_slip_is_taken_back_where_the_load_needs_it():
     # forces push along the load, and so are the slips: a motion takes them farther back
     forces[friction.rows[:, 0]] = -problem.radius
     gradient[friction.rows[:, 0]] = 1e-3 * (1.0 + np.arange(16))
-    signs = Signs(
+    contact_state = ContactState(
         np.ones(constraints.inequality.size, dtype=bool),
         np.zeros(16, dtype=bool),
         forces,
         np.zeros(16),
     )
-    face = close_first_gaps(problem, signs, gradient)
+    face = close_first_gaps(problem, contact_state, gradient)
     first = np.argmin(gradient[friction.rows[:, 0]])
-    assert face.signs.sticking[first]
-    assert 1 <= np.count_nonzero(face.signs.sticking) < 16
-    assert not face.signs.forces[friction.rows[first]].any()
+    assert face.contact_state.sticking[first]
+    assert 1 <= np.count_nonzero(face.contact_state.sticking) < 16
+    assert not face.contact_state.forces[friction.rows[first]].any()
     assert not face.projector.unresisted(
-        problem.e - problem.coarse_space.restrict(face.signs.forces), problem.e_size
+        problem.e - problem.coarse_space.restrict(face.contact_state.forces), problem.e_size
     ).any()

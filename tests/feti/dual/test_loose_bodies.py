@@ -13,8 +13,8 @@ from fenics_tfeti.feti import (
     TornSystem,
 )
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.dual.active_set import _without_pulling_rows
-from fenics_tfeti.feti.dual.pcpg import Face, PCPGIterate, Signs, _settled
+from fenics_tfeti.feti.dual.active_set import _without_tensile_rows
+from fenics_tfeti.feti.dual.pcpg import ContactState, Face, PCPGIterate, _at_least_penetration
 
 pytestmark = pytest.mark.once
 
@@ -77,10 +77,10 @@ def test_bodies_that_have_none_are_squeezed_on_both_sides():
     problem = solver.dual_problem()
     coarse_space, rows = problem.coarse_space, problem.constraints.inequality
     none = np.zeros(rows.size, dtype=bool)
-    signs = Signs.of(problem, np.zeros_like(problem.d), none)
-    face = Face.build(problem, signs, Projector.build(coarse_space, none))
+    contact_state = ContactState.of(problem, np.zeros_like(problem.d), none)
+    face = Face.build(problem, contact_state, Projector.build(coarse_space, none))
     assert face.loose is not None
-    settled = face.loose.settled(problem.c)
+    settled = face.loose.at_least_penetration(problem.c)
     penetration = np.where(problem.constraints.contact == 1, np.maximum(-settled[rows], 0.0), 0.0)
     squeezing = np.zeros_like(settled)
     squeezing[rows] = penetration
@@ -111,17 +111,19 @@ def test_rows_that_do_not_push_hold_no_body(force, holds):
     for k in range(len(SHIFTS)):
         active[9 + 54 * k : 18 + 54 * k] = True
     projector = Projector.build(problem.coarse_space, active | (contact == 0))
-    signs = Signs.of(problem, np.zeros(size), active | (contact == 0))
-    face = Face.build(problem, signs, projector)
+    contact_state = ContactState.of(problem, np.zeros(size), active | (contact == 0))
+    face = Face.build(problem, contact_state, projector)
     multipliers, gradient = np.zeros(size), problem.c.copy()
     multipliers[rows] = np.where(active, force, 1.0)
     # they touch the first wall, and the whole play is at the opposite one
     lengths = problem.constraints.row_lengths[rows]
     opposite = np.roll(active, 27)
     gradient[rows] = np.where(active, 0.0, np.where(opposite, 0.2 * lengths, problem.c[rows]))
-    nothing = PCPGIterate(signs, multipliers, gradient, gradient, 0.0, 0.0, 0.0 * gradient, 1.0, ())
-    judged = _without_pulling_rows(problem, face, nothing)
-    penetrated = (judged[rows] < 0.0) & (contact == 1) & ~active
+    nothing = PCPGIterate(
+        contact_state, multipliers, gradient, gradient, 0.0, 0.0, 0.0 * gradient, 1.0, ()
+    )
+    sign_test_gradient = _without_tensile_rows(problem, face, nothing)
+    penetrated = (sign_test_gradient[rows] < 0.0) & (contact == 1) & ~active
     assert penetrated.any() == holds
 
 
@@ -129,8 +131,11 @@ def test_faces_that_hold_all_bodies_have_none():
     solver = TornSolver(column(n=2))
     problem = solver.dual_problem()
     every = np.ones(problem.constraints.inequality.size, dtype=bool)
-    signs = Signs.of(problem, np.zeros_like(problem.d), every)
-    assert Face.build(problem, signs, Projector.build(problem.coarse_space, every)).loose is None
+    contact_state = ContactState.of(problem, np.zeros_like(problem.d), every)
+    assert (
+        Face.build(problem, contact_state, Projector.build(problem.coarse_space, every)).loose
+        is None
+    )
 
 
 @pytest.mark.parametrize(("residual", "known"), [(1e-3, False), (1e-7, True)])
@@ -161,19 +166,21 @@ def test_positions_are_known_as_far_as_the_residual_allows(residual, known):
     rows = problem.constraints.inequality
     on_ground, on_left, on_right = rows[9:18], rows[18:27], rows[27:36]
     active = np.isin(rows, np.append(rows[:9], on_ground))
-    signs = Signs.of(problem, np.zeros_like(problem.d), active)
-    face = Face.build(problem, signs, Projector.build(problem.coarse_space, active))
+    contact_state = ContactState.of(problem, np.zeros_like(problem.d), active)
+    face = Face.build(problem, contact_state, Projector.build(problem.coarse_space, active))
     gradient = np.zeros_like(problem.d)
     # least in the sense of least squares: orthogonal to what rigid motions change
     gradient[on_ground] = residual * (sx**2 - 2 / 3)
     gradient[on_left], gradient[on_right] = -depth, 0.2 + depth
     assert face.loose is not None
-    settled = face.loose.judged(face.loose.settled(gradient))
+    settled = face.loose.sign_test_gradient(face.loose.at_least_penetration(gradient))
     np.testing.assert_array_equal(settled[on_ground], gradient[on_ground])
     expected = -depth if known else 0.0
     np.testing.assert_allclose(settled[on_left].min(), expected, atol=0.05 * depth)
     assert (settled[on_right] > 0.1).all()
     # judging changes no gradient: more steps start from what the face says
-    iterate = PCPGIterate(signs, 0.0 * gradient, gradient, gradient, 0.0, 0.0, gradient, 1.0, ())
-    kept = _settled(problem, face, iterate).gradient
+    iterate = PCPGIterate(
+        contact_state, 0.0 * gradient, gradient, gradient, 0.0, 0.0, gradient, 1.0, ()
+    )
+    kept = _at_least_penetration(problem, face, iterate).gradient
     np.testing.assert_allclose(kept[on_left].min(), -depth, atol=0.05 * depth)

@@ -9,17 +9,20 @@ import pytest
 from torn import column
 
 from fenics_tfeti.feti import Options, TornSolver
+from fenics_tfeti.feti.solution.monitor import Monitor
 from fenics_tfeti.feti.solution.scale import EnergyScale, FeasibleState
+from fenics_tfeti.feti.solution.setup import SolveContext
 from fenics_tfeti.feti.solution.states import History
 from fenics_tfeti.feti.timer import Timer
 
 
 def scale_of(solver: TornSolver) -> EnergyScale:
-    """Return the scale of a solver's problem, with no gap taken for far."""
+    """Return the scale of a solver's problem, with no gap shortened."""
     setup, data = solver.setup, solver.data
-    far = np.zeros(setup.constraints.inequality.size, dtype=bool)
-    feasible = FeasibleState.of(setup, data)
-    return EnergyScale.of(setup, data, feasible, far, Timer(), History())
+    shortened = np.zeros(setup.constraints.inequality.size, dtype=bool)
+    monitor = Monitor(History(), setup.constraints.layout.comm)
+    context = SolveContext(setup, data, solver.options, Timer(), monitor)
+    return EnergyScale.of(context, FeasibleState.of(setup, data), shortened)
 
 
 @pytest.mark.parametrize("preconditioner", ["none", "lumped", "dirichlet"])

@@ -9,13 +9,12 @@ import pytest
 from torn import column, cube
 
 from fenics_tfeti.feti import ContactRows, Options, TornSolver
-from fenics_tfeti.feti.solution.certificate import RowBodies
-from fenics_tfeti.feti.solution.idle_bodies import without_idle_forces
+from fenics_tfeti.feti.solution.row_bodies import RowBodies, without_unloaded_groups
 
 LOOSE = 2 * 10**9
 
 
-def with_idle_body(gap=0.1):
+def with_unloaded_body(gap=0.1):
     """Add a body of two cubes without load, between two walls."""
     system = column(n=2)
     loose = [cube(2, (5, 0, k), 2, LOOSE) for k in range(2)]
@@ -48,7 +47,7 @@ def changed_rows(system, force_of_walls=0.0):
     c = np.zeros(constraints.size)
     c[constraints.inequality[: system.contacts.size]] = system.contacts.gap
     load = np.concatenate([s.load for s in system.subdomains])
-    found = without_idle_forces(constraints, bodies, load, c, multipliers)
+    found = without_unloaded_groups(constraints, bodies, load, c, multipliers)
     lost = found == 0.0
     np.testing.assert_array_equal(found[~lost], multipliers[~lost])
     of_row = bodies.of_unknown[constraints.matrix.indices[constraints.matrix.indptr[:-1]]]
@@ -57,11 +56,11 @@ def changed_rows(system, force_of_walls=0.0):
 
 
 def test_gluing_of_a_body_without_load():
-    assert changed_rows(with_idle_body()) == ({2}, {0, 1})
+    assert changed_rows(with_unloaded_body()) == ({2}, {0, 1})
 
 
 def test_a_body_with_load_keeps_them():
-    system = with_idle_body()
+    system = with_unloaded_body()
     *others, last = system.subdomains
     # pulled on two nodes, one above the other
     pulled = np.flatnonzero((last.coordinates[:, :2] == last.coordinates[0, :2]).all(axis=1))[:2]
@@ -74,13 +73,13 @@ def test_a_body_with_load_keeps_them():
 @pytest.mark.parametrize(("gap", "lost"), [(0.1, {2}), (-0.1, set())])
 def test_a_squeezed_body_keeps_them(gap, lost):
     """Walls that press although there is play; walls that are too near press with reason."""
-    assert changed_rows(with_idle_body(gap), force_of_walls=1.0)[0] == lost
+    assert changed_rows(with_unloaded_body(gap), force_of_walls=1.0)[0] == lost
 
 
 def test_bodies_without_load_do_not_tighten_the_tolerance():
-    report = TornSolver(with_idle_body(), Options(rtol=1e-4)).solve().report
+    report = TornSolver(with_unloaded_body(), Options(rtol=1e-4)).solve().report
     alone = TornSolver(column(n=2), Options(rtol=1e-4)).solve().report
     assert report.products["total"] == alone.products["total"]
     assert report.certificate.worst <= 1e-4
-    (idle,) = (group for group in report.certificate.groups if group.bodies == ["body 2"])
-    assert idle.energy_norm == idle.error == 0.0
+    (unloaded,) = (group for group in report.certificate.groups if group.bodies == ["body 2"])
+    assert unloaded.energy_norm == unloaded.error == 0.0

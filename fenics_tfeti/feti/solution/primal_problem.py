@@ -1,0 +1,290 @@
+"""The primal problem (11.21), and how well displacements and multipliers solve it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+from mpi4py import MPI
+
+import numpy as np
+
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.local.congruence import times_rows
+from fenics_tfeti.feti.solution.certificate import BodyError, Certificate, GroupError
+from fenics_tfeti.feti.solution.recovery import Recovered
+from fenics_tfeti.feti.solution.setup import DualSetup
+from fenics_tfeti.feti.solution.states import ContactData
+from fenics_tfeti.feti.tolerances import HARDLY_DEFORMED, UNDEFORMED
+from fenics_tfeti.qp import balls
+from fenics_tfeti.typing import Mask, Numbers, Vector
+
+# rounding of motions that were taken out of the data, relative to that of motions in the iterations
+_ROUNDED_ONCE = 1e-3
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Sums over the unknowns of each subdomain, or of each body over all ranks."""
+
+    error2: Vector  # ||u - u_t||_K^2, with friction and 2 (r |s| - lambda_T's) [J]
+    strain2: Vector  # ||u_t||_K^2 [J]
+    residual2: Vector  # ||Ku_t - f + B'lambda||^2 [N^2]
+    force2: Vector  # ||f||^2 + ||B'lambda||^2 [N^2]
+    flexibility: Vector  # f'D^{-1}f and the same of B'lambda, D the diagonal of K [J]
+    energy: Vector  # 1/2 u'Ku - f'u, with friction and r |s| [J]
+
+    @staticmethod
+    def zeros(size: int) -> _Sums:
+        """Return sums of nothing."""
+        return _Sums(*np.zeros((len(fields(_Sums)), size)))
+
+
+@dataclass(frozen=True)
+class _BodyMeasures:
+    """Errors of each body, and their scales."""
+
+    error2: Vector  # ||u - u_t||_K^2 [J]; infinite where G lambda = e does not hold
+    strain2: Vector  # ||u_t||_K^2 [J]
+    equilibrium: Vector  # ||Ku_t - f + B'lambda||, relative to the forces
+    rounding2: float  # what rounding may leave in an energy of any body [J]
+    deformed: Mask  # whether the strains are more than rounding
+    deformation: Vector  # largest displacement without rigid motions of subdomains [m]
+
+
+@dataclass(frozen=True)
+class PrimalProblem:
+    """K, f, B and c of (11.21) on this rank.
+
+    Attributes
+    ----------
+    setup : DualSetup
+        K and B.
+    data : ContactData
+        f, c and r.
+    body_names : sequence of str
+        Names of the bodies.
+    """
+
+    setup: DualSetup
+    data: ContactData
+    body_names: Sequence[str]
+
+    def certify(
+        self, recovered: Recovered, multipliers: Vector, face: Projector
+    ) -> tuple[Certificate, float]:
+        """Measure how well displacements and multipliers solve the primal problem. Collective.
+
+        Parameters
+        ----------
+        recovered : Recovered
+            Displacements.
+        multipliers : (m,) array
+            lambda, with lambda_I >= o, and G lambda = e but for motions that the face leaves free.
+        face : Projector
+            That of the equality rows and the contact rows with a force.
+
+        Returns
+        -------
+        Certificate, float
+            The certificate; 1/2 u'Ku - f'u, with friction and the sum of r |s| [J].
+        """
+        sums = self._sums(recovered, multipliers)
+        measures = self._body_measures(sums, recovered, face)
+        groups, bodies = self._errors(measures, recovered)
+        bound, norm = np.sqrt([measures.error2.sum(), measures.strain2.sum()]).tolist()
+        # all strains may be rounding
+        largest = max((group.error for group in groups), default=0.0)
+        certificate = Certificate(
+            bound=bound,
+            error=bound / norm if measures.deformed.any() else largest,
+            groups=groups,
+            bodies=bodies,
+            equilibrium=float(measures.equilibrium.max(initial=0.0)),
+            **self._contact_errors(recovered, multipliers, measures.deformation),
+            **self._friction_errors(recovered, multipliers, measures.deformation),
+        )
+        return certificate, float(sums.energy.sum())
+
+    def slips(self, recovered: Recovered) -> Vector:
+        """Return s = B_T u - c_T at the sites of friction, (k, gdim - 1), scaled as the rows.
+
+        It is zero where the rows were closed.
+        """
+        slips = self.setup.constraints.friction.at_sites(recovered.jumps)
+        slips[recovered.sticking] = 0.0
+        return slips
+
+    @property
+    def _comm(self) -> MPI.Intracomm:
+        return self.setup.constraints.layout.comm
+
+    def _errors(
+        self, measures: _BodyMeasures, recovered: Recovered
+    ) -> tuple[list[GroupError], list[BodyError]]:
+        """Return the errors of groups and of bodies, each relative to its own scale."""
+        row_bodies = self.setup.row_bodies
+        group = row_bodies.groups(self._comm, recovered.closed, self.data.radius > 0.0)
+        names = [
+            self.body_names[b] if b < len(self.body_names) else f"body {b}"
+            for b in range(row_bodies.bodies)
+        ]
+        size = np.bincount(group)
+        error2, strain2 = (np.bincount(group, x) for x in (measures.error2, measures.strain2))
+        rounding2 = measures.rounding2 * size
+        groups = [
+            GroupError(
+                [names[b] for b in np.flatnonzero(group == g)],
+                float(np.sqrt(strain2[g])),
+                _relative(error2[g], strain2[g], rounding2[g]),
+            )
+            for g in range(size.size)
+        ]
+        scale2 = np.maximum(measures.strain2, HARDLY_DEFORMED**2 * strain2[group])
+        bodies = [
+            BodyError(
+                name,
+                float(np.sqrt(measures.strain2[b])),
+                _relative(measures.error2[b], scale2[b], rounding2[group[b]]),
+                float(np.sqrt(scale2[b])),
+            )
+            for b, name in enumerate(names)
+        ]
+        return groups, bodies
+
+    def _sums(self, recovered: Recovered, multipliers: Vector) -> _Sums:
+        """Return the sums of each body. Collective."""
+        row_bodies, friction = self.setup.row_bodies, self.setup.constraints.friction
+        of_subdomain, number = row_bodies.of_subdomain, row_bodies.bodies
+        parts = vars(self._subdomain_sums(recovered, multipliers)).values()
+        sums = np.array([np.bincount(of_subdomain, part, number) for part in parts])
+        own = _Sums(*sums)
+        slips, along = self.slips(recovered), balls.directions(friction.at_sites(multipliers))
+        sites = np.flatnonzero(friction.owned(self.setup.constraints.layout.owned))
+        body, radius = row_bodies.of_sites(friction.size)[sites], self.data.radius[sites]
+        unused = balls.misalignment(slips, along)[sites]
+        np.add.at(own.error2, body, 2.0 * radius * unused)
+        np.add.at(own.energy, body, radius * np.linalg.norm(slips, axis=1)[sites])
+        self._comm.Allreduce(MPI.IN_PLACE, sums)
+        return own
+
+    def _subdomain_sums(self, recovered: Recovered, multipliers: Vector) -> _Sums:
+        """Return the sums of each subdomain, without friction."""
+        setup = self.setup
+        constraint_forces = setup.F.constraint_forces(multipliers)
+        sums = _Sums.zeros(setup.row_bodies.of_subdomain.size)
+        for congruent, K in zip(setup.F.interface.classes, setup.local.stiffness, strict=True):
+            for batch in congruent.batches():
+                load, pull = batch.rows(self.data.load), batch.rows(constraint_forces)
+                strained, u = batch.rows(recovered.strained), batch.rows(recovered.displacement)
+                forces, difference = load - pull, u - batch.rows(recovered.torn)
+                # the rigid motions have no part in K u_t
+                of_strained, of_difference = times_rows(K, strained), times_rows(K, difference)
+                applied, members = load**2 + pull**2, batch.members
+                sums.error2[members] = np.sum(difference * of_difference, axis=1)
+                sums.strain2[members] = np.sum(strained * forces, axis=1)
+                sums.residual2[members] = np.sum((of_strained - forces) ** 2, axis=1)
+                sums.force2[members] = np.sum(applied, axis=1)
+                sums.flexibility[members] = applied @ (1.0 / K.diagonal())
+                work = u * (0.5 * (of_strained + of_difference) - load)
+                sums.energy[members] = np.sum(work, axis=1)
+        return sums
+
+    def _body_measures(self, sums: _Sums, recovered: Recovered, face: Projector) -> _BodyMeasures:
+        """Return errors and scales of each body. Collective."""
+        coarse_space, load = face.coarse_space, self.data.load
+        error2, strain2 = np.maximum(sums.error2, 0.0), np.maximum(sums.strain2, 0.0)
+        # where G lambda = e does not hold, there is no bound
+        size = coarse_space.coarse_load_size(load)
+        unbalanced = face.unresisted(coarse_space.coarse_load(load), size) != 0.0
+        error2[coarse_space.bodies.of_coarse[unbalanced]] = np.inf
+        # the coarse problem spreads rounding errors over all bodies
+        energy2 = sums.flexibility.sum() + self._energy_of_motions(recovered)
+        rounding2 = float(np.finfo(float).eps ** 2 * energy2)
+        deformed = strain2 > UNDEFORMED**2 * rounding2
+        equilibrium = np.sqrt(sums.residual2 / np.where(deformed, sums.force2, np.inf))
+        deformation = np.where(deformed, self._deformation(recovered.strained), 0.0)
+        return _BodyMeasures(error2, strain2, equilibrium, rounding2, deformed, deformation)
+
+    def _energy_of_motions(self, recovered: Recovered) -> float:
+        """Return the energy of the rigid motions that close jumps, if rows were springs."""
+        constraints, closing = self.setup.constraints, self.data.c.copy()
+        rows = constraints.inequality
+        closing[rows] = np.where(recovered.closed, closing[rows], np.minimum(closing[rows], 0.0))
+        closing[constraints.friction.on_rows(~recovered.sticking, closing.size)] = 0.0
+        removed = np.broadcast_to(self.data.removed, closing.shape)
+        closed2, removed2 = constraints.layout.space.dots((closing, closing), (removed, removed))
+        return self.setup.local.unit * float(closed2 + _ROUNDED_ONCE**2 * removed2)
+
+    def _deformation(self, strained: Vector) -> Vector:
+        """Return the size of each body's displacement without rigid motions of subdomains [m]."""
+        row_bodies = self.setup.row_bodies
+        size = np.zeros(row_bodies.bodies)
+        np.maximum.at(size, row_bodies.of_unknown, np.abs(strained))
+        self._comm.Allreduce(MPI.IN_PLACE, size, MPI.MAX)
+        return size
+
+    def _contact_errors(
+        self, recovered: Recovered, multipliers: Vector, deformation: Vector
+    ) -> dict[str, float]:
+        """Return penetration, smallest force and complementarity, as in `Certificate`."""
+        constraints, row_bodies = self.setup.constraints, self.setup.row_bodies
+        rows = constraints.inequality
+        scale = row_bodies.largest(deformation, rows.size)
+        distance = recovered.jumps[rows] / constraints.scale / np.where(scale > 0.0, scale, np.inf)
+        force = multipliers[rows] * constraints.scale
+        force /= self._largest_of_contact(constraints.contact, force)
+        largest = self._largest(
+            penetration=np.maximum(distance, 0.0),
+            smallest_force=-force,
+            complementarity=np.abs(force * distance),
+        )
+        return largest | {"smallest_force": -largest["smallest_force"]}
+
+    def _friction_errors(
+        self, recovered: Recovered, multipliers: Vector, deformation: Vector
+    ) -> dict[str, float]:
+        """Return excess over the bound, slip below it and across the force, as in `Certificate`."""
+        friction, radius = self.setup.constraints.friction, self.data.radius
+        scale = self.setup.row_bodies.largest_at_sites(deformation, friction.size)
+        slip = friction.at_sites(recovered.jumps) / friction.scale[:, None]
+        slip /= np.where(scale > 0.0, scale, np.inf)[:, None]
+        forces = friction.at_sites(multipliers)
+        along = balls.directions(forces)
+        forwards = np.maximum(np.sum(slip * along, axis=1, keepdims=True), 0.0)
+        weight = friction.scale / self._largest_of_contact(
+            friction.contact, friction.scale * radius
+        )
+        excess = weight * (np.linalg.norm(forces, axis=1) - radius)
+        # of small forces the direction matters little
+        across = weight * radius * np.linalg.norm(slip - forwards * along, axis=1)
+        slipping = ~recovered.sticking & (radius > 0.0)
+        return self._largest(
+            friction_excess=np.maximum(excess, 0.0),
+            slip_below_bound=np.linalg.norm(slip, axis=1)[recovered.sticking],
+            slip_across_force=across[slipping],
+        )
+
+    def _largest_of_contact(self, contact: Numbers, values: Vector) -> Vector:
+        """Return for each row the largest value of its contact, or 1 if none is positive."""
+        largest = np.zeros(self.setup.row_bodies.contacts)
+        np.maximum.at(largest, contact, values)
+        self._comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+        return np.where(largest > 0.0, largest, 1.0)[contact]
+
+    def _largest(self, **values: Vector) -> dict[str, float]:
+        """Return the largest of some values over all ranks, 0 where there are none. Collective."""
+        largest = np.array([x.max(initial=-np.inf) for x in values.values()])
+        self._comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+        return {
+            name: 0.0 if x == -np.inf else x
+            for name, x in zip(values, largest.tolist(), strict=True)
+        }
+
+
+def _relative(error2: float, scale2: float, rounding2: float) -> float:
+    """Return an error relative to its scale; zero where both are rounding."""
+    negligible2 = UNDEFORMED**2 * rounding2
+    if scale2 <= negligible2:
+        return 0.0 if error2 <= negligible2 else float(np.sqrt(error2 / negligible2))
+    return float(np.sqrt(error2 / scale2))

@@ -1,0 +1,183 @@
+"""The bodies that contact and tied rows connect, and their groups."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.parallel import Directory, concatenate_buffers
+from fenics_tfeti.typing import Mask, Numbers, Vector
+
+
+@dataclass(frozen=True)
+class RowBodies:
+    """The bodies that contact and tied rows connect.
+
+    Attributes
+    ----------
+    bodies, contacts : int
+        Numbers of bodies and of contacts over all ranks.
+    of_subdomain, of_unknown : (subdomains,), (n,) integer arrays
+        The body of each of this rank's subdomains and torn unknowns.
+    row, body : (p,) integer arrays
+        The bodies of each inequality row that this rank holds, (row, body) in ascending order; all
+        bodies of a row, whichever rank has them.
+    tied : (2, q) integer array
+        Pairs of bodies that tied rows of this rank connect.
+    site, site_body : (p,) integer arrays
+        The bodies of each site of friction that this rank holds, as those of inequality rows.
+    """
+
+    bodies: int
+    contacts: int
+    of_subdomain: Numbers
+    of_unknown: Numbers
+    row: Numbers
+    body: Numbers
+    tied: Numbers
+    site: Numbers
+    site_body: Numbers
+
+    @staticmethod
+    def build(system: TornSystem, constraints: Constraints, ends: Numbers) -> RowBodies:
+        """Find the bodies of contact and tied rows. Collective.
+
+        Parameters
+        ----------
+        system : TornSystem
+            For the body of each subdomain.
+        constraints : Constraints
+            B.
+        ends : (subdomains + 1,) integer array
+            First torn unknown of each subdomain, and the end of the last.
+        """
+        of_subdomain = np.array([s.body for s in system.subdomains], dtype=np.int64)
+        count = system.comm.allreduce(int(of_subdomain.max(initial=-1)), MPI.MAX) + 1
+        of_unknown = np.repeat(of_subdomain, np.diff(ends))
+        row, body = _bodies_of_rows(constraints, constraints.inequality, of_unknown)
+        pairs = _pairs(*_bodies_of_rows(constraints, constraints.tied.rows, of_unknown))
+        numbers = np.append(constraints.contact, constraints.friction.contact)
+        contacts = system.comm.allreduce(int(numbers.max(initial=-1)), MPI.MAX) + 1
+        sites = _bodies_of_rows(constraints, constraints.friction.rows.max(axis=1), of_unknown)
+        return RowBodies(count, contacts, of_subdomain, of_unknown, row, body, pairs, *sites)
+
+    def groups(self, comm: MPI.Intracomm, closed: Mask, with_force: Mask) -> Numbers:
+        """Return the group of each body. Collective.
+
+        Parameters
+        ----------
+        comm : MPI.Intracomm
+            The ranks.
+        closed : (i,) bool array
+            The contact rows that are closed.
+        with_force : (k,) bool array
+            The sites of friction that may have a force.
+        """
+        rows, sites = closed[self.row], with_force[self.site]
+        pairs = np.hstack(
+            [
+                _pairs(self.row[rows], self.body[rows]),
+                _pairs(self.site[sites], self.site_body[sites]),
+                self.tied,
+            ]
+        )
+        first, last = concatenate_buffers(comm, *pairs)
+        graph = sp.coo_matrix(
+            (np.ones(first.size), (first, last)), shape=(self.bodies, self.bodies)
+        )
+        group: Numbers = connected_components(graph, directed=False)[1].astype(np.int64)
+        return group
+
+    def largest(self, of_body: Vector, rows: int) -> Vector:
+        """Return the largest value among the bodies of each inequality row, of `rows` rows."""
+        largest = np.zeros(rows)
+        np.maximum.at(largest, self.row, of_body[self.body])
+        return largest
+
+    def largest_at_sites(self, of_body: Vector, sites: int) -> Vector:
+        """Return the largest value among the bodies of each of `sites` sites of friction."""
+        largest = np.zeros(sites)
+        np.maximum.at(largest, self.site, of_body[self.site_body])
+        return largest
+
+    def of_sites(self, sites: int) -> Numbers:
+        """Return one of the bodies of each of `sites` sites of friction."""
+        body = np.zeros(sites, dtype=np.int64)
+        body[self.site[::-1]] = self.site_body[::-1]
+        return body
+
+
+def _bodies_of_rows(
+    constraints: Constraints, rows: Numbers, of_unknown: Numbers
+) -> tuple[Numbers, Numbers]:
+    """Return the positions in `rows`, ascending, and the bodies of each, of all ranks."""
+    numbers = constraints.layout.numbers[rows]
+    entries = constraints.matrix[rows].tocoo()
+    own = np.unique(np.stack([numbers[entries.row], of_unknown[entries.col]]), axis=1)
+    directory = Directory(constraints.layout.comm, numbers)
+    number, body = np.unique(np.stack(directory.forward(*own)), axis=1)
+    order = np.argsort(numbers, kind="stable")
+    row = order[np.searchsorted(numbers[order], number)]
+    by_row = np.lexsort((body, row))
+    return row[by_row], body[by_row]
+
+
+def _pairs(row: Numbers, body: Numbers) -> Numbers:
+    """Return the distinct pairs (2, q) of the first body of a row and each of its bodies."""
+    first = body[np.searchsorted(row, row)]
+    pairs: Numbers = np.unique(np.stack([first, body]), axis=1)
+    return pairs
+
+
+def without_unloaded_groups(
+    constraints: Constraints, row_bodies: RowBodies, load: Vector, c: Vector, multipliers: Vector
+) -> Vector:
+    """Return the multipliers with zeros in groups without a load where that is no worse.
+
+    Bodies that do not press on others decouple, and without a load the dual function of such a
+    group is -1/2 lambda'F lambda - c'lambda. Where c'lambda >= 0, as in a body that touches
+    nothing, lambda = o is at least as good. What the iterations leave there instead has no scale:
+    relative to the energy of the group, which is all error, it never becomes small. Collective.
+
+    Parameters
+    ----------
+    constraints : Constraints
+        B.
+    row_bodies : RowBodies
+        The bodies of subdomains and of rows.
+    load : (n,) array
+        f of this rank's subdomains [N].
+    c : (m,) array
+        Right-hand sides of the constraints.
+    multipliers : (m,) array
+        lambda, with G lambda = e.
+
+    Returns
+    -------
+    (m,) array
+        With G lambda = e.
+    """
+    comm, layout = constraints.layout.comm, constraints.layout
+    with_force = constraints.friction.at_sites(multipliers).any(axis=1)
+    group = row_bodies.groups(comm, multipliers[constraints.inequality] > 0.0, with_force)
+    matrix, of_unknown = constraints.matrix, row_bodies.of_unknown
+    rows = np.flatnonzero(np.diff(matrix.indptr))
+    # all bodies of a row with a force are of one group
+    row_group = group[of_unknown[matrix.indices[matrix.indptr[rows]]]]
+    size = int(group.max(initial=-1)) + 1
+    owned = rows < layout.owned
+    loaded = np.bincount(group[of_unknown[load != 0.0]], minlength=size)
+    work = np.bincount(row_group[owned], (c * multipliers)[rows[owned]], size)
+    sums = layout.space.sum_over_ranks(np.concatenate([loaded, work]))
+    unloaded = (sums[:size] == 0.0) & (sums[size:] >= 0.0)
+    part = np.zeros(multipliers.size)
+    part[rows] = unloaded[row_group]
+    result: Vector = np.where(layout.sum(part) > 0.0, 0.0, multipliers)
+    return result
