@@ -33,8 +33,9 @@ _FIRST, _DECREASE, _REPEATED = 1e-1, 1e-2, 5
 _NEAREST, _SPARSE, _DENSE, _NO_SOLUTION = 1e-10, 1e-13, 1e-15, 1e-5
 # limits on Newton steps, on the bisections of each, and on the corrections of forces
 _NEWTON_STEPS, _BISECTIONS, _CORRECTIONS = 60, 60, 20
-# rounding of the gradient, relative to the sizes of its terms; residual that counts as none
-_ROUNDING, _SOLVED = 2.0**-51, 1e-12
+# rounding of the gradient, relative to the sizes of its terms; residuals relative to the load that
+# count as none, and that need no correction
+_ROUNDING, _SOLVED, _EXACT = 2.0**-51, 1e-12, 1e-14
 # singular value of rows, relative to the largest, that is rounding, and what rounding leaves of a
 # column in their combinations
 _UNRESISTED, _TRACE = 1e-13, 1e-14
@@ -369,7 +370,7 @@ def _balanced(B: Any, b: Vector, feasible: ForceSet, v: Vector) -> Vector:
     best = x = feasible.project(v.copy())
     least = float(np.linalg.norm(b - B @ x))
     for _ in range(_CORRECTIONS):
-        if least <= _ROUNDING * np.linalg.norm(b):
+        if least <= _EXACT * np.linalg.norm(b):
             break
         v = x + _correction(B, b - B @ x, feasible, v)
         x = feasible.project(v.copy())
