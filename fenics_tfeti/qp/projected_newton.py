@@ -27,10 +27,12 @@ from fenics_tfeti.qp.cones import FrictionCones
 from fenics_tfeti.qp.feasible_set import ProductSet
 from fenics_tfeti.typing import Vector
 
-# weights of the distance, relative to the stiffness of the springs: under a load, which may move
-# bodies far, they decrease to what factors resolve, or to what resolves the residual of no solution
-_FIRST, _DECREASE, _REPEATED = 1e-1, 1e-2, 5
-_NEAREST, _SPARSE, _DENSE, _NO_SOLUTION = 1e-10, 1e-13, 1e-15, 1e-5
+# weights of the distance, relative to the stiffness of the springs: what is nearest without a load;
+# under a load, which may move bodies far, they decrease to what factors resolve, or to what
+# resolves the residual of no solution, and the last one is repeated
+_NEAREST = (1e-10, 1e-10, 1e-10)
+_DECREASING, _REPEATED = (1e-1, 1e-3, 1e-5, 1e-7, 1e-9, 1e-11, 1e-13), 5
+_SPARSE, _DENSE, _NO_SOLUTION = 1e-13, 1e-15, 1e-5
 # limits on Newton steps, on the bisections of each, and on the corrections of forces
 _NEWTON_STEPS, _BISECTIONS, _CORRECTIONS = 60, 60, 20
 # rounding of the gradient, relative to the sizes of its terms; residuals relative to the load that
@@ -156,15 +158,17 @@ def _proximal_points(problem: _Problem, z: Vector, least_weight: float) -> Vecto
     size = float(np.linalg.norm(problem.at(z).gradient))
     if size == 0.0:
         return z
-    has_load, repeated = bool(problem.load.any()), 0
-    weight = _FIRST if has_load else _NEAREST
-    while repeated < _REPEATED:
+    if not problem.load.any():
+        for weight in _NEAREST:
+            z = _nearest(problem, z, weight * problem.stiffest)
+        return z
+    decreasing = [weight for weight in _DECREASING if weight > least_weight]
+    for weight in (*decreasing, *(_REPEATED * [least_weight])):
         centre, z = z, _nearest(problem, z, weight * problem.stiffest)
+        # what the weight leaves of the balance
         left = weight * problem.stiffest * np.linalg.norm(z - centre)
-        if has_load and left <= _SOLVED * size:
+        if left <= _SOLVED * size:
             break
-        repeated += weight <= least_weight or not has_load
-        weight = max(_DECREASE * weight, least_weight) if has_load else weight
     return z
 
 
