@@ -26,14 +26,17 @@ from scipy.sparse.linalg import splu
 from fenics_tfeti.qp.feasible_set import Bounds, ProductSet
 from fenics_tfeti.typing import Vector
 
-# weights of the distance, relative to the stiffness of the springs: under a load, which may move
-# bodies far, they decrease to what factors resolve, or to what resolves the residual of no solution
-_FIRST, _DECREASE, _REPEATED = 1e-1, 1e-2, 5
-_NEAREST, _SPARSE, _DENSE, _NO_SOLUTION = 1e-10, 1e-13, 1e-15, 1e-5
+# weights of the distance, relative to the stiffness of the springs: what is nearest without a load;
+# under a load, which may move bodies far, they decrease to what factors resolve, or to what
+# resolves the residual of no solution, and the last one is repeated
+_NEAREST = (1e-10, 1e-10, 1e-10)
+_DECREASING, _REPEATED = (1e-1, 1e-3, 1e-5, 1e-7, 1e-9, 1e-11, 1e-13), 5
+_SPARSE, _DENSE, _NO_SOLUTION = 1e-13, 1e-15, 1e-5
 # limits on Newton steps, on the bisections of each, and on the corrections of forces
 _NEWTON_STEPS, _BISECTIONS, _CORRECTIONS = 60, 60, 20
-# rounding of the gradient, relative to the sizes of its terms; residual that counts as none
-_ROUNDING, _SOLVED = 2.0**-51, 1e-12
+# rounding of the gradient, relative to the sizes of its terms; residuals relative to the load that
+# count as none, and that need no correction
+_ROUNDING, _SOLVED, _EXACT = 2.0**-51, 1e-12, 1e-14
 # singular value of rows, relative to the largest, that is rounding, and what rounding leaves of a
 # column in their combinations
 _UNRESISTED, _TRACE = 1e-13, 1e-14
@@ -132,15 +135,17 @@ def _proximal_points(problem: _Problem, z: Vector, least_weight: float) -> Vecto
     size = float(np.linalg.norm(problem.at(z).gradient))
     if size == 0.0:
         return z
-    has_load, repeated = bool(problem.load.any()), 0
-    weight = _FIRST if has_load else _NEAREST
-    while repeated < _REPEATED:
+    if not problem.load.any():
+        for weight in _NEAREST:
+            z = _nearest(problem, z, weight * problem.stiffest)
+        return z
+    decreasing = [weight for weight in _DECREASING if weight > least_weight]
+    for weight in (*decreasing, *(_REPEATED * [least_weight])):
         centre, z = z, _nearest(problem, z, weight * problem.stiffest)
+        # what the weight leaves of the balance
         left = weight * problem.stiffest * np.linalg.norm(z - centre)
-        if has_load and left <= _SOLVED * size:
+        if left <= _SOLVED * size:
             break
-        repeated += weight <= least_weight or not has_load
-        weight = max(_DECREASE * weight, least_weight) if has_load else weight
     return z
 
 
@@ -345,7 +350,7 @@ def _balanced(B: Any, b: Vector, feasible: ProductSet, v: Vector) -> Vector:
     best = x = feasible.project(v.copy())
     least = float(np.linalg.norm(b - B @ x))
     for _ in range(_CORRECTIONS):
-        if least <= _ROUNDING * np.linalg.norm(b):
+        if least <= _EXACT * np.linalg.norm(b):
             break
         v = x + _correction(B, b - B @ x, feasible, v)
         x = feasible.project(v.copy())

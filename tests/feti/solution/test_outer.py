@@ -21,7 +21,7 @@ def stiff_block_over_uneven_gaps() -> TornSystem:
     """Return a block that falls, tilts and comes to rest on three nodes."""
     system = column(n=2)
     *lower, upper = system.subdomains
-    stiff = replace(upper, stiffness=(1e4 * upper.stiffness).tocsr())
+    stiff = replace(upper, stiffness=(1e6 * upper.stiffness).tocsr())
     gap = 1e3 * np.random.default_rng(1).random(system.contacts.gap.size)
     return replace(system, subdomains=[*lower, stiff], contacts=replace(system.contacts, gap=gap))
 
