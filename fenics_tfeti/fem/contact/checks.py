@@ -33,15 +33,7 @@ from fenics_tfeti.typing import Mask, Vector
 
 
 def check_arguments(contact: ContactPair, name: str, degree: int) -> None:
-    """Check the arguments of a pair that need no mesh, but the displacement's degree.
-
-    Raises
-    ------
-    InputError
-        Equal tags, several ways to find partners or one for mortar conditions, a mapping that is
-        not a function, a tolerance that is not positive, an unknown discretisation or initial gap,
-        pairs of nodes for displacements of degree 2.
-    """
+    """Check the arguments of a pair that need no mesh, but the displacement's degree."""
     if contact.slave == contact.master:
         raise InputError(
             f"{name}: slave and master have the same tag {contact.slave}; each surface needs one "
@@ -92,26 +84,7 @@ def check_arguments(contact: ContactPair, name: str, degree: int) -> None:
 def check_shared_nodes(
     comm: MPI.Intracomm, slave: Surface, shared: Mask, allowed: bool, name: str
 ) -> None:
-    """Check that slave and master share no nodes, or in a partial contact not all of them.
-
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    slave : Surface
-        The slave's surface.
-    shared : (k,) bool array
-        Which of its nodes belong to the master as well.
-    allowed : bool
-        Whether shared nodes stay free.
-    name : str
-        Name of the contact.
-
-    Raises
-    ------
-    InputError
-        With the number of shared nodes and the first one.
-    """
+    """Check that slave and master share no nodes (k,), or that they may stay free."""
     raise_where(
         comm,
         np.zeros_like(shared) if allowed else shared,
@@ -134,13 +107,7 @@ def check_partners(
     partial: bool,
     name: str,
 ) -> None:
-    """Check that all slave nodes have a partner, or in a partial contact at least one.
-
-    Raises
-    ------
-    InputError
-        With the first nodes without partner, their distances and the remedy.
-    """
+    """Check that all slave nodes have a partner, or in a partial contact at least one."""
     far = partners.distance > limit
     missing, total = comm.allreduce(int(far.sum())), comm.allreduce(far.size)
     if missing == 0 or (partial and missing < total):
@@ -176,13 +143,7 @@ def check_one_to_one(
     partial: bool,
     name: str,
 ) -> None:
-    """Check that no two slave nodes have the same partner.
-
-    Raises
-    ------
-    InputError
-        With the first master node that several slave nodes have, and the remedy.
-    """
+    """Check that no two slave nodes have the same partner."""
     shared, counts = np.unique(concatenate_ranks(comm, partners.master[found]), return_counts=True)
     shared = shared[counts > 1]
     if not shared.size:
@@ -215,26 +176,7 @@ def check_one_to_one(
 def check_facing(
     comm: MPI.Intracomm, slave: Surface, found: Mask, angle: Vector, name: str
 ) -> None:
-    """Check that the slave's normals point against those of the partners.
-
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    slave : Surface
-        The slave's surface.
-    found : (k,) bool array
-        Which of its nodes have a partner.
-    angle : (p,) array
-        Angles between their normals and the opposite of the partners' [degrees].
-    name : str
-        Name of the contact.
-
-    Raises
-    ------
-    InputError
-        With the number of nodes whose normals look the same way as the partners', and the first.
-    """
+    """Check that the slave's normals point against those of the partners, angles in degrees."""
     # a coarse mesh of a curved surface, or a normal that the user gave, may be off by a right angle
     raise_where(
         comm,
@@ -258,22 +200,8 @@ def check_not_crossed(
 ) -> None:
     """Check that neighbouring slave nodes have their partners in the same order along the surface.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    slave : Surface
-        The slave's surface.
-    corners, normals, images : (f, v, gdim) arrays
-        Corners of this rank's facets, one after the other around each, the normals there, and the
-        partners' coordinates, NaN where there is none.
-    name : str
-        Name of the contact.
-
-    Raises
-    ------
-    InputError
-        With the first edge whose ends have crossing pairs, and the remedy.
+    Arrays (f, v, gdim) are of the corners of this rank's facets, one after the other around each;
+    the images are the partners' coordinates, NaN where there is none.
     """
     gdim = images.shape[2]
     v = corners.shape[1]
@@ -337,13 +265,7 @@ def _first_rows(comm: MPI.Intracomm, columns: tuple[Vector, ...], number: int) -
 
 
 def check_different_surfaces(contacts: Sequence[Contact], comm: MPI.Intracomm) -> None:
-    """Check that no two pairs join the same two surfaces, in either role.
-
-    Raises
-    ------
-    InputError
-        With the numbers of the contacts and the tags.
-    """
+    """Check that no two pairs join the same two surfaces, in either role."""
     pairs: dict[tuple[int, frozenset[int]], int] = {}
     with raise_collectively(comm):
         for number, contact in enumerate(contacts):
@@ -364,20 +286,6 @@ def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[Contact
 
     So deep are surfaces that lie back to back, each on the far side of its body. The thickness is
     that of the body's bounding box along the normal.
-
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    bodies : Bodies
-        The bodies of its mesh.
-    pairings : sequence of ContactPairing
-        All contacts.
-
-    Raises
-    ------
-    InputError
-        With the contact, the number of such nodes and the first one.
     """
     comm = space.mesh.comm
     inside = [(pairing.master >= 0) & (pairing.gap < 0.0) for pairing in pairings]
@@ -438,13 +346,7 @@ def _raise_too_deep(
 def check_different_nodes(
     contacts: Sequence[Contact], pairings: Sequence[ContactPairing], comm: MPI.Intracomm
 ) -> None:
-    """Check that no slave node is in two contacts with the same master surface or obstacle.
-
-    Raises
-    ------
-    InputError
-        With the contacts, the number of such nodes and the first one.
-    """
+    """Check that no slave node is in two contacts with the same master surface or obstacle."""
     for (one, a), (other, b) in combinations(zip(contacts, pairings, strict=True), 2):
         if _same_master(one, other):
             _check_common_nodes(comm, a, b)

@@ -35,40 +35,18 @@ from fenics_tfeti.typing import Numbers, Vector
 
 @dataclass(frozen=True)
 class DeformedContact:
-    """A contact in the deformed state, at the slave nodes that this rank owns.
+    """A contact in the deformed state, at the k slave nodes that this rank owns."""
 
-    Attributes
-    ----------
-    master : (k,) integer array
-        Global node of the partner: that of `ContactPairing`, or the master node that is opposite in
-        the deformed state, where the surfaces slid; -1 for an obstacle.
-    normal : (k, gdim) array
-        Outward unit normals of the slave in the deformed state; those before of nodes without new
-        mortar condition.
-    gap : (k,) array
-        Bound c of the row (u_slave - u_partner)'n <= c, in terms of the total displacement [m];
-        infinite where there is no obstacle.
-    distance : (k,) array
-        Distance of the deformed slave node from the deformed master or the obstacle, along the
-        normal; negative inside [m].
-    penetration : (k,) array
-        Depth of the deformed slave node in the deformed master body or in the obstacle; 0 outside
-        [m].
-    slip : (k,) array or None
-        Distance, along the surface, between the parts of the master that the mortar conditions
-        before and the new ones are with, relative to the size of the slave's facets there; None for
-        pairs of nodes and obstacles.
-    mortar : ContactPairing, optional
-        New mortar conditions, whose nodes may be others than before; the other attributes are for
-        the slave nodes before.
-    """
-
-    master: Numbers
-    normal: Vector
+    master: Numbers  # (k,): partners, after sliding those opposite now; -1 for an obstacle
+    normal: Vector  # (k, gdim): deformed outward unit normals; those before without new condition
+    # (k,): bound of (u_slave - u_partner)'n, of the total displacement, may be infinite [m]
     gap: Vector
-    distance: Vector
-    penetration: Vector
+    distance: Vector  # (k,) from the master or obstacle along the normal; negative inside [m]
+    penetration: Vector  # depth in the master body or obstacle (k,); 0 outside [m]
+    # (k,): distance along the surface, relative to the facets' size, between the parts of the
+    # master that mortar conditions before and the new ones couple; None without
     slip: Vector | None = None
+    # new conditions, whose nodes may be others; the other fields are for those before
     mortar: ContactPairing | None = None
 
     def pairing(self, before: ContactPairing) -> ContactPairing:
@@ -89,36 +67,11 @@ def deformed_contact(
 
     For pairs of nodes the facets and nodes of both surfaces are gathered on all ranks; for mortar
     conditions a rank gets those near its part of the slave. A bilinear quadrilateral is
-    approximated by four triangles around its centre.
-
-    The normal at a node is the integral of the deformed facets' normal times the node's shape
-    function, as in `match_contact`. The gap to a master is measured along it, see
-    `FacetedSurface.gap_along`; the gap to an obstacle is that which the obstacle returns.
-
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    contact : ContactPair or RigidObstacle
-        The contact. An obstacle returns (gap, normal), or the gap alone, which is then measured
-        along the slave's deformed normal.
-    pairing : ContactPairing
-        The contact's nodes and partners.
-    displacement : Function
-        On the space [m]; its ghosts are updated.
-    keep_normal : bool
-        Keep the slave's normals in a pair as in `pairing`, because the user gave them.
-
-    Returns
-    -------
-    DeformedContact
-        This rank's part.
-
-    Raises
-    ------
-    InputError
-        A displacement on another space or not finite, wrong values of the obstacle, facets that the
-        displacement has folded so that their normals cancel at a node.
+    approximated by four triangles around its centre. The normal at a node is the integral of the
+    deformed facets' normal times the node's shape function, as in `match_contact`; `keep_normal`
+    keeps that of a pair because the user gave it. The gap to a master is measured along it, see
+    `FacetedSurface.gap_along`; the gap to an obstacle is that which the obstacle returns, if alone
+    along the slave's deformed normal. Ghosts of the displacement are updated.
     """
     _check_displacement(boundary.space, displacement)
     displacement.x.scatter_forward()
@@ -131,39 +84,22 @@ def deformed_contact(
 
 @dataclass(frozen=True)
 class GeometryPass:
-    """What the deformed surfaces and the contact conditions of one solution leave of each other.
+    """Misfit between the deformed surfaces and the contact conditions of one solution."""
 
-    Attributes
-    ----------
-    penetration : float
-        Largest depth of a slave node in a master or an obstacle [m].
-    separation : float
-        Largest distance, along the normal, between a slave node with positive contact force and its
-        master or obstacle; inside or outside [m].
-    slip : float
-        Largest distance, along the surface, between where mortar conditions let positive contact
-        forces act on the master and what is opposite in the deformed state, relative to the size of
-        the slave's facets there.
-    tilt : float
-        Angle between contact forces and the normals of the deformed state, as root of the mean
-        square with the forces as weights [rad]. It is the part of the forces that acts along the
-        surfaces, which do work when they slide.
-    error : float
-        The largest of slip, tilt, and penetration and separation relative to the largest
-        displacement.
-    products : int
-        Applications of F in the solution.
-    seconds : float
-        Wall time of the pass, summed over its phases, each the slowest rank's [s]; the first pass
-        has the set-up too.
-    """
-
-    penetration: float
+    penetration: float  # largest depth of a slave node in a master or an obstacle [m]
+    # largest distance, along the normal, of a loaded slave node from its master or obstacle [m]
     separation: float
+    # largest distance, along the surface, between where mortar conditions let contact forces act on
+    # the master and what is opposite in the deformed state, relative to the size of the facets
     slip: float
+    # angle between contact forces and the deformed normals, root of the mean square with the forces
+    # as weights [rad]: the part of the forces that acts along the surfaces
     tilt: float
+    # largest of slip, tilt, and penetration and separation relative to the displacement
     error: float
-    products: int
+    products: int  # applications of F in the solution
+    # wall time, summed over its phases, each the slowest rank's [s]; the first pass has the set-up
+    # too
     seconds: float = 0.0
 
 
@@ -175,16 +111,7 @@ def geometry_pass(
 ) -> GeometryPass:
     """Compare the deformed surfaces with the conditions that they were computed with. Collective.
 
-    Parameters
-    ----------
-    deformed : sequence of DeformedContact
-        All contacts, this rank's parts.
-    results : sequence of ContactResult
-        The contact forces and their directions.
-    displacement : Function
-        The displacement of the deformed state [m].
-    products : int
-        Applications of F in the solution.
+    The results have the contact forces and their directions, `products` counts applications of F.
     """
     comm = displacement.function_space.mesh.comm
     largest = np.array([0.0, 0.0, 0.0, np.abs(displacement.x.array).max(initial=0.0)])

@@ -68,21 +68,7 @@ FrictionLaw: TypeAlias = Tresca | Coulomb
 
 
 def check_friction(given: Any, name: str) -> None:
-    """Check a law of friction, as far as its numbers do not depend on the mesh.
-
-    Parameters
-    ----------
-    given : Tresca, Coulomb or None
-        What the user gave as `friction` of a contact.
-    name : str
-        Name of the contact.
-
-    Raises
-    ------
-    InputError
-        What is no law of friction, or a bound or coefficient that is no number at least 0, function
-        of x or Function.
-    """
+    """Check a law of friction, as far as its numbers do not depend on the mesh."""
     if given is None:
         return
     if not isinstance(given, FrictionLaw):
@@ -104,31 +90,9 @@ def check_friction(given: Any, name: str) -> None:
 def values_at_nodes(
     space: FunctionSpace, law: FrictionLaw, nodes: NDArray[np.int64], points: Vector, name: str
 ) -> Vector:
-    """Return a law's bound or coefficient at nodes that this rank owns. Collective.
+    """Return a law's bound or coefficient (k,), at least 0, at nodes of this rank. Collective.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    law : Tresca or Coulomb
-        The law, checked by `check_friction`.
-    nodes : (k,) integer array
-        Global nodes of the space, at vertices.
-    points : (k, 3) array
-        Their coordinates [m].
-    name : str
-        Name of the contact.
-
-    Returns
-    -------
-    (k,) array
-        At least 0.
-
-    Raises
-    ------
-    InputError
-        On all ranks: a wrong shape, values that are negative, NaN or infinite, a Function on
-        another mesh or of another element, an exception of the user's function.
+    The law has passed `check_friction`; the nodes (k,) are global ones, at vertices.
     """
     what, given = _value(law)
     what = f"{name}: {what}"

@@ -1,4 +1,4 @@
-"""Contact surfaces to contact conditions with normals and gaps (sec. 11.1, 11.5)."""
+"""Contact conditions of tagged surfaces, with normals and gaps (sec. 11.1, 11.5)."""
 
 from __future__ import annotations
 
@@ -59,27 +59,8 @@ def match_contacts(
 ) -> list[ContactPairing]:
     """Match the surfaces of all contacts, and check that no two contacts overlap. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    contacts : sequence of ContactPair or RigidObstacle
-        The contacts.
-    known : sequence of (contact, pairing)
-        Earlier results: pairs among them are not searched again, obstacles are evaluated again.
-    prescribed : Prescribed, optional
-        Prescribed displacements, of this rank's nodes: they tell planes of symmetry.
-
-    Returns
-    -------
-    list of ContactPairing
-        This rank's part of each contact.
-
-    Raises
-    ------
-    InputError
-        As `match_contact`; two contacts of the same surfaces, or of the same node with the same
-        master.
+    Of the known results, pairs are not searched again, obstacles are evaluated again. Prescribed
+    displacements of this rank's nodes tell planes of symmetry.
     """
     comm = boundary.space.mesh.comm
     check_different_surfaces(contacts, comm)
@@ -99,36 +80,12 @@ def match_contact(
     earlier: ContactPairing | None = None,
     prescribed: Prescribed | None = None,
 ) -> ContactPairing:
-    """Find the slave's nodes, normals, partners and gaps. Collective.
+    """Find the slave's nodes, normals, partners and gaps, this rank's part. Collective.
 
     The master's nodes are gathered on all ranks, of its facets those near each rank's slave facets.
-
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    contact : ContactPair or RigidObstacle
-        The contact.
-    number : int
-        Its number, for a name.
-    earlier : ContactPairing, optional
-        An earlier result for this contact: of pairs of nodes all is used again but the areas with a
-        weight, which may have changed; mortar conditions if they have no weight and the same
-        components are prescribed; of an obstacle's the surface.
-    prescribed : Prescribed, optional
-        Prescribed displacements, of this rank's nodes.
-
-    Returns
-    -------
-    ContactPairing
-        This rank's part.
-
-    Raises
-    ------
-    InputError
-        Tags on no facet or on interior ones, slave nodes without a partner, shared nodes, surfaces
-        that look the same way or never meet, pairs that cross or are not one to one, wrong normals;
-        a weight of the measure that is no scalar expression on the mesh or not positive.
+    Of an earlier result, pairs of nodes are used again but for areas with a weight, which may have
+    changed; mortar conditions if they have no weight and the same components are prescribed; of an
+    obstacle's the surface.
     """
     name = contact_name(contact, number)
     if isinstance(contact, RigidObstacle):

@@ -25,29 +25,9 @@ from fenics_tfeti.typing import Numbers, Vector
 def match_obstacle(
     boundary: MeshBoundary, name: str, contact: RigidObstacle, earlier: ContactPairing | None
 ) -> ContactPairing:
-    """Find the slave's nodes, the obstacle's normals and the gaps. Collective.
+    """Find the slave's nodes, the obstacle's normals and the gaps, this rank's part. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    name : str
-        Name of the contact.
-    contact : RigidObstacle
-        The contact.
-    earlier : ContactPairing, optional
-        An earlier result, whose surface is used again.
-
-    Returns
-    -------
-    ContactPairing
-        This rank's part.
-
-    Raises
-    ------
-    InputError
-        Tags on no facet or on interior ones, wrong values of the obstacle, a weight of the measure
-        that is no scalar expression on the mesh or not positive.
+    The surface of an earlier result is used again.
     """
     tags, tag = contact.facet_tags, contact.slave
     slave = earlier.surface if earlier else tagged_surface(boundary, tags, tag, f"slave of {name}")
@@ -142,22 +122,9 @@ def deformed_gaps(
 ) -> tuple[Vector, Vector, Vector]:
     """Return the conditions at an obstacle in the deformed state. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    contact : RigidObstacle
-        The contact.
-    pairing : ContactPairing
-        Its conditions before.
-    displacement : Function
-        The displacement [m], ghosts up to date.
-
-    Returns
-    -------
-    normal, gap, distance : (k, gdim), (k,), (k,) arrays
-        Normals into the obstacle, gaps in terms of the total displacement, and distances from the
-        obstacle [m], for degree 2 the means around the nodes.
+    Returned are normals (k, gdim) into the obstacle, gaps (k,) in terms of the total displacement,
+    and distances (k,) from the obstacle [m], for degree 2 the means around the nodes. The ghosts of
+    the displacement are up to date.
     """
     comm, name, terms = boundary.space.mesh.comm, pairing.name, pairing.terms
     slave = gather_surface(boundary, contact.facet_tags, contact.slave, displacement)

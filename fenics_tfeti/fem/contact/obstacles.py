@@ -174,32 +174,10 @@ class Cylinder:
 def gap_and_normal(
     comm: MPI.Intracomm, obstacle: Obstacle, points: Vector, normal: Vector, name: str
 ) -> tuple[Vector, Vector]:
-    """Return the gaps to an obstacle and its unit normals, checked. Collective.
+    """Return the gaps (k,) to an obstacle and its unit normals (k, gdim), checked. Collective.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    obstacle : callable
-        x (3, k) -> (gap, normal), or x (3, k) -> gap along the body's own normal.
-    points : (k, 3) array
-        Points of the body [m].
-    normal : (k, gdim) array
-        The body's outward normals.
-    name : str
-        Name of the contact, for messages.
-
-    Returns
-    -------
-    gap, outward : (k,) array, (k, gdim) array
-        Distances [m] and the obstacle's unit normals, which point towards the body. Where there is
-        no obstacle, the distance is infinite and the normal the opposite of the body's.
-
-    Raises
-    ------
-    InputError
-        Wrong shapes, NaN or -inf, normals that are not of unit length, an exception of the
-        function; an obstacle whose normals all point away from the body.
+    The normal is the body's (k, gdim). Where there is no obstacle, the distance is infinite and the
+    obstacle's normal the opposite of the body's.
     """
     gdim = normal.shape[1]
     with raise_collectively(comm):

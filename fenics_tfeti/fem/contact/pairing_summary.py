@@ -33,34 +33,11 @@ def pairing_summary(
 ) -> dict[str, Any]:
     """Summarise the pairing of a contact; the same on all ranks. Collective.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    name : str
-        Name of the contact.
-    discretisation : str
-        "node_to_node", "mortar" or "obstacle".
-    gap, angle : (k,) arrays
-        Gaps [m], infinite where there is no obstacle, and angles between the slave's normals and
-        the opposite of the master's [degrees].
-    total : int
-        Number of slave nodes that this rank owns, with and without partner.
-    distance, relative : (k,) arrays, optional
-        The distances that the tolerance limits [m], and the same relative to the size of the
-        facets; None for obstacles and mortar conditions.
-    area : (k,) array, optional
-        Weights of the mean gap.
-    covered_area : float, optional
-        Area of this rank's facets that has a partner [m^2 or m].
-    deviation : (k,) array, optional
-        How far the facets of both surfaces are from the curved surfaces through their nodes [m];
-        None where gaps do not depend on it.
-
-    Returns
-    -------
-    dict
-        An entry of `Report.pairing`; its numbers are None where there is no pair.
+    Arrays (k,) are of the conditions: gaps [m], infinite where there is no obstacle, angles between
+    the slave's normals and the opposite of the master's [degrees], the distances that the tolerance
+    limits [m] and the same relative to the size of the facets, areas as weights of the mean gap,
+    and deviations of the facets from the curved surfaces through their nodes [m], None where gaps
+    do not depend on it. `total` is the number of this rank's slave nodes, with and without partner.
     """
     there = np.isfinite(gap)
     pairs = comm.allreduce(int(there.sum()))
@@ -95,13 +72,7 @@ def _blurred(gap: Vector, deviation: Vector) -> Vector:
 
 
 def warn_of_deviation(entry: Mapping[str, Any]) -> None:
-    """Warn if the gaps of a contact are mostly smaller than the deviation of its facets.
-
-    Parameters
-    ----------
-    entry : mapping
-        Of `Report.pairing`.
-    """
+    """Warn if the gaps of a contact are mostly smaller than the deviation of its facets."""
     if (entry["blurred"] or 0.0) <= _BLURRED:
         return
     mean, deviation = entry["mean_gap"], entry["deviation"]

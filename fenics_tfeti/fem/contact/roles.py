@@ -1,4 +1,4 @@
-"""Which of two surfaces is better the slave of mortar conditions.
+"""Choice of the slave of mortar conditions among two surfaces.
 
 The condition number of the rows is about 1 + E_s h_m / (E_m h_s), with Young's moduli E and sizes h
 of the facets of slave and master: the slave is better the surface with the smaller E / h. It is
@@ -35,19 +35,7 @@ _LARGE = 20.0
 def roles_ratio(
     comm: MPI.Intracomm, pairing: ContactPairing, subdomains: Sequence[Subdomain]
 ) -> float | None:
-    """Return (E / h) of the slave over that of the master; None but for mortar conditions.
-
-    Collective.
-
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    pairing : ContactPairing
-        The conditions.
-    subdomains : sequence of Subdomain
-        This rank's subdomains, with their stiffness.
-    """
+    """Return E / h of the slave over that of the master; None for node pairs. Collective."""
     if pairing.master_surface is None:
         return None
     slave, master = (
@@ -64,7 +52,7 @@ def prefers_exchange(contact: ContactPair, ratio: float | None) -> bool:
 
 
 def exchanged(contact: ContactPair) -> ContactPair:
-    """Return a pair with slave and master exchanged."""
+    """Return the pair with slave and master exchanged."""
     return replace(contact, slave=contact.master, master=contact.slave)
 
 
@@ -83,18 +71,10 @@ def one_sided_data(contact: ContactPair) -> str | None:
 def describe_roles(
     contact: ContactPair, ratio: float | None, exchange: bool, obstacle: str | None
 ) -> str | None:
-    """Say in the report what is slave, and why; None where the given roles are good ones.
+    """Describe the choice of roles for the report; None where the given roles are good ones.
 
-    Parameters
-    ----------
-    contact : ContactPair
-        As the user gave it.
-    ratio : float or None
-        (E / h) of the given slave over that of the given master.
-    exchange : bool
-        Whether they were exchanged.
-    obstacle : str or None
-        The error with exchanged roles.
+    The contact and the ratio are those of the given roles, `obstacle` is the error with exchanged
+    ones.
     """
     if ratio is None or ratio <= _WORSE:
         return None

@@ -36,18 +36,10 @@ _NORMAL_ONLY = 1e-12
 
 @dataclass(frozen=True)
 class SlipOrigin:
-    """The state from which slip is counted: the end of the last load step.
+    """The state from which slip is counted: the end of the last load step."""
 
-    Attributes
-    ----------
-    displacement : (n,) array
-        At the degrees of freedom that this rank owns [m].
-    obstacles : (contacts, n) array
-        What each obstacle had moved at the slave's nodes, zero elsewhere [m].
-    """
-
-    displacement: Vector
-    obstacles: Vector
+    displacement: Vector  # (n,): at the degrees of freedom that this rank owns [m]
+    obstacles: Vector  # (contacts, n): their displacements at the slave's nodes, else zero [m]
 
     @staticmethod
     def undeformed(space: FunctionSpace, contacts: int) -> SlipOrigin:
@@ -65,24 +57,12 @@ class SlipOrigin:
 
 @dataclass(frozen=True)
 class NodalFriction:
-    """Friction at the conditions of one contact, this rank's part.
+    """Friction at the k conditions of one contact, this rank's part."""
 
-    Attributes
-    ----------
-    tangents : (k, gdim - 1, gdim) array
-        Orthonormal tangents.
-    bound : (k,) array
-        Slip bound [N]; 0 with Coulomb's law.
-    coefficient : (k,) array
-        Coefficient of friction; 0 with Tresca's law.
-    moved : (k, gdim) array
-        What the obstacle has moved [m]; zero for pairs.
-    """
-
-    tangents: Vector
-    bound: Vector
-    coefficient: Vector
-    moved: Vector
+    tangents: Vector  # (k, gdim - 1, gdim), orthonormal
+    bound: Vector  # slip bounds (k,) [N]; 0 with Coulomb's law
+    coefficient: Vector  # of friction (k,); 0 with Tresca's law
+    moved: Vector  # displacement of the obstacle (k, gdim) [m]; zero for pairs
 
 
 def tangents(normal: Vector, prescribed: Mask) -> Vector:
@@ -112,24 +92,7 @@ def tangents(normal: Vector, prescribed: Mask) -> Vector:
 def nodal_friction(
     space: FunctionSpace, contact: Contact, pairing: ContactPairing, prescribed: Prescribed
 ) -> NodalFriction | None:
-    """Evaluate the friction of a contact at its conditions; None without friction. Collective.
-
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    contact : ContactPair or RigidObstacle
-        The contact.
-    pairing : ContactPairing
-        Its conditions.
-    prescribed : Prescribed
-        Prescribed displacements of this rank's nodes.
-
-    Raises
-    ------
-    InputError
-        On all ranks, for wrong values of the user's functions.
-    """
+    """Evaluate the friction of a contact at its conditions; None without friction. Collective."""
     if contact.friction is None:
         return None
     nodes, points, name = pairing.slave, pairing.coordinates, pairing.name
@@ -147,13 +110,7 @@ def nodal_friction(
 
 
 def obstacle_motion(space: FunctionSpace, contact: Contact, points: Vector, name: str) -> Vector:
-    """Return what an obstacle has moved at points (k, 3), (k, gdim) [m]. Collective.
-
-    Raises
-    ------
-    InputError
-        On all ranks: a wrong shape, NaN or infinite values, an exception of the user's function.
-    """
+    """Return an obstacle's displacement (k, gdim) at points (k, 3) [m]. Collective."""
     gdim = space.dofmap.index_map_bs
     given: Any = contact.displacement if isinstance(contact, RigidObstacle) else None
     what = f"{name}: the obstacle's displacement"
@@ -181,18 +138,7 @@ def friction_rows(
 ) -> Friction:
     """Return where the contact rows have friction, and from where slip is counted. Collective.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    rows : ContactRows
-        The conditions of all contacts, one contact after the other.
-    pairings : sequence of ContactPairing
-        The contacts.
-    friction : sequence of NodalFriction or None
-        Of each contact.
-    origin : SlipOrigin
-        The end of the last load step.
+    The rows are the conditions of all contacts, one contact after the other.
     """
     gdim = space.dofmap.index_map_bs
     first = np.cumsum([0, *(pairing.slave.size for pairing in pairings)])
@@ -229,7 +175,7 @@ def moved_obstacles(
     pairings: Sequence[ContactPairing],
     friction: Sequence[NodalFriction | None],
 ) -> Vector:
-    """Return what each obstacle has moved at the slave's nodes, as in `SlipOrigin`."""
+    """Return each obstacle's displacement at the slave's nodes, as in `SlipOrigin`."""
     gdim, index_map = space.dofmap.index_map_bs, space.dofmap.index_map
     moved = np.zeros((len(pairings), index_map.size_local, gdim))
     for values, pairing, one in zip(moved, pairings, friction, strict=True):
@@ -248,18 +194,8 @@ def friction_result(
 ) -> FrictionResult | None:
     """Return the results of friction at the conditions of a contact; None without friction.
 
-    Parameters
-    ----------
-    friction : NodalFriction or None
-        The friction of the contact.
-    pairing : ContactPairing
-        Its conditions.
-    force, slip : (k, gdim - 1) arrays
-        Friction forces on the slave against the tangents [N], and slips along them [m].
-    sticking : (k,) bool array
-        Where the force is below its bound.
-    bound : (k,) array
-        The slip bounds [N].
+    Forces on the slave are against the tangents (k, gdim - 1) [N], slips along them [m]; conditions
+    stick where the force is below its bound (k,) [N].
     """
     if friction is None:
         return None

@@ -60,27 +60,13 @@ class TiedPair:
 
 @dataclass(frozen=True)
 class TiedPairing:
-    """The conditions of a tied pair at the slave nodes that this rank owns.
-
-    Attributes
-    ----------
-    name : str
-        Name of the pair.
-    terms : list of MortarTerms
-        The conditions of each component.
-    summary : dict
-        The pair's entry of `Report.pairing`.
-    surface : Surface
-        The slave's surface.
-    prescribed : (s, gdim) bool array
-        Which components are prescribed at its nodes.
-    """
+    """The conditions of a tied pair at the slave nodes that this rank owns."""
 
     name: str
-    terms: list[MortarTerms]
-    summary: dict[str, Any]
-    surface: Surface
-    prescribed: NDArray[np.bool_]
+    terms: list[MortarTerms]  # the conditions of each component
+    summary: dict[str, Any]  # the pair's entry of `Report.pairing`
+    surface: Surface  # that of the slave
+    prescribed: NDArray[np.bool_]  # (s, gdim): components prescribed at its nodes
 
 
 def tied_name(pair: TiedPair, number: int) -> str:
@@ -89,25 +75,7 @@ def tied_name(pair: TiedPair, number: int) -> str:
 
 
 def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescribed) -> TiedPairing:
-    """Find the conditions of a tied pair. Collective.
-
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    pair : TiedPair
-        The pair.
-    number : int
-        Its number, for a name.
-    prescribed : Prescribed
-        Prescribed displacements, of this rank's nodes.
-
-    Raises
-    ------
-    InputError
-        Tags on no facet or on interior ones, equal tags, shared nodes, surfaces that do not face
-        each other anywhere or are apart.
-    """
+    """Find the conditions of a tied pair. Collective."""
     space, name = boundary.space, tied_name(pair, number)
     comm = space.mesh.comm
     with raise_collectively(comm):
@@ -155,20 +123,7 @@ def tie_pairs(
 ) -> list[tuple[TiedPair, TiedPairing]]:
     """Find the conditions of all tied pairs. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    pairs : sequence of TiedPair
-        The pairs.
-    known : sequence of (pair, pairing)
-        Earlier results, which hold as long as the same components are prescribed.
-    prescribed : Prescribed
-        Prescribed displacements, of this rank's nodes.
-
-    Returns
-    -------
-    list of (pair, pairing)
+    Known results hold as long as the same components are prescribed.
     """
     comm = boundary.space.mesh.comm
     earlier = {id(pair): pairing for pair, pairing in known}
@@ -193,14 +148,7 @@ def _still_holds(comm: MPI.Intracomm, pairing: TiedPairing, prescribed: Prescrib
 def tied_rows(pairings: Sequence[TiedPairing], gdim: int, first: int) -> ContactRows:
     """Return the conditions of all tied pairs, the components of a pair one after the other.
 
-    Parameters
-    ----------
-    pairings : sequence of TiedPairing
-        This rank's parts.
-    gdim : int
-        2 or 3.
-    first : int
-        Number of the first pair among contacts and tied pairs.
+    `first` is the number of the first pair among contacts and tied pairs.
     """
     if not pairings:
         return ContactRows.none(gdim)

@@ -19,13 +19,7 @@ REACH = 2.0
 
 
 class MasterTree:
-    """The pieces of a master's surface, to be found from the slave's.
-
-    Parameters
-    ----------
-    master : Facets
-        The surface.
-    """
+    """The pieces of a master's surface, to be found from the slave's."""
 
     def __init__(self, master: Facets) -> None:
         x = master.coordinates()
@@ -35,22 +29,10 @@ class MasterTree:
         self._places = cKDTree(np.concatenate([nodes, self.planes.origin]))
 
     def reach(self, slave: Facets, planes: Planes) -> Vector:
-        """Return how far before and behind each piece of the slave the master is looked for.
+        """Return how far before and behind each piece (p,) the master is looked for [m].
 
         It is `REACH` times the piece's distance from the nodes and centres of the master, and its
         diameter more.
-
-        Parameters
-        ----------
-        slave : Facets
-            The slave's surface.
-        planes : Planes
-            The planes of its pieces.
-
-        Returns
-        -------
-        (p,) array
-            [m].
         """
         nodes, at = np.unique(slave.pieces, return_inverse=True)
         distance = self._places.query(slave.points[nodes])[0]
@@ -61,19 +43,8 @@ class MasterTree:
     def candidates(self, x: Vector, planes: Planes, reach: Vector) -> tuple[Numbers, Numbers]:
         """Find the pieces of the master that face those of the slave and may lie over them.
 
-        Parameters
-        ----------
-        x : (p, v, gdim) array
-            Corners of pieces of the slave [m].
-        planes : Planes
-            Their planes.
-        reach : (p,) array
-            [m].
-
-        Returns
-        -------
-        slave, master : integer arrays
-            Pairs, in the order of the slave's pieces; each once.
+        The pieces of the slave have the corners x (p, v, gdim) and their planes. Pairs (slave,
+        master) are in the order of the slave's pieces; each once.
         """
         frames = planes.project(np.arange(len(x)), x)
         low, high = lowest(frames), highest(frames)

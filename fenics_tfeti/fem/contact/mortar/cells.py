@@ -37,30 +37,18 @@ _SEVERAL_LAYERS = 1e-6
 class Cells:
     """Segments or triangles in the planes of slave facets (pieces of them for degree 2).
 
-    Attributes
-    ----------
-    slave, master : (p,) integer arrays
-        Pairs of facets that lie over each other, in the order of the slave facets.
-    on_slave, on_master : (p, v, gdim - 1), (p, w, gdim - 1) arrays
-        The corners of both facets, projected on the plane [m].
-    height : (p, w) array
-        Heights of the master's corners above the plane, which is the gap there [m].
-    pair : (c,) integer array
-        The pair that each cell belongs to.
-    corners : (c, gdim, gdim - 1) array
-        The cell's corners in the plane [m].
-    area : (c,) array
-        The cell's area, length in 2D [m^2 or m].
+    There are p pairs of facets that lie over each other, in the order of the slave facets, and c
+    cells.
     """
 
-    slave: Numbers
-    master: Numbers
-    on_slave: Vector
-    on_master: Vector
-    height: Vector
-    pair: Numbers
-    corners: Vector
-    area: Vector
+    slave: Numbers  # slave facet of each pair (p,)
+    master: Numbers  # master facet of each pair (p,)
+    on_slave: Vector  # (p, v, gdim - 1): corners in the plane of the slave [m]
+    on_master: Vector  # (p, w, gdim - 1): projected corners of the master [m]
+    height: Vector  # (p, w): heights of the master's corners above the plane, the gap there [m]
+    pair: Numbers  # pair that each cell belongs to (c,)
+    corners: Vector  # (c, gdim, gdim - 1): corners of the cells in the plane [m]
+    area: Vector  # (c,) [m^2 or m]
 
     def pair_area(self) -> Vector:
         """Return the area of the cells of each pair (p,)."""
@@ -96,28 +84,11 @@ class Cells:
 def covering_cells(
     slave: Facets, planes: Planes, chosen: Numbers, master: MasterTree, reach: Vector
 ) -> Cells:
-    """Find the cells of some slave facets.
+    """Find the cells of some slave facets, ascending.
 
     Of several layers of the master the nearest one counts. Facets behind the slave count only where
-    the slave is inside the master.
-
-    Parameters
-    ----------
-    slave : Facets
-        The slave's surface.
-    planes : Planes
-        The planes of its pieces.
-    chosen : (k,) integer array
-        The facets, ascending.
-    master : MasterTree
-        The master's surface.
-    reach : (f,) array
-        How far the master is looked for, see `MasterTree.reach` [m].
-
-    Returns
-    -------
-    Cells
-        The areas of a facet's cells add up to that of the facet at most, up to rounding.
+    the slave is inside the master. The areas of a facet's cells add up to that of the facet at
+    most, up to rounding. For the reach see `MasterTree.reach`.
     """
     x = slave.coordinates(chosen)
     own = Planes(*(column[chosen] for column in _columns(planes)))

@@ -11,17 +11,9 @@ _ON_EDGE = 1e-12
 
 
 def clip_intervals(subject: Vector, clipper: Vector) -> Vector:
-    """Intersect intervals.
+    """Intersect intervals (k, 2), whose ends are in either order.
 
-    Parameters
-    ----------
-    subject, clipper : (k, 2) arrays
-        Their ends, in either order.
-
-    Returns
-    -------
-    (k, 2) array
-        Lower and upper end; equal where the intersection is empty.
+    The lower and upper end (k, 2) are equal where the intersection is empty.
     """
     low = np.maximum(subject.min(axis=1), clipper.min(axis=1))
     high = np.minimum(subject.max(axis=1), clipper.max(axis=1))
@@ -29,20 +21,10 @@ def clip_intervals(subject: Vector, clipper: Vector) -> Vector:
 
 
 def clip_polygons(subject: Vector, clipper: Vector) -> tuple[Vector, Numbers]:
-    """Cut polygons by the edges of convex ones.
+    """Cut polygons (k, m, 2) by the edges of convex ones (k, n, 2), corners anticlockwise.
 
-    Parameters
-    ----------
-    subject : (k, m, 2) array
-        Corners of the polygons that are cut, anticlockwise.
-    clipper : (k, n, 2) array
-        Corners of the convex polygons that cut them, anticlockwise.
-
-    Returns
-    -------
-    corners, count : (k, c, 2) array, (k,) integer array
-        The intersections, anticlockwise, and their numbers of corners, at most c; 0 for an empty
-        one.
+    The results are the corners (k, c, 2) of the intersections, anticlockwise, and their numbers
+    (k,), 0 for an empty one.
     """
     n = clipper.shape[1]
     # corner by corner, each for all polygons: (m, k)
@@ -98,15 +80,9 @@ def _divide(
 ) -> tuple[Numbers, Numbers, Vector, Numbers, Numbers]:
     """Find the corners of polygons (m, k) that a line divides, of which those `inside` stay.
 
-    Returns
-    -------
-    old, new : (p,) integer arrays
-        Where the new corners come from and go to, in arrays of corners (., k), flattened.
-    part, following : (p,) arrays
-        Each new corner is this part of the way from the old one to that which follows it: 0 for a
-        corner that stays.
-    count : (k,) integer array
-        The new numbers of corners.
+    The results (p,) `old` and `new` are the places in arrays of corners (., k), flattened, that the
+    new corners come from and go to; each is the fraction `part` of the way from the old corner to
+    the `following` one, 0 for a corner that stays. The last are the new numbers of corners (k,).
     """
     k = count.size
     slot = np.arange(len(inside))[:, None]
@@ -128,18 +104,10 @@ def _divide(
 
 
 def fan_triangles(corners: Vector, count: Numbers) -> tuple[Numbers, Vector, Vector]:
-    """Divide polygons into triangles with the common corner 0.
+    """Divide polygons (k, m, 2) with `count` corners into triangles with the common corner 0.
 
-    Parameters
-    ----------
-    corners, count : (k, m, 2) array, (k,) integer array
-        Polygons and their numbers of corners.
-
-    Returns
-    -------
-    polygon, triangles, area : (t,) integer array, (t, 3, 2) array, (t,) array
-        The polygon of each triangle, its corners, and its area, of either sign in polygons that
-        are not convex.
+    Returned are the polygon (t,) of each triangle, its corners (t, 3, 2), and its area (t,), of
+    either sign in polygons that are not convex.
     """
     number = np.maximum(count - 2, 0)
     polygon = np.repeat(np.arange(len(count)), number)

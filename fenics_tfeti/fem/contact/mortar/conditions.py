@@ -35,25 +35,12 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 
 @dataclass(frozen=True)
 class SlaveFacets:
-    """The facets of a slave's surface that this rank owns.
+    """The facets of a slave's surface that this rank owns."""
 
-    Attributes
-    ----------
-    facets : Facets
-        Undeformed or deformed.
-    nodes : (n,) integer array
-        Global nodes of the rows of ``facets.points``, ascending; of degree 2 with those in the
-        middle of edges and facets.
-    normals : (f, v, gdim) array
-        The slave's unit normals at the corners of the facets.
-    weight : (f, v) array or None
-        Weight of the measure at the corners.
-    """
-
-    facets: Facets
-    nodes: Numbers
-    normals: Vector
-    weight: Vector | None
+    facets: Facets  # undeformed or deformed
+    nodes: Numbers  # (n,): global nodes of the rows of facets.points, ascending; with midpoints
+    normals: Vector  # (f, v, gdim): unit normals at the corners
+    weight: Vector | None  # (f, v): weight of the measure at the corners
 
     @property
     def nodal_normals(self) -> Vector:
@@ -72,18 +59,8 @@ class SlaveFacets:
     ) -> SlaveFacets:
         """Return the facets of a surface, their nodes numbered from 0.
 
-        Parameters
-        ----------
-        space : FunctionSpace
-            The displacement's space.
-        slave : Surface
-            The surface.
-        points : (nodes, gdim) array
-            All local nodes of the space [m].
-        normal : (k, gdim) array
-            Normals at the surface's nodes that this rank owns.
-        weight : (nodes,) array or None
-            Weight of the measure at all local nodes.
+        Points (nodes, gdim) [m] and the weight (nodes,) are those of all local nodes of the space,
+        normals (k, gdim) those of the surface's nodes that this rank owns.
         """
         local = np.unique(slave.facet_nodes)
         numbers = space.dofmap.index_map.local_to_global(local.astype(np.int32))
@@ -99,48 +76,21 @@ class SlaveFacets:
 
 @dataclass(frozen=True)
 class MortarConditions:
-    """Mortar conditions at the slave nodes that this rank owns.
+    """Mortar conditions at the k slave nodes that this rank owns."""
 
-    Attributes
-    ----------
-    slave : (k,) integer array
-        Global nodes, ascending.
-    terms : MortarTerms
-        Their terms.
-    normal : (k, gdim) array
-        Means of the slave's normals with the conditions' dual functions, as unit vectors: those at
-        the nodes, unless they share in the functions of others.
-    gap : (k, gdim) array
-        Mean vectors from the slave to the master [m].
-    area : (k,) array
-        Integrals of the dual functions, with the weight of the measure.
-    coverage : (k,) array
-        The covered share of the area that belongs to the node.
-    chord : (k,) array
-        Largest distance of the facets of both surfaces there from curved surfaces through their
-        nodes [m].
-    deviation : (k,) array
-        The same distance for curved facets of degree 2, see `facet_deviations`.
-    angle : (k,) array
-        Largest angle there between the normals of a slave facet and the opposite of those of the
-        master facets over it [degrees].
-    covered : (f,) bool array
-        Which of this rank's slave facets are covered, at least in part.
-    covered_area : float
-        The covered area of this rank's slave facets, without weight [m^2 or m].
-    """
-
-    slave: Numbers
+    slave: Numbers  # global nodes (k,), ascending
     terms: MortarTerms
+    # (k, gdim): means of the slave's normals with the dual functions, as unit vectors
     normal: Vector
-    gap: Vector
-    area: Vector
-    coverage: Vector
+    gap: Vector  # (k, gdim): mean vectors from the slave to the master [m]
+    area: Vector  # (k,): integrals of the dual functions, with the weight of the measure
+    coverage: Vector  # (k,): covered share of the area that belongs to the node
+    # (k,): largest distance of facets there from curved surfaces through their nodes [m]
     chord: Vector
-    deviation: Vector
-    angle: Vector
-    covered: Mask
-    covered_area: float
+    deviation: Vector  # (k,): the same for curved facets of degree 2, see `facet_deviations`
+    angle: Vector  # (k,): largest angle between the normals of facets and those opposite [degrees]
+    covered: Mask  # (f,): whether this rank's slave facets are covered, at least in part
+    covered_area: float  # covered area of this rank's slave facets, without weight [m^2 or m]
 
 
 def mortar_conditions(
@@ -153,20 +103,8 @@ def mortar_conditions(
 ) -> MortarConditions:
     """Integrate over the slave's facets and sum up at the owners of its nodes. Collective.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    slave : SlaveFacets
-        This rank's facets.
-    owned : (s,) integer array
-        The slave's nodes that this rank owns, ascending.
-    master : DeformedSurface
-        The master's surface near this rank's facets.
-    normals : (n, gdim) array
-        Its normals.
-    free : integer array
-        Nodes of the slave without condition.
+    The nodes `owned` (s,) are the slave's that this rank owns, ascending; those of `free` have no
+    condition. The normals (n, gdim) are those of the master's surface near this rank's facets.
     """
     other = master.surface
     integrals = integrate(slave.facets, other, slave.weight)
@@ -186,19 +124,8 @@ def tied_conditions(
 
     Where a component is prescribed at a node of the slave, the node has no condition on it unless
     the component is prescribed at all nodes of a facet: a condition would hold the master more than
-    the support does.
-
-    Parameters
-    ----------
-    comm, slave, owned, master, normals
-        As in `mortar_conditions`.
-    held : (f, v, gdim) bool array
-        Which components are prescribed at the corners of this rank's facets.
-
-    Returns
-    -------
-    list of MortarConditions
-        One for each component.
+    the support does. `held` (f, v, gdim) are the components prescribed at the corners of this
+    rank's facets; for the others see `mortar_conditions`.
     """
     other = master.surface
     integrals = integrate(slave.facets, other, slave.weight)
@@ -270,18 +197,10 @@ def _conditions(
 
 @dataclass(frozen=True)
 class SharedMultipliers:
-    """How dual functions of nodes without a multiplier are shared out; the same on all ranks.
+    """Shares of neighbours in the dual functions of nodes without a multiplier; on all ranks."""
 
-    Attributes
-    ----------
-    nodes : (q,) integer array
-        Global nodes, ascending: those without a multiplier and their neighbours.
-    shares : (q, q) scipy.sparse.csc_matrix
-        See `multiplier_shares`.
-    """
-
-    nodes: Numbers
-    shares: sp.csc_matrix
+    nodes: Numbers  # global nodes (q,), ascending: those without a multiplier and their neighbours
+    shares: sp.csc_matrix  # (q, q), see `multiplier_shares`
 
     @staticmethod
     def of(
@@ -293,16 +212,8 @@ class SharedMultipliers:
     ) -> SharedMultipliers:
         """Find the nodes that have no multiplier, and their neighbours. Collective.
 
-        Parameters
-        ----------
-        comm, slave
-            As in `mortar_conditions`.
-        integrals : FacetIntegrals
-            Of this rank's facets.
-        areas : (n, 2) array
-            Whole and covered areas of its nodes on these facets.
-        free : (n,) bool array
-            Nodes that must not have a multiplier, alike on all ranks.
+        The areas (n, 2) are the whole and covered ones of the nodes on this rank's facets. The
+        nodes of `free` (n,), alike on all ranks, must not have a multiplier.
         """
         directory = Directory(comm, slave.nodes)
         keys, parts = directory.collect(slave.nodes, areas)
@@ -332,17 +243,10 @@ class SharedMultipliers:
         return SharedMultipliers(nodes, multiplier_shares(coverage, free, pairs))
 
     def rows(self, nodes: Numbers) -> tuple[Numbers, Numbers, Vector]:
-        """Return the nodes whose conditions take what is that of some nodes.
+        """Return the nodes whose conditions take the terms of some nodes (t,), in any order.
 
-        Parameters
-        ----------
-        nodes : (t,) integer array
-            Global nodes, in any order, several times or not.
-
-        Returns
-        -------
-        rows, position, share : (s,) arrays
-            The nodes with conditions, the position in `nodes` of what they take, and its share.
+        The results (s,) are the nodes with conditions, the position of the node whose terms each
+        takes, and its share of them.
         """
         number, places = np.ones(nodes.size, dtype=np.int64), np.zeros(nodes.size, dtype=np.int64)
         known = np.zeros(nodes.size, dtype=bool)
@@ -371,23 +275,10 @@ def _sums_at(to_owners: Directory, nodes: Numbers, row: Numbers, values: Vector)
 def collect_terms(
     to_owners: Directory, row: Numbers, column: Numbers, value: Vector, of_slave: Mask
 ) -> tuple[Numbers, MortarTerms]:
-    """Sum up terms at the owners of their rows. Collective.
+    """Sum up terms (t,) at the owners of their rows; conditions by ascending node. Collective.
 
-    Parameters
-    ----------
-    to_owners : Directory
-        Of the slave's nodes that the ranks own.
-    row, column : (t,) integer arrays
-        Global nodes: the slave node of the condition, and the node of the term.
-    value : (t,) array
-        The weight, negative on the master [m^2 or m].
-    of_slave : (t,) bool array
-        Whether the term's node is one of the slave.
-
-    Returns
-    -------
-    nodes, terms : (k,) integer array, MortarTerms
-        The conditions that this rank owns, by ascending node.
+    `row` and `column` are global nodes: the slave node of the condition, and the node of the term,
+    which `of_slave` says to be one of the slave. Values are negative on the master [m^2 or m].
     """
     row, column, value, of_slave = to_owners.forward(row, column, value, of_slave)
     # values in ascending order: the sum does not depend on the order in which they arrive

@@ -34,46 +34,23 @@ _BLOCK = 2048
 
 @dataclass(frozen=True)
 class FacetIntegrals:
-    """Integrals over the covered part of slave facets, with the weight of the measure.
+    """Integrals over the covered part of c slave facets, with the weight of the measure.
 
     N are the shape functions of degree 1 of a slave facet with v corners; N^s and N^m are those of
-    the displacement on a slave facet with t nodes and on a master facet with w nodes over it.
-
-    Attributes
-    ----------
-    facet : (c,) integer array
-        The slave facets that are covered, ascending.
-    covered : (c,) array
-        Covered area of each, in its plane and without weight [m^2 or m].
-    share : (c, v) array
-        Integrals of N_j without weight [m^2 or m].
-    ones : (c, v) array
-        Integrals of N_j.
-    mass : (c, v, v) array
-        Integrals of N_i N_j.
-    trace : (c, v, t) array
-        Integrals of N_i N^s_j; for degree 1 the same as `mass`.
-    gap : (c, v, gdim) array
-        Integrals of N_j times the vector from the slave to the master.
-    pair : (p,) integer array
-        Position in `facet` of each pair of a slave and a master facet; of degree 2 a pair of facets
-        is there once for each pair of their pieces.
-    master : (p,) integer array
-        The master facets.
-    coupling : (p, v, w) array
-        Integrals of N_i N^m_l.
+    the displacement on a slave facet with t nodes and on a master facet with w nodes over it. Of
+    degree 2 a pair of facets is there once for each pair of their pieces.
     """
 
-    facet: Numbers
-    covered: Vector
-    share: Vector
-    ones: Vector
-    mass: Vector
-    trace: Vector
-    gap: Vector
-    pair: Numbers
-    master: Numbers
-    coupling: Vector
+    facet: Numbers  # slave facets that are covered (c,), ascending
+    covered: Vector  # (c,): covered area in the plane, without weight [m^2 or m]
+    share: Vector  # (c, v): of N_j, without weight [m^2 or m]
+    ones: Vector  # (c, v): of N_j
+    mass: Vector  # (c, v, v): of N_i N_j
+    trace: Vector  # (c, v, t): of N_i N^s_j; for degree 1 the same as mass
+    gap: Vector  # (c, v, gdim): of N_j times the vector from the slave to the master
+    pair: Numbers  # (p,): row of each pair of a slave and a master facet
+    master: Numbers  # (p,): master facet of each pair
+    coupling: Vector  # (p, v, w): of N_i N^m_l
 
 
 def integrate(
@@ -83,23 +60,10 @@ def integrate(
 
     Points of the two surfaces are opposite each other along the normal of the slave's facet. The
     quadrature is exact for segments, triangles and parallelograms, also of degree 2 if these are
-    straight, with their nodes in the middle of the edges. Its error on other
-    quadrilaterals is about 1e-8 if they are distorted as much as meshes allow. Whatever the error,
-    the integrals of a facet are of the same points: constants and, on flat surfaces, linear
-    functions are reproduced.
-
-    Parameters
-    ----------
-    slave, master : Facets
-        The two surfaces, each of facets of one type.
-    weight : (f, v) array, optional
-        Weight of the measure at the corners of the slave's facets, linear between them; by default
-        1.
-
-    Returns
-    -------
-    FacetIntegrals
-        Without facets where the surfaces do not lie over each other.
+    straight, with their nodes in the middle of the edges. Its error on other quadrilaterals is
+    about 1e-8 if they are distorted as much as meshes allow. Whatever the error, the integrals of a
+    facet are of the same points: constants and, on flat surfaces, linear functions are reproduced.
+    The weight (f, v), by default 1, is linear between the corners of the slave's facets.
     """
     parts = [_no_integrals(slave, master)]
     if len(slave) and len(master):
@@ -114,15 +78,7 @@ def integrate(
 
 
 def integrate_alone(slave: Facets, weight: NDArray[np.float64] | None = None) -> FacetIntegrals:
-    """Integrate over whole facets, without a master: the surface takes its place.
-
-    Parameters
-    ----------
-    slave : Facets
-        The surface.
-    weight : (f, v) array, optional
-        As in `integrate`.
-    """
+    """Integrate over whole facets, without a master: the surface takes its place."""
     if not len(slave):
         return _no_integrals(slave, slave)
     x = slave.coordinates()

@@ -48,23 +48,12 @@ class MortarMatrices:
 
     With the displacements of both surfaces, the mean relative displacement at slave node k is
     (sum_j D_kj u_j - sum_l M_kl u_l) / area_k.
-
-    Attributes
-    ----------
-    D : (n, n) scipy.sparse.csr_matrix
-        Integrals of psi_k N^s_j [m^2 or m]; for degree 1 diagonal.
-    M : (n, m) scipy.sparse.csr_matrix
-        Integrals of psi_k N^m_l.
-    gap : (n, gdim) array
-        Integrals of psi_k times the vector from the slave to the master.
-    area : (n,) array
-        Integrals of psi_k, the sums of the rows of D and of M.
     """
 
-    D: sp.csr_matrix
-    M: sp.csr_matrix
-    gap: Vector
-    area: Vector
+    D: sp.csr_matrix  # (n, n): integrals of psi_k N^s_j [m^2 or m]; for degree 1 diagonal
+    M: sp.csr_matrix  # (n, m): integrals of psi_k N^m_l
+    gap: Vector  # (n, gdim): integrals of psi_k times the vector from the slave to the master
+    area: Vector  # (n,): integrals of psi_k, the sums of the rows of D and of M
 
 
 def mortar_matrices(
@@ -72,14 +61,7 @@ def mortar_matrices(
 ) -> MortarMatrices:
     """Assemble D, M and the gaps of all covered nodes.
 
-    Parameters
-    ----------
-    integrals : FacetIntegrals
-        Of the two surfaces.
-    slave, master : Facets
-        The surfaces.
-    dual : bool
-        Whether psi are the dual functions, or the shape functions of degree 1 themselves.
+    The multipliers psi are the dual functions, or the shape functions of degree 1 themselves.
     """
     n, m = len(slave.points), len(master.points)
     corners = slave.corners[integrals.facet]
@@ -97,37 +79,18 @@ def mortar_matrices(
 
 
 def slave_matrix(integrals: FacetIntegrals, slave: Facets) -> sp.csr_matrix:
-    """Assemble D (n, n) of a surface all of whose vertices have a multiplier.
-
-    Parameters
-    ----------
-    integrals : FacetIntegrals
-        Over whole facets, see `integrate_alone`.
-    slave : Facets
-        The surface.
-    """
+    """Assemble D (n, n) of a surface with a multiplier at all vertices, see `integrate_alone`."""
     _, of_slave = _dual_functions(integrals, _areas(slave)[integrals.facet])
     n, facet = len(slave.points), integrals.facet
     return _assemble(of_slave, slave.corners[facet], slave.nodes[facet], (n, n))
 
 
 def multiplier_shares(coverage: Vector, free: Mask, pairs: Numbers) -> sp.csc_matrix:
-    """Return the shares of nodes in the dual functions of others.
+    """Return the shares (n, n) of nodes in the dual functions of others.
 
-    Parameters
-    ----------
-    coverage : (n,) array
-        The covered share of each node's area.
-    free : (n,) bool array
-        Nodes that must not have a multiplier.
-    pairs : (p, 2) integer array
-        Nodes that are corners of one covered facet, in both orders.
-
-    Returns
-    -------
-    (n, n) scipy.sparse.csc_matrix
-        Column j has 1 at j if it keeps its function, or the shares of others, whose sum is 1; it is
-        empty where no node around has a multiplier.
+    Column j has 1 at j if it keeps its function, or the shares of others, whose sum is 1; it is
+    empty where no node around has a multiplier. Nodes have the coverage (n,), and no multiplier
+    where they are `free`; pairs (p, 2) are corners of one covered facet, in both orders.
     """
     j, k = pairs.T
     better = coverage[k] > (1.0 + RELATIVE_ROUNDING) * coverage[j]

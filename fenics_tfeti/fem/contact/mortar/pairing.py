@@ -38,35 +38,10 @@ def match_by_mortar(
     shared: Numbers,
     prescribed: Mask,
 ) -> ContactPairing:
-    """Return the mortar conditions of a pair. Collective.
+    """Return the mortar conditions of a pair, this rank's part. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    name : str
-        Name of the contact.
-    contact : ContactPair
-        The pair.
-    slave : Surface
-        The slave's surface.
-    master : DeformedSurface
-        The master's surface near this rank's slave facets, not deformed.
-    shared : integer array
-        Nodes of both surfaces, which stay free.
-    prescribed : (s, gdim) bool array
-        Which components are prescribed at the slave's nodes.
-
-    Returns
-    -------
-    ContactPairing
-        This rank's part.
-
-    Raises
-    ------
-    InputError
-        Surfaces that do not face each other anywhere, slave facets folded by more than 90 degrees,
-        a wrong weight of the measure or initial gap.
+    The master is what is near this rank's slave facets, not deformed. Nodes of both surfaces,
+    `shared`, stay free; `prescribed` (s, gdim) are the components prescribed at the slave's nodes.
     """
     space = boundary.space
     comm, gdim = space.mesh.comm, slave.normal.shape[1]
@@ -108,22 +83,8 @@ def match_deformed(
 ) -> tuple[ContactPairing, Vector]:
     """Return the mortar conditions of a pair on its deformed surfaces. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    contact : ContactPair
-        The pair.
-    pairing : ContactPairing
-        Its conditions before.
-    displacement : Function
-        The displacement [m], ghosts up to date.
-
-    Returns
-    -------
-    pairing, distance : ContactPairing, (k,) array
-        The new conditions, with gaps in terms of the total displacement, and the mean distance
-        between the deformed surfaces [m], negative inside.
+    The gaps are in terms of the total displacement, whose ghosts are up to date. The second result
+    are the mean distances (k,) between the deformed surfaces [m], negative inside.
     """
     space, name = boundary.space, pairing.name
     comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
@@ -183,25 +144,9 @@ def _pairing(
 def slave_facets(
     space: FunctionSpace, contact: Any, slave: Surface, points: Vector, name: str
 ) -> SlaveFacets:
-    """Return this rank's facets of the slave, with normals and the weight of the measure.
+    """Return this rank's facets of a slave, with normals and weights. Collective.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    contact : ContactPair or TiedPair
-        The pair.
-    slave : Surface
-        Its slave's surface.
-    points : (nodes, gdim) array
-        All local nodes of the space, undeformed or deformed [m].
-    name : str
-        Name of the pair.
-
-    Raises
-    ------
-    InputError
-        A wrong weight of the measure.
+    The points (nodes, gdim) are all local nodes of the space, undeformed or deformed [m].
     """
     weight = _nodal_weight(space, contact.measure_weight, name)
     return SlaveFacets.of(space, slave, points, slave.normal, weight)
@@ -229,21 +174,10 @@ def main_masters(terms: MortarTerms) -> Numbers:
 def mean_relative(
     terms: MortarTerms, displacement: Function, coordinates: Vector | None = None
 ) -> Vector:
-    """Return mean displacements of the slave less those of the master, or places. Collective.
+    """Return mean displacements (k, gdim) of the slave less those of the master [m]. Collective.
 
-    Parameters
-    ----------
-    terms : MortarTerms
-        The conditions of this rank; their nodes may be on any.
-    displacement : Function
-        The displacement [m].
-    coordinates : (nodes, 3) array, optional
-        Of this rank's nodes [m]: to take the deformed places instead of the displacements.
-
-    Returns
-    -------
-    (k, gdim) array
-        As `mean_over_terms`.
+    The nodes of the terms may be on any rank. With coordinates (nodes, 3) of this rank's nodes [m],
+    the deformed places are taken instead of the displacements.
     """
     space = displacement.function_space
     gdim, index_map = space.dofmap.index_map_bs, space.dofmap.index_map
@@ -256,21 +190,9 @@ def mean_relative(
 
 
 def mean_over_terms(terms: MortarTerms, nodes: Numbers, values: Vector) -> Vector:
-    """Return the weighted sums of nodal values over the slave's terms, less those of the master.
+    """Return the weighted sums (k, gdim) of nodal values, negative on the master, over the areas.
 
-    Parameters
-    ----------
-    terms : MortarTerms
-        The conditions.
-    nodes : (n,) integer array
-        Global nodes, ascending; all of the terms' nodes.
-    values : (n, gdim) array
-        Values at the nodes, such as displacements [m].
-
-    Returns
-    -------
-    (k, gdim) array
-        Mean relative values: the sums, divided by the conditions' areas.
+    The nodes (n,) are global ones, ascending, and all of the terms'; the values are (n, gdim).
     """
     row = terms.row
     sums = np.zeros((terms.slaves.size, values.shape[1]))

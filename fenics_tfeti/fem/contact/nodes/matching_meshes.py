@@ -1,4 +1,4 @@
-"""Whether the meshes of two surfaces match, so that conditions can be between pairs of nodes."""
+"""Comparison of two surface meshes: matching ones have conditions between pairs of nodes."""
 
 from __future__ import annotations
 
@@ -26,25 +26,8 @@ def meshes_match(
 
     Nodes are the same if they are opposite each other, along the normal of either surface or their
     mean, up to the rounding of coordinates in single precision. Gaps do not matter, as long as the
-    distance along the slave's surface is in the tolerance.
-
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    slave : Surface
-        This rank's part.
-    master : DeformedSurface
-        The master's surface near this rank's slave nodes.
-    normals : (n, gdim) array
-        The master's normals.
-    tolerance : float
-        Largest distance along the slave's surface, relative to the size of its facets.
-
-    Returns
-    -------
-    bool
-        The same on all ranks.
+    distance along the slave's surface, relative to the size of its facets, is in the tolerance. The
+    master is what is near this rank's slave nodes.
     """
     comm = space.mesh.comm
     distance, along = np.zeros((2, 0))

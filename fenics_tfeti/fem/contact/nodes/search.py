@@ -29,22 +29,12 @@ _REMEDY = (
 
 @dataclass(frozen=True)
 class Partners:
-    """The partner of each slave node that this rank owns.
+    """The partner of each slave node that this rank owns."""
 
-    Attributes
-    ----------
-    master : (k,) integer array
-        Position among the master's nodes; -1 where none was found.
-    distance : (k,) array
-        What the tolerance limits [m]; infinite where none was found.
-    measure, remedy : str
-        How the distance is measured, and what to do if it is too large, for messages.
-    """
-
-    master: Numbers
-    distance: Vector
-    measure: str
-    remedy: str
+    master: Numbers  # (k,): position among the master's nodes; -1 where there is none
+    distance: Vector  # (k,): limited by the tolerance [m]; infinite where there is no partner
+    measure: str  # how the distance is measured, for messages
+    remedy: str  # what to do if it is too large
 
 
 def nearest(slave: Surface, master: MasterNodes) -> Partners:
@@ -71,25 +61,8 @@ def along_direction(
     """Pair each slave node with the master node nearest to a line through it. Collective.
 
     Only master nodes whose normals point against the slave node's are candidates. If the line meets
-    several sheets of the master's surface, only the nearest sheet counts.
-
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    slave, master : Surface, MasterNodes
-        The surfaces.
-    direction : (gdim,) array-like or callable
-        Direction of the lines, of either sense.
-    tolerance : float
-        Largest distance from the line, relative to the size of the slave's facets.
-    name : str
-        Name of the contact.
-
-    Returns
-    -------
-    Partners
-        The distance is across the direction.
+    several sheets of the master's surface, only the nearest sheet counts. The distance is across
+    the direction; the tolerance is relative to the size of the slave's facets.
     """
     lines_at_once = 4096  # bounds the memory
     gdim = slave.normal.shape[1]
@@ -148,14 +121,7 @@ def by_coordinates(
     tolerance: float,
     name: str,
 ) -> Partners:
-    """Pair the nodes at the user's points. Collective.
-
-    Raises
-    ------
-    InputError
-        Wrong shapes, different pairs on different ranks, points that are not nodes of the surfaces,
-        a slave node named twice.
-    """
+    """Pair the nodes at the user's points, which are the same on all ranks. Collective."""
     gdim = slave.normal.shape[1]
     with raise_collectively(comm):
         slave_points, master_points = _given_pairs(pairs, gdim, name)
@@ -224,11 +190,8 @@ def _near_lines(
 ) -> tuple[Numbers, Numbers, Vector, Vector]:
     """Find all master nodes near lines through points, whose normals point against those there.
 
-    Returns
-    -------
-    line, node, across, along : (n,) arrays
-        Pairs of a line and a master node no farther from it than its `reach`, and the distances
-        across and along the line [m].
+    Returned are pairs (n,) of a line and a master node no farther from it than its `reach`, and the
+    distances across and along the line [m].
     """
     found: list[tuple[Any, ...]] = []
     for group in groups:

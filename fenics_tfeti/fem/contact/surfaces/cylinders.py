@@ -33,21 +33,9 @@ def without_axial_tilt(
 ) -> Vector:
     """Return normals across the axis where nodes in contact are on a round cylinder. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    surface : Surface
-        The slave's surface, which may have other facets, such as a pin's ends.
-    nodes : (k,) integer array
-        Its nodes with contact conditions, on this rank.
-    normal : (k, gdim) array
-        Their normals.
-
-    Returns
-    -------
-    (k, gdim) array
-        Normals of nodes with facets off the cylinder are as they are.
+    The nodes (k,) with contact conditions have the normals (k, gdim). The slave's surface may have
+    other facets, such as a pin's ends: normals of nodes with facets off the cylinder stay as they
+    are.
     """
     if normal.shape[1] != 3:
         return normal
@@ -68,38 +56,20 @@ def without_axial_tilt(
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A round cylinder.
+    """A round cylinder."""
 
-    Attributes
-    ----------
-    centre, axis : (3,) array
-        A point on the axis [m] and a unit vector.
-    radius : float
-        [m].
-    on : float
-        Largest distance of points that are on it [m].
-    """
-
-    centre: Vector
-    axis: Vector
-    radius: float
-    on: float = 0.0
+    centre: Vector  # (3,): a point on the axis [m]
+    axis: Vector  # (3,): a unit vector
+    radius: float  # [m]
+    on: float = 0.0  # largest distance of points that are on it [m]
 
     @staticmethod
     def of(comm: MPI.Intracomm, points: Vector, normals: Vector) -> Cylinder | None:
         """Return the cylinder on which points are, to rounding; None if there is none. Collective.
 
         A load across the axis must do no work along it. Points of few digits tell their axis if
-        they mean a coordinate axis.
-
-        Parameters
-        ----------
-        comm : MPI.Intracomm
-            The ranks.
-        points : (k, 3) array
-            This rank's points [m].
-        normals : (k, 3) array
-            About the unit normals there.
+        they mean a coordinate axis. The normals (k, 3) are about the unit normals at this rank's
+        points (k, 3).
         """
         number = comm.allreduce(float(len(points)))
         squares, directions = np.linalg.eigh(comm.allreduce(normals.T @ normals) / (number or 1.0))
@@ -125,7 +95,7 @@ class Cylinder:
         return Cylinder(middle + size * fit.centre, axis, size * fit.radius, size * on)
 
     def distance(self, points: Vector) -> Vector:
-        """Return by how much points (k, 3) are outside of it [m]."""
+        """Return signed distances (k,) of points, positive outside [m]."""
         distance: Vector = np.linalg.norm(self._radial(points), axis=1) - self.radius
         return distance
 

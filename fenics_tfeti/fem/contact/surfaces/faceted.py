@@ -20,33 +20,21 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 class Distance:
     """Signed distances of points to a surface.
 
-    Attributes
-    ----------
-    signed : (k,) array
-        Distance to the surface, negative inside the body [m].
-    normal : (k, gdim) array
-        Unit gradient of the signed distance: from the closest point to a point outside, and from a
-        point inside to the closest one. On the surface its outward normal: at an edge the mean of
-        the adjacent facets' normals, at a vertex their mean weighted with the facets' angles.
+    The normal is the unit gradient of the signed distance: from the closest point to a point
+    outside, and from a point inside to the closest one. On the surface it is its outward normal: at
+    an edge the mean of the adjacent facets' normals, at a vertex their mean weighted with the
+    facets' angles.
     """
 
-    signed: Vector
-    normal: Vector
+    signed: Vector  # (k,), negative inside the body [m]
+    normal: Vector  # (k, gdim)
 
 
 def facet_normals(corners: Vector) -> Vector:
-    """Return the normals of segments or triangles, of the length of their length or area.
+    """Return the normals (m, gdim) of segments or triangles, of the length of their length or area.
 
-    Parameters
-    ----------
-    corners : (m, gdim, gdim) array
-        The corners of each facet [m]. Seen along a segment, from corner 0 to 1, its normal points
-        to the right; seen from the tip of its normal, a triangle has its corners anticlockwise.
-
-    Returns
-    -------
-    (m, gdim) array
-        The normals.
+    Seen along a segment, from corner 0 to 1, its normal points to the right; seen from the tip of
+    its normal, a triangle has its corners anticlockwise. The corners are (m, gdim, gdim) [m].
     """
     along = corners[:, 1:] - corners[:, :1]
     if corners.shape[2] == 2:
@@ -56,15 +44,9 @@ def facet_normals(corners: Vector) -> Vector:
 
 
 class FacetedSurface:
-    """An oriented surface, open or closed.
+    """An oriented surface, open or closed, of segments (2D) or triangles (3D).
 
-    Parameters
-    ----------
-    points : (n, gdim) array
-        [m].
-    facets : (m, gdim) integer array
-        Corners of segments (2D) or triangles (3D) as rows of `points`, oriented outwards as
-        `facet_normals` says.
+    The facets (m, gdim) are rows of the points (n, gdim), oriented outwards as in `facet_normals`.
     """
 
     def __init__(self, points: Vector, facets: Numbers) -> None:
@@ -111,21 +93,11 @@ class FacetedSurface:
         self._feature_half = np.hstack([halves[keys], 0.5 * sizes[:, None]])
 
     def distance(self, x: Vector) -> Distance:
-        """Return the signed distances of points to the surface.
+        """Return the signed distances of points (k, gdim) to the surface.
 
         A point is inside if it is behind the closest point of the surface. Next to the border of an
         open surface, where the body's shape is not known, the surface is continued by its tangent
         plane over half a facet; points farther away are outside.
-
-        Parameters
-        ----------
-        x : (k, gdim) array
-            The points [m].
-
-        Returns
-        -------
-        Distance
-            Of each point.
         """
         blocks = [self._closest(part) for part in _blocks(x)]
         point, facet, feature = (np.concatenate(column) for column in zip(*blocks, strict=True))
@@ -142,42 +114,22 @@ class FacetedSurface:
         return Distance(signed, normal)
 
     def closest(self, x: Vector) -> tuple[Numbers, Vector]:
-        """Return the points of the surface that are closest to other points.
+        """Return the facet (k,) that is closest to each point, and the place in it.
 
-        Parameters
-        ----------
-        x : (k, gdim) array
-            The other points [m].
-
-        Returns
-        -------
-        facet, weights : (k,) integer array, (k, gdim) array
-            The facet of each closest point, and its barycentric coordinates in it.
+        The place is the closest point's barycentric coordinates (k, gdim).
         """
         blocks = [self._closest(part)[:2] for part in _blocks(x)]
         point, facet = (np.concatenate(column) for column in zip(*blocks, strict=True))
         return facet, _barycentric(self._corners[facet], point)
 
     def gap_along(self, x: Vector, direction: Vector) -> tuple[Vector, Vector]:
-        """Return the gap between points and the surface along a direction.
+        """Return the gaps (k,) along unit vectors, and `Distance.signed` [m]; both negative inside.
 
         For a point outside it is the distance along the direction to the nearest facet that faces
         the direction; for a point inside, the distance backwards, counted negative. Where the line
         meets no such facet, the surface is replaced by the plane through the closest point and
         perpendicular to `Distance.normal`. The result is at most twice the distance to the surface,
         so that lines of more than 60 degrees to the normal give no large gaps.
-
-        Parameters
-        ----------
-        x : (k, gdim) array
-            The points [m].
-        direction : (k, gdim) array
-            Unit vectors.
-
-        Returns
-        -------
-        gap, signed : (k,) arrays
-            The gap along the direction, and `Distance.signed` [m]; both negative inside.
         """
         largest_ratio = 2.0
         distance = self.distance(x)

@@ -17,13 +17,7 @@ from fenics_tfeti.typing import Vector
 
 
 def check_initial_gap(given: Any, name: str) -> None:
-    """Check the argument `initial_gap` of a pair.
-
-    Raises
-    ------
-    InputError
-        What is neither a known word, a finite number nor a function.
-    """
+    """Check the argument `initial_gap` of a pair."""
     if callable(given) or (isinstance(given, str) and given in ("geometric", "touching")):
         return
     number = isinstance(given, int | float | np.number) and not isinstance(given, bool)
@@ -36,24 +30,13 @@ def check_initial_gap(given: Any, name: str) -> None:
 
 
 def chord_heights(corners: Vector, normals: Vector, middles: Vector | None = None) -> Vector:
-    """Return how far facets are from the curved surface through their nodes with these normals.
+    """Return distances (f,) of facets from curved surfaces through their nodes, with normals [m].
 
     Between two corners it is the height of a circle's segment, length times angle / 8. Inside a
     triangle it is up to 4/3 of that between two of its corners, inside a quadrilateral that between
     the ends of a diagonal. Nodes in the middle take their own height off it; what is left is the
-    height of the two halves, a quarter, and the difference.
-
-    Parameters
-    ----------
-    corners, normals : (f, v, gdim) arrays
-        Corners of the facets [m], one after the other, and unit normals there.
-    middles : (f, t - v, gdim) array, optional
-        The other nodes of facets of degree 2, see `Facets` [m].
-
-    Returns
-    -------
-    (f,) array
-        [m].
+    height of the two halves, a quarter, and the difference. Corners and unit normals are (f, v,
+    gdim), the other nodes of facets of degree 2 (f, t - v, gdim), see `Facets`.
 
     Examples
     --------
@@ -69,10 +52,7 @@ def chord_heights(corners: Vector, normals: Vector, middles: Vector | None = Non
 
 
 def facet_deviations(corners: Vector, normals: Vector, middles: Vector | None = None) -> Vector:
-    """Return how far facets are from the surface, as `chord_heights`, with their own curvature.
-
-    Facets of degree 2 whose middle nodes are on the surface have hardly any.
-    """
+    """Return `chord_heights` less the curvature of the facets: next to none for degree 2."""
     height, own = _heights(corners, normals, middles)
     return _largest(np.maximum(height - own, 0.0), corners)
 
@@ -109,25 +89,10 @@ def _middle(i: int, j: int, v: int) -> int:
 def initial_gap(
     comm: MPI.Intracomm, given: Any, gap: Vector, chord: Vector, points: Vector, name: str
 ) -> Vector:
-    """Return the initial gaps of a contact's conditions. Collective.
+    """Return the initial gaps (k,) of a contact's conditions. Collective.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    given : "geometric", "touching", float or callable
-        What the user gave, see `ContactPair`.
-    gap, chord : (k,) arrays
-        The gaps of the mesh, and the distances of its facets from the curved surfaces there [m].
-    points : (k, 3) array
-        The slave's nodes [m].
-    name : str
-        Name of the contact.
-
-    Raises
-    ------
-    InputError
-        Wrong shapes, NaN or infinite values, an exception of the user's function.
+    For the argument see `ContactPair`. The gaps (k,) are those of the mesh, the chords the
+    distances of its facets from the curved surfaces there [m].
     """
     if isinstance(given, str):
         # twice: the normals at a surface's border see half of the curvature

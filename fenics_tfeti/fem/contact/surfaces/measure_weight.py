@@ -22,22 +22,9 @@ from fenics_tfeti.typing import Vector
 
 
 def given_weight(domain: Mesh, weight: Any, name: str) -> Any:
-    """Return the weight as an expression of UFL, checked; None for none.
+    """Return the weight of a contact's measure as an expression of UFL, checked; None for none.
 
-    Parameters
-    ----------
-    domain : Mesh
-        The displacement's mesh.
-    weight : UFL expression, number or None
-        What the user gave.
-    name : str
-        Name of the contact, for messages.
-
-    Raises
-    ------
-    InputError
-        For what is no expression, is not scalar, has a test or trial function, or is on another
-        mesh; the same on all ranks.
+    Errors are the same on all ranks.
     """
     if weight is None:
         return None
@@ -71,21 +58,7 @@ def check_weighted_areas(
 ) -> None:
     """Check that the weight is positive at all nodes of a surface, on average. Collective.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    weighted, area : (k,) arrays
-        The area of each node with and without the weight.
-    points : (k, gdim) array
-        The nodes [m].
-    what : str
-        Name of the surface, for messages.
-
-    Raises
-    ------
-    InputError
-        With the number of nodes where the weight is NaN, infinite, negative or zero, and the first.
+    The areas (k,) of the nodes are those with and without the weight.
     """
     mean = weighted / area
     finite = np.isfinite(mean)

@@ -41,30 +41,12 @@ def gather_nearby(
     owned: Numbers,
     displacement: Function | None = None,
 ) -> DeformedSurface:
-    """Gather what of a surface is near this rank's facets and nodes of another one. Collective.
+    """Gather the part of a surface near this rank's facets and nodes of another one. Collective.
 
     All facets are there that may lie over a slave facet of this rank, those closest to it, and the
-    ones around each of their nodes, so that normals there are those of the whole surface.
-
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    facet_tags : MeshTags
-        Tags of facets.
-    tag : int
-        The surface's tag.
-    around : int
-        The tag of the other one, or the same.
-    owned : (k,) integer array
-        Global nodes of the other one that this rank owns; their facets may be other ranks'.
-    displacement : Function, optional
-        On the space [m], with ghosts up to date; by default the surfaces are not deformed.
-
-    Returns
-    -------
-    DeformedSurface
-        As `gather_surface`, without what is far away; it differs from rank to rank.
+    ones around each of their nodes, so that normals there are those of the whole surface. `around`
+    is the tag of the other surface, or the same; `owned` (k,) are the nodes of the other that this
+    rank owns, whose facets may be other ranks'. The ghosts of the displacement are up to date.
     """
     space = boundary.space
     comm, gdim = space.mesh.comm, space.dofmap.index_map_bs

@@ -17,22 +17,7 @@ from fenics_tfeti.parallel import raise_collectively
 
 
 def weighted_form(boundary: MeshBoundary, weight: Any, name: str) -> _compat.CompiledForm | None:
-    """Return the form of a contact's areas with a weight of ds; None without one. Collective.
-
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    weight : UFL expression, number or None
-        The contact's `measure_weight`.
-    name : str
-        Name of the contact.
-
-    Raises
-    ------
-    InputError
-        A weight that is no scalar expression on the mesh.
-    """
+    """Return the form of a contact's areas with a weight of ds; None without one. Collective."""
     domain = boundary.space.mesh
     with raise_collectively(domain.comm):
         given = given_weight(domain, weight, name)
@@ -46,32 +31,10 @@ def node_areas(
     form: _compat.CompiledForm | None,
     name: str,
 ) -> NDArray[np.float64]:
-    """Return the area of each node on covered facets, or all of its area where it has none.
+    """Return each node's area on covered facets, or all of it where it has none. Collective.
 
-    Collective.
-
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    slave : Surface
-        The surface.
-    covered : (f,) bool array
-        Which of this rank's facets count.
-    form : CompiledForm or None
-        The form of the areas with the weight, see `weighted_form`.
-    name : str
-        Name of the contact.
-
-    Returns
-    -------
-    (k,) array
-        [m^2 or m], times the weight.
-
-    Raises
-    ------
-    InputError
-        A weight that is not positive around some nodes.
+    The areas are (k,) [m^2 or m], times the weight of the form; `covered` (f,) are the facets of
+    this rank that count.
     """
     comm, area = boundary.space.mesh.comm, slave.area
     if form is not None:

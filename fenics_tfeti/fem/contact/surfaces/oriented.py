@@ -24,21 +24,9 @@ def owned_facets(domain: Mesh, facet_tags: Any, tag: int) -> Indices:
 
 
 def oriented_facets(space: FunctionSpace, facets: Indices) -> Indices:
-    """Return the nodes of facets that this rank owns, oriented outwards.
+    """Return the nodes (f, t) of facets on the boundary that this rank owns, oriented outwards.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space, of degree 1 or 2.
-    facets : (f,) integer array
-        Facets on the boundary of the mesh.
-
-    Returns
-    -------
-    (f, t) integer array
-        Local nodes of the space in the order of `Facets`: the corners one after the other around
-        the facet, then for degree 2 the midpoints of the edges from each to the next and that of a
-        quadrilateral.
+    They are local nodes of the space, of degree 1 or 2, in the order of `Facets`.
     """
     domain = space.mesh
     dim, cell = domain.topology.dim, cell_type(domain)
@@ -73,16 +61,9 @@ def _reflection(facet: ReferenceCell, nodes: int) -> list[int]:
 def corner_normals(corners: Vector) -> Vector:
     """Return the integrals over facets of the normal times the shape function of each corner.
 
-    Parameters
-    ----------
-    corners : (m, v, gdim) array
-        Corners of segments, triangles or bilinear quadrilaterals, one after the other around each.
-
-    Returns
-    -------
-    (m, v, gdim) array
-        [m^2 or m]; exact also for warped quadrilaterals: the cross product of their tangents is
-        linear.
+    The corners (m, v, gdim) of segments, triangles or bilinear quadrilaterals are one after the
+    other around each. The results (m, v, gdim) [m^2 or m] are exact also for warped quadrilaterals:
+    the cross product of their tangents is linear.
     """
     v = corners.shape[1]
     if v < 4:

@@ -35,24 +35,10 @@ def prescribed_components(surface: Surface, prescribed: Prescribed) -> Mask:
 
 
 def normals_in_symmetry_planes(space: FunctionSpace, surface: Surface, prescribed: Mask) -> Vector:
-    """Return a surface's normals without the components that symmetry rules out. Collective.
+    """Return a surface's unit normals without components that symmetry rules out. Collective.
 
-    A prescribed component is left out if it is larger at the neighbours where it is not prescribed,
-    as on a curved surface; on planes it is the same there.
-
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    surface : Surface
-        The surface; its nodes are ascending.
-    prescribed : (k, gdim) bool array
-        Which components are prescribed.
-
-    Returns
-    -------
-    (k, gdim) array
-        Unit normals.
+    A prescribed component (k, gdim) is left out if it is larger at the neighbours where it is not
+    prescribed, as on a curved surface; on planes it is the same there.
     """
     normal = np.abs(values_on_facets(space, surface, surface.normal))
     fixed = values_on_facets(space, surface, prescribed.astype(float)) > 0.5

@@ -37,33 +37,16 @@ GivenNormal = ArrayLike | Callable[[Vector], ArrayLike] | None
 
 @dataclass(frozen=True)
 class MeshBoundary:
-    """The boundary of a mesh: what all its tagged surfaces need, computed once.
+    """Data of the boundary of a mesh that all its tagged surfaces share."""
 
-    Attributes
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    linear : FunctionSpace
-        The space of degree 1 on its mesh, which it may be itself.
-    coordinates : (nodes, 3) array
-        Of this rank's nodes, ghosts last [m].
-    at_vertex : (nodes,) bool array
-        Whether a node is a vertex of cells.
-    exterior : bool array
-        Whether each facet of this rank is on the boundary of the mesh; False for ghosts.
-    rows : (facets, 2) integer array
-        A cell of each facet of this rank, and the facet's number in it.
-    normal_form : CompiledForm
-        The normal times each vertex' shape function of degree 1, to be integrated over facets.
-    """
-
-    space: FunctionSpace
-    linear: FunctionSpace
-    coordinates: Vector
-    at_vertex: NDArray[np.bool_]
+    space: FunctionSpace  # that of the displacement
+    linear: FunctionSpace  # of degree 1 on its mesh, which it may be itself
+    coordinates: Vector  # (nodes, 3): of this rank's nodes, ghosts last [m]
+    at_vertex: NDArray[np.bool_]  # (nodes,): whether a node is a vertex of cells
+    # whether each facet of this rank is on the boundary; False for ghosts
     exterior: NDArray[np.bool_]
-    rows: Indices
-    normal_form: _compat.CompiledForm
+    rows: Indices  # (facets, 2): a cell of each facet of this rank, and the facet's number in it
+    normal_form: _compat.CompiledForm  # the normal times each vertex' shape function of degree 1
 
     @staticmethod
     def of(space: FunctionSpace) -> MeshBoundary:
@@ -120,43 +103,18 @@ def _normal_form(space: FunctionSpace, weight: Any = 1) -> _compat.CompiledForm:
 
 @dataclass(frozen=True)
 class Surface:
-    """A tagged surface; of the nodes at its vertices, those that this rank owns.
+    """A tagged surface; of the nodes at its vertices, those that this rank owns."""
 
-    Attributes
-    ----------
-    nodes : (k,) integer array
-        Global nodes of the displacement's space at the vertices of facets.
-    local : (k,) integer array
-        Their local numbers.
-    coordinates : (k, 3) array
-        [m].
-    normal : (k, gdim) array
-        Outward unit normals.
-    area : (k,) array
-        Area (length in 2D) that turns a uniform pressure into the node's normal force [m^2 or m],
-        without the weight of the measure.
-    size : (k,) array
-        Mean edge length of the smallest of the facets at the node [m].
-    facets : (f,) integer array
-        The facets that this rank owns.
-    facet_nodes : (f, t) integer array
-        Local numbers of their nodes, some of which other ranks own; see `oriented_facets`.
-    facet_type : ReferenceCell
-        The facets' cell type.
-    extent : float
-        Largest coordinate of the surface by magnitude, over all ranks [m].
-    """
-
-    nodes: Numbers
-    local: Indices
-    coordinates: Vector
-    normal: Vector
-    area: Vector
-    size: Vector
-    facets: Indices
-    facet_nodes: Indices
+    nodes: Numbers  # global nodes of the displacement's space at the vertices of facets (k,)
+    local: Indices  # their local numbers (k,)
+    coordinates: Vector  # (k, 3) [m]
+    normal: Vector  # outward unit normals (k, gdim)
+    area: Vector  # (k,): turns a uniform pressure into the normal force, without weight [m^2 or m]
+    size: Vector  # (k,): mean edge length of the smallest of the facets at the node [m]
+    facets: Indices  # facets that this rank owns (f,)
+    facet_nodes: Indices  # (f, t): their local nodes, also of other ranks; see `oriented_facets`
     facet_type: ReferenceCell
-    extent: float
+    extent: float  # largest coordinate of the surface by magnitude, over all ranks [m]
 
     @property
     def vertices(self) -> Indices:
@@ -175,22 +133,12 @@ class Surface:
 
 @dataclass(frozen=True)
 class MasterNodes:
-    """All nodes of a master's surface, on every rank and in one order for any number of ranks.
+    """All nodes of a master's surface, on every rank and in one order for any number of ranks."""
 
-    Attributes
-    ----------
-    nodes : (m,) integer array
-        Global nodes.
-    points, normal : (m, gdim) arrays
-        Coordinates [m] and outward unit normals.
-    size : (m,) array
-        Mean edge length of the smallest of the facets at the node [m].
-    """
-
-    nodes: Numbers
-    points: Vector
-    normal: Vector
-    size: Vector
+    nodes: Numbers  # global nodes (m,)
+    points: Vector  # (m, gdim) [m]
+    normal: Vector  # outward unit normals (m, gdim)
+    size: Vector  # (m,): mean edge length of the smallest of the facets at the node [m]
 
     def without(self, nodes: Numbers) -> MasterNodes:
         """Leave out some nodes."""
@@ -201,30 +149,9 @@ class MasterNodes:
 def tagged_surface(
     boundary: MeshBoundary, facet_tags: Any, tag: int, what: str, given: GivenNormal = None
 ) -> Surface:
-    """Find the nodes of a tagged surface. Collective.
+    """Find the nodes of a tagged surface, this rank's part. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    facet_tags : MeshTags
-        Tags of facets.
-    tag : int
-        The surface's tag.
-    what : str
-        The surface's name in messages.
-    given : (gdim,) array-like or callable, optional
-        The normal; by default the area-weighted average of the facets' normals.
-
-    Returns
-    -------
-    Surface
-        This rank's part.
-
-    Raises
-    ------
-    InputError
-        Tags of another mesh, on no facet or on interior ones; normals that vanish or point inwards.
+    `what` is its name in messages. By default normals are area-weighted averages of the facets'.
     """
     space = boundary.space
     domain, dim = space.mesh, space.mesh.topology.dim
@@ -271,21 +198,9 @@ def gather_master(comm: MPI.Intracomm, master: Surface) -> MasterNodes:
 
 
 def values_on_facets(space: FunctionSpace, surface: Surface, values: Vector) -> Vector:
-    """Return vectors at the nodes of this rank's facets, from the ranks that own the nodes.
+    """Return vectors (f, v, gdim) at the corners of this rank's facets. Collective.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    surface : Surface
-        The surface.
-    values : (k, gdim) array
-        For the nodes that this rank owns.
-
-    Returns
-    -------
-    (f, v, gdim) array
-        For the corners of each facet.
+    The values (k, gdim) are those at the nodes that this rank owns.
     """
     gdim = values.shape[1]
     carrier = fem.Function(space)
@@ -298,14 +213,7 @@ def values_on_facets(space: FunctionSpace, surface: Surface, values: Vector) -> 
 def largest_of_facets(space: FunctionSpace, surface: Surface, values: Vector) -> Vector:
     """Return at the nodes (k,) that this rank owns the largest value of their facets. Collective.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    surface : Surface
-        The surface.
-    values : (f,) array
-        For this rank's facets; not negative.
+    The values (f,) of this rank's facets are not negative.
     """
     local = surface.vertices.ravel().astype(np.int32)
     vertices = np.asarray(space.dofmap.index_map.local_to_global(local), dtype=np.int64)
@@ -322,23 +230,9 @@ def area_of_facets(
     chosen: NDArray[np.bool_],
     form: _compat.CompiledForm | None = None,
 ) -> Vector:
-    """Return the share of each node's area that belongs to chosen facets. Collective.
+    """Return the share (k,) of each node's area that belongs to chosen facets (f,). Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    surface : Surface
-        The surface.
-    chosen : (f,) bool array
-        Which of this rank's facets count.
-    form : CompiledForm, optional
-        That of `MeshBoundary.form_with_weight`; by default without weight.
-
-    Returns
-    -------
-    (k,) array
-        [m^2 or m], times the weight.
+    The form is that of `MeshBoundary.form_with_weight`; by default there is no weight.
     """
     facets = surface.facets[chosen]
     weighted = boundary.integrate(form or boundary.normal_form, facets)[surface.local]
