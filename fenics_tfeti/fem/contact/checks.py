@@ -48,22 +48,26 @@ def check_arguments(contact: ContactPair, name: str, degree: int) -> None:
     if contact.roles not in ("auto", "given"):
         raise InputError(f"{name}: roles is {contact.roles!r}; 'auto' or 'given' is expected")
     check_initial_gap(contact.initial_gap, name)
-    ways = [way for way in ("direction", "mapping", "pairs") if getattr(contact, way) is not None]
-    if ways and contact.discretisation == "mortar":
+    arguments = [
+        argument
+        for argument in ("direction", "mapping", "pairs")
+        if getattr(contact, argument) is not None
+    ]
+    if arguments and contact.discretisation == "mortar":
         raise InputError(
-            f"{name}: {' and '.join(ways)} tells how nodes find partners, but mortar conditions "
-            "are between surfaces. Leave it out, or take discretisation='node_to_node'"
+            f"{name}: {' and '.join(arguments)} tells how nodes find partners, but mortar "
+            "conditions are between surfaces. Leave it out, or take discretisation='node_to_node'"
         )
-    if degree > 1 and (ways or contact.discretisation == "node_to_node"):
-        what = " and ".join(ways) or "discretisation='node_to_node'"
+    if degree > 1 and (arguments or contact.discretisation == "node_to_node"):
+        request = " and ".join(arguments) or "discretisation='node_to_node'"
         raise InputError(
-            f"{name}: {what} asks for conditions between pairs of nodes, which are for "
+            f"{name}: {request} asks for conditions between pairs of nodes, which are for "
             f"displacements of degree 1; this one is of degree {degree}. Leave it out: the "
             "conditions are mortar conditions then"
         )
-    if len(ways) > 1:
+    if len(arguments) > 1:
         raise InputError(
-            f"{name}: {' and '.join(ways)} are given; partners can be found in one way only"
+            f"{name}: {' and '.join(arguments)} are given; partners can be found in one way only"
         )
     if contact.mapping is not None and not callable(contact.mapping):
         raise InputError(f"{name}: the mapping has to be a function x (3, n) -> (3, n)")
@@ -116,11 +120,11 @@ def check_partners(
     largest = comm.allreduce(float(relative[np.isfinite(relative)].max(initial=0.0)), MPI.MAX)
     columns = (slave.points[far], partners.distance[far], limit[far])
     rows = _first_rows(comm, columns, 3)
-    some = "; ".join(
-        f"{format_point(point, slave.extent)} at distance {distance:.3g} (tolerance {most:.3g})"
+    places = "; ".join(
+        f"{format_point(point, slave.extent)} at distance {distance:.3g} (tolerance {bound:.3g})"
         if np.isfinite(distance)
         else f"{format_point(point, slave.extent)}"
-        for point, distance, most in zip(*rows, strict=True)
+        for point, distance, bound in zip(*rows, strict=True)
     )
     measure = (
         f"Distances are {partners.measure}, up to {largest:.2g} of the facets' size. "
@@ -129,7 +133,7 @@ def check_partners(
     )
     free = "" if partial else ", or leave these nodes free by partial=True"
     raise InputError(
-        f"{name}: {missing} of {total} slave nodes have no partner: {some}. {measure}"
+        f"{name}: {missing} of {total} slave nodes have no partner: {places}. {measure}"
         f"{partners.remedy}{free}"
     )
 
@@ -139,16 +143,16 @@ def check_one_to_one(
     slave: Surface,
     master: MasterNodes,
     partners: Partners,
-    found: Mask,
+    paired: Mask,
     partial: bool,
     name: str,
 ) -> None:
     """Check that no two slave nodes have the same partner."""
-    shared, counts = np.unique(concatenate_ranks(comm, partners.master[found]), return_counts=True)
+    shared, counts = np.unique(concatenate_ranks(comm, partners.master[paired]), return_counts=True)
     shared = shared[counts > 1]
     if not shared.size:
         return
-    concerned = found & np.isin(partners.master, shared)
+    concerned = paired & np.isin(partners.master, shared)
     relative = partners.distance[concerned] / slave.size[concerned]
     columns = (slave.points[concerned], partners.master[concerned], relative)
     points, partner, relative = (concatenate_ranks(comm, column) for column in columns)
@@ -156,9 +160,9 @@ def check_one_to_one(
     order = np.lexsort((relative, partner))
     second = order[1:][partner[order][1:] == partner[order][:-1]]
     # the master's nodes are in the order of their coordinates
-    both = points[partner == shared[0]]
+    conflicting = points[partner == shared[0]]
     places = " and ".join(
-        format_point(point, slave.extent) for point in both[coordinate_order(both)]
+        format_point(point, slave.extent) for point in conflicting[coordinate_order(conflicting)]
     )
     remedy = (
         "Exchange slave and master, or mesh the surfaces alike"
@@ -174,14 +178,14 @@ def check_one_to_one(
 
 
 def check_facing(
-    comm: MPI.Intracomm, slave: Surface, found: Mask, angle: Vector, name: str
+    comm: MPI.Intracomm, slave: Surface, paired: Mask, angle: Vector, name: str
 ) -> None:
     """Check that the slave's normals point against those of the partners, angles in degrees."""
     # a coarse mesh of a curved surface, or a normal that the user gave, may be off by a right angle
     raise_where(
         comm,
         angle > 120.0,
-        slave.points[found],
+        slave.points[paired],
         lambda number, place: (
             f"{name}: slave and master look the same way at {number} nodes, the first at {place}: "
             "the outward normals of surfaces that touch point against each other. Is one of the "
@@ -207,7 +211,7 @@ def check_not_crossed(
     v = corners.shape[1]
     edges = np.array([(k, (k + 1) % v) for k in range(v if v > 2 else 1)])
     ends, ends_normals, partners = (
-        of_facets[:, edges].reshape(-1, 2, gdim) for of_facets in (corners, normals, images)
+        corner_values[:, edges].reshape(-1, 2, gdim) for corner_values in (corners, normals, images)
     )
     normal = ends_normals.sum(axis=1)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -220,18 +224,20 @@ def check_not_crossed(
     # False where there is a NaN
     crossed = np.sum(edge * image, axis=1) < -RELATIVE_ROUNDING * product
 
-    found = np.concatenate([ends[crossed], partners[crossed]], axis=1)
+    crossings = np.concatenate([ends[crossed], partners[crossed]], axis=1)
     # an edge belongs to two facets: it is listed from its smaller end, and once
-    swap = _comes_before(found[:, 1], found[:, 0])
-    found[swap] = found[swap][:, [1, 0, 3, 2]]
-    found = np.unique(concatenate_ranks(comm, found.reshape(-1, 4 * gdim)), axis=0)
-    if not len(found):
+    swap = _comes_before(crossings[:, 1], crossings[:, 0])
+    crossings[swap] = crossings[swap][:, [1, 0, 3, 2]]
+    crossings = np.unique(concatenate_ranks(comm, crossings.reshape(-1, 4 * gdim)), axis=0)
+    if not len(crossings):
         return
-    a, b, of_a, of_b = (format_point(p, slave.extent) for p in found[0].reshape(4, gdim))
+    a, b, partner_a, partner_b = (
+        format_point(p, slave.extent) for p in crossings[0].reshape(4, gdim)
+    )
     raise InputError(
-        f"{name}: pairs cross on {len(found)} edges of slave facets: the neighbours {a} and {b} "
-        f"have the partners {of_a} and {of_b}, which lie in the opposite order. Correct the pairs, "
-        "mapping or direction, or lower the pair's tolerance"
+        f"{name}: pairs cross on {len(crossings)} edges of slave facets: the neighbours {a} and "
+        f"{b} have the partners {partner_a} and {partner_b}, which lie in the opposite order. "
+        "Correct the pairs, mapping or direction, or lower the pair's tolerance"
     )
 
 
@@ -243,10 +249,10 @@ def _tangential(vectors: Vector, normal: Vector) -> Vector:
 def _comes_before(first: Vector, second: Vector) -> Mask:
     """Compare points row by row, by their first different coordinate."""
     different = first != second
-    at = np.argmax(different, axis=1)
+    column = np.argmax(different, axis=1)
     rows = np.arange(len(first))
-    before: Mask = first[rows, at] < second[rows, at]
-    return before
+    smaller: Mask = first[rows, column] < second[rows, column]
+    return smaller
 
 
 def _first_rows(comm: MPI.Intracomm, columns: tuple[Vector, ...], number: int) -> list[Vector]:
@@ -257,8 +263,8 @@ def _first_rows(comm: MPI.Intracomm, columns: tuple[Vector, ...], number: int) -
         return [row[order] for row in rows]
 
     # sorted on each rank as well, so that each sends few rows
-    mine = first(list(columns))
-    return first([concatenate_ranks(comm, row) for row in mine])
+    local = first(list(columns))
+    return first([concatenate_ranks(comm, row) for row in local])
 
 
 # -- several contacts --------------------------------------------------------------------------
@@ -299,14 +305,14 @@ def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[Contact
     nodes = np.unique(cells)
     numbers = np.asarray(index_map.local_to_global(nodes.astype(np.int32)), dtype=np.int64)
     directory = Directory(comm, numbers)
-    at_home = np.zeros(directory.keys.size, dtype=np.int64)
+    body_of_node = np.zeros(directory.keys.size, dtype=np.int64)
     keys, values = directory.collect(numbers, body[nodes])
-    at_home[directory.position(keys)] = values
+    body_of_node[directory.position(keys)] = values
     for pairing, mask in zip(pairings, inside, strict=True):
         normal = np.abs(pairing.normal[mask])
         ends = (pairing.slave[mask], pairing.master[mask])
         thickness = [
-            np.sum(normal * size[directory.lookup(end, at_home)[1]], axis=1) for end in ends
+            np.sum(normal * size[directory.lookup(end, body_of_node)[1]], axis=1) for end in ends
         ]
         _raise_too_deep(comm, pairing, mask, np.minimum(*thickness))
 
@@ -347,19 +353,19 @@ def check_different_nodes(
     contacts: Sequence[Contact], pairings: Sequence[ContactPairing], comm: MPI.Intracomm
 ) -> None:
     """Check that no slave node is in two contacts with the same master surface or obstacle."""
-    for (one, a), (other, b) in combinations(zip(contacts, pairings, strict=True), 2):
-        if _same_master(one, other):
+    for (first, a), (second, b) in combinations(zip(contacts, pairings, strict=True), 2):
+        if _same_master(first, second):
             _check_common_nodes(comm, a, b)
 
 
 def _check_common_nodes(comm: MPI.Intracomm, a: ContactPairing, b: ContactPairing) -> None:
-    _, at_a, at_b = np.intersect1d(a.slave, b.slave, return_indices=True)
+    _, rows_a, rows_b = np.intersect1d(a.slave, b.slave, return_indices=True)
     # at an edge of the body a node has two conditions, with normals farther apart than this angle
     edge_angle = 45.0
     raise_where(
         comm,
-        angles_between(a.normal[at_a], b.normal[at_b]) < edge_angle,
-        a.coordinates[at_a, : a.normal.shape[1]],
+        angles_between(a.normal[rows_a], b.normal[rows_b]) < edge_angle,
+        a.coordinates[rows_a, : a.normal.shape[1]],
         lambda number, place: (
             f"{a.name} and {b.name} match {number} slave nodes twice with the same master surface "
             f"or obstacle, the first at {place}: join the two slave surfaces under one tag, or "
@@ -368,10 +374,10 @@ def _check_common_nodes(comm: MPI.Intracomm, a: ContactPairing, b: ContactPairin
     )
 
 
-def _same_master(one: Contact, other: Contact) -> bool:
-    if isinstance(one, ContactPair) and isinstance(other, ContactPair):
-        tags = (_compat.cpp_object(c.facet_tags) for c in (one, other))
-        return one.master == other.master and next(tags) is next(tags)
-    if isinstance(one, RigidObstacle) and isinstance(other, RigidObstacle):
-        return one.obstacle is other.obstacle
+def _same_master(first: Contact, second: Contact) -> bool:
+    if isinstance(first, ContactPair) and isinstance(second, ContactPair):
+        tags = (_compat.cpp_object(c.facet_tags) for c in (first, second))
+        return first.master == second.master and next(tags) is next(tags)
+    if isinstance(first, RigidObstacle) and isinstance(second, RigidObstacle):
+        return first.obstacle is second.obstacle
     return False

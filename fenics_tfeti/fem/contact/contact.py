@@ -14,11 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.friction import FrictionLaw
 from fenics_tfeti.fem.contact.obstacles import Obstacle
-from fenics_tfeti.fem.contact.surfaces.tagged import GivenNormal, Surface
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface, VectorField
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Numbers, Vector
 
-VectorField = ArrayLike | Callable[[Vector], ArrayLike]
 InitialGap = Literal["geometric", "touching"] | float | Callable[[Vector], ArrayLike]
 
 
@@ -99,7 +98,7 @@ class ContactPair:
     direction: VectorField | None = None
     mapping: Callable[[Vector], ArrayLike] | None = None
     pairs: tuple[ArrayLike, ArrayLike] | None = None
-    normal: GivenNormal = None
+    normal: VectorField | None = None
     partial: bool = False
     measure_weight: Any = None
     discretisation: Literal["auto", "node_to_node", "mortar"] = "auto"
@@ -321,11 +320,11 @@ class ContactResult:
     def gather(self) -> ContactResult:
         """Return the nodes of all ranks, by node number, on every rank. Collective."""
         order = np.argsort(concatenate_ranks(self.comm, self.nodes))
-        whole = _gathered(self, self.comm, order)
+        arrays = _gathered(self, self.comm, order)
         if self.friction is not None:
-            rubbing = _gathered(self.friction, self.comm, order)
-            whole["friction"] = replace(self.friction, **rubbing)
-        return replace(self, comm=MPI.COMM_SELF, **whole)
+            friction = _gathered(self.friction, self.comm, order)
+            arrays["friction"] = replace(self.friction, **friction)
+        return replace(self, comm=MPI.COMM_SELF, **arrays)
 
 
 def _gathered(

@@ -49,11 +49,11 @@ class DeformedContact:
     # new conditions, whose nodes may be others; the other fields are for those before
     mortar: ContactPairing | None = None
 
-    def pairing(self, before: ContactPairing) -> ContactPairing:
+    def pairing(self, earlier: ContactPairing) -> ContactPairing:
         """Return the conditions in the deformed state."""
         if self.mortar is not None:
             return self.mortar
-        return replace(before, master=self.master, normal=self.normal, gap=self.gap)
+        return replace(earlier, master=self.master, normal=self.normal, gap=self.gap)
 
 
 def deformed_contact(
@@ -76,10 +76,10 @@ def deformed_contact(
     _check_displacement(boundary.space, displacement)
     displacement.x.scatter_forward()
     if isinstance(contact, RigidObstacle):
-        return _at_obstacle(boundary, contact, pairing, displacement)
+        return _deformed_obstacle(boundary, contact, pairing, displacement)
     if pairing.terms is not None:
-        return _by_mortar(boundary, contact, pairing, displacement)
-    return _at_master(boundary, contact, pairing, displacement, keep_normal)
+        return _deformed_mortar(boundary, contact, pairing, displacement)
+    return _deformed_pairs(boundary, contact, pairing, displacement, keep_normal)
 
 
 @dataclass(frozen=True)
@@ -117,13 +117,13 @@ def geometry_pass(
     largest = np.array([0.0, 0.0, 0.0, np.abs(displacement.x.array).max(initial=0.0)])
     sums = np.zeros(2)
     for new, result in zip(deformed, results, strict=True):
-        pressing = result.active
-        slip = np.zeros(0) if new.slip is None else new.slip[pressing]
-        distances = (new.penetration, np.abs(new.distance[pressing]), slip)
+        loaded = result.active
+        slip = np.zeros(0) if new.slip is None else new.slip[loaded]
+        distances = (new.penetration, np.abs(new.distance[loaded]), slip)
         largest[:3] = np.maximum(largest[:3], [part.max(initial=0.0) for part in distances])
-        force = result.normal_force[pressing]
-        turned = np.linalg.norm((new.normal - result.normal)[pressing], axis=1)
-        sums += [np.sum(force * turned**2), np.sum(force)]
+        force = result.normal_force[loaded]
+        rotation = np.linalg.norm((new.normal - result.normal)[loaded], axis=1)
+        sums += [np.sum(force * rotation**2), np.sum(force)]
     comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
     comm.Allreduce(MPI.IN_PLACE, sums, MPI.SUM)
     tilt = float(np.sqrt(sums[0] / sums[1])) if sums[1] > 0.0 else 0.0
@@ -144,7 +144,7 @@ def _check_displacement(space: FunctionSpace, displacement: Function) -> None:
             raise InputError("the displacement is NaN or infinite at some nodes")
 
 
-def _at_master(
+def _deformed_pairs(
     boundary: MeshBoundary,
     contact: ContactPair,
     pairing: ContactPairing,
@@ -153,44 +153,44 @@ def _at_master(
 ) -> DeformedContact:
     slave = gather_surface(boundary, contact.facet_tags, contact.slave, displacement)
     master = gather_surface(boundary, contact.facet_tags, contact.master, displacement)
-    here = np.searchsorted(slave.nodes, pairing.slave)
+    rows = np.searchsorted(slave.nodes, pairing.slave)
     partner = np.searchsorted(master.nodes, pairing.master)
-    normal = pairing.normal if keep_normal else slave.normals(pairing.name)[here]
-    along, signed = master.faceted().gap_along(slave.points[here], normal)
-    partner = _opposite(master, partner, slave.points[here] + along[:, None] * normal)
-    relative = slave.displacement[here] - master.displacement[partner]
+    normal = pairing.normal if keep_normal else slave.normals(pairing.name)[rows]
+    distance, signed = master.faceted().gap_along(slave.points[rows], normal)
+    partner = _opposite(master, partner, slave.points[rows] + distance[:, None] * normal)
+    relative = slave.displacement[rows] - master.displacement[partner]
     return DeformedContact(
         master.nodes[partner],
         normal,
-        along + np.sum(relative * normal, axis=1),
-        along,
+        distance + np.sum(relative * normal, axis=1),
+        distance,
         np.maximum(-signed, 0.0),
     )
 
 
-def _by_mortar(
+def _deformed_mortar(
     boundary: MeshBoundary, contact: ContactPair, pairing: ContactPairing, displacement: Function
 ) -> DeformedContact:
     assert pairing.terms is not None
-    new, distance = match_deformed(boundary, contact, pairing, displacement)
+    new, mean_distance = match_deformed(boundary, contact, pairing, displacement)
     assert new.terms is not None
     surface = pairing.surface
     # a node that slid off the master is as far from it as its facets are large
     size = surface.size[np.searchsorted(surface.nodes, pairing.slave)]
-    along, slip, normal = size.copy(), np.ones_like(size), pairing.normal.copy()
-    _, before, now = np.intersect1d(pairing.slave, new.slave, return_indices=True)
-    along[before], normal[before] = distance[now], new.normal[now]
+    distance, slip, normal = size.copy(), np.ones_like(size), pairing.normal.copy()
+    _, old_rows, new_rows = np.intersect1d(pairing.slave, new.slave, return_indices=True)
+    distance[old_rows], normal[old_rows] = mean_distance[new_rows], new.normal[new_rows]
     # mean places on the slave, less those on the master
-    offset = mean_relative(pairing.terms, displacement, boundary.coordinates)[before]
-    offset -= mean_relative(new.terms, displacement, boundary.coordinates)[now]
-    offset -= np.sum(offset * normal[before], axis=1)[:, None] * normal[before]
-    slip[before] = np.linalg.norm(offset, axis=1) / size[before]
+    offset = mean_relative(pairing.terms, displacement, boundary.coordinates)[old_rows]
+    offset -= mean_relative(new.terms, displacement, boundary.coordinates)[new_rows]
+    offset -= np.sum(offset * normal[old_rows], axis=1)[:, None] * normal[old_rows]
+    slip[old_rows] = np.linalg.norm(offset, axis=1) / size[old_rows]
     return DeformedContact(
         pairing.master,
         normal,
         pairing.gap,
-        along,
-        np.maximum(-along, 0.0),
+        distance,
+        np.maximum(-distance, 0.0),
         slip,
         new,
     )
@@ -203,11 +203,11 @@ def _opposite(master: DeformedSurface, partner: Numbers, foot: Vector) -> Number
     the passes could alternate between two nodes.
     """
     distance, nearest = cKDTree(master.points).query(foot) if len(foot) else (foot[:, 0], partner)
-    present = np.linalg.norm(master.points[partner] - foot, axis=1)
-    return np.where(present > 1.5 * distance, nearest, partner)
+    current = np.linalg.norm(master.points[partner] - foot, axis=1)
+    return np.where(current > 1.5 * distance, nearest, partner)
 
 
-def _at_obstacle(
+def _deformed_obstacle(
     boundary: MeshBoundary,
     contact: RigidObstacle,
     pairing: ContactPairing,

@@ -67,22 +67,22 @@ class Coulomb:
 FrictionLaw: TypeAlias = Tresca | Coulomb
 
 
-def check_friction(given: Any, name: str) -> None:
+def check_friction(law: Any, name: str) -> None:
     """Check a law of friction, as far as its numbers do not depend on the mesh."""
-    if given is None:
+    if law is None:
         return
-    if not isinstance(given, FrictionLaw):
+    if not isinstance(law, FrictionLaw):
         raise InputError(
-            f"{name}: friction is a {type(given).__name__}; Tresca(slip_bound), "
+            f"{name}: friction is a {type(law).__name__}; Tresca(slip_bound), "
             "Coulomb(coefficient) or None is expected"
         )
-    what, value = _value(given)
+    label, value = _value(law)
     if callable(value) or isinstance(value, Function):
         return
     number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
     if not number or not 0.0 <= float(value) < np.inf:
         raise InputError(
-            f"{name}: {what} is {value!r}; a finite number, at least 0, a function x (3, n) -> "
+            f"{name}: {label} is {value!r}; a finite number, at least 0, a function x (3, n) -> "
             "(n,) or a scalar Function of degree 1 is expected"
         )
 
@@ -94,21 +94,21 @@ def values_at_nodes(
 
     The law has passed `check_friction`; the nodes (k,) are global ones, at vertices.
     """
-    what, given = _value(law)
-    what = f"{name}: {what}"
+    label, value = _value(law)
+    label = f"{name}: {label}"
     with raise_collectively(space.mesh.comm):
-        if isinstance(given, Function):
-            values = _nodal_values(space, given, nodes, what)
-        elif callable(given):
-            values = _evaluated(given, points, what)
+        if isinstance(value, Function):
+            values = _nodal_values(space, value, nodes, label)
+        elif callable(value):
+            values = _evaluated(value, points, label)
         else:
-            values = np.full(nodes.size, float(given))
+            values = np.full(nodes.size, float(value))
     raise_where(
         space.mesh.comm,
         ~(np.isfinite(values) & (values >= 0.0)),
         points[:, : space.dofmap.index_map_bs],
         lambda number, place: (
-            f"{what} is negative, NaN or infinite at {number} nodes, the first at {place}"
+            f"{label} is negative, NaN or infinite at {number} nodes, the first at {place}"
         ),
     )
     return values

@@ -41,8 +41,8 @@ from fenics_tfeti.fem.contact.surfaces.tagged import (
     MeshBoundary,
     Surface,
     area_of_facets,
+    facet_max_at_nodes,
     gather_master,
-    largest_of_facets,
     tagged_surface,
     values_on_facets,
 )
@@ -90,9 +90,9 @@ def match_contact(
     name = contact_name(contact, number)
     if isinstance(contact, RigidObstacle):
         return match_obstacle(boundary, name, contact, earlier)
-    given = Prescribed() if prescribed is None else prescribed
-    if earlier is None or not _still_holds(boundary.space.mesh.comm, contact, earlier, given):
-        pairing = _match_pair(boundary, name, contact, given)
+    supports = Prescribed() if prescribed is None else prescribed
+    if earlier is None or not _still_holds(boundary.space.mesh.comm, contact, earlier, supports):
+        pairing = _match_pair(boundary, name, contact, supports)
         if contact.normal is not None:
             return pairing
         normal = without_axial_tilt(boundary, pairing.surface, pairing.slave, pairing.normal)
@@ -134,17 +134,17 @@ def contact_rows(pairings: Sequence[ContactPairing], gdim: int) -> ContactRows:
 
 
 def _rows(pairing: ContactPairing, number: int) -> ContactRows:
-    terms, of_contact = pairing.terms, np.full(pairing.slave.size, number)
+    terms, numbers = pairing.terms, np.full(pairing.slave.size, number)
     if terms is None:
         return ContactRows.node_to_node(
-            pairing.slave, pairing.master, pairing.normal, pairing.gap, of_contact
+            pairing.slave, pairing.master, pairing.normal, pairing.gap, numbers
         )
     return ContactRows(
         terms.offsets,
         terms.nodes,
         terms.weights[:, None] * pairing.normal[terms.row],
         pairing.gap * terms.area,
-        of_contact,
+        numbers,
         terms.slaves,
     )
 
@@ -157,34 +157,34 @@ def _match_pair(
         check_arguments(contact, name, boundary.degree)
     tags = contact.facet_tags
     slave = tagged_surface(boundary, tags, contact.slave, f"slave of {name}", contact.normal)
-    other = tagged_surface(boundary, tags, contact.master, f"master of {name}")
+    tagged_master = tagged_surface(boundary, tags, contact.master, f"master of {name}")
     if _gives_partners(contact) or contact.discretisation == "node_to_node":
-        return _match_nodes(boundary, name, contact, slave, other)
+        return _match_nodes(boundary, name, contact, slave, tagged_master)
     master = gather_nearby(boundary, tags, contact.master, contact.slave, slave.nodes)
-    number = comm.allreduce(other.nodes.size)
+    number = comm.allreduce(tagged_master.nodes.size)
     shared = _shared_nodes(comm, name, slave, master.nodes, number, contact.partial)
     with raise_collectively(comm):
         normals = master.normals(name)
-    wanted = contact.discretisation == "auto" and boundary.degree == 1
-    if wanted and meshes_match(boundary.space, slave, master, normals, contact.tolerance):
-        return _match_nodes(boundary, name, contact, slave, other)
-    held = prescribed_components(slave, prescribed)
-    pairing = match_by_mortar(boundary, name, contact, slave, master, shared, held)
+    may_pair_nodes = contact.discretisation == "auto" and boundary.degree == 1
+    if may_pair_nodes and meshes_match(boundary.space, slave, master, normals, contact.tolerance):
+        return _match_nodes(boundary, name, contact, slave, tagged_master)
+    fixed = prescribed_components(slave, prescribed)
+    pairing = match_by_mortar(boundary, name, contact, slave, master, shared, fixed)
     summary = {**pairing.summary, "slave": contact.slave, "master": contact.master}
-    return replace(pairing, master_surface=other, summary=summary)
+    return replace(pairing, master_surface=tagged_master, summary=summary)
 
 
 def _gives_partners(contact: ContactPair) -> bool:
     """Tell whether the user says how partners are found."""
-    ways = (contact.direction, contact.mapping, contact.pairs)
-    return any(way is not None for way in ways)
+    arguments = (contact.direction, contact.mapping, contact.pairs)
+    return any(argument is not None for argument in arguments)
 
 
 def _match_nodes(
-    boundary: MeshBoundary, name: str, contact: ContactPair, slave: Surface, other: Surface
+    boundary: MeshBoundary, name: str, contact: ContactPair, slave: Surface, tagged_master: Surface
 ) -> ContactPairing:
     comm = boundary.space.mesh.comm
-    master = gather_master(comm, other)
+    master = gather_master(comm, tagged_master)
     number = master.nodes.size
     shared = _shared_nodes(comm, name, slave, master.nodes, number, contact.partial)
     master = master.without(shared)
@@ -193,32 +193,32 @@ def _match_nodes(
     partners.distance[np.isin(slave.nodes, shared)] = np.inf
     limit = contact.tolerance * slave.size
     check_partners(comm, slave, partners, limit, contact.partial, name)
-    found = partners.distance <= limit
-    check_one_to_one(comm, slave, master, partners, found, contact.partial, name)
+    paired = partners.distance <= limit
+    check_one_to_one(comm, slave, master, partners, paired, contact.partial, name)
 
-    at = partners.master[found]
-    angle = angles_between(slave.normal[found], -master.normal[at])
-    check_facing(comm, slave, found, angle, name)
-    partner = master.points[at]
-    covered = _covered_facets(boundary, slave, found, partner, name)
+    partner_rows = partners.master[paired]
+    angle = angles_between(slave.normal[paired], -master.normal[partner_rows])
+    check_facing(comm, slave, paired, angle, name)
+    partner = master.points[partner_rows]
+    covered = _covered_facets(boundary, slave, paired, partner, name)
     form = weighted_form(boundary, contact.measure_weight, name)
     area = node_areas(boundary, slave, covered, form, name)
-    normal = slave.normal[found]
-    gap = slave.without_rounding(np.sum((partner - slave.points[found]) * normal, axis=1))
-    places = slave.coordinates[found]
+    normal = slave.normal[paired]
+    gap = slave.without_rounding(np.sum((partner - slave.points[paired]) * normal, axis=1))
+    places = slave.coordinates[paired]
     # the nodes of both surfaces are on it, up to their chords
-    chord = 2.0 * _nodal_chords(boundary, slave)[found]
+    chord = 2.0 * _nodal_chords(boundary, slave)[paired]
     gap = initial_gap(comm, contact.initial_gap, gap, chord, places, name)
-    distance = slave.without_rounding(partners.distance[found])
-    relative = distance / slave.size[found]
+    distance = slave.without_rounding(partners.distance[paired])
+    relative = distance / slave.size[paired]
     return ContactPairing(
         name,
-        slave.nodes[found],
-        master.nodes[at],
+        slave.nodes[paired],
+        master.nodes[partner_rows],
         places,
         normal,
         gap,
-        area[found],
+        area[paired],
         pairing_summary(
             comm,
             name,
@@ -228,13 +228,13 @@ def _match_nodes(
             slave.nodes.size,
             distance,
             relative,
-            area[found],
-            float(slave.area[found].sum()),
+            area[paired],
+            float(slave.area[paired].sum()),
         ),
         slave,
         covered,
         form,
-        coverage=(area_of_facets(boundary, slave, covered) / slave.area)[found],
+        coverage=(area_of_facets(boundary, slave, covered) / slave.area)[paired],
     )
 
 
@@ -242,7 +242,7 @@ def _nodal_chords(boundary: MeshBoundary, slave: Surface) -> Vector:
     """Return at each node the largest chord height of the slave's facets there. Collective."""
     corners = boundary.coordinates[slave.vertices, : slave.points.shape[1]]
     heights = chord_heights(corners, values_on_facets(boundary.space, slave, slave.normal))
-    return largest_of_facets(boundary.space, slave, heights)
+    return facet_max_at_nodes(boundary.space, slave, heights)
 
 
 def _shared_nodes(
@@ -252,10 +252,10 @@ def _shared_nodes(
 
     `master` are the master's nodes that may be this rank's slave nodes, `number` is that of all.
     """
-    at = np.isin(slave.nodes, master)
-    shared = concatenate_ranks(comm, slave.nodes[at])
-    some_left = shared.size < number
-    check_shared_nodes(comm, slave, at, partial and some_left, name)
+    is_shared = np.isin(slave.nodes, master)
+    shared = concatenate_ranks(comm, slave.nodes[is_shared])
+    partly = shared.size < number
+    check_shared_nodes(comm, slave, is_shared, partial and partly, name)
     return shared
 
 
@@ -267,19 +267,19 @@ def _find_partners(
             comm, slave, master, contact.direction, contact.tolerance, name
         )
     if contact.mapping is not None:
-        return search.at_images(comm, slave, master, contact.mapping, name)
+        return search.by_mapping(comm, slave, master, contact.mapping, name)
     if contact.pairs is not None:
         return search.by_coordinates(comm, slave, master, contact.pairs, contact.tolerance, name)
     return search.nearest(slave, master)
 
 
 def _covered_facets(
-    boundary: MeshBoundary, slave: Surface, found: Mask, partner: Vector, name: str
+    boundary: MeshBoundary, slave: Surface, paired: Mask, partner: Vector, name: str
 ) -> Mask:
     """Tell which of this rank's facets have partners at all nodes; check that none cross."""
     space = boundary.space
     images = np.full_like(slave.points, np.nan)
-    images[found] = partner
+    images[paired] = partner
     images = values_on_facets(space, slave, images)
     normals = values_on_facets(space, slave, slave.normal)
     corners = boundary.coordinates[slave.vertices, : slave.points.shape[1]]

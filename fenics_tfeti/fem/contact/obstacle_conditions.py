@@ -66,31 +66,31 @@ def _match_means(
     comm, gdim = space.mesh.comm, slave.normal.shape[1]
     facets = slave_facets(space, contact, slave, boundary.coordinates[:, :gdim], name)
     places, normals = _padded(facets.facets.points), nodal_normals(facets)
-    at_nodes, _ = gap_and_normal(comm, contact.obstacle, places, normals, name)
-    covered = np.isfinite(at_nodes)[facets.facets.nodes].all(axis=1)
+    nodal_gap, _ = gap_and_normal(comm, contact.obstacle, places, normals, name)
+    covered = np.isfinite(nodal_gap)[facets.facets.nodes].all(axis=1)
     nodes, terms = one_sided_conditions(comm, facets, slave.nodes, covered)
-    at = np.searchsorted(slave.nodes, nodes)
+    rows = np.searchsorted(slave.nodes, nodes)
     if facets.weight is not None:
-        what = f"slave of {name}"
-        check_weighted_areas(comm, terms.area, slave.area[at], slave.points[at], what)
+        label = f"slave of {name}"
+        check_weighted_areas(comm, terms.area, slave.area[rows], slave.points[rows], label)
     # the nodes of a condition may be on facets of several ranks
     directory = Directory(comm, facets.nodes)
-    keys, values = directory.collect(facets.nodes, at_nodes)
+    keys, values = directory.collect(facets.nodes, nodal_gap)
     table = np.zeros(directory.keys.size)
     table[directory.position(keys)] = values
-    of_terms = np.unique(terms.nodes)
-    mean = _mean_gap(terms, of_terms, directory.lookup(of_terms, table)[1])
+    term_nodes = np.unique(terms.nodes)
+    mean = _mean_gap(terms, term_nodes, directory.lookup(term_nodes, table)[1])
     gap = slave.without_rounding(mean)
     _, outward = gap_and_normal(
-        comm, contact.obstacle, slave.coordinates[at], slave.normal[at], name
+        comm, contact.obstacle, slave.coordinates[rows], slave.normal[rows], name
     )
-    angle = angles_between(slave.normal[at], -outward)
+    angle = angles_between(slave.normal[rows], -outward)
     summary = pairing_summary(comm, name, "obstacle", gap, angle, slave.nodes.size, area=terms.area)
     return ContactPairing(
         name,
         nodes,
         np.full(nodes.size, -1, dtype=np.int64),
-        slave.coordinates[at],
+        slave.coordinates[rows],
         -outward,
         gap,
         terms.area,
@@ -107,11 +107,11 @@ def _mean_gap(terms: MortarTerms, nodes: Numbers, gap: Vector) -> Vector:
 
     `nodes`, ascending, are those of the terms, `gap` are the gaps there.
     """
-    there = np.isfinite(gap)
-    mean = mean_over_terms(terms, nodes, np.where(there, gap, 0.0)[:, None])[:, 0]
-    without = np.zeros(mean.size, dtype=bool)
-    without[terms.row[~there[np.searchsorted(nodes, terms.nodes)]]] = True
-    return np.where(without, np.inf, mean)
+    finite = np.isfinite(gap)
+    mean = mean_over_terms(terms, nodes, np.where(finite, gap, 0.0)[:, None])[:, 0]
+    is_open = np.zeros(mean.size, dtype=bool)
+    is_open[terms.row[~finite[np.searchsorted(nodes, terms.nodes)]]] = True
+    return np.where(is_open, np.inf, mean)
 
 
 def deformed_gaps(
@@ -129,14 +129,14 @@ def deformed_gaps(
     comm, name, terms = boundary.space.mesh.comm, pairing.name, pairing.terms
     slave = gather_surface(boundary, contact.facet_tags, contact.slave, displacement)
     nodes = pairing.slave if terms is None else np.unique(terms.nodes)
-    at = np.searchsorted(slave.nodes, nodes)
-    places, normals = _padded(slave.points[at]), slave.normals(name)[at]
+    rows = np.searchsorted(slave.nodes, nodes)
+    places, normals = _padded(slave.points[rows]), slave.normals(name)[rows]
     distance, outward = gap_and_normal(comm, contact.obstacle, places, normals, name)
-    moved = slave.displacement[at]
+    motion = slave.displacement[rows]
     if terms is not None:
-        distance, moved = _mean_gap(terms, nodes, distance), mean_over_terms(terms, nodes, moved)
+        distance, motion = _mean_gap(terms, nodes, distance), mean_over_terms(terms, nodes, motion)
         outward = outward[np.searchsorted(nodes, pairing.slave)]
-    return -outward, distance - np.sum(moved * outward, axis=1), distance
+    return -outward, distance - np.sum(motion * outward, axis=1), distance
 
 
 def _padded(points: Vector) -> Vector:

@@ -38,8 +38,8 @@ def row_values(space: FunctionSpace, rows: ContactRows, displacement: Vector) ->
     index_map, gdim = space.dofmap.index_map, space.dofmap.index_map_bs
     nodes = np.unique(rows.nodes)
     values = displacement.reshape(-1, gdim)
-    found = values_of_owners(space.mesh.comm, index_map.local_range, values, nodes)
-    terms = np.sum(rows.coefficients * found[np.searchsorted(nodes, rows.nodes)], axis=1)
+    nodal = values_of_owners(space.mesh.comm, index_map.local_range, values, nodes)
+    terms = np.sum(rows.coefficients * nodal[np.searchsorted(nodes, rows.nodes)], axis=1)
     sums = np.zeros(rows.size)
     np.add.at(sums, rows.row, terms)
     return sums

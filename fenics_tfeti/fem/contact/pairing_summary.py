@@ -39,12 +39,12 @@ def pairing_summary(
     and deviations of the facets from the curved surfaces through their nodes [m], None where gaps
     do not depend on it. `total` is the number of this rank's slave nodes, with and without partner.
     """
-    there = np.isfinite(gap)
-    pairs = comm.allreduce(int(there.sum()))
+    finite = np.isfinite(gap)
+    pairs = comm.allreduce(int(finite.sum()))
 
     def largest(values: Vector, sign: float = 1.0) -> float | None:
-        most = comm.allreduce(float((sign * values[there]).max(initial=-np.inf)), MPI.MAX)
-        return 0.0 + sign * most if pairs else None
+        extreme = comm.allreduce(float((sign * values[finite]).max(initial=-np.inf)), MPI.MAX)
+        return 0.0 + sign * extreme if pairs else None
 
     return {
         "contact": name,
@@ -56,11 +56,11 @@ def pairing_summary(
         "largest_angle": largest(angle),
         "smallest_gap": largest(gap, -1.0),
         "largest_gap": largest(gap),
-        "mean_gap": _mean(comm, gap, area, there),
+        "mean_gap": _mean(comm, gap, area, finite),
         "covered_area": None if covered_area is None else comm.allreduce(covered_area),
         "deviation": None if deviation is None else largest(deviation),
         "blurred": (
-            None if deviation is None else _mean(comm, _blurred(gap, deviation), area, there)
+            None if deviation is None else _mean(comm, _blurred(gap, deviation), area, finite)
         ),
     }
 
@@ -87,10 +87,10 @@ def warn_of_deviation(entry: Mapping[str, Any]) -> None:
     )
 
 
-def _mean(comm: MPI.Intracomm, gap: Vector, area: Vector | None, there: Mask) -> float | None:
+def _mean(comm: MPI.Intracomm, gap: Vector, area: Vector | None, finite: Mask) -> float | None:
     weights = np.ones_like(gap) if area is None else area
     total, whole = comm.allreduce(
-        np.array([gap[there] @ weights[there], weights[there].sum()])
+        np.array([gap[finite] @ weights[finite], weights[finite].sum()])
     ).tolist()
     return total / whole if whole > 0.0 else None
 

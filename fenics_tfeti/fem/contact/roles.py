@@ -47,8 +47,8 @@ def roles_ratio(
 
 def prefers_exchange(contact: ContactPair, ratio: float | None) -> bool:
     """Tell whether slave and master of a pair are to be exchanged, given the ratio of E / h."""
-    wanted = contact.roles == "auto" and one_sided_data(contact) is None
-    return wanted and ratio is not None and ratio > _WORSE
+    allowed = contact.roles == "auto" and one_sided_data(contact) is None
+    return allowed and ratio is not None and ratio > _WORSE
 
 
 def exchanged(contact: ContactPair) -> ContactPair:
@@ -59,13 +59,13 @@ def exchanged(contact: ContactPair) -> ContactPair:
 def one_sided_data(contact: ContactPair) -> str | None:
     """Return the argument of a pair, if any, whose values belong to the slave that was given."""
     law, weight = contact.friction, contact.measure_weight
-    of_slave = {
+    one_sided = {
         "normal": contact.normal is not None,
         "initial_gap": callable(contact.initial_gap),
         "friction": law is not None and not np.isscalar(next(iter(vars(law).values()))),
         "measure_weight": isinstance(weight, Expr) and bool(extract_coefficients(weight)),
     }
-    return next((name for name, given in of_slave.items() if given), None)
+    return next((name for name, present in one_sided.items() if present), None)
 
 
 def describe_roles(

@@ -92,16 +92,16 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
     _check_separate(comm, slave, master.nodes, name)
     gdim = slave.normal.shape[1]
     facets = slave_facets(space, pair, slave, boundary.coordinates[:, :gdim], name)
-    held = prescribed_components(slave, prescribed)
-    on_facets = values_on_facets(space, slave, held.astype(float)) > 0.5
-    conditions = tied_conditions(comm, facets, slave.nodes, master, normals, on_facets)
+    fixed = prescribed_components(slave, prescribed)
+    corner_fixed = values_on_facets(space, slave, fixed.astype(float)) > 0.5
+    conditions = tied_conditions(comm, facets, slave.nodes, master, normals, corner_fixed)
     # nodes where a component is prescribed have no condition for it
-    most = int(np.argmax([comm.allreduce(one.slave.size) for one in conditions]))
-    fullest = conditions[most]
+    largest = int(np.argmax([comm.allreduce(component.slave.size) for component in conditions]))
+    fullest = conditions[largest]
     check_covered(comm, fullest, slave, name)
     _check_together(comm, fullest, slave, name)
-    at = np.searchsorted(slave.nodes, fullest.slave)
-    gap = np.sum(fullest.gap * slave.normal[at], axis=1)
+    rows = np.searchsorted(slave.nodes, fullest.slave)
+    gap = np.sum(fullest.gap * slave.normal[rows], axis=1)
     summary = pairing_summary(
         comm,
         name,
@@ -112,7 +112,7 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
         area=fullest.area,
         covered_area=fullest.covered_area,
     )
-    return TiedPairing(name, [one.terms for one in conditions], summary, slave, held)
+    return TiedPairing(name, [component.terms for component in conditions], summary, slave, fixed)
 
 
 def tie_pairs(
@@ -127,7 +127,7 @@ def tie_pairs(
     """
     comm = boundary.space.mesh.comm
     earlier = {id(pair): pairing for pair, pairing in known}
-    found = []
+    pairings = []
     for number, pair in enumerate(pairs):
         pairing = earlier.get(id(pair))
         if (
@@ -136,8 +136,8 @@ def tie_pairs(
             or not _still_holds(comm, pairing, prescribed)
         ):
             pairing = tie(boundary, pair, number, prescribed)
-        found.append((pair, pairing))
-    return found
+        pairings.append((pair, pairing))
+    return pairings
 
 
 def _still_holds(comm: MPI.Intracomm, pairing: TiedPairing, prescribed: Prescribed) -> bool:
@@ -187,13 +187,13 @@ def _check_together(
     comm: MPI.Intracomm, conditions: MortarConditions, slave: Surface, name: str
 ) -> None:
     """Check that surfaces are no farther apart than facets are large: rotations would be held."""
-    at = np.searchsorted(slave.nodes, conditions.slave)
+    rows = np.searchsorted(slave.nodes, conditions.slave)
     distance = np.linalg.norm(conditions.gap, axis=1)
     largest = concatenate_ranks(comm, distance).max(initial=0.0)
     raise_where(
         comm,
-        distance > 0.5 * slave.size[at],
-        slave.points[at],
+        distance > 0.5 * slave.size[rows],
+        slave.points[rows],
         lambda number, place: (
             f"{name}: the surfaces are apart, or overlap, by more than half a facet at {number} "
             f"slave nodes, by up to {largest:.3g}, the first at {place}. Tie surfaces that lie on "

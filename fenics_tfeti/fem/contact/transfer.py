@@ -52,8 +52,8 @@ def gather_solved(
     """
     displacement.x.scatter_forward()
     return [
-        _gather_solved(boundary, *one, displacement)
-        for one in zip(contacts, pairings, results, strict=True)
+        _gather_solved(boundary, *solution, displacement)
+        for solution in zip(contacts, pairings, results, strict=True)
     ]
 
 
@@ -69,18 +69,18 @@ def _gather_solved(
     if pairing.terms is not None:
         relative = mean_relative(pairing.terms, displacement)
     else:
-        other = None
+        master = None
         if not isinstance(contact, RigidObstacle):
-            other = gather_surface(boundary, contact.facet_tags, contact.master, displacement)
-        relative = _relative_displacement(pairing, slave, other)
-    own = np.sum(relative * pairing.normal, axis=1)
-    columns = (pairing.slave, result.pressure, own)
-    nodes, of_paired, of_approach = (concatenate_ranks(comm, column) for column in columns)
-    at = np.searchsorted(slave.nodes, nodes)
+            master = gather_surface(boundary, contact.facet_tags, contact.master, displacement)
+        relative = _relative_displacement(pairing, slave, master)
+    nodal_approach = np.sum(relative * pairing.normal, axis=1)
+    columns = (pairing.slave, result.pressure, nodal_approach)
+    nodes, pressures, approaches = (concatenate_ranks(comm, column) for column in columns)
+    rows = np.searchsorted(slave.nodes, nodes)
     n = slave.nodes.size
     paired, pressure, approach = np.zeros((3, n))
-    paired[at], pressure[at] = 1.0, of_paired
-    approach[at] = of_approach
+    paired[rows], pressure[rows] = 1.0, pressures
+    approach[rows] = approaches
     values = slave.from_corners(np.column_stack([paired, pressure, approach]))
     return SolvedContact(pairing.name, slave, *values.T)
 
@@ -89,11 +89,11 @@ def _relative_displacement(
     pairing: ContactPairing, slave: DeformedSurface, master: DeformedSurface | None
 ) -> Vector:
     """Return u_slave - u_master (k, gdim) at this rank's pairs of nodes."""
-    at = np.searchsorted(slave.nodes, pairing.slave)
+    rows = np.searchsorted(slave.nodes, pairing.slave)
     if master is None:
-        return slave.displacement[at]
+        return slave.displacement[rows]
     partner = np.searchsorted(master.nodes, pairing.master)
-    relative: Vector = slave.displacement[at] - master.displacement[partner]
+    relative: Vector = slave.displacement[rows] - master.displacement[partner]
     return relative
 
 
@@ -104,7 +104,7 @@ def expected_contact(
 
     The pairings are those of the same contacts on the present mesh.
     """
-    guesses = [_transfer(*one) for one in zip(solved, pairings, strict=True)]
+    guesses = [_transfer(*pair) for pair in zip(solved, pairings, strict=True)]
     none = np.zeros(0)
     force = np.concatenate([none, *(force for force, _ in guesses)])
     return ContactGuess(force, np.concatenate([none, *(gap for _, gap in guesses)]))

@@ -34,9 +34,9 @@ class MasterTree:
         It is `REACH` times the piece's distance from the nodes and centres of the master, and its
         diameter more.
         """
-        nodes, at = np.unique(slave.pieces, return_inverse=True)
+        nodes, inverse = np.unique(slave.pieces, return_inverse=True)
         distance = self._places.query(slave.points[nodes])[0]
-        farthest = distance[at.reshape(slave.pieces.shape)].max(axis=1)
+        farthest = distance[inverse.reshape(slave.pieces.shape)].max(axis=1)
         reach: Vector = REACH * farthest + planes.diameter
         return reach
 
@@ -56,16 +56,16 @@ class MasterTree:
         extent = np.einsum("fa,fad->fd", half, np.abs(planes.axes))
         upper, lower = ((centre + side * extent).T.copy() for side in (1.0, -1.0))
 
-        def meets(row: Numbers, box_low: Vector, box_high: Vector) -> Mask:
-            wanted = np.ones(row.size, dtype=bool)
+        def overlaps(row: Numbers, box_low: Vector, box_high: Vector) -> Mask:
+            overlapping = np.ones(row.size, dtype=bool)
             for axis, (top, bottom) in enumerate(zip(upper, lower, strict=True)):
-                wanted &= box_low[:, axis] <= top.take(row)
-                wanted &= box_high[:, axis] >= bottom.take(row)
-            return wanted
+                overlapping &= box_low[:, axis] <= top.take(row)
+                overlapping &= box_high[:, axis] >= bottom.take(row)
+            return overlapping
 
-        slave, master = self._tree.candidates(len(x), meets)
-        near = meets(slave, self._low.take(master, axis=0), self._high.take(master, axis=0))
-        slave, master = slave[near], master[near]
+        slave, master = self._tree.candidates(len(x), overlaps)
+        close = overlaps(slave, self._low.take(master, axis=0), self._high.take(master, axis=0))
+        slave, master = slave[close], master[close]
         normals = (planes.normal.take(slave, axis=0), self.planes.normal.take(master, axis=0))
         faces = np.einsum("kd,kd->k", *normals) < FACING
         return slave[faces], master[faces]

@@ -41,15 +41,15 @@ def clip_polygons(subject: Vector, clipper: Vector) -> tuple[Vector, Numbers]:
 
 
 def _cut(
-    x: Vector, y: Vector, count: Numbers, start: Vector, along: Vector
+    x: Vector, y: Vector, count: Numbers, start: Vector, direction: Vector
 ) -> tuple[Vector, Vector, Numbers, Mask]:
-    """Keep what is on the left of lines through `start` (2, k) in the directions `along` (2, k).
+    """Keep what is on the left of lines through `start` (2, k) along `direction` (2, k).
 
     The corners are (m, k). Polygons of which nothing is left are taken out; the last result is the
     mask of the others. Most polygons are on one side of most lines.
     """
-    length = np.hypot(*along)
-    tx, ty = along / length
+    length = np.hypot(*direction)
+    tx, ty = direction / length
     distance = tx * (y - start[1]) - ty * (x - start[0])
     inside = distance >= -_ON_EDGE * length
     inside &= np.arange(len(x))[:, None] < count
@@ -66,11 +66,11 @@ def _cut(
     for values in (x, y):
         ends = values.take(divided, axis=1).ravel()
         start_value = ends.take(old)
-        moved = np.zeros(size * divided.size)
-        moved[new] = start_value + part * (ends.take(following) - start_value)
+        divided_values = np.zeros(size * divided.size)
+        divided_values[new] = start_value + part * (ends.take(following) - start_value)
         whole = np.zeros((size, kept.size))
         whole[: len(x)] = values[:size]
-        whole[:, divided] = moved.reshape(size, -1)
+        whole[:, divided] = divided_values.reshape(size, -1)
         result.append(whole if kept.all() else whole[:, kept])
     return result[0], result[1], count[kept], kept
 
@@ -93,14 +93,14 @@ def _divide(
     place = np.cumsum(inside.astype(np.int64) + crosses, axis=0) - 1
     kept, crossed = np.flatnonzero(inside), np.flatnonzero(crosses)
     column = crossed % k if k else crossed
-    to = np.where(last.ravel().take(crossed), column, crossed + k)
-    before, after = distance.ravel().take(crossed), distance.ravel().take(to)
+    successor = np.where(last.ravel().take(crossed), column, crossed + k)
+    start, end = distance.ravel().take(crossed), distance.ravel().take(successor)
     # by signed distances, so that the point is on the edge also where lines are nearly parallel
-    part = np.concatenate([np.zeros(kept.size), before / (before - after)])
+    part = np.concatenate([np.zeros(kept.size), start / (start - end)])
     new_slot = np.concatenate([(place - crosses).ravel().take(kept), place.ravel().take(crossed)])
     old = np.concatenate([kept, crossed])
     new = new_slot * k + (old % k if k else old)
-    return old, new, part, np.concatenate([kept, to]), place[-1] + 1
+    return old, new, part, np.concatenate([kept, successor]), place[-1] + 1
 
 
 def fan_triangles(corners: Vector, count: Numbers) -> tuple[Numbers, Vector, Vector]:
@@ -112,10 +112,10 @@ def fan_triangles(corners: Vector, count: Numbers) -> tuple[Numbers, Vector, Vec
     number = np.maximum(count - 2, 0)
     polygon = np.repeat(np.arange(len(count)), number)
     first = np.repeat(np.cumsum(number) - number, number)
-    at = np.arange(polygon.size) - first + 1
+    corner = np.arange(polygon.size) - first + 1
     triangles = np.stack(
-        [corners[polygon, 0], corners[polygon, at], corners[polygon, at + 1]], axis=1
+        [corners[polygon, 0], corners[polygon, corner], corners[polygon, corner + 1]], axis=1
     )
-    one, other = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    area = 0.5 * (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
+    u, w = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    area = 0.5 * (u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0])
     return polygon, triangles, area

@@ -109,23 +109,21 @@ class Planes:
     def of(x: Vector) -> Planes:
         """Find the planes of facets with the corners x (f, v, gdim)."""
         v, gdim = x.shape[1:]
-        along = x[:, 1] - x[:, 0]
+        edge = x[:, 1] - x[:, 0]
         pairs = [(i, j) for i in range(v) for j in range(i)]
         lengths = [np.linalg.norm(x[:, i] - x[:, j], axis=1) for i, j in pairs]
         diameter: Vector = np.max(lengths, axis=0)
         if gdim == 2:
             area = diameter
-            first = along / area[:, None]
+            first = edge / area[:, None]
             axes = np.stack([first, np.column_stack([first[:, 1], -first[:, 0]])], axis=1)
             return Planes(x.mean(axis=1), axes, area, diameter)
         # for a quadrilateral the cross product of its diagonals
-        one, other = (
-            (along, x[:, 2] - x[:, 0]) if v == 3 else (x[:, 2] - x[:, 0], x[:, 3] - x[:, 1])
-        )
-        normal = np.cross(one, other)
+        u, w = (edge, x[:, 2] - x[:, 0]) if v == 3 else (x[:, 2] - x[:, 0], x[:, 3] - x[:, 1])
+        normal = np.cross(u, w)
         length = np.linalg.norm(normal, axis=1)
         normal /= length[:, None]
-        first = along - np.sum(along * normal, axis=1)[:, None] * normal
+        first = edge - np.sum(edge * normal, axis=1)[:, None] * normal
         first /= np.linalg.norm(first, axis=1)[:, None]
         axes = np.stack([first, np.cross(normal, first), normal], axis=1)
         return Planes(x.mean(axis=1), axes, 0.5 * length, diameter)
@@ -173,8 +171,8 @@ def shape_functions(xi: Vector, t: int) -> Vector:
     """
     dim = xi.shape[-1]
     if t == dim + 1:
-        others = [xi[..., i] for i in range(dim)]
-        return by_component([1.0 - reduce(np.add, others), *others])
+        coordinates = [xi[..., i] for i in range(dim)]
+        return by_component([1.0 - reduce(np.add, coordinates), *coordinates])
     if t == 4:
         r, s = 0.5 * xi[..., 0], 0.5 * xi[..., 1]
         r0, r1, s0, s1 = 0.5 - r, 0.5 + r, 0.5 - s, 0.5 + s

@@ -35,7 +35,7 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 # over all of its facets. Below the first it has no multiplier where neighbours are covered better:
 # half is what the border of a master leaves of an edge that goes through a node. Below the second
 # it has none in any case: its force is negligible.
-BARELY_COVERED, HARDLY_COVERED = 0.4, 1e-2
+BARELY_COVERED, SLIVER_COVERED = 0.4, 1e-2
 
 # Covered part of a facet, relative to its area, below which its dual functions are replaced by the
 # shape functions: a narrow strip may cross the facet anywhere.
@@ -65,24 +65,24 @@ def mortar_matrices(
     """
     n, m = len(slave.points), len(master.points)
     corners = slave.corners[integrals.facet]
-    psi, of_slave = (
+    psi, slave_products = (
         _dual_functions(integrals, _areas(slave)[integrals.facet])
         if dual
         else (np.tile(np.eye(corners.shape[1]), (len(corners), 1, 1)), integrals.trace)
     )
-    of_master = np.matmul(psi[integrals.pair], integrals.coupling)
-    of_nodes = np.matmul(psi, integrals.gap).reshape(corners.size, slave.points.shape[1])
-    gap = np.stack([_sums(corners, part, n) for part in of_nodes.T], axis=1)
-    D = _assemble(of_slave, corners, slave.nodes[integrals.facet], (n, n))
-    M = _assemble(of_master, corners[integrals.pair], master.nodes[integrals.master], (n, m))
+    master_products = np.matmul(psi[integrals.pair], integrals.coupling)
+    nodal_gaps = np.matmul(psi, integrals.gap).reshape(corners.size, slave.points.shape[1])
+    gap = np.stack([_sums(corners, part, n) for part in nodal_gaps.T], axis=1)
+    D = _assemble(slave_products, corners, slave.nodes[integrals.facet], (n, n))
+    M = _assemble(master_products, corners[integrals.pair], master.nodes[integrals.master], (n, m))
     return MortarMatrices(D, M, gap, np.asarray(D.sum(axis=1)).ravel())
 
 
 def slave_matrix(integrals: FacetIntegrals, slave: Facets) -> sp.csr_matrix:
     """Assemble D (n, n) of a surface with a multiplier at all vertices, see `integrate_alone`."""
-    _, of_slave = _dual_functions(integrals, _areas(slave)[integrals.facet])
+    _, slave_products = _dual_functions(integrals, _areas(slave)[integrals.facet])
     n, facet = len(slave.points), integrals.facet
-    return _assemble(of_slave, slave.corners[facet], slave.nodes[facet], (n, n))
+    return _assemble(slave_products, slave.corners[facet], slave.nodes[facet], (n, n))
 
 
 def multiplier_shares(coverage: Vector, free: Mask, pairs: Numbers) -> sp.csc_matrix:
@@ -96,11 +96,13 @@ def multiplier_shares(coverage: Vector, free: Mask, pairs: Numbers) -> sp.csc_ma
     better = coverage[k] > (1.0 + RELATIVE_ROUNDING) * coverage[j]
     takes = ~free[k] & (free[j] | (coverage[j] < BARELY_COVERED) & better)
     size = (coverage.size, coverage.size)
-    given = sp.csc_matrix((np.ones(takes.sum()), (k[takes], j[takes])), shape=size)
-    given.data[:] = 1.0
-    number = np.diff(given.indptr)
-    kept = (number == 0) & ~free & (coverage > HARDLY_COVERED)
-    shares = given @ sp.diags(1.0 / np.maximum(number, 1)) + sp.diags((number == 0).astype(float))
+    receivers = sp.csc_matrix((np.ones(takes.sum()), (k[takes], j[takes])), shape=size)
+    receivers.data[:] = 1.0
+    number = np.diff(receivers.indptr)
+    kept = (number == 0) & ~free & (coverage > SLIVER_COVERED)
+    shares = receivers @ sp.diags(1.0 / np.maximum(number, 1)) + sp.diags(
+        (number == 0).astype(float)
+    )
     # what is given to nodes that give it on: always to nodes that are covered better
     while shares[number > 0].nnz:
         shares = shares @ shares
@@ -141,8 +143,8 @@ def _dual_functions(integrals: FacetIntegrals, area: Vector) -> tuple[Vector, Ve
 
 def _areas(slave: Facets) -> Vector:
     """Return the areas (f,) of the facets, sums over their pieces [m^2 or m]."""
-    of_pieces = Planes.of(slave.coordinates()).area.reshape(len(slave), slave.per_facet)
-    areas: Vector = of_pieces.sum(axis=1)
+    pieces = Planes.of(slave.coordinates()).area.reshape(len(slave), slave.per_facet)
+    areas: Vector = pieces.sum(axis=1)
     return areas
 
 

@@ -31,9 +31,9 @@ def one_sided_conditions(
     facets = Facets(slave.facets.points, slave.facets.nodes[chosen])
     weight = None if slave.weight is None else slave.weight[chosen]
     D = slave_matrix(integrate_alone(facets, weight), facets).tocoo()
-    to_owners = Directory(comm, owned)
+    owners = Directory(comm, owned)
     row, column = slave.nodes[D.row], slave.nodes[D.col]
-    return collect_terms(to_owners, row, column, D.data, np.ones(D.nnz, dtype=bool))
+    return collect_terms(owners, row, column, D.data, np.ones(D.nnz, dtype=bool))
 
 
 def nodal_normals(slave: SlaveFacets) -> Vector:

@@ -20,7 +20,7 @@ from fenics_tfeti.fem.contact.mortar.conditions import (
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
-from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas, given_weight
+from fenics_tfeti.fem.contact.surfaces.measure_weight import as_ufl_weight, check_weighted_areas
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
@@ -53,13 +53,15 @@ def match_by_mortar(
         normals = master.normals(name)
     conditions = mortar_conditions(comm, facets, slave.nodes, master, normals, shared)
     check_covered(comm, conditions, slave, name)
-    at = np.searchsorted(slave.nodes, conditions.slave)
+    rows = np.searchsorted(slave.nodes, conditions.slave)
     if facets.weight is not None:
-        what = f"slave of {name}"
-        check_weighted_areas(comm, conditions.area, slave.area[at], slave.points[at], what)
+        label = f"slave of {name}"
+        check_weighted_areas(comm, conditions.area, slave.area[rows], slave.points[rows], label)
     gap = np.sum(conditions.gap * conditions.normal, axis=1)
     gap = slave.without_rounding(gap)
-    gap = initial_gap(comm, contact.initial_gap, gap, conditions.chord, slave.coordinates[at], name)
+    gap = initial_gap(
+        comm, contact.initial_gap, gap, conditions.chord, slave.coordinates[rows], name
+    )
     deviation = slave.without_rounding(conditions.deviation)
     summary = pairing_summary(
         comm,
@@ -94,9 +96,9 @@ def match_deformed(
         for tag in (contact.slave, contact.master)
     )
     with raise_collectively(comm):
-        here = np.searchsorted(slave.nodes, surface.nodes)
-        normal = surface.normal if contact.normal is not None else slave.normals(name)[here]
-        of_master = master.normals(name)
+        rows = np.searchsorted(slave.nodes, surface.nodes)
+        normal = surface.normal if contact.normal is not None else slave.normals(name)[rows]
+        master_normals = master.normals(name)
     prescribed = pairing.prescribed
     if prescribed is None:
         prescribed = np.zeros_like(normal, dtype=bool)
@@ -105,7 +107,7 @@ def match_deformed(
     points = boundary.coordinates[:, :gdim] + displacement.x.array.reshape(-1, gdim)
     facets = slave_facets(space, contact, deformed, points, name)
     shared = np.intersect1d(slave.nodes, master.nodes)
-    conditions = mortar_conditions(comm, facets, surface.nodes, master, of_master, shared)
+    conditions = mortar_conditions(comm, facets, surface.nodes, master, master_normals, shared)
     check_covered(comm, conditions, surface, name)
     distance = np.sum(conditions.gap * conditions.normal, axis=1)
     relative = mean_relative(conditions.terms, displacement)
@@ -185,8 +187,8 @@ def mean_relative(
     if coordinates is not None:
         values = values + coordinates[: index_map.size_local, :gdim]
     nodes = np.unique(terms.nodes)
-    found = values_of_owners(space.mesh.comm, index_map.local_range, values, nodes)
-    return mean_over_terms(terms, nodes, found)
+    nodal = values_of_owners(space.mesh.comm, index_map.local_range, values, nodes)
+    return mean_over_terms(terms, nodes, nodal)
 
 
 def mean_over_terms(terms: MortarTerms, nodes: Numbers, values: Vector) -> Vector:
@@ -196,16 +198,16 @@ def mean_over_terms(terms: MortarTerms, nodes: Numbers, values: Vector) -> Vecto
     """
     row = terms.row
     sums = np.zeros((terms.slaves.size, values.shape[1]))
-    at = np.searchsorted(nodes, terms.nodes)
-    np.add.at(sums, row, terms.weights[:, None] * values[at])
+    rows = np.searchsorted(nodes, terms.nodes)
+    np.add.at(sums, row, terms.weights[:, None] * values[rows])
     means: Vector = sums / terms.area[:, None]
     return means
 
 
-def _nodal_weight(space: FunctionSpace, given: Any, name: str) -> Vector | None:
+def _nodal_weight(space: FunctionSpace, measure_weight: Any, name: str) -> Vector | None:
     """Return the weight of the measure at all local nodes at vertices; None without one."""
     with raise_collectively(space.mesh.comm):
-        weight = given_weight(space.mesh, given, name)
+        weight = as_ufl_weight(space.mesh, measure_weight, name)
     if weight is None:
         return None
     scalar = Function(_compat.lagrange_space(space.mesh, 1))

@@ -30,7 +30,7 @@ def meshes_match(
     master is what is near this rank's slave nodes.
     """
     comm = space.mesh.comm
-    distance, along = np.zeros((2, 0))
+    distance, tangential = np.zeros((2, 0))
     partner = np.zeros(0, dtype=np.int64)
     if slave.nodes.size:
         partner = cKDTree(master.points).query(slave.points)[1]
@@ -38,18 +38,18 @@ def meshes_match(
         opposite = slave.normal - normals[partner]
         length = np.linalg.norm(opposite, axis=1, keepdims=True)
         opposite = opposite / np.where(length > 0.0, length, 1.0)
-        along = _across(offset, slave.normal)
+        tangential = _across(offset, slave.normal)
         others = [_across(offset, n) for n in (normals[partner], opposite)]
-        distance = np.min([along, *others], axis=0)
-    near = (distance <= SAME_PLACE * slave.size) & (along <= tolerance * slave.size)
+        distance = np.min([tangential, *others], axis=0)
+    near = (distance <= SAME_PLACE * slave.size) & (tangential <= tolerance * slave.size)
     if not comm.allreduce(bool(near.all()), MPI.LAND):
         return False
     images = np.repeat(partner[:, None].astype(float), slave.points.shape[1], axis=1)
-    of_slave = np.sort(values_on_facets(space, slave, images)[..., 0].astype(np.int64), axis=1)
-    both = np.concatenate([np.sort(master.surface.corners, axis=1), of_slave])
-    number = np.unique(both, axis=0, return_inverse=True)[1].ravel()
-    same = np.isin(number[len(master.facets) :], number[: len(master.facets)])
-    return bool(comm.allreduce(bool(same.all()), MPI.LAND))
+    slave_facets = np.sort(values_on_facets(space, slave, images)[..., 0].astype(np.int64), axis=1)
+    facets = np.concatenate([np.sort(master.surface.corners, axis=1), slave_facets])
+    number = np.unique(facets, axis=0, return_inverse=True)[1].ravel()
+    matching = np.isin(number[len(master.facets) :], number[: len(master.facets)])
+    return bool(comm.allreduce(bool(matching.all()), MPI.LAND))
 
 
 def _across(offset: Vector, direction: Vector) -> Vector:

@@ -43,13 +43,13 @@ class BoxTree:
         # the longest side of the box around all facets [m]
         self.size = float((self._high[0] - self._low[0]).max())
 
-    def boxes(self, most: int) -> tuple[Vector, Vector]:
-        """Return lower and upper corners (b, gdim) of a level with as many boxes up to `most`."""
-        level = max(k for k, low in enumerate(self._low) if len(low) <= max(1, most))
+    def boxes(self, limit: int) -> tuple[Vector, Vector]:
+        """Return lower and upper corners (b, gdim) of a level with as many boxes up to `limit`."""
+        level = max(k for k, low in enumerate(self._low) if len(low) <= max(1, limit))
         return self._low[level], self._high[level]
 
     def candidates(
-        self, number: int, wanted: Callable[[Numbers, Vector, Vector], Mask]
+        self, number: int, meets_box: Callable[[Numbers, Vector, Vector], Mask]
     ) -> tuple[Numbers, Numbers]:
         """Find the facets in boxes that queries meet: pairs, each once, by ascending query.
 
@@ -61,7 +61,7 @@ class BoxTree:
             if level > 0:
                 query, box = np.repeat(query, 2), (2 * box[:, None] + [0, 1]).ravel()
             # faster than indices
-            keep = np.flatnonzero(wanted(query, low.take(box, axis=0), high.take(box, axis=0)))
+            keep = np.flatnonzero(meets_box(query, low.take(box, axis=0), high.take(box, axis=0)))
             query, box = query.take(keep), box.take(keep)
         query, facet = np.repeat(query, self._leaves.shape[1]), self._leaves[box].ravel()
         original = facet >= 0

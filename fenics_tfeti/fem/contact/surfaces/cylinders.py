@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, largest_of_facets
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, facet_max_at_nodes
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, SAME_PLACE
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -39,18 +39,18 @@ def without_axial_tilt(
     """
     if normal.shape[1] != 3:
         return normal
-    comm, at = boundary.space.mesh.comm, np.searchsorted(surface.nodes, nodes)
-    cylinder = Cylinder.of(comm, surface.points[at], normal)
+    comm, rows = boundary.space.mesh.comm, np.searchsorted(surface.nodes, nodes)
+    cylinder = Cylinder.of(comm, surface.points[rows], normal)
     if cylinder is None:
         return normal
     corners = boundary.coordinates[surface.vertices]
     distance = np.abs(cylinder.distance(corners.reshape(-1, 3))).reshape(corners.shape[:2])
-    off = largest_of_facets(boundary.space, surface, distance.max(axis=1))[at]
+    farthest = facet_max_at_nodes(boundary.space, surface, distance.max(axis=1))[rows]
     tilt = normal @ cylinder.axis
-    tilted = (off <= cylinder.on) & (np.abs(tilt) > COORDINATE_ROUNDING)
-    across = normal[tilted] - np.outer(tilt[tilted], cylinder.axis)
+    tilted = (farthest <= cylinder.tolerance) & (np.abs(tilt) > COORDINATE_ROUNDING)
+    radial = normal[tilted] - np.outer(tilt[tilted], cylinder.axis)
     normal = normal.copy()
-    normal[tilted] = across / np.linalg.norm(across, axis=1, keepdims=True)
+    normal[tilted] = radial / np.linalg.norm(radial, axis=1, keepdims=True)
     return normal
 
 
@@ -61,7 +61,7 @@ class Cylinder:
     centre: Vector  # (3,): a point on the axis [m]
     axis: Vector  # (3,): a unit vector
     radius: float  # [m]
-    on: float = 0.0  # largest distance of points that are on it [m]
+    tolerance: float = 0.0  # largest distance of points that are on it [m]
 
     @staticmethod
     def of(comm: MPI.Intracomm, points: Vector, normals: Vector) -> Cylinder | None:
@@ -77,22 +77,25 @@ class Cylinder:
             return None
         middle, mean = comm.allreduce(np.array([points.sum(axis=0), normals.sum(axis=0)])) / number
         size = comm.allreduce(float(np.abs(points - middle).max(initial=0.0)), MPI.MAX)
-        x, along, across = (points - middle) / size, directions[:, 0], directions[:, 1:]
+        x, axis_estimate, cross_axes = (points - middle) / size, directions[:, 0], directions[:, 1:]
         # x - r n is about the same point everywhere
-        n = (normals - mean) @ across
-        xn, nn = comm.allreduce(np.array([np.sum((x @ across) * n), np.sum(n * n)]))
-        fit = Cylinder(-xn / nn * mean, along, float(abs(xn / nn)))
+        n = (normals - mean) @ cross_axes
+        xn, nn = comm.allreduce(np.array([np.sum((x @ cross_axes) * n), np.sum(n * n)]))
+        fit = Cylinder(-xn / nn * mean, axis_estimate, float(abs(xn / nn)))
         for _ in range(_GAUSS_NEWTON_STEPS):
-            fit = fit._improved(comm, x, across)
-        off = comm.allreduce(float(np.abs(fit.distance(x)).max(initial=0.0)), MPI.MAX)
+            fit = fit._improved(comm, x, cross_axes)
+        misfit = comm.allreduce(float(np.abs(fit.distance(x)).max(initial=0.0)), MPI.MAX)
         nearest = np.argmax(np.abs(fit.axis))
         coordinate_axis = np.eye(3)[nearest] * np.sign(fit.axis[nearest])
-        turned = float(np.linalg.norm(fit.axis - coordinate_axis))
-        known = turned <= _KNOWN_TO * max(off, _ROUND)
-        if off > (SAME_PLACE if known else _ROUND):
+        rotation = float(np.linalg.norm(fit.axis - coordinate_axis))
+        is_coordinate_axis = rotation <= _KNOWN_TO * max(misfit, _ROUND)
+        if misfit > (SAME_PLACE if is_coordinate_axis else _ROUND):
             return None
-        axis, on = coordinate_axis if known else fit.axis, _ALSO_ON * max(off, _ROUND)
-        return Cylinder(middle + size * fit.centre, axis, size * fit.radius, size * on)
+        axis, tolerance = (
+            coordinate_axis if is_coordinate_axis else fit.axis,
+            _ALSO_ON * max(misfit, _ROUND),
+        )
+        return Cylinder(middle + size * fit.centre, axis, size * fit.radius, size * tolerance)
 
     def distance(self, points: Vector) -> Vector:
         """Return signed distances (k,) of points, positive outside [m]."""
@@ -104,17 +107,17 @@ class Cylinder:
         x = points - self.centre
         return x - np.outer(x @ self.axis, self.axis)
 
-    def _improved(self, comm: MPI.Intracomm, x: Vector, across: Vector) -> Cylinder:
+    def _improved(self, comm: MPI.Intracomm, x: Vector, cross_axes: Vector) -> Cylinder:
         """Return it after a step of Gauss and Newton towards points (k, 3) about 0. Collective.
 
         The axis moves along two directions (3, 2), and is turned about its point beside 0.
         """
         radial = self._radial(x)
         distance = np.linalg.norm(radial, axis=1)
-        outward = (radial / np.where(distance > 0.0, distance, 1.0)[:, None]) @ across
+        outward = (radial / np.where(distance > 0.0, distance, 1.0)[:, None]) @ cross_axes
         rows = np.column_stack([outward, (x @ self.axis)[:, None] * outward, np.ones(len(x))])
         gram = comm.allreduce(rows.T @ np.column_stack([rows, distance - self.radius]))
         step = np.linalg.lstsq(gram[:, :-1], gram[:, -1], rcond=None)[0]
-        axis, centre = self.axis + across @ step[2:4], self.centre + across @ step[:2]
+        axis, centre = self.axis + cross_axes @ step[2:4], self.centre + cross_axes @ step[:2]
         centre = centre - self.axis * (centre @ self.axis)
         return Cylinder(centre, axis / np.linalg.norm(axis), self.radius + float(step[4]))

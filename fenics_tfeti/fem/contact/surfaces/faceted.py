@@ -36,10 +36,10 @@ def facet_normals(corners: Vector) -> Vector:
     Seen along a segment, from corner 0 to 1, its normal points to the right; seen from the tip of
     its normal, a triangle has its corners anticlockwise. The corners are (m, gdim, gdim) [m].
     """
-    along = corners[:, 1:] - corners[:, :1]
+    edges = corners[:, 1:] - corners[:, :1]
     if corners.shape[2] == 2:
-        return np.column_stack([along[:, 0, 1], -along[:, 0, 0]])
-    normals: Vector = 0.5 * np.cross(along[:, 0], along[:, 1])
+        return np.column_stack([edges[:, 0, 1], -edges[:, 0, 0]])
+    normals: Vector = 0.5 * np.cross(edges[:, 0], edges[:, 1])
     return normals
 
 
@@ -109,8 +109,8 @@ class FacetedSurface:
         border = self._feature_border[facet, feature]
         continued = border & (tangential <= self._feature_half[facet, feature])
         signed = np.where(continued, height, np.where(border | (height >= 0.0), length, -length))
-        away = ~continued & (length > self._rounding)
-        normal[away] = offset[away] / signed[away, None]
+        distant = ~continued & (length > self._rounding)
+        normal[distant] = offset[distant] / signed[distant, None]
         return Distance(signed, normal)
 
     def closest(self, x: Vector) -> tuple[Numbers, Vector]:
@@ -133,25 +133,27 @@ class FacetedSurface:
         """
         largest_ratio = 2.0
         distance = self.distance(x)
-        met = [self._intersect(*part) for part in zip(_blocks(x), _blocks(direction), strict=True)]
-        ahead, behind = (np.concatenate(column) for column in zip(*met, strict=True))
+        intersections = [
+            self._intersect(*part) for part in zip(_blocks(x), _blocks(direction), strict=True)
+        ]
+        ahead, behind = (np.concatenate(column) for column in zip(*intersections, strict=True))
         length = np.abs(distance.signed)
         cosine = -np.sum(direction * distance.normal, axis=1)
         plane = length / np.maximum(cosine, 1.0 / largest_ratio)
-        along = np.where(distance.signed > 0.0, ahead, behind)
-        along = np.where(np.isfinite(along), np.minimum(along, largest_ratio * length), plane)
-        return np.sign(distance.signed) * along, distance.signed
+        gap = np.where(distance.signed > 0.0, ahead, behind)
+        gap = np.where(np.isfinite(gap), np.minimum(gap, largest_ratio * length), plane)
+        return np.sign(distance.signed) * gap, distance.signed
 
     def _closest(self, x: Vector) -> tuple[Vector, Numbers, Numbers]:
         """Return the closest points, their facets, and the features of the facets they are on."""
         # the distance to any one facet bounds the distance to the closest
-        one = self._centres.query(x)[1]
-        point = _closest_on(self._corners[one], self._normals[one], x)[0]
+        seed = self._centres.query(x)[1]
+        point = _closest_on(self._corners[seed], self._normals[seed], x)[0]
         limit = np.linalg.norm(point - x, axis=1) * (1.0 + RELATIVE_ROUNDING) + self._rounding
 
         def near(row: Numbers, low: Vector, high: Vector) -> Mask:
-            away = np.maximum(np.maximum(low - x[row], x[row] - high), 0.0)
-            close: Mask = np.einsum("ij,ij->i", away, away) <= limit[row] ** 2
+            offset = np.maximum(np.maximum(low - x[row], x[row] - high), 0.0)
+            close: Mask = np.einsum("ij,ij->i", offset, offset) <= limit[row] ** 2
             return close
 
         row, facet = self._tree.candidates(len(x), near)
@@ -170,26 +172,29 @@ class FacetedSurface:
 
         def crossed(row: Numbers, low: Vector, high: Vector) -> Mask:
             with np.errstate(invalid="ignore"):
-                one = (low - margin - x[row]) * inverse[row]
-                other = (high + margin - x[row]) * inverse[row]
-            enter = np.fmin(one, other).max(axis=1)
-            leave = np.fmax(one, other).min(axis=1)
-            meets: Mask = enter <= leave
-            return meets
+                t_low = (low - margin - x[row]) * inverse[row]
+                t_high = (high + margin - x[row]) * inverse[row]
+            enter = np.fmin(t_low, t_high).max(axis=1)
+            leave = np.fmax(t_low, t_high).min(axis=1)
+            passes: Mask = enter <= leave
+            return passes
 
         row, facet = self._tree.candidates(len(x), crossed)
         corners, normal = self._corners[facet], self._normals[facet]
         cosine = -np.sum(direction[row] * normal, axis=1)
         height = np.sum((x[row] - corners[:, 0]) * normal, axis=1)
         faces = cosine > RELATIVE_ROUNDING
-        along = height / np.where(faces, cosine, 1.0)
-        weights = _barycentric(corners, x[row] + along[:, None] * direction[row])
+        distance = height / np.where(faces, cosine, 1.0)
+        weights = _barycentric(corners, x[row] + distance[:, None] * direction[row])
         # up to rounding, so that no line passes between two facets; False on facets without area,
         # where the weights are NaN
         hit = faces & (weights >= -RELATIVE_ROUNDING).all(axis=1)
         ahead, behind = np.full(len(x), np.inf), np.full(len(x), np.inf)
-        for nearest, chosen in ((ahead, hit & (along >= 0.0)), (behind, hit & (along <= 0.0))):
-            np.minimum.at(nearest, row[chosen], np.abs(along[chosen]))
+        for nearest, chosen in (
+            (ahead, hit & (distance >= 0.0)),
+            (behind, hit & (distance <= 0.0)),
+        ):
+            np.minimum.at(nearest, row[chosen], np.abs(distance[chosen]))
         return ahead, behind
 
 
@@ -213,9 +218,9 @@ def _edge_lengths(corners: Vector) -> Vector:
 
 def _angles(corners: Vector) -> Vector:
     """Return the angles of triangles at their corners, (m, 3)."""
-    forth = _unit(np.roll(corners, -1, axis=1) - corners)
-    back = _unit(np.roll(corners, 1, axis=1) - corners)
-    angles: Vector = np.arccos(np.clip(np.sum(forth * back, axis=2), -1.0, 1.0))
+    forward = _unit(np.roll(corners, -1, axis=1) - corners)
+    backward = _unit(np.roll(corners, 1, axis=1) - corners)
+    angles: Vector = np.arccos(np.clip(np.sum(forward * backward, axis=2), -1.0, 1.0))
     return angles
 
 
@@ -245,29 +250,31 @@ def _closest_on(corners: Vector, normal: Vector, x: Vector) -> tuple[Vector, Num
     """
     number, gdim = x.shape
     if gdim == 2:
-        along = _along_edge(corners[:, 0], corners[:, 1], x)
-        point = corners[:, 0] + along[:, None] * (corners[:, 1] - corners[:, 0])
-        return point, np.select([along == 0.0, along == 1.0], [0, 1], 2).astype(np.int64)
+        position = _edge_position(corners[:, 0], corners[:, 1], x)
+        point = corners[:, 0] + position[:, None] * (corners[:, 1] - corners[:, 0])
+        return point, np.select([position == 0.0, position == 1.0], [0, 1], 2).astype(np.int64)
     height = np.sum((x - corners[:, 0]) * normal, axis=1)
     point = x - height[:, None] * normal
     feature = np.full(number, 6, dtype=np.int64)
     outside = np.flatnonzero(~(_barycentric(corners, x) > ON_CORNER).all(axis=1))
     start = corners[outside]
     step = np.roll(start, -1, axis=1) - start
-    along = _along_edge(start, start + step, x[outside, None, :])
-    on_edges = start + along[:, :, None] * step
-    edge = np.linalg.norm(on_edges - x[outside, None, :], axis=2).argmin(axis=1)
+    position = _edge_position(start, start + step, x[outside, None, :])
+    edge_points = start + position[:, :, None] * step
+    edge = np.linalg.norm(edge_points - x[outside, None, :], axis=2).argmin(axis=1)
     row = np.arange(outside.size)
-    point[outside] = on_edges[row, edge]
-    along = along[row, edge]
-    feature[outside] = np.select([along == 0.0, along == 1.0], [edge, (edge + 1) % 3], 3 + edge)
+    point[outside] = edge_points[row, edge]
+    position = position[row, edge]
+    feature[outside] = np.select(
+        [position == 0.0, position == 1.0], [edge, (edge + 1) % 3], 3 + edge
+    )
     return point, feature
 
 
-def _along_edge(start: Vector, end: Vector, x: Vector) -> Vector:
+def _edge_position(start: Vector, end: Vector, x: Vector) -> Vector:
     """Return the position of the closest point of an edge, exactly 0 and 1 at its ends."""
     step = end - start
     square = np.sum(step * step, axis=-1)
-    along = np.sum((x - start) * step, axis=-1) / np.where(square > 0.0, square, 1.0)
-    along = np.where(along < ON_CORNER, 0.0, along)
-    return np.where(along > 1.0 - ON_CORNER, 1.0, along)
+    position = np.sum((x - start) * step, axis=-1) / np.where(square > 0.0, square, 1.0)
+    position = np.where(position < ON_CORNER, 0.0, position)
+    return np.where(position > 1.0 - ON_CORNER, 1.0, position)

@@ -16,15 +16,15 @@ from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
 
-def check_initial_gap(given: Any, name: str) -> None:
+def check_initial_gap(value: Any, name: str) -> None:
     """Check the argument `initial_gap` of a pair."""
-    if callable(given) or (isinstance(given, str) and given in ("geometric", "touching")):
+    if callable(value) or (isinstance(value, str) and value in ("geometric", "touching")):
         return
-    number = isinstance(given, int | float | np.number) and not isinstance(given, bool)
-    if number and np.isfinite(float(given)):
+    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if number and np.isfinite(float(value)):
         return
     raise InputError(
-        f"{name}: initial_gap is {given!r}; 'geometric', 'touching', a number [m] or a function "
+        f"{name}: initial_gap is {value!r}; 'geometric', 'touching', a number [m] or a function "
         "x (3, n) -> (n,) is expected"
     )
 
@@ -47,28 +47,28 @@ def chord_heights(corners: Vector, normals: Vector, middles: Vector | None = Non
     >>> float(np.round(chord_heights(ends, ends)[0], 6)), float(np.round(1 - np.cos(0.1), 6))
     (0.004983, 0.004996)
     """
-    height, own = _heights(corners, normals, middles)
-    return _largest(np.abs(height - own) + own / 4.0, corners)
+    height, node_height = _heights(corners, normals, middles)
+    return _largest(np.abs(height - node_height) + node_height / 4.0, corners)
 
 
 def facet_deviations(corners: Vector, normals: Vector, middles: Vector | None = None) -> Vector:
     """Return `chord_heights` less the curvature of the facets: next to none for degree 2."""
-    height, own = _heights(corners, normals, middles)
-    return _largest(np.maximum(height - own, 0.0), corners)
+    height, node_height = _heights(corners, normals, middles)
+    return _largest(np.maximum(height - node_height, 0.0), corners)
 
 
 def _heights(corners: Vector, normals: Vector, middles: Vector | None) -> tuple[Vector, Vector]:
     """Return between two corners each (q, f) the height of the segment, and of the middle node."""
     v = corners.shape[1]
-    heights, own = [], []
+    heights, node_heights = [], []
     for i, j in combinations(range(v), 2):
         length = np.linalg.norm(corners[:, i] - corners[:, j], axis=1)
         angle = np.linalg.norm(normals[:, i] - normals[:, j], axis=1)
         heights.append(length * angle / 8.0)
         middle = 0.5 * (corners[:, i] + corners[:, j])
         node = middle if middles is None else middles[:, _middle(i, j, v)]
-        own.append(np.linalg.norm(node - middle, axis=1))
-    return np.array(heights), np.array(own)
+        node_heights.append(np.linalg.norm(node - middle, axis=1))
+    return np.array(heights), np.array(node_heights)
 
 
 def _largest(heights: Vector, corners: Vector) -> Vector:
@@ -87,26 +87,28 @@ def _middle(i: int, j: int, v: int) -> int:
 
 
 def initial_gap(
-    comm: MPI.Intracomm, given: Any, gap: Vector, chord: Vector, points: Vector, name: str
+    comm: MPI.Intracomm, value: Any, gap: Vector, chord: Vector, points: Vector, name: str
 ) -> Vector:
     """Return the initial gaps (k,) of a contact's conditions. Collective.
 
     For the argument see `ContactPair`. The gaps (k,) are those of the mesh, the chords the
     distances of its facets from the curved surfaces there [m].
     """
-    if isinstance(given, str):
+    if isinstance(value, str):
         # twice: the normals at a surface's border see half of the curvature
-        return np.where(np.abs(gap) <= 2.0 * chord, 0.0, gap) if given == "touching" else gap
-    if not callable(given):
-        return np.full_like(gap, float(given))
-    what = f"{name}: initial_gap"
+        return np.where(np.abs(gap) <= 2.0 * chord, 0.0, gap) if value == "touching" else gap
+    if not callable(value):
+        return np.full_like(gap, float(value))
+    label = f"{name}: initial_gap"
     with raise_collectively(comm):
-        values = _evaluate(given, points, what)
+        values = _evaluate(value, points, label)
     raise_where(
         comm,
         ~np.isfinite(values),
         points,
-        lambda number, place: f"{what} is NaN or infinite at {number} points, the first at {place}",
+        lambda number, place: (
+            f"{label} is NaN or infinite at {number} points, the first at {place}"
+        ),
     )
     return values
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas, given_weight
+from fenics_tfeti.fem.contact.surfaces.measure_weight import as_ufl_weight, check_weighted_areas
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, area_of_facets
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.parallel import raise_collectively
@@ -20,8 +20,8 @@ def weighted_form(boundary: MeshBoundary, weight: Any, name: str) -> _compat.Com
     """Return the form of a contact's areas with a weight of ds; None without one. Collective."""
     domain = boundary.space.mesh
     with raise_collectively(domain.comm):
-        given = given_weight(domain, weight, name)
-    return None if given is None else boundary.form_with_weight(given)
+        ufl_weight = as_ufl_weight(domain, weight, name)
+    return None if ufl_weight is None else boundary.form_with_weight(ufl_weight)
 
 
 def node_areas(
@@ -42,5 +42,5 @@ def node_areas(
         check_weighted_areas(comm, area, slave.area, slave.points, f"slave of {name}")
     if comm.allreduce(bool(covered.all()), MPI.LAND):
         return area
-    of_covered = area_of_facets(boundary, slave, covered, form)
-    return np.where(of_covered > RELATIVE_ROUNDING * area, of_covered, area)
+    covered_area = area_of_facets(boundary, slave, covered, form)
+    return np.where(covered_area > RELATIVE_ROUNDING * area, covered_area, area)

@@ -31,19 +31,19 @@ def oriented_facets(space: FunctionSpace, facets: Indices) -> Indices:
     domain = space.mesh
     dim, cell = domain.topology.dim, cell_type(domain)
     domain.topology.create_connectivity(dim - 1, dim)
-    to_cell = domain.topology.connectivity(dim - 1, dim)
-    cells = np.asarray(to_cell.array)[np.asarray(to_cell.offsets)[facets]]
-    which = np.argmax(cell_facets(domain)[cells] == facets[:, None], axis=1)
+    cells_of_facets = domain.topology.connectivity(dim - 1, dim)
+    cells = np.asarray(cells_of_facets.array)[np.asarray(cells_of_facets.offsets)[facets]]
+    numbers = np.argmax(cell_facets(domain)[cells] == facets[:, None], axis=1)
     degree = _compat.element_facts(space)[1]
     columns = np.array(cell.facet_nodes(degree))
-    nodes: Indices = _compat.cell_dofs(space)[cells[:, None], columns[which]]
+    nodes: Indices = _compat.cell_dofs(space)[cells[:, None], columns[numbers]]
 
     x = domain.geometry.x[:, :dim]
     rows = cell_vertices(domain)[cells]
-    corners = np.array(cell.facet_nodes(1))[which]
-    of_facet = x[np.take_along_axis(rows, corners, axis=1)]
-    outward = of_facet.mean(axis=1) - x[rows].mean(axis=1)
-    normal = corner_normals(of_facet).sum(axis=1)
+    corners = np.array(cell.facet_nodes(1))[numbers]
+    corner_points = x[np.take_along_axis(rows, corners, axis=1)]
+    outward = corner_points.mean(axis=1) - x[rows].mean(axis=1)
+    normal = corner_normals(corner_points).sum(axis=1)
     inverted = np.sum(normal * outward, axis=1) < 0.0
     reflected = nodes[:, _reflection(cell.facet, nodes.shape[1])]
     return np.where(inverted[:, None], reflected, nodes)
@@ -69,9 +69,9 @@ def corner_normals(corners: Vector) -> Vector:
     if v < 4:
         return np.repeat(facet_normals(corners)[:, None, :] / v, v, axis=1)
     # in the order of the corners: along the edges from 0 to 1 and from 0 to 3, and opposite ones
-    one = corners[:, [1, 1, 2, 2]] - corners[:, [0, 0, 3, 3]]
-    other = corners[:, [3, 2, 2, 3]] - corners[:, [0, 1, 1, 0]]
+    u = corners[:, [1, 1, 2, 2]] - corners[:, [0, 0, 3, 3]]
+    w = corners[:, [3, 2, 2, 3]] - corners[:, [0, 1, 1, 0]]
     # mass matrix of the unit square
     mass = np.array([[4, 2, 1, 2], [2, 4, 2, 1], [1, 2, 4, 2], [2, 1, 2, 4]]) / 36.0
-    weighted: Vector = np.einsum("ij,mjk->mik", mass, np.cross(one, other))
+    weighted: Vector = np.einsum("ij,mjk->mik", mass, np.cross(u, w))
     return weighted

@@ -28,9 +28,9 @@ def prescribed_components(surface: Surface, prescribed: Prescribed) -> Mask:
     """Tell which components (k, gdim) of a surface's nodes, on this rank, are prescribed."""
     mask = np.zeros_like(surface.normal, dtype=bool)
     if surface.nodes.size:
-        at = np.minimum(np.searchsorted(surface.nodes, prescribed.nodes), surface.nodes.size - 1)
-        there = surface.nodes[at] == prescribed.nodes
-        mask[at[there], prescribed.components[there]] = True
+        rows = np.minimum(np.searchsorted(surface.nodes, prescribed.nodes), surface.nodes.size - 1)
+        owned = surface.nodes[rows] == prescribed.nodes
+        mask[rows[owned], prescribed.components[owned]] = True
     return mask
 
 
@@ -56,12 +56,12 @@ def normals_in_symmetry_planes(space: FunctionSpace, surface: Surface, prescribe
     np.add.at(total, directory.position(keys), rows)
     total = directory.lookup(surface.nodes, total)[1]
     gdim = surface.normal.shape[1]
-    of_neighbours = total[:, :gdim] / np.maximum(total[:, gdim:], 1.0)
-    across = prescribed & (of_neighbours > _GROWTH * np.abs(surface.normal))
-    left = np.where(across, 0.0, surface.normal)
-    length = np.linalg.norm(left, axis=1)
+    neighbour_mean = total[:, :gdim] / np.maximum(total[:, gdim:], 1.0)
+    removed = prescribed & (neighbour_mean > _GROWTH * np.abs(surface.normal))
+    projected = np.where(removed, 0.0, surface.normal)
+    length = np.linalg.norm(projected, axis=1)
     curved = length > _LEFT
     normals: Vector = np.where(
-        curved[:, None], left / np.where(curved, length, 1.0)[:, None], surface.normal
+        curved[:, None], projected / np.where(curved, length, 1.0)[:, None], surface.normal
     )
     return normals

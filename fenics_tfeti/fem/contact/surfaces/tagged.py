@@ -32,7 +32,7 @@ from fenics_tfeti.fem.user_data import unit_vectors
 from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Indices, Numbers, Vector
 
-GivenNormal = ArrayLike | Callable[[Vector], ArrayLike] | None
+VectorField = ArrayLike | Callable[[Vector], ArrayLike]
 
 
 @dataclass(frozen=True)
@@ -86,10 +86,10 @@ class MeshBoundary:
         if self.degree == 1:
             return values
         integrals = np.zeros((len(self.coordinates), values.shape[1]))
-        at, of = vertex_nodes(self.space), vertex_nodes(self.linear)
+        nodes, linear_nodes = vertex_nodes(self.space), vertex_nodes(self.linear)
         # both spaces' nodes at a vertex have the owner of the vertex
-        owned = of < len(values)
-        integrals[at[owned]] = values[of[owned]]
+        owned = linear_nodes < len(values)
+        integrals[nodes[owned]] = values[linear_nodes[owned]]
         return integrals
 
 
@@ -147,18 +147,22 @@ class MasterNodes:
 
 
 def tagged_surface(
-    boundary: MeshBoundary, facet_tags: Any, tag: int, what: str, given: GivenNormal = None
+    boundary: MeshBoundary,
+    facet_tags: Any,
+    tag: int,
+    label: str,
+    user_normal: VectorField | None = None,
 ) -> Surface:
     """Find the nodes of a tagged surface, this rank's part. Collective.
 
-    `what` is its name in messages. By default normals are area-weighted averages of the facets'.
+    `label` is its name in messages. By default normals are area-weighted averages of the facets'.
     """
     space = boundary.space
     domain, dim = space.mesh, space.mesh.topology.dim
     with raise_collectively(domain.comm):
-        _check_tags(domain, facet_tags, what)
+        _check_tags(domain, facet_tags, label)
     facets = owned_facets(domain, facet_tags, tag)
-    _check_facets(boundary, facet_tags, tag, facets, what)
+    _check_facets(boundary, facet_tags, tag, facets, label)
 
     nodes = np.asarray(fem.locate_dofs_topological(space, dim - 1, facets), dtype=np.int32)
     nodes = np.sort(nodes[(nodes < space.dofmap.index_map.size_local) & boundary.at_vertex[nodes]])
@@ -169,11 +173,15 @@ def tagged_surface(
     facet_nodes, facet_type = oriented_facets(space, facets), cell_type(domain).facet
     vertices = facet_nodes[:, : facet_type.vertices]
     global_nodes = np.asarray(to_global(nodes), dtype=np.int64)
-    of_vertices = np.asarray(to_global(vertices.ravel()), dtype=np.int64).reshape(vertices.shape)
+    global_vertices = np.asarray(to_global(vertices.ravel()), dtype=np.int64).reshape(
+        vertices.shape
+    )
     gdim = domain.geometry.dim
     corners = boundary.coordinates[vertices, :gdim]
-    size, whole = _facets_at_nodes(domain.comm, corners, of_vertices, global_nodes)
-    normal, area = _normals_and_areas(domain.comm, weighted, whole, coordinates, given, what)
+    size, facet_area = _facets_at_nodes(domain.comm, corners, global_vertices, global_nodes)
+    normal, area = _normals_and_areas(
+        domain.comm, weighted, facet_area, coordinates, user_normal, label
+    )
     return Surface(
         global_nodes,
         nodes,
@@ -206,11 +214,11 @@ def values_on_facets(space: FunctionSpace, surface: Surface, values: Vector) -> 
     carrier = fem.Function(space)
     carrier.x.array.reshape(-1, gdim)[surface.local] = values
     carrier.x.scatter_forward()
-    at: Vector = carrier.x.array.reshape(-1, gdim)[surface.vertices]
-    return at
+    at_corners: Vector = carrier.x.array.reshape(-1, gdim)[surface.vertices]
+    return at_corners
 
 
-def largest_of_facets(space: FunctionSpace, surface: Surface, values: Vector) -> Vector:
+def facet_max_at_nodes(space: FunctionSpace, surface: Surface, values: Vector) -> Vector:
     """Return at the nodes (k,) that this rank owns the largest value of their facets. Collective.
 
     The values (f,) of this rank's facets are not negative.
@@ -218,9 +226,9 @@ def largest_of_facets(space: FunctionSpace, surface: Surface, values: Vector) ->
     local = surface.vertices.ravel().astype(np.int32)
     vertices = np.asarray(space.dofmap.index_map.local_to_global(local), dtype=np.int64)
     owners = Directory(space.mesh.comm, surface.nodes)
-    at, values = owners.forward(vertices, np.repeat(values, surface.vertices.shape[1]))
+    keys, values = owners.forward(vertices, np.repeat(values, surface.vertices.shape[1]))
     largest = np.zeros(surface.nodes.size)
-    np.maximum.at(largest, np.searchsorted(surface.nodes, at), values)
+    np.maximum.at(largest, np.searchsorted(surface.nodes, keys), values)
     return largest
 
 
@@ -240,25 +248,25 @@ def area_of_facets(
     return area
 
 
-def _check_tags(domain: Any, facet_tags: Any, what: str) -> None:
+def _check_tags(domain: Any, facet_tags: Any, label: str) -> None:
     if not _compat.tags_are_on(facet_tags, domain):
-        raise InputError(f"{what}: facet_tags belong to another mesh than the displacement")
+        raise InputError(f"{label}: facet_tags belong to another mesh than the displacement")
     dim = domain.topology.dim
     if facet_tags.dim != dim - 1:
         raise InputError(
-            f"{what}: facet_tags are on entities of dimension {facet_tags.dim}, facets have "
+            f"{label}: facet_tags are on entities of dimension {facet_tags.dim}, facets have "
             f"dimension {dim - 1}"
         )
 
 
 def _check_facets(
-    boundary: MeshBoundary, facet_tags: Any, tag: int, facets: Indices, what: str
+    boundary: MeshBoundary, facet_tags: Any, tag: int, facets: Indices, label: str
 ) -> None:
     comm = boundary.space.mesh.comm
     number = comm.allreduce(facets.size)
     if number == 0:
-        there = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
-        raise InputError(f"{what}: tag {tag} is on no facet; the tags there are {there}")
+        existing = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
+        raise InputError(f"{label}: tag {tag} is on no facet; the tags there are {existing}")
     domain = boundary.space.mesh
     cell, facet = boundary.rows[facets].T
     corners = np.array(cell_type(domain).facets)[facet]
@@ -268,7 +276,7 @@ def _check_facets(
         ~boundary.exterior[facets],
         domain.geometry.x[vertices, : domain.geometry.dim].mean(axis=1),
         lambda interior, place: (
-            f"{what}: {interior} of the {number} facets with tag {tag} are inside a body, or "
+            f"{label}: {interior} of the {number} facets with tag {tag} are inside a body, or "
             f"between bodies that share their nodes, the first around {place}: only facets on the "
             "boundary can touch. Bodies that share nodes, as Gmsh's fragment makes them, get nodes "
             "of their own by fenics_tfeti.io.split_interfaces"
@@ -279,37 +287,37 @@ def _check_facets(
 def _normals_and_areas(
     comm: MPI.Intracomm,
     weighted: Vector,
-    whole: Vector,
+    facet_area: Vector,
     coordinates: Vector,
-    given: GivenNormal,
-    what: str,
+    user_normal: VectorField | None,
+    label: str,
 ) -> tuple[Vector, Vector]:
     """Return unit normals (k, gdim) and the areas (k,) projected along them.
 
-    `weighted` are the integrals of the normal, `whole` those of its length.
+    `weighted` are the integrals of the normal, `facet_area` those of its length.
     """
     gdim = weighted.shape[1]
     length = np.linalg.norm(weighted, axis=1)
-    least = VANISHING_NORMAL * whole
-    if given is None:
+    minimum = VANISHING_NORMAL * facet_area
+    if user_normal is None:
         raise_where(
             comm,
-            length <= least,
+            length <= minimum,
             coordinates[:, :gdim],
             lambda number, place: (
-                f"{what}: the normals of the facets around {number} nodes cancel, the first at "
+                f"{label}: the normals of the facets around {number} nodes cancel, the first at "
                 f"{place}: tag one side of an edge only, or give a normal"
             ),
         )
         return weighted / length[:, None], length
-    normal = unit_vectors(comm, given, coordinates, gdim, f"the normal of the {what}")
+    normal = unit_vectors(comm, user_normal, coordinates, gdim, f"the normal of the {label}")
     area = np.sum(weighted * normal, axis=1)
     raise_where(
         comm,
-        area <= least,
+        area <= minimum,
         coordinates[:, :gdim],
         lambda number, place: (
-            f"the normal of the {what} points into the body or along its surface at {number} "
+            f"the normal of the {label} points into the body or along its surface at {number} "
             f"nodes, the first at {place}: it has to point out of the slave, as the facets' do"
         ),
     )
@@ -331,8 +339,8 @@ def _facets_at_nodes(
     keys, sizes, areas = directory.collect(
         vertices.ravel(), np.repeat(mean, vertices.shape[1]), areas.ravel()
     )
-    at, count = directory.position(keys), directory.keys.size
+    rows, count = directory.position(keys), directory.keys.size
     smallest = np.full(count, np.inf)
-    np.minimum.at(smallest, at, sizes)
-    _, size, area = directory.lookup(nodes, smallest, np.bincount(at, areas, count))
+    np.minimum.at(smallest, rows, sizes)
+    _, size, area = directory.lookup(nodes, smallest, np.bincount(rows, areas, count))
     return size, area
