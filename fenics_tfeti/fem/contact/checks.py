@@ -21,6 +21,7 @@ from fenics_tfeti.fem.contact.contact import Contact, ContactPair, ContactPairin
 from fenics_tfeti.fem.contact.nodes.search import Partners
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.surfaces.initial_gap import check_initial_gap
+from fenics_tfeti.fem.contact.surfaces.oriented import global_nodes, tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MasterNodes, Surface
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, raise_where
@@ -217,10 +218,10 @@ def check_not_crossed(
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)
     # tangential components only: gaps may differ from node to node
-    edge = _tangential(ends[:, 1] - ends[:, 0], normal)
+    edge = tangential_part(ends[:, 1] - ends[:, 0], normal)
     image = partners[:, 1] - partners[:, 0]
     product = np.linalg.norm(edge, axis=1) * np.linalg.norm(image, axis=1)
-    image = _tangential(image, normal)
+    image = tangential_part(image, normal)
     # False where there is a NaN
     crossed = np.sum(edge * image, axis=1) < -RELATIVE_ROUNDING * product
 
@@ -239,11 +240,6 @@ def check_not_crossed(
         f"{b} have the partners {partner_a} and {partner_b}, which lie in the opposite order. "
         "Correct the pairs, mapping or direction, or lower the pair's tolerance"
     )
-
-
-def _tangential(vectors: Vector, normal: Vector) -> Vector:
-    tangential: Vector = vectors - np.sum(vectors * normal, axis=1)[:, None] * normal
-    return tangential
 
 
 def _comes_before(first: Vector, second: Vector) -> Mask:
@@ -303,7 +299,7 @@ def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[Contact
     body = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int64)
     body[cells] = bodies.of_cell[:, None]
     nodes = np.unique(cells)
-    numbers = np.asarray(index_map.local_to_global(nodes.astype(np.int32)), dtype=np.int64)
+    numbers = global_nodes(space, nodes)
     directory = Directory(comm, numbers)
     body_of_node = np.zeros(directory.keys.size, dtype=np.int64)
     keys, values = directory.collect(numbers, body[nodes])

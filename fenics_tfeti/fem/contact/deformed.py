@@ -28,6 +28,7 @@ from fenics_tfeti.fem.contact.contact import (
 from fenics_tfeti.fem.contact.mortar.pairing import match_deformed, mean_relative
 from fenics_tfeti.fem.contact.obstacle_conditions import deformed_gaps
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
+from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Numbers, Vector
@@ -183,7 +184,7 @@ def _deformed_mortar(
     # mean places on the slave, less those on the master
     offset = mean_relative(pairing.terms, displacement, boundary.coordinates)[old_rows]
     offset -= mean_relative(new.terms, displacement, boundary.coordinates)[new_rows]
-    offset -= np.sum(offset * normal[old_rows], axis=1)[:, None] * normal[old_rows]
+    offset = tangential_part(offset, normal[old_rows])
     slip[old_rows] = np.linalg.norm(offset, axis=1) / size[old_rows]
     return DeformedContact(
         pairing.master,

@@ -13,9 +13,9 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.surfaces.initial_gap import scalars_at
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.topology import vertex_nodes
-from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
@@ -100,7 +100,7 @@ def values_at_nodes(
         if isinstance(value, Function):
             values = _nodal_values(space, value, nodes, label)
         elif callable(value):
-            values = _evaluated(value, points, label)
+            values = scalars_at(value, points, label)
         else:
             values = np.full(nodes.size, float(value))
     raise_where(
@@ -121,37 +121,20 @@ def _value(law: FrictionLaw) -> tuple[str, Any]:
     return "coefficient", law.coefficient
 
 
-def _evaluated(given: Callable[[Vector], ArrayLike], points: Vector, what: str) -> Vector:
-    if not len(points):
-        # a user's function may fail for no points
-        return np.zeros(0)
-    values = evaluate(given, points, what)
-    try:
-        values = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{what} has to return numbers, one for each point") from None
-    if values.shape != (len(points),):
-        raise InputError(
-            f"{what} returned shape {values.shape} for points of shape (3, {len(points)}); "
-            f"({len(points)},) is expected"
-        )
-    return values
-
-
 def _nodal_values(
-    space: FunctionSpace, given: Function, nodes: NDArray[np.int64], what: str
+    space: FunctionSpace, function: Function, nodes: NDArray[np.int64], label: str
 ) -> Vector:
-    own = given.function_space
-    if own.mesh is not space.mesh:
-        raise InputError(f"{what} is a Function on another mesh than the displacement")
-    family, degree, shape = _compat.element_facts(own)
+    source = function.function_space
+    if source.mesh is not space.mesh:
+        raise InputError(f"{label} is a Function on another mesh than the displacement")
+    family, degree, shape = _compat.element_facts(source)
     if (family, degree) != ("Lagrange", 1) or shape:
         raise InputError(
-            f"{what} is a Function of {family} elements of degree {degree} and shape {shape}; a "
+            f"{label} is a Function of {family} elements of degree {degree} and shape {shape}; a "
             "scalar one of Lagrange elements of degree 1 is expected"
         )
     # the two spaces may number their nodes differently
     dofs = np.zeros(int(_compat.cell_dofs(space).max(initial=-1)) + 1, dtype=np.int64)
-    dofs[vertex_nodes(space)] = vertex_nodes(own)
-    values: Vector = given.x.array[dofs[nodes - space.dofmap.index_map.local_range[0]]]
+    dofs[vertex_nodes(space)] = vertex_nodes(source)
+    values: Vector = function.x.array[dofs[nodes - space.dofmap.index_map.local_range[0]]]
     return values

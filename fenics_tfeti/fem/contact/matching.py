@@ -35,7 +35,7 @@ from fenics_tfeti.fem.contact.surfaces.cylinders import without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, initial_gap
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas, weighted_form
-from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
+from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components, same_supports
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MasterNodes,
     MeshBoundary,
@@ -113,8 +113,7 @@ def _still_holds(
         return True
     if contact.measure_weight is not None:
         return False
-    now = prescribed_components(earlier.surface, prescribed)
-    return bool(comm.allreduce(np.array_equal(now, earlier.prescribed), MPI.LAND))
+    return same_supports(comm, earlier.surface, prescribed, earlier.prescribed)
 
 
 def _gap_again(comm: MPI.Intracomm, contact: ContactPair, earlier: ContactPairing) -> Vector:

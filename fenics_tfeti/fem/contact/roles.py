@@ -26,10 +26,10 @@ from fenics_tfeti.parallel import concatenate_ranks
 
 # Ratio of E / h from which on an exchange is worth it: it is about that of the two condition
 # numbers, so that bounds of the iterations differ by a factor of two.
-_WORSE = 4.0
+_EXCHANGE_RATIO = 4.0
 
 # Estimated condition number of a pair's rows, above which the user is told.
-_LARGE = 20.0
+_LARGE_CONDITION = 20.0
 
 
 def roles_ratio(
@@ -48,7 +48,7 @@ def roles_ratio(
 def prefers_exchange(contact: ContactPair, ratio: float | None) -> bool:
     """Tell whether slave and master of a pair are to be exchanged, given the ratio of E / h."""
     allowed = contact.roles == "auto" and one_sided_data(contact) is None
-    return allowed and ratio is not None and ratio > _WORSE
+    return allowed and ratio is not None and ratio > _EXCHANGE_RATIO
 
 
 def exchanged(contact: ContactPair) -> ContactPair:
@@ -76,7 +76,7 @@ def describe_roles(
     The contact and the ratio are those of the given roles, `obstacle` is the error with exchanged
     ones.
     """
-    if ratio is None or ratio <= _WORSE:
+    if ratio is None or ratio <= _EXCHANGE_RATIO:
         return None
     fact = f"E / h of the given slave is {ratio:.2g} times that of the master"
     if exchange:
@@ -91,7 +91,7 @@ def describe_roles(
 
 def warn_of_roles(name: str, ratio: float) -> None:
     """Warn if the slave is much the stiffer or finer surface."""
-    if 1.0 + ratio > _LARGE:
+    if 1.0 + ratio > _LARGE_CONDITION:
         warnings.warn(
             f"{name}: the slave is better the softer surface, or of equally stiff ones that with "
             f"the larger facets. E / h of this one is {ratio:.0f} times that of the master, which "

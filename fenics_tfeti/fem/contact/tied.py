@@ -18,7 +18,7 @@ from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, tied_co
 from fenics_tfeti.fem.contact.mortar.pairing import slave_facets
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
-from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
+from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components, same_supports
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MeshBoundary,
     Surface,
@@ -133,16 +133,11 @@ def tie_pairs(
         if (
             pairing is None
             or pair.measure_weight is not None
-            or not _still_holds(comm, pairing, prescribed)
+            or not same_supports(comm, pairing.surface, prescribed, pairing.prescribed)
         ):
             pairing = tie(boundary, pair, number, prescribed)
         pairings.append((pair, pairing))
     return pairings
-
-
-def _still_holds(comm: MPI.Intracomm, pairing: TiedPairing, prescribed: Prescribed) -> bool:
-    same = np.array_equal(prescribed_components(pairing.surface, prescribed), pairing.prescribed)
-    return bool(comm.allreduce(same, MPI.LAND))
 
 
 def tied_rows(pairings: Sequence[TiedPairing], gdim: int, first: int) -> ContactRows:

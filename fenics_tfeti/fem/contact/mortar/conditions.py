@@ -28,6 +28,7 @@ from fenics_tfeti.fem.contact.mortar.matrices import (
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, facet_deviations
+from fenics_tfeti.fem.contact.surfaces.oriented import global_nodes
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
 from fenics_tfeti.parallel import Directory, concatenate_buffers
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -63,8 +64,7 @@ class SlaveFacets:
         normals (k, gdim) those of the surface's nodes that this rank owns.
         """
         local = np.unique(slave.facet_nodes)
-        numbers = space.dofmap.index_map.local_to_global(local.astype(np.int32))
-        nodes = np.asarray(numbers, dtype=np.int64)
+        nodes = global_nodes(space, local)
         order = np.argsort(nodes)
         rows = np.zeros(local.size, dtype=np.int64)
         rows[order] = np.arange(local.size)
@@ -106,8 +106,7 @@ def mortar_conditions(
     The nodes `owned` (s,) are the slave's that this rank owns, ascending; those of `free` have no
     condition. The normals (n, gdim) are those of the master's surface near this rank's facets.
     """
-    other = master.surface
-    integrals = integrate(slave.facets, other, slave.weight)
+    integrals = integrate(slave.facets, master.surface, slave.weight)
     free_nodes = np.isin(slave.nodes, free)
     return _conditions(comm, slave, owned, master, normals, integrals, free_nodes)
 
@@ -127,8 +126,7 @@ def tied_conditions(
     the support does. `prescribed` (f, v, gdim) are the components prescribed at the corners of this
     rank's facets; for the others see `mortar_conditions`.
     """
-    other = master.surface
-    integrals = integrate(slave.facets, other, slave.weight)
+    integrals = integrate(slave.facets, master.surface, slave.weight)
     gdim = prescribed.shape[2]
     all_prescribed = np.broadcast_to(prescribed.all(axis=1, keepdims=True), prescribed.shape)
     directory = Directory(comm, slave.nodes)
@@ -176,10 +174,10 @@ def _conditions(
     row, position, share = sharing.rows(slave.nodes)
     normal = slave.nodal_normals * matrices.area[:, None]
     integral = share[:, None] * np.column_stack([normal, matrices.gap, matrices.area])[position]
-    sums = _sums_at(owners, nodes, row, integral)
+    sums = _at_nodes(owners, nodes, row, integral, np.add)
     normal, gap, area = np.split(sums, np.cumsum(2 * [normal.shape[1]]), axis=1)
-    total, covered = _sums_at(owners, nodes, slave.nodes, parts).T
-    largest = _largest_at_nodes(owners, slave, opposite, normals, integrals, nodes)
+    total, covered = _at_nodes(owners, nodes, slave.nodes, parts, np.add).T
+    chord, deviation, angle = _largest_of_facets(owners, slave, opposite, normals, integrals, nodes)
     facets = np.zeros(len(slave.facets), dtype=bool)
     facets[integrals.facet] = True
     return MortarConditions(
@@ -189,7 +187,9 @@ def _conditions(
         gap / area,
         area[:, 0],
         covered / total,
-        *largest,
+        chord,
+        deviation,
+        angle,
         facets,
         float(integrals.covered.sum()),
     )
@@ -263,13 +263,15 @@ class SharedMultipliers:
         return rows, position, share
 
 
-def _sums_at(owners: Directory, nodes: Numbers, row: Numbers, values: Vector) -> Vector:
-    """Sum rows of values (t, q) at those of this rank's nodes (k,) that they belong to."""
+def _at_nodes(
+    owners: Directory, nodes: Numbers, row: Numbers, values: Vector, ufunc: np.ufunc
+) -> Vector:
+    """Sum or maximise rows of values (t, q) at this rank's nodes (k,) of conditions. Collective."""
     keys, values = owners.forward(row, values)
     conditioned = np.isin(keys, nodes)
-    sums = np.zeros((nodes.size, values.shape[1]))
-    np.add.at(sums, np.searchsorted(nodes, keys[conditioned]), values[conditioned])
-    return sums
+    result = np.zeros((nodes.size, values.shape[1]))
+    ufunc.at(result, np.searchsorted(nodes, keys[conditioned]), values[conditioned])
+    return result
 
 
 def collect_terms(
@@ -300,15 +302,15 @@ def collect_terms(
     return nodes, MortarTerms(offsets, column[order], value[order], slaves)
 
 
-def _largest_at_nodes(
+def _largest_of_facets(
     owners: Directory,
     slave: SlaveFacets,
     master: Facets,
     normals: Vector,
     integrals: FacetIntegrals,
     nodes: Numbers,
-) -> tuple[Vector, Vector, Vector]:
-    """Return the largest chords, deviations and angles of facets around each condition's node.
+) -> Vector:
+    """Return the largest chords, deviations and angles (3, k) of facets around nodes.
 
     The angles are those between the planes of the facets' corners.
     """
@@ -328,13 +330,8 @@ def _largest_at_nodes(
     np.maximum.at(largest, facet, np.column_stack([master_heights[opposite_facet], angle]))
     largest[:, :2] += slave_heights
     covered = slave.facets.corners[integrals.facet]
-    keys, values = owners.forward(
-        slave.nodes[covered.ravel()], np.repeat(largest[integrals.facet], covered.shape[1], axis=0)
-    )
-    conditioned = np.isin(keys, nodes)
-    result = np.zeros((nodes.size, 3))
-    np.maximum.at(result, np.searchsorted(nodes, keys[conditioned]), values[conditioned])
-    return result[:, 0], result[:, 1], result[:, 2]
+    values = np.repeat(largest[integrals.facet], covered.shape[1], axis=0)
+    return _at_nodes(owners, nodes, slave.nodes[covered.ravel()], values, np.maximum).T
 
 
 def _middles(surface: Facets) -> Vector | None:

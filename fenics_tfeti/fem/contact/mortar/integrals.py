@@ -226,9 +226,9 @@ def _distorted(corners: Vector) -> bool:
 def _gauss_on_segment(points: int) -> tuple[Vector, Vector]:
     """Return 2 or 3 Gauss points, exact for polynomials of degree 3 or 5."""
     root = np.sqrt(1.0 / 12.0) if points == 2 else np.sqrt(3.0 / 20.0)
-    along = np.array([-root, root]) if points == 2 else np.array([-root, 0.0, root])
+    x = np.array([-root, root]) if points == 2 else np.array([-root, 0.0, root])
     weights = np.full(2, 0.5) if points == 2 else np.array([5.0, 8.0, 5.0]) / 18.0
-    return np.stack([0.5 - along, 0.5 + along], axis=1), weights
+    return np.stack([0.5 - x, 0.5 + x], axis=1), weights
 
 
 def _degree_eight() -> tuple[Vector, Vector]:

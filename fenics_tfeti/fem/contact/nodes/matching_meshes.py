@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
+from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
 from fenics_tfeti.fem.tolerances import SAME_PLACE
 from fenics_tfeti.typing import Vector
@@ -38,9 +39,11 @@ def meshes_match(
         opposite = slave.normal - normals[partner]
         length = np.linalg.norm(opposite, axis=1, keepdims=True)
         opposite = opposite / np.where(length > 0.0, length, 1.0)
-        tangential = _across(offset, slave.normal)
-        others = [_across(offset, n) for n in (normals[partner], opposite)]
-        distance = np.min([tangential, *others], axis=0)
+        distances = [
+            np.linalg.norm(tangential_part(offset, normal), axis=1)
+            for normal in (slave.normal, normals[partner], opposite)
+        ]
+        tangential, distance = distances[0], np.min(distances, axis=0)
     near = (distance <= SAME_PLACE * slave.size) & (tangential <= tolerance * slave.size)
     if not comm.allreduce(bool(near.all()), MPI.LAND):
         return False
@@ -50,10 +53,3 @@ def meshes_match(
     number = np.unique(facets, axis=0, return_inverse=True)[1].ravel()
     matching = np.isin(number[len(master.facets) :], number[: len(master.facets)])
     return bool(comm.allreduce(bool(matching.all()), MPI.LAND))
-
-
-def _across(offset: Vector, direction: Vector) -> Vector:
-    """Return the lengths of what of some vectors is across others."""
-    along = np.sum(offset * direction, axis=1)[:, None] * direction
-    lengths: Vector = np.linalg.norm(offset - along, axis=1)
-    return lengths

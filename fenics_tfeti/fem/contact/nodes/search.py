@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MasterNodes, Surface
 from fenics_tfeti.fem.messages import coordinate_order
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
@@ -41,10 +42,9 @@ def nearest(slave: Surface, master: MasterNodes) -> Partners:
     """Pair each slave node with the nearest master node; the distance is along the surface."""
     partner = _nearest_points(master.points, slave.points)[1]
     offset = master.points[partner] - slave.points
-    normal = slave.normal * np.sum(offset * slave.normal, axis=1)[:, None]
     return Partners(
         partner,
-        np.linalg.norm(offset - normal, axis=1),
+        np.linalg.norm(tangential_part(offset, slave.normal), axis=1),
         "along the surface to the nearest master node",
         _REMEDY[0].upper() + _REMEDY[1:],
     )

@@ -25,7 +25,7 @@ _CURVED = 0.1
 _ROUND, _GAUSS_NEWTON_STEPS = 1e-11, 8
 # relative to the largest distance of the nodes of contact: that of other nodes that are on the
 # cylinder too, and the angle between the axis and a coordinate axis that is meant
-_ALSO_ON, _KNOWN_TO = 2.0, 10.0
+_DISTANCE_FACTOR, _ANGLE_FACTOR = 2.0, 10.0
 
 
 def without_axial_tilt(
@@ -47,10 +47,10 @@ def without_axial_tilt(
     distance = np.abs(cylinder.distance(corners.reshape(-1, 3))).reshape(corners.shape[:2])
     farthest = facet_max_at_nodes(boundary.space, surface, distance.max(axis=1))[rows]
     tilt = normal @ cylinder.axis
-    tilted = (farthest <= cylinder.tolerance) & (np.abs(tilt) > COORDINATE_ROUNDING)
-    radial = normal[tilted] - np.outer(tilt[tilted], cylinder.axis)
+    corrected = (farthest <= cylinder.tolerance) & (np.abs(tilt) > COORDINATE_ROUNDING)
+    radial = normal[corrected] - np.outer(tilt[corrected], cylinder.axis)
     normal = normal.copy()
-    normal[tilted] = radial / np.linalg.norm(radial, axis=1, keepdims=True)
+    normal[corrected] = radial / np.linalg.norm(radial, axis=1, keepdims=True)
     return normal
 
 
@@ -88,12 +88,12 @@ class Cylinder:
         nearest = np.argmax(np.abs(fit.axis))
         coordinate_axis = np.eye(3)[nearest] * np.sign(fit.axis[nearest])
         rotation = float(np.linalg.norm(fit.axis - coordinate_axis))
-        is_coordinate_axis = rotation <= _KNOWN_TO * max(misfit, _ROUND)
+        is_coordinate_axis = rotation <= _ANGLE_FACTOR * max(misfit, _ROUND)
         if misfit > (SAME_PLACE if is_coordinate_axis else _ROUND):
             return None
         axis, tolerance = (
             coordinate_axis if is_coordinate_axis else fit.axis,
-            _ALSO_ON * max(misfit, _ROUND),
+            _DISTANCE_FACTOR * max(misfit, _ROUND),
         )
         return Cylinder(middle + size * fit.centre, axis, size * fit.radius, size * tolerance)
 

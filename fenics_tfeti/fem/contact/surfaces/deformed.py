@@ -13,7 +13,12 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
-from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets, owned_facets
+from fenics_tfeti.fem.contact.surfaces.oriented import (
+    corner_normals,
+    global_nodes,
+    oriented_facets,
+    owned_facets,
+)
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.tolerances import VANISHING_NORMAL
 from fenics_tfeti.parallel import concatenate_ranks
@@ -115,7 +120,7 @@ def gather_surface(
     comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
     facets = oriented_facets(space, owned_facets(space.mesh, facet_tags, tag))
     local = np.unique(facets)
-    numbers = np.asarray(space.dofmap.index_map.local_to_global(local), dtype=np.int64)
+    numbers = global_nodes(space, local)
     points = boundary.coordinates[local, :gdim]
     moves = np.zeros_like(points)
     if displacement is not None:

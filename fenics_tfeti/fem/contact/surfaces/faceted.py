@@ -136,11 +136,11 @@ class FacetedSurface:
         intersections = [
             self._intersect(*part) for part in zip(_blocks(x), _blocks(direction), strict=True)
         ]
-        ahead, behind = (np.concatenate(column) for column in zip(*intersections, strict=True))
+        forward, backward = (np.concatenate(column) for column in zip(*intersections, strict=True))
         length = np.abs(distance.signed)
         cosine = -np.sum(direction * distance.normal, axis=1)
         plane = length / np.maximum(cosine, 1.0 / largest_ratio)
-        gap = np.where(distance.signed > 0.0, ahead, behind)
+        gap = np.where(distance.signed > 0.0, forward, backward)
         gap = np.where(np.isfinite(gap), np.minimum(gap, largest_ratio * length), plane)
         return np.sign(distance.signed) * gap, distance.signed
 
@@ -189,13 +189,13 @@ class FacetedSurface:
         # up to rounding, so that no line passes between two facets; False on facets without area,
         # where the weights are NaN
         hit = faces & (weights >= -RELATIVE_ROUNDING).all(axis=1)
-        ahead, behind = np.full(len(x), np.inf), np.full(len(x), np.inf)
+        forward, backward = np.full(len(x), np.inf), np.full(len(x), np.inf)
         for nearest, chosen in (
-            (ahead, hit & (distance >= 0.0)),
-            (behind, hit & (distance <= 0.0)),
+            (forward, hit & (distance >= 0.0)),
+            (backward, hit & (distance <= 0.0)),
         ):
             np.minimum.at(nearest, row[chosen], np.abs(distance[chosen]))
-        return ahead, behind
+        return forward, backward
 
 
 def _blocks(rows: Vector) -> list[Vector]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import combinations
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.messages import raise_where
@@ -101,7 +103,7 @@ def initial_gap(
         return np.full_like(gap, float(value))
     label = f"{name}: initial_gap"
     with raise_collectively(comm):
-        values = _evaluate(value, points, label)
+        values = scalars_at(value, points, label)
     raise_where(
         comm,
         ~np.isfinite(values),
@@ -113,19 +115,19 @@ def initial_gap(
     return values
 
 
-def _evaluate(given: Any, points: Vector, what: str) -> Vector:
+def scalars_at(function: Callable[[Vector], ArrayLike], points: Vector, label: str) -> Vector:
+    """Evaluate a user's scalar function (k,) at points (k, 3); the label is for messages."""
     if not len(points):
         # a user's function may fail for no points
         return np.zeros(0)
+    returned = evaluate(function, points, label)
     try:
-        values = np.asarray(evaluate(given, points, what), dtype=float)
-    except (TypeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{what} has to return numbers, one for each point") from None
+        values = np.asarray(returned, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{label} has to return numbers, one for each point") from None
     if values.shape != (len(points),):
         raise InputError(
-            f"{what} returned shape {values.shape} for points of shape (3, {len(points)}); "
+            f"{label} returned shape {values.shape} for points of shape (3, {len(points)}); "
             f"({len(points)},) is expected"
         )
     return values

@@ -13,7 +13,6 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from dolfinx.fem import Function, FunctionSpace
@@ -22,10 +21,14 @@ from fenics_tfeti.fem.contact.mortar.candidates import REACH
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
-from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets, owned_facets
+from fenics_tfeti.fem.contact.surfaces.oriented import (
+    global_nodes,
+    oriented_facets,
+    owned_facets,
+)
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.parallel import exchange
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 Boxes = tuple[Vector, Vector]
 
@@ -57,22 +60,20 @@ def gather_nearby(
     if displacement is not None:
         moves = displacement.x.array.reshape(-1, gdim)[: len(undeformed)]
     points = undeformed + moves
-    rows = _own_facets(space, facet_tags, tag)
+    rows = _facet_nodes(space, facet_tags, tag)
     tree = BoxTree(points[rows]) if len(rows) else None
-    nodes = _own_facets(space, facet_tags, around)
+    nodes = _facet_nodes(space, facet_tags, around)
     alone = owned - space.dofmap.index_map.local_range[0]
     nodes = np.concatenate([nodes, np.repeat(alone[:, None], nodes.shape[1], axis=1)])
     distance = _distances(comm, points, nodes, rows, tree)
     needed = _needed_boxes(comm, points, nodes, rows, distance)
     parts = _selected(comm, needed, tree)
-    index_map = space.dofmap.index_map
-    numbers = np.asarray(index_map.local_to_global(rows.ravel().astype(np.int32)), dtype=np.int64)
-    numbers = numbers.reshape(rows.shape)
+    numbers = global_nodes(space, rows)
     received = exchange(comm, [_packed(rows[part], numbers[part], points, moves) for part in parts])
     return _joined(received)
 
 
-def _own_facets(space: FunctionSpace, facet_tags: Any, tag: int) -> Numbers:
+def _facet_nodes(space: FunctionSpace, facet_tags: Any, tag: int) -> Numbers:
     """Return the local nodes (f, t) of the tagged facets that this rank owns."""
     return oriented_facets(space, owned_facets(space.mesh, facet_tags, tag)).astype(np.int64)
 
@@ -130,10 +131,9 @@ def _selected(comm: MPI.Intracomm, needed: list[Boxes], tree: BoxTree | None) ->
     rank = np.repeat(np.arange(comm.size), [len(low) for low, _ in needed])
     low, high = (np.concatenate(ends) for ends in zip(*needed, strict=True))
 
-    def overlaps(query: Numbers, box_low: Vector, box_high: Vector) -> NDArray[np.bool_]:
-        meeting = (box_low <= high[query]) & (box_high >= low[query])
-        every: NDArray[np.bool_] = meeting.all(axis=1)
-        return every
+    def overlaps(query: Numbers, box_low: Vector, box_high: Vector) -> Mask:
+        overlapping: Mask = ((box_low <= high[query]) & (box_high >= low[query])).all(axis=1)
+        return overlapping
 
     query, facet = tree.candidates(len(rank), overlaps)
     return [np.unique(facet[rank[query] == destination]) for destination in range(comm.size)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
 from dolfinx.mesh import Mesh
@@ -13,7 +14,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_facets, cell_type, cell_vertices
-from fenics_tfeti.typing import Indices, Vector
+from fenics_tfeti.typing import Indices, Numbers, Vector
 
 
 def owned_facets(domain: Mesh, facet_tags: Any, tag: int) -> Indices:
@@ -21,6 +22,12 @@ def owned_facets(domain: Mesh, facet_tags: Any, tag: int) -> Indices:
     facets = facet_tags.find(tag)
     owned = domain.topology.index_map(domain.topology.dim - 1).size_local
     return np.sort(facets[facets < owned])
+
+
+def global_nodes(space: FunctionSpace, local: NDArray[Any]) -> Numbers:
+    """Return the global numbers of local nodes, in an array of the same shape."""
+    numbers = space.dofmap.index_map.local_to_global(local.ravel().astype(np.int32))
+    return np.asarray(numbers, dtype=np.int64).reshape(local.shape)
 
 
 def oriented_facets(space: FunctionSpace, facets: Indices) -> Indices:
@@ -56,6 +63,12 @@ def _reflection(facet: ReferenceCell, nodes: int) -> list[int]:
         return [1, 0, 2][:nodes]
     corners = [0, *range(v - 1, 0, -1)]
     return [*corners, *range(2 * v - 1, v - 1, -1), 2 * v][:nodes]
+
+
+def tangential_part(vectors: Vector, normal: Vector) -> Vector:
+    """Return vectors (k, gdim) less their components along unit normals (k, gdim)."""
+    tangential: Vector = vectors - np.sum(vectors * normal, axis=1)[:, None] * normal
+    return tangential
 
 
 def corner_normals(corners: Vector) -> Vector:

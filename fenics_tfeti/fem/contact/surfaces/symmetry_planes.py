@@ -7,10 +7,13 @@ surface has no component across it.
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 
 from dolfinx.fem import FunctionSpace
 
+from fenics_tfeti.fem.contact.surfaces.oriented import global_nodes
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
 from fenics_tfeti.feti.system import Prescribed
 from fenics_tfeti.parallel import Directory
@@ -20,8 +23,8 @@ from fenics_tfeti.typing import Mask, Vector
 # whose symmetry plane the node is in: 2 on a uniform mesh. On a plane, inclined or not, it is 1.
 _GROWTH = 1.3
 
-# Length of what is left of a unit normal, below which the prescribed components are no symmetry.
-_LEFT = 0.5
+# Length of the rest of a unit normal, below which the prescribed components are no symmetry.
+_SHORTEST = 0.5
 
 
 def prescribed_components(surface: Surface, prescribed: Prescribed) -> Mask:
@@ -34,6 +37,14 @@ def prescribed_components(surface: Surface, prescribed: Prescribed) -> Mask:
     return mask
 
 
+def same_supports(
+    comm: MPI.Intracomm, surface: Surface, prescribed: Prescribed, mask: Mask
+) -> bool:
+    """Tell whether the prescribed components of a surface are those of a mask. Collective."""
+    same = np.array_equal(prescribed_components(surface, prescribed), mask)
+    return bool(comm.allreduce(same, MPI.LAND))
+
+
 def normals_in_symmetry_planes(space: FunctionSpace, surface: Surface, prescribed: Mask) -> Vector:
     """Return a surface's unit normals without components that symmetry rules out. Collective.
 
@@ -44,10 +55,7 @@ def normals_in_symmetry_planes(space: FunctionSpace, surface: Surface, prescribe
     fixed = values_on_facets(space, surface, prescribed.astype(float)) > 0.5
     free_sum = np.where(fixed, 0.0, normal).sum(axis=1)
     free_count = (~fixed).sum(axis=1).astype(float)
-    vertices = np.asarray(
-        space.dofmap.index_map.local_to_global(surface.vertices.ravel().astype(np.int32)),
-        dtype=np.int64,
-    )
+    vertices = global_nodes(space, surface.vertices.ravel())
     v = surface.vertices.shape[1]
     directory = Directory(space.mesh.comm, np.unique(np.concatenate([vertices, surface.nodes])))
     rows = np.repeat(np.hstack([free_sum, free_count]), v, axis=0)
@@ -60,7 +68,7 @@ def normals_in_symmetry_planes(space: FunctionSpace, surface: Surface, prescribe
     removed = prescribed & (neighbour_mean > _GROWTH * np.abs(surface.normal))
     projected = np.where(removed, 0.0, surface.normal)
     length = np.linalg.norm(projected, axis=1)
-    curved = length > _LEFT
+    curved = length > _SHORTEST
     normals: Vector = np.where(
         curved[:, None], projected / np.where(curved, length, 1.0)[:, None], surface.normal
     )

@@ -17,7 +17,12 @@ from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets, owned_facets
+from fenics_tfeti.fem.contact.surfaces.oriented import (
+    corner_normals,
+    global_nodes,
+    oriented_facets,
+    owned_facets,
+)
 from fenics_tfeti.fem.messages import coordinate_order, raise_where
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, VANISHING_NORMAL
@@ -169,21 +174,18 @@ def tagged_surface(
     coordinates = boundary.coordinates[nodes]
     extent = domain.comm.allreduce(float(np.abs(coordinates).max(initial=0.0)), MPI.MAX)
     weighted = boundary.integrate(boundary.normal_form, facets)[nodes]
-    to_global = space.dofmap.index_map.local_to_global
     facet_nodes, facet_type = oriented_facets(space, facets), cell_type(domain).facet
     vertices = facet_nodes[:, : facet_type.vertices]
-    global_nodes = np.asarray(to_global(nodes), dtype=np.int64)
-    global_vertices = np.asarray(to_global(vertices.ravel()), dtype=np.int64).reshape(
-        vertices.shape
+    numbers = global_nodes(space, nodes)
+    corners = boundary.coordinates[vertices, : domain.geometry.dim]
+    size, facet_area = _facets_at_nodes(
+        domain.comm, corners, global_nodes(space, vertices), numbers
     )
-    gdim = domain.geometry.dim
-    corners = boundary.coordinates[vertices, :gdim]
-    size, facet_area = _facets_at_nodes(domain.comm, corners, global_vertices, global_nodes)
     normal, area = _normals_and_areas(
         domain.comm, weighted, facet_area, coordinates, user_normal, label
     )
     return Surface(
-        global_nodes,
+        numbers,
         nodes,
         coordinates,
         normal,
@@ -223,8 +225,7 @@ def facet_max_at_nodes(space: FunctionSpace, surface: Surface, values: Vector) -
 
     The values (f,) of this rank's facets are not negative.
     """
-    local = surface.vertices.ravel().astype(np.int32)
-    vertices = np.asarray(space.dofmap.index_map.local_to_global(local), dtype=np.int64)
+    vertices = global_nodes(space, surface.vertices.ravel())
     owners = Directory(space.mesh.comm, surface.nodes)
     keys, values = owners.forward(vertices, np.repeat(values, surface.vertices.shape[1]))
     largest = np.zeros(surface.nodes.size)
