@@ -145,9 +145,8 @@ def _integrate_cells(
     weighted = slave_functions * weights
     ones = share = _sum(weighted.sum(axis=1), cell_facet, facet.size)
     if weight is not None:
-        weighted *= np.einsum("cqi,ci->cq", slave_functions, weight[slave_facet[cell_pair]])[
-            :, :, None
-        ]
+        factor = np.einsum("cqi,ci->cq", slave_functions, weight[slave_facet[cell_pair]])
+        weighted *= factor[:, :, None]
         ones = _sum(weighted.sum(axis=1), cell_facet, facet.size)
     mass = trace = _sum(_products(weighted, slave_functions), cell_facet, facet.size)
     if slave.per_facet > 1:

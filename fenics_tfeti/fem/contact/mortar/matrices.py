@@ -96,13 +96,11 @@ def multiplier_shares(coverage: Vector, free: Mask, pairs: Numbers) -> sp.csc_ma
     better = coverage[k] > (1.0 + RELATIVE_ROUNDING) * coverage[j]
     takes = ~free[k] & (free[j] | (coverage[j] < BARELY_COVERED) & better)
     size = (coverage.size, coverage.size)
-    receivers = sp.csc_matrix((np.ones(takes.sum()), (k[takes], j[takes])), shape=size)
-    receivers.data[:] = 1.0
-    number = np.diff(receivers.indptr)
+    links = sp.csc_matrix((np.ones(takes.sum()), (k[takes], j[takes])), shape=size)
+    links.data[:] = 1.0
+    number = np.diff(links.indptr)
     kept = (number == 0) & ~free & (coverage > SLIVER_COVERED)
-    shares = receivers @ sp.diags(1.0 / np.maximum(number, 1)) + sp.diags(
-        (number == 0).astype(float)
-    )
+    shares = links @ sp.diags(1.0 / np.maximum(number, 1)) + sp.diags((number == 0).astype(float))
     # what is given to nodes that give it on: always to nodes that are covered better
     while shares[number > 0].nnz:
         shares = shares @ shares

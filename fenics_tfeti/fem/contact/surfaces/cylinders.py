@@ -91,11 +91,9 @@ class Cylinder:
         is_coordinate_axis = rotation <= _ANGLE_FACTOR * max(misfit, _ROUND)
         if misfit > (SAME_PLACE if is_coordinate_axis else _ROUND):
             return None
-        axis, tolerance = (
-            coordinate_axis if is_coordinate_axis else fit.axis,
-            _DISTANCE_FACTOR * max(misfit, _ROUND),
-        )
-        return Cylinder(middle + size * fit.centre, axis, size * fit.radius, size * tolerance)
+        axis = coordinate_axis if is_coordinate_axis else fit.axis
+        tolerance = size * (_DISTANCE_FACTOR * max(misfit, _ROUND))
+        return Cylinder(middle + size * fit.centre, axis, size * fit.radius, tolerance)
 
     def distance(self, points: Vector) -> Vector:
         """Return signed distances (k,) of points, positive outside [m]."""

@@ -265,9 +265,8 @@ def _closest_on(corners: Vector, normal: Vector, x: Vector) -> tuple[Vector, Num
     row = np.arange(outside.size)
     point[outside] = edge_points[row, edge]
     position = position[row, edge]
-    feature[outside] = np.select(
-        [position == 0.0, position == 1.0], [edge, (edge + 1) % 3], 3 + edge
-    )
+    ends = [position == 0.0, position == 1.0]
+    feature[outside] = np.select(ends, [edge, (edge + 1) % 3], 3 + edge)
     return point, feature
 
 

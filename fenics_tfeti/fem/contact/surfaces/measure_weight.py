@@ -48,9 +48,7 @@ def as_ufl_weight(domain: Mesh, weight: Any, name: str) -> Any:
         )
     mesh_domain = domain.ufl_domain()
     for terminal in traverse_unique_terminals(weight):
-        if any(
-            domain_of_terminal != mesh_domain for domain_of_terminal in extract_domains(terminal)
-        ):
+        if any(part != mesh_domain for part in extract_domains(terminal)):
             raise InputError(f"{label} is on another mesh than the displacement")
     return weight
 

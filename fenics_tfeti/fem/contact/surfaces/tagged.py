@@ -216,8 +216,8 @@ def values_on_facets(space: FunctionSpace, surface: Surface, values: Vector) -> 
     carrier = fem.Function(space)
     carrier.x.array.reshape(-1, gdim)[surface.local] = values
     carrier.x.scatter_forward()
-    at_corners: Vector = carrier.x.array.reshape(-1, gdim)[surface.vertices]
-    return at_corners
+    corner_values: Vector = carrier.x.array.reshape(-1, gdim)[surface.vertices]
+    return corner_values
 
 
 def facet_max_at_nodes(space: FunctionSpace, surface: Surface, values: Vector) -> Vector:
