@@ -97,7 +97,7 @@ def match_contact(
             return pairing
         normal = without_axial_tilt(boundary, pairing.surface, pairing.slave, pairing.normal)
         return replace(pairing, normal=normal)
-    gap = _gap_again(boundary.space.mesh.comm, contact, earlier)
+    gap = _updated_gap(boundary.space.mesh.comm, contact, earlier)
     if earlier.weighted_form is None:
         return earlier if gap is earlier.gap else replace(earlier, gap=gap)
     surface = earlier.surface
@@ -116,7 +116,7 @@ def _still_holds(
     return same_supports(comm, earlier.surface, prescribed, earlier.prescribed)
 
 
-def _gap_again(comm: MPI.Intracomm, contact: ContactPair, earlier: ContactPairing) -> Vector:
+def _updated_gap(comm: MPI.Intracomm, contact: ContactPair, earlier: ContactPairing) -> Vector:
     """Return the gaps of a pair; a function of the user may have changed. Collective."""
     if not callable(contact.initial_gap):
         return earlier.gap

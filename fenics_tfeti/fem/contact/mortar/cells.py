@@ -122,7 +122,7 @@ def _beyond_an_edge(slave: Vector, master: Vector) -> Mask:
 
     It costs less than to cut them, and a third of the facets whose boxes meet are.
     """
-    beyond = np.zeros(len(slave), dtype=bool)
+    outside_edge = np.zeros(len(slave), dtype=bool)
     for corner in range(3):
         start, end = master[:, corner], master[:, (corner + 1) % 3]
         edge = end - start
@@ -131,8 +131,8 @@ def _beyond_an_edge(slave: Vector, master: Vector) -> Mask:
             # facets that face the slave are clockwise in its plane
             side = edge[:, 0] * (point - start)[:, 1] - edge[:, 1] * (point - start)[:, 0]
             outside &= side >= 0.0
-        beyond |= outside
-    return beyond
+        outside_edge |= outside
+    return outside_edge
 
 
 def _columns(planes: Planes) -> tuple[Vector, Vector, Vector, Vector]:

@@ -174,9 +174,9 @@ def _conditions(
     row, position, share = sharing.rows(slave.nodes)
     normal = slave.nodal_normals * matrices.area[:, None]
     integral = share[:, None] * np.column_stack([normal, matrices.gap, matrices.area])[position]
-    sums = _at_nodes(owners, nodes, row, integral, np.add)
+    sums = _reduce_at_nodes(owners, nodes, row, integral, np.add)
     normal, gap, area = np.split(sums, np.cumsum(2 * [normal.shape[1]]), axis=1)
-    total, covered = _at_nodes(owners, nodes, slave.nodes, parts, np.add).T
+    total, covered = _reduce_at_nodes(owners, nodes, slave.nodes, parts, np.add).T
     chord, deviation, angle = _largest_of_facets(owners, slave, opposite, normals, integrals, nodes)
     facets = np.zeros(len(slave.facets), dtype=bool)
     facets[integrals.facet] = True
@@ -263,7 +263,7 @@ class SharedMultipliers:
         return rows, position, share
 
 
-def _at_nodes(
+def _reduce_at_nodes(
     owners: Directory, nodes: Numbers, row: Numbers, values: Vector, ufunc: np.ufunc
 ) -> Vector:
     """Sum or maximise rows of values (t, q) at this rank's nodes (k,) of conditions. Collective."""
@@ -331,7 +331,7 @@ def _largest_of_facets(
     largest[:, :2] += slave_heights
     covered = slave.facets.corners[integrals.facet]
     values = np.repeat(largest[integrals.facet], covered.shape[1], axis=0)
-    return _at_nodes(owners, nodes, slave.nodes[covered.ravel()], values, np.maximum).T
+    return _reduce_at_nodes(owners, nodes, slave.nodes[covered.ravel()], values, np.maximum).T
 
 
 def _middles(surface: Facets) -> Vector | None:

@@ -82,7 +82,7 @@ def along_direction(
         reached, best = np.unique(line[order], return_index=True)
         partner[first + reached], distance[first + reached] = node[order][best], radial[order][best]
     # the distances of the others are for a message only, which names a few nodes
-    for row in _first_rows(slave.points, partner < 0):
+    for row in _first_points(slave.points, partner < 0):
         facing = master.normal @ slave.normal[row] < 0.0
         radial = _distance_to_lines(slave.points[[row]], lines[[row]], master.points[facing])[0]
         distance[row] = radial.min(initial=np.inf)
@@ -236,7 +236,7 @@ def _distance_to_lines(points: Vector, lines: Vector, targets: Vector) -> Vector
     return distance
 
 
-def _first_rows(points: Vector, chosen: NDArray[np.bool_], number: int = 3) -> Numbers:
+def _first_points(points: Vector, chosen: NDArray[np.bool_], number: int = 3) -> Numbers:
     """Return the rows of the first chosen points by their coordinates."""
     rows = np.flatnonzero(chosen)
     first: Numbers = rows[coordinate_order(points[rows])[:number]]
@@ -286,7 +286,7 @@ def _check_points_are_nodes(
     points, distance, limit = (concatenate_ranks(comm, column) for column in columns)
     if not len(points):
         return
-    first = _first_rows(points, np.ones(len(points), dtype=bool))
+    first = _first_points(points, np.ones(len(points), dtype=bool))
     places = "; ".join(
         f"{format_point(points[k])} at distance {distance[k]:.3g} (tolerance {limit[k]:.3g})"
         for k in first
@@ -301,7 +301,7 @@ def _check_named_once(comm: MPI.Intracomm, slave: Surface, rows: Numbers, name: 
     node, counts = np.unique(rows, return_counts=True)
     repeated = concatenate_ranks(comm, slave.points[node[counts > 1]])
     if len(repeated):
-        first = _first_rows(repeated, np.ones(len(repeated), dtype=bool), 1)[0]
+        first = _first_points(repeated, np.ones(len(repeated), dtype=bool), 1)[0]
         raise InputError(
             f"{name}: {len(repeated)} slave nodes are in several pairs, the first at "
             f"{format_point(repeated[first], slave.extent)}: name each once"

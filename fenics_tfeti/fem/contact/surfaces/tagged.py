@@ -47,7 +47,7 @@ class MeshBoundary:
     space: FunctionSpace  # that of the displacement
     linear: FunctionSpace  # of degree 1 on its mesh, which it may be itself
     coordinates: Vector  # (nodes, 3): of this rank's nodes, ghosts last [m]
-    at_vertex: NDArray[np.bool_]  # (nodes,): whether a node is a vertex of cells
+    is_vertex: NDArray[np.bool_]  # (nodes,): whether a node is a vertex of cells
     # whether each facet of this rank is on the boundary; False for ghosts
     exterior: NDArray[np.bool_]
     rows: Indices  # (facets, 2): a cell of each facet of this rank, and the facet's number in it
@@ -66,10 +66,10 @@ class MeshBoundary:
         if _compat.element_facts(space)[1] > 1:
             linear = _compat.lagrange_space(domain, 1, space.dofmap.index_map_bs)
         coordinates = space.tabulate_dof_coordinates()
-        at_vertex = np.zeros(len(coordinates), dtype=bool)
-        at_vertex[vertex_nodes(space)] = True
+        is_vertex = np.zeros(len(coordinates), dtype=bool)
+        is_vertex[vertex_nodes(space)] = True
         form = _normal_form(linear)
-        return MeshBoundary(space, linear, coordinates, at_vertex, exterior, rows, form)
+        return MeshBoundary(space, linear, coordinates, is_vertex, exterior, rows, form)
 
     @property
     def degree(self) -> int:
@@ -170,7 +170,7 @@ def tagged_surface(
     _check_facets(boundary, facet_tags, tag, facets, label)
 
     nodes = np.asarray(fem.locate_dofs_topological(space, dim - 1, facets), dtype=np.int32)
-    nodes = np.sort(nodes[(nodes < space.dofmap.index_map.size_local) & boundary.at_vertex[nodes]])
+    nodes = np.sort(nodes[(nodes < space.dofmap.index_map.size_local) & boundary.is_vertex[nodes]])
     coordinates = boundary.coordinates[nodes]
     extent = domain.comm.allreduce(float(np.abs(coordinates).max(initial=0.0)), MPI.MAX)
     weighted = boundary.integrate(boundary.normal_form, facets)[nodes]
