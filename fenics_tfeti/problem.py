@@ -61,8 +61,8 @@ from fenics_tfeti.fem.contact.slip import (
     SlipOrigin,
     friction_result,
     friction_rows,
-    moved_obstacles,
     nodal_friction,
+    obstacle_displacements,
 )
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.contact.tied import TiedPair, TiedPairing, tie_pairs, tied_name, tied_rows
@@ -300,7 +300,7 @@ class ContactProblem:
                 energy = [body.energy_norm**2 for body in self.report.certificate.bodies]
                 self._warned_of_gradients = warn_of_large_gradients(uh, self._bodies, energy)
             if self.report.converged:
-                moved = moved_obstacles(self.space, self._matched, self._rubbing)
+                moved = obstacle_displacements(self.space, self._matched, self._rubbing)
                 self._origin = SlipOrigin(owned_values(uh), moved)
             self._save(uh, [])
             try:
@@ -534,7 +534,7 @@ class ContactProblem:
         with raise_collectively(self.space.mesh.comm):
             self.bcs, self.contacts = given_conditions(self.bcs), given_contacts(self.contacts)
             self.tied = given_tied(self.tied)
-        self._origin = self._origin.of_contacts(len(self.contacts))
+        self._origin = self._origin.resized(len(self.contacts))
         moved = self._take_moved_mesh()
         prescribed = prescribed_values(self.space, self.bcs)
         self._match_contacts(prescribed)

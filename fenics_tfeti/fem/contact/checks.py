@@ -21,6 +21,7 @@ from fenics_tfeti.fem.contact.contact import Contact, ContactPair, ContactPairin
 from fenics_tfeti.fem.contact.nodes.search import Partners
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.surfaces.initial_gap import check_initial_gap
+from fenics_tfeti.fem.contact.surfaces.oriented import global_nodes, tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MasterNodes, Surface
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, raise_where
@@ -33,15 +34,7 @@ from fenics_tfeti.typing import Mask, Vector
 
 
 def check_arguments(contact: ContactPair, name: str, degree: int) -> None:
-    """Check the arguments of a pair that need no mesh, but the displacement's degree.
-
-    Raises
-    ------
-    InputError
-        Equal tags, several ways to find partners or one for mortar conditions, a mapping that is
-        not a function, a tolerance that is not positive, an unknown discretisation or initial gap,
-        pairs of nodes for displacements of degree 2.
-    """
+    """Check the arguments of a pair that need no mesh, but the displacement's degree."""
     if contact.slave == contact.master:
         raise InputError(
             f"{name}: slave and master have the same tag {contact.slave}; each surface needs one "
@@ -56,22 +49,26 @@ def check_arguments(contact: ContactPair, name: str, degree: int) -> None:
     if contact.roles not in ("auto", "given"):
         raise InputError(f"{name}: roles is {contact.roles!r}; 'auto' or 'given' is expected")
     check_initial_gap(contact.initial_gap, name)
-    ways = [way for way in ("direction", "mapping", "pairs") if getattr(contact, way) is not None]
-    if ways and contact.discretisation == "mortar":
+    arguments = [
+        argument
+        for argument in ("direction", "mapping", "pairs")
+        if getattr(contact, argument) is not None
+    ]
+    if arguments and contact.discretisation == "mortar":
         raise InputError(
-            f"{name}: {' and '.join(ways)} tells how nodes find partners, but mortar conditions "
-            "are between surfaces. Leave it out, or take discretisation='node_to_node'"
+            f"{name}: {' and '.join(arguments)} tells how nodes find partners, but mortar "
+            "conditions are between surfaces. Leave it out, or take discretisation='node_to_node'"
         )
-    if degree > 1 and (ways or contact.discretisation == "node_to_node"):
-        what = " and ".join(ways) or "discretisation='node_to_node'"
+    if degree > 1 and (arguments or contact.discretisation == "node_to_node"):
+        request = " and ".join(arguments) or "discretisation='node_to_node'"
         raise InputError(
-            f"{name}: {what} asks for conditions between pairs of nodes, which are for "
+            f"{name}: {request} asks for conditions between pairs of nodes, which are for "
             f"displacements of degree 1; this one is of degree {degree}. Leave it out: the "
             "conditions are mortar conditions then"
         )
-    if len(ways) > 1:
+    if len(arguments) > 1:
         raise InputError(
-            f"{name}: {' and '.join(ways)} are given; partners can be found in one way only"
+            f"{name}: {' and '.join(arguments)} are given; partners can be found in one way only"
         )
     if contact.mapping is not None and not callable(contact.mapping):
         raise InputError(f"{name}: the mapping has to be a function x (3, n) -> (3, n)")
@@ -92,26 +89,7 @@ def check_arguments(contact: ContactPair, name: str, degree: int) -> None:
 def check_shared_nodes(
     comm: MPI.Intracomm, slave: Surface, shared: Mask, allowed: bool, name: str
 ) -> None:
-    """Check that slave and master share no nodes, or in a partial contact not all of them.
-
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    slave : Surface
-        The slave's surface.
-    shared : (k,) bool array
-        Which of its nodes belong to the master as well.
-    allowed : bool
-        Whether shared nodes stay free.
-    name : str
-        Name of the contact.
-
-    Raises
-    ------
-    InputError
-        With the number of shared nodes and the first one.
-    """
+    """Check that slave and master share no nodes (k,), or that they may stay free."""
     raise_where(
         comm,
         np.zeros_like(shared) if allowed else shared,
@@ -134,13 +112,7 @@ def check_partners(
     partial: bool,
     name: str,
 ) -> None:
-    """Check that all slave nodes have a partner, or in a partial contact at least one.
-
-    Raises
-    ------
-    InputError
-        With the first nodes without partner, their distances and the remedy.
-    """
+    """Check that all slave nodes have a partner, or in a partial contact at least one."""
     far = partners.distance > limit
     missing, total = comm.allreduce(int(far.sum())), comm.allreduce(far.size)
     if missing == 0 or (partial and missing < total):
@@ -149,11 +121,11 @@ def check_partners(
     largest = comm.allreduce(float(relative[np.isfinite(relative)].max(initial=0.0)), MPI.MAX)
     columns = (slave.points[far], partners.distance[far], limit[far])
     rows = _first_rows(comm, columns, 3)
-    some = "; ".join(
-        f"{format_point(point, slave.extent)} at distance {distance:.3g} (tolerance {most:.3g})"
+    places = "; ".join(
+        f"{format_point(point, slave.extent)} at distance {distance:.3g} (tolerance {bound:.3g})"
         if np.isfinite(distance)
         else f"{format_point(point, slave.extent)}"
-        for point, distance, most in zip(*rows, strict=True)
+        for point, distance, bound in zip(*rows, strict=True)
     )
     measure = (
         f"Distances are {partners.measure}, up to {largest:.2g} of the facets' size. "
@@ -162,7 +134,7 @@ def check_partners(
     )
     free = "" if partial else ", or leave these nodes free by partial=True"
     raise InputError(
-        f"{name}: {missing} of {total} slave nodes have no partner: {some}. {measure}"
+        f"{name}: {missing} of {total} slave nodes have no partner: {places}. {measure}"
         f"{partners.remedy}{free}"
     )
 
@@ -172,22 +144,16 @@ def check_one_to_one(
     slave: Surface,
     master: MasterNodes,
     partners: Partners,
-    found: Mask,
+    paired: Mask,
     partial: bool,
     name: str,
 ) -> None:
-    """Check that no two slave nodes have the same partner.
-
-    Raises
-    ------
-    InputError
-        With the first master node that several slave nodes have, and the remedy.
-    """
-    shared, counts = np.unique(concatenate_ranks(comm, partners.master[found]), return_counts=True)
+    """Check that no two slave nodes have the same partner."""
+    shared, counts = np.unique(concatenate_ranks(comm, partners.master[paired]), return_counts=True)
     shared = shared[counts > 1]
     if not shared.size:
         return
-    concerned = found & np.isin(partners.master, shared)
+    concerned = paired & np.isin(partners.master, shared)
     relative = partners.distance[concerned] / slave.size[concerned]
     columns = (slave.points[concerned], partners.master[concerned], relative)
     points, partner, relative = (concatenate_ranks(comm, column) for column in columns)
@@ -195,9 +161,9 @@ def check_one_to_one(
     order = np.lexsort((relative, partner))
     second = order[1:][partner[order][1:] == partner[order][:-1]]
     # the master's nodes are in the order of their coordinates
-    both = points[partner == shared[0]]
+    conflicting = points[partner == shared[0]]
     places = " and ".join(
-        format_point(point, slave.extent) for point in both[coordinate_order(both)]
+        format_point(point, slave.extent) for point in conflicting[coordinate_order(conflicting)]
     )
     remedy = (
         "Exchange slave and master, or mesh the surfaces alike"
@@ -213,33 +179,14 @@ def check_one_to_one(
 
 
 def check_facing(
-    comm: MPI.Intracomm, slave: Surface, found: Mask, angle: Vector, name: str
+    comm: MPI.Intracomm, slave: Surface, paired: Mask, angle: Vector, name: str
 ) -> None:
-    """Check that the slave's normals point against those of the partners.
-
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    slave : Surface
-        The slave's surface.
-    found : (k,) bool array
-        Which of its nodes have a partner.
-    angle : (p,) array
-        Angles between their normals and the opposite of the partners' [degrees].
-    name : str
-        Name of the contact.
-
-    Raises
-    ------
-    InputError
-        With the number of nodes whose normals look the same way as the partners', and the first.
-    """
+    """Check that the slave's normals point against those of the partners, angles in degrees."""
     # a coarse mesh of a curved surface, or a normal that the user gave, may be off by a right angle
     raise_where(
         comm,
         angle > 120.0,
-        slave.points[found],
+        slave.points[paired],
         lambda number, place: (
             f"{name}: slave and master look the same way at {number} nodes, the first at {place}: "
             "the outward normals of surfaces that touch point against each other. Is one of the "
@@ -258,67 +205,50 @@ def check_not_crossed(
 ) -> None:
     """Check that neighbouring slave nodes have their partners in the same order along the surface.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    slave : Surface
-        The slave's surface.
-    corners, normals, images : (f, v, gdim) arrays
-        Corners of this rank's facets, one after the other around each, the normals there, and the
-        partners' coordinates, NaN where there is none.
-    name : str
-        Name of the contact.
-
-    Raises
-    ------
-    InputError
-        With the first edge whose ends have crossing pairs, and the remedy.
+    Arrays (f, v, gdim) are of the corners of this rank's facets, one after the other around each;
+    the images are the partners' coordinates, NaN where there is none.
     """
     gdim = images.shape[2]
     v = corners.shape[1]
     edges = np.array([(k, (k + 1) % v) for k in range(v if v > 2 else 1)])
     ends, ends_normals, partners = (
-        of_facets[:, edges].reshape(-1, 2, gdim) for of_facets in (corners, normals, images)
+        corner_values[:, edges].reshape(-1, 2, gdim) for corner_values in (corners, normals, images)
     )
     normal = ends_normals.sum(axis=1)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)
     # tangential components only: gaps may differ from node to node
-    edge = _tangential(ends[:, 1] - ends[:, 0], normal)
+    edge = tangential_part(ends[:, 1] - ends[:, 0], normal)
     image = partners[:, 1] - partners[:, 0]
     product = np.linalg.norm(edge, axis=1) * np.linalg.norm(image, axis=1)
-    image = _tangential(image, normal)
+    image = tangential_part(image, normal)
     # False where there is a NaN
     crossed = np.sum(edge * image, axis=1) < -RELATIVE_ROUNDING * product
 
-    found = np.concatenate([ends[crossed], partners[crossed]], axis=1)
+    crossings = np.concatenate([ends[crossed], partners[crossed]], axis=1)
     # an edge belongs to two facets: it is listed from its smaller end, and once
-    swap = _comes_before(found[:, 1], found[:, 0])
-    found[swap] = found[swap][:, [1, 0, 3, 2]]
-    found = np.unique(concatenate_ranks(comm, found.reshape(-1, 4 * gdim)), axis=0)
-    if not len(found):
+    swap = _comes_before(crossings[:, 1], crossings[:, 0])
+    crossings[swap] = crossings[swap][:, [1, 0, 3, 2]]
+    crossings = np.unique(concatenate_ranks(comm, crossings.reshape(-1, 4 * gdim)), axis=0)
+    if not len(crossings):
         return
-    a, b, of_a, of_b = (format_point(p, slave.extent) for p in found[0].reshape(4, gdim))
-    raise InputError(
-        f"{name}: pairs cross on {len(found)} edges of slave facets: the neighbours {a} and {b} "
-        f"have the partners {of_a} and {of_b}, which lie in the opposite order. Correct the pairs, "
-        "mapping or direction, or lower the pair's tolerance"
+    a, b, partner_a, partner_b = (
+        format_point(p, slave.extent) for p in crossings[0].reshape(4, gdim)
     )
-
-
-def _tangential(vectors: Vector, normal: Vector) -> Vector:
-    tangential: Vector = vectors - np.sum(vectors * normal, axis=1)[:, None] * normal
-    return tangential
+    raise InputError(
+        f"{name}: pairs cross on {len(crossings)} edges of slave facets: the neighbours {a} and "
+        f"{b} have the partners {partner_a} and {partner_b}, which lie in the opposite order. "
+        "Correct the pairs, mapping or direction, or lower the pair's tolerance"
+    )
 
 
 def _comes_before(first: Vector, second: Vector) -> Mask:
     """Compare points row by row, by their first different coordinate."""
     different = first != second
-    at = np.argmax(different, axis=1)
+    column = np.argmax(different, axis=1)
     rows = np.arange(len(first))
-    before: Mask = first[rows, at] < second[rows, at]
-    return before
+    smaller: Mask = first[rows, column] < second[rows, column]
+    return smaller
 
 
 def _first_rows(comm: MPI.Intracomm, columns: tuple[Vector, ...], number: int) -> list[Vector]:
@@ -329,21 +259,15 @@ def _first_rows(comm: MPI.Intracomm, columns: tuple[Vector, ...], number: int) -
         return [row[order] for row in rows]
 
     # sorted on each rank as well, so that each sends few rows
-    mine = first(list(columns))
-    return first([concatenate_ranks(comm, row) for row in mine])
+    local = first(list(columns))
+    return first([concatenate_ranks(comm, row) for row in local])
 
 
 # -- several contacts --------------------------------------------------------------------------
 
 
 def check_different_surfaces(contacts: Sequence[Contact], comm: MPI.Intracomm) -> None:
-    """Check that no two pairs join the same two surfaces, in either role.
-
-    Raises
-    ------
-    InputError
-        With the numbers of the contacts and the tags.
-    """
+    """Check that no two pairs join the same two surfaces, in either role."""
     pairs: dict[tuple[int, frozenset[int]], int] = {}
     with raise_collectively(comm):
         for number, contact in enumerate(contacts):
@@ -364,20 +288,6 @@ def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[Contact
 
     So deep are surfaces that lie back to back, each on the far side of its body. The thickness is
     that of the body's bounding box along the normal.
-
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    bodies : Bodies
-        The bodies of its mesh.
-    pairings : sequence of ContactPairing
-        All contacts.
-
-    Raises
-    ------
-    InputError
-        With the contact, the number of such nodes and the first one.
     """
     comm = space.mesh.comm
     inside = [(pairing.master >= 0) & (pairing.gap < 0.0) for pairing in pairings]
@@ -389,16 +299,16 @@ def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[Contact
     body = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int64)
     body[cells] = bodies.of_cell[:, None]
     nodes = np.unique(cells)
-    numbers = np.asarray(index_map.local_to_global(nodes.astype(np.int32)), dtype=np.int64)
+    numbers = global_nodes(space, nodes)
     directory = Directory(comm, numbers)
-    at_home = np.zeros(directory.keys.size, dtype=np.int64)
+    body_of_node = np.zeros(directory.keys.size, dtype=np.int64)
     keys, values = directory.collect(numbers, body[nodes])
-    at_home[directory.position(keys)] = values
+    body_of_node[directory.position(keys)] = values
     for pairing, mask in zip(pairings, inside, strict=True):
         normal = np.abs(pairing.normal[mask])
         ends = (pairing.slave[mask], pairing.master[mask])
         thickness = [
-            np.sum(normal * size[directory.lookup(end, at_home)[1]], axis=1) for end in ends
+            np.sum(normal * size[directory.lookup(end, body_of_node)[1]], axis=1) for end in ends
         ]
         _raise_too_deep(comm, pairing, mask, np.minimum(*thickness))
 
@@ -438,26 +348,20 @@ def _raise_too_deep(
 def check_different_nodes(
     contacts: Sequence[Contact], pairings: Sequence[ContactPairing], comm: MPI.Intracomm
 ) -> None:
-    """Check that no slave node is in two contacts with the same master surface or obstacle.
-
-    Raises
-    ------
-    InputError
-        With the contacts, the number of such nodes and the first one.
-    """
-    for (one, a), (other, b) in combinations(zip(contacts, pairings, strict=True), 2):
-        if _same_master(one, other):
+    """Check that no slave node is in two contacts with the same master surface or obstacle."""
+    for (first, a), (second, b) in combinations(zip(contacts, pairings, strict=True), 2):
+        if _same_master(first, second):
             _check_common_nodes(comm, a, b)
 
 
 def _check_common_nodes(comm: MPI.Intracomm, a: ContactPairing, b: ContactPairing) -> None:
-    _, at_a, at_b = np.intersect1d(a.slave, b.slave, return_indices=True)
+    _, rows_a, rows_b = np.intersect1d(a.slave, b.slave, return_indices=True)
     # at an edge of the body a node has two conditions, with normals farther apart than this angle
     edge_angle = 45.0
     raise_where(
         comm,
-        angles_between(a.normal[at_a], b.normal[at_b]) < edge_angle,
-        a.coordinates[at_a, : a.normal.shape[1]],
+        angles_between(a.normal[rows_a], b.normal[rows_b]) < edge_angle,
+        a.coordinates[rows_a, : a.normal.shape[1]],
         lambda number, place: (
             f"{a.name} and {b.name} match {number} slave nodes twice with the same master surface "
             f"or obstacle, the first at {place}: join the two slave surfaces under one tag, or "
@@ -466,10 +370,10 @@ def _check_common_nodes(comm: MPI.Intracomm, a: ContactPairing, b: ContactPairin
     )
 
 
-def _same_master(one: Contact, other: Contact) -> bool:
-    if isinstance(one, ContactPair) and isinstance(other, ContactPair):
-        tags = (_compat.cpp_object(c.facet_tags) for c in (one, other))
-        return one.master == other.master and next(tags) is next(tags)
-    if isinstance(one, RigidObstacle) and isinstance(other, RigidObstacle):
-        return one.obstacle is other.obstacle
+def _same_master(first: Contact, second: Contact) -> bool:
+    if isinstance(first, ContactPair) and isinstance(second, ContactPair):
+        tags = (_compat.cpp_object(c.facet_tags) for c in (first, second))
+        return first.master == second.master and next(tags) is next(tags)
+    if isinstance(first, RigidObstacle) and isinstance(second, RigidObstacle):
+        return first.obstacle is second.obstacle
     return False

@@ -1,4 +1,4 @@
-"""Contacts: what the user describes, what the search finds, what the solution is (sec. 11.1)."""
+"""Contacts, their conditions, and their results (sec. 11.1)."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.friction import FrictionLaw
 from fenics_tfeti.fem.contact.obstacles import Obstacle
-from fenics_tfeti.fem.contact.surfaces.tagged import GivenNormal, Surface
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface, VectorField
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Numbers, Vector
 
-VectorField = ArrayLike | Callable[[Vector], ArrayLike]
 InitialGap = Literal["geometric", "touching"] | float | Callable[[Vector], ArrayLike]
 
 
@@ -99,7 +98,7 @@ class ContactPair:
     direction: VectorField | None = None
     mapping: Callable[[Vector], ArrayLike] | None = None
     pairs: tuple[ArrayLike, ArrayLike] | None = None
-    normal: GivenNormal = None
+    normal: VectorField | None = None
     partial: bool = False
     measure_weight: Any = None
     discretisation: Literal["auto", "node_to_node", "mortar"] = "auto"
@@ -157,24 +156,15 @@ def contact_name(contact: Contact, number: int) -> str:
 class MortarTerms:
     """The terms of mortar conditions: sums of displacements with scalar weights.
 
-    Attributes
-    ----------
-    offsets : (k + 1,) integer array
-        The terms of condition i are those from ``offsets[i]`` up to, without, ``offsets[i + 1]``.
-    nodes : (t,) integer array
-        Global nodes of the displacement's space: the slave node of the condition, further slave
-        nodes, master nodes.
-    weights : (t,) array
-        Integrals of the dual function times the node's shape function, negative on the master
-        [m^2 or m].
-    slaves : (k,) integer array
-        How many of the condition's terms, from the first on, are those of slave nodes.
+    There are k conditions and t terms: those of condition i from offsets[i] up to offsets[i + 1],
+    first its slave node, then further slave nodes, then master nodes.
     """
 
-    offsets: Numbers
-    nodes: Numbers
+    offsets: Numbers  # (k + 1,)
+    nodes: Numbers  # global nodes of the displacement's space (t,)
+    # (t,): integrals of dual times shape functions, negative on the master [m^2 or m]
     weights: Vector
-    slaves: Numbers
+    slaves: Numbers  # numbers of terms of slave nodes (k,)
 
     @property
     def row(self) -> Numbers:
@@ -193,63 +183,31 @@ class MortarTerms:
 
 @dataclass(frozen=True)
 class ContactPairing:
-    """The slave nodes that this rank owns and that have a contact condition.
+    """The k slave nodes that this rank owns and that have a contact condition.
 
-    Attributes
-    ----------
-    name : str
-        Name of the contact.
-    slave : (k,) integer array
-        Global nodes of the displacement's space.
-    master : (k,) integer array
-        Their partners; -1 for an obstacle; of a mortar condition the master node with the largest
-        weight.
-    coordinates : (k, 3) array
-        Slave nodes [m].
-    normal : (k, gdim) array
-        Outward unit normals of the slave.
-    gap : (k,) array
-        (chi(x) - x)'n (11.7) [m]; infinite where there is no obstacle; of a mortar condition the
-        mean with its dual function.
-    area : (k,) array
-        Area of the surface (length in 2D) that belongs to the node [m^2 or m]; in a partial contact
-        that of the facets whose nodes all have partners, where the node has such facets; of a
-        mortar condition the integral of its dual function over the covered part. It is multiplied
-        by the contact's `measure_weight`.
-    summary : dict
-        The contact's entry of `Report.pairing`.
-    surface : Surface
-        All of the slave's surface.
-    covered : (f,) bool array
-        Which of the surface's facets have partners at all nodes.
-    weighted_form : CompiledForm or None
-        The form of the areas with the weight; None without one.
-    terms : MortarTerms, optional
-        The terms of mortar conditions, also those of degree 2 at obstacles; None for pairs of nodes
-        and for degree 1 at obstacles.
-    coverage : (k,) array, optional
-        See `ContactResult`; 1 by default.
-    prescribed : (s, gdim) bool array, optional
-        Which components are prescribed at the surface's nodes, for mortar conditions.
-    master_surface : Surface, optional
-        The master's surface, for mortar conditions.
+    The gap is (chi(x) - x)'n (11.7), of a mortar condition the mean with its dual function. The
+    area belongs to the node: in a partial contact that of the facets whose nodes all have partners,
+    where the node has such facets; of a mortar condition the integral of its dual function over the
+    covered part. It is multiplied by the contact's `measure_weight`.
     """
 
     name: str
-    slave: Numbers
-    master: Numbers
-    coordinates: Vector
-    normal: Vector
-    gap: Vector
-    area: Vector
-    summary: dict[str, Any]
-    surface: Surface
-    covered: NDArray[np.bool_]
+    slave: Numbers  # global nodes of the displacement's space (k,)
+    master: Numbers  # (k,): partners, or the masters with the largest weights; -1 for an obstacle
+    coordinates: Vector  # slave nodes (k, 3) [m]
+    normal: Vector  # outward unit normals of the slave (k, gdim)
+    gap: Vector  # (k,) [m]; infinite where there is no obstacle
+    area: Vector  # (k,) [m^2 or m]
+    summary: dict[str, Any]  # the contact's entry of `Report.pairing`
+    surface: Surface  # all of the slave's surface
+    covered: NDArray[np.bool_]  # (f,): whether the surface's facets have partners at all nodes
+    # the form of the areas with the weight; None without one
     weighted_form: _compat.CompiledForm | None
-    terms: MortarTerms | None = None
-    coverage: Vector | None = None
+    terms: MortarTerms | None = None  # None for pairs of nodes, and for degree 1 at obstacles
+    coverage: Vector | None = None  # (k,), see `ContactResult`; 1 by default
+    # (s, gdim): components prescribed at the surface's nodes, for mortar conditions
     prescribed: NDArray[np.bool_] | None = None
-    master_surface: Surface | None = None
+    master_surface: Surface | None = None  # for mortar conditions
 
 
 @dataclass(frozen=True)
@@ -362,11 +320,11 @@ class ContactResult:
     def gather(self) -> ContactResult:
         """Return the nodes of all ranks, by node number, on every rank. Collective."""
         order = np.argsort(concatenate_ranks(self.comm, self.nodes))
-        whole = _gathered(self, self.comm, order)
+        arrays = _gathered(self, self.comm, order)
         if self.friction is not None:
-            rubbing = _gathered(self.friction, self.comm, order)
-            whole["friction"] = replace(self.friction, **rubbing)
-        return replace(self, comm=MPI.COMM_SELF, **whole)
+            friction = _gathered(self.friction, self.comm, order)
+            arrays["friction"] = replace(self.friction, **friction)
+        return replace(self, comm=MPI.COMM_SELF, **arrays)
 
 
 def _gathered(

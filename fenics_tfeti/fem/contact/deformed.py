@@ -28,6 +28,7 @@ from fenics_tfeti.fem.contact.contact import (
 from fenics_tfeti.fem.contact.mortar.pairing import match_deformed, mean_relative
 from fenics_tfeti.fem.contact.obstacle_conditions import deformed_gaps
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
+from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Numbers, Vector
@@ -35,47 +36,25 @@ from fenics_tfeti.typing import Numbers, Vector
 
 @dataclass(frozen=True)
 class DeformedContact:
-    """A contact in the deformed state, at the slave nodes that this rank owns.
+    """A contact in the deformed state, at the k slave nodes that this rank owns."""
 
-    Attributes
-    ----------
-    master : (k,) integer array
-        Global node of the partner: that of `ContactPairing`, or the master node that is opposite in
-        the deformed state, where the surfaces slid; -1 for an obstacle.
-    normal : (k, gdim) array
-        Outward unit normals of the slave in the deformed state; those before of nodes without new
-        mortar condition.
-    gap : (k,) array
-        Bound c of the row (u_slave - u_partner)'n <= c, in terms of the total displacement [m];
-        infinite where there is no obstacle.
-    distance : (k,) array
-        Distance of the deformed slave node from the deformed master or the obstacle, along the
-        normal; negative inside [m].
-    penetration : (k,) array
-        Depth of the deformed slave node in the deformed master body or in the obstacle; 0 outside
-        [m].
-    slip : (k,) array or None
-        Distance, along the surface, between the parts of the master that the mortar conditions
-        before and the new ones are with, relative to the size of the slave's facets there; None for
-        pairs of nodes and obstacles.
-    mortar : ContactPairing, optional
-        New mortar conditions, whose nodes may be others than before; the other attributes are for
-        the slave nodes before.
-    """
-
-    master: Numbers
-    normal: Vector
+    master: Numbers  # (k,): partners, after sliding those opposite now; -1 for an obstacle
+    normal: Vector  # (k, gdim): deformed outward unit normals; those before without new condition
+    # (k,): bound of (u_slave - u_partner)'n, of the total displacement, may be infinite [m]
     gap: Vector
-    distance: Vector
-    penetration: Vector
+    distance: Vector  # (k,) from the master or obstacle along the normal; negative inside [m]
+    penetration: Vector  # depth in the master body or obstacle (k,); 0 outside [m]
+    # (k,): distance along the surface, relative to the facets' size, between the parts of the
+    # master that mortar conditions before and the new ones couple; None without
     slip: Vector | None = None
+    # new conditions, whose nodes may be others; the other fields are for those before
     mortar: ContactPairing | None = None
 
-    def pairing(self, before: ContactPairing) -> ContactPairing:
+    def pairing(self, earlier: ContactPairing) -> ContactPairing:
         """Return the conditions in the deformed state."""
         if self.mortar is not None:
             return self.mortar
-        return replace(before, master=self.master, normal=self.normal, gap=self.gap)
+        return replace(earlier, master=self.master, normal=self.normal, gap=self.gap)
 
 
 def deformed_contact(
@@ -89,81 +68,39 @@ def deformed_contact(
 
     For pairs of nodes the facets and nodes of both surfaces are gathered on all ranks; for mortar
     conditions a rank gets those near its part of the slave. A bilinear quadrilateral is
-    approximated by four triangles around its centre.
-
-    The normal at a node is the integral of the deformed facets' normal times the node's shape
-    function, as in `match_contact`. The gap to a master is measured along it, see
-    `FacetedSurface.gap_along`; the gap to an obstacle is that which the obstacle returns.
-
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    contact : ContactPair or RigidObstacle
-        The contact. An obstacle returns (gap, normal), or the gap alone, which is then measured
-        along the slave's deformed normal.
-    pairing : ContactPairing
-        The contact's nodes and partners.
-    displacement : Function
-        On the space [m]; its ghosts are updated.
-    keep_normal : bool
-        Keep the slave's normals in a pair as in `pairing`, because the user gave them.
-
-    Returns
-    -------
-    DeformedContact
-        This rank's part.
-
-    Raises
-    ------
-    InputError
-        A displacement on another space or not finite, wrong values of the obstacle, facets that the
-        displacement has folded so that their normals cancel at a node.
+    approximated by four triangles around its centre. The normal at a node is the integral of the
+    deformed facets' normal times the node's shape function, as in `match_contact`; `keep_normal`
+    keeps that of a pair because the user gave it. The gap to a master is measured along it, see
+    `FacetedSurface.gap_along`; the gap to an obstacle is that which the obstacle returns, if alone
+    along the slave's deformed normal. Ghosts of the displacement are updated.
     """
     _check_displacement(boundary.space, displacement)
     displacement.x.scatter_forward()
     if isinstance(contact, RigidObstacle):
-        return _at_obstacle(boundary, contact, pairing, displacement)
+        return _deformed_obstacle(boundary, contact, pairing, displacement)
     if pairing.terms is not None:
-        return _by_mortar(boundary, contact, pairing, displacement)
-    return _at_master(boundary, contact, pairing, displacement, keep_normal)
+        return _deformed_mortar(boundary, contact, pairing, displacement)
+    return _deformed_pairs(boundary, contact, pairing, displacement, keep_normal)
 
 
 @dataclass(frozen=True)
 class GeometryPass:
-    """What the deformed surfaces and the contact conditions of one solution leave of each other.
+    """Misfit between the deformed surfaces and the contact conditions of one solution."""
 
-    Attributes
-    ----------
-    penetration : float
-        Largest depth of a slave node in a master or an obstacle [m].
-    separation : float
-        Largest distance, along the normal, between a slave node with positive contact force and its
-        master or obstacle; inside or outside [m].
-    slip : float
-        Largest distance, along the surface, between where mortar conditions let positive contact
-        forces act on the master and what is opposite in the deformed state, relative to the size of
-        the slave's facets there.
-    tilt : float
-        Angle between contact forces and the normals of the deformed state, as root of the mean
-        square with the forces as weights [rad]. It is the part of the forces that acts along the
-        surfaces, which do work when they slide.
-    error : float
-        The largest of slip, tilt, and penetration and separation relative to the largest
-        displacement.
-    products : int
-        Applications of F in the solution.
-    seconds : float
-        Wall time of the pass, summed over its phases, each the slowest rank's [s]; the first pass
-        has the set-up too.
-    """
-
-    penetration: float
+    penetration: float  # largest depth of a slave node in a master or an obstacle [m]
+    # largest distance, along the normal, of a loaded slave node from its master or obstacle [m]
     separation: float
+    # largest distance, along the surface, between where mortar conditions let contact forces act on
+    # the master and what is opposite in the deformed state, relative to the size of the facets
     slip: float
+    # angle between contact forces and the deformed normals, root of the mean square with the forces
+    # as weights [rad]: the part of the forces that acts along the surfaces
     tilt: float
+    # largest of slip, tilt, and penetration and separation relative to the displacement
     error: float
-    products: int
+    products: int  # applications of F in the solution
+    # wall time, summed over its phases, each the slowest rank's [s]; the first pass has the set-up
+    # too
     seconds: float = 0.0
 
 
@@ -175,28 +112,19 @@ def geometry_pass(
 ) -> GeometryPass:
     """Compare the deformed surfaces with the conditions that they were computed with. Collective.
 
-    Parameters
-    ----------
-    deformed : sequence of DeformedContact
-        All contacts, this rank's parts.
-    results : sequence of ContactResult
-        The contact forces and their directions.
-    displacement : Function
-        The displacement of the deformed state [m].
-    products : int
-        Applications of F in the solution.
+    The results have the contact forces and their directions, `products` counts applications of F.
     """
     comm = displacement.function_space.mesh.comm
     largest = np.array([0.0, 0.0, 0.0, np.abs(displacement.x.array).max(initial=0.0)])
     sums = np.zeros(2)
     for new, result in zip(deformed, results, strict=True):
-        pressing = result.active
-        slip = np.zeros(0) if new.slip is None else new.slip[pressing]
-        distances = (new.penetration, np.abs(new.distance[pressing]), slip)
+        loaded = result.active
+        slip = np.zeros(0) if new.slip is None else new.slip[loaded]
+        distances = (new.penetration, np.abs(new.distance[loaded]), slip)
         largest[:3] = np.maximum(largest[:3], [part.max(initial=0.0) for part in distances])
-        force = result.normal_force[pressing]
-        turned = np.linalg.norm((new.normal - result.normal)[pressing], axis=1)
-        sums += [np.sum(force * turned**2), np.sum(force)]
+        force = result.normal_force[loaded]
+        rotation = np.linalg.norm((new.normal - result.normal)[loaded], axis=1)
+        sums += [np.sum(force * rotation**2), np.sum(force)]
     comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
     comm.Allreduce(MPI.IN_PLACE, sums, MPI.SUM)
     tilt = float(np.sqrt(sums[0] / sums[1])) if sums[1] > 0.0 else 0.0
@@ -217,7 +145,7 @@ def _check_displacement(space: FunctionSpace, displacement: Function) -> None:
             raise InputError("the displacement is NaN or infinite at some nodes")
 
 
-def _at_master(
+def _deformed_pairs(
     boundary: MeshBoundary,
     contact: ContactPair,
     pairing: ContactPairing,
@@ -226,44 +154,44 @@ def _at_master(
 ) -> DeformedContact:
     slave = gather_surface(boundary, contact.facet_tags, contact.slave, displacement)
     master = gather_surface(boundary, contact.facet_tags, contact.master, displacement)
-    here = np.searchsorted(slave.nodes, pairing.slave)
+    rows = np.searchsorted(slave.nodes, pairing.slave)
     partner = np.searchsorted(master.nodes, pairing.master)
-    normal = pairing.normal if keep_normal else slave.normals(pairing.name)[here]
-    along, signed = master.faceted().gap_along(slave.points[here], normal)
-    partner = _opposite(master, partner, slave.points[here] + along[:, None] * normal)
-    relative = slave.displacement[here] - master.displacement[partner]
+    normal = pairing.normal if keep_normal else slave.normals(pairing.name)[rows]
+    distance, signed = master.faceted().gap_along(slave.points[rows], normal)
+    partner = _opposite(master, partner, slave.points[rows] + distance[:, None] * normal)
+    relative = slave.displacement[rows] - master.displacement[partner]
     return DeformedContact(
         master.nodes[partner],
         normal,
-        along + np.sum(relative * normal, axis=1),
-        along,
+        distance + np.sum(relative * normal, axis=1),
+        distance,
         np.maximum(-signed, 0.0),
     )
 
 
-def _by_mortar(
+def _deformed_mortar(
     boundary: MeshBoundary, contact: ContactPair, pairing: ContactPairing, displacement: Function
 ) -> DeformedContact:
     assert pairing.terms is not None
-    new, distance = match_deformed(boundary, contact, pairing, displacement)
+    new, mean_distance = match_deformed(boundary, contact, pairing, displacement)
     assert new.terms is not None
     surface = pairing.surface
     # a node that slid off the master is as far from it as its facets are large
     size = surface.size[np.searchsorted(surface.nodes, pairing.slave)]
-    along, slip, normal = size.copy(), np.ones_like(size), pairing.normal.copy()
-    _, before, now = np.intersect1d(pairing.slave, new.slave, return_indices=True)
-    along[before], normal[before] = distance[now], new.normal[now]
+    distance, slip, normal = size.copy(), np.ones_like(size), pairing.normal.copy()
+    _, old_rows, new_rows = np.intersect1d(pairing.slave, new.slave, return_indices=True)
+    distance[old_rows], normal[old_rows] = mean_distance[new_rows], new.normal[new_rows]
     # mean places on the slave, less those on the master
-    offset = mean_relative(pairing.terms, displacement, boundary.coordinates)[before]
-    offset -= mean_relative(new.terms, displacement, boundary.coordinates)[now]
-    offset -= np.sum(offset * normal[before], axis=1)[:, None] * normal[before]
-    slip[before] = np.linalg.norm(offset, axis=1) / size[before]
+    offset = mean_relative(pairing.terms, displacement, boundary.coordinates)[old_rows]
+    offset -= mean_relative(new.terms, displacement, boundary.coordinates)[new_rows]
+    offset = tangential_part(offset, normal[old_rows])
+    slip[old_rows] = np.linalg.norm(offset, axis=1) / size[old_rows]
     return DeformedContact(
         pairing.master,
         normal,
         pairing.gap,
-        along,
-        np.maximum(-along, 0.0),
+        distance,
+        np.maximum(-distance, 0.0),
         slip,
         new,
     )
@@ -276,11 +204,11 @@ def _opposite(master: DeformedSurface, partner: Numbers, foot: Vector) -> Number
     the passes could alternate between two nodes.
     """
     distance, nearest = cKDTree(master.points).query(foot) if len(foot) else (foot[:, 0], partner)
-    present = np.linalg.norm(master.points[partner] - foot, axis=1)
-    return np.where(present > 1.5 * distance, nearest, partner)
+    current = np.linalg.norm(master.points[partner] - foot, axis=1)
+    return np.where(current > 1.5 * distance, nearest, partner)
 
 
-def _at_obstacle(
+def _deformed_obstacle(
     boundary: MeshBoundary,
     contact: RigidObstacle,
     pairing: ContactPairing,

@@ -13,9 +13,9 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.surfaces.initial_gap import scalars_at
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.topology import vertex_nodes
-from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
@@ -67,36 +67,22 @@ class Coulomb:
 FrictionLaw: TypeAlias = Tresca | Coulomb
 
 
-def check_friction(given: Any, name: str) -> None:
-    """Check a law of friction, as far as its numbers do not depend on the mesh.
-
-    Parameters
-    ----------
-    given : Tresca, Coulomb or None
-        What the user gave as `friction` of a contact.
-    name : str
-        Name of the contact.
-
-    Raises
-    ------
-    InputError
-        What is no law of friction, or a bound or coefficient that is no number at least 0, function
-        of x or Function.
-    """
-    if given is None:
+def check_friction(law: Any, name: str) -> None:
+    """Check a law of friction, as far as its numbers do not depend on the mesh."""
+    if law is None:
         return
-    if not isinstance(given, FrictionLaw):
+    if not isinstance(law, FrictionLaw):
         raise InputError(
-            f"{name}: friction is a {type(given).__name__}; Tresca(slip_bound), "
+            f"{name}: friction is a {type(law).__name__}; Tresca(slip_bound), "
             "Coulomb(coefficient) or None is expected"
         )
-    what, value = _value(given)
+    label, value = _value(law)
     if callable(value) or isinstance(value, Function):
         return
     number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
     if not number or not 0.0 <= float(value) < np.inf:
         raise InputError(
-            f"{name}: {what} is {value!r}; a finite number, at least 0, a function x (3, n) -> "
+            f"{name}: {label} is {value!r}; a finite number, at least 0, a function x (3, n) -> "
             "(n,) or a scalar Function of degree 1 is expected"
         )
 
@@ -104,47 +90,25 @@ def check_friction(given: Any, name: str) -> None:
 def values_at_nodes(
     space: FunctionSpace, law: FrictionLaw, nodes: NDArray[np.int64], points: Vector, name: str
 ) -> Vector:
-    """Return a law's bound or coefficient at nodes that this rank owns. Collective.
+    """Return a law's bound or coefficient (k,), at least 0, at nodes of this rank. Collective.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    law : Tresca or Coulomb
-        The law, checked by `check_friction`.
-    nodes : (k,) integer array
-        Global nodes of the space, at vertices.
-    points : (k, 3) array
-        Their coordinates [m].
-    name : str
-        Name of the contact.
-
-    Returns
-    -------
-    (k,) array
-        At least 0.
-
-    Raises
-    ------
-    InputError
-        On all ranks: a wrong shape, values that are negative, NaN or infinite, a Function on
-        another mesh or of another element, an exception of the user's function.
+    The law has passed `check_friction`; the nodes (k,) are global ones, at vertices.
     """
-    what, given = _value(law)
-    what = f"{name}: {what}"
+    label, value = _value(law)
+    label = f"{name}: {label}"
     with raise_collectively(space.mesh.comm):
-        if isinstance(given, Function):
-            values = _nodal_values(space, given, nodes, what)
-        elif callable(given):
-            values = _evaluated(given, points, what)
+        if isinstance(value, Function):
+            values = _nodal_values(space, value, nodes, label)
+        elif callable(value):
+            values = scalars_at(value, points, label)
         else:
-            values = np.full(nodes.size, float(given))
+            values = np.full(nodes.size, float(value))
     raise_where(
         space.mesh.comm,
         ~(np.isfinite(values) & (values >= 0.0)),
         points[:, : space.dofmap.index_map_bs],
         lambda number, place: (
-            f"{what} is negative, NaN or infinite at {number} nodes, the first at {place}"
+            f"{label} is negative, NaN or infinite at {number} nodes, the first at {place}"
         ),
     )
     return values
@@ -157,37 +121,20 @@ def _value(law: FrictionLaw) -> tuple[str, Any]:
     return "coefficient", law.coefficient
 
 
-def _evaluated(given: Callable[[Vector], ArrayLike], points: Vector, what: str) -> Vector:
-    if not len(points):
-        # a user's function may fail for no points
-        return np.zeros(0)
-    values = evaluate(given, points, what)
-    try:
-        values = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{what} has to return numbers, one for each point") from None
-    if values.shape != (len(points),):
-        raise InputError(
-            f"{what} returned shape {values.shape} for points of shape (3, {len(points)}); "
-            f"({len(points)},) is expected"
-        )
-    return values
-
-
 def _nodal_values(
-    space: FunctionSpace, given: Function, nodes: NDArray[np.int64], what: str
+    space: FunctionSpace, function: Function, nodes: NDArray[np.int64], label: str
 ) -> Vector:
-    own = given.function_space
-    if own.mesh is not space.mesh:
-        raise InputError(f"{what} is a Function on another mesh than the displacement")
-    family, degree, shape = _compat.element_facts(own)
+    source = function.function_space
+    if source.mesh is not space.mesh:
+        raise InputError(f"{label} is a Function on another mesh than the displacement")
+    family, degree, shape = _compat.element_facts(source)
     if (family, degree) != ("Lagrange", 1) or shape:
         raise InputError(
-            f"{what} is a Function of {family} elements of degree {degree} and shape {shape}; a "
+            f"{label} is a Function of {family} elements of degree {degree} and shape {shape}; a "
             "scalar one of Lagrange elements of degree 1 is expected"
         )
     # the two spaces may number their nodes differently
     dofs = np.zeros(int(_compat.cell_dofs(space).max(initial=-1)) + 1, dtype=np.int64)
-    dofs[vertex_nodes(space)] = vertex_nodes(own)
-    values: Vector = given.x.array[dofs[nodes - space.dofmap.index_map.local_range[0]]]
+    dofs[vertex_nodes(space)] = vertex_nodes(source)
+    values: Vector = function.x.array[dofs[nodes - space.dofmap.index_map.local_range[0]]]
     return values

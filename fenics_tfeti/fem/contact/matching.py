@@ -1,4 +1,4 @@
-"""Contact surfaces to contact conditions with normals and gaps (sec. 11.1, 11.5)."""
+"""Contact conditions of tagged surfaces, with normals and gaps (sec. 11.1, 11.5)."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ from fenics_tfeti.fem.contact.surfaces.cylinders import without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, initial_gap
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas, weighted_form
-from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
+from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components, same_supports
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MasterNodes,
     MeshBoundary,
     Surface,
     area_of_facets,
+    facet_max_at_nodes,
     gather_master,
-    largest_of_facets,
     tagged_surface,
     values_on_facets,
 )
@@ -59,27 +59,8 @@ def match_contacts(
 ) -> list[ContactPairing]:
     """Match the surfaces of all contacts, and check that no two contacts overlap. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    contacts : sequence of ContactPair or RigidObstacle
-        The contacts.
-    known : sequence of (contact, pairing)
-        Earlier results: pairs among them are not searched again, obstacles are evaluated again.
-    prescribed : Prescribed, optional
-        Prescribed displacements, of this rank's nodes: they tell planes of symmetry.
-
-    Returns
-    -------
-    list of ContactPairing
-        This rank's part of each contact.
-
-    Raises
-    ------
-    InputError
-        As `match_contact`; two contacts of the same surfaces, or of the same node with the same
-        master.
+    Of the known results, pairs are not searched again, obstacles are evaluated again. Prescribed
+    displacements of this rank's nodes tell planes of symmetry.
     """
     comm = boundary.space.mesh.comm
     check_different_surfaces(contacts, comm)
@@ -99,48 +80,24 @@ def match_contact(
     earlier: ContactPairing | None = None,
     prescribed: Prescribed | None = None,
 ) -> ContactPairing:
-    """Find the slave's nodes, normals, partners and gaps. Collective.
+    """Find the slave's nodes, normals, partners and gaps, this rank's part. Collective.
 
     The master's nodes are gathered on all ranks, of its facets those near each rank's slave facets.
-
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    contact : ContactPair or RigidObstacle
-        The contact.
-    number : int
-        Its number, for a name.
-    earlier : ContactPairing, optional
-        An earlier result for this contact: of pairs of nodes all is used again but the areas with a
-        weight, which may have changed; mortar conditions if they have no weight and the same
-        components are prescribed; of an obstacle's the surface.
-    prescribed : Prescribed, optional
-        Prescribed displacements, of this rank's nodes.
-
-    Returns
-    -------
-    ContactPairing
-        This rank's part.
-
-    Raises
-    ------
-    InputError
-        Tags on no facet or on interior ones, slave nodes without a partner, shared nodes, surfaces
-        that look the same way or never meet, pairs that cross or are not one to one, wrong normals;
-        a weight of the measure that is no scalar expression on the mesh or not positive.
+    Of an earlier result, pairs of nodes are used again but for areas with a weight, which may have
+    changed; mortar conditions if they have no weight and the same components are prescribed; of an
+    obstacle's the surface.
     """
     name = contact_name(contact, number)
     if isinstance(contact, RigidObstacle):
         return match_obstacle(boundary, name, contact, earlier)
-    given = Prescribed() if prescribed is None else prescribed
-    if earlier is None or not _still_holds(boundary.space.mesh.comm, contact, earlier, given):
-        pairing = _match_pair(boundary, name, contact, given)
+    supports = Prescribed() if prescribed is None else prescribed
+    if earlier is None or not _still_holds(boundary.space.mesh.comm, contact, earlier, supports):
+        pairing = _match_pair(boundary, name, contact, supports)
         if contact.normal is not None:
             return pairing
         normal = without_axial_tilt(boundary, pairing.surface, pairing.slave, pairing.normal)
         return replace(pairing, normal=normal)
-    gap = _gap_again(boundary.space.mesh.comm, contact, earlier)
+    gap = _updated_gap(boundary.space.mesh.comm, contact, earlier)
     if earlier.weighted_form is None:
         return earlier if gap is earlier.gap else replace(earlier, gap=gap)
     surface = earlier.surface
@@ -156,11 +113,10 @@ def _still_holds(
         return True
     if contact.measure_weight is not None:
         return False
-    now = prescribed_components(earlier.surface, prescribed)
-    return bool(comm.allreduce(np.array_equal(now, earlier.prescribed), MPI.LAND))
+    return same_supports(comm, earlier.surface, prescribed, earlier.prescribed)
 
 
-def _gap_again(comm: MPI.Intracomm, contact: ContactPair, earlier: ContactPairing) -> Vector:
+def _updated_gap(comm: MPI.Intracomm, contact: ContactPair, earlier: ContactPairing) -> Vector:
     """Return the gaps of a pair; a function of the user may have changed. Collective."""
     if not callable(contact.initial_gap):
         return earlier.gap
@@ -177,17 +133,17 @@ def contact_rows(pairings: Sequence[ContactPairing], gdim: int) -> ContactRows:
 
 
 def _rows(pairing: ContactPairing, number: int) -> ContactRows:
-    terms, of_contact = pairing.terms, np.full(pairing.slave.size, number)
+    terms, numbers = pairing.terms, np.full(pairing.slave.size, number)
     if terms is None:
         return ContactRows.node_to_node(
-            pairing.slave, pairing.master, pairing.normal, pairing.gap, of_contact
+            pairing.slave, pairing.master, pairing.normal, pairing.gap, numbers
         )
     return ContactRows(
         terms.offsets,
         terms.nodes,
         terms.weights[:, None] * pairing.normal[terms.row],
         pairing.gap * terms.area,
-        of_contact,
+        numbers,
         terms.slaves,
     )
 
@@ -200,34 +156,34 @@ def _match_pair(
         check_arguments(contact, name, boundary.degree)
     tags = contact.facet_tags
     slave = tagged_surface(boundary, tags, contact.slave, f"slave of {name}", contact.normal)
-    other = tagged_surface(boundary, tags, contact.master, f"master of {name}")
+    tagged_master = tagged_surface(boundary, tags, contact.master, f"master of {name}")
     if _gives_partners(contact) or contact.discretisation == "node_to_node":
-        return _match_nodes(boundary, name, contact, slave, other)
+        return _match_nodes(boundary, name, contact, slave, tagged_master)
     master = gather_nearby(boundary, tags, contact.master, contact.slave, slave.nodes)
-    number = comm.allreduce(other.nodes.size)
+    number = comm.allreduce(tagged_master.nodes.size)
     shared = _shared_nodes(comm, name, slave, master.nodes, number, contact.partial)
     with raise_collectively(comm):
         normals = master.normals(name)
-    wanted = contact.discretisation == "auto" and boundary.degree == 1
-    if wanted and meshes_match(boundary.space, slave, master, normals, contact.tolerance):
-        return _match_nodes(boundary, name, contact, slave, other)
-    held = prescribed_components(slave, prescribed)
-    pairing = match_by_mortar(boundary, name, contact, slave, master, shared, held)
+    may_pair_nodes = contact.discretisation == "auto" and boundary.degree == 1
+    if may_pair_nodes and meshes_match(boundary.space, slave, master, normals, contact.tolerance):
+        return _match_nodes(boundary, name, contact, slave, tagged_master)
+    fixed = prescribed_components(slave, prescribed)
+    pairing = match_by_mortar(boundary, name, contact, slave, master, shared, fixed)
     summary = {**pairing.summary, "slave": contact.slave, "master": contact.master}
-    return replace(pairing, master_surface=other, summary=summary)
+    return replace(pairing, master_surface=tagged_master, summary=summary)
 
 
 def _gives_partners(contact: ContactPair) -> bool:
     """Tell whether the user says how partners are found."""
-    ways = (contact.direction, contact.mapping, contact.pairs)
-    return any(way is not None for way in ways)
+    arguments = (contact.direction, contact.mapping, contact.pairs)
+    return any(argument is not None for argument in arguments)
 
 
 def _match_nodes(
-    boundary: MeshBoundary, name: str, contact: ContactPair, slave: Surface, other: Surface
+    boundary: MeshBoundary, name: str, contact: ContactPair, slave: Surface, tagged_master: Surface
 ) -> ContactPairing:
     comm = boundary.space.mesh.comm
-    master = gather_master(comm, other)
+    master = gather_master(comm, tagged_master)
     number = master.nodes.size
     shared = _shared_nodes(comm, name, slave, master.nodes, number, contact.partial)
     master = master.without(shared)
@@ -236,32 +192,32 @@ def _match_nodes(
     partners.distance[np.isin(slave.nodes, shared)] = np.inf
     limit = contact.tolerance * slave.size
     check_partners(comm, slave, partners, limit, contact.partial, name)
-    found = partners.distance <= limit
-    check_one_to_one(comm, slave, master, partners, found, contact.partial, name)
+    paired = partners.distance <= limit
+    check_one_to_one(comm, slave, master, partners, paired, contact.partial, name)
 
-    at = partners.master[found]
-    angle = angles_between(slave.normal[found], -master.normal[at])
-    check_facing(comm, slave, found, angle, name)
-    partner = master.points[at]
-    covered = _covered_facets(boundary, slave, found, partner, name)
+    partner_rows = partners.master[paired]
+    angle = angles_between(slave.normal[paired], -master.normal[partner_rows])
+    check_facing(comm, slave, paired, angle, name)
+    partner = master.points[partner_rows]
+    covered = _covered_facets(boundary, slave, paired, partner, name)
     form = weighted_form(boundary, contact.measure_weight, name)
     area = node_areas(boundary, slave, covered, form, name)
-    normal = slave.normal[found]
-    gap = slave.without_rounding(np.sum((partner - slave.points[found]) * normal, axis=1))
-    places = slave.coordinates[found]
+    normal = slave.normal[paired]
+    gap = slave.without_rounding(np.sum((partner - slave.points[paired]) * normal, axis=1))
+    places = slave.coordinates[paired]
     # the nodes of both surfaces are on it, up to their chords
-    chord = 2.0 * _nodal_chords(boundary, slave)[found]
+    chord = 2.0 * _nodal_chords(boundary, slave)[paired]
     gap = initial_gap(comm, contact.initial_gap, gap, chord, places, name)
-    distance = slave.without_rounding(partners.distance[found])
-    relative = distance / slave.size[found]
+    distance = slave.without_rounding(partners.distance[paired])
+    relative = distance / slave.size[paired]
     return ContactPairing(
         name,
-        slave.nodes[found],
-        master.nodes[at],
+        slave.nodes[paired],
+        master.nodes[partner_rows],
         places,
         normal,
         gap,
-        area[found],
+        area[paired],
         pairing_summary(
             comm,
             name,
@@ -271,13 +227,13 @@ def _match_nodes(
             slave.nodes.size,
             distance,
             relative,
-            area[found],
-            float(slave.area[found].sum()),
+            area[paired],
+            float(slave.area[paired].sum()),
         ),
         slave,
         covered,
         form,
-        coverage=(area_of_facets(boundary, slave, covered) / slave.area)[found],
+        coverage=(area_of_facets(boundary, slave, covered) / slave.area)[paired],
     )
 
 
@@ -285,7 +241,7 @@ def _nodal_chords(boundary: MeshBoundary, slave: Surface) -> Vector:
     """Return at each node the largest chord height of the slave's facets there. Collective."""
     corners = boundary.coordinates[slave.vertices, : slave.points.shape[1]]
     heights = chord_heights(corners, values_on_facets(boundary.space, slave, slave.normal))
-    return largest_of_facets(boundary.space, slave, heights)
+    return facet_max_at_nodes(boundary.space, slave, heights)
 
 
 def _shared_nodes(
@@ -295,10 +251,10 @@ def _shared_nodes(
 
     `master` are the master's nodes that may be this rank's slave nodes, `number` is that of all.
     """
-    at = np.isin(slave.nodes, master)
-    shared = concatenate_ranks(comm, slave.nodes[at])
-    some_left = shared.size < number
-    check_shared_nodes(comm, slave, at, partial and some_left, name)
+    is_shared = np.isin(slave.nodes, master)
+    shared = concatenate_ranks(comm, slave.nodes[is_shared])
+    partly = shared.size < number
+    check_shared_nodes(comm, slave, is_shared, partial and partly, name)
     return shared
 
 
@@ -310,19 +266,19 @@ def _find_partners(
             comm, slave, master, contact.direction, contact.tolerance, name
         )
     if contact.mapping is not None:
-        return search.at_images(comm, slave, master, contact.mapping, name)
+        return search.by_mapping(comm, slave, master, contact.mapping, name)
     if contact.pairs is not None:
         return search.by_coordinates(comm, slave, master, contact.pairs, contact.tolerance, name)
     return search.nearest(slave, master)
 
 
 def _covered_facets(
-    boundary: MeshBoundary, slave: Surface, found: Mask, partner: Vector, name: str
+    boundary: MeshBoundary, slave: Surface, paired: Mask, partner: Vector, name: str
 ) -> Mask:
     """Tell which of this rank's facets have partners at all nodes; check that none cross."""
     space = boundary.space
     images = np.full_like(slave.points, np.nan)
-    images[found] = partner
+    images[paired] = partner
     images = values_on_facets(space, slave, images)
     normals = values_on_facets(space, slave, slave.normal)
     corners = boundary.coordinates[slave.vertices, : slave.points.shape[1]]

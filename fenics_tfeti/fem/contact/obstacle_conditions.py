@@ -25,29 +25,9 @@ from fenics_tfeti.typing import Numbers, Vector
 def match_obstacle(
     boundary: MeshBoundary, name: str, contact: RigidObstacle, earlier: ContactPairing | None
 ) -> ContactPairing:
-    """Find the slave's nodes, the obstacle's normals and the gaps. Collective.
+    """Find the slave's nodes, the obstacle's normals and the gaps, this rank's part. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    name : str
-        Name of the contact.
-    contact : RigidObstacle
-        The contact.
-    earlier : ContactPairing, optional
-        An earlier result, whose surface is used again.
-
-    Returns
-    -------
-    ContactPairing
-        This rank's part.
-
-    Raises
-    ------
-    InputError
-        Tags on no facet or on interior ones, wrong values of the obstacle, a weight of the measure
-        that is no scalar expression on the mesh or not positive.
+    The surface of an earlier result is used again.
     """
     tags, tag = contact.facet_tags, contact.slave
     slave = earlier.surface if earlier else tagged_surface(boundary, tags, tag, f"slave of {name}")
@@ -86,31 +66,31 @@ def _match_means(
     comm, gdim = space.mesh.comm, slave.normal.shape[1]
     facets = slave_facets(space, contact, slave, boundary.coordinates[:, :gdim], name)
     places, normals = _padded(facets.facets.points), nodal_normals(facets)
-    at_nodes, _ = gap_and_normal(comm, contact.obstacle, places, normals, name)
-    covered = np.isfinite(at_nodes)[facets.facets.nodes].all(axis=1)
+    nodal_gap, _ = gap_and_normal(comm, contact.obstacle, places, normals, name)
+    covered = np.isfinite(nodal_gap)[facets.facets.nodes].all(axis=1)
     nodes, terms = one_sided_conditions(comm, facets, slave.nodes, covered)
-    at = np.searchsorted(slave.nodes, nodes)
+    rows = np.searchsorted(slave.nodes, nodes)
     if facets.weight is not None:
-        what = f"slave of {name}"
-        check_weighted_areas(comm, terms.area, slave.area[at], slave.points[at], what)
+        label = f"slave of {name}"
+        check_weighted_areas(comm, terms.area, slave.area[rows], slave.points[rows], label)
     # the nodes of a condition may be on facets of several ranks
     directory = Directory(comm, facets.nodes)
-    keys, values = directory.collect(facets.nodes, at_nodes)
+    keys, values = directory.collect(facets.nodes, nodal_gap)
     table = np.zeros(directory.keys.size)
     table[directory.position(keys)] = values
-    of_terms = np.unique(terms.nodes)
-    mean = _mean_gap(terms, of_terms, directory.lookup(of_terms, table)[1])
+    term_nodes = np.unique(terms.nodes)
+    mean = _mean_gap(terms, term_nodes, directory.lookup(term_nodes, table)[1])
     gap = slave.without_rounding(mean)
     _, outward = gap_and_normal(
-        comm, contact.obstacle, slave.coordinates[at], slave.normal[at], name
+        comm, contact.obstacle, slave.coordinates[rows], slave.normal[rows], name
     )
-    angle = angles_between(slave.normal[at], -outward)
+    angle = angles_between(slave.normal[rows], -outward)
     summary = pairing_summary(comm, name, "obstacle", gap, angle, slave.nodes.size, area=terms.area)
     return ContactPairing(
         name,
         nodes,
         np.full(nodes.size, -1, dtype=np.int64),
-        slave.coordinates[at],
+        slave.coordinates[rows],
         -outward,
         gap,
         terms.area,
@@ -127,11 +107,11 @@ def _mean_gap(terms: MortarTerms, nodes: Numbers, gap: Vector) -> Vector:
 
     `nodes`, ascending, are those of the terms, `gap` are the gaps there.
     """
-    there = np.isfinite(gap)
-    mean = mean_over_terms(terms, nodes, np.where(there, gap, 0.0)[:, None])[:, 0]
-    without = np.zeros(mean.size, dtype=bool)
-    without[terms.row[~there[np.searchsorted(nodes, terms.nodes)]]] = True
-    return np.where(without, np.inf, mean)
+    finite = np.isfinite(gap)
+    mean = mean_over_terms(terms, nodes, np.where(finite, gap, 0.0)[:, None])[:, 0]
+    is_open = np.zeros(mean.size, dtype=bool)
+    is_open[terms.row[~finite[np.searchsorted(nodes, terms.nodes)]]] = True
+    return np.where(is_open, np.inf, mean)
 
 
 def deformed_gaps(
@@ -142,34 +122,21 @@ def deformed_gaps(
 ) -> tuple[Vector, Vector, Vector]:
     """Return the conditions at an obstacle in the deformed state. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    contact : RigidObstacle
-        The contact.
-    pairing : ContactPairing
-        Its conditions before.
-    displacement : Function
-        The displacement [m], ghosts up to date.
-
-    Returns
-    -------
-    normal, gap, distance : (k, gdim), (k,), (k,) arrays
-        Normals into the obstacle, gaps in terms of the total displacement, and distances from the
-        obstacle [m], for degree 2 the means around the nodes.
+    Returned are normals (k, gdim) into the obstacle, gaps (k,) in terms of the total displacement,
+    and distances (k,) from the obstacle [m], for degree 2 the means around the nodes. The ghosts of
+    the displacement are up to date.
     """
     comm, name, terms = boundary.space.mesh.comm, pairing.name, pairing.terms
     slave = gather_surface(boundary, contact.facet_tags, contact.slave, displacement)
     nodes = pairing.slave if terms is None else np.unique(terms.nodes)
-    at = np.searchsorted(slave.nodes, nodes)
-    places, normals = _padded(slave.points[at]), slave.normals(name)[at]
+    rows = np.searchsorted(slave.nodes, nodes)
+    places, normals = _padded(slave.points[rows]), slave.normals(name)[rows]
     distance, outward = gap_and_normal(comm, contact.obstacle, places, normals, name)
-    moved = slave.displacement[at]
+    motion = slave.displacement[rows]
     if terms is not None:
-        distance, moved = _mean_gap(terms, nodes, distance), mean_over_terms(terms, nodes, moved)
+        distance, motion = _mean_gap(terms, nodes, distance), mean_over_terms(terms, nodes, motion)
         outward = outward[np.searchsorted(nodes, pairing.slave)]
-    return -outward, distance - np.sum(moved * outward, axis=1), distance
+    return -outward, distance - np.sum(motion * outward, axis=1), distance
 
 
 def _padded(points: Vector) -> Vector:

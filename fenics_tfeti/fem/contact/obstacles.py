@@ -166,40 +166,18 @@ class Cylinder:
     def __call__(self, x: Vector) -> tuple[Vector, Vector]:
         """Return the distances and normals at points x of shape (3, n)."""
         axis = _direction(self.axis, "the cylinder's axis")
-        from_point = x - np.asarray(self.point, dtype=float)[:, None]
-        outward = from_point - axis[:, None] * (axis @ from_point)
+        offset = x - np.asarray(self.point, dtype=float)[:, None]
+        outward = offset - axis[:, None] * (axis @ offset)
         return _radial_gap(x, outward, self.radius, self.hollow, "on the axis of the cylinder")
 
 
 def gap_and_normal(
     comm: MPI.Intracomm, obstacle: Obstacle, points: Vector, normal: Vector, name: str
 ) -> tuple[Vector, Vector]:
-    """Return the gaps to an obstacle and its unit normals, checked. Collective.
+    """Return the gaps (k,) to an obstacle and its unit normals (k, gdim), checked. Collective.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    obstacle : callable
-        x (3, k) -> (gap, normal), or x (3, k) -> gap along the body's own normal.
-    points : (k, 3) array
-        Points of the body [m].
-    normal : (k, gdim) array
-        The body's outward normals.
-    name : str
-        Name of the contact, for messages.
-
-    Returns
-    -------
-    gap, outward : (k,) array, (k, gdim) array
-        Distances [m] and the obstacle's unit normals, which point towards the body. Where there is
-        no obstacle, the distance is infinite and the normal the opposite of the body's.
-
-    Raises
-    ------
-    InputError
-        Wrong shapes, NaN or -inf, normals that are not of unit length, an exception of the
-        function; an obstacle whose normals all point away from the body.
+    The normal is the body's (k, gdim). Where there is no obstacle, the distance is infinite and the
+    obstacle's normal the opposite of the body's.
     """
     gdim = normal.shape[1]
     with raise_collectively(comm):
@@ -228,10 +206,10 @@ def gap_and_normal(
         ),
     )
     facing = np.sum(outward * normal, axis=1) < 0.0
-    there, faced = comm.allreduce(np.array([(~nothing).sum(), (facing & ~nothing).sum()])).tolist()
-    if there and not faced:
+    total, faced = comm.allreduce(np.array([(~nothing).sum(), (facing & ~nothing).sum()])).tolist()
+    if total and not faced:
         raise InputError(
-            f"{name}: the obstacle's normal points away from the body at all {there} nodes. It has "
+            f"{name}: the obstacle's normal points away from the body at all {total} nodes. It has "
             "to point out of the obstacle, towards the body: change its sign (for a Sphere or "
             "Cylinder around the body, hollow=True)"
         )
@@ -273,9 +251,9 @@ def _radial_gap(
 ) -> tuple[Vector, Vector]:
     """Return gaps and normals from the vectors that lead to points from a centre or an axis."""
     distance = np.linalg.norm(outward, axis=0)
-    at = np.flatnonzero(distance <= NO_DIRECTION * radius)
-    if at.size:
-        point = format_point(x[: len(outward), at[0]], radius)
+    singular = np.flatnonzero(distance <= NO_DIRECTION * radius)
+    if singular.size:
+        point = format_point(x[: len(outward), singular[0]], radius)
         raise InputError(
             f"the point {point} is {where}, where the normal is not defined: remove it from "
             "the slave's surface, or move the obstacle"
@@ -284,28 +262,28 @@ def _radial_gap(
     return sign * (distance - radius), sign * outward / distance
 
 
-def _coordinates(given: Sequence[float], what: str) -> Vector:
+def _coordinates(values: Sequence[float], label: str) -> Vector:
     try:
-        numbers = np.asarray(given, dtype=float)
+        numbers = np.asarray(values, dtype=float)
     except (TypeError, ValueError):
-        raise InputError(f"{what} is {given!r}: two or three numbers are expected") from None
+        raise InputError(f"{label} is {values!r}: two or three numbers are expected") from None
     if numbers.shape not in ((2,), (3,)) or not np.isfinite(numbers).all():
-        raise InputError(f"{what} is {given!r}: two or three finite numbers are expected")
+        raise InputError(f"{label} is {values!r}: two or three finite numbers are expected")
     return numbers
 
 
-def _direction(given: Sequence[float], what: str) -> Vector:
-    vector = _coordinates(given, what)
+def _direction(values: Sequence[float], label: str) -> Vector:
+    vector = _coordinates(values, label)
     length = float(np.linalg.norm(vector))
     if length == 0.0:
-        raise InputError(f"{what} is {given!r}: it has no direction")
+        raise InputError(f"{label} is {values!r}: it has no direction")
     return vector / length
 
 
-def _check_radius(radius: float, what: str) -> None:
+def _check_radius(radius: float, kind: str) -> None:
     try:
         positive = 0.0 < float(radius) < np.inf
     except (TypeError, ValueError):
         positive = False
     if not positive:
-        raise InputError(f"the {what}'s radius is {radius!r}: a positive number is expected")
+        raise InputError(f"the {kind}'s radius is {radius!r}: a positive number is expected")

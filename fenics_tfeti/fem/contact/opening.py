@@ -1,4 +1,4 @@
-"""Gaps after the solve: what displacements leave of the gaps of contact conditions."""
+"""Gaps of contact conditions after the solve."""
 
 from __future__ import annotations
 
@@ -21,16 +21,8 @@ def openings(
     """Return the openings (k,) of each contact's conditions, in order [m]. Collective.
 
     An opening is the gap less the approach of the surfaces along the slave's normal; infinite where
-    there is no obstacle.
-
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    pairings : sequence of ContactPairing
-        This rank's part of each contact.
-    displacement : (n,) array
-        At the degrees of freedom that this rank owns [m].
+    there is no obstacle. The displacement (n,) is at the degrees of freedom that this rank owns
+    [m].
     """
     rows = contact_rows(pairings, space.mesh.geometry.dim)
     opening = (rows.gap - row_values(space, rows, displacement)) / rows.length
@@ -41,20 +33,13 @@ def openings(
 def row_values(space: FunctionSpace, rows: ContactRows, displacement: Vector) -> Vector:
     """Return sum_k c_k'u(node_k) of rows (k,) whose nodes may be on any rank. Collective.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    rows : ContactRows
-        This rank's.
-    displacement : (n,) array
-        At the degrees of freedom that this rank owns [m].
+    The displacement (n,) is at the degrees of freedom that this rank owns [m].
     """
     index_map, gdim = space.dofmap.index_map, space.dofmap.index_map_bs
     nodes = np.unique(rows.nodes)
     values = displacement.reshape(-1, gdim)
-    found = values_of_owners(space.mesh.comm, index_map.local_range, values, nodes)
-    terms = np.sum(rows.coefficients * found[np.searchsorted(nodes, rows.nodes)], axis=1)
+    nodal = values_of_owners(space.mesh.comm, index_map.local_range, values, nodes)
+    terms = np.sum(rows.coefficients * nodal[np.searchsorted(nodes, rows.nodes)], axis=1)
     sums = np.zeros(rows.size)
     np.add.at(sums, rows.row, terms)
     return sums

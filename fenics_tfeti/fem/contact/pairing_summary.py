@@ -33,41 +33,18 @@ def pairing_summary(
 ) -> dict[str, Any]:
     """Summarise the pairing of a contact; the same on all ranks. Collective.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    name : str
-        Name of the contact.
-    discretisation : str
-        "node_to_node", "mortar" or "obstacle".
-    gap, angle : (k,) arrays
-        Gaps [m], infinite where there is no obstacle, and angles between the slave's normals and
-        the opposite of the master's [degrees].
-    total : int
-        Number of slave nodes that this rank owns, with and without partner.
-    distance, relative : (k,) arrays, optional
-        The distances that the tolerance limits [m], and the same relative to the size of the
-        facets; None for obstacles and mortar conditions.
-    area : (k,) array, optional
-        Weights of the mean gap.
-    covered_area : float, optional
-        Area of this rank's facets that has a partner [m^2 or m].
-    deviation : (k,) array, optional
-        How far the facets of both surfaces are from the curved surfaces through their nodes [m];
-        None where gaps do not depend on it.
-
-    Returns
-    -------
-    dict
-        An entry of `Report.pairing`; its numbers are None where there is no pair.
+    Arrays (k,) are of the conditions: gaps [m], infinite where there is no obstacle, angles between
+    the slave's normals and the opposite of the master's [degrees], the distances that the tolerance
+    limits [m] and the same relative to the size of the facets, areas as weights of the mean gap,
+    and deviations of the facets from the curved surfaces through their nodes [m], None where gaps
+    do not depend on it. `total` is the number of this rank's slave nodes, with and without partner.
     """
-    there = np.isfinite(gap)
-    pairs = comm.allreduce(int(there.sum()))
+    finite = np.isfinite(gap)
+    pairs = comm.allreduce(int(finite.sum()))
 
     def largest(values: Vector, sign: float = 1.0) -> float | None:
-        most = comm.allreduce(float((sign * values[there]).max(initial=-np.inf)), MPI.MAX)
-        return 0.0 + sign * most if pairs else None
+        extreme = comm.allreduce(float((sign * values[finite]).max(initial=-np.inf)), MPI.MAX)
+        return 0.0 + sign * extreme if pairs else None
 
     return {
         "contact": name,
@@ -79,11 +56,11 @@ def pairing_summary(
         "largest_angle": largest(angle),
         "smallest_gap": largest(gap, -1.0),
         "largest_gap": largest(gap),
-        "mean_gap": _mean(comm, gap, area, there),
+        "mean_gap": _mean(comm, gap, area, finite),
         "covered_area": None if covered_area is None else comm.allreduce(covered_area),
         "deviation": None if deviation is None else largest(deviation),
         "blurred": (
-            None if deviation is None else _mean(comm, _blurred(gap, deviation), area, there)
+            None if deviation is None else _mean(comm, _blurred(gap, deviation), area, finite)
         ),
     }
 
@@ -95,13 +72,7 @@ def _blurred(gap: Vector, deviation: Vector) -> Vector:
 
 
 def warn_of_deviation(entry: Mapping[str, Any]) -> None:
-    """Warn if the gaps of a contact are mostly smaller than the deviation of its facets.
-
-    Parameters
-    ----------
-    entry : mapping
-        Of `Report.pairing`.
-    """
+    """Warn if the gaps of a contact are mostly smaller than the deviation of its facets."""
     if (entry["blurred"] or 0.0) <= _BLURRED:
         return
     mean, deviation = entry["mean_gap"], entry["deviation"]
@@ -116,10 +87,10 @@ def warn_of_deviation(entry: Mapping[str, Any]) -> None:
     )
 
 
-def _mean(comm: MPI.Intracomm, gap: Vector, area: Vector | None, there: Mask) -> float | None:
+def _mean(comm: MPI.Intracomm, gap: Vector, area: Vector | None, finite: Mask) -> float | None:
     weights = np.ones_like(gap) if area is None else area
     total, whole = comm.allreduce(
-        np.array([gap[there] @ weights[there], weights[there].sum()])
+        np.array([gap[finite] @ weights[finite], weights[finite].sum()])
     ).tolist()
     return total / whole if whole > 0.0 else None
 

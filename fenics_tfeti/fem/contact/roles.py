@@ -1,4 +1,4 @@
-"""Which of two surfaces is better the slave of mortar conditions.
+"""Choice of the slave of mortar conditions among two surfaces.
 
 The condition number of the rows is about 1 + E_s h_m / (E_m h_s), with Young's moduli E and sizes h
 of the facets of slave and master: the slave is better the surface with the smaller E / h. It is
@@ -26,28 +26,16 @@ from fenics_tfeti.parallel import concatenate_ranks
 
 # Ratio of E / h from which on an exchange is worth it: it is about that of the two condition
 # numbers, so that bounds of the iterations differ by a factor of two.
-_WORSE = 4.0
+_EXCHANGE_RATIO = 4.0
 
 # Estimated condition number of a pair's rows, above which the user is told.
-_LARGE = 20.0
+_LARGE_CONDITION = 20.0
 
 
 def roles_ratio(
     comm: MPI.Intracomm, pairing: ContactPairing, subdomains: Sequence[Subdomain]
 ) -> float | None:
-    """Return (E / h) of the slave over that of the master; None but for mortar conditions.
-
-    Collective.
-
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    pairing : ContactPairing
-        The conditions.
-    subdomains : sequence of Subdomain
-        This rank's subdomains, with their stiffness.
-    """
+    """Return E / h of the slave over that of the master; None for node pairs. Collective."""
     if pairing.master_surface is None:
         return None
     slave, master = (
@@ -59,44 +47,36 @@ def roles_ratio(
 
 def prefers_exchange(contact: ContactPair, ratio: float | None) -> bool:
     """Tell whether slave and master of a pair are to be exchanged, given the ratio of E / h."""
-    wanted = contact.roles == "auto" and one_sided_data(contact) is None
-    return wanted and ratio is not None and ratio > _WORSE
+    allowed = contact.roles == "auto" and one_sided_data(contact) is None
+    return allowed and ratio is not None and ratio > _EXCHANGE_RATIO
 
 
 def exchanged(contact: ContactPair) -> ContactPair:
-    """Return a pair with slave and master exchanged."""
+    """Return the pair with slave and master exchanged."""
     return replace(contact, slave=contact.master, master=contact.slave)
 
 
 def one_sided_data(contact: ContactPair) -> str | None:
     """Return the argument of a pair, if any, whose values belong to the slave that was given."""
     law, weight = contact.friction, contact.measure_weight
-    of_slave = {
+    one_sided = {
         "normal": contact.normal is not None,
         "initial_gap": callable(contact.initial_gap),
         "friction": law is not None and not np.isscalar(next(iter(vars(law).values()))),
         "measure_weight": isinstance(weight, Expr) and bool(extract_coefficients(weight)),
     }
-    return next((name for name, given in of_slave.items() if given), None)
+    return next((name for name, present in one_sided.items() if present), None)
 
 
 def describe_roles(
     contact: ContactPair, ratio: float | None, exchange: bool, obstacle: str | None
 ) -> str | None:
-    """Say in the report what is slave, and why; None where the given roles are good ones.
+    """Describe the choice of roles for the report; None where the given roles are good ones.
 
-    Parameters
-    ----------
-    contact : ContactPair
-        As the user gave it.
-    ratio : float or None
-        (E / h) of the given slave over that of the given master.
-    exchange : bool
-        Whether they were exchanged.
-    obstacle : str or None
-        The error with exchanged roles.
+    The contact and the ratio are those of the given roles, `obstacle` is the error with exchanged
+    ones.
     """
-    if ratio is None or ratio <= _WORSE:
+    if ratio is None or ratio <= _EXCHANGE_RATIO:
         return None
     fact = f"E / h of the given slave is {ratio:.2g} times that of the master"
     if exchange:
@@ -111,7 +91,7 @@ def describe_roles(
 
 def warn_of_roles(name: str, ratio: float) -> None:
     """Warn if the slave is much the stiffer or finer surface."""
-    if 1.0 + ratio > _LARGE:
+    if 1.0 + ratio > _LARGE_CONDITION:
         warnings.warn(
             f"{name}: the slave is better the softer surface, or of equally stiff ones that with "
             f"the larger facets. E / h of this one is {ratio:.0f} times that of the master, which "

@@ -36,18 +36,10 @@ _NORMAL_ONLY = 1e-12
 
 @dataclass(frozen=True)
 class SlipOrigin:
-    """The state from which slip is counted: the end of the last load step.
+    """The state from which slip is counted: the end of the last load step."""
 
-    Attributes
-    ----------
-    displacement : (n,) array
-        At the degrees of freedom that this rank owns [m].
-    obstacles : (contacts, n) array
-        What each obstacle had moved at the slave's nodes, zero elsewhere [m].
-    """
-
-    displacement: Vector
-    obstacles: Vector
+    displacement: Vector  # (n,): at the degrees of freedom that this rank owns [m]
+    obstacles: Vector  # (contacts, n): their displacements at the slave's nodes, else zero [m]
 
     @staticmethod
     def undeformed(space: FunctionSpace, contacts: int) -> SlipOrigin:
@@ -55,34 +47,22 @@ class SlipOrigin:
         size = space.dofmap.index_map_bs * space.dofmap.index_map.size_local
         return SlipOrigin(np.zeros(size), np.zeros((contacts, size)))
 
-    def of_contacts(self, contacts: int) -> SlipOrigin:
+    def resized(self, contacts: int) -> SlipOrigin:
         """Return the state for another number of contacts; further ones have not moved."""
         obstacles = np.zeros((contacts, self.displacement.size))
-        known = min(contacts, len(self.obstacles))
-        obstacles[:known] = self.obstacles[:known]
+        common = min(contacts, len(self.obstacles))
+        obstacles[:common] = self.obstacles[:common]
         return SlipOrigin(self.displacement, obstacles)
 
 
 @dataclass(frozen=True)
 class NodalFriction:
-    """Friction at the conditions of one contact, this rank's part.
+    """Friction at the k conditions of one contact, this rank's part."""
 
-    Attributes
-    ----------
-    tangents : (k, gdim - 1, gdim) array
-        Orthonormal tangents.
-    bound : (k,) array
-        Slip bound [N]; 0 with Coulomb's law.
-    coefficient : (k,) array
-        Coefficient of friction; 0 with Tresca's law.
-    moved : (k, gdim) array
-        What the obstacle has moved [m]; zero for pairs.
-    """
-
-    tangents: Vector
-    bound: Vector
-    coefficient: Vector
-    moved: Vector
+    tangents: Vector  # (k, gdim - 1, gdim), orthonormal
+    bound: Vector  # slip bounds (k,) [N]; 0 with Coulomb's law
+    coefficient: Vector  # of friction (k,); 0 with Tresca's law
+    obstacle_displacement: Vector  # displacement of the obstacle (k, gdim) [m]; zero for pairs
 
 
 def tangents(normal: Vector, prescribed: Mask) -> Vector:
@@ -99,74 +79,51 @@ def tangents(normal: Vector, prescribed: Mask) -> Vector:
     """
     k, gdim = normal.shape
     if gdim == 2:
-        across: Vector = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
-        return across[:, None, :]
+        tangent: Vector = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
+        return tangent[:, None, :]
     along2 = 1.0 - normal**2
     axis = np.argmax(along2 + 2.0 * (prescribed & (along2 > _NORMAL_ONLY)), axis=1)
     first = np.identity(3)[axis] - normal[np.arange(k), axis][:, None] * normal
     first /= np.linalg.norm(first, axis=1)[:, None]
-    both: Vector = np.stack([first, np.cross(normal, first)], axis=1)
-    return both
+    pair: Vector = np.stack([first, np.cross(normal, first)], axis=1)
+    return pair
 
 
 def nodal_friction(
     space: FunctionSpace, contact: Contact, pairing: ContactPairing, prescribed: Prescribed
 ) -> NodalFriction | None:
-    """Evaluate the friction of a contact at its conditions; None without friction. Collective.
-
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    contact : ContactPair or RigidObstacle
-        The contact.
-    pairing : ContactPairing
-        Its conditions.
-    prescribed : Prescribed
-        Prescribed displacements of this rank's nodes.
-
-    Raises
-    ------
-    InputError
-        On all ranks, for wrong values of the user's functions.
-    """
+    """Evaluate the friction of a contact at its conditions; None without friction. Collective."""
     if contact.friction is None:
         return None
     nodes, points, name = pairing.slave, pairing.coordinates, pairing.name
     law = contact.friction
     values = values_at_nodes(space, law, nodes, points, name)
-    given = isinstance(law, Tresca)
-    at = np.searchsorted(pairing.surface.nodes, nodes)
-    held = prescribed_components(pairing.surface, prescribed)[at]
+    is_tresca = isinstance(law, Tresca)
+    rows = np.searchsorted(pairing.surface.nodes, nodes)
+    fixed = prescribed_components(pairing.surface, prescribed)[rows]
     return NodalFriction(
-        tangents(pairing.normal, held),
-        np.where(given, values * pairing.area, 0.0),
-        np.where(given, 0.0, values),
+        tangents(pairing.normal, fixed),
+        np.where(is_tresca, values * pairing.area, 0.0),
+        np.where(is_tresca, 0.0, values),
         obstacle_motion(space, contact, points, name),
     )
 
 
 def obstacle_motion(space: FunctionSpace, contact: Contact, points: Vector, name: str) -> Vector:
-    """Return what an obstacle has moved at points (k, 3), (k, gdim) [m]. Collective.
-
-    Raises
-    ------
-    InputError
-        On all ranks: a wrong shape, NaN or infinite values, an exception of the user's function.
-    """
+    """Return an obstacle's displacement (k, gdim) at points (k, 3) [m]. Collective."""
     gdim = space.dofmap.index_map_bs
-    given: Any = contact.displacement if isinstance(contact, RigidObstacle) else None
-    what = f"{name}: the obstacle's displacement"
-    if callable(given):
-        return vectors_at(space.mesh.comm, given, points, gdim, what)
+    motion: Any = contact.displacement if isinstance(contact, RigidObstacle) else None
+    label = f"{name}: the obstacle's displacement"
+    if callable(motion):
+        return vectors_at(space.mesh.comm, motion, points, gdim, label)
     with raise_collectively(space.mesh.comm):
         try:
-            values = np.asarray(np.zeros(gdim) if given is None else given, dtype=float)
+            values = np.asarray(np.zeros(gdim) if motion is None else motion, dtype=float)
         except (TypeError, ValueError):
             values = np.zeros(0)
         if values.shape != (gdim,) or not np.isfinite(values).all():
             raise InputError(
-                f"{what} is {given!r}; {gdim} finite numbers [m] or a function x (3, n) -> "
+                f"{label} is {motion!r}; {gdim} finite numbers [m] or a function x (3, n) -> "
                 f"({gdim}, n) is expected"
             )
     return np.tile(values, (len(points), 1))
@@ -181,61 +138,50 @@ def friction_rows(
 ) -> Friction:
     """Return where the contact rows have friction, and from where slip is counted. Collective.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    rows : ContactRows
-        The conditions of all contacts, one contact after the other.
-    pairings : sequence of ContactPairing
-        The contacts.
-    friction : sequence of NodalFriction or None
-        Of each contact.
-    origin : SlipOrigin
-        The end of the last load step.
+    The rows are the conditions of all contacts, one contact after the other.
     """
     gdim = space.dofmap.index_map_bs
     first = np.cumsum([0, *(pairing.slave.size for pairing in pairings)])
     parts = [
-        (start + np.arange(pairing.slave.size), one, pairing, before)
-        for start, pairing, one, before in zip(
+        (start + np.arange(pairing.slave.size), nodal, pairing, earlier)
+        for start, pairing, nodal, earlier in zip(
             first[:-1], pairings, friction, origin.obstacles, strict=True
         )
-        if one is not None
+        if nodal is not None
     ]
     if not parts:
         return Friction.none(gdim)
     new = Friction(
-        np.concatenate([at for at, *_ in parts]),
-        np.concatenate([one.tangents for _, one, *_ in parts]),
-        np.concatenate([one.bound for _, one, *_ in parts]),
-        coefficient=np.concatenate([one.coefficient for _, one, *_ in parts]),
+        np.concatenate([numbers for numbers, *_ in parts]),
+        np.concatenate([nodal.tangents for _, nodal, *_ in parts]),
+        np.concatenate([nodal.bound for _, nodal, *_ in parts]),
+        coefficient=np.concatenate([nodal.coefficient for _, nodal, *_ in parts]),
     )
     tangential = new.tangential_rows(rows)
     slip = row_values(space, tangential, origin.displacement).reshape(-1, gdim - 1)
     slip /= tangential.length.reshape(-1, gdim - 1)
     first_node = space.dofmap.index_map.local_range[0]
-    moved = np.concatenate(
+    motion = np.concatenate(
         [
-            one.moved - before.reshape(-1, gdim)[pairing.slave - first_node]
-            for _, one, pairing, before in parts
+            nodal.obstacle_displacement - earlier.reshape(-1, gdim)[pairing.slave - first_node]
+            for _, nodal, pairing, earlier in parts
         ]
     )
-    return replace(new, slip=slip + np.einsum("kta,ka->kt", new.tangents, moved))
+    return replace(new, slip=slip + np.einsum("kta,ka->kt", new.tangents, motion))
 
 
-def moved_obstacles(
+def obstacle_displacements(
     space: FunctionSpace,
     pairings: Sequence[ContactPairing],
     friction: Sequence[NodalFriction | None],
 ) -> Vector:
-    """Return what each obstacle has moved at the slave's nodes, as in `SlipOrigin`."""
+    """Return each obstacle's displacement at the slave's nodes, as in `SlipOrigin`."""
     gdim, index_map = space.dofmap.index_map_bs, space.dofmap.index_map
-    moved = np.zeros((len(pairings), index_map.size_local, gdim))
-    for values, pairing, one in zip(moved, pairings, friction, strict=True):
-        if one is not None:
-            values[pairing.slave - index_map.local_range[0]] = one.moved
-    return moved.reshape(len(pairings), index_map.size_local * gdim)
+    displacements = np.zeros((len(pairings), index_map.size_local, gdim))
+    for values, pairing, nodal in zip(displacements, pairings, friction, strict=True):
+        if nodal is not None:
+            values[pairing.slave - index_map.local_range[0]] = nodal.obstacle_displacement
+    return displacements.reshape(len(pairings), index_map.size_local * gdim)
 
 
 def friction_result(
@@ -248,25 +194,15 @@ def friction_result(
 ) -> FrictionResult | None:
     """Return the results of friction at the conditions of a contact; None without friction.
 
-    Parameters
-    ----------
-    friction : NodalFriction or None
-        The friction of the contact.
-    pairing : ContactPairing
-        Its conditions.
-    force, slip : (k, gdim - 1) arrays
-        Friction forces on the slave against the tangents [N], and slips along them [m].
-    sticking : (k,) bool array
-        Where the force is below its bound.
-    bound : (k,) array
-        The slip bounds [N].
+    Forces on the slave are against the tangents (k, gdim - 1) [N], slips along them [m]; conditions
+    stick where the force is below its bound (k,) [N].
     """
     if friction is None:
         return None
-    on_slave = -np.einsum("kt,kta->ka", force, friction.tangents)
+    slave_force = -np.einsum("kt,kta->ka", force, friction.tangents)
     return FrictionResult(
-        force=on_slave,
-        traction=on_slave / pairing.area[:, None],
+        force=slave_force,
+        traction=slave_force / pairing.area[:, None],
         bound=bound,
         slip=np.einsum("kt,kta->ka", slip, friction.tangents),
         sticking=sticking,

@@ -18,7 +18,7 @@ from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, tied_co
 from fenics_tfeti.fem.contact.mortar.pairing import slave_facets
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
-from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
+from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components, same_supports
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MeshBoundary,
     Surface,
@@ -60,27 +60,13 @@ class TiedPair:
 
 @dataclass(frozen=True)
 class TiedPairing:
-    """The conditions of a tied pair at the slave nodes that this rank owns.
-
-    Attributes
-    ----------
-    name : str
-        Name of the pair.
-    terms : list of MortarTerms
-        The conditions of each component.
-    summary : dict
-        The pair's entry of `Report.pairing`.
-    surface : Surface
-        The slave's surface.
-    prescribed : (s, gdim) bool array
-        Which components are prescribed at its nodes.
-    """
+    """The conditions of a tied pair at the slave nodes that this rank owns."""
 
     name: str
-    terms: list[MortarTerms]
-    summary: dict[str, Any]
-    surface: Surface
-    prescribed: NDArray[np.bool_]
+    terms: list[MortarTerms]  # the conditions of each component
+    summary: dict[str, Any]  # the pair's entry of `Report.pairing`
+    surface: Surface  # that of the slave
+    prescribed: NDArray[np.bool_]  # (s, gdim): components prescribed at its nodes
 
 
 def tied_name(pair: TiedPair, number: int) -> str:
@@ -89,25 +75,7 @@ def tied_name(pair: TiedPair, number: int) -> str:
 
 
 def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescribed) -> TiedPairing:
-    """Find the conditions of a tied pair. Collective.
-
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    pair : TiedPair
-        The pair.
-    number : int
-        Its number, for a name.
-    prescribed : Prescribed
-        Prescribed displacements, of this rank's nodes.
-
-    Raises
-    ------
-    InputError
-        Tags on no facet or on interior ones, equal tags, shared nodes, surfaces that do not face
-        each other anywhere or are apart.
-    """
+    """Find the conditions of a tied pair. Collective."""
     space, name = boundary.space, tied_name(pair, number)
     comm = space.mesh.comm
     with raise_collectively(comm):
@@ -124,16 +92,16 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
     _check_separate(comm, slave, master.nodes, name)
     gdim = slave.normal.shape[1]
     facets = slave_facets(space, pair, slave, boundary.coordinates[:, :gdim], name)
-    held = prescribed_components(slave, prescribed)
-    on_facets = values_on_facets(space, slave, held.astype(float)) > 0.5
-    conditions = tied_conditions(comm, facets, slave.nodes, master, normals, on_facets)
+    fixed = prescribed_components(slave, prescribed)
+    corner_fixed = values_on_facets(space, slave, fixed.astype(float)) > 0.5
+    conditions = tied_conditions(comm, facets, slave.nodes, master, normals, corner_fixed)
     # nodes where a component is prescribed have no condition for it
-    most = int(np.argmax([comm.allreduce(one.slave.size) for one in conditions]))
-    fullest = conditions[most]
+    largest = int(np.argmax([comm.allreduce(component.slave.size) for component in conditions]))
+    fullest = conditions[largest]
     check_covered(comm, fullest, slave, name)
     _check_together(comm, fullest, slave, name)
-    at = np.searchsorted(slave.nodes, fullest.slave)
-    gap = np.sum(fullest.gap * slave.normal[at], axis=1)
+    rows = np.searchsorted(slave.nodes, fullest.slave)
+    gap = np.sum(fullest.gap * slave.normal[rows], axis=1)
     summary = pairing_summary(
         comm,
         name,
@@ -144,7 +112,7 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
         area=fullest.area,
         covered_area=fullest.covered_area,
     )
-    return TiedPairing(name, [one.terms for one in conditions], summary, slave, held)
+    return TiedPairing(name, [component.terms for component in conditions], summary, slave, fixed)
 
 
 def tie_pairs(
@@ -155,52 +123,27 @@ def tie_pairs(
 ) -> list[tuple[TiedPair, TiedPairing]]:
     """Find the conditions of all tied pairs. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    pairs : sequence of TiedPair
-        The pairs.
-    known : sequence of (pair, pairing)
-        Earlier results, which hold as long as the same components are prescribed.
-    prescribed : Prescribed
-        Prescribed displacements, of this rank's nodes.
-
-    Returns
-    -------
-    list of (pair, pairing)
+    Known results hold as long as the same components are prescribed.
     """
     comm = boundary.space.mesh.comm
     earlier = {id(pair): pairing for pair, pairing in known}
-    found = []
+    pairings = []
     for number, pair in enumerate(pairs):
         pairing = earlier.get(id(pair))
         if (
             pairing is None
             or pair.measure_weight is not None
-            or not _still_holds(comm, pairing, prescribed)
+            or not same_supports(comm, pairing.surface, prescribed, pairing.prescribed)
         ):
             pairing = tie(boundary, pair, number, prescribed)
-        found.append((pair, pairing))
-    return found
-
-
-def _still_holds(comm: MPI.Intracomm, pairing: TiedPairing, prescribed: Prescribed) -> bool:
-    same = np.array_equal(prescribed_components(pairing.surface, prescribed), pairing.prescribed)
-    return bool(comm.allreduce(same, MPI.LAND))
+        pairings.append((pair, pairing))
+    return pairings
 
 
 def tied_rows(pairings: Sequence[TiedPairing], gdim: int, first: int) -> ContactRows:
     """Return the conditions of all tied pairs, the components of a pair one after the other.
 
-    Parameters
-    ----------
-    pairings : sequence of TiedPairing
-        This rank's parts.
-    gdim : int
-        2 or 3.
-    first : int
-        Number of the first pair among contacts and tied pairs.
+    `first` is the number of the first pair among contacts and tied pairs.
     """
     if not pairings:
         return ContactRows.none(gdim)
@@ -239,13 +182,13 @@ def _check_together(
     comm: MPI.Intracomm, conditions: MortarConditions, slave: Surface, name: str
 ) -> None:
     """Check that surfaces are no farther apart than facets are large: rotations would be held."""
-    at = np.searchsorted(slave.nodes, conditions.slave)
+    rows = np.searchsorted(slave.nodes, conditions.slave)
     distance = np.linalg.norm(conditions.gap, axis=1)
     largest = concatenate_ranks(comm, distance).max(initial=0.0)
     raise_where(
         comm,
-        distance > 0.5 * slave.size[at],
-        slave.points[at],
+        distance > 0.5 * slave.size[rows],
+        slave.points[rows],
         lambda number, place: (
             f"{name}: the surfaces are apart, or overlap, by more than half a facet at {number} "
             f"slave nodes, by up to {largest:.3g}, the first at {place}. Tie surfaces that lie on "

@@ -29,26 +29,14 @@ from fenics_tfeti.typing import Vector
 class SolvedContact:
     """The solution on the whole of a slave's surface, on every rank.
 
-    Attributes
-    ----------
-    name : str
-        Name of the contact.
-    surface : DeformedSurface
-        Nodes and facets.
-    paired : (n,) array
-        1 at nodes that have a contact condition, 0 elsewhere; between vertices interpolated, as are
-        the other values.
-    pressure : (n,) array
-        [Pa]; 0 elsewhere.
-    approach : (n,) array
-        (u_slave - u_master)'n [m]; 0 elsewhere.
+    Values (n,) between vertices are interpolated.
     """
 
     name: str
     surface: DeformedSurface
-    paired: Vector
-    pressure: Vector
-    approach: Vector
+    paired: Vector  # 1 at nodes that have a contact condition, 0 elsewhere
+    pressure: Vector  # [Pa]; 0 elsewhere
+    approach: Vector  # (u_slave - u_master)'n [m]; 0 elsewhere
 
 
 def gather_solved(
@@ -61,24 +49,11 @@ def gather_solved(
     """Gather the solution on the slaves' surfaces on every rank. Collective.
 
     The messages grow with the surfaces, which are meant to be those of a coarse mesh.
-
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    contacts : sequence of ContactPair or RigidObstacle
-        The contacts.
-    pairings : sequence of ContactPairing
-        Their nodes and normals.
-    results : sequence of ContactResult
-        Their pressures.
-    displacement : Function
-        The solution [m].
     """
     displacement.x.scatter_forward()
     return [
-        _gather_solved(boundary, *one, displacement)
-        for one in zip(contacts, pairings, results, strict=True)
+        _gather_solved(boundary, *solution, displacement)
+        for solution in zip(contacts, pairings, results, strict=True)
     ]
 
 
@@ -94,18 +69,18 @@ def _gather_solved(
     if pairing.terms is not None:
         relative = mean_relative(pairing.terms, displacement)
     else:
-        other = None
+        master = None
         if not isinstance(contact, RigidObstacle):
-            other = gather_surface(boundary, contact.facet_tags, contact.master, displacement)
-        relative = _relative_displacement(pairing, slave, other)
-    own = np.sum(relative * pairing.normal, axis=1)
-    columns = (pairing.slave, result.pressure, own)
-    nodes, of_paired, of_approach = (concatenate_ranks(comm, column) for column in columns)
-    at = np.searchsorted(slave.nodes, nodes)
+            master = gather_surface(boundary, contact.facet_tags, contact.master, displacement)
+        relative = _relative_displacement(pairing, slave, master)
+    nodal_approach = np.sum(relative * pairing.normal, axis=1)
+    columns = (pairing.slave, result.pressure, nodal_approach)
+    nodes, pressures, approaches = (concatenate_ranks(comm, column) for column in columns)
+    rows = np.searchsorted(slave.nodes, nodes)
     n = slave.nodes.size
     paired, pressure, approach = np.zeros((3, n))
-    paired[at], pressure[at] = 1.0, of_paired
-    approach[at] = of_approach
+    paired[rows], pressure[rows] = 1.0, pressures
+    approach[rows] = approaches
     values = slave.from_corners(np.column_stack([paired, pressure, approach]))
     return SolvedContact(pairing.name, slave, *values.T)
 
@@ -114,32 +89,22 @@ def _relative_displacement(
     pairing: ContactPairing, slave: DeformedSurface, master: DeformedSurface | None
 ) -> Vector:
     """Return u_slave - u_master (k, gdim) at this rank's pairs of nodes."""
-    at = np.searchsorted(slave.nodes, pairing.slave)
+    rows = np.searchsorted(slave.nodes, pairing.slave)
     if master is None:
-        return slave.displacement[at]
+        return slave.displacement[rows]
     partner = np.searchsorted(master.nodes, pairing.master)
-    relative: Vector = slave.displacement[at] - master.displacement[partner]
+    relative: Vector = slave.displacement[rows] - master.displacement[partner]
     return relative
 
 
 def expected_contact(
     solved: Sequence[SolvedContact], pairings: Sequence[ContactPairing]
 ) -> ContactGuess:
-    """Transfer forces and gaps to the contact rows of another mesh.
+    """Transfer forces and gaps to this rank's contact rows of another mesh, contact by contact.
 
-    Parameters
-    ----------
-    solved : sequence of SolvedContact
-        The solution on a coarse mesh.
-    pairings : sequence of ContactPairing
-        The same contacts on the present mesh, this rank's part.
-
-    Returns
-    -------
-    ContactGuess
-        For this rank's contact rows, contact by contact.
+    The pairings are those of the same contacts on the present mesh.
     """
-    guesses = [_transfer(*one) for one in zip(solved, pairings, strict=True)]
+    guesses = [_transfer(*pair) for pair in zip(solved, pairings, strict=True)]
     none = np.zeros(0)
     force = np.concatenate([none, *(force for force, _ in guesses)])
     return ContactGuess(force, np.concatenate([none, *(gap for _, gap in guesses)]))
@@ -158,18 +123,7 @@ def _transfer(solved: SolvedContact, pairing: ContactPairing) -> tuple[Vector, V
 
 
 def check_same_contacts(solved: Sequence[str], present: Sequence[str]) -> None:
-    """Check that two meshes have the same contacts.
-
-    Parameters
-    ----------
-    solved, present : sequences of str
-        Names of the contacts on the coarse mesh and on the present one.
-
-    Raises
-    ------
-    InputError
-        With both lists.
-    """
+    """Check that the coarse mesh and the present one have the same contacts, by their names."""
     if list(solved) != list(present):
         raise InputError(
             f"the coarse problem has the contacts {list(solved)}, this one has {list(present)}: "

@@ -19,13 +19,7 @@ REACH = 2.0
 
 
 class MasterTree:
-    """The pieces of a master's surface, to be found from the slave's.
-
-    Parameters
-    ----------
-    master : Facets
-        The surface.
-    """
+    """The pieces of a master's surface, to be found from the slave's."""
 
     def __init__(self, master: Facets) -> None:
         x = master.coordinates()
@@ -35,45 +29,22 @@ class MasterTree:
         self._places = cKDTree(np.concatenate([nodes, self.planes.origin]))
 
     def reach(self, slave: Facets, planes: Planes) -> Vector:
-        """Return how far before and behind each piece of the slave the master is looked for.
+        """Return how far before and behind each piece (p,) the master is looked for [m].
 
         It is `REACH` times the piece's distance from the nodes and centres of the master, and its
         diameter more.
-
-        Parameters
-        ----------
-        slave : Facets
-            The slave's surface.
-        planes : Planes
-            The planes of its pieces.
-
-        Returns
-        -------
-        (p,) array
-            [m].
         """
-        nodes, at = np.unique(slave.pieces, return_inverse=True)
+        nodes, inverse = np.unique(slave.pieces, return_inverse=True)
         distance = self._places.query(slave.points[nodes])[0]
-        farthest = distance[at.reshape(slave.pieces.shape)].max(axis=1)
+        farthest = distance[inverse.reshape(slave.pieces.shape)].max(axis=1)
         reach: Vector = REACH * farthest + planes.diameter
         return reach
 
     def candidates(self, x: Vector, planes: Planes, reach: Vector) -> tuple[Numbers, Numbers]:
         """Find the pieces of the master that face those of the slave and may lie over them.
 
-        Parameters
-        ----------
-        x : (p, v, gdim) array
-            Corners of pieces of the slave [m].
-        planes : Planes
-            Their planes.
-        reach : (p,) array
-            [m].
-
-        Returns
-        -------
-        slave, master : integer arrays
-            Pairs, in the order of the slave's pieces; each once.
+        The pieces of the slave have the corners x (p, v, gdim) and their planes. Pairs (slave,
+        master) are in the order of the slave's pieces; each once.
         """
         frames = planes.project(np.arange(len(x)), x)
         low, high = lowest(frames), highest(frames)
@@ -85,16 +56,16 @@ class MasterTree:
         extent = np.einsum("fa,fad->fd", half, np.abs(planes.axes))
         upper, lower = ((centre + side * extent).T.copy() for side in (1.0, -1.0))
 
-        def meets(row: Numbers, box_low: Vector, box_high: Vector) -> Mask:
-            wanted = np.ones(row.size, dtype=bool)
+        def overlaps(row: Numbers, box_low: Vector, box_high: Vector) -> Mask:
+            overlapping = np.ones(row.size, dtype=bool)
             for axis, (top, bottom) in enumerate(zip(upper, lower, strict=True)):
-                wanted &= box_low[:, axis] <= top.take(row)
-                wanted &= box_high[:, axis] >= bottom.take(row)
-            return wanted
+                overlapping &= box_low[:, axis] <= top.take(row)
+                overlapping &= box_high[:, axis] >= bottom.take(row)
+            return overlapping
 
-        slave, master = self._tree.candidates(len(x), meets)
-        near = meets(slave, self._low.take(master, axis=0), self._high.take(master, axis=0))
-        slave, master = slave[near], master[near]
+        slave, master = self._tree.candidates(len(x), overlaps)
+        close = overlaps(slave, self._low.take(master, axis=0), self._high.take(master, axis=0))
+        slave, master = slave[close], master[close]
         normals = (planes.normal.take(slave, axis=0), self.planes.normal.take(master, axis=0))
         faces = np.einsum("kd,kd->k", *normals) < FACING
         return slave[faces], master[faces]

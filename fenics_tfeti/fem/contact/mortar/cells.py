@@ -37,30 +37,18 @@ _SEVERAL_LAYERS = 1e-6
 class Cells:
     """Segments or triangles in the planes of slave facets (pieces of them for degree 2).
 
-    Attributes
-    ----------
-    slave, master : (p,) integer arrays
-        Pairs of facets that lie over each other, in the order of the slave facets.
-    on_slave, on_master : (p, v, gdim - 1), (p, w, gdim - 1) arrays
-        The corners of both facets, projected on the plane [m].
-    height : (p, w) array
-        Heights of the master's corners above the plane, which is the gap there [m].
-    pair : (c,) integer array
-        The pair that each cell belongs to.
-    corners : (c, gdim, gdim - 1) array
-        The cell's corners in the plane [m].
-    area : (c,) array
-        The cell's area, length in 2D [m^2 or m].
+    There are p pairs of facets that lie over each other, in the order of the slave facets, and c
+    cells.
     """
 
-    slave: Numbers
-    master: Numbers
-    on_slave: Vector
-    on_master: Vector
-    height: Vector
-    pair: Numbers
-    corners: Vector
-    area: Vector
+    slave: Numbers  # slave facet of each pair (p,)
+    master: Numbers  # master facet of each pair (p,)
+    on_slave: Vector  # (p, v, gdim - 1): corners in the plane of the slave [m]
+    on_master: Vector  # (p, w, gdim - 1): projected corners of the master [m]
+    height: Vector  # (p, w): heights of the master's corners above the plane, the gap there [m]
+    pair: Numbers  # pair that each cell belongs to (c,)
+    corners: Vector  # (c, gdim, gdim - 1): corners of the cells in the plane [m]
+    area: Vector  # (c,) [m^2 or m]
 
     def pair_area(self) -> Vector:
         """Return the area of the cells of each pair (p,)."""
@@ -77,71 +65,54 @@ class Cells:
         shapes = shape_functions(xi, self.on_master.shape[1])
         return middle, np.einsum("pw,pw->p", shapes, self.height)
 
-    def of_pairs(self, kept: Mask) -> Cells:
+    def select_pairs(self, kept: Mask) -> Cells:
         """Leave out pairs."""
         new = np.cumsum(kept) - 1
-        own = kept[self.pair]
+        chosen = kept[self.pair]
         return Cells(
             self.slave[kept],
             self.master[kept],
             self.on_slave[kept],
             self.on_master[kept],
             self.height[kept],
-            new[self.pair[own]],
-            self.corners[own],
-            self.area[own],
+            new[self.pair[chosen]],
+            self.corners[chosen],
+            self.area[chosen],
         )
 
 
 def covering_cells(
     slave: Facets, planes: Planes, chosen: Numbers, master: MasterTree, reach: Vector
 ) -> Cells:
-    """Find the cells of some slave facets.
+    """Find the cells of some slave facets, ascending.
 
     Of several layers of the master the nearest one counts. Facets behind the slave count only where
-    the slave is inside the master.
-
-    Parameters
-    ----------
-    slave : Facets
-        The slave's surface.
-    planes : Planes
-        The planes of its pieces.
-    chosen : (k,) integer array
-        The facets, ascending.
-    master : MasterTree
-        The master's surface.
-    reach : (f,) array
-        How far the master is looked for, see `MasterTree.reach` [m].
-
-    Returns
-    -------
-    Cells
-        The areas of a facet's cells add up to that of the facet at most, up to rounding.
+    the slave is inside the master. The areas of a facet's cells add up to that of the facet at
+    most, up to rounding. For the reach see `MasterTree.reach`.
     """
     x = slave.coordinates(chosen)
-    own = Planes(*(column[chosen] for column in _columns(planes)))
-    at, other = master.candidates(x, own, reach[chosen])
-    on_slave = own.project(np.arange(len(x)), x)[at, :, :-1]
-    frames = own.project(at, master.facets.coordinates(other))
+    chosen_planes = Planes(*(column[chosen] for column in _columns(planes)))
+    row, facet = master.candidates(x, chosen_planes, reach[chosen])
+    on_slave = chosen_planes.project(np.arange(len(x)), x)[row, :, :-1]
+    frames = chosen_planes.project(row, master.facets.coordinates(facet))
     on_master = frames[..., :-1]
-    apart = (highest(on_slave) <= lowest(on_master)) | (highest(on_master) <= lowest(on_slave))
-    near = ~reduce(np.logical_or, apart.T)
+    separate = (highest(on_slave) <= lowest(on_master)) | (highest(on_master) <= lowest(on_slave))
+    overlapping = ~reduce(np.logical_or, separate.T)
     if on_master.shape[1] == 3:
-        near[near] = ~_beyond_an_edge(on_slave[near], on_master[near])
-    at, other, frames = at[near], other[near], frames[near]
-    pair, corners, area = _intersections(on_master[near], on_slave[near])
+        overlapping[overlapping] = ~_beyond_an_edge(on_slave[overlapping], on_master[overlapping])
+    row, facet, frames = row[overlapping], facet[overlapping], frames[overlapping]
+    pair, corners, area = _intersections(on_master[overlapping], on_slave[overlapping])
     cells = Cells(
-        chosen[at],
-        other,
-        on_slave[near],
+        chosen[row],
+        facet,
+        on_slave[overlapping],
         frames[..., :-1],
         frames[..., -1],
         pair,
         corners,
         area,
     )
-    cells = cells.of_pairs(cells.pair_area() > _NO_AREA * planes.area[cells.slave])
+    cells = cells.select_pairs(cells.pair_area() > _NO_AREA * planes.area[cells.slave])
     cells = _without_far_sides(cells, planes, master)
     return _nearest_layers(cells, planes, master)
 
@@ -151,17 +122,17 @@ def _beyond_an_edge(slave: Vector, master: Vector) -> Mask:
 
     It costs less than to cut them, and a third of the facets whose boxes meet are.
     """
-    beyond = np.zeros(len(slave), dtype=bool)
+    outside_edge = np.zeros(len(slave), dtype=bool)
     for corner in range(3):
         start, end = master[:, corner], master[:, (corner + 1) % 3]
-        along = end - start
+        edge = end - start
         outside = np.ones(len(slave), dtype=bool)
         for point in np.moveaxis(slave, 1, 0):
             # facets that face the slave are clockwise in its plane
-            across = along[:, 0] * (point - start)[:, 1] - along[:, 1] * (point - start)[:, 0]
-            outside &= across >= 0.0
-        beyond |= outside
-    return beyond
+            side = edge[:, 0] * (point - start)[:, 1] - edge[:, 1] * (point - start)[:, 0]
+            outside &= side >= 0.0
+        outside_edge |= outside
+    return outside_edge
 
 
 def _columns(planes: Planes) -> tuple[Vector, Vector, Vector, Vector]:
@@ -186,15 +157,15 @@ def _without_far_sides(cells: Cells, planes: Planes, master: MasterTree) -> Cell
     if (cells.height >= -size[:, None]).all():
         return cells
     middle, gap = cells.centre()
-    behind = np.flatnonzero(gap < -size)
-    if not behind.size:
+    suspects = np.flatnonzero(gap < -size)
+    if not suspects.size:
         return cells
-    facet = cells.slave[behind]
-    in_plane = np.einsum("pa,pad->pd", middle[behind], planes.axes[facet, :-1])
+    facet = cells.slave[suspects]
+    in_plane = np.einsum("pa,pad->pd", middle[suspects], planes.axes[facet, :-1])
     signed = _simplices(master.facets).distance(planes.origin[facet] + in_plane).signed
     kept = np.ones(cells.slave.size, dtype=bool)
-    kept[behind] = signed < 0.0
-    return cells.of_pairs(kept)
+    kept[suspects] = signed < 0.0
+    return cells.select_pairs(kept)
 
 
 def _simplices(surface: Facets) -> FacetedSurface:
@@ -225,19 +196,19 @@ def _nearest_layers(cells: Cells, planes: Planes, master: MasterTree) -> Cells:
     row = np.repeat(np.arange(pairs.size), corners.shape[1])
     incidence = sp.csr_matrix((np.ones(row.size), (row, node.ravel())))
     _, layer = connected_components(incidence @ incidence.T, directed=False)
-    of_layer = np.bincount(layer, area)
-    distance = np.bincount(layer, area * gap[pairs]) / of_layer
-    on = np.zeros(of_layer.size, dtype=np.int64)
-    on[layer] = facet
+    layer_area = np.bincount(layer, area)
+    distance = np.bincount(layer, area * gap[pairs]) / layer_area
+    facet_of_layer = np.zeros(layer_area.size, dtype=np.int64)
+    facet_of_layer[layer] = facet
     # layers beside each other, such as parts of the master with a slot between them, all count
-    order = np.lexsort((distance, on))
-    taken = np.zeros(of_layer.size, dtype=bool)
+    order = np.lexsort((distance, facet_of_layer))
+    selected = np.zeros(layer_area.size, dtype=bool)
     filled = np.zeros(len(planes.area))
-    for at in order:
-        covered = filled[on[at]]
-        most = (1.0 + _SEVERAL_LAYERS) * planes.area[on[at]]
-        if covered == 0.0 or covered + of_layer[at] <= most:
-            taken[at] = True
-            filled[on[at]] += of_layer[at]
-    kept[pairs] = taken[layer]
-    return cells.of_pairs(kept)
+    for number in order:
+        covered = filled[facet_of_layer[number]]
+        limit = (1.0 + _SEVERAL_LAYERS) * planes.area[facet_of_layer[number]]
+        if covered == 0.0 or covered + layer_area[number] <= limit:
+            selected[number] = True
+            filled[facet_of_layer[number]] += layer_area[number]
+    kept[pairs] = selected[layer]
+    return cells.select_pairs(kept)

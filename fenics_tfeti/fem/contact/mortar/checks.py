@@ -18,13 +18,7 @@ from fenics_tfeti.parallel import Directory
 def check_covered(
     comm: MPI.Intracomm, conditions: MortarConditions, slave: Surface, name: str
 ) -> None:
-    """Check that the master covers a part of the slave, and more than slivers. Collective.
-
-    Raises
-    ------
-    InputError
-        On all ranks, with the contact and the remedy.
-    """
+    """Check that the master covers a part of the slave, and more than slivers. Collective."""
     facets, rows = comm.allreduce(
         np.array([int(conditions.covered.sum()), conditions.slave.size])
     ).tolist()
@@ -49,13 +43,7 @@ def check_covered(
 
 
 def check_folds(comm: MPI.Intracomm, slave: SlaveFacets, name: str) -> None:
-    """Check that neighbouring facets of the slave are folded by 90 degrees at most. Collective.
-
-    Raises
-    ------
-    InputError
-        With the number of edges (in 2D nodes) and the first one.
-    """
+    """Check that neighbouring facets of the slave are folded by 90 degrees at most. Collective."""
     corners, points = slave.facets.pieces, slave.facets.points
     normal = Planes.of(slave.facets.coordinates()).normal
     v, gdim = corners.shape[1], points.shape[1]

@@ -11,17 +11,9 @@ _ON_EDGE = 1e-12
 
 
 def clip_intervals(subject: Vector, clipper: Vector) -> Vector:
-    """Intersect intervals.
+    """Intersect intervals (k, 2), whose ends are in either order.
 
-    Parameters
-    ----------
-    subject, clipper : (k, 2) arrays
-        Their ends, in either order.
-
-    Returns
-    -------
-    (k, 2) array
-        Lower and upper end; equal where the intersection is empty.
+    The lower and upper end (k, 2) are equal where the intersection is empty.
     """
     low = np.maximum(subject.min(axis=1), clipper.min(axis=1))
     high = np.minimum(subject.max(axis=1), clipper.max(axis=1))
@@ -29,20 +21,10 @@ def clip_intervals(subject: Vector, clipper: Vector) -> Vector:
 
 
 def clip_polygons(subject: Vector, clipper: Vector) -> tuple[Vector, Numbers]:
-    """Cut polygons by the edges of convex ones.
+    """Cut polygons (k, m, 2) by the edges of convex ones (k, n, 2), corners anticlockwise.
 
-    Parameters
-    ----------
-    subject : (k, m, 2) array
-        Corners of the polygons that are cut, anticlockwise.
-    clipper : (k, n, 2) array
-        Corners of the convex polygons that cut them, anticlockwise.
-
-    Returns
-    -------
-    corners, count : (k, c, 2) array, (k,) integer array
-        The intersections, anticlockwise, and their numbers of corners, at most c; 0 for an empty
-        one.
+    The results are the corners (k, c, 2) of the intersections, anticlockwise, and their numbers
+    (k,), 0 for an empty one.
     """
     n = clipper.shape[1]
     # corner by corner, each for all polygons: (m, k)
@@ -59,15 +41,15 @@ def clip_polygons(subject: Vector, clipper: Vector) -> tuple[Vector, Numbers]:
 
 
 def _cut(
-    x: Vector, y: Vector, count: Numbers, start: Vector, along: Vector
+    x: Vector, y: Vector, count: Numbers, start: Vector, direction: Vector
 ) -> tuple[Vector, Vector, Numbers, Mask]:
-    """Keep what is on the left of lines through `start` (2, k) in the directions `along` (2, k).
+    """Keep what is on the left of lines through `start` (2, k) along `direction` (2, k).
 
     The corners are (m, k). Polygons of which nothing is left are taken out; the last result is the
     mask of the others. Most polygons are on one side of most lines.
     """
-    length = np.hypot(*along)
-    tx, ty = along / length
+    length = np.hypot(*direction)
+    tx, ty = direction / length
     distance = tx * (y - start[1]) - ty * (x - start[0])
     inside = distance >= -_ON_EDGE * length
     inside &= np.arange(len(x))[:, None] < count
@@ -84,11 +66,11 @@ def _cut(
     for values in (x, y):
         ends = values.take(divided, axis=1).ravel()
         start_value = ends.take(old)
-        moved = np.zeros(size * divided.size)
-        moved[new] = start_value + part * (ends.take(following) - start_value)
+        divided_values = np.zeros(size * divided.size)
+        divided_values[new] = start_value + part * (ends.take(following) - start_value)
         whole = np.zeros((size, kept.size))
         whole[: len(x)] = values[:size]
-        whole[:, divided] = moved.reshape(size, -1)
+        whole[:, divided] = divided_values.reshape(size, -1)
         result.append(whole if kept.all() else whole[:, kept])
     return result[0], result[1], count[kept], kept
 
@@ -98,15 +80,9 @@ def _divide(
 ) -> tuple[Numbers, Numbers, Vector, Numbers, Numbers]:
     """Find the corners of polygons (m, k) that a line divides, of which those `inside` stay.
 
-    Returns
-    -------
-    old, new : (p,) integer arrays
-        Where the new corners come from and go to, in arrays of corners (., k), flattened.
-    part, following : (p,) arrays
-        Each new corner is this part of the way from the old one to that which follows it: 0 for a
-        corner that stays.
-    count : (k,) integer array
-        The new numbers of corners.
+    The results (p,) `old` and `new` are the places in arrays of corners (., k), flattened, that the
+    new corners come from and go to; each is the fraction `part` of the way from the old corner to
+    the `following` one, 0 for a corner that stays. The last are the new numbers of corners (k,).
     """
     k = count.size
     slot = np.arange(len(inside))[:, None]
@@ -117,37 +93,29 @@ def _divide(
     place = np.cumsum(inside.astype(np.int64) + crosses, axis=0) - 1
     kept, crossed = np.flatnonzero(inside), np.flatnonzero(crosses)
     column = crossed % k if k else crossed
-    to = np.where(last.ravel().take(crossed), column, crossed + k)
-    before, after = distance.ravel().take(crossed), distance.ravel().take(to)
+    successor = np.where(last.ravel().take(crossed), column, crossed + k)
+    start, end = distance.ravel().take(crossed), distance.ravel().take(successor)
     # by signed distances, so that the point is on the edge also where lines are nearly parallel
-    part = np.concatenate([np.zeros(kept.size), before / (before - after)])
+    part = np.concatenate([np.zeros(kept.size), start / (start - end)])
     new_slot = np.concatenate([(place - crosses).ravel().take(kept), place.ravel().take(crossed)])
     old = np.concatenate([kept, crossed])
     new = new_slot * k + (old % k if k else old)
-    return old, new, part, np.concatenate([kept, to]), place[-1] + 1
+    return old, new, part, np.concatenate([kept, successor]), place[-1] + 1
 
 
 def fan_triangles(corners: Vector, count: Numbers) -> tuple[Numbers, Vector, Vector]:
-    """Divide polygons into triangles with the common corner 0.
+    """Divide polygons (k, m, 2) with `count` corners into triangles with the common corner 0.
 
-    Parameters
-    ----------
-    corners, count : (k, m, 2) array, (k,) integer array
-        Polygons and their numbers of corners.
-
-    Returns
-    -------
-    polygon, triangles, area : (t,) integer array, (t, 3, 2) array, (t,) array
-        The polygon of each triangle, its corners, and its area, of either sign in polygons that
-        are not convex.
+    Returned are the polygon (t,) of each triangle, its corners (t, 3, 2), and its area (t,), of
+    either sign in polygons that are not convex.
     """
     number = np.maximum(count - 2, 0)
     polygon = np.repeat(np.arange(len(count)), number)
     first = np.repeat(np.cumsum(number) - number, number)
-    at = np.arange(polygon.size) - first + 1
+    corner = np.arange(polygon.size) - first + 1
     triangles = np.stack(
-        [corners[polygon, 0], corners[polygon, at], corners[polygon, at + 1]], axis=1
+        [corners[polygon, 0], corners[polygon, corner], corners[polygon, corner + 1]], axis=1
     )
-    one, other = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    area = 0.5 * (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
+    u, w = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    area = 0.5 * (u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0])
     return polygon, triangles, area

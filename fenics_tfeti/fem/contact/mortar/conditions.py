@@ -28,6 +28,7 @@ from fenics_tfeti.fem.contact.mortar.matrices import (
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, facet_deviations
+from fenics_tfeti.fem.contact.surfaces.oriented import global_nodes
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
 from fenics_tfeti.parallel import Directory, concatenate_buffers
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -35,25 +36,12 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 
 @dataclass(frozen=True)
 class SlaveFacets:
-    """The facets of a slave's surface that this rank owns.
+    """The facets of a slave's surface that this rank owns."""
 
-    Attributes
-    ----------
-    facets : Facets
-        Undeformed or deformed.
-    nodes : (n,) integer array
-        Global nodes of the rows of ``facets.points``, ascending; of degree 2 with those in the
-        middle of edges and facets.
-    normals : (f, v, gdim) array
-        The slave's unit normals at the corners of the facets.
-    weight : (f, v) array or None
-        Weight of the measure at the corners.
-    """
-
-    facets: Facets
-    nodes: Numbers
-    normals: Vector
-    weight: Vector | None
+    facets: Facets  # undeformed or deformed
+    nodes: Numbers  # (n,): global nodes of the rows of facets.points, ascending; with midpoints
+    normals: Vector  # (f, v, gdim): unit normals at the corners
+    weight: Vector | None  # (f, v): weight of the measure at the corners
 
     @property
     def nodal_normals(self) -> Vector:
@@ -72,75 +60,37 @@ class SlaveFacets:
     ) -> SlaveFacets:
         """Return the facets of a surface, their nodes numbered from 0.
 
-        Parameters
-        ----------
-        space : FunctionSpace
-            The displacement's space.
-        slave : Surface
-            The surface.
-        points : (nodes, gdim) array
-            All local nodes of the space [m].
-        normal : (k, gdim) array
-            Normals at the surface's nodes that this rank owns.
-        weight : (nodes,) array or None
-            Weight of the measure at all local nodes.
+        Points (nodes, gdim) [m] and the weight (nodes,) are those of all local nodes of the space,
+        normals (k, gdim) those of the surface's nodes that this rank owns.
         """
         local = np.unique(slave.facet_nodes)
-        numbers = space.dofmap.index_map.local_to_global(local.astype(np.int32))
-        nodes = np.asarray(numbers, dtype=np.int64)
+        nodes = global_nodes(space, local)
         order = np.argsort(nodes)
-        at = np.zeros(local.size, dtype=np.int64)
-        at[order] = np.arange(local.size)
-        facets = Facets(points[local[order]], at[np.searchsorted(local, slave.facet_nodes)])
+        rows = np.zeros(local.size, dtype=np.int64)
+        rows[order] = np.arange(local.size)
+        facets = Facets(points[local[order]], rows[np.searchsorted(local, slave.facet_nodes)])
         normals = values_on_facets(space, slave, normal)
-        at_corners = None if weight is None else weight[slave.vertices]
-        return SlaveFacets(facets, nodes[order], normals, at_corners)
+        corner_weights = None if weight is None else weight[slave.vertices]
+        return SlaveFacets(facets, nodes[order], normals, corner_weights)
 
 
 @dataclass(frozen=True)
 class MortarConditions:
-    """Mortar conditions at the slave nodes that this rank owns.
+    """Mortar conditions at the k slave nodes that this rank owns."""
 
-    Attributes
-    ----------
-    slave : (k,) integer array
-        Global nodes, ascending.
-    terms : MortarTerms
-        Their terms.
-    normal : (k, gdim) array
-        Means of the slave's normals with the conditions' dual functions, as unit vectors: those at
-        the nodes, unless they share in the functions of others.
-    gap : (k, gdim) array
-        Mean vectors from the slave to the master [m].
-    area : (k,) array
-        Integrals of the dual functions, with the weight of the measure.
-    coverage : (k,) array
-        The covered share of the area that belongs to the node.
-    chord : (k,) array
-        Largest distance of the facets of both surfaces there from curved surfaces through their
-        nodes [m].
-    deviation : (k,) array
-        The same distance for curved facets of degree 2, see `facet_deviations`.
-    angle : (k,) array
-        Largest angle there between the normals of a slave facet and the opposite of those of the
-        master facets over it [degrees].
-    covered : (f,) bool array
-        Which of this rank's slave facets are covered, at least in part.
-    covered_area : float
-        The covered area of this rank's slave facets, without weight [m^2 or m].
-    """
-
-    slave: Numbers
+    slave: Numbers  # global nodes (k,), ascending
     terms: MortarTerms
+    # (k, gdim): means of the slave's normals with the dual functions, as unit vectors
     normal: Vector
-    gap: Vector
-    area: Vector
-    coverage: Vector
+    gap: Vector  # (k, gdim): mean vectors from the slave to the master [m]
+    area: Vector  # (k,): integrals of the dual functions, with the weight of the measure
+    coverage: Vector  # (k,): covered share of the area that belongs to the node
+    # (k,): largest distance of facets there from curved surfaces through their nodes [m]
     chord: Vector
-    deviation: Vector
-    angle: Vector
-    covered: Mask
-    covered_area: float
+    deviation: Vector  # (k,): the same for curved facets of degree 2, see `facet_deviations`
+    angle: Vector  # (k,): largest angle between the normals of facets and those opposite [degrees]
+    covered: Mask  # (f,): whether this rank's slave facets are covered, at least in part
+    covered_area: float  # covered area of this rank's slave facets, without weight [m^2 or m]
 
 
 def mortar_conditions(
@@ -153,23 +103,10 @@ def mortar_conditions(
 ) -> MortarConditions:
     """Integrate over the slave's facets and sum up at the owners of its nodes. Collective.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    slave : SlaveFacets
-        This rank's facets.
-    owned : (s,) integer array
-        The slave's nodes that this rank owns, ascending.
-    master : DeformedSurface
-        The master's surface near this rank's facets.
-    normals : (n, gdim) array
-        Its normals.
-    free : integer array
-        Nodes of the slave without condition.
+    The nodes `owned` (s,) are the slave's that this rank owns, ascending; those of `free` have no
+    condition. The normals (n, gdim) are those of the master's surface near this rank's facets.
     """
-    other = master.surface
-    integrals = integrate(slave.facets, other, slave.weight)
+    integrals = integrate(slave.facets, master.surface, slave.weight)
     free_nodes = np.isin(slave.nodes, free)
     return _conditions(comm, slave, owned, master, normals, integrals, free_nodes)
 
@@ -180,34 +117,22 @@ def tied_conditions(
     owned: Numbers,
     master: DeformedSurface,
     normals: Vector,
-    held: Mask,
+    prescribed: Mask,
 ) -> list[MortarConditions]:
     """Return the conditions for each component of surfaces that stay together. Collective.
 
     Where a component is prescribed at a node of the slave, the node has no condition on it unless
     the component is prescribed at all nodes of a facet: a condition would hold the master more than
-    the support does.
-
-    Parameters
-    ----------
-    comm, slave, owned, master, normals
-        As in `mortar_conditions`.
-    held : (f, v, gdim) bool array
-        Which components are prescribed at the corners of this rank's facets.
-
-    Returns
-    -------
-    list of MortarConditions
-        One for each component.
+    the support does. `prescribed` (f, v, gdim) are the components prescribed at the corners of this
+    rank's facets; for the others see `mortar_conditions`.
     """
-    other = master.surface
-    integrals = integrate(slave.facets, other, slave.weight)
-    gdim = held.shape[2]
-    whole = np.broadcast_to(held.all(axis=1, keepdims=True), held.shape)
+    integrals = integrate(slave.facets, master.surface, slave.weight)
+    gdim = prescribed.shape[2]
+    all_prescribed = np.broadcast_to(prescribed.all(axis=1, keepdims=True), prescribed.shape)
     directory = Directory(comm, slave.nodes)
     keys, flags = directory.collect(
         slave.nodes[slave.facets.corners.ravel()],
-        np.concatenate([whole, held], axis=2).reshape(-1, 2 * gdim),
+        np.concatenate([all_prescribed, prescribed], axis=2).reshape(-1, 2 * gdim),
     )
     table = np.zeros((directory.keys.size, 2 * gdim), dtype=bool)
     np.logical_or.at(table, directory.position(keys), flags)
@@ -232,27 +157,27 @@ def _conditions(
     dual: bool = True,
 ) -> MortarConditions:
     """Sum up the conditions at the owners of their nodes, none at free ones. Collective."""
-    other = master.surface
-    matrices = mortar_matrices(integrals, slave.facets, other, dual)
-    to_owners = Directory(comm, owned)
+    opposite = master.surface
+    matrices = mortar_matrices(integrals, slave.facets, opposite, dual)
+    owners = Directory(comm, owned)
     parts = np.column_stack(node_areas(integrals, slave.facets))
-    shared = SharedMultipliers.of(comm, slave, integrals, parts, free)
+    sharing = SharedMultipliers.of(comm, slave, integrals, parts, free)
     D, M = matrices.D.tocoo(), matrices.M.tocoo()
-    row, at, share = shared.rows(np.concatenate([slave.nodes[D.row], slave.nodes[M.row]]))
+    row, position, share = sharing.rows(np.concatenate([slave.nodes[D.row], slave.nodes[M.row]]))
     nodes, terms = collect_terms(
-        to_owners,
+        owners,
         row,
-        np.concatenate([slave.nodes[D.col], master.nodes[M.col]])[at],
-        share * np.concatenate([D.data, -M.data])[at],
-        np.repeat([True, False], [D.nnz, M.nnz])[at],
+        np.concatenate([slave.nodes[D.col], master.nodes[M.col]])[position],
+        share * np.concatenate([D.data, -M.data])[position],
+        np.repeat([True, False], [D.nnz, M.nnz])[position],
     )
-    row, at, share = shared.rows(slave.nodes)
+    row, position, share = sharing.rows(slave.nodes)
     normal = slave.nodal_normals * matrices.area[:, None]
-    integral = share[:, None] * np.column_stack([normal, matrices.gap, matrices.area])[at]
-    sums = _sums_at(to_owners, nodes, row, integral)
+    integral = share[:, None] * np.column_stack([normal, matrices.gap, matrices.area])[position]
+    sums = _reduce_at_nodes(owners, nodes, row, integral, np.add)
     normal, gap, area = np.split(sums, np.cumsum(2 * [normal.shape[1]]), axis=1)
-    whole, covered = _sums_at(to_owners, nodes, slave.nodes, parts).T
-    largest = _largest_at_nodes(to_owners, slave, other, normals, integrals, nodes)
+    total, covered = _reduce_at_nodes(owners, nodes, slave.nodes, parts, np.add).T
+    chord, deviation, angle = _largest_of_facets(owners, slave, opposite, normals, integrals, nodes)
     facets = np.zeros(len(slave.facets), dtype=bool)
     facets[integrals.facet] = True
     return MortarConditions(
@@ -261,8 +186,10 @@ def _conditions(
         normal / np.linalg.norm(normal, axis=1, keepdims=True),
         gap / area,
         area[:, 0],
-        covered / whole,
-        *largest,
+        covered / total,
+        chord,
+        deviation,
+        angle,
         facets,
         float(integrals.covered.sum()),
     )
@@ -270,18 +197,10 @@ def _conditions(
 
 @dataclass(frozen=True)
 class SharedMultipliers:
-    """How dual functions of nodes without a multiplier are shared out; the same on all ranks.
+    """Shares of neighbours in the dual functions of nodes without a multiplier; on all ranks."""
 
-    Attributes
-    ----------
-    nodes : (q,) integer array
-        Global nodes, ascending: those without a multiplier and their neighbours.
-    shares : (q, q) scipy.sparse.csc_matrix
-        See `multiplier_shares`.
-    """
-
-    nodes: Numbers
-    shares: sp.csc_matrix
+    nodes: Numbers  # global nodes (q,), ascending: those without a multiplier and their neighbours
+    shares: sp.csc_matrix  # (q, q), see `multiplier_shares`
 
     @staticmethod
     def of(
@@ -293,157 +212,126 @@ class SharedMultipliers:
     ) -> SharedMultipliers:
         """Find the nodes that have no multiplier, and their neighbours. Collective.
 
-        Parameters
-        ----------
-        comm, slave
-            As in `mortar_conditions`.
-        integrals : FacetIntegrals
-            Of this rank's facets.
-        areas : (n, 2) array
-            Whole and covered areas of its nodes on these facets.
-        free : (n,) bool array
-            Nodes that must not have a multiplier, alike on all ranks.
+        The areas (n, 2) are the whole and covered ones of the nodes on this rank's facets. The
+        nodes of `free` (n,), alike on all ranks, must not have a multiplier.
         """
         directory = Directory(comm, slave.nodes)
         keys, parts = directory.collect(slave.nodes, areas)
         total = np.zeros((directory.keys.size, 2))
         np.add.at(total, directory.position(keys), parts)
-        whole, covered = directory.lookup(slave.nodes, total)[1].T
+        full, covered = directory.lookup(slave.nodes, total)[1].T
         # of degree 2, nodes that are no vertices have no area
-        coverage = np.divide(covered, whole, out=np.zeros_like(whole), where=whole > 0.0)
+        coverage = np.divide(covered, full, out=np.zeros_like(full), where=full > 0.0)
         corners = slave.facets.corners[integrals.facet]
         j, k = (
             corners[:, ends].ravel()
             for ends in np.array(list(permutations(range(corners.shape[1]), 2))).T
         )
-        without = free[j] | (coverage[j] < BARELY_COVERED)
-        j, k = j[without], k[without]
+        excluded = free[j] | (coverage[j] < BARELY_COVERED)
+        j, k = j[excluded], k[excluded]
         # each pair with the coverage of its nodes, which all ranks have summed alike
         columns = concatenate_buffers(
             comm, slave.nodes[j], slave.nodes[k], coverage[j], coverage[k], free[j], free[k]
         )
-        one, other, *values = columns
-        nodes, first, at = np.unique(
-            np.concatenate([one, other]), return_index=True, return_inverse=True
+        first_node, second_node, *values = columns
+        nodes, first, inverse = np.unique(
+            np.concatenate([first_node, second_node]), return_index=True, return_inverse=True
         )
         coverage = np.concatenate(values[:2])[first]
         free = np.concatenate(values[2:])[first]
-        pairs = at.reshape(2, -1).T
+        pairs = inverse.reshape(2, -1).T
         return SharedMultipliers(nodes, multiplier_shares(coverage, free, pairs))
 
     def rows(self, nodes: Numbers) -> tuple[Numbers, Numbers, Vector]:
-        """Return the nodes whose conditions take what is that of some nodes.
+        """Return the nodes whose conditions take the terms of some nodes (t,), in any order.
 
-        Parameters
-        ----------
-        nodes : (t,) integer array
-            Global nodes, in any order, several times or not.
-
-        Returns
-        -------
-        rows, position, share : (s,) arrays
-            The nodes with conditions, the position in `nodes` of what they take, and its share.
+        The results (s,) are the nodes with conditions, the position of the node whose terms each
+        takes, and its share of them.
         """
         number, places = np.ones(nodes.size, dtype=np.int64), np.zeros(nodes.size, dtype=np.int64)
-        known = np.zeros(nodes.size, dtype=bool)
+        has_shares = np.zeros(nodes.size, dtype=bool)
         if self.nodes.size:
             places = np.minimum(np.searchsorted(self.nodes, nodes), self.nodes.size - 1)
-            known = self.nodes[places] == nodes
-            number = np.where(known, np.diff(self.shares.indptr)[places], 1)
+            has_shares = self.nodes[places] == nodes
+            number = np.where(has_shares, np.diff(self.shares.indptr)[places], 1)
         position = np.repeat(np.arange(nodes.size), number)
         entry = np.arange(position.size) - np.repeat(np.cumsum(number) - number, number)
-        rows, share, of_known = nodes[position], np.ones(position.size), known[position]
-        entry = self.shares.indptr[places[position[of_known]]] + entry[of_known]
-        rows[of_known] = self.nodes[self.shares.indices[entry]]
-        share[of_known] = self.shares.data[entry]
+        rows, share, shared_terms = nodes[position], np.ones(position.size), has_shares[position]
+        entry = self.shares.indptr[places[position[shared_terms]]] + entry[shared_terms]
+        rows[shared_terms] = self.nodes[self.shares.indices[entry]]
+        share[shared_terms] = self.shares.data[entry]
         return rows, position, share
 
 
-def _sums_at(to_owners: Directory, nodes: Numbers, row: Numbers, values: Vector) -> Vector:
-    """Sum rows of values (t, q) at those of this rank's nodes (k,) that they belong to."""
-    at, values = to_owners.forward(row, values)
-    there = np.isin(at, nodes)
-    sums = np.zeros((nodes.size, values.shape[1]))
-    np.add.at(sums, np.searchsorted(nodes, at[there]), values[there])
-    return sums
+def _reduce_at_nodes(
+    owners: Directory, nodes: Numbers, row: Numbers, values: Vector, ufunc: np.ufunc
+) -> Vector:
+    """Sum or maximise rows of values (t, q) at this rank's nodes (k,) of conditions. Collective."""
+    keys, values = owners.forward(row, values)
+    conditioned = np.isin(keys, nodes)
+    result = np.zeros((nodes.size, values.shape[1]))
+    ufunc.at(result, np.searchsorted(nodes, keys[conditioned]), values[conditioned])
+    return result
 
 
 def collect_terms(
-    to_owners: Directory, row: Numbers, column: Numbers, value: Vector, of_slave: Mask
+    owners: Directory, row: Numbers, column: Numbers, value: Vector, on_slave: Mask
 ) -> tuple[Numbers, MortarTerms]:
-    """Sum up terms at the owners of their rows. Collective.
+    """Sum up terms (t,) at the owners of their rows; conditions by ascending node. Collective.
 
-    Parameters
-    ----------
-    to_owners : Directory
-        Of the slave's nodes that the ranks own.
-    row, column : (t,) integer arrays
-        Global nodes: the slave node of the condition, and the node of the term.
-    value : (t,) array
-        The weight, negative on the master [m^2 or m].
-    of_slave : (t,) bool array
-        Whether the term's node is one of the slave.
-
-    Returns
-    -------
-    nodes, terms : (k,) integer array, MortarTerms
-        The conditions that this rank owns, by ascending node.
+    `row` and `column` are global nodes: the slave node of the condition, and the node of the term,
+    which `on_slave` says to be one of the slave. Values are negative on the master [m^2 or m].
     """
-    row, column, value, of_slave = to_owners.forward(row, column, value, of_slave)
+    row, column, value, on_slave = owners.forward(row, column, value, on_slave)
     # values in ascending order: the sum does not depend on the order in which they arrive
     order = np.lexsort((value, column, row))
-    row, column, value, of_slave = row[order], column[order], value[order], of_slave[order]
+    row, column, value, on_slave = row[order], column[order], value[order], on_slave[order]
     first = np.flatnonzero(
         np.diff(row, prepend=-1).astype(bool) | np.diff(column, prepend=-1).astype(bool)
     )
     if first.size:
         value = np.add.reduceat(value, first)
-        of_slave = np.logical_or.reduceat(of_slave, first)
+        on_slave = np.logical_or.reduceat(on_slave, first)
     row, column = row[first], column[first]
     # the node of the condition, other nodes of the slave, nodes of the master
-    order = np.lexsort((column, column != row, ~of_slave, row))
-    nodes, at = np.unique(row[order], return_inverse=True)
-    number = np.bincount(at, minlength=nodes.size)
-    slaves = np.bincount(at[of_slave[order]], minlength=nodes.size).astype(np.int64)
+    order = np.lexsort((column, column != row, ~on_slave, row))
+    nodes, condition = np.unique(row[order], return_inverse=True)
+    number = np.bincount(condition, minlength=nodes.size)
+    slaves = np.bincount(condition[on_slave[order]], minlength=nodes.size).astype(np.int64)
     offsets = np.append(0, np.cumsum(number)).astype(np.int64)
     return nodes, MortarTerms(offsets, column[order], value[order], slaves)
 
 
-def _largest_at_nodes(
-    to_owners: Directory,
+def _largest_of_facets(
+    owners: Directory,
     slave: SlaveFacets,
     master: Facets,
     normals: Vector,
     integrals: FacetIntegrals,
     nodes: Numbers,
-) -> tuple[Vector, Vector, Vector]:
-    """Return the largest chords, deviations and angles of facets around each condition's node.
+) -> Vector:
+    """Return the largest chords, deviations and angles (3, k) of facets around nodes.
 
     The angles are those between the planes of the facets' corners.
     """
-    facet, other = integrals.facet[integrals.pair], integrals.master
+    facet, opposite_facet = integrals.facet[integrals.pair], integrals.master
     corners = slave.facets.points[slave.facets.corners]
-    over = master.points[master.corners]
-    of_master, of_slave = (
+    master_corners = master.points[master.corners]
+    master_heights, slave_heights = (
         np.column_stack([chord_heights(*curved), facet_deviations(*curved)])
         for curved in (
-            (over, normals[master.corners], _middles(master)),
+            (master_corners, normals[master.corners], _middles(master)),
             (corners, slave.normals, _middles(slave.facets)),
         )
     )
-    planes, opposite = Planes.of(corners), Planes.of(over)
-    angle = angles_between(planes.normal[facet], -opposite.normal[other])
+    planes, opposite = Planes.of(corners), Planes.of(master_corners)
+    angle = angles_between(planes.normal[facet], -opposite.normal[opposite_facet])
     largest = np.zeros((len(corners), 3))
-    np.maximum.at(largest, facet, np.column_stack([of_master[other], angle]))
-    largest[:, :2] += of_slave
+    np.maximum.at(largest, facet, np.column_stack([master_heights[opposite_facet], angle]))
+    largest[:, :2] += slave_heights
     covered = slave.facets.corners[integrals.facet]
-    at, values = to_owners.forward(
-        slave.nodes[covered.ravel()], np.repeat(largest[integrals.facet], covered.shape[1], axis=0)
-    )
-    there = np.isin(at, nodes)
-    result = np.zeros((nodes.size, 3))
-    np.maximum.at(result, np.searchsorted(nodes, at[there]), values[there])
-    return result[:, 0], result[:, 1], result[:, 2]
+    values = np.repeat(largest[integrals.facet], covered.shape[1], axis=0)
+    return _reduce_at_nodes(owners, nodes, slave.nodes[covered.ravel()], values, np.maximum).T
 
 
 def _middles(surface: Facets) -> Vector | None:

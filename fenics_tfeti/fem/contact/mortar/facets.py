@@ -37,20 +37,14 @@ _PLACES = {
 class Facets:
     """A surface of segments (2D), triangles or quadrilaterals (3D), all of one type and degree.
 
-    Attributes
-    ----------
-    points : (n, gdim) array
-        Nodes [m].
-    nodes : (f, t) integer array
-        The nodes of each facet, as rows of `points`: the corners, oriented outwards, then for
-        degree 2 the midpoints of the edges from each corner to the next and that of a
-        quadrilateral. Seen along a segment, from corner 0 to 1, its normal points to the right;
-        seen from the tip of its normal, a triangle or quadrilateral has its corners anticlockwise,
-        one after the other around the facet.
+    The nodes of a facet are its corners, oriented outwards, then for degree 2 the midpoints of the
+    edges from each corner to the next and that of a quadrilateral. Seen along a segment, from
+    corner 0 to 1, its normal points to the right; seen from the tip of its normal, a triangle or
+    quadrilateral has its corners anticlockwise, one after the other around the facet.
     """
 
-    points: Vector
-    nodes: Numbers
+    points: Vector  # (n, gdim) [m]
+    nodes: Numbers  # (f, t): rows of points
 
     def __len__(self) -> int:
         """Return the number of facets."""
@@ -102,46 +96,34 @@ class Facets:
 class Planes:
     """The auxiliary plane of each facet (in 2D the line of the segment).
 
-    Attributes
-    ----------
-    origin : (f, gdim) array
-        Mean of the corners [m].
-    axes : (f, gdim, gdim) array
-        Unit vectors in rows: gdim - 1 in the plane, then the normal. Seen from the tip of the
-        normal, the corners in the plane are anticlockwise; in 2D the axis points from corner 0 to
-        corner 1.
-    area : (f,) array
-        Area of the facet's projection on the plane, length in 2D [m^2 or m].
-    diameter : (f,) array
-        Largest distance of two corners [m].
+    Seen from the tip of the normal, the corners in the plane are anticlockwise; in 2D the first
+    axis points from corner 0 to corner 1.
     """
 
-    origin: Vector
-    axes: Vector
-    area: Vector
-    diameter: Vector
+    origin: Vector  # (f, gdim): mean of the corners [m]
+    axes: Vector  # (f, gdim, gdim): unit vectors in rows, gdim - 1 in the plane, then the normal
+    area: Vector  # (f,): area of the facet's projection on the plane [m^2 or m]
+    diameter: Vector  # (f,): largest distance of two corners [m]
 
     @staticmethod
     def of(x: Vector) -> Planes:
         """Find the planes of facets with the corners x (f, v, gdim)."""
         v, gdim = x.shape[1:]
-        along = x[:, 1] - x[:, 0]
+        edge = x[:, 1] - x[:, 0]
         pairs = [(i, j) for i in range(v) for j in range(i)]
         lengths = [np.linalg.norm(x[:, i] - x[:, j], axis=1) for i, j in pairs]
         diameter: Vector = np.max(lengths, axis=0)
         if gdim == 2:
             area = diameter
-            first = along / area[:, None]
+            first = edge / area[:, None]
             axes = np.stack([first, np.column_stack([first[:, 1], -first[:, 0]])], axis=1)
             return Planes(x.mean(axis=1), axes, area, diameter)
         # for a quadrilateral the cross product of its diagonals
-        one, other = (
-            (along, x[:, 2] - x[:, 0]) if v == 3 else (x[:, 2] - x[:, 0], x[:, 3] - x[:, 1])
-        )
-        normal = np.cross(one, other)
+        u, w = (edge, x[:, 2] - x[:, 0]) if v == 3 else (x[:, 2] - x[:, 0], x[:, 3] - x[:, 1])
+        normal = np.cross(u, w)
         length = np.linalg.norm(normal, axis=1)
         normal /= length[:, None]
-        first = along - np.sum(along * normal, axis=1)[:, None] * normal
+        first = edge - np.sum(edge * normal, axis=1)[:, None] * normal
         first /= np.linalg.norm(first, axis=1)[:, None]
         axes = np.stack([first, np.cross(normal, first), normal], axis=1)
         return Planes(x.mean(axis=1), axes, 0.5 * length, diameter)
@@ -172,41 +154,25 @@ def highest(x: Vector) -> Vector:
 
 
 def by_component(parts: Sequence[Vector]) -> Vector:
-    """Stack arrays along a last axis, in memory one after the other.
+    """Stack arrays (k, ...) along a last axis, in memory one after the other.
 
     Components of points are contiguous then, on which NumPy is several times faster than on strided
-    ones: those of all points are treated together.
-
-    Parameters
-    ----------
-    parts : sequence of (k, ...) arrays
-        Fastest if the first index runs fastest in memory.
-
-    Returns
-    -------
-    (k, ..., parts) array
+    ones: those of all points are treated together. It is fastest if the first index of the arrays
+    runs fastest in memory.
     """
     return np.stack([part.T for part in parts]).T
 
 
 def shape_functions(xi: Vector, t: int) -> Vector:
-    """Return the shape functions of segments, triangles or quadrilaterals.
+    """Return the shape functions (..., t) of segments, triangles or quadrilaterals with t nodes.
 
-    Parameters
-    ----------
-    xi : (..., gdim - 1) array
-        Reference coordinates: in [0, 1] on segments and triangles, in [-1, 1] on quadrilaterals.
-    t : int
-        Number of nodes: of the corners for degree 1, of all nodes of `Facets` for degree 2.
-
-    Returns
-    -------
-    (..., t) array
+    The reference coordinates (..., gdim - 1) are in [0, 1] on segments and triangles, in [-1, 1] on
+    quadrilaterals. The nodes are the corners for degree 1, all nodes of `Facets` for degree 2.
     """
     dim = xi.shape[-1]
     if t == dim + 1:
-        others = [xi[..., i] for i in range(dim)]
-        return by_component([1.0 - reduce(np.add, others), *others])
+        coordinates = [xi[..., i] for i in range(dim)]
+        return by_component([1.0 - reduce(np.add, coordinates), *coordinates])
     if t == 4:
         r, s = 0.5 * xi[..., 0], 0.5 * xi[..., 1]
         r0, r1, s0, s1 = 0.5 - r, 0.5 + r, 0.5 - s, 0.5 + s
@@ -234,18 +200,9 @@ def _biquadratic_functions(xi: Vector) -> Vector:
 
 
 def reference_coordinates(corners: Vector, x: Vector) -> Vector:
-    """Return the reference coordinates of points in facets of a plane.
+    """Return the reference coordinates (k, q, gdim - 1) of points in or near facets of a plane.
 
-    Parameters
-    ----------
-    corners : (k, v, gdim - 1) array
-        Corners in the plane [m].
-    x : (k, q, gdim - 1) array
-        Points in or near each facet [m].
-
-    Returns
-    -------
-    (k, q, gdim - 1) array
+    The corners (k, v, gdim - 1) and points (k, q, gdim - 1) are coordinates in the plane [m].
     """
     v = corners.shape[1]
     if v == 4:

@@ -34,46 +34,23 @@ _BLOCK = 2048
 
 @dataclass(frozen=True)
 class FacetIntegrals:
-    """Integrals over the covered part of slave facets, with the weight of the measure.
+    """Integrals over the covered part of c slave facets, with the weight of the measure.
 
     N are the shape functions of degree 1 of a slave facet with v corners; N^s and N^m are those of
-    the displacement on a slave facet with t nodes and on a master facet with w nodes over it.
-
-    Attributes
-    ----------
-    facet : (c,) integer array
-        The slave facets that are covered, ascending.
-    covered : (c,) array
-        Covered area of each, in its plane and without weight [m^2 or m].
-    share : (c, v) array
-        Integrals of N_j without weight [m^2 or m].
-    ones : (c, v) array
-        Integrals of N_j.
-    mass : (c, v, v) array
-        Integrals of N_i N_j.
-    trace : (c, v, t) array
-        Integrals of N_i N^s_j; for degree 1 the same as `mass`.
-    gap : (c, v, gdim) array
-        Integrals of N_j times the vector from the slave to the master.
-    pair : (p,) integer array
-        Position in `facet` of each pair of a slave and a master facet; of degree 2 a pair of facets
-        is there once for each pair of their pieces.
-    master : (p,) integer array
-        The master facets.
-    coupling : (p, v, w) array
-        Integrals of N_i N^m_l.
+    the displacement on a slave facet with t nodes and on a master facet with w nodes over it. Of
+    degree 2 a pair of facets is there once for each pair of their pieces.
     """
 
-    facet: Numbers
-    covered: Vector
-    share: Vector
-    ones: Vector
-    mass: Vector
-    trace: Vector
-    gap: Vector
-    pair: Numbers
-    master: Numbers
-    coupling: Vector
+    facet: Numbers  # slave facets that are covered (c,), ascending
+    covered: Vector  # (c,): covered area in the plane, without weight [m^2 or m]
+    share: Vector  # (c, v): of N_j, without weight [m^2 or m]
+    ones: Vector  # (c, v): of N_j
+    mass: Vector  # (c, v, v): of N_i N_j
+    trace: Vector  # (c, v, t): of N_i N^s_j; for degree 1 the same as mass
+    gap: Vector  # (c, v, gdim): of N_j times the vector from the slave to the master
+    pair: Numbers  # (p,): row of each pair of a slave and a master facet
+    master: Numbers  # (p,): master facet of each pair
+    coupling: Vector  # (p, v, w): of N_i N^m_l
 
 
 def integrate(
@@ -83,23 +60,10 @@ def integrate(
 
     Points of the two surfaces are opposite each other along the normal of the slave's facet. The
     quadrature is exact for segments, triangles and parallelograms, also of degree 2 if these are
-    straight, with their nodes in the middle of the edges. Its error on other
-    quadrilaterals is about 1e-8 if they are distorted as much as meshes allow. Whatever the error,
-    the integrals of a facet are of the same points: constants and, on flat surfaces, linear
-    functions are reproduced.
-
-    Parameters
-    ----------
-    slave, master : Facets
-        The two surfaces, each of facets of one type.
-    weight : (f, v) array, optional
-        Weight of the measure at the corners of the slave's facets, linear between them; by default
-        1.
-
-    Returns
-    -------
-    FacetIntegrals
-        Without facets where the surfaces do not lie over each other.
+    straight, with their nodes in the middle of the edges. Its error on other quadrilaterals is
+    about 1e-8 if they are distorted as much as meshes allow. Whatever the error, the integrals of a
+    facet are of the same points: constants and, on flat surfaces, linear functions are reproduced.
+    The weight (f, v), by default 1, is linear between the corners of the slave's facets.
     """
     parts = [_no_integrals(slave, master)]
     if len(slave) and len(master):
@@ -114,15 +78,7 @@ def integrate(
 
 
 def integrate_alone(slave: Facets, weight: NDArray[np.float64] | None = None) -> FacetIntegrals:
-    """Integrate over whole facets, without a master: the surface takes its place.
-
-    Parameters
-    ----------
-    slave : Facets
-        The surface.
-    weight : (f, v) array, optional
-        As in `integrate`.
-    """
+    """Integrate over whole facets, without a master: the surface takes its place."""
     if not len(slave):
         return _no_integrals(slave, slave)
     x = slave.coordinates()
@@ -170,35 +126,36 @@ def _integrate_cells(
     cells: Cells, slave: Facets, planes: Planes, master: Facets, weight: Vector | None
 ) -> FacetIntegrals:
     cells = _without_slivers(cells, slave, planes)
-    of_slave, of_master = cells.slave // slave.per_facet, cells.master // master.per_facet
-    facet, pair = np.unique(of_slave, return_inverse=True)
+    slave_facet, master_facet = cells.slave // slave.per_facet, cells.master // master.per_facet
+    facet, pair = np.unique(slave_facet, return_inverse=True)
     t, w = slave.nodes.shape[1], master.nodes.shape[1]
     places, factors = _quadrature(cells, weight is None, max(slave.per_facet, master.per_facet))
-    at = cells.pair
+    cell_pair = cells.pair
     x = by_component([part @ places.T for part in np.moveaxis(cells.corners, 2, 0)])
     on_slave, on_master = (
-        surface.in_facet(piece[at], reference_coordinates(_rows(corners, at), x))
+        surface.in_facet(piece[cell_pair], reference_coordinates(_rows(corners, cell_pair), x))
         for surface, piece, corners in (
             (slave, cells.slave, cells.on_slave),
             (master, cells.master, cells.on_master),
         )
     )
-    ours, theirs = corner_functions(on_slave, t), shape_functions(on_master, w)
-    of_facet = pair[at]
+    slave_functions, master_functions = corner_functions(on_slave, t), shape_functions(on_master, w)
+    cell_facet = pair[cell_pair]
     weights = cells.area[:, None, None] * factors[:, None]
-    weighted = ours * weights
-    ones = share = _sum(weighted.sum(axis=1), of_facet, facet.size)
+    weighted = slave_functions * weights
+    ones = share = _sum(weighted.sum(axis=1), cell_facet, facet.size)
     if weight is not None:
-        weighted *= np.einsum("cqi,ci->cq", ours, weight[of_slave[at]])[:, :, None]
-        ones = _sum(weighted.sum(axis=1), of_facet, facet.size)
-    mass = trace = _sum(_products(weighted, ours), of_facet, facet.size)
+        factor = np.einsum("cqi,ci->cq", slave_functions, weight[slave_facet[cell_pair]])
+        weighted *= factor[:, :, None]
+        ones = _sum(weighted.sum(axis=1), cell_facet, facet.size)
+    mass = trace = _sum(_products(weighted, slave_functions), cell_facet, facet.size)
     if slave.per_facet > 1:
-        trace = _sum(_products(weighted, shape_functions(on_slave, t)), of_facet, facet.size)
-    coupling = _sum(_products(weighted, theirs), at, cells.slave.size)
+        trace = _sum(_products(weighted, shape_functions(on_slave, t)), cell_facet, facet.size)
+    coupling = _sum(_products(weighted, master_functions), cell_pair, cells.slave.size)
     # relative to a plane's origin: rounding is that of the gap, not that of the coordinates
     origin = planes.origin[facet * slave.per_facet, None]
-    to_master = master.points.take(master.nodes[of_master], axis=0) - origin[pair]
-    gap = _sum(np.matmul(coupling, to_master), pair, facet.size)
+    offset = master.points.take(master.nodes[master_facet], axis=0) - origin[pair]
+    gap = _sum(np.matmul(coupling, offset), pair, facet.size)
     gap -= np.matmul(trace, slave.points.take(slave.nodes[facet], axis=0) - origin)
     return FacetIntegrals(
         facet,
@@ -209,7 +166,7 @@ def _integrate_cells(
         trace,
         gap,
         pair,
-        of_master,
+        master_facet,
         coupling,
     )
 
@@ -219,12 +176,12 @@ def _rows(values: Vector, chosen: Numbers) -> Vector:
     return values.T.take(chosen, axis=-1).T
 
 
-def _products(one: Vector, other: Vector) -> Vector:
+def _products(first: Vector, second: Vector) -> Vector:
     """Return the sums over q of one_i other_j: (c, q, v) and (c, q, w) to (c, v, w).
 
     For all cells together: products of many small matrices take several times as long.
     """
-    lefts, rights = np.moveaxis(one, 2, 0), np.moveaxis(other, 2, 0)
+    lefts, rights = np.moveaxis(first, 2, 0), np.moveaxis(second, 2, 0)
     rows = [by_component([np.sum(left.T * right.T, axis=0) for right in rights]) for left in lefts]
     return np.stack([row.T for row in rows]).transpose(2, 0, 1)
 
@@ -234,7 +191,7 @@ def _without_slivers(cells: Cells, slave: Facets, planes: Planes) -> Cells:
     facet = cells.slave // slave.per_facet
     covered = np.bincount(facet, cells.pair_area(), len(slave))
     whole = planes.area.reshape(len(slave), slave.per_facet).sum(axis=1)
-    return cells.of_pairs(covered[facet] > _NOT_COVERED * whole[facet])
+    return cells.select_pairs(covered[facet] > _NOT_COVERED * whole[facet])
 
 
 def _quadrature(cells: Cells, unweighted: bool, pieces: int) -> tuple[Vector, Vector]:
@@ -251,9 +208,9 @@ def _quadrature(cells: Cells, unweighted: bool, pieces: int) -> tuple[Vector, Ve
     if quadratic or _distorted(cells.on_slave) or _distorted(cells.on_master):
         return _degree_eight()
     # Strang and Fix, degree 4
-    near, far = 0.445948490915964886, 0.0915762135097707435
-    of_near, of_far = 0.223381589678011466, 0.109951743655321868
-    return _symmetric((near, far)), np.repeat([of_near, of_far], 3)
+    inner, outer = 0.445948490915964886, 0.0915762135097707435
+    inner_weight, outer_weight = 0.223381589678011466, 0.109951743655321868
+    return _symmetric((inner, outer)), np.repeat([inner_weight, outer_weight], 3)
 
 
 def _distorted(corners: Vector) -> bool:
@@ -268,18 +225,18 @@ def _distorted(corners: Vector) -> bool:
 def _gauss_on_segment(points: int) -> tuple[Vector, Vector]:
     """Return 2 or 3 Gauss points, exact for polynomials of degree 3 or 5."""
     root = np.sqrt(1.0 / 12.0) if points == 2 else np.sqrt(3.0 / 20.0)
-    along = np.array([-root, root]) if points == 2 else np.array([-root, 0.0, root])
+    x = np.array([-root, root]) if points == 2 else np.array([-root, 0.0, root])
     weights = np.full(2, 0.5) if points == 2 else np.array([5.0, 8.0, 5.0]) / 18.0
-    return np.stack([0.5 - along, 0.5 + along], axis=1), weights
+    return np.stack([0.5 - x, 0.5 + x], axis=1), weights
 
 
 def _degree_eight() -> tuple[Vector, Vector]:
     """Return the 16 points of degree 8 of Dunavant (1985), for rational functions."""
     places = (0.459292588292723156, 0.170569307751760207, 0.0505472283170309754)
     weights = (0.0950916342672846247, 0.103217370534718250, 0.0324584976231980803)
-    one, other = 0.00839477740995760533, 0.263112829634638113
-    third = 1.0 - one - other
-    skew = np.array(list(permutations((one, other, third))))
+    a, b = 0.00839477740995760533, 0.263112829634638113
+    third = 1.0 - a - b
+    skew = np.array(list(permutations((a, b, third))))
     points = [np.full((1, 3), 1.0 / 3.0), _symmetric(places), skew]
     factors = [
         np.array([0.144315607677787168]),
@@ -294,11 +251,11 @@ def _symmetric(ends: tuple[float, ...]) -> Vector:
     return np.concatenate([np.full((3, 3), a) + (1.0 - 3.0 * a) * np.eye(3) for a in ends])
 
 
-def _sum(values: Vector, at: Numbers, size: int) -> Vector:
+def _sum(values: Vector, index: Numbers, size: int) -> Vector:
     """Sum rows by the ascending number that each belongs to; every number has a row."""
     if not size:
         return np.zeros((0, *values.shape[1:]))
-    first = np.searchsorted(at, np.arange(size))
+    first = np.searchsorted(index, np.arange(size))
     # along the last axis, which is contiguous; the result in the order of rows
     total = np.add.reduceat(np.moveaxis(values, 0, -1), first, axis=-1)
     return np.ascontiguousarray(np.moveaxis(total, -1, 0))

@@ -35,7 +35,7 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 # over all of its facets. Below the first it has no multiplier where neighbours are covered better:
 # half is what the border of a master leaves of an edge that goes through a node. Below the second
 # it has none in any case: its force is negligible.
-BARELY_COVERED, HARDLY_COVERED = 0.4, 1e-2
+BARELY_COVERED, SLIVER_COVERED = 0.4, 1e-2
 
 # Covered part of a facet, relative to its area, below which its dual functions are replaced by the
 # shape functions: a narrow strip may cross the facet anywhere.
@@ -48,23 +48,12 @@ class MortarMatrices:
 
     With the displacements of both surfaces, the mean relative displacement at slave node k is
     (sum_j D_kj u_j - sum_l M_kl u_l) / area_k.
-
-    Attributes
-    ----------
-    D : (n, n) scipy.sparse.csr_matrix
-        Integrals of psi_k N^s_j [m^2 or m]; for degree 1 diagonal.
-    M : (n, m) scipy.sparse.csr_matrix
-        Integrals of psi_k N^m_l.
-    gap : (n, gdim) array
-        Integrals of psi_k times the vector from the slave to the master.
-    area : (n,) array
-        Integrals of psi_k, the sums of the rows of D and of M.
     """
 
-    D: sp.csr_matrix
-    M: sp.csr_matrix
-    gap: Vector
-    area: Vector
+    D: sp.csr_matrix  # (n, n): integrals of psi_k N^s_j [m^2 or m]; for degree 1 diagonal
+    M: sp.csr_matrix  # (n, m): integrals of psi_k N^m_l
+    gap: Vector  # (n, gdim): integrals of psi_k times the vector from the slave to the master
+    area: Vector  # (n,): integrals of psi_k, the sums of the rows of D and of M
 
 
 def mortar_matrices(
@@ -72,72 +61,46 @@ def mortar_matrices(
 ) -> MortarMatrices:
     """Assemble D, M and the gaps of all covered nodes.
 
-    Parameters
-    ----------
-    integrals : FacetIntegrals
-        Of the two surfaces.
-    slave, master : Facets
-        The surfaces.
-    dual : bool
-        Whether psi are the dual functions, or the shape functions of degree 1 themselves.
+    The multipliers psi are the dual functions, or the shape functions of degree 1 themselves.
     """
     n, m = len(slave.points), len(master.points)
     corners = slave.corners[integrals.facet]
-    psi, of_slave = (
+    psi, slave_products = (
         _dual_functions(integrals, _areas(slave)[integrals.facet])
         if dual
         else (np.tile(np.eye(corners.shape[1]), (len(corners), 1, 1)), integrals.trace)
     )
-    of_master = np.matmul(psi[integrals.pair], integrals.coupling)
-    of_nodes = np.matmul(psi, integrals.gap).reshape(corners.size, slave.points.shape[1])
-    gap = np.stack([_sums(corners, part, n) for part in of_nodes.T], axis=1)
-    D = _assemble(of_slave, corners, slave.nodes[integrals.facet], (n, n))
-    M = _assemble(of_master, corners[integrals.pair], master.nodes[integrals.master], (n, m))
+    master_products = np.matmul(psi[integrals.pair], integrals.coupling)
+    nodal_gaps = np.matmul(psi, integrals.gap).reshape(corners.size, slave.points.shape[1])
+    gap = np.stack([_sums(corners, part, n) for part in nodal_gaps.T], axis=1)
+    D = _assemble(slave_products, corners, slave.nodes[integrals.facet], (n, n))
+    M = _assemble(master_products, corners[integrals.pair], master.nodes[integrals.master], (n, m))
     return MortarMatrices(D, M, gap, np.asarray(D.sum(axis=1)).ravel())
 
 
 def slave_matrix(integrals: FacetIntegrals, slave: Facets) -> sp.csr_matrix:
-    """Assemble D (n, n) of a surface all of whose vertices have a multiplier.
-
-    Parameters
-    ----------
-    integrals : FacetIntegrals
-        Over whole facets, see `integrate_alone`.
-    slave : Facets
-        The surface.
-    """
-    _, of_slave = _dual_functions(integrals, _areas(slave)[integrals.facet])
+    """Assemble D (n, n) of a surface with a multiplier at all vertices, see `integrate_alone`."""
+    _, slave_products = _dual_functions(integrals, _areas(slave)[integrals.facet])
     n, facet = len(slave.points), integrals.facet
-    return _assemble(of_slave, slave.corners[facet], slave.nodes[facet], (n, n))
+    return _assemble(slave_products, slave.corners[facet], slave.nodes[facet], (n, n))
 
 
 def multiplier_shares(coverage: Vector, free: Mask, pairs: Numbers) -> sp.csc_matrix:
-    """Return the shares of nodes in the dual functions of others.
+    """Return the shares (n, n) of nodes in the dual functions of others.
 
-    Parameters
-    ----------
-    coverage : (n,) array
-        The covered share of each node's area.
-    free : (n,) bool array
-        Nodes that must not have a multiplier.
-    pairs : (p, 2) integer array
-        Nodes that are corners of one covered facet, in both orders.
-
-    Returns
-    -------
-    (n, n) scipy.sparse.csc_matrix
-        Column j has 1 at j if it keeps its function, or the shares of others, whose sum is 1; it is
-        empty where no node around has a multiplier.
+    Column j has 1 at j if it keeps its function, or the shares of others, whose sum is 1; it is
+    empty where no node around has a multiplier. Nodes have the coverage (n,), and no multiplier
+    where they are `free`; pairs (p, 2) are corners of one covered facet, in both orders.
     """
     j, k = pairs.T
     better = coverage[k] > (1.0 + RELATIVE_ROUNDING) * coverage[j]
     takes = ~free[k] & (free[j] | (coverage[j] < BARELY_COVERED) & better)
     size = (coverage.size, coverage.size)
-    given = sp.csc_matrix((np.ones(takes.sum()), (k[takes], j[takes])), shape=size)
-    given.data[:] = 1.0
-    number = np.diff(given.indptr)
-    kept = (number == 0) & ~free & (coverage > HARDLY_COVERED)
-    shares = given @ sp.diags(1.0 / np.maximum(number, 1)) + sp.diags((number == 0).astype(float))
+    links = sp.csc_matrix((np.ones(takes.sum()), (k[takes], j[takes])), shape=size)
+    links.data[:] = 1.0
+    number = np.diff(links.indptr)
+    kept = (number == 0) & ~free & (coverage > SLIVER_COVERED)
+    shares = links @ sp.diags(1.0 / np.maximum(number, 1)) + sp.diags((number == 0).astype(float))
     # what is given to nodes that give it on: always to nodes that are covered better
     while shares[number > 0].nnz:
         shares = shares @ shares
@@ -178,8 +141,8 @@ def _dual_functions(integrals: FacetIntegrals, area: Vector) -> tuple[Vector, Ve
 
 def _areas(slave: Facets) -> Vector:
     """Return the areas (f,) of the facets, sums over their pieces [m^2 or m]."""
-    of_pieces = Planes.of(slave.coordinates()).area.reshape(len(slave), slave.per_facet)
-    areas: Vector = of_pieces.sum(axis=1)
+    pieces = Planes.of(slave.coordinates()).area.reshape(len(slave), slave.per_facet)
+    areas: Vector = pieces.sum(axis=1)
     return areas
 
 

@@ -23,30 +23,17 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 def one_sided_conditions(
     comm: MPI.Intracomm, slave: SlaveFacets, owned: Numbers, chosen: Mask
 ) -> tuple[Numbers, MortarTerms]:
-    """Integrate over some of the slave's facets, and sum up at the owners of its nodes. Collective.
+    """Integrate over chosen facets of the slave, and sum up at the owners of its nodes. Collective.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    slave : SlaveFacets
-        This rank's facets.
-    owned : (s,) integer array
-        The slave's nodes that this rank owns, ascending.
-    chosen : (f,) bool array
-        The facets that have an obstacle.
-
-    Returns
-    -------
-    nodes, terms : (k,) integer array, MortarTerms
-        The slave nodes that have a condition, ascending, and the terms.
+    The facets (f,) chosen are those that have an obstacle, `owned` the slave's nodes of this rank,
+    ascending. Returned are the slave nodes (k,) that have a condition, ascending, and the terms.
     """
     facets = Facets(slave.facets.points, slave.facets.nodes[chosen])
     weight = None if slave.weight is None else slave.weight[chosen]
     D = slave_matrix(integrate_alone(facets, weight), facets).tocoo()
-    to_owners = Directory(comm, owned)
+    owners = Directory(comm, owned)
     row, column = slave.nodes[D.row], slave.nodes[D.col]
-    return collect_terms(to_owners, row, column, D.data, np.ones(D.nnz, dtype=bool))
+    return collect_terms(owners, row, column, D.data, np.ones(D.nnz, dtype=bool))
 
 
 def nodal_normals(slave: SlaveFacets) -> Vector:

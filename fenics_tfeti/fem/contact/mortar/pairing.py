@@ -20,7 +20,7 @@ from fenics_tfeti.fem.contact.mortar.conditions import (
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
-from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas, given_weight
+from fenics_tfeti.fem.contact.surfaces.measure_weight import as_ufl_weight, check_weighted_areas
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
@@ -38,35 +38,10 @@ def match_by_mortar(
     shared: Numbers,
     prescribed: Mask,
 ) -> ContactPairing:
-    """Return the mortar conditions of a pair. Collective.
+    """Return the mortar conditions of a pair, this rank's part. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    name : str
-        Name of the contact.
-    contact : ContactPair
-        The pair.
-    slave : Surface
-        The slave's surface.
-    master : DeformedSurface
-        The master's surface near this rank's slave facets, not deformed.
-    shared : integer array
-        Nodes of both surfaces, which stay free.
-    prescribed : (s, gdim) bool array
-        Which components are prescribed at the slave's nodes.
-
-    Returns
-    -------
-    ContactPairing
-        This rank's part.
-
-    Raises
-    ------
-    InputError
-        Surfaces that do not face each other anywhere, slave facets folded by more than 90 degrees,
-        a wrong weight of the measure or initial gap.
+    The master is what is near this rank's slave facets, not deformed. Nodes of both surfaces,
+    `shared`, stay free; `prescribed` (s, gdim) are the components prescribed at the slave's nodes.
     """
     space = boundary.space
     comm, gdim = space.mesh.comm, slave.normal.shape[1]
@@ -78,13 +53,15 @@ def match_by_mortar(
         normals = master.normals(name)
     conditions = mortar_conditions(comm, facets, slave.nodes, master, normals, shared)
     check_covered(comm, conditions, slave, name)
-    at = np.searchsorted(slave.nodes, conditions.slave)
+    rows = np.searchsorted(slave.nodes, conditions.slave)
     if facets.weight is not None:
-        what = f"slave of {name}"
-        check_weighted_areas(comm, conditions.area, slave.area[at], slave.points[at], what)
+        label = f"slave of {name}"
+        check_weighted_areas(comm, conditions.area, slave.area[rows], slave.points[rows], label)
     gap = np.sum(conditions.gap * conditions.normal, axis=1)
     gap = slave.without_rounding(gap)
-    gap = initial_gap(comm, contact.initial_gap, gap, conditions.chord, slave.coordinates[at], name)
+    gap = initial_gap(
+        comm, contact.initial_gap, gap, conditions.chord, slave.coordinates[rows], name
+    )
     deviation = slave.without_rounding(conditions.deviation)
     summary = pairing_summary(
         comm,
@@ -108,22 +85,8 @@ def match_deformed(
 ) -> tuple[ContactPairing, Vector]:
     """Return the mortar conditions of a pair on its deformed surfaces. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    contact : ContactPair
-        The pair.
-    pairing : ContactPairing
-        Its conditions before.
-    displacement : Function
-        The displacement [m], ghosts up to date.
-
-    Returns
-    -------
-    pairing, distance : ContactPairing, (k,) array
-        The new conditions, with gaps in terms of the total displacement, and the mean distance
-        between the deformed surfaces [m], negative inside.
+    The gaps are in terms of the total displacement, whose ghosts are up to date. The second result
+    are the mean distances (k,) between the deformed surfaces [m], negative inside.
     """
     space, name = boundary.space, pairing.name
     comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
@@ -133,9 +96,9 @@ def match_deformed(
         for tag in (contact.slave, contact.master)
     )
     with raise_collectively(comm):
-        here = np.searchsorted(slave.nodes, surface.nodes)
-        normal = surface.normal if contact.normal is not None else slave.normals(name)[here]
-        of_master = master.normals(name)
+        rows = np.searchsorted(slave.nodes, surface.nodes)
+        normal = surface.normal if contact.normal is not None else slave.normals(name)[rows]
+        master_normals = master.normals(name)
     prescribed = pairing.prescribed
     if prescribed is None:
         prescribed = np.zeros_like(normal, dtype=bool)
@@ -144,7 +107,7 @@ def match_deformed(
     points = boundary.coordinates[:, :gdim] + displacement.x.array.reshape(-1, gdim)
     facets = slave_facets(space, contact, deformed, points, name)
     shared = np.intersect1d(slave.nodes, master.nodes)
-    conditions = mortar_conditions(comm, facets, surface.nodes, master, of_master, shared)
+    conditions = mortar_conditions(comm, facets, surface.nodes, master, master_normals, shared)
     check_covered(comm, conditions, surface, name)
     distance = np.sum(conditions.gap * conditions.normal, axis=1)
     relative = mean_relative(conditions.terms, displacement)
@@ -183,25 +146,9 @@ def _pairing(
 def slave_facets(
     space: FunctionSpace, contact: Any, slave: Surface, points: Vector, name: str
 ) -> SlaveFacets:
-    """Return this rank's facets of the slave, with normals and the weight of the measure.
+    """Return this rank's facets of a slave, with normals and weights. Collective.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    contact : ContactPair or TiedPair
-        The pair.
-    slave : Surface
-        Its slave's surface.
-    points : (nodes, gdim) array
-        All local nodes of the space, undeformed or deformed [m].
-    name : str
-        Name of the pair.
-
-    Raises
-    ------
-    InputError
-        A wrong weight of the measure.
+    The points (nodes, gdim) are all local nodes of the space, undeformed or deformed [m].
     """
     weight = _nodal_weight(space, contact.measure_weight, name)
     return SlaveFacets.of(space, slave, points, slave.normal, weight)
@@ -229,21 +176,10 @@ def main_masters(terms: MortarTerms) -> Numbers:
 def mean_relative(
     terms: MortarTerms, displacement: Function, coordinates: Vector | None = None
 ) -> Vector:
-    """Return mean displacements of the slave less those of the master, or places. Collective.
+    """Return mean displacements (k, gdim) of the slave less those of the master [m]. Collective.
 
-    Parameters
-    ----------
-    terms : MortarTerms
-        The conditions of this rank; their nodes may be on any.
-    displacement : Function
-        The displacement [m].
-    coordinates : (nodes, 3) array, optional
-        Of this rank's nodes [m]: to take the deformed places instead of the displacements.
-
-    Returns
-    -------
-    (k, gdim) array
-        As `mean_over_terms`.
+    The nodes of the terms may be on any rank. With coordinates (nodes, 3) of this rank's nodes [m],
+    the deformed places are taken instead of the displacements.
     """
     space = displacement.function_space
     gdim, index_map = space.dofmap.index_map_bs, space.dofmap.index_map
@@ -251,39 +187,27 @@ def mean_relative(
     if coordinates is not None:
         values = values + coordinates[: index_map.size_local, :gdim]
     nodes = np.unique(terms.nodes)
-    found = values_of_owners(space.mesh.comm, index_map.local_range, values, nodes)
-    return mean_over_terms(terms, nodes, found)
+    nodal = values_of_owners(space.mesh.comm, index_map.local_range, values, nodes)
+    return mean_over_terms(terms, nodes, nodal)
 
 
 def mean_over_terms(terms: MortarTerms, nodes: Numbers, values: Vector) -> Vector:
-    """Return the weighted sums of nodal values over the slave's terms, less those of the master.
+    """Return the weighted sums (k, gdim) of nodal values, negative on the master, over the areas.
 
-    Parameters
-    ----------
-    terms : MortarTerms
-        The conditions.
-    nodes : (n,) integer array
-        Global nodes, ascending; all of the terms' nodes.
-    values : (n, gdim) array
-        Values at the nodes, such as displacements [m].
-
-    Returns
-    -------
-    (k, gdim) array
-        Mean relative values: the sums, divided by the conditions' areas.
+    The nodes (n,) are global ones, ascending, and all of the terms'; the values are (n, gdim).
     """
     row = terms.row
     sums = np.zeros((terms.slaves.size, values.shape[1]))
-    at = np.searchsorted(nodes, terms.nodes)
-    np.add.at(sums, row, terms.weights[:, None] * values[at])
+    rows = np.searchsorted(nodes, terms.nodes)
+    np.add.at(sums, row, terms.weights[:, None] * values[rows])
     means: Vector = sums / terms.area[:, None]
     return means
 
 
-def _nodal_weight(space: FunctionSpace, given: Any, name: str) -> Vector | None:
+def _nodal_weight(space: FunctionSpace, measure_weight: Any, name: str) -> Vector | None:
     """Return the weight of the measure at all local nodes at vertices; None without one."""
     with raise_collectively(space.mesh.comm):
-        weight = given_weight(space.mesh, given, name)
+        weight = as_ufl_weight(space.mesh, measure_weight, name)
     if weight is None:
         return None
     scalar = Function(_compat.lagrange_space(space.mesh, 1))

@@ -1,4 +1,4 @@
-"""Whether the meshes of two surfaces match, so that conditions can be between pairs of nodes."""
+"""Comparison of two surface meshes: matching ones have conditions between pairs of nodes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
+from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
 from fenics_tfeti.fem.tolerances import SAME_PLACE
 from fenics_tfeti.typing import Vector
@@ -26,28 +27,11 @@ def meshes_match(
 
     Nodes are the same if they are opposite each other, along the normal of either surface or their
     mean, up to the rounding of coordinates in single precision. Gaps do not matter, as long as the
-    distance along the slave's surface is in the tolerance.
-
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    slave : Surface
-        This rank's part.
-    master : DeformedSurface
-        The master's surface near this rank's slave nodes.
-    normals : (n, gdim) array
-        The master's normals.
-    tolerance : float
-        Largest distance along the slave's surface, relative to the size of its facets.
-
-    Returns
-    -------
-    bool
-        The same on all ranks.
+    distance along the slave's surface, relative to the size of its facets, is in the tolerance. The
+    master is what is near this rank's slave nodes.
     """
     comm = space.mesh.comm
-    distance, along = np.zeros((2, 0))
+    distance, tangential = np.zeros((2, 0))
     partner = np.zeros(0, dtype=np.int64)
     if slave.nodes.size:
         partner = cKDTree(master.points).query(slave.points)[1]
@@ -55,22 +39,17 @@ def meshes_match(
         opposite = slave.normal - normals[partner]
         length = np.linalg.norm(opposite, axis=1, keepdims=True)
         opposite = opposite / np.where(length > 0.0, length, 1.0)
-        along = _across(offset, slave.normal)
-        others = [_across(offset, n) for n in (normals[partner], opposite)]
-        distance = np.min([along, *others], axis=0)
-    near = (distance <= SAME_PLACE * slave.size) & (along <= tolerance * slave.size)
+        distances = [
+            np.linalg.norm(tangential_part(offset, normal), axis=1)
+            for normal in (slave.normal, normals[partner], opposite)
+        ]
+        tangential, distance = distances[0], np.min(distances, axis=0)
+    near = (distance <= SAME_PLACE * slave.size) & (tangential <= tolerance * slave.size)
     if not comm.allreduce(bool(near.all()), MPI.LAND):
         return False
     images = np.repeat(partner[:, None].astype(float), slave.points.shape[1], axis=1)
-    of_slave = np.sort(values_on_facets(space, slave, images)[..., 0].astype(np.int64), axis=1)
-    both = np.concatenate([np.sort(master.surface.corners, axis=1), of_slave])
-    number = np.unique(both, axis=0, return_inverse=True)[1].ravel()
-    same = np.isin(number[len(master.facets) :], number[: len(master.facets)])
-    return bool(comm.allreduce(bool(same.all()), MPI.LAND))
-
-
-def _across(offset: Vector, direction: Vector) -> Vector:
-    """Return the lengths of what of some vectors is across others."""
-    along = np.sum(offset * direction, axis=1)[:, None] * direction
-    lengths: Vector = np.linalg.norm(offset - along, axis=1)
-    return lengths
+    slave_facets = np.sort(values_on_facets(space, slave, images)[..., 0].astype(np.int64), axis=1)
+    facets = np.concatenate([np.sort(master.surface.corners, axis=1), slave_facets])
+    number = np.unique(facets, axis=0, return_inverse=True)[1].ravel()
+    matching = np.isin(number[len(master.facets) :], number[: len(master.facets)])
+    return bool(comm.allreduce(bool(matching.all()), MPI.LAND))

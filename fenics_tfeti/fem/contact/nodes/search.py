@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MasterNodes, Surface
 from fenics_tfeti.fem.messages import coordinate_order
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
@@ -29,32 +30,21 @@ _REMEDY = (
 
 @dataclass(frozen=True)
 class Partners:
-    """The partner of each slave node that this rank owns.
+    """The partner of each slave node that this rank owns."""
 
-    Attributes
-    ----------
-    master : (k,) integer array
-        Position among the master's nodes; -1 where none was found.
-    distance : (k,) array
-        What the tolerance limits [m]; infinite where none was found.
-    measure, remedy : str
-        How the distance is measured, and what to do if it is too large, for messages.
-    """
-
-    master: Numbers
-    distance: Vector
-    measure: str
-    remedy: str
+    master: Numbers  # (k,): position among the master's nodes; -1 where there is none
+    distance: Vector  # (k,): limited by the tolerance [m]; infinite where there is no partner
+    measure: str  # how the distance is measured, for messages
+    remedy: str  # what to do if it is too large
 
 
 def nearest(slave: Surface, master: MasterNodes) -> Partners:
     """Pair each slave node with the nearest master node; the distance is along the surface."""
     partner = _nearest_points(master.points, slave.points)[1]
     offset = master.points[partner] - slave.points
-    normal = slave.normal * np.sum(offset * slave.normal, axis=1)[:, None]
     return Partners(
         partner,
-        np.linalg.norm(offset - normal, axis=1),
+        np.linalg.norm(tangential_part(offset, slave.normal), axis=1),
         "along the surface to the nearest master node",
         _REMEDY[0].upper() + _REMEDY[1:],
     )
@@ -71,25 +61,8 @@ def along_direction(
     """Pair each slave node with the master node nearest to a line through it. Collective.
 
     Only master nodes whose normals point against the slave node's are candidates. If the line meets
-    several sheets of the master's surface, only the nearest sheet counts.
-
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    slave, master : Surface, MasterNodes
-        The surfaces.
-    direction : (gdim,) array-like or callable
-        Direction of the lines, of either sense.
-    tolerance : float
-        Largest distance from the line, relative to the size of the slave's facets.
-    name : str
-        Name of the contact.
-
-    Returns
-    -------
-    Partners
-        The distance is across the direction.
+    several sheets of the master's surface, only the nearest sheet counts. The distance is across
+    the direction; the tolerance is relative to the size of the slave's facets.
     """
     lines_at_once = 4096  # bounds the memory
     gdim = slave.normal.shape[1]
@@ -100,19 +73,19 @@ def along_direction(
     groups = _compact_groups(master.points)
     for first in range(0, k, lines_at_once):
         part = slice(first, min(first + lines_at_once, k))
-        line, node, across, along = _near_lines(
+        line, node, radial, axial = _near_lines(
             slave.points[part], lines[part], slave.normal[part], reach[part], master, groups
         )
-        on_sheet = _on_nearest_sheet(line, along, reach[part])
-        line, node, across = line[on_sheet], node[on_sheet], across[on_sheet]
-        order = np.lexsort((node, across, line))
-        found, best = np.unique(line[order], return_index=True)
-        partner[first + found], distance[first + found] = node[order][best], across[order][best]
+        on_sheet = _on_nearest_sheet(line, axial, reach[part])
+        line, node, radial = line[on_sheet], node[on_sheet], radial[on_sheet]
+        order = np.lexsort((node, radial, line))
+        reached, best = np.unique(line[order], return_index=True)
+        partner[first + reached], distance[first + reached] = node[order][best], radial[order][best]
     # the distances of the others are for a message only, which names a few nodes
-    for row in _first_rows(slave.points, partner < 0):
+    for row in _first_points(slave.points, partner < 0):
         facing = master.normal @ slave.normal[row] < 0.0
-        across = _distance_to_lines(slave.points[[row]], lines[[row]], master.points[facing])[0]
-        distance[row] = across.min(initial=np.inf)
+        radial = _distance_to_lines(slave.points[[row]], lines[[row]], master.points[facing])[0]
+        distance[row] = radial.min(initial=np.inf)
     return Partners(
         partner,
         distance,
@@ -121,7 +94,7 @@ def along_direction(
     )
 
 
-def at_images(
+def by_mapping(
     comm: MPI.Intracomm,
     slave: Surface,
     master: MasterNodes,
@@ -148,30 +121,23 @@ def by_coordinates(
     tolerance: float,
     name: str,
 ) -> Partners:
-    """Pair the nodes at the user's points. Collective.
-
-    Raises
-    ------
-    InputError
-        Wrong shapes, different pairs on different ranks, points that are not nodes of the surfaces,
-        a slave node named twice.
-    """
+    """Pair the nodes at the user's points, which are the same on all ranks. Collective."""
     gdim = slave.normal.shape[1]
     with raise_collectively(comm):
-        slave_points, master_points = _given_pairs(pairs, gdim, name)
+        slave_points, master_points = _as_pairs(pairs, gdim, name)
     _check_same_on_all_ranks(comm, slave_points, master_points, name)
 
-    from_slave, at = _nearest_points(slave.points, slave_points)
-    owner = _nearest_rank(comm, from_slave)
-    mine = np.flatnonzero(owner == comm.rank)
-    at, from_slave = at[mine], from_slave[mine]
-    from_master, partner = _nearest_points(master.points, master_points[mine])
+    slave_distance, rows = _nearest_points(slave.points, slave_points)
+    owner = _nearest_rank(comm, slave_distance)
+    local = np.flatnonzero(owner == comm.rank)
+    rows, slave_distance = rows[local], slave_distance[local]
+    master_distance, partner = _nearest_points(master.points, master_points[local])
     for side, distance, points, size in (
-        ("slave", from_slave, slave_points[mine], slave.size[at]),
-        ("master", from_master, master_points[mine], master.size[partner]),
+        ("slave", slave_distance, slave_points[local], slave.size[rows]),
+        ("master", master_distance, master_points[local], master.size[partner]),
     ):
         _check_points_are_nodes(comm, distance, tolerance * size, points, f"{name}: {side}")
-    _check_named_once(comm, slave, at, name)
+    _check_named_once(comm, slave, rows, name)
 
     partners = Partners(
         np.full(slave.nodes.size, -1, dtype=np.int64),
@@ -179,7 +145,10 @@ def by_coordinates(
         "from the given points to the nodes",
         "Name them in pairs",
     )
-    partners.master[at], partners.distance[at] = partner, np.maximum(from_slave, from_master)
+    partners.master[rows], partners.distance[rows] = (
+        partner,
+        np.maximum(slave_distance, master_distance),
+    )
     return partners
 
 
@@ -192,10 +161,12 @@ def _nearest_points(points: Vector, places: Vector) -> tuple[Vector, Numbers]:
     candidates = min(8, len(points))
     if not len(points) or not len(places):
         return np.full(len(places), np.inf), np.zeros(len(places), dtype=np.int64)
-    distances, at = cKDTree(points).query(places, k=range(1, candidates + 1))
+    distances, positions = cKDTree(points).query(places, k=range(1, candidates + 1))
     tie = distances <= distances[:, :1] * (1.0 + RELATIVE_ROUNDING)
-    first = np.argmin(np.where(tie, at, len(points)), axis=1)[:, None]
-    distance, position = (np.take_along_axis(a, first, axis=1)[:, 0] for a in (distances, at))
+    first = np.argmin(np.where(tie, positions, len(points)), axis=1)[:, None]
+    distance, position = (
+        np.take_along_axis(a, first, axis=1)[:, 0] for a in (distances, positions)
+    )
     return distance, position.astype(np.int64)
 
 
@@ -224,58 +195,55 @@ def _near_lines(
 ) -> tuple[Numbers, Numbers, Vector, Vector]:
     """Find all master nodes near lines through points, whose normals point against those there.
 
-    Returns
-    -------
-    line, node, across, along : (n,) arrays
-        Pairs of a line and a master node no farther from it than its `reach`, and the distances
-        across and along the line [m].
+    Returned are pairs (n,) of a line and a master node no farther from it than its `reach`, and the
+    distances across and along the line [m].
     """
-    found: list[tuple[Any, ...]] = []
+    parts: list[tuple[Any, ...]] = []
     for group in groups:
         members = master.points[group]
         centre = 0.5 * (members.min(axis=0) + members.max(axis=0))
         radius = np.linalg.norm(members - centre, axis=1).max()
-        to_centre = _distance_to_lines(points, lines, centre[None])[:, 0]
-        rows = np.flatnonzero(to_centre <= reach + radius)
-        across = _distance_to_lines(points[rows], lines[rows], members)
+        centre_distance = _distance_to_lines(points, lines, centre[None])[:, 0]
+        rows = np.flatnonzero(centre_distance <= reach + radius)
+        radial = _distance_to_lines(points[rows], lines[rows], members)
         facing = normal[rows] @ master.normal[group].T < 0.0
-        row, column = np.nonzero((across <= reach[rows, None]) & facing)
+        row, column = np.nonzero((radial <= reach[rows, None]) & facing)
         line, node = rows[row], group[column]
-        along = np.abs(np.sum((master.points[node] - points[line]) * lines[line], axis=1))
-        found.append((line, node, across[row, column], along))
+        axial = np.abs(np.sum((master.points[node] - points[line]) * lines[line], axis=1))
+        parts.append((line, node, radial[row, column], axial))
     nothing = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
-    line, node, across, along = (np.concatenate(c) for c in zip(nothing, *found, strict=True))
-    return line, node, across, along
+    line, node, radial, axial = (np.concatenate(c) for c in zip(nothing, *parts, strict=True))
+    return line, node, radial, axial
 
 
-def _on_nearest_sheet(line: Numbers, along: Vector, reach: Vector) -> NDArray[np.bool_]:
+def _on_nearest_sheet(line: Numbers, axial: Vector, reach: Vector) -> NDArray[np.bool_]:
     """Tell which candidates are on the sheet of the master's surface that is nearest along a line.
 
     On a sheet inclined by up to 60 degrees, nodes within the reach of a line are at most four times
     the reach apart along it.
     """
     closest = np.full(reach.size, np.inf)
-    np.minimum.at(closest, line, along)
-    on_sheet: NDArray[np.bool_] = along <= closest[line] + 4.0 * reach[line]
+    np.minimum.at(closest, line, axial)
+    on_sheet: NDArray[np.bool_] = axial <= closest[line] + 4.0 * reach[line]
     return on_sheet
 
 
-def _distance_to_lines(points: Vector, lines: Vector, others: Vector) -> Vector:
+def _distance_to_lines(points: Vector, lines: Vector, targets: Vector) -> Vector:
     """Return the distance (k, m) of each of the others from each line through a point."""
-    offset = others[None, :, :] - points[:, None, :]
-    along = np.einsum("kmd,kd->km", offset, lines)
-    distance: Vector = np.linalg.norm(offset - along[..., None] * lines[:, None, :], axis=2)
+    offset = targets[None, :, :] - points[:, None, :]
+    axial = np.einsum("kmd,kd->km", offset, lines)
+    distance: Vector = np.linalg.norm(offset - axial[..., None] * lines[:, None, :], axis=2)
     return distance
 
 
-def _first_rows(points: Vector, chosen: NDArray[np.bool_], number: int = 3) -> Numbers:
+def _first_points(points: Vector, chosen: NDArray[np.bool_], number: int = 3) -> Numbers:
     """Return the rows of the first chosen points by their coordinates."""
     rows = np.flatnonzero(chosen)
     first: Numbers = rows[coordinate_order(points[rows])[:number]]
     return first
 
 
-def _given_pairs(pairs: Any, gdim: int, name: str) -> tuple[Vector, Vector]:
+def _as_pairs(pairs: Any, gdim: int, name: str) -> tuple[Vector, Vector]:
     try:
         slave, master = pairs
     except (TypeError, ValueError):
@@ -293,9 +261,9 @@ def _given_pairs(pairs: Any, gdim: int, name: str) -> tuple[Vector, Vector]:
 def _check_same_on_all_ranks(
     comm: MPI.Intracomm, slave_points: Vector, master_points: Vector, name: str
 ) -> None:
-    given = (slave_points, master_points)
-    first = comm.bcast(given)
-    same = all(np.array_equal(a, b) for a, b in zip(given, first, strict=True))
+    local = (slave_points, master_points)
+    first = comm.bcast(local)
+    same = all(np.array_equal(a, b) for a, b in zip(local, first, strict=True))
     if not comm.allreduce(same, MPI.LAND):
         raise InputError(f"{name}: pairs differ between ranks; give all of them to every rank")
 
@@ -311,30 +279,30 @@ def _nearest_rank(comm: MPI.Intracomm, distance: Vector) -> Numbers:
 
 
 def _check_points_are_nodes(
-    comm: MPI.Intracomm, distance: Vector, limit: Vector, points: Vector, what: str
+    comm: MPI.Intracomm, distance: Vector, limit: Vector, points: Vector, label: str
 ) -> None:
     far = distance > limit
     columns = (points[far], distance[far], limit[far])
     points, distance, limit = (concatenate_ranks(comm, column) for column in columns)
     if not len(points):
         return
-    first = _first_rows(points, np.ones(len(points), dtype=bool))
-    some = "; ".join(
+    first = _first_points(points, np.ones(len(points), dtype=bool))
+    places = "; ".join(
         f"{format_point(points[k])} at distance {distance[k]:.3g} (tolerance {limit[k]:.3g})"
         for k in first
     )
     raise InputError(
-        f"{what} points of {len(points)} pairs are not nodes of its surface: {some}. Distances are "
-        "to the nearest node. Take the coordinates from the mesh, or raise the pair's tolerance"
+        f"{label} points of {len(points)} pairs are not nodes of its surface: {places}. Distances "
+        "are to the nearest node. Take the coordinates from the mesh, or raise the pair's tolerance"
     )
 
 
-def _check_named_once(comm: MPI.Intracomm, slave: Surface, at: Numbers, name: str) -> None:
-    node, counts = np.unique(at, return_counts=True)
-    twice = concatenate_ranks(comm, slave.points[node[counts > 1]])
-    if len(twice):
-        first = _first_rows(twice, np.ones(len(twice), dtype=bool), 1)[0]
+def _check_named_once(comm: MPI.Intracomm, slave: Surface, rows: Numbers, name: str) -> None:
+    node, counts = np.unique(rows, return_counts=True)
+    repeated = concatenate_ranks(comm, slave.points[node[counts > 1]])
+    if len(repeated):
+        first = _first_points(repeated, np.ones(len(repeated), dtype=bool), 1)[0]
         raise InputError(
-            f"{name}: {len(twice)} slave nodes are in several pairs, the first at "
-            f"{format_point(twice[first], slave.extent)}: name each once"
+            f"{name}: {len(repeated)} slave nodes are in several pairs, the first at "
+            f"{format_point(repeated[first], slave.extent)}: name each once"
         )

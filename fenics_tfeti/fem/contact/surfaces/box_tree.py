@@ -11,18 +11,7 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 class BoxTree:
-    """A balanced binary tree of boxes around facets, level by level.
-
-    Parameters
-    ----------
-    corners : (m, v, gdim) array
-        Corners of the facets [m].
-
-    Attributes
-    ----------
-    size : float
-        The longest side of the box around all facets [m].
-    """
+    """A balanced binary tree of boxes around facets with corners (m, v, gdim), level by level."""
 
     def __init__(self, corners: Vector) -> None:
         facets_of_leaf = 2
@@ -51,37 +40,28 @@ class BoxTree:
             self._high.append(np.maximum(self._high[-1][::2], self._high[-1][1::2]))
         self._low.reverse()
         self._high.reverse()
+        # the longest side of the box around all facets [m]
         self.size = float((self._high[0] - self._low[0]).max())
 
-    def boxes(self, most: int) -> tuple[Vector, Vector]:
-        """Return lower and upper corners (b, gdim) of a level with as many boxes up to `most`."""
-        level = max(k for k, low in enumerate(self._low) if len(low) <= max(1, most))
+    def boxes(self, limit: int) -> tuple[Vector, Vector]:
+        """Return lower and upper corners (b, gdim) of a level with as many boxes up to `limit`."""
+        level = max(k for k, low in enumerate(self._low) if len(low) <= max(1, limit))
         return self._low[level], self._high[level]
 
     def candidates(
-        self, number: int, wanted: Callable[[Numbers, Vector, Vector], Mask]
+        self, number: int, meets_box: Callable[[Numbers, Vector, Vector], Mask]
     ) -> tuple[Numbers, Numbers]:
-        """Find all facets in the boxes that queries want.
+        """Find the facets in boxes that queries meet: pairs, each once, by ascending query.
 
-        Parameters
-        ----------
-        number : int
-            Number of queries.
-        wanted : callable
-            (query (j,), low (j, gdim), high (j, gdim)) -> (j,) bool: whether each query wants the
-            facets in a box. A box that is wanted implies that the boxes around it are.
-
-        Returns
-        -------
-        query, facet : integer arrays
-            Pairs, each once, in the order of the queries.
+        The predicate gets queries (j,) and lower and upper corners (j, gdim) of boxes; what is true
+        of a box has to be true of the boxes around it.
         """
         query, box = np.arange(number, dtype=np.int64), np.zeros(number, dtype=np.int64)
         for level, (low, high) in enumerate(zip(self._low, self._high, strict=True)):
             if level > 0:
                 query, box = np.repeat(query, 2), (2 * box[:, None] + [0, 1]).ravel()
             # faster than indices
-            keep = np.flatnonzero(wanted(query, low.take(box, axis=0), high.take(box, axis=0)))
+            keep = np.flatnonzero(meets_box(query, low.take(box, axis=0), high.take(box, axis=0)))
             query, box = query.take(keep), box.take(keep)
         query, facet = np.repeat(query, self._leaves.shape[1]), self._leaves[box].ravel()
         original = facet >= 0

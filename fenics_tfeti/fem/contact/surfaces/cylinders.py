@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, largest_of_facets
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, facet_max_at_nodes
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, SAME_PLACE
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -25,7 +25,7 @@ _CURVED = 0.1
 _ROUND, _GAUSS_NEWTON_STEPS = 1e-11, 8
 # relative to the largest distance of the nodes of contact: that of other nodes that are on the
 # cylinder too, and the angle between the axis and a coordinate axis that is meant
-_ALSO_ON, _KNOWN_TO = 2.0, 10.0
+_DISTANCE_FACTOR, _ANGLE_FACTOR = 2.0, 10.0
 
 
 def without_axial_tilt(
@@ -33,73 +33,43 @@ def without_axial_tilt(
 ) -> Vector:
     """Return normals across the axis where nodes in contact are on a round cylinder. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    surface : Surface
-        The slave's surface, which may have other facets, such as a pin's ends.
-    nodes : (k,) integer array
-        Its nodes with contact conditions, on this rank.
-    normal : (k, gdim) array
-        Their normals.
-
-    Returns
-    -------
-    (k, gdim) array
-        Normals of nodes with facets off the cylinder are as they are.
+    The nodes (k,) with contact conditions have the normals (k, gdim). The slave's surface may have
+    other facets, such as a pin's ends: normals of nodes with facets off the cylinder stay as they
+    are.
     """
     if normal.shape[1] != 3:
         return normal
-    comm, at = boundary.space.mesh.comm, np.searchsorted(surface.nodes, nodes)
-    cylinder = Cylinder.of(comm, surface.points[at], normal)
+    comm, rows = boundary.space.mesh.comm, np.searchsorted(surface.nodes, nodes)
+    cylinder = Cylinder.of(comm, surface.points[rows], normal)
     if cylinder is None:
         return normal
     corners = boundary.coordinates[surface.vertices]
     distance = np.abs(cylinder.distance(corners.reshape(-1, 3))).reshape(corners.shape[:2])
-    off = largest_of_facets(boundary.space, surface, distance.max(axis=1))[at]
+    farthest = facet_max_at_nodes(boundary.space, surface, distance.max(axis=1))[rows]
     tilt = normal @ cylinder.axis
-    tilted = (off <= cylinder.on) & (np.abs(tilt) > COORDINATE_ROUNDING)
-    across = normal[tilted] - np.outer(tilt[tilted], cylinder.axis)
+    corrected = (farthest <= cylinder.tolerance) & (np.abs(tilt) > COORDINATE_ROUNDING)
+    radial = normal[corrected] - np.outer(tilt[corrected], cylinder.axis)
     normal = normal.copy()
-    normal[tilted] = across / np.linalg.norm(across, axis=1, keepdims=True)
+    normal[corrected] = radial / np.linalg.norm(radial, axis=1, keepdims=True)
     return normal
 
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A round cylinder.
+    """A round cylinder."""
 
-    Attributes
-    ----------
-    centre, axis : (3,) array
-        A point on the axis [m] and a unit vector.
-    radius : float
-        [m].
-    on : float
-        Largest distance of points that are on it [m].
-    """
-
-    centre: Vector
-    axis: Vector
-    radius: float
-    on: float = 0.0
+    centre: Vector  # (3,): a point on the axis [m]
+    axis: Vector  # (3,): a unit vector
+    radius: float  # [m]
+    tolerance: float = 0.0  # largest distance of points that are on it [m]
 
     @staticmethod
     def of(comm: MPI.Intracomm, points: Vector, normals: Vector) -> Cylinder | None:
         """Return the cylinder on which points are, to rounding; None if there is none. Collective.
 
         A load across the axis must do no work along it. Points of few digits tell their axis if
-        they mean a coordinate axis.
-
-        Parameters
-        ----------
-        comm : MPI.Intracomm
-            The ranks.
-        points : (k, 3) array
-            This rank's points [m].
-        normals : (k, 3) array
-            About the unit normals there.
+        they mean a coordinate axis. The normals (k, 3) are about the unit normals at this rank's
+        points (k, 3).
         """
         number = comm.allreduce(float(len(points)))
         squares, directions = np.linalg.eigh(comm.allreduce(normals.T @ normals) / (number or 1.0))
@@ -107,25 +77,26 @@ class Cylinder:
             return None
         middle, mean = comm.allreduce(np.array([points.sum(axis=0), normals.sum(axis=0)])) / number
         size = comm.allreduce(float(np.abs(points - middle).max(initial=0.0)), MPI.MAX)
-        x, along, across = (points - middle) / size, directions[:, 0], directions[:, 1:]
+        x, axis_estimate, cross_axes = (points - middle) / size, directions[:, 0], directions[:, 1:]
         # x - r n is about the same point everywhere
-        n = (normals - mean) @ across
-        xn, nn = comm.allreduce(np.array([np.sum((x @ across) * n), np.sum(n * n)]))
-        fit = Cylinder(-xn / nn * mean, along, float(abs(xn / nn)))
+        n = (normals - mean) @ cross_axes
+        xn, nn = comm.allreduce(np.array([np.sum((x @ cross_axes) * n), np.sum(n * n)]))
+        fit = Cylinder(-xn / nn * mean, axis_estimate, float(abs(xn / nn)))
         for _ in range(_GAUSS_NEWTON_STEPS):
-            fit = fit._improved(comm, x, across)
-        off = comm.allreduce(float(np.abs(fit.distance(x)).max(initial=0.0)), MPI.MAX)
+            fit = fit._improved(comm, x, cross_axes)
+        misfit = comm.allreduce(float(np.abs(fit.distance(x)).max(initial=0.0)), MPI.MAX)
         nearest = np.argmax(np.abs(fit.axis))
         coordinate_axis = np.eye(3)[nearest] * np.sign(fit.axis[nearest])
-        turned = float(np.linalg.norm(fit.axis - coordinate_axis))
-        known = turned <= _KNOWN_TO * max(off, _ROUND)
-        if off > (SAME_PLACE if known else _ROUND):
+        rotation = float(np.linalg.norm(fit.axis - coordinate_axis))
+        is_coordinate_axis = rotation <= _ANGLE_FACTOR * max(misfit, _ROUND)
+        if misfit > (SAME_PLACE if is_coordinate_axis else _ROUND):
             return None
-        axis, on = coordinate_axis if known else fit.axis, _ALSO_ON * max(off, _ROUND)
-        return Cylinder(middle + size * fit.centre, axis, size * fit.radius, size * on)
+        axis = coordinate_axis if is_coordinate_axis else fit.axis
+        tolerance = size * (_DISTANCE_FACTOR * max(misfit, _ROUND))
+        return Cylinder(middle + size * fit.centre, axis, size * fit.radius, tolerance)
 
     def distance(self, points: Vector) -> Vector:
-        """Return by how much points (k, 3) are outside of it [m]."""
+        """Return signed distances (k,) of points, positive outside [m]."""
         distance: Vector = np.linalg.norm(self._radial(points), axis=1) - self.radius
         return distance
 
@@ -134,17 +105,17 @@ class Cylinder:
         x = points - self.centre
         return x - np.outer(x @ self.axis, self.axis)
 
-    def _improved(self, comm: MPI.Intracomm, x: Vector, across: Vector) -> Cylinder:
+    def _improved(self, comm: MPI.Intracomm, x: Vector, cross_axes: Vector) -> Cylinder:
         """Return it after a step of Gauss and Newton towards points (k, 3) about 0. Collective.
 
         The axis moves along two directions (3, 2), and is turned about its point beside 0.
         """
         radial = self._radial(x)
         distance = np.linalg.norm(radial, axis=1)
-        outward = (radial / np.where(distance > 0.0, distance, 1.0)[:, None]) @ across
+        outward = (radial / np.where(distance > 0.0, distance, 1.0)[:, None]) @ cross_axes
         rows = np.column_stack([outward, (x @ self.axis)[:, None] * outward, np.ones(len(x))])
         gram = comm.allreduce(rows.T @ np.column_stack([rows, distance - self.radius]))
         step = np.linalg.lstsq(gram[:, :-1], gram[:, -1], rcond=None)[0]
-        axis, centre = self.axis + across @ step[2:4], self.centre + across @ step[:2]
+        axis, centre = self.axis + cross_axes @ step[2:4], self.centre + cross_axes @ step[:2]
         centre = centre - self.axis * (centre @ self.axis)
         return Cylinder(centre, axis / np.linalg.norm(axis), self.radius + float(step[4]))

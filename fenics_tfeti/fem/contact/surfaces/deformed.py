@@ -13,7 +13,12 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
-from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets, owned_facets
+from fenics_tfeti.fem.contact.surfaces.oriented import (
+    corner_normals,
+    global_nodes,
+    oriented_facets,
+    owned_facets,
+)
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.tolerances import VANISHING_NORMAL
 from fenics_tfeti.parallel import concatenate_ranks
@@ -22,24 +27,12 @@ from fenics_tfeti.typing import Numbers, Vector
 
 @dataclass(frozen=True)
 class DeformedSurface:
-    """A deformed surface of all ranks, on every rank.
+    """A deformed surface of all ranks, on every rank."""
 
-    Attributes
-    ----------
-    nodes : (n,) integer array
-        Global nodes of the displacement's space, ascending.
-    points : (n, gdim) array
-        Deformed coordinates [m].
-    displacement : (n, gdim) array
-        Displacements [m].
-    facets : (m, t) integer array
-        Rows of `nodes`, in the order of `Facets`.
-    """
-
-    nodes: Numbers
-    points: Vector
-    displacement: Vector
-    facets: Numbers
+    nodes: Numbers  # global nodes of the displacement's space (n,), ascending
+    points: Vector  # deformed coordinates (n, gdim) [m]
+    displacement: Vector  # (n, gdim) [m]
+    facets: Numbers  # (m, t): rows of nodes, in the order of `Facets`
 
     @cached_property
     def surface(self) -> Facets:
@@ -63,19 +56,9 @@ class DeformedSurface:
         return filled
 
     def interpolate(self, values: Vector, x: Vector) -> Vector:
-        """Interpolate nodal values at the points of the undeformed surface closest to x.
+        """Interpolate nodal values (n, v) at the points of the undeformed surface closest to x.
 
-        Parameters
-        ----------
-        values : (n, v) array
-            At the nodes; linear on segments and triangles, or the pieces of facets of degree 2.
-        x : (k, gdim) array
-            Points [m].
-
-        Returns
-        -------
-        (k, v) array
-            Values at the closest points.
+        They are linear on segments and triangles, or the pieces of facets of degree 2.
         """
         simplices = self._simplices()
         undeformed = FacetedSurface(self._with_centres(self.points - self.displacement), simplices)
@@ -85,14 +68,9 @@ class DeformedSurface:
         return interpolated
 
     def normals(self, name: str) -> Vector:
-        """Return the unit normals at all nodes, by integrals with the shape functions.
+        """Return the unit normals (n, gdim), by integrals with the shape functions.
 
-        For degree 2 those of the pieces of facets.
-
-        Raises
-        ------
-        InputError
-            Facets whose normals cancel at a node, with the contact's name. The same on every rank.
+        For degree 2 they are those of the pieces of facets.
         """
         pieces = self.surface.pieces
         weighted = corner_normals(self.points[pieces])
@@ -134,24 +112,15 @@ class DeformedSurface:
 def gather_surface(
     boundary: MeshBoundary, facet_tags: Any, tag: int, displacement: Function | None = None
 ) -> DeformedSurface:
-    """Gather a deformed tagged surface from all ranks. Collective.
+    """Gather a tagged surface from all ranks, deformed by a displacement [m] if given. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    facet_tags : MeshTags
-        Tags of facets.
-    tag : int
-        The surface's tag.
-    displacement : Function, optional
-        On the space [m], with ghosts up to date; by default the surface is not deformed.
+    The ghosts of the displacement are up to date.
     """
     space = boundary.space
     comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
     facets = oriented_facets(space, owned_facets(space.mesh, facet_tags, tag))
     local = np.unique(facets)
-    numbers = np.asarray(space.dofmap.index_map.local_to_global(local), dtype=np.int64)
+    numbers = global_nodes(space, local)
     points = boundary.coordinates[local, :gdim]
     moves = np.zeros_like(points)
     if displacement is not None:

@@ -20,51 +20,33 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 class Distance:
     """Signed distances of points to a surface.
 
-    Attributes
-    ----------
-    signed : (k,) array
-        Distance to the surface, negative inside the body [m].
-    normal : (k, gdim) array
-        Unit gradient of the signed distance: from the closest point to a point outside, and from a
-        point inside to the closest one. On the surface its outward normal: at an edge the mean of
-        the adjacent facets' normals, at a vertex their mean weighted with the facets' angles.
+    The normal is the unit gradient of the signed distance: from the closest point to a point
+    outside, and from a point inside to the closest one. On the surface it is its outward normal: at
+    an edge the mean of the adjacent facets' normals, at a vertex their mean weighted with the
+    facets' angles.
     """
 
-    signed: Vector
-    normal: Vector
+    signed: Vector  # (k,), negative inside the body [m]
+    normal: Vector  # (k, gdim)
 
 
 def facet_normals(corners: Vector) -> Vector:
-    """Return the normals of segments or triangles, of the length of their length or area.
+    """Return the normals (m, gdim) of segments or triangles, of the length of their length or area.
 
-    Parameters
-    ----------
-    corners : (m, gdim, gdim) array
-        The corners of each facet [m]. Seen along a segment, from corner 0 to 1, its normal points
-        to the right; seen from the tip of its normal, a triangle has its corners anticlockwise.
-
-    Returns
-    -------
-    (m, gdim) array
-        The normals.
+    Seen along a segment, from corner 0 to 1, its normal points to the right; seen from the tip of
+    its normal, a triangle has its corners anticlockwise. The corners are (m, gdim, gdim) [m].
     """
-    along = corners[:, 1:] - corners[:, :1]
+    edges = corners[:, 1:] - corners[:, :1]
     if corners.shape[2] == 2:
-        return np.column_stack([along[:, 0, 1], -along[:, 0, 0]])
-    normals: Vector = 0.5 * np.cross(along[:, 0], along[:, 1])
+        return np.column_stack([edges[:, 0, 1], -edges[:, 0, 0]])
+    normals: Vector = 0.5 * np.cross(edges[:, 0], edges[:, 1])
     return normals
 
 
 class FacetedSurface:
-    """An oriented surface, open or closed.
+    """An oriented surface, open or closed, of segments (2D) or triangles (3D).
 
-    Parameters
-    ----------
-    points : (n, gdim) array
-        [m].
-    facets : (m, gdim) integer array
-        Corners of segments (2D) or triangles (3D) as rows of `points`, oriented outwards as
-        `facet_normals` says.
+    The facets (m, gdim) are rows of the points (n, gdim), oriented outwards as in `facet_normals`.
     """
 
     def __init__(self, points: Vector, facets: Numbers) -> None:
@@ -111,21 +93,11 @@ class FacetedSurface:
         self._feature_half = np.hstack([halves[keys], 0.5 * sizes[:, None]])
 
     def distance(self, x: Vector) -> Distance:
-        """Return the signed distances of points to the surface.
+        """Return the signed distances of points (k, gdim) to the surface.
 
         A point is inside if it is behind the closest point of the surface. Next to the border of an
         open surface, where the body's shape is not known, the surface is continued by its tangent
         plane over half a facet; points farther away are outside.
-
-        Parameters
-        ----------
-        x : (k, gdim) array
-            The points [m].
-
-        Returns
-        -------
-        Distance
-            Of each point.
         """
         blocks = [self._closest(part) for part in _blocks(x)]
         point, facet, feature = (np.concatenate(column) for column in zip(*blocks, strict=True))
@@ -137,69 +109,51 @@ class FacetedSurface:
         border = self._feature_border[facet, feature]
         continued = border & (tangential <= self._feature_half[facet, feature])
         signed = np.where(continued, height, np.where(border | (height >= 0.0), length, -length))
-        away = ~continued & (length > self._rounding)
-        normal[away] = offset[away] / signed[away, None]
+        distant = ~continued & (length > self._rounding)
+        normal[distant] = offset[distant] / signed[distant, None]
         return Distance(signed, normal)
 
     def closest(self, x: Vector) -> tuple[Numbers, Vector]:
-        """Return the points of the surface that are closest to other points.
+        """Return the facet (k,) that is closest to each point, and the place in it.
 
-        Parameters
-        ----------
-        x : (k, gdim) array
-            The other points [m].
-
-        Returns
-        -------
-        facet, weights : (k,) integer array, (k, gdim) array
-            The facet of each closest point, and its barycentric coordinates in it.
+        The place is the closest point's barycentric coordinates (k, gdim).
         """
         blocks = [self._closest(part)[:2] for part in _blocks(x)]
         point, facet = (np.concatenate(column) for column in zip(*blocks, strict=True))
         return facet, _barycentric(self._corners[facet], point)
 
     def gap_along(self, x: Vector, direction: Vector) -> tuple[Vector, Vector]:
-        """Return the gap between points and the surface along a direction.
+        """Return the gaps (k,) along unit vectors, and `Distance.signed` [m]; both negative inside.
 
         For a point outside it is the distance along the direction to the nearest facet that faces
         the direction; for a point inside, the distance backwards, counted negative. Where the line
         meets no such facet, the surface is replaced by the plane through the closest point and
         perpendicular to `Distance.normal`. The result is at most twice the distance to the surface,
         so that lines of more than 60 degrees to the normal give no large gaps.
-
-        Parameters
-        ----------
-        x : (k, gdim) array
-            The points [m].
-        direction : (k, gdim) array
-            Unit vectors.
-
-        Returns
-        -------
-        gap, signed : (k,) arrays
-            The gap along the direction, and `Distance.signed` [m]; both negative inside.
         """
         largest_ratio = 2.0
         distance = self.distance(x)
-        met = [self._intersect(*part) for part in zip(_blocks(x), _blocks(direction), strict=True)]
-        ahead, behind = (np.concatenate(column) for column in zip(*met, strict=True))
+        intersections = [
+            self._intersect(*part) for part in zip(_blocks(x), _blocks(direction), strict=True)
+        ]
+        forward, backward = (np.concatenate(column) for column in zip(*intersections, strict=True))
         length = np.abs(distance.signed)
         cosine = -np.sum(direction * distance.normal, axis=1)
         plane = length / np.maximum(cosine, 1.0 / largest_ratio)
-        along = np.where(distance.signed > 0.0, ahead, behind)
-        along = np.where(np.isfinite(along), np.minimum(along, largest_ratio * length), plane)
-        return np.sign(distance.signed) * along, distance.signed
+        gap = np.where(distance.signed > 0.0, forward, backward)
+        gap = np.where(np.isfinite(gap), np.minimum(gap, largest_ratio * length), plane)
+        return np.sign(distance.signed) * gap, distance.signed
 
     def _closest(self, x: Vector) -> tuple[Vector, Numbers, Numbers]:
         """Return the closest points, their facets, and the features of the facets they are on."""
         # the distance to any one facet bounds the distance to the closest
-        one = self._centres.query(x)[1]
-        point = _closest_on(self._corners[one], self._normals[one], x)[0]
+        seed = self._centres.query(x)[1]
+        point = _closest_on(self._corners[seed], self._normals[seed], x)[0]
         limit = np.linalg.norm(point - x, axis=1) * (1.0 + RELATIVE_ROUNDING) + self._rounding
 
         def near(row: Numbers, low: Vector, high: Vector) -> Mask:
-            away = np.maximum(np.maximum(low - x[row], x[row] - high), 0.0)
-            close: Mask = np.einsum("ij,ij->i", away, away) <= limit[row] ** 2
+            offset = np.maximum(np.maximum(low - x[row], x[row] - high), 0.0)
+            close: Mask = np.einsum("ij,ij->i", offset, offset) <= limit[row] ** 2
             return close
 
         row, facet = self._tree.candidates(len(x), near)
@@ -218,27 +172,30 @@ class FacetedSurface:
 
         def crossed(row: Numbers, low: Vector, high: Vector) -> Mask:
             with np.errstate(invalid="ignore"):
-                one = (low - margin - x[row]) * inverse[row]
-                other = (high + margin - x[row]) * inverse[row]
-            enter = np.fmin(one, other).max(axis=1)
-            leave = np.fmax(one, other).min(axis=1)
-            meets: Mask = enter <= leave
-            return meets
+                t_low = (low - margin - x[row]) * inverse[row]
+                t_high = (high + margin - x[row]) * inverse[row]
+            enter = np.fmin(t_low, t_high).max(axis=1)
+            leave = np.fmax(t_low, t_high).min(axis=1)
+            passes: Mask = enter <= leave
+            return passes
 
         row, facet = self._tree.candidates(len(x), crossed)
         corners, normal = self._corners[facet], self._normals[facet]
         cosine = -np.sum(direction[row] * normal, axis=1)
         height = np.sum((x[row] - corners[:, 0]) * normal, axis=1)
         faces = cosine > RELATIVE_ROUNDING
-        along = height / np.where(faces, cosine, 1.0)
-        weights = _barycentric(corners, x[row] + along[:, None] * direction[row])
+        distance = height / np.where(faces, cosine, 1.0)
+        weights = _barycentric(corners, x[row] + distance[:, None] * direction[row])
         # up to rounding, so that no line passes between two facets; False on facets without area,
         # where the weights are NaN
         hit = faces & (weights >= -RELATIVE_ROUNDING).all(axis=1)
-        ahead, behind = np.full(len(x), np.inf), np.full(len(x), np.inf)
-        for nearest, chosen in ((ahead, hit & (along >= 0.0)), (behind, hit & (along <= 0.0))):
-            np.minimum.at(nearest, row[chosen], np.abs(along[chosen]))
-        return ahead, behind
+        forward, backward = np.full(len(x), np.inf), np.full(len(x), np.inf)
+        for nearest, chosen in (
+            (forward, hit & (distance >= 0.0)),
+            (backward, hit & (distance <= 0.0)),
+        ):
+            np.minimum.at(nearest, row[chosen], np.abs(distance[chosen]))
+        return forward, backward
 
 
 def _blocks(rows: Vector) -> list[Vector]:
@@ -261,9 +218,9 @@ def _edge_lengths(corners: Vector) -> Vector:
 
 def _angles(corners: Vector) -> Vector:
     """Return the angles of triangles at their corners, (m, 3)."""
-    forth = _unit(np.roll(corners, -1, axis=1) - corners)
-    back = _unit(np.roll(corners, 1, axis=1) - corners)
-    angles: Vector = np.arccos(np.clip(np.sum(forth * back, axis=2), -1.0, 1.0))
+    forward = _unit(np.roll(corners, -1, axis=1) - corners)
+    backward = _unit(np.roll(corners, 1, axis=1) - corners)
+    angles: Vector = np.arccos(np.clip(np.sum(forward * backward, axis=2), -1.0, 1.0))
     return angles
 
 
@@ -293,29 +250,30 @@ def _closest_on(corners: Vector, normal: Vector, x: Vector) -> tuple[Vector, Num
     """
     number, gdim = x.shape
     if gdim == 2:
-        along = _along_edge(corners[:, 0], corners[:, 1], x)
-        point = corners[:, 0] + along[:, None] * (corners[:, 1] - corners[:, 0])
-        return point, np.select([along == 0.0, along == 1.0], [0, 1], 2).astype(np.int64)
+        position = _edge_position(corners[:, 0], corners[:, 1], x)
+        point = corners[:, 0] + position[:, None] * (corners[:, 1] - corners[:, 0])
+        return point, np.select([position == 0.0, position == 1.0], [0, 1], 2).astype(np.int64)
     height = np.sum((x - corners[:, 0]) * normal, axis=1)
     point = x - height[:, None] * normal
     feature = np.full(number, 6, dtype=np.int64)
     outside = np.flatnonzero(~(_barycentric(corners, x) > ON_CORNER).all(axis=1))
     start = corners[outside]
     step = np.roll(start, -1, axis=1) - start
-    along = _along_edge(start, start + step, x[outside, None, :])
-    on_edges = start + along[:, :, None] * step
-    edge = np.linalg.norm(on_edges - x[outside, None, :], axis=2).argmin(axis=1)
+    position = _edge_position(start, start + step, x[outside, None, :])
+    edge_points = start + position[:, :, None] * step
+    edge = np.linalg.norm(edge_points - x[outside, None, :], axis=2).argmin(axis=1)
     row = np.arange(outside.size)
-    point[outside] = on_edges[row, edge]
-    along = along[row, edge]
-    feature[outside] = np.select([along == 0.0, along == 1.0], [edge, (edge + 1) % 3], 3 + edge)
+    point[outside] = edge_points[row, edge]
+    position = position[row, edge]
+    ends = [position == 0.0, position == 1.0]
+    feature[outside] = np.select(ends, [edge, (edge + 1) % 3], 3 + edge)
     return point, feature
 
 
-def _along_edge(start: Vector, end: Vector, x: Vector) -> Vector:
+def _edge_position(start: Vector, end: Vector, x: Vector) -> Vector:
     """Return the position of the closest point of an edge, exactly 0 and 1 at its ends."""
     step = end - start
     square = np.sum(step * step, axis=-1)
-    along = np.sum((x - start) * step, axis=-1) / np.where(square > 0.0, square, 1.0)
-    along = np.where(along < ON_CORNER, 0.0, along)
-    return np.where(along > 1.0 - ON_CORNER, 1.0, along)
+    position = np.sum((x - start) * step, axis=-1) / np.where(square > 0.0, square, 1.0)
+    position = np.where(position < ON_CORNER, 0.0, position)
+    return np.where(position > 1.0 - ON_CORNER, 1.0, position)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import combinations
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.messages import raise_where
@@ -16,44 +18,27 @@ from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
 
-def check_initial_gap(given: Any, name: str) -> None:
-    """Check the argument `initial_gap` of a pair.
-
-    Raises
-    ------
-    InputError
-        What is neither a known word, a finite number nor a function.
-    """
-    if callable(given) or (isinstance(given, str) and given in ("geometric", "touching")):
+def check_initial_gap(value: Any, name: str) -> None:
+    """Check the argument `initial_gap` of a pair."""
+    if callable(value) or (isinstance(value, str) and value in ("geometric", "touching")):
         return
-    number = isinstance(given, int | float | np.number) and not isinstance(given, bool)
-    if number and np.isfinite(float(given)):
+    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if number and np.isfinite(float(value)):
         return
     raise InputError(
-        f"{name}: initial_gap is {given!r}; 'geometric', 'touching', a number [m] or a function "
+        f"{name}: initial_gap is {value!r}; 'geometric', 'touching', a number [m] or a function "
         "x (3, n) -> (n,) is expected"
     )
 
 
 def chord_heights(corners: Vector, normals: Vector, middles: Vector | None = None) -> Vector:
-    """Return how far facets are from the curved surface through their nodes with these normals.
+    """Return distances (f,) of facets from curved surfaces through their nodes, with normals [m].
 
     Between two corners it is the height of a circle's segment, length times angle / 8. Inside a
     triangle it is up to 4/3 of that between two of its corners, inside a quadrilateral that between
     the ends of a diagonal. Nodes in the middle take their own height off it; what is left is the
-    height of the two halves, a quarter, and the difference.
-
-    Parameters
-    ----------
-    corners, normals : (f, v, gdim) arrays
-        Corners of the facets [m], one after the other, and unit normals there.
-    middles : (f, t - v, gdim) array, optional
-        The other nodes of facets of degree 2, see `Facets` [m].
-
-    Returns
-    -------
-    (f,) array
-        [m].
+    height of the two halves, a quarter, and the difference. Corners and unit normals are (f, v,
+    gdim), the other nodes of facets of degree 2 (f, t - v, gdim), see `Facets`.
 
     Examples
     --------
@@ -64,31 +49,28 @@ def chord_heights(corners: Vector, normals: Vector, middles: Vector | None = Non
     >>> float(np.round(chord_heights(ends, ends)[0], 6)), float(np.round(1 - np.cos(0.1), 6))
     (0.004983, 0.004996)
     """
-    height, own = _heights(corners, normals, middles)
-    return _largest(np.abs(height - own) + own / 4.0, corners)
+    height, node_height = _heights(corners, normals, middles)
+    return _largest(np.abs(height - node_height) + node_height / 4.0, corners)
 
 
 def facet_deviations(corners: Vector, normals: Vector, middles: Vector | None = None) -> Vector:
-    """Return how far facets are from the surface, as `chord_heights`, with their own curvature.
-
-    Facets of degree 2 whose middle nodes are on the surface have hardly any.
-    """
-    height, own = _heights(corners, normals, middles)
-    return _largest(np.maximum(height - own, 0.0), corners)
+    """Return `chord_heights` less the curvature of the facets: next to none for degree 2."""
+    height, node_height = _heights(corners, normals, middles)
+    return _largest(np.maximum(height - node_height, 0.0), corners)
 
 
 def _heights(corners: Vector, normals: Vector, middles: Vector | None) -> tuple[Vector, Vector]:
     """Return between two corners each (q, f) the height of the segment, and of the middle node."""
     v = corners.shape[1]
-    heights, own = [], []
+    heights, node_heights = [], []
     for i, j in combinations(range(v), 2):
         length = np.linalg.norm(corners[:, i] - corners[:, j], axis=1)
         angle = np.linalg.norm(normals[:, i] - normals[:, j], axis=1)
         heights.append(length * angle / 8.0)
         middle = 0.5 * (corners[:, i] + corners[:, j])
         node = middle if middles is None else middles[:, _middle(i, j, v)]
-        own.append(np.linalg.norm(node - middle, axis=1))
-    return np.array(heights), np.array(own)
+        node_heights.append(np.linalg.norm(node - middle, axis=1))
+    return np.array(heights), np.array(node_heights)
 
 
 def _largest(heights: Vector, corners: Vector) -> Vector:
@@ -107,58 +89,45 @@ def _middle(i: int, j: int, v: int) -> int:
 
 
 def initial_gap(
-    comm: MPI.Intracomm, given: Any, gap: Vector, chord: Vector, points: Vector, name: str
+    comm: MPI.Intracomm, value: Any, gap: Vector, chord: Vector, points: Vector, name: str
 ) -> Vector:
-    """Return the initial gaps of a contact's conditions. Collective.
+    """Return the initial gaps (k,) of a contact's conditions. Collective.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    given : "geometric", "touching", float or callable
-        What the user gave, see `ContactPair`.
-    gap, chord : (k,) arrays
-        The gaps of the mesh, and the distances of its facets from the curved surfaces there [m].
-    points : (k, 3) array
-        The slave's nodes [m].
-    name : str
-        Name of the contact.
-
-    Raises
-    ------
-    InputError
-        Wrong shapes, NaN or infinite values, an exception of the user's function.
+    For the argument see `ContactPair`. The gaps (k,) are those of the mesh, the chords the
+    distances of its facets from the curved surfaces there [m].
     """
-    if isinstance(given, str):
+    if isinstance(value, str):
         # twice: the normals at a surface's border see half of the curvature
-        return np.where(np.abs(gap) <= 2.0 * chord, 0.0, gap) if given == "touching" else gap
-    if not callable(given):
-        return np.full_like(gap, float(given))
-    what = f"{name}: initial_gap"
+        return np.where(np.abs(gap) <= 2.0 * chord, 0.0, gap) if value == "touching" else gap
+    if not callable(value):
+        return np.full_like(gap, float(value))
+    label = f"{name}: initial_gap"
     with raise_collectively(comm):
-        values = _evaluate(given, points, what)
+        values = scalars_at(value, points, label)
     raise_where(
         comm,
         ~np.isfinite(values),
         points,
-        lambda number, place: f"{what} is NaN or infinite at {number} points, the first at {place}",
+        lambda number, place: (
+            f"{label} is NaN or infinite at {number} points, the first at {place}"
+        ),
     )
     return values
 
 
-def _evaluate(given: Any, points: Vector, what: str) -> Vector:
+def scalars_at(function: Callable[[Vector], ArrayLike], points: Vector, label: str) -> Vector:
+    """Evaluate a user's scalar function (k,) at points (k, 3); the label is for messages."""
     if not len(points):
         # a user's function may fail for no points
         return np.zeros(0)
+    returned = evaluate(function, points, label)
     try:
-        values = np.asarray(evaluate(given, points, what), dtype=float)
-    except (TypeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{what} has to return numbers, one for each point") from None
+        values = np.asarray(returned, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{label} has to return numbers, one for each point") from None
     if values.shape != (len(points),):
         raise InputError(
-            f"{what} returned shape {values.shape} for points of shape (3, {len(points)}); "
+            f"{label} returned shape {values.shape} for points of shape (3, {len(points)}); "
             f"({len(points)},) is expected"
         )
     return values

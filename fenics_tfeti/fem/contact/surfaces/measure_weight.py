@@ -21,71 +21,44 @@ from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.typing import Vector
 
 
-def given_weight(domain: Mesh, weight: Any, name: str) -> Any:
-    """Return the weight as an expression of UFL, checked; None for none.
+def as_ufl_weight(domain: Mesh, weight: Any, name: str) -> Any:
+    """Return the weight of a contact's measure as an expression of UFL, checked; None for none.
 
-    Parameters
-    ----------
-    domain : Mesh
-        The displacement's mesh.
-    weight : UFL expression, number or None
-        What the user gave.
-    name : str
-        Name of the contact, for messages.
-
-    Raises
-    ------
-    InputError
-        For what is no expression, is not scalar, has a test or trial function, or is on another
-        mesh; the same on all ranks.
+    Errors are the same on all ranks.
     """
     if weight is None:
         return None
-    what = f"{name}: measure_weight"
+    label = f"{name}: measure_weight"
     if isinstance(weight, int | float | np.number) and not isinstance(weight, bool):
         # a Constant: for each number in the expression, code would be compiled anew
         return Constant(domain, float(weight))
     if not isinstance(weight, Expr):
         raise InputError(
-            f"{what} is a {type(weight).__name__}; a scalar expression of UFL or a number is "
+            f"{label} is a {type(weight).__name__}; a scalar expression of UFL or a number is "
             "expected, such as 2 * ufl.pi * ufl.SpatialCoordinate(mesh)[0]"
         )
     if weight.ufl_shape or weight.ufl_free_indices:
         raise InputError(
-            f"{what} has shape {weight.ufl_shape}; a scalar is expected, by which ds is multiplied "
-            "in the forms"
+            f"{label} has shape {weight.ufl_shape}; a scalar is expected, by which ds is "
+            "multiplied in the forms"
         )
     if extract_arguments(weight):
         raise InputError(
-            f"{what} contains a test or trial function; give the factor of ds in the forms alone"
+            f"{label} contains a test or trial function; give the factor of ds in the forms alone"
         )
-    own = domain.ufl_domain()
+    mesh_domain = domain.ufl_domain()
     for terminal in traverse_unique_terminals(weight):
-        if any(other != own for other in extract_domains(terminal)):
-            raise InputError(f"{what} is on another mesh than the displacement")
+        if any(part != mesh_domain for part in extract_domains(terminal)):
+            raise InputError(f"{label} is on another mesh than the displacement")
     return weight
 
 
 def check_weighted_areas(
-    comm: MPI.Intracomm, weighted: Vector, area: Vector, points: Vector, what: str
+    comm: MPI.Intracomm, weighted: Vector, area: Vector, points: Vector, label: str
 ) -> None:
     """Check that the weight is positive at all nodes of a surface, on average. Collective.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    weighted, area : (k,) arrays
-        The area of each node with and without the weight.
-    points : (k, gdim) array
-        The nodes [m].
-    what : str
-        Name of the surface, for messages.
-
-    Raises
-    ------
-    InputError
-        With the number of nodes where the weight is NaN, infinite, negative or zero, and the first.
+    The areas (k,) of the nodes are those with and without the weight.
     """
     mean = weighted / area
     finite = np.isfinite(mean)
@@ -94,7 +67,8 @@ def check_weighted_areas(
         ~finite,
         points,
         lambda number, place: (
-            f"{what}: measure_weight is NaN or infinite around {number} nodes, the first at {place}"
+            f"{label}: measure_weight is NaN or infinite around {number} nodes, the first at "
+            f"{place}"
         ),
     )
     largest = comm.allreduce(float(np.abs(mean).max(initial=0.0)), MPI.MAX)
@@ -103,7 +77,7 @@ def check_weighted_areas(
         mean <= RELATIVE_ROUNDING * largest,
         points,
         lambda number, place: (
-            f"{what}: measure_weight is negative or zero around {number} nodes, the first at "
+            f"{label}: measure_weight is negative or zero around {number} nodes, the first at "
             f"{place}: as the factor of ds it has to be positive there. Has the mesh nodes of "
             "negative radius, or is a surface on the axis tagged?"
         ),

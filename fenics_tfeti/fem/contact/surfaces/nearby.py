@@ -13,7 +13,6 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from dolfinx.fem import Function, FunctionSpace
@@ -22,10 +21,14 @@ from fenics_tfeti.fem.contact.mortar.candidates import REACH
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
-from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets, owned_facets
+from fenics_tfeti.fem.contact.surfaces.oriented import (
+    global_nodes,
+    oriented_facets,
+    owned_facets,
+)
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.parallel import exchange
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 Boxes = tuple[Vector, Vector]
 
@@ -41,30 +44,12 @@ def gather_nearby(
     owned: Numbers,
     displacement: Function | None = None,
 ) -> DeformedSurface:
-    """Gather what of a surface is near this rank's facets and nodes of another one. Collective.
+    """Gather the part of a surface near this rank's facets and nodes of another one. Collective.
 
     All facets are there that may lie over a slave facet of this rank, those closest to it, and the
-    ones around each of their nodes, so that normals there are those of the whole surface.
-
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    facet_tags : MeshTags
-        Tags of facets.
-    tag : int
-        The surface's tag.
-    around : int
-        The tag of the other one, or the same.
-    owned : (k,) integer array
-        Global nodes of the other one that this rank owns; their facets may be other ranks'.
-    displacement : Function, optional
-        On the space [m], with ghosts up to date; by default the surfaces are not deformed.
-
-    Returns
-    -------
-    DeformedSurface
-        As `gather_surface`, without what is far away; it differs from rank to rank.
+    ones around each of their nodes, so that normals there are those of the whole surface. `around`
+    is the tag of the other surface, or the same; `owned` (k,) are the nodes of the other that this
+    rank owns, whose facets may be other ranks'. The ghosts of the displacement are up to date.
     """
     space = boundary.space
     comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
@@ -75,22 +60,20 @@ def gather_nearby(
     if displacement is not None:
         moves = displacement.x.array.reshape(-1, gdim)[: len(undeformed)]
     points = undeformed + moves
-    rows = _own_facets(space, facet_tags, tag)
+    rows = _facet_nodes(space, facet_tags, tag)
     tree = BoxTree(points[rows]) if len(rows) else None
-    nodes = _own_facets(space, facet_tags, around)
+    nodes = _facet_nodes(space, facet_tags, around)
     alone = owned - space.dofmap.index_map.local_range[0]
     nodes = np.concatenate([nodes, np.repeat(alone[:, None], nodes.shape[1], axis=1)])
     distance = _distances(comm, points, nodes, rows, tree)
-    wanted = _wanted(comm, points, nodes, rows, distance)
-    parts = _selected(comm, wanted, tree)
-    index_map = space.dofmap.index_map
-    numbers = np.asarray(index_map.local_to_global(rows.ravel().astype(np.int32)), dtype=np.int64)
-    numbers = numbers.reshape(rows.shape)
-    arrived = exchange(comm, [_packed(rows[part], numbers[part], points, moves) for part in parts])
-    return _joined(arrived)
+    needed = _needed_boxes(comm, points, nodes, rows, distance)
+    parts = _selected(comm, needed, tree)
+    numbers = global_nodes(space, rows)
+    received = exchange(comm, [_packed(rows[part], numbers[part], points, moves) for part in parts])
+    return _joined(received)
 
 
-def _own_facets(space: FunctionSpace, facet_tags: Any, tag: int) -> Numbers:
+def _facet_nodes(space: FunctionSpace, facet_tags: Any, tag: int) -> Numbers:
     """Return the local nodes (f, t) of the tagged facets that this rank owns."""
     return oriented_facets(space, owned_facets(space.mesh, facet_tags, tag)).astype(np.int64)
 
@@ -104,27 +87,27 @@ def _distances(
     other nodes.
     """
     gdim = points.shape[1]
-    asked = np.unique(nodes)
-    x = points[asked]
+    queried = np.unique(nodes)
+    x = points[queried]
     boxes = comm.allgather(_no_boxes(gdim) if tree is None else tree.boxes(_BOXES))
     # the surface is not farther than the farthest point of any box
     bound = np.min([_farthest(x, low, high) for low, high in boxes], axis=0)
     queries = [np.flatnonzero(_nearest(x, low, high) <= bound) for low, high in boxes]
-    arrived = exchange(comm, [x[query] for query in queries])
-    answers = [np.zeros(len(part)) for part in arrived]
+    received = exchange(comm, [x[query] for query in queries])
+    answers = [np.zeros(len(part)) for part in received]
     if tree is not None:
         corners = Facets(points, rows).coordinates()
         places = cKDTree(np.concatenate([points[np.unique(rows)], corners.mean(axis=1)]))
-        answers = [places.query(part)[0] if len(part) else np.zeros(0) for part in arrived]
-    found = np.full(len(x), np.inf)
+        answers = [places.query(part)[0] if len(part) else np.zeros(0) for part in received]
+    closest = np.full(len(x), np.inf)
     for query, answer in zip(queries, exchange(comm, answers), strict=True):
-        found[query] = np.minimum(found[query], answer)
+        closest[query] = np.minimum(closest[query], answer)
     distance = np.zeros(len(points))
-    distance[asked] = found
+    distance[queried] = closest
     return distance
 
 
-def _wanted(
+def _needed_boxes(
     comm: MPI.Intracomm, points: Vector, nodes: Numbers, rows: Numbers, distance: Vector
 ) -> list[Boxes]:
     """Return for each rank boxes around all that it needs of the surface."""
@@ -141,38 +124,37 @@ def _wanted(
     return list(comm.allgather(BoxTree(boxes).boxes(_BOXES)))
 
 
-def _selected(comm: MPI.Intracomm, wanted: list[Boxes], tree: BoxTree | None) -> list[Numbers]:
+def _selected(comm: MPI.Intracomm, needed: list[Boxes], tree: BoxTree | None) -> list[Numbers]:
     """Return this rank's facets of the surface that meet the boxes of each rank."""
     if tree is None:
         return [np.zeros(0, dtype=np.int64)] * comm.size
-    rank = np.repeat(np.arange(comm.size), [len(low) for low, _ in wanted])
-    low, high = (np.concatenate(ends) for ends in zip(*wanted, strict=True))
+    rank = np.repeat(np.arange(comm.size), [len(low) for low, _ in needed])
+    low, high = (np.concatenate(ends) for ends in zip(*needed, strict=True))
 
-    def meets(query: Numbers, box_low: Vector, box_high: Vector) -> NDArray[np.bool_]:
-        meeting = (box_low <= high[query]) & (box_high >= low[query])
-        every: NDArray[np.bool_] = meeting.all(axis=1)
-        return every
+    def overlaps(query: Numbers, box_low: Vector, box_high: Vector) -> Mask:
+        overlapping: Mask = ((box_low <= high[query]) & (box_high >= low[query])).all(axis=1)
+        return overlapping
 
-    query, facet = tree.candidates(len(rank), meets)
-    return [np.unique(facet[rank[query] == one]) for one in range(comm.size)]
+    query, facet = tree.candidates(len(rank), overlaps)
+    return [np.unique(facet[rank[query] == destination]) for destination in range(comm.size)]
 
 
 def _packed(
     rows: Numbers, numbers: Numbers, points: Vector, moves: Vector
 ) -> tuple[Numbers, Vector, Numbers]:
     """Return nodes, their coordinates and displacements, and facets in terms of these."""
-    nodes, first, at = np.unique(numbers, return_index=True, return_inverse=True)
+    nodes, first, inverse = np.unique(numbers, return_index=True, return_inverse=True)
     local = rows.ravel()[first]
     values = np.concatenate([points[local], moves[local]], axis=1)
-    return nodes, values, at.reshape(rows.shape).astype(np.int32)
+    return nodes, values, inverse.reshape(rows.shape).astype(np.int32)
 
 
 def _joined(parts: list[tuple[Numbers, Vector, Numbers]]) -> DeformedSurface:
     """Return the surface of the parts of all ranks."""
-    every = np.concatenate([nodes for nodes, _, _ in parts])
+    numbers = np.concatenate([nodes for nodes, _, _ in parts])
     values = np.concatenate([values for _, values, _ in parts])
     facets = np.concatenate([nodes.take(facets) for nodes, _, facets in parts])
-    nodes, first = np.unique(every, return_index=True)
+    nodes, first = np.unique(numbers, return_index=True)
     points, moves = np.split(values[first], 2, axis=1)
     return DeformedSurface(nodes, points, moves, np.searchsorted(nodes, facets))
 
@@ -185,8 +167,8 @@ def _nearest(x: Vector, low: Vector, high: Vector) -> Vector:
     """Return the distance of points from the nearest point of the nearest box."""
     distance = np.full(len(x), np.inf)
     for bottom, top in zip(low, high, strict=True):
-        outside = np.maximum(np.maximum(bottom - x, x - top), 0.0)
-        distance = np.minimum(distance, np.linalg.norm(outside, axis=1))
+        offset = np.maximum(np.maximum(bottom - x, x - top), 0.0)
+        distance = np.minimum(distance, np.linalg.norm(offset, axis=1))
     return distance
 
 
@@ -194,6 +176,6 @@ def _farthest(x: Vector, low: Vector, high: Vector) -> Vector:
     """Return the distance of points from the farthest point of the box where it is smallest."""
     distance = np.full(len(x), np.inf)
     for bottom, top in zip(low, high, strict=True):
-        away = np.maximum(np.abs(x - bottom), np.abs(x - top))
-        distance = np.minimum(distance, np.linalg.norm(away, axis=1))
+        offset = np.maximum(np.abs(x - bottom), np.abs(x - top))
+        distance = np.minimum(distance, np.linalg.norm(offset, axis=1))
     return distance

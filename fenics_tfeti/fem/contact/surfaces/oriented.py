@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
 from dolfinx.mesh import Mesh
@@ -13,7 +14,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_facets, cell_type, cell_vertices
-from fenics_tfeti.typing import Indices, Vector
+from fenics_tfeti.typing import Indices, Numbers, Vector
 
 
 def owned_facets(domain: Mesh, facet_tags: Any, tag: int) -> Indices:
@@ -23,39 +24,33 @@ def owned_facets(domain: Mesh, facet_tags: Any, tag: int) -> Indices:
     return np.sort(facets[facets < owned])
 
 
+def global_nodes(space: FunctionSpace, local: NDArray[Any]) -> Numbers:
+    """Return the global numbers of local nodes, in an array of the same shape."""
+    numbers = space.dofmap.index_map.local_to_global(local.ravel().astype(np.int32))
+    return np.asarray(numbers, dtype=np.int64).reshape(local.shape)
+
+
 def oriented_facets(space: FunctionSpace, facets: Indices) -> Indices:
-    """Return the nodes of facets that this rank owns, oriented outwards.
+    """Return the nodes (f, t) of facets on the boundary that this rank owns, oriented outwards.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space, of degree 1 or 2.
-    facets : (f,) integer array
-        Facets on the boundary of the mesh.
-
-    Returns
-    -------
-    (f, t) integer array
-        Local nodes of the space in the order of `Facets`: the corners one after the other around
-        the facet, then for degree 2 the midpoints of the edges from each to the next and that of a
-        quadrilateral.
+    They are local nodes of the space, of degree 1 or 2, in the order of `Facets`.
     """
     domain = space.mesh
     dim, cell = domain.topology.dim, cell_type(domain)
     domain.topology.create_connectivity(dim - 1, dim)
-    to_cell = domain.topology.connectivity(dim - 1, dim)
-    cells = np.asarray(to_cell.array)[np.asarray(to_cell.offsets)[facets]]
-    which = np.argmax(cell_facets(domain)[cells] == facets[:, None], axis=1)
+    cells_of_facets = domain.topology.connectivity(dim - 1, dim)
+    cells = np.asarray(cells_of_facets.array)[np.asarray(cells_of_facets.offsets)[facets]]
+    numbers = np.argmax(cell_facets(domain)[cells] == facets[:, None], axis=1)
     degree = _compat.element_facts(space)[1]
     columns = np.array(cell.facet_nodes(degree))
-    nodes: Indices = _compat.cell_dofs(space)[cells[:, None], columns[which]]
+    nodes: Indices = _compat.cell_dofs(space)[cells[:, None], columns[numbers]]
 
     x = domain.geometry.x[:, :dim]
     rows = cell_vertices(domain)[cells]
-    corners = np.array(cell.facet_nodes(1))[which]
-    of_facet = x[np.take_along_axis(rows, corners, axis=1)]
-    outward = of_facet.mean(axis=1) - x[rows].mean(axis=1)
-    normal = corner_normals(of_facet).sum(axis=1)
+    corners = np.array(cell.facet_nodes(1))[numbers]
+    corner_points = x[np.take_along_axis(rows, corners, axis=1)]
+    outward = corner_points.mean(axis=1) - x[rows].mean(axis=1)
+    normal = corner_normals(corner_points).sum(axis=1)
     inverted = np.sum(normal * outward, axis=1) < 0.0
     reflected = nodes[:, _reflection(cell.facet, nodes.shape[1])]
     return np.where(inverted[:, None], reflected, nodes)
@@ -70,27 +65,26 @@ def _reflection(facet: ReferenceCell, nodes: int) -> list[int]:
     return [*corners, *range(2 * v - 1, v - 1, -1), 2 * v][:nodes]
 
 
+def tangential_part(vectors: Vector, normal: Vector) -> Vector:
+    """Return vectors (k, gdim) less their components along unit normals (k, gdim)."""
+    tangential: Vector = vectors - np.sum(vectors * normal, axis=1)[:, None] * normal
+    return tangential
+
+
 def corner_normals(corners: Vector) -> Vector:
     """Return the integrals over facets of the normal times the shape function of each corner.
 
-    Parameters
-    ----------
-    corners : (m, v, gdim) array
-        Corners of segments, triangles or bilinear quadrilaterals, one after the other around each.
-
-    Returns
-    -------
-    (m, v, gdim) array
-        [m^2 or m]; exact also for warped quadrilaterals: the cross product of their tangents is
-        linear.
+    The corners (m, v, gdim) of segments, triangles or bilinear quadrilaterals are one after the
+    other around each. The results (m, v, gdim) [m^2 or m] are exact also for warped quadrilaterals:
+    the cross product of their tangents is linear.
     """
     v = corners.shape[1]
     if v < 4:
         return np.repeat(facet_normals(corners)[:, None, :] / v, v, axis=1)
     # in the order of the corners: along the edges from 0 to 1 and from 0 to 3, and opposite ones
-    one = corners[:, [1, 1, 2, 2]] - corners[:, [0, 0, 3, 3]]
-    other = corners[:, [3, 2, 2, 3]] - corners[:, [0, 1, 1, 0]]
+    u = corners[:, [1, 1, 2, 2]] - corners[:, [0, 0, 3, 3]]
+    w = corners[:, [3, 2, 2, 3]] - corners[:, [0, 1, 1, 0]]
     # mass matrix of the unit square
     mass = np.array([[4, 2, 1, 2], [2, 4, 2, 1], [1, 2, 4, 2], [2, 1, 2, 4]]) / 36.0
-    weighted: Vector = np.einsum("ij,mjk->mik", mass, np.cross(one, other))
+    weighted: Vector = np.einsum("ij,mjk->mik", mass, np.cross(u, w))
     return weighted

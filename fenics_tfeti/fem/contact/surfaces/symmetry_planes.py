@@ -7,10 +7,13 @@ surface has no component across it.
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 
 from dolfinx.fem import FunctionSpace
 
+from fenics_tfeti.fem.contact.surfaces.oriented import global_nodes
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
 from fenics_tfeti.feti.system import Prescribed
 from fenics_tfeti.parallel import Directory
@@ -20,48 +23,39 @@ from fenics_tfeti.typing import Mask, Vector
 # whose symmetry plane the node is in: 2 on a uniform mesh. On a plane, inclined or not, it is 1.
 _GROWTH = 1.3
 
-# Length of what is left of a unit normal, below which the prescribed components are no symmetry.
-_LEFT = 0.5
+# Length of the rest of a unit normal, below which the prescribed components are no symmetry.
+_SHORTEST = 0.5
 
 
 def prescribed_components(surface: Surface, prescribed: Prescribed) -> Mask:
     """Tell which components (k, gdim) of a surface's nodes, on this rank, are prescribed."""
     mask = np.zeros_like(surface.normal, dtype=bool)
     if surface.nodes.size:
-        at = np.minimum(np.searchsorted(surface.nodes, prescribed.nodes), surface.nodes.size - 1)
-        there = surface.nodes[at] == prescribed.nodes
-        mask[at[there], prescribed.components[there]] = True
+        rows = np.minimum(np.searchsorted(surface.nodes, prescribed.nodes), surface.nodes.size - 1)
+        owned = surface.nodes[rows] == prescribed.nodes
+        mask[rows[owned], prescribed.components[owned]] = True
     return mask
 
 
+def same_supports(
+    comm: MPI.Intracomm, surface: Surface, prescribed: Prescribed, mask: Mask
+) -> bool:
+    """Tell whether the prescribed components of a surface are those of a mask. Collective."""
+    same = np.array_equal(prescribed_components(surface, prescribed), mask)
+    return bool(comm.allreduce(same, MPI.LAND))
+
+
 def normals_in_symmetry_planes(space: FunctionSpace, surface: Surface, prescribed: Mask) -> Vector:
-    """Return a surface's normals without the components that symmetry rules out. Collective.
+    """Return a surface's unit normals without components that symmetry rules out. Collective.
 
-    A prescribed component is left out if it is larger at the neighbours where it is not prescribed,
-    as on a curved surface; on planes it is the same there.
-
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    surface : Surface
-        The surface; its nodes are ascending.
-    prescribed : (k, gdim) bool array
-        Which components are prescribed.
-
-    Returns
-    -------
-    (k, gdim) array
-        Unit normals.
+    A prescribed component (k, gdim) is left out if it is larger at the neighbours where it is not
+    prescribed, as on a curved surface; on planes it is the same there.
     """
     normal = np.abs(values_on_facets(space, surface, surface.normal))
     fixed = values_on_facets(space, surface, prescribed.astype(float)) > 0.5
     free_sum = np.where(fixed, 0.0, normal).sum(axis=1)
     free_count = (~fixed).sum(axis=1).astype(float)
-    vertices = np.asarray(
-        space.dofmap.index_map.local_to_global(surface.vertices.ravel().astype(np.int32)),
-        dtype=np.int64,
-    )
+    vertices = global_nodes(space, surface.vertices.ravel())
     v = surface.vertices.shape[1]
     directory = Directory(space.mesh.comm, np.unique(np.concatenate([vertices, surface.nodes])))
     rows = np.repeat(np.hstack([free_sum, free_count]), v, axis=0)
@@ -70,12 +64,12 @@ def normals_in_symmetry_planes(space: FunctionSpace, surface: Surface, prescribe
     np.add.at(total, directory.position(keys), rows)
     total = directory.lookup(surface.nodes, total)[1]
     gdim = surface.normal.shape[1]
-    of_neighbours = total[:, :gdim] / np.maximum(total[:, gdim:], 1.0)
-    across = prescribed & (of_neighbours > _GROWTH * np.abs(surface.normal))
-    left = np.where(across, 0.0, surface.normal)
-    length = np.linalg.norm(left, axis=1)
-    curved = length > _LEFT
+    neighbour_mean = total[:, :gdim] / np.maximum(total[:, gdim:], 1.0)
+    removed = prescribed & (neighbour_mean > _GROWTH * np.abs(surface.normal))
+    projected = np.where(removed, 0.0, surface.normal)
+    length = np.linalg.norm(projected, axis=1)
+    curved = length > _SHORTEST
     normals: Vector = np.where(
-        curved[:, None], left / np.where(curved, length, 1.0)[:, None], surface.normal
+        curved[:, None], projected / np.where(curved, length, 1.0)[:, None], surface.normal
     )
     return normals

@@ -17,7 +17,12 @@ from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets, owned_facets
+from fenics_tfeti.fem.contact.surfaces.oriented import (
+    corner_normals,
+    global_nodes,
+    oriented_facets,
+    owned_facets,
+)
 from fenics_tfeti.fem.messages import coordinate_order, raise_where
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, VANISHING_NORMAL
@@ -32,38 +37,21 @@ from fenics_tfeti.fem.user_data import unit_vectors
 from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Indices, Numbers, Vector
 
-GivenNormal = ArrayLike | Callable[[Vector], ArrayLike] | None
+VectorField = ArrayLike | Callable[[Vector], ArrayLike]
 
 
 @dataclass(frozen=True)
 class MeshBoundary:
-    """The boundary of a mesh: what all its tagged surfaces need, computed once.
+    """Data of the boundary of a mesh that all its tagged surfaces share."""
 
-    Attributes
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    linear : FunctionSpace
-        The space of degree 1 on its mesh, which it may be itself.
-    coordinates : (nodes, 3) array
-        Of this rank's nodes, ghosts last [m].
-    at_vertex : (nodes,) bool array
-        Whether a node is a vertex of cells.
-    exterior : bool array
-        Whether each facet of this rank is on the boundary of the mesh; False for ghosts.
-    rows : (facets, 2) integer array
-        A cell of each facet of this rank, and the facet's number in it.
-    normal_form : CompiledForm
-        The normal times each vertex' shape function of degree 1, to be integrated over facets.
-    """
-
-    space: FunctionSpace
-    linear: FunctionSpace
-    coordinates: Vector
-    at_vertex: NDArray[np.bool_]
+    space: FunctionSpace  # that of the displacement
+    linear: FunctionSpace  # of degree 1 on its mesh, which it may be itself
+    coordinates: Vector  # (nodes, 3): of this rank's nodes, ghosts last [m]
+    is_vertex: NDArray[np.bool_]  # (nodes,): whether a node is a vertex of cells
+    # whether each facet of this rank is on the boundary; False for ghosts
     exterior: NDArray[np.bool_]
-    rows: Indices
-    normal_form: _compat.CompiledForm
+    rows: Indices  # (facets, 2): a cell of each facet of this rank, and the facet's number in it
+    normal_form: _compat.CompiledForm  # the normal times each vertex' shape function of degree 1
 
     @staticmethod
     def of(space: FunctionSpace) -> MeshBoundary:
@@ -78,10 +66,10 @@ class MeshBoundary:
         if _compat.element_facts(space)[1] > 1:
             linear = _compat.lagrange_space(domain, 1, space.dofmap.index_map_bs)
         coordinates = space.tabulate_dof_coordinates()
-        at_vertex = np.zeros(len(coordinates), dtype=bool)
-        at_vertex[vertex_nodes(space)] = True
+        is_vertex = np.zeros(len(coordinates), dtype=bool)
+        is_vertex[vertex_nodes(space)] = True
         form = _normal_form(linear)
-        return MeshBoundary(space, linear, coordinates, at_vertex, exterior, rows, form)
+        return MeshBoundary(space, linear, coordinates, is_vertex, exterior, rows, form)
 
     @property
     def degree(self) -> int:
@@ -103,10 +91,10 @@ class MeshBoundary:
         if self.degree == 1:
             return values
         integrals = np.zeros((len(self.coordinates), values.shape[1]))
-        at, of = vertex_nodes(self.space), vertex_nodes(self.linear)
+        nodes, linear_nodes = vertex_nodes(self.space), vertex_nodes(self.linear)
         # both spaces' nodes at a vertex have the owner of the vertex
-        owned = of < len(values)
-        integrals[at[owned]] = values[of[owned]]
+        owned = linear_nodes < len(values)
+        integrals[nodes[owned]] = values[linear_nodes[owned]]
         return integrals
 
 
@@ -120,43 +108,18 @@ def _normal_form(space: FunctionSpace, weight: Any = 1) -> _compat.CompiledForm:
 
 @dataclass(frozen=True)
 class Surface:
-    """A tagged surface; of the nodes at its vertices, those that this rank owns.
+    """A tagged surface; of the nodes at its vertices, those that this rank owns."""
 
-    Attributes
-    ----------
-    nodes : (k,) integer array
-        Global nodes of the displacement's space at the vertices of facets.
-    local : (k,) integer array
-        Their local numbers.
-    coordinates : (k, 3) array
-        [m].
-    normal : (k, gdim) array
-        Outward unit normals.
-    area : (k,) array
-        Area (length in 2D) that turns a uniform pressure into the node's normal force [m^2 or m],
-        without the weight of the measure.
-    size : (k,) array
-        Mean edge length of the smallest of the facets at the node [m].
-    facets : (f,) integer array
-        The facets that this rank owns.
-    facet_nodes : (f, t) integer array
-        Local numbers of their nodes, some of which other ranks own; see `oriented_facets`.
-    facet_type : ReferenceCell
-        The facets' cell type.
-    extent : float
-        Largest coordinate of the surface by magnitude, over all ranks [m].
-    """
-
-    nodes: Numbers
-    local: Indices
-    coordinates: Vector
-    normal: Vector
-    area: Vector
-    size: Vector
-    facets: Indices
-    facet_nodes: Indices
+    nodes: Numbers  # global nodes of the displacement's space at the vertices of facets (k,)
+    local: Indices  # their local numbers (k,)
+    coordinates: Vector  # (k, 3) [m]
+    normal: Vector  # outward unit normals (k, gdim)
+    area: Vector  # (k,): turns a uniform pressure into the normal force, without weight [m^2 or m]
+    size: Vector  # (k,): mean edge length of the smallest of the facets at the node [m]
+    facets: Indices  # facets that this rank owns (f,)
+    facet_nodes: Indices  # (f, t): their local nodes, also of other ranks; see `oriented_facets`
     facet_type: ReferenceCell
-    extent: float
+    extent: float  # largest coordinate of the surface by magnitude, over all ranks [m]
 
     @property
     def vertices(self) -> Indices:
@@ -175,22 +138,12 @@ class Surface:
 
 @dataclass(frozen=True)
 class MasterNodes:
-    """All nodes of a master's surface, on every rank and in one order for any number of ranks.
+    """All nodes of a master's surface, on every rank and in one order for any number of ranks."""
 
-    Attributes
-    ----------
-    nodes : (m,) integer array
-        Global nodes.
-    points, normal : (m, gdim) arrays
-        Coordinates [m] and outward unit normals.
-    size : (m,) array
-        Mean edge length of the smallest of the facets at the node [m].
-    """
-
-    nodes: Numbers
-    points: Vector
-    normal: Vector
-    size: Vector
+    nodes: Numbers  # global nodes (m,)
+    points: Vector  # (m, gdim) [m]
+    normal: Vector  # outward unit normals (m, gdim)
+    size: Vector  # (m,): mean edge length of the smallest of the facets at the node [m]
 
     def without(self, nodes: Numbers) -> MasterNodes:
         """Leave out some nodes."""
@@ -199,56 +152,40 @@ class MasterNodes:
 
 
 def tagged_surface(
-    boundary: MeshBoundary, facet_tags: Any, tag: int, what: str, given: GivenNormal = None
+    boundary: MeshBoundary,
+    facet_tags: Any,
+    tag: int,
+    label: str,
+    user_normal: VectorField | None = None,
 ) -> Surface:
-    """Find the nodes of a tagged surface. Collective.
+    """Find the nodes of a tagged surface, this rank's part. Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    facet_tags : MeshTags
-        Tags of facets.
-    tag : int
-        The surface's tag.
-    what : str
-        The surface's name in messages.
-    given : (gdim,) array-like or callable, optional
-        The normal; by default the area-weighted average of the facets' normals.
-
-    Returns
-    -------
-    Surface
-        This rank's part.
-
-    Raises
-    ------
-    InputError
-        Tags of another mesh, on no facet or on interior ones; normals that vanish or point inwards.
+    `label` is its name in messages. By default normals are area-weighted averages of the facets'.
     """
     space = boundary.space
     domain, dim = space.mesh, space.mesh.topology.dim
     with raise_collectively(domain.comm):
-        _check_tags(domain, facet_tags, what)
+        _check_tags(domain, facet_tags, label)
     facets = owned_facets(domain, facet_tags, tag)
-    _check_facets(boundary, facet_tags, tag, facets, what)
+    _check_facets(boundary, facet_tags, tag, facets, label)
 
     nodes = np.asarray(fem.locate_dofs_topological(space, dim - 1, facets), dtype=np.int32)
-    nodes = np.sort(nodes[(nodes < space.dofmap.index_map.size_local) & boundary.at_vertex[nodes]])
+    nodes = np.sort(nodes[(nodes < space.dofmap.index_map.size_local) & boundary.is_vertex[nodes]])
     coordinates = boundary.coordinates[nodes]
     extent = domain.comm.allreduce(float(np.abs(coordinates).max(initial=0.0)), MPI.MAX)
     weighted = boundary.integrate(boundary.normal_form, facets)[nodes]
-    to_global = space.dofmap.index_map.local_to_global
     facet_nodes, facet_type = oriented_facets(space, facets), cell_type(domain).facet
     vertices = facet_nodes[:, : facet_type.vertices]
-    global_nodes = np.asarray(to_global(nodes), dtype=np.int64)
-    of_vertices = np.asarray(to_global(vertices.ravel()), dtype=np.int64).reshape(vertices.shape)
-    gdim = domain.geometry.dim
-    corners = boundary.coordinates[vertices, :gdim]
-    size, whole = _facets_at_nodes(domain.comm, corners, of_vertices, global_nodes)
-    normal, area = _normals_and_areas(domain.comm, weighted, whole, coordinates, given, what)
+    numbers = global_nodes(space, nodes)
+    corners = boundary.coordinates[vertices, : domain.geometry.dim]
+    size, facet_area = _facets_at_nodes(
+        domain.comm, corners, global_nodes(space, vertices), numbers
+    )
+    normal, area = _normals_and_areas(
+        domain.comm, weighted, facet_area, coordinates, user_normal, label
+    )
     return Surface(
-        global_nodes,
+        numbers,
         nodes,
         coordinates,
         normal,
@@ -271,48 +208,28 @@ def gather_master(comm: MPI.Intracomm, master: Surface) -> MasterNodes:
 
 
 def values_on_facets(space: FunctionSpace, surface: Surface, values: Vector) -> Vector:
-    """Return vectors at the nodes of this rank's facets, from the ranks that own the nodes.
+    """Return vectors (f, v, gdim) at the corners of this rank's facets. Collective.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    surface : Surface
-        The surface.
-    values : (k, gdim) array
-        For the nodes that this rank owns.
-
-    Returns
-    -------
-    (f, v, gdim) array
-        For the corners of each facet.
+    The values (k, gdim) are those at the nodes that this rank owns.
     """
     gdim = values.shape[1]
     carrier = fem.Function(space)
     carrier.x.array.reshape(-1, gdim)[surface.local] = values
     carrier.x.scatter_forward()
-    at: Vector = carrier.x.array.reshape(-1, gdim)[surface.vertices]
-    return at
+    corner_values: Vector = carrier.x.array.reshape(-1, gdim)[surface.vertices]
+    return corner_values
 
 
-def largest_of_facets(space: FunctionSpace, surface: Surface, values: Vector) -> Vector:
+def facet_max_at_nodes(space: FunctionSpace, surface: Surface, values: Vector) -> Vector:
     """Return at the nodes (k,) that this rank owns the largest value of their facets. Collective.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    surface : Surface
-        The surface.
-    values : (f,) array
-        For this rank's facets; not negative.
+    The values (f,) of this rank's facets are not negative.
     """
-    local = surface.vertices.ravel().astype(np.int32)
-    vertices = np.asarray(space.dofmap.index_map.local_to_global(local), dtype=np.int64)
+    vertices = global_nodes(space, surface.vertices.ravel())
     owners = Directory(space.mesh.comm, surface.nodes)
-    at, values = owners.forward(vertices, np.repeat(values, surface.vertices.shape[1]))
+    keys, values = owners.forward(vertices, np.repeat(values, surface.vertices.shape[1]))
     largest = np.zeros(surface.nodes.size)
-    np.maximum.at(largest, np.searchsorted(surface.nodes, at), values)
+    np.maximum.at(largest, np.searchsorted(surface.nodes, keys), values)
     return largest
 
 
@@ -322,23 +239,9 @@ def area_of_facets(
     chosen: NDArray[np.bool_],
     form: _compat.CompiledForm | None = None,
 ) -> Vector:
-    """Return the share of each node's area that belongs to chosen facets. Collective.
+    """Return the share (k,) of each node's area that belongs to chosen facets (f,). Collective.
 
-    Parameters
-    ----------
-    boundary : MeshBoundary
-        Of the displacement's mesh.
-    surface : Surface
-        The surface.
-    chosen : (f,) bool array
-        Which of this rank's facets count.
-    form : CompiledForm, optional
-        That of `MeshBoundary.form_with_weight`; by default without weight.
-
-    Returns
-    -------
-    (k,) array
-        [m^2 or m], times the weight.
+    The form is that of `MeshBoundary.form_with_weight`; by default there is no weight.
     """
     facets = surface.facets[chosen]
     weighted = boundary.integrate(form or boundary.normal_form, facets)[surface.local]
@@ -346,25 +249,25 @@ def area_of_facets(
     return area
 
 
-def _check_tags(domain: Any, facet_tags: Any, what: str) -> None:
+def _check_tags(domain: Any, facet_tags: Any, label: str) -> None:
     if not _compat.tags_are_on(facet_tags, domain):
-        raise InputError(f"{what}: facet_tags belong to another mesh than the displacement")
+        raise InputError(f"{label}: facet_tags belong to another mesh than the displacement")
     dim = domain.topology.dim
     if facet_tags.dim != dim - 1:
         raise InputError(
-            f"{what}: facet_tags are on entities of dimension {facet_tags.dim}, facets have "
+            f"{label}: facet_tags are on entities of dimension {facet_tags.dim}, facets have "
             f"dimension {dim - 1}"
         )
 
 
 def _check_facets(
-    boundary: MeshBoundary, facet_tags: Any, tag: int, facets: Indices, what: str
+    boundary: MeshBoundary, facet_tags: Any, tag: int, facets: Indices, label: str
 ) -> None:
     comm = boundary.space.mesh.comm
     number = comm.allreduce(facets.size)
     if number == 0:
-        there = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
-        raise InputError(f"{what}: tag {tag} is on no facet; the tags there are {there}")
+        existing = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
+        raise InputError(f"{label}: tag {tag} is on no facet; the tags there are {existing}")
     domain = boundary.space.mesh
     cell, facet = boundary.rows[facets].T
     corners = np.array(cell_type(domain).facets)[facet]
@@ -374,7 +277,7 @@ def _check_facets(
         ~boundary.exterior[facets],
         domain.geometry.x[vertices, : domain.geometry.dim].mean(axis=1),
         lambda interior, place: (
-            f"{what}: {interior} of the {number} facets with tag {tag} are inside a body, or "
+            f"{label}: {interior} of the {number} facets with tag {tag} are inside a body, or "
             f"between bodies that share their nodes, the first around {place}: only facets on the "
             "boundary can touch. Bodies that share nodes, as Gmsh's fragment makes them, get nodes "
             "of their own by fenics_tfeti.io.split_interfaces"
@@ -385,37 +288,37 @@ def _check_facets(
 def _normals_and_areas(
     comm: MPI.Intracomm,
     weighted: Vector,
-    whole: Vector,
+    facet_area: Vector,
     coordinates: Vector,
-    given: GivenNormal,
-    what: str,
+    user_normal: VectorField | None,
+    label: str,
 ) -> tuple[Vector, Vector]:
     """Return unit normals (k, gdim) and the areas (k,) projected along them.
 
-    `weighted` are the integrals of the normal, `whole` those of its length.
+    `weighted` are the integrals of the normal, `facet_area` those of its length.
     """
     gdim = weighted.shape[1]
     length = np.linalg.norm(weighted, axis=1)
-    least = VANISHING_NORMAL * whole
-    if given is None:
+    minimum = VANISHING_NORMAL * facet_area
+    if user_normal is None:
         raise_where(
             comm,
-            length <= least,
+            length <= minimum,
             coordinates[:, :gdim],
             lambda number, place: (
-                f"{what}: the normals of the facets around {number} nodes cancel, the first at "
+                f"{label}: the normals of the facets around {number} nodes cancel, the first at "
                 f"{place}: tag one side of an edge only, or give a normal"
             ),
         )
         return weighted / length[:, None], length
-    normal = unit_vectors(comm, given, coordinates, gdim, f"the normal of the {what}")
+    normal = unit_vectors(comm, user_normal, coordinates, gdim, f"the normal of the {label}")
     area = np.sum(weighted * normal, axis=1)
     raise_where(
         comm,
-        area <= least,
+        area <= minimum,
         coordinates[:, :gdim],
         lambda number, place: (
-            f"the normal of the {what} points into the body or along its surface at {number} "
+            f"the normal of the {label} points into the body or along its surface at {number} "
             f"nodes, the first at {place}: it has to point out of the slave, as the facets' do"
         ),
     )
@@ -437,8 +340,8 @@ def _facets_at_nodes(
     keys, sizes, areas = directory.collect(
         vertices.ravel(), np.repeat(mean, vertices.shape[1]), areas.ravel()
     )
-    at, count = directory.position(keys), directory.keys.size
+    rows, count = directory.position(keys), directory.keys.size
     smallest = np.full(count, np.inf)
-    np.minimum.at(smallest, at, sizes)
-    _, size, area = directory.lookup(nodes, smallest, np.bincount(at, areas, count))
+    np.minimum.at(smallest, rows, sizes)
+    _, size, area = directory.lookup(nodes, smallest, np.bincount(rows, areas, count))
     return size, area

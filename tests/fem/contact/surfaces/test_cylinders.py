@@ -39,7 +39,7 @@ def test_the_axis_is_known_to_rounding(tilt, span, side):
     assert abs(cylinder.axis @ TURN[:, 2]) == pytest.approx(1.0, rel=1e-15)
     assert np.abs(np.cross(cylinder.axis, TURN[:, 2])).max() < 1e-13
     assert cylinder.radius == pytest.approx(5.0, rel=1e-12)
-    assert np.abs(cylinder.distance(points)).max() < 1e-12 < cylinder.on
+    assert np.abs(cylinder.distance(points)).max() < 1e-12 < cylinder.tolerance
 
 
 def test_coordinate_axes_are_exact():

@@ -17,7 +17,7 @@ from dolfinx import fem
 
 from fenics_tfeti import ContactPair, Plane, RigidObstacle
 from fenics_tfeti.fem.contact.matching import match_contact
-from fenics_tfeti.fem.contact.surfaces.measure_weight import given_weight
+from fenics_tfeti.fem.contact.surfaces.measure_weight import as_ufl_weight
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 
 CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
@@ -32,14 +32,14 @@ def thickness(space, x):
 
 def test_no_weight_is_none():
     V, _ = strips()
-    assert given_weight(V.mesh, None, "joint") is None
+    assert as_ufl_weight(V.mesh, None, "joint") is None
 
 
 @pytest.mark.parametrize("number", [3, 3.0, np.float64(3.0), np.int64(3)])
 def test_numbers_are_constants(number):
     """So that one compiled form does for all of them."""
     V, _ = strips()
-    weight = given_weight(V.mesh, number, "joint")
+    weight = as_ufl_weight(V.mesh, number, "joint")
     assert isinstance(weight, fem.Constant) and float(weight.value) == 3.0
 
 
