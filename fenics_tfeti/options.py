@@ -56,7 +56,7 @@ class ContactOptions:
         for name in ("subdomain_size", "non_penetration_tolerance", "non_penetration_max_it"):
             check_range(self, name, 0, float("inf"))
 
-    def of_geometry(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """Return all options but those of the solver, by name."""
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "solver"}
 

@@ -25,11 +25,11 @@ from fenics_tfeti.continuation import (
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import (
-    given_conditions,
-    given_contacts,
-    given_forms,
-    given_function,
-    given_tied,
+    as_conditions,
+    as_contacts,
+    as_forms,
+    check_function,
+    as_tied_pairs,
 )
 from fenics_tfeti.fem.contact.checks import check_depth
 from fenics_tfeti.fem.contact.contact import (
@@ -69,7 +69,7 @@ from fenics_tfeti.fem.contact.tied import TiedPair, TiedPairing, tie_pairs, tied
 from fenics_tfeti.fem.contact.transfer import check_same_contacts, expected_contact, gather_solved
 from fenics_tfeti.fem.decomposition.assembly import prepare_forms, same_values
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
-from fenics_tfeti.fem.decomposition.partition import given_subdomains, split_into_subdomains
+from fenics_tfeti.fem.decomposition.partition import as_subdomains, split_into_subdomains
 from fenics_tfeti.fem.decomposition.parts import Part, number_parts
 from fenics_tfeti.fem.displacement import (
     displacement_function,
@@ -176,11 +176,11 @@ class ContactProblem:
         check_real_numbers()
         self.options = contact_options(options, options_prefix)
         self._timer = Timer()
-        a, L = given_forms(a, L)
+        a, L = as_forms(a, L)
         self.space = space_of_forms(a, L)
-        self.bcs, self.contacts = given_conditions(bcs), given_contacts(contacts)
-        self.tied = given_tied(tied)
-        self.u = given_function(u, self.space)
+        self.bcs, self.contacts = as_conditions(bcs), as_contacts(contacts)
+        self.tied = as_tied_pairs(tied)
+        self.u = check_function(u, self.space)
         self._tied: list[tuple[TiedPair, TiedPairing]] = []
         # pairs whose roles were exchanged, by the identity of the user's
         self._exchanged: dict[int, tuple[Contact, Contact]] = {}
@@ -215,7 +215,7 @@ class ContactProblem:
                 size, partitioner = self.options.subdomain_size, self.options.partitioner
                 cells = split_into_subdomains(self.space, bodies, size, partitioner)
             else:
-                cells = given_subdomains(self.space.mesh, bodies, subdomains)
+                cells = as_subdomains(self.space.mesh, bodies, subdomains)
             self._cells = cells
             self._parts = self._numbered_parts()
         self._body_names = bodies.names
@@ -532,8 +532,8 @@ class ContactProblem:
     def _refresh(self) -> None:
         """Take in what changed since the last solve, or since the problem was set up."""
         with raise_collectively(self.space.mesh.comm):
-            self.bcs, self.contacts = given_conditions(self.bcs), given_contacts(self.contacts)
-            self.tied = given_tied(self.tied)
+            self.bcs, self.contacts = as_conditions(self.bcs), as_contacts(self.contacts)
+            self.tied = as_tied_pairs(self.tied)
         self._origin = self._origin.of_contacts(len(self.contacts))
         moved = self._take_moved_mesh()
         prescribed = prescribed_values(self.space, self.bcs)
@@ -678,7 +678,7 @@ class ContactProblem:
                 **vars(solution.report),
                 **self._resultants(solution.report),
                 "versions": versions,
-                "options": {**solution.report.options, **self.options.of_geometry()},
+                "options": {**solution.report.options, **self.options.as_dict()},
             },
             pairing=pairing,
         )

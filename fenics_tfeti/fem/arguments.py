@@ -20,14 +20,8 @@ from fenics_tfeti.fem.contact.friction import check_friction
 from fenics_tfeti.fem.contact.tied import TiedPair, tied_name
 
 
-def given_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
-    """Return the forms; no load, as L = 0, is a form that vanishes.
-
-    Raises
-    ------
-    InputError
-        For what is no form of UFL, such as a compiled one.
-    """
+def as_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
+    """Return the forms; no load, as L = 0, is a form that vanishes."""
     _check_form(a, "the bilinear form a")
     if _is_zero(L):
         return a, _no_load(a)
@@ -35,14 +29,8 @@ def given_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
     return a, L
 
 
-def given_function(u: Any, space: FunctionSpace) -> Function | None:
-    """Return the function that solves fill, if there is one.
-
-    Raises
-    ------
-    InputError
-        If it is no function, or on another space than the forms.
-    """
+def check_function(u: Any, space: FunctionSpace) -> Function | None:
+    """Return the function that solves fill, if there is one."""
     if u is not None and not isinstance(u, Function):
         raise InputError(
             f"u is a {type(u).__name__}; a dolfinx.fem.Function on the space of the forms is "
@@ -53,14 +41,8 @@ def given_function(u: Any, space: FunctionSpace) -> Function | None:
     return u
 
 
-def given_conditions(bcs: Any) -> list[Any]:
-    """Return the Dirichlet conditions as a list: none for None, one for a single condition.
-
-    Raises
-    ------
-    InputError
-        With the first thing that is no Dirichlet condition.
-    """
+def as_conditions(bcs: Any) -> list[Any]:
+    """Return the Dirichlet conditions as a list: none for None, one for a single condition."""
     conditions = _listed(bcs, _is_condition, "bcs", "Dirichlet conditions")
     for number, bc in enumerate(conditions):
         if not _is_condition(bc):
@@ -71,15 +53,8 @@ def given_conditions(bcs: Any) -> list[Any]:
     return conditions
 
 
-def given_contacts(contacts: Any) -> list[Contact]:
-    """Return the contacts as a list: none for None, one for a single contact.
-
-    Raises
-    ------
-    InputError
-        With the first thing that is no contact, or a contact's tags, obstacle or friction that are
-        none.
-    """
+def as_contacts(contacts: Any) -> list[Contact]:
+    """Return the contacts as a list: none for None, one for a single contact."""
     found = _listed(contacts, _is_contact, "contacts", "ContactPair or RigidObstacle")
     for number, contact in enumerate(found):
         if not _is_contact(contact):
@@ -91,19 +66,8 @@ def given_contacts(contacts: Any) -> list[Contact]:
     return found
 
 
-def given_tied(pairs: Any) -> list[TiedPair]:
-    """Return the tied pairs, of one or of a list.
-
-    Parameters
-    ----------
-    pairs : sequence of TiedPair, one of them, or None
-        What the user gave.
-
-    Raises
-    ------
-    InputError
-        With the first thing that is no tied pair, or a pair's tags that are none.
-    """
+def as_tied_pairs(pairs: Any) -> list[TiedPair]:
+    """Return the tied pairs as a list: none for None, one for a single pair."""
     found = _listed(pairs, lambda thing: isinstance(thing, TiedPair), "tied", "TiedPair")
     for number, pair in enumerate(found):
         if not isinstance(pair, TiedPair):

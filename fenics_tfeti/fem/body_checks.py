@@ -29,31 +29,15 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 
 @dataclass(frozen=True)
 class SurfaceNodes:
-    """Nodes on the surface of bodies; a node that several bodies share has a row for each.
+    """Nodes (k,) on the surface of bodies; a node that several bodies share has a row for each."""
 
-    Attributes
-    ----------
-    number : (k,) integer array
-        Global node numbers in the input of the mesh.
-    x : (k, gdim) array
-        Coordinates [m].
-    body : (k,) integer array
-        The body.
-    size : (k,) array
-        Shortest edge of the body's cells at the node; edges of length zero do not count [m].
-    slave, master : (k,) bool array
-        Whether the node is on the slave's or the master's surface of a contact pair.
-    vertex : (k,) integer array
-        Global node numbers in the distributed mesh.
-    """
-
-    number: Numbers
-    x: Vector
+    number: Numbers  # global, in the input of the mesh
+    x: Vector  # (k, gdim) [m]
     body: Numbers
-    size: Vector
-    slave: Mask
-    master: Mask
-    vertex: Numbers
+    size: Vector  # shortest edge of the body's cells at the node, of those longer than zero [m]
+    slave: Mask  # on a slave surface of a contact pair
+    master: Mask  # on a master surface of a contact pair
+    vertex: Numbers  # global number in the distributed mesh
 
     def __getitem__(self, chosen: Any) -> SurfaceNodes:
         """Return some of the rows."""
@@ -82,17 +66,7 @@ class SurfaceNodes:
 
 
 def surface_nodes(domain: Mesh, cells: CellGeometry, contacts: Sequence[Contact]) -> SurfaceNodes:
-    """Return the nodes of the exterior facets of this rank's cells.
-
-    Parameters
-    ----------
-    domain : Mesh
-        The mesh.
-    cells : CellGeometry
-        Its cells.
-    contacts : sequence of ContactPair or RigidObstacle
-        For the marks of slave and master.
-    """
+    """Return the nodes of the exterior facets of this rank's cells, marked by the contact pairs."""
     cell, facet = np.nonzero(exterior_cell_facets(domain))
     nodes = cells.nodes[cell[:, None], np.array(cells.type.facets)[facet]]
     per_facet = nodes.shape[1]
@@ -232,19 +206,8 @@ def _coincident_pairs(
 ) -> tuple[Vector, Numbers]:
     """Find pairs of nodes of a group at the same place, except a slave and a master node.
 
-    Parameters
-    ----------
-    domain : Mesh
-        The mesh.
-    nodes : SurfaceNodes
-        Nodes of this rank.
-    group : (k,) array
-        Nodes of different groups may coincide.
-
-    Returns
-    -------
-    points, body : (n, gdim), (n,) arrays
-        The place and the body of each pair, on all ranks.
+    Return the place (n, gdim) and the body (n,) of each pair, on all ranks. Nodes of different
+    groups may coincide.
     """
     comm, gdim = domain.comm, domain.geometry.dim
     reach = SAME_PLACE * comm.allreduce(float(nodes.size.max(initial=0.0)), MPI.MAX)
@@ -281,10 +244,8 @@ def _marked_anywhere(nodes: SurfaceNodes, mark: Mask) -> Mask:
 def _bins(comm: MPI.Intracomm, x: Vector, reach: float) -> tuple[Numbers, Numbers]:
     """Sort points into cubic bins, by which they are distributed over the ranks.
 
-    Returns
-    -------
-    keys, rows : integer arrays
-        Key of a bin and row of a point, for each bin that the point is in or within `reach` of.
+    Return the key of a bin and the row of a point, for each bin that the point is in or within
+    `reach` of.
     """
     bins_along_mesh = 64
     number_of_keys = 2**20

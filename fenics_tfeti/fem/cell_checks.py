@@ -29,36 +29,18 @@ _CELLS = 2**12
 
 @dataclass(frozen=True)
 class CellGeometry:
-    """The cells that this rank owns.
+    """The m cells that this rank owns.
 
     Coordinates are by component, with the cells as the last axis: several times faster than
     operations over short last axes.
-
-    Attributes
-    ----------
-    type : ReferenceCell
-        The cells' type.
-    nodes : (m, v) integer array
-        Rows of ``geometry.x`` at the vertices.
-    x : (gdim, n) array
-        Coordinates of the nodes [m].
-    midpoint : (gdim, m) array
-        Means of the corners [m].
-    size : (m,) array
-        Twice the largest distance of a corner from the midpoint [m].
-    lowest, highest, volume : (m,) arrays
-        Determinants of the Jacobian: the least and the largest at the corners, and that at the
-        midpoint [m^gdim].
-    body : (m,) integer array
-        The body of each.
     """
 
     type: ReferenceCell
-    nodes: NDArray[np.int32]
-    x: Vector
-    midpoint: Vector
-    size: Vector
-    lowest: Vector
+    nodes: NDArray[np.int32]  # (m, v) rows of ``geometry.x`` at the vertices
+    x: Vector  # (gdim, n) coordinates of the nodes [m]
+    midpoint: Vector  # (gdim, m) means of the corners [m]
+    size: Vector  # twice the largest distance of a corner from the midpoint [m]
+    lowest: Vector  # least and largest det J at the corners, and det J at the midpoint [m^gdim]
     highest: Vector
     volume: Vector
     body: Numbers
@@ -99,10 +81,8 @@ def _batches(cells: int) -> Iterator[slice]:
 def check_shapes(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
     """Check the determinants of the Jacobians, whose sign dolfinx ignores. Collective.
 
-    Raises
-    ------
-    InputError
-        Cells in which the determinant changes its sign, straight or curved, cells without volume.
+    Wrong are cells in which the determinant changes its sign, straight or curved, and cells without
+    volume.
     """
     dim = len(cells.x)
     scale = FLAT_CELL * cells.size**dim
@@ -198,10 +178,7 @@ def _raise_for_cells(
 def check_overlaps(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
     """Check that the two cells of a facet are on different sides of it. Collective.
 
-    Raises
-    ------
-    InputError
-        Cells on the same side of a common facet, such as a cell turned inside out.
+    They are on the same side where a cell is turned inside out, for instance.
     """
     facets, above = cell_facets(domain)[: cells.body.size], _above(cells)
     number = int(facets.max(initial=-1)) + 1

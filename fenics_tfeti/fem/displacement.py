@@ -24,21 +24,8 @@ from fenics_tfeti.typing import Vector
 def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
     """Return the space of the forms' arguments, and check that it is a space of displacements.
 
-    Parameters
-    ----------
-    a, L : ufl.Form
-        Bilinear and linear form.
-
-    Returns
-    -------
-    FunctionSpace
-        Lagrange elements of degree 1 or 2 with one component for each dimension.
-
-    Raises
-    ------
-    InputError
-        Wrong numbers of arguments, forms that are not linear in them, several spaces, another
-        element, cells of a higher degree than the displacement.
+    The space has Lagrange elements of degree 1 or 2, not below that of the cells, with one
+    component for each dimension; a is bilinear and L linear.
     """
     arguments = a.arguments() + L.arguments()
     _check_linear_in_trial_function(a)
@@ -111,24 +98,9 @@ def _check_linear_in_trial_function(a: ufl.Form) -> None:
 
 
 def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
-    """Evaluate Dirichlet conditions. Collective.
+    """Evaluate Dirichlet conditions at this rank's degrees of freedom. Collective.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    bcs : sequence of dolfinx.fem.DirichletBC
-        On the space or its components.
-
-    Returns
-    -------
-    Prescribed
-        The values of this rank's degrees of freedom, each with the number of its last condition.
-
-    Raises
-    ------
-    InputError
-        A condition on another space, NaN, contradictory values.
+    Each has the number of its last condition. Contradictory values are errors.
     """
     block = space.dofmap.index_map_bs
     index_map = space.dofmap.index_map
@@ -191,23 +163,9 @@ def displacement_function(
     displacements: Sequence[Vector],
     into: Function | None = None,
 ) -> Function:
-    """Return the function with the displacements of the subdomains.
+    """Return the function, new or `into`, with the displacements (n_i,) of this rank's subdomains.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    subdomains : sequence of Subdomain
-        This rank's subdomains.
-    displacements : sequence of (n_i,) arrays
-        Their displacements, equal at all copies of a node [m].
-    into : Function, optional
-        The function to fill; by default a new one.
-
-    Returns
-    -------
-    Function
-        On the user's mesh, ghosts up to date.
+    Displacements [m] are equal at all copies of a node. The function's ghosts are up to date.
     """
     block = space.dofmap.index_map_bs
     uh = fem.Function(space, name="displacement") if into is None else into

@@ -18,21 +18,11 @@ from fenics_tfeti.typing import Numbers
 
 @dataclass(frozen=True)
 class OwnedNodes:
-    """The nodes that this rank owns.
+    """The n nodes that this rank owns."""
 
-    Attributes
-    ----------
-    first : int
-        Number of the first one in the displacement's space.
-    coordinates : (n, gdim) array
-        [m].
-    numbers : (n,) integer array or None
-        See `input_numbers`.
-    """
-
-    first: int
-    coordinates: NDArray[np.float64]
-    numbers: Numbers | None
+    first: int  # global number of the first one
+    coordinates: NDArray[np.float64]  # (n, gdim) [m]
+    numbers: Numbers | None  # see `input_numbers`
 
     @staticmethod
     def of(space: FunctionSpace, numbers: Numbers | None) -> OwnedNodes:
@@ -43,21 +33,11 @@ class OwnedNodes:
 
 
 def input_numbers(space: FunctionSpace) -> Numbers | None:
-    """Return numbers of the nodes of a space by the input of its mesh. Collective.
+    """Return numbers (n,) of this rank's nodes of a Lagrange space by the mesh's input. Collective.
 
     The number of a node is its place in the first cell that it belongs to, in the order in which
-    the cells were given to dolfinx. It is the same for the same input on any ranks.
-
-    Parameters
-    ----------
-    space : FunctionSpace
-        Lagrange elements.
-
-    Returns
-    -------
-    (n,) integer array or None
-        For the nodes that this rank owns; distinct, with gaps. None on all ranks for a submesh,
-        which has no input.
+    the cells were given to dolfinx. It is the same for the same input on any ranks. Numbers are
+    distinct, with gaps; a submesh has no input: None on all ranks.
     """
     comm, index_map = space.mesh.comm, space.dofmap.index_map
     given = _compat.input_cells(space.mesh)

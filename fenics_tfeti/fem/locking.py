@@ -1,9 +1,9 @@
-"""Whether displacements of degree 1 lock, because a material is nearly incompressible.
+"""Check whether displacements of degree 1 lock, because a material is nearly incompressible.
 
 Some cells are measured by their element matrices. The energies of linear displacements are the
-elasticity tensor. Its largest eigenvalue, d lambda + 2 mu, belongs to the dilatation, the others,
-2 mu, to shear. Quadrilaterals and hexahedra lock if the volumetric term resists dilatations that
-vary within the cell, too: if it is not integrated by one point.
+elasticity tensor. Its largest eigenvalue, d lambda + 2 mu, belongs to the dilatation, the others, 2
+mu, to shear. Quadrilaterals and hexahedra lock if the volumetric term resists dilatations that vary
+within the cell, too: if it is not integrated by one point.
 """
 
 from __future__ import annotations
@@ -33,15 +33,7 @@ _RESISTED = 0.5
 
 
 def warn_of_locking(forms: PreparedForms, bodies: Bodies) -> None:
-    """Warn, on rank 0, if cells of degree 1 lock. Collective.
-
-    Parameters
-    ----------
-    forms : PreparedForms
-        The user's forms.
-    bodies : Bodies
-        Those of the mesh.
-    """
+    """Warn, on rank 0, if cells of degree 1 lock. Collective."""
     space = forms.space
     domain = space.mesh
     if _compat.element_facts(space)[1] > 1:
@@ -87,14 +79,8 @@ def _samples(forms: PreparedForms, bodies: Bodies) -> NDArray[np.int32]:
 def locking_ratio(type_: ReferenceCell, corners: Vector, K: Vector) -> float:
     """Return Poisson's ratio of a cell's material, or 0 where the cell does not lock.
 
-    Parameters
-    ----------
-    type_ : ReferenceCell
-        The cell's type.
-    corners : (v, gdim) array
-        Its vertices [m].
-    K : (v gdim, v gdim) array
-        Its stiffness matrix for displacements of degree 1 [N/m].
+    `corners` (v, gdim) are its vertices [m], K (v gdim, v gdim) its stiffness matrix of degree 1
+    [N/m].
     """
     d, x = type_.dim, corners - corners.mean(axis=0)
     linear = np.stack([(x @ strain).ravel() for strain in _strains(d)], axis=1)
@@ -124,7 +110,7 @@ def _strains(d: int) -> list[Vector]:
 
 
 def _resisted(x: Vector, K: Vector, mu_volume: float, lambda_volume: float) -> float:
-    """Return which share of the dilatations that vary within a cell the volumetric term resists.
+    """Return the share of dilatations varying within a cell that the volumetric term resists.
 
     For the products of two coordinates as displacements along one of them, as in bending: 1 with
     all points of integration, 0 with one.

@@ -33,16 +33,8 @@ def raise_where(
 ) -> None:
     """Raise an `InputError` on all ranks if points of any rank are wrong. Collective.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    wrong : (k,) bool array
-        Which of this rank's points are wrong.
-    points : (k, gdim) array
-        Coordinates [m].
-    message : callable
-        (number of wrong points, coordinates of the first one as text) -> message.
+    `wrong` (k,) marks some of this rank's points (k, gdim) [m]; the message is made of the number
+    of wrong points of all ranks and the coordinates of the first one as text.
     """
     found = concatenate_ranks(comm, points[wrong])
     size = comm.allreduce(float(np.abs(points).max(initial=0.0)), MPI.MAX)

@@ -1,4 +1,4 @@
-"""Whether the strains and rotations of a solution are as small as linear elasticity assumes."""
+"""Check whether strains and rotations of a solution are as small as linear elasticity assumes."""
 
 from __future__ import annotations
 
@@ -28,21 +28,8 @@ _CELLS = 2**14
 def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Sequence[float]) -> bool:
     """Warn, on rank 0, if displacement gradients are large in cells that carry load. Collective.
 
-    They are those at the midpoints. Bodies without strain energy may turn as far as they like.
-
-    Parameters
-    ----------
-    uh : Function
-        The displacement [m].
-    bodies : Bodies
-        Those of its mesh.
-    energy : sequence of float
-        The strain energy of each [J].
-
-    Returns
-    -------
-    bool
-        Whether it has warned, on all ranks.
+    They are those at the midpoints. Bodies without strain energy [J] may turn as far as they like.
+    Return on all ranks whether there was a warning.
     """
     comm = uh.function_space.mesh.comm
     size, strain2 = _cell_measures(uh, bodies.of_cell.size)
@@ -89,21 +76,10 @@ def _cell_measures(uh: Function, cells: int) -> tuple[Vector, Vector]:
 
 
 def cell_gradients(type_: ReferenceCell, corners: Vector, values: Vector) -> tuple[Vector, Vector]:
-    """Return the gradients of a vector field at the midpoints of cells.
+    """Return gradients (k, gdim, gdim) of vector fields at cell midpoints, and |det J| [m^gdim].
 
-    Parameters
-    ----------
-    type_ : ReferenceCell
-        The cells' type.
-    corners, values : (k, v, gdim) arrays
-        Coordinates [m] and values at the vertices.
-
-    Returns
-    -------
-    gradient : (k, gdim, gdim) array
-        Derivatives of the components in rows.
-    volume : (k,) array
-        det J at the midpoint, by magnitude [m^gdim].
+    The coordinates [m] and the values at the vertices are of shape (k, v, gdim); derivatives of a
+    component are in a row.
     """
     if type_.is_simplex:
         along = np.vstack([-np.ones(type_.dim), np.eye(type_.dim)])

@@ -28,13 +28,7 @@ def owned_cells(domain: Mesh) -> int:
 
 
 def tags_of_cells(domain: Mesh, cell_tags: Any) -> NDArray[np.int64]:
-    """Return the tag of each cell that this rank owns. Collective.
-
-    Raises
-    ------
-    InputError
-        Tags of facets instead of cells, cells without a tag.
-    """
+    """Return the tag of each cell that this rank owns; all cells need one. Collective."""
     owned = owned_cells(domain)
     tags = np.zeros(owned, dtype=np.int64)
     with raise_collectively(domain.comm):

@@ -22,22 +22,7 @@ from fenics_tfeti.typing import Vector
 
 
 def evaluate(function: Callable[[Vector], Any], points: Vector, what: str) -> Any:
-    """Call a user's function; an exception that it raises becomes an `InputError`.
-
-    Parameters
-    ----------
-    function : callable
-        Called with points of shape (3, k).
-    points : (k, 3) array
-        Coordinates [m].
-    what : str
-        The function's name in messages.
-
-    Returns
-    -------
-    object
-        What the function returned.
-    """
+    """Call a user's function of points (3, k); what it raises becomes an `InputError`."""
     try:
         return function(np.array(points.T, order="C"))
     except InputError as error:
@@ -55,13 +40,7 @@ def vectors_at(
     gdim: int,
     what: str,
 ) -> Vector:
-    """Evaluate a user's vector field (k, gdim) at points (k, 3). Collective.
-
-    Raises
-    ------
-    InputError
-        A wrong shape, NaN, or an exception of the function.
-    """
+    """Evaluate a user's vector field (k, gdim) at points (k, 3), check its shape. Collective."""
     with raise_collectively(comm):
         vectors = _vectors(function, points, gdim, what)
     raise_where(
@@ -80,19 +59,7 @@ def unit_vectors(
     gdim: int,
     what: str,
 ) -> Vector:
-    """Evaluate a constant or a user's vector field at points (k, 3), divided by its length.
-
-    Collective.
-
-    Returns
-    -------
-    (k, gdim) array
-        Unit vectors.
-
-    Raises
-    ------
-    InputError
-        A wrong shape, NaN, or a vector of length zero.
+    """Evaluate a constant or a vector field at points (k, 3) as unit vectors (k, gdim). Collective.
     """
     if callable(given):
         vectors = vectors_at(comm, given, points, gdim, what)
@@ -114,14 +81,8 @@ def unit_vectors(
     return unit
 
 
-def points_of(given: ArrayLike, gdim: int, what: str) -> Vector:
-    """Return a user's points as (k, gdim); they may have gdim or three coordinates each.
-
-    Raises
-    ------
-    InputError
-        A wrong shape or NaN.
-    """
+def as_points(given: ArrayLike, gdim: int, what: str) -> Vector:
+    """Return a user's points as (k, gdim); they may have gdim or three coordinates each."""
     points = _numbers(given, what)
     if points.ndim != 2 or points.shape[1] not in (gdim, 3) or not len(points):
         raise InputError(f"{what} have shape {points.shape}, expected (k, {gdim}) with k > 0")

@@ -105,7 +105,7 @@ def _cut(
     return components(graph, label)[1]
 
 
-def given_subdomains(domain: Mesh, bodies: Bodies, labels: Sequence[int]) -> list[Indices]:
+def as_subdomains(domain: Mesh, bodies: Bodies, labels: Sequence[int]) -> list[Indices]:
     """Make subdomains by the user's labels: cells of one label on one rank and in one body.
 
     Parameters
