@@ -28,8 +28,8 @@ from fenics_tfeti.fem.arguments import (
     as_conditions,
     as_contacts,
     as_forms,
-    check_function,
     as_tied_pairs,
+    check_function,
 )
 from fenics_tfeti.fem.contact.checks import check_depth
 from fenics_tfeti.fem.contact.contact import (
@@ -351,7 +351,7 @@ class ContactProblem:
         """
         if self._solved_before:
             raise InputError("a checkpoint is for a problem that was not solved yet")
-        nodes = OwnedNodes.of(self.space, self._input_numbers)
+        nodes = OwnedNodes.from_space(self.space, self._input_numbers)
         saved = read_continuation(checkpoint, self.system, nodes, len(self.contacts))
         self._continued, self._solves = saved, saved.solves
         self._origin = saved.origin
@@ -360,7 +360,7 @@ class ContactProblem:
     def _save(self, uh: Function, passes: Sequence[GeometryPass]) -> None:
         """Write the checkpoint, if there is to be one."""
         if self._checkpoint is not None and self._solver is not None:
-            nodes = OwnedNodes.of(self.space, self._input_numbers)
+            nodes = OwnedNodes.from_space(self.space, self._input_numbers)
             saved = Continuation(
                 self._solver.state,
                 owned_values(uh),

@@ -5,7 +5,7 @@ They are the same on all ranks, and so are the errors.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -43,39 +43,26 @@ def check_function(u: Any, space: FunctionSpace) -> Function | None:
 
 def as_conditions(bcs: Any) -> list[Any]:
     """Return the Dirichlet conditions as a list: none for None, one for a single condition."""
-    conditions = _listed(bcs, _is_condition, "bcs", "Dirichlet conditions")
-    for number, bc in enumerate(conditions):
-        if not _is_condition(bc):
-            raise InputError(
-                f"Dirichlet condition {number} is a {type(bc).__name__}; a condition as returned "
-                "by dolfinx.fem.dirichletbc is expected"
-            )
-    return conditions
+    names = ("bcs", "Dirichlet conditions", "Dirichlet condition")
+    return _listed(bcs, _is_condition, names, "a condition as returned by dolfinx.fem.dirichletbc")
 
 
 def as_contacts(contacts: Any) -> list[Contact]:
     """Return the contacts as a list: none for None, one for a single contact."""
-    found = _listed(contacts, _is_contact, "contacts", "ContactPair or RigidObstacle")
-    for number, contact in enumerate(found):
-        if not _is_contact(contact):
-            raise InputError(
-                f"contact {number} is a {type(contact).__name__}; a ContactPair or a RigidObstacle "
-                "is expected"
-            )
+    names = ("contacts", "ContactPair or RigidObstacle", "contact")
+    listed = _listed(contacts, _is_contact, names, "a ContactPair or a RigidObstacle")
+    for number, contact in enumerate(listed):
         _check_contact(contact, contact_name(contact, number))
-    return found
+    return listed
 
 
 def as_tied_pairs(pairs: Any) -> list[TiedPair]:
     """Return the tied pairs as a list: none for None, one for a single pair."""
-    found = _listed(pairs, lambda thing: isinstance(thing, TiedPair), "tied", "TiedPair")
-    for number, pair in enumerate(found):
-        if not isinstance(pair, TiedPair):
-            raise InputError(
-                f"tied pair {number} is a {type(pair).__name__}; a TiedPair is expected"
-            )
+    names = ("tied", "TiedPair", "tied pair")
+    listed = _listed(pairs, lambda thing: isinstance(thing, TiedPair), names, "a TiedPair")
+    for number, pair in enumerate(listed):
         _check_tags(pair, ("slave", "master"), tied_name(pair, number))
-    return found
+    return listed
 
 
 def _is_condition(thing: Any) -> bool:
@@ -86,16 +73,22 @@ def _is_contact(thing: Any) -> bool:
     return isinstance(thing, ContactPair | RigidObstacle)
 
 
-def _listed(given: Any, is_one: Any, argument: str, expected: str) -> list[Any]:
-    if given is None:
+def _listed(
+    value: Any, is_item: Callable[[Any], bool], names: tuple[str, str, str], expected: str
+) -> list[Any]:
+    """Return items as a list and check each; names of the argument, of items and of one item."""
+    argument, items, item = names
+    if value is None:
         return []
-    if is_one(given):
-        return [given]
-    if isinstance(given, str) or not isinstance(given, Iterable):
-        raise InputError(
-            f"{argument} is a {type(given).__name__}; a list of {expected} is expected"
-        )
-    return list(given)
+    if is_item(value):
+        return [value]
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise InputError(f"{argument} is a {type(value).__name__}; a list of {items} is expected")
+    listed = list(value)
+    for number, thing in enumerate(listed):
+        if not is_item(thing):
+            raise InputError(f"{item} {number} is a {type(thing).__name__}; {expected} is expected")
+    return listed
 
 
 def _check_form(form: Any, what: str) -> None:

@@ -71,9 +71,9 @@ def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
             f"the mesh has cells of dimension {space.mesh.topology.dim}; cells of the dimension "
             f"{gdim} of its coordinates are expected"
         )
-    of_cells = _compat.geometry_degree(space.mesh)
-    if of_cells > degree:
-        curved = "2" if of_cells == 2 else "3 or more"
+    cell_degree = _compat.geometry_degree(space.mesh)
+    if cell_degree > degree:
+        curved = "2" if cell_degree == 2 else "3 or more"
         raise InputError(
             f"the mesh has curved cells, of degree {curved}, and the displacement is of degree "
             f"{degree}; take displacements of degree 2 on cells of degree 1 or 2, or cells of "
@@ -105,7 +105,7 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
     block = space.dofmap.index_map_bs
     index_map = space.dofmap.index_map
     size = block * (index_map.size_local + index_map.num_ghosts)
-    given = np.zeros(size, dtype=bool)
+    prescribed = np.zeros(size, dtype=bool)
     values = np.zeros(size)
     condition = np.zeros(size, dtype=np.int64)
     with raise_collectively(space.mesh.comm):
@@ -116,11 +116,11 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
                     "one of its components"
                 )
             dofs, new = _compat.bc_values(bc, size)
-            _check_values(space, number, dofs, new, given, values)
-            given[dofs] = True
+            _check_values(space, number, dofs, new, prescribed, values)
+            prescribed[dofs] = True
             values[dofs] = new
             condition[dofs] = number
-    unrolled = np.flatnonzero(given)
+    unrolled = np.flatnonzero(prescribed)
     nodes = index_map.local_to_global((unrolled // block).astype(np.int32))
     return Prescribed(
         np.asarray(nodes, dtype=np.int64),
@@ -135,7 +135,7 @@ def _check_values(
     number: int,
     dofs: NDArray[np.int32],
     new: Vector,
-    given: NDArray[np.bool_],
+    prescribed: NDArray[np.bool_],
     values: Vector,
 ) -> None:
     """Check the new values at some dofs against the values that are given already."""
@@ -146,7 +146,7 @@ def _check_values(
             "infinite"
         )
     scale = max(np.abs(new).max(initial=0.0), np.abs(values).max(initial=0.0))
-    wrong = dofs[given[dofs] & (np.abs(values[dofs] - new) > SAME_VALUE * scale)]
+    wrong = dofs[prescribed[dofs] & (np.abs(values[dofs] - new) > SAME_VALUE * scale)]
     if wrong.size:
         block = space.dofmap.index_map_bs
         x = space.tabulate_dof_coordinates()[wrong[0] // block]
@@ -161,14 +161,15 @@ def displacement_function(
     space: FunctionSpace,
     subdomains: Sequence[Subdomain],
     displacements: Sequence[Vector],
-    into: Function | None = None,
+    function: Function | None = None,
 ) -> Function:
-    """Return the function, new or `into`, with the displacements (n_i,) of this rank's subdomains.
+    """Return a function, by default a new one, filled with the displacements of subdomains.
 
-    Displacements [m] are equal at all copies of a node. The function's ghosts are up to date.
+    The displacements (n_i,) of this rank's subdomains [m] are equal at all copies of a node; the
+    function's ghosts are up to date.
     """
     block = space.dofmap.index_map_bs
-    uh = fem.Function(space, name="displacement") if into is None else into
+    uh = fem.Function(space, name="displacement") if function is None else function
     values = uh.x.array.reshape(-1, block)
     for subdomain, displacement in zip(subdomains, displacements, strict=True):
         values[_local_nodes(space, subdomain.nodes)] = displacement.reshape(-1, block)
@@ -199,6 +200,6 @@ def _local_nodes(space: FunctionSpace, nodes: NDArray[np.int64]) -> NDArray[np.i
     order = np.argsort(ghosts)
     owned = (nodes >= first) & (nodes < last)
     local: NDArray[np.int64] = nodes - first
-    at = np.searchsorted(ghosts[order], nodes[~owned])
-    local[~owned] = index_map.size_local + order[at]
+    position = np.searchsorted(ghosts[order], nodes[~owned])
+    local[~owned] = index_map.size_local + order[position]
     return local

@@ -25,7 +25,7 @@ class OwnedNodes:
     numbers: Numbers | None  # see `input_numbers`
 
     @staticmethod
-    def of(space: FunctionSpace, numbers: Numbers | None) -> OwnedNodes:
+    def from_space(space: FunctionSpace, numbers: Numbers | None) -> OwnedNodes:
         """Return the nodes of a space, where they are now, with their numbers."""
         first, end = space.dofmap.index_map.local_range
         x = space.tabulate_dof_coordinates()[: end - first, : space.mesh.geometry.dim]
@@ -40,23 +40,23 @@ def input_numbers(space: FunctionSpace) -> Numbers | None:
     distinct, with gaps; a submesh has no input: None on all ranks.
     """
     comm, index_map = space.mesh.comm, space.dofmap.index_map
-    given = _compat.input_cells(space.mesh)
-    if not comm.allreduce(given is not None, MPI.LAND) or given is None:
+    cells = _compat.input_cells(space.mesh)
+    if not comm.allreduce(cells is not None, MPI.LAND) or cells is None:
         return None
-    nodes = _compat.cell_dofs(space)[: given.size].astype(np.int64)
-    number = given[:, np.newaxis] * nodes.shape[1] + np.arange(nodes.shape[1])
+    nodes = _compat.cell_dofs(space)[: cells.size].astype(np.int64)
+    number = cells[:, np.newaxis] * nodes.shape[1] + np.arange(nodes.shape[1])
     in_cells = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=bool)
     in_cells[nodes] = True
     local = np.flatnonzero(in_cells)
     lowest = _lowest(nodes, number, in_cells.size)[local]
-    held = np.asarray(index_map.local_to_global(local.astype(np.int32)), dtype=np.int64)
-    directory = Directory(comm, held)
-    keys, lowest = directory.collect(held, lowest)
-    at_home = _lowest(
-        directory.position(keys)[:, np.newaxis], lowest[:, np.newaxis], directory.keys.size
+    keys = np.asarray(index_map.local_to_global(local.astype(np.int32)), dtype=np.int64)
+    directory = Directory(comm, keys)
+    arrived, lowest = directory.collect(keys, lowest)
+    lowest_at_home = _lowest(
+        directory.position(arrived)[:, np.newaxis], lowest[:, np.newaxis], directory.keys.size
     )
-    found: Numbers = directory.lookup(np.arange(*index_map.local_range), at_home)[1]
-    return found
+    numbers: Numbers = directory.lookup(np.arange(*index_map.local_range), lowest_at_home)[1]
+    return numbers
 
 
 def _lowest(positions: Numbers, numbers: Numbers, size: int) -> Numbers:

@@ -42,8 +42,8 @@ def warn_of_locking(forms: PreparedForms, bodies: Bodies) -> None:
     corners = domain.geometry.x[cell_vertices(domain)[cells], : domain.geometry.dim]
     matrices = forms.cell_matrices(cells)
     ratios = [locking_ratio(type_, x, K) for x, K in zip(corners, matrices, strict=True)]
-    own = max(zip(ratios, bodies.of_cell[cells].tolist(), strict=True), default=(0.0, 0))
-    ratio, body = max(domain.comm.allgather(own))
+    largest = max(zip(ratios, bodies.of_cell[cells].tolist(), strict=True), default=(0.0, 0))
+    ratio, body = max(domain.comm.allgather(largest))
     if ratio <= _NEARLY_INCOMPRESSIBLE:
         return
     remedy = "Take displacements of degree 2 (displacement_space(mesh, degree=2))"
@@ -67,13 +67,13 @@ def _samples(forms: PreparedForms, bodies: Bodies) -> NDArray[np.int32]:
     form = forms.bilinear
     if form.cell_tag is not None:
         groups += [np.flatnonzero(form.cell_tag == tag) for tag in form.cell_ids]
-    chosen = [group[:: max(1, -(-group.size // _CELLS))] for group in groups]
+    selected = [group[:: max(1, -(-group.size // _CELLS))] for group in groups]
     for values in form.cell_data():
         if values.dtype.kind == "f" and len(values):
-            of_cell = values[: bodies.of_cell.size].reshape(bodies.of_cell.size, -1)
-            chosen += [of_cell.argmin(axis=0), of_cell.argmax(axis=0)]
-    found: NDArray[np.int32] = np.unique(np.concatenate([np.zeros(0), *chosen])).astype(np.int32)
-    return found
+            rows = values[: bodies.of_cell.size].reshape(bodies.of_cell.size, -1)
+            selected += [rows.argmin(axis=0), rows.argmax(axis=0)]
+    cells: NDArray[np.int32] = np.unique(np.concatenate([np.zeros(0), *selected])).astype(np.int32)
+    return cells
 
 
 def locking_ratio(type_: ReferenceCell, corners: Vector, K: Vector) -> float:
@@ -132,24 +132,26 @@ def _resisted(x: Vector, K: Vector, mu_volume: float, lambda_volume: float) -> f
     constant = float(means @ means) / volume
     flat = modes.reshape(len(modes), -1)
     energy = float(np.einsum("mi,ij,mj->", flat, K, flat))
-    of_dilatation = (energy * volume - mu_volume * shear) / lambda_volume
-    return (of_dilatation - constant) / (squares - constant)
+    resistance = (energy * volume - mu_volume * shear) / lambda_volume
+    return (resistance - constant) / (squares - constant)
 
 
 def _gauss_points(x: Vector) -> list[tuple[Vector, float]]:
     """Return gradients of the shape functions (v, d), and det J times the weight, at 2^d points."""
     v, d = x.shape
     bits = np.arange(v)[:, None] >> np.arange(d) & 1
-    found = []
+    gradients = []
     for point in product((0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12)), repeat=d):
         factors = np.where(bits, point, 1.0 - np.array(point))
-        along = np.stack(
+        derivatives = np.stack(
             [
                 (2.0 * bits[:, k] - 1.0) * np.delete(factors, k, axis=1).prod(axis=1)
                 for k in range(d)
             ],
             axis=1,
         )
-        jacobian = x.T @ along
-        found.append((along @ np.linalg.inv(jacobian), abs(np.linalg.det(jacobian)) / 2**d))
-    return found
+        jacobian = x.T @ derivatives
+        gradients.append(
+            (derivatives @ np.linalg.inv(jacobian), abs(np.linalg.det(jacobian)) / 2**d)
+        )
+    return gradients

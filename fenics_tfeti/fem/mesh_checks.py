@@ -33,7 +33,7 @@ def check_mesh(domain: Mesh, bodies: Bodies, contacts: Sequence[Contact]) -> Non
     """
     with raise_collectively(domain.comm):
         _check_finite(domain)
-    cells = CellGeometry.of(domain, bodies.of_cell)
+    cells = CellGeometry.from_mesh(domain, bodies.of_cell)
     check_shapes(domain, bodies, cells)
     check_overlaps(domain, bodies, cells)
     surface = surface_nodes(domain, cells, contacts)

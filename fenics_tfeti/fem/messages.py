@@ -36,11 +36,11 @@ def raise_where(
     `wrong` (k,) marks some of this rank's points (k, gdim) [m]; the message is made of the number
     of wrong points of all ranks and the coordinates of the first one as text.
     """
-    found = concatenate_ranks(comm, points[wrong])
+    bad = concatenate_ranks(comm, points[wrong])
     size = comm.allreduce(float(np.abs(points).max(initial=0.0)), MPI.MAX)
-    if len(found):
-        first = found[coordinate_order(found)[0]]
-        raise InputError(message(len(found), format_point(first, size)))
+    if len(bad):
+        first = bad[coordinate_order(bad)[0]]
+        raise InputError(message(len(bad), format_point(first, size)))
 
 
 def format_mesh_point(domain: Mesh, point: Vector) -> str:

@@ -81,8 +81,8 @@ class ReferenceCell:
 
     @cached_property
     def _facet_nodes(self) -> tuple[tuple[Vertices, ...], tuple[Vertices, ...]]:
-        around = self.facet.vtk_order
-        linear = tuple(tuple(facet[k] for k in around) for facet in self.facets)
+        cycle_order = self.facet.vtk_order
+        linear = tuple(tuple(facet[k] for k in cycle_order) for facet in self.facets)
         number = {edge: self.vertices + k for k, edge in enumerate(self.edges)}
         quadratic = []
         for k, cycle in enumerate(linear):
@@ -123,8 +123,8 @@ def _grid_pieces(dim: int) -> list[list[Vertices]]:
         # along each axis the side where both are, or both sides
         return tuple(
             v
-            for v, at in enumerate(corners)
-            if all(a != b or c == a for a, b, c in zip(first, second, at, strict=True))
+            for v, corner in enumerate(corners)
+            if all(a != b or c == a for a, b, c in zip(first, second, corner, strict=True))
         )
 
     return [[vertices_around(piece, corner) for corner in corners] for piece in corners]

@@ -66,12 +66,12 @@ def _cell_measures(uh: Function, cells: int) -> tuple[Vector, Vector]:
     vertices, nodes = cell_vertices(domain)[:cells], vertex_nodes(space)[:cells]
     size, strain2 = np.empty((2, cells))
     for first in range(0, cells, _CELLS):
-        some = slice(first, first + _CELLS)
-        corners = domain.geometry.x[vertices[some], :gdim]
-        gradient, volume = cell_gradients(type_, corners, u[nodes[some]])
+        batch = slice(first, first + _CELLS)
+        corners = domain.geometry.x[vertices[batch], :gdim]
+        gradient, volume = cell_gradients(type_, corners, u[nodes[batch]])
         strain = 0.5 * (gradient + gradient.transpose(0, 2, 1))
-        size[some] = np.linalg.norm(gradient, axis=(1, 2))
-        strain2[some] = np.sum(strain**2, axis=(1, 2)) * volume
+        size[batch] = np.linalg.norm(gradient, axis=(1, 2))
+        strain2[batch] = np.sum(strain**2, axis=(1, 2)) * volume
     return size, strain2
 
 
@@ -82,9 +82,9 @@ def cell_gradients(type_: ReferenceCell, corners: Vector, values: Vector) -> tup
     component are in a row.
     """
     if type_.is_simplex:
-        along = np.vstack([-np.ones(type_.dim), np.eye(type_.dim)])
+        derivatives = np.vstack([-np.ones(type_.dim), np.eye(type_.dim)])
     else:
         bits = np.arange(type_.vertices)[:, None] >> np.arange(type_.dim) & 1
-        along = (2.0 * bits - 1.0) / 2 ** (type_.dim - 1)
-    jacobian, differences = (np.einsum("kva,vd->kad", f, along) for f in (corners, values))
+        derivatives = (2.0 * bits - 1.0) / 2 ** (type_.dim - 1)
+    jacobian, differences = (np.einsum("kva,vd->kad", f, derivatives) for f in (corners, values))
     return differences @ np.linalg.inv(jacobian), np.abs(np.linalg.det(jacobian))

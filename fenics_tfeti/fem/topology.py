@@ -42,10 +42,10 @@ def tags_of_cells(domain: Mesh, cell_tags: Any) -> NDArray[np.int64]:
                 f"cell_tags are on entities of dimension {cell_tags.dim}, cells have dimension "
                 f"{domain.topology.dim}: were the facet tags passed?"
             )
-        mine = cell_tags.indices < owned
+        on_owned = cell_tags.indices < owned
         tagged = np.zeros(owned, dtype=bool)
-        tagged[cell_tags.indices[mine]] = True
-        tags[cell_tags.indices[mine]] = cell_tags.values[mine]
+        tagged[cell_tags.indices[on_owned]] = True
+        tags[cell_tags.indices[on_owned]] = cell_tags.values[on_owned]
         if not tagged.all():
             raise InputError(
                 f"cell_tags leave {np.count_nonzero(~tagged)} of {owned} cells of rank "
@@ -91,5 +91,7 @@ def exterior_facets(domain: Mesh) -> NDArray[np.bool_]:
 
 def exterior_cell_facets(domain: Mesh) -> NDArray[np.bool_]:
     """Tell which facets of each owned cell are on the boundary of the mesh."""
-    of_cell: NDArray[np.bool_] = exterior_facets(domain)[cell_facets(domain)[: owned_cells(domain)]]
-    return of_cell
+    exterior: NDArray[np.bool_] = exterior_facets(domain)[
+        cell_facets(domain)[: owned_cells(domain)]
+    ]
+    return exterior

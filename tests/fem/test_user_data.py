@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fenics_tfeti import InputError
-from fenics_tfeti.fem.user_data import evaluate, as_points, unit_vectors, vectors_at
+from fenics_tfeti.fem.user_data import as_points, evaluate, unit_vectors, vectors_at
 
 COMM = MPI.COMM_SELF
 X = np.array([[1.0, 2.0, 0.0], [3.0, 4.0, 0.0]])
