@@ -233,5 +233,9 @@ MESH_CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
 
 def reference_cell(name: str) -> ReferenceCell:
-    """Return the cell type with a name of dolfinx, such as "hexahedron"."""
+    """Return the cell type with a name of dolfinx.
+
+    >>> reference_cell("tetrahedron").facet.edges
+    ((1, 2), (0, 2), (0, 1))
+    """
     return _CELLS[name]

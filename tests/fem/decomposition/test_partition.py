@@ -123,4 +123,4 @@ def test_bodies_that_are_images_are_cut_equally():
     assert len(parts) >= 8 and len(parts) % 2 == 0
     assert len(set(shapes)) <= len(parts) // 2
     assert all(shapes.count(shape) % 2 == 0 for shape in shapes)
-    assert sum(part.turn is not None for part in numbered) >= len(parts) // 2
+    assert sum(part.rotation is not None for part in numbered) >= len(parts) // 2
