@@ -149,23 +149,23 @@ def tag_facets(
     mesh.topology.create_connectivity(dim - 1, dim)
     facets = exterior_facet_indices(mesh.topology)
     nodes = _compat.entity_nodes(mesh, dim - 1, facets)
-    chosen = np.zeros((len(rows), len(facets)), dtype=bool)
+    selected = np.zeros((len(rows), len(facets)), dtype=bool)
     with raise_collectively(mesh.comm):
         if cell_tags is None and any(len(row) > 2 for row in rows):
             raise InputError("a facet tag is for one body only: pass the cell_tags as well")
         for k, (tag, marker, *body) in enumerate(rows):
-            chosen[k] = _is_selected(nodes, mesh.geometry.x, marker, tag)
+            selected[k] = _is_selected(nodes, mesh.geometry.x, marker, tag)
             if body:
-                chosen[k] &= _is_in_body(mesh, facets, cell_tags, body[0])
+                selected[k] &= _is_in_body(mesh, facets, cell_tags, body[0])
         tags = np.array([row[0] for row in rows], dtype=np.int32)
-        values = _one_tag_each(tags, chosen)
-    counts = mesh.comm.allreduce(np.count_nonzero(chosen, axis=1))
+        values = _unique_tags(tags, selected)
+    counts = mesh.comm.allreduce(np.count_nonzero(selected, axis=1))
     if not np.all(counts):
         raise InputError(
             f"no facet of the surface is selected for the facet tags {tags[counts == 0].tolist()}; "
             "check their markers (they need a tolerance, as in numpy.isclose) and bodies"
         )
-    return _tags(mesh, dim - 1, facets[np.any(chosen, axis=0)], values)
+    return _tags(mesh, dim - 1, facets[np.any(selected, axis=0)], values)
 
 
 def _check_boxes(parts: Sequence[Box], cell: str) -> None:
@@ -205,28 +205,28 @@ def _shares(counts: list[int], comm: MPI.Comm) -> list[NDArray[np.int64]]:
     ]
 
 
-def _points(part: Box, chosen: NDArray[np.int64]) -> NDArray[np.float64]:
+def _points(part: Box, nodes: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the coordinates (n, gdim) of chosen nodes of a box."""
     axes = [
         np.linspace(start, stop, n + 1)
         for start, stop, n in zip(part.lower, part.upper, part.divisions, strict=True)
     ]
-    places = np.unravel_index(chosen, [len(axis) for axis in axes], order="F")
+    places = np.unravel_index(nodes, [len(axis) for axis in axes], order="F")
     return np.column_stack([axis[i] for axis, i in zip(axes, places, strict=True)])
 
 
 def _cells(
-    part: Box, cell: ReferenceCell, chosen: NDArray[np.int64], first_node: int
+    part: Box, cell: ReferenceCell, cells: NDArray[np.int64], first_node: int
 ) -> NDArray[np.int64]:
     """Return the nodes (m, v) of chosen cells of a box, which are numbered within the box."""
     gdim = len(part.divisions)
     strides = np.cumprod([1, *np.add(part.divisions, 1)])[:gdim]
     corners = (np.arange(2**gdim)[:, np.newaxis] >> np.arange(gdim) & 1) @ strides
-    block, piece = np.divmod(chosen, len(cell.grid_cut))
+    block, piece = np.divmod(cells, len(cell.grid_cut))
     lowest = np.column_stack(np.unravel_index(block, part.divisions, order="F")) @ strides
-    nodes: NDArray[np.int64] = corners[np.asarray(cell.grid_cut)][piece]
-    nodes += first_node + lowest[:, np.newaxis]
-    return nodes
+    vertices: NDArray[np.int64] = corners[np.asarray(cell.grid_cut)][piece]
+    vertices += first_node + lowest[:, np.newaxis]
+    return vertices
 
 
 def _tags(mesh: Mesh, dim: int, entities: NDArray[Any], values: NDArray[Any]) -> Any:
@@ -260,17 +260,17 @@ def _is_in_body(
     return np.isin(cells, cell_tags.find(body))
 
 
-def _one_tag_each(tags: NDArray[np.int32], chosen: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Return the tag of each selected facet; `chosen` is (markers, facets)."""
-    chosen = chosen[:, np.any(chosen, axis=0)]
+def _unique_tags(tags: NDArray[np.int32], selected: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Return the tag of each selected facet; `selected` is (markers, facets)."""
+    selected = selected[:, np.any(selected, axis=0)]
     limits = np.iinfo(np.int32)
-    highest = np.where(chosen, tags[:, np.newaxis], limits.min).max(axis=0, initial=limits.min)
-    lowest = np.where(chosen, tags[:, np.newaxis], limits.max).min(axis=0, initial=limits.max)
-    twice = np.flatnonzero(lowest != highest)
-    if len(twice):
+    highest = np.where(selected, tags[:, np.newaxis], limits.min).max(axis=0, initial=limits.min)
+    lowest = np.where(selected, tags[:, np.newaxis], limits.max).min(axis=0, initial=limits.max)
+    ambiguous = np.flatnonzero(lowest != highest)
+    if len(ambiguous):
         raise InputError(
-            f"{len(twice)} facets are selected for several tags, {lowest[twice[0]]} and "
-            f"{highest[twice[0]]} for example, but a facet can have only one: make the markers "
+            f"{len(ambiguous)} facets are selected for several tags, {lowest[ambiguous[0]]} and "
+            f"{highest[ambiguous[0]]} for example, but a facet can have only one: make the markers "
             "disjoint"
         )
     return np.asarray(highest, dtype=np.int32)

@@ -1,4 +1,4 @@
-"""A distributed mesh with tagged cells and facets: what reading or making a mesh returns."""
+"""The result of reading or making a mesh: a distributed mesh with tagged cells and facets."""
 
 from __future__ import annotations
 
