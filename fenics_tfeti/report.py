@@ -120,20 +120,8 @@ _COLUMNS = {
 
 
 def pairing_table(pairing: Sequence[Mapping[str, Any]]) -> str:
-    """Write the pairing of contacts as a table, a line for each contact.
+    """Write the pairing of contacts, see `ContactReport.pairing`, as a table, a line for each.
 
-    Parameters
-    ----------
-    pairing : sequence of mapping
-        See `Report.pairing`.
-
-    Returns
-    -------
-    str
-        Largest distances and angles, smallest and largest gaps; "-" where an obstacle has none.
-
-    Examples
-    --------
     >>> entry = {"contact": "joint", "discretisation": "mortar", "pairs": 25, "unmatched": 0}
     >>> entry |= {"largest_distance": None, "largest_relative_distance": None}
     >>> entry |= {"largest_angle": 0.0, "smallest_gap": 0.0, "largest_gap": 0.01}

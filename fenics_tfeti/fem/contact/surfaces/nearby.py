@@ -24,7 +24,7 @@ from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets, owned_facets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.parallel import exchange
+from fenics_tfeti.parallel import all_to_all
 from fenics_tfeti.typing import Numbers, Vector
 
 Boxes = tuple[Vector, Vector]
@@ -86,7 +86,9 @@ def gather_nearby(
     index_map = space.dofmap.index_map
     numbers = np.asarray(index_map.local_to_global(rows.ravel().astype(np.int32)), dtype=np.int64)
     numbers = numbers.reshape(rows.shape)
-    arrived = exchange(comm, [_packed(rows[part], numbers[part], points, moves) for part in parts])
+    arrived = all_to_all(
+        comm, [_packed(rows[part], numbers[part], points, moves) for part in parts]
+    )
     return _joined(arrived)
 
 
@@ -110,14 +112,14 @@ def _distances(
     # the surface is not farther than the farthest point of any box
     bound = np.min([_farthest(x, low, high) for low, high in boxes], axis=0)
     queries = [np.flatnonzero(_nearest(x, low, high) <= bound) for low, high in boxes]
-    arrived = exchange(comm, [x[query] for query in queries])
+    arrived = all_to_all(comm, [x[query] for query in queries])
     answers = [np.zeros(len(part)) for part in arrived]
     if tree is not None:
         corners = Facets(points, rows).coordinates()
         places = cKDTree(np.concatenate([points[np.unique(rows)], corners.mean(axis=1)]))
         answers = [places.query(part)[0] if len(part) else np.zeros(0) for part in arrived]
     found = np.full(len(x), np.inf)
-    for query, answer in zip(queries, exchange(comm, answers), strict=True):
+    for query, answer in zip(queries, all_to_all(comm, answers), strict=True):
         found[query] = np.minimum(found[query], answer)
     distance = np.zeros(len(points))
     distance[asked] = found
