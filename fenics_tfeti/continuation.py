@@ -169,8 +169,8 @@ def _check_sums(system: TornSystem, first: int, numbers: Numbers) -> dict[str, s
     sums = None
     if comm.rank == 0:
         sums = {
-            name: hashlib.sha256(np.unique(np.concatenate(parts or [])).tobytes()).hexdigest()
-            for name, parts in gathered.items()
+            name: hashlib.sha256(np.unique(np.concatenate(arrays or [])).tobytes()).hexdigest()
+            for name, arrays in gathered.items()
         }
     hashes: dict[str, str] = comm.bcast(sums)
     return hashes

@@ -17,6 +17,7 @@ from scipy.linalg.blas import dgemm
 from fenics_tfeti.errors import ContactError, needs_fenicsx
 from fenics_tfeti.feti.local.cholesky import available_packages
 from fenics_tfeti.feti.report.report import versions
+from fenics_tfeti.parallel import print_on_first_rank
 
 # Rate of products of dense matrices below which BLAS is slow [operations/s]: the reference
 # implementation reaches 1e9 to 3e9 on one core, others 1e10 and more.
@@ -103,26 +104,21 @@ def main(comm: MPI.Intracomm = MPI.COMM_WORLD) -> int:
     """Print the installation, run the self-test, and return 0 if it passes, else 1. Collective."""
     entries = facts(comm)
     lines = [f"{name:>16}  {value}" for name, value in entries.items()]
-    _print(comm, "\n".join(lines))
+    print_on_first_rank(comm, "\n".join(lines))
     if "cannot be imported" in entries["dolfinx"]:
         return 1
-    _print(comm, f"{'self-test':>16}  two blocks meshed apart ...")
+    print_on_first_rank(comm, f"{'self-test':>16}  two blocks meshed apart ...")
     from fenics_tfeti.self_test import self_test
 
     try:
         result = self_test(comm)
     except ContactError as error:
-        _print(comm, f"{'':>16}  FAILED: {error}")
+        print_on_first_rank(comm, f"{'':>16}  FAILED: {error}")
         return 1
     verdict = "passed" if result.passed else "FAILED"
-    _print(
+    print_on_first_rank(
         comm,
         f"{'':>16}  {verdict}: the pressure is exact to {result.error:.1e}, "
         f"{result.products} products with F, {result.seconds:.1f} s",
     )
     return 0 if result.passed else 1
-
-
-def _print(comm: MPI.Intracomm, text: str) -> None:
-    if comm.rank == 0:
-        print(text, flush=True)

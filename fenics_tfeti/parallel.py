@@ -9,7 +9,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import TextIO, TypeVar
 
 from mpi4py import MPI
 
@@ -52,6 +52,12 @@ def _portable(error: Exception | None) -> Exception | None:
     except Exception:
         return RuntimeError(f"{type(error).__name__}: {error}")
     return error
+
+
+def print_on_first_rank(comm: MPI.Comm, text: str, file: TextIO | None = None) -> None:
+    """Print a text on rank 0, at once."""
+    if comm.rank == 0:
+        print(text, file=file, flush=True)
 
 
 def concatenate_ranks(comm: MPI.Intracomm, part: Array) -> Array:

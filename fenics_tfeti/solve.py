@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import TextIO, get_args, get_origin, get_type_hints
+from typing import get_args, get_origin, get_type_hints
 
 from mpi4py import MPI
 
@@ -23,7 +23,7 @@ from fenics_tfeti.feti import (
     parse_options,
 )
 from fenics_tfeti.feti.files.arrays import write_arrays
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import print_on_first_rank, raise_collectively
 
 SOLUTION_FORMAT = "fenics_tfeti solution 1"
 
@@ -56,12 +56,12 @@ def main(arguments: Sequence[str] | None = None, comm: MPI.Intracomm = MPI.COMM_
         if parsed.report:
             solution.report.to_json(parsed.report)
     except (ContactError, OSError) as error:
-        _print(comm, f"error: {error}", sys.stderr)
+        print_on_first_rank(comm, f"error: {error}", sys.stderr)
         return _ERROR
     except Interrupted as error:
-        _print(comm, f"error: {error}", sys.stderr)
+        print_on_first_rank(comm, f"error: {error}", sys.stderr)
         return _INTERRUPTED
-    _print(comm, str(solution.report))
+    print_on_first_rank(comm, str(solution.report))
     if interrupted:
         return _INTERRUPTED
     return _SOLVED if solution.report.converged else _NOT_CONVERGED
@@ -116,11 +116,6 @@ def save_solution(path: str | os.PathLike[str], system: TornSystem, solution: To
             arrays = {"nodes": nodes, "displacement": values[first]}
             arrays |= zip(("normal_force", "active", "tied_force"), whole, strict=True)
             write_arrays(path, "the solution", SOLUTION_FORMAT, arrays)
-
-
-def _print(comm: MPI.Intracomm, text: str, file: TextIO | None = None) -> None:
-    if comm.rank == 0:
-        print(text, file=file, flush=True)
 
 
 if __name__ == "__main__":

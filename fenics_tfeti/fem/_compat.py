@@ -276,7 +276,7 @@ def tags_are_on(tags: Any, domain: mesh.Mesh) -> bool:
 # -- graphs ------------------------------------------------------------------------------------
 
 
-def partition_graph(offsets: Numbers, neighbours: Numbers, parts: int) -> Numbers:
+def partition_graph(offsets: Numbers, neighbours: Numbers, count: int) -> Numbers:
     """Partition a graph of this rank, in CSR form, by SCOTCH, always into the same parts.
 
     - 0.5.2 has ``graph.create_adjacencylist``, 0.9 ``graph.adjacencylist``; 0.10 and 0.11 wrap its
@@ -286,7 +286,7 @@ def partition_graph(offsets: Numbers, neighbours: Numbers, parts: int) -> Number
     graph = create(neighbours.astype(np.int64), offsets.astype(np.int32))
     partitioner = dolfinx.graph.partitioner_scotch(seed=0)
     with _one_scotch_thread():
-        return np.array(partitioner(MPI.COMM_SELF, parts, cpp_object(graph), False).array)
+        return np.array(partitioner(MPI.COMM_SELF, count, cpp_object(graph), False).array)
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -19,7 +19,7 @@ from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, format_mesh_point
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.tolerances import FLAT_CELL
-from fenics_tfeti.fem.topology import cell_facets, cell_type, cell_vertices
+from fenics_tfeti.fem.topology import batches, cell_facets, cell_type, cell_vertices
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -52,7 +52,7 @@ class CellGeometry:
         x = np.ascontiguousarray(domain.geometry.x[:, : domain.geometry.dim].T)
         midpoint = np.empty((len(x), body.size))
         size, lowest, highest, volume = np.empty((4, body.size))
-        for batch in _batches(body.size):
+        for batch in batches(body.size, _CELLS):
             corners = x[:, nodes[batch].T]
             midpoint[:, batch] = corners.mean(axis=1)
             spokes = corners - midpoint[:, None, batch]
@@ -68,11 +68,6 @@ class CellGeometry:
             length = np.linalg.norm(corners[:, a] - corners[:, b], axis=0)
             np.minimum(shortest, length, out=shortest, where=length > FLAT_CELL * size)
         return shortest
-
-
-def _batches(cells: int) -> Iterator[slice]:
-    for first in range(0, cells, _CELLS):
-        yield slice(first, min(first + _CELLS, cells))
 
 
 # -- single cells ------------------------------------------------------------------------------
@@ -120,7 +115,7 @@ def _range_in_curved_cells(domain: Mesh, cells: CellGeometry) -> tuple[Vector, V
     """Return the smallest and the largest det J (m,) at the nodes of cells of degree 2."""
     nodes, gradients = _compat.geometry_cells(domain), _compat.gradients_at_nodes(cells.type.name)
     lowest, highest = np.empty((2, cells.body.size))
-    for batch in _batches(cells.body.size):
+    for batch in batches(cells.body.size, _CELLS):
         columns = [derivative @ cells.x[:, nodes[batch].T] for derivative in gradients]
         values = _determinant(columns)
         lowest[batch], highest[batch] = values.min(axis=0), values.max(axis=0)
@@ -205,7 +200,7 @@ def _above(cells: CellGeometry) -> Mask:
     cells on the two sides of a facet give it opposite orientations.
     """
     above = np.empty((cells.body.size, len(cells.type.facets)), dtype=bool)
-    for batch in _batches(cells.body.size):
+    for batch in batches(cells.body.size, _CELLS):
         nodes, positive = cells.nodes[batch].T.copy(), cells.volume[batch] > 0.0
         for k, facet in enumerate(cells.type.facets):
             above[batch, k] = _odd(nodes[list(facet)]) ^ positive ^ bool(k % 2)

@@ -13,7 +13,7 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.reference_cells import ReferenceCell
-from fenics_tfeti.fem.topology import cell_type, cell_vertices, vertex_nodes
+from fenics_tfeti.fem.topology import batches, cell_type, cell_vertices, vertex_nodes
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
@@ -65,8 +65,7 @@ def _cell_measures(uh: Function, cells: int) -> tuple[Vector, Vector]:
     type_, u = cell_type(domain), uh.x.array.reshape(-1, gdim)
     vertices, nodes = cell_vertices(domain)[:cells], vertex_nodes(space)[:cells]
     size, strain2 = np.empty((2, cells))
-    for first in range(0, cells, _CELLS):
-        batch = slice(first, first + _CELLS)
+    for batch in batches(cells, _CELLS):
         corners = domain.geometry.x[vertices[batch], :gdim]
         gradient, volume = cell_gradients(type_, corners, u[nodes[batch]])
         strain = 0.5 * (gradient + gradient.transpose(0, 2, 1))

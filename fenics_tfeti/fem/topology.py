@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,12 @@ def cell_type(domain: Mesh) -> ReferenceCell:
 def owned_cells(domain: Mesh) -> int:
     """Return the number of cells that this rank owns; ghosts are numbered after them."""
     return int(domain.topology.index_map(domain.topology.dim).size_local)
+
+
+def batches(count: int, size: int) -> Iterator[slice]:
+    """Return slices of at most `size` that cover `count` rows."""
+    for first in range(0, count, size):
+        yield slice(first, min(first + size, count))
 
 
 def tags_of_cells(domain: Mesh, cell_tags: Any) -> NDArray[np.int64]:

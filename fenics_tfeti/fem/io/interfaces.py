@@ -20,11 +20,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from dolfinx.mesh import Mesh, meshtags
+from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
+from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, sorted_tags
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.topology import cell_facets, cell_type, owned_cells
 from fenics_tfeti.parallel import (
@@ -434,4 +434,4 @@ def _with_tags(
 def _tags(mesh: Mesh, dim: int, values: Numbers) -> Any:
     """Return the tags of all entities of this rank that have one."""
     tagged = np.flatnonzero(values != _UNTAGGED)
-    return meshtags(mesh, dim, tagged.astype(np.int32), values[tagged].astype(np.int32))
+    return sorted_tags(mesh, dim, tagged, values[tagged])

@@ -28,7 +28,8 @@ def report_page(report: Mapping[str, Any], title: str, scene: Scene | None = Non
         figures["passes"] = _passes(report["passes"])
     data = {"figures": figures, "scene": None if scene is None else _scene(scene)}
     body = [_verdict(report, title), *_bodies(scene), *_contacts(report), *_iterations(report)]
-    body += [*_certificate(report), *_times(report), *_details(report)]
+    phases = ["<h2>Phases</h2>", '<div class="figure" id="phases"></div>']
+    body += [*_certificate(report), *phases, *_details(report)]
     # in an element of its own, whose end must not be in the data
     text = json.dumps(data, allow_nan=False).replace("</", "<\\/")
     script = (_FOLDER / "page.js").read_text()
@@ -124,10 +125,6 @@ def _certificate(report: Mapping[str, Any]) -> list[str]:
     ]
     rows += [(f"share of {body['body']}", _number(body["error"])) for body in certificate["bodies"]]
     return ["<h2>Certificate</h2>", f'<div class="wide">{_table(rows, head=True)}</div>']
-
-
-def _times(report: Mapping[str, Any]) -> list[str]:
-    return ["<h2>Phases</h2>", '<div class="figure" id="phases"></div>']
 
 
 def _details(report: Mapping[str, Any]) -> list[str]:

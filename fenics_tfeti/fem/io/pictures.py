@@ -213,7 +213,7 @@ def gather_mesh(displacement: Function, colour: Function | None) -> GatheredMesh
     if ranks is None:
         return None
     points, displacements, cells, colours = (
-        np.concatenate(parts) for parts in zip(*ranks, strict=True)
+        np.concatenate(arrays) for arrays in zip(*ranks, strict=True)
     )
 
     _, first, place = np.unique(cells, return_index=True, return_inverse=True)
@@ -345,8 +345,7 @@ def check_displacement(displacement: Function) -> None:
             f"'{displacement.name}' is not a displacement; a continuous field of degree 1 or 2 "
             f"with {mesh.geometry.dim} components is expected"
         )
-    if not np.all(np.isfinite(displacement.x.array)):
-        raise InputError(f"'{displacement.name}' has values that are NaN or infinite")
+    _check_finite(displacement)
 
 
 def check_colour(displacement: Function, colour: Function | None) -> None:
@@ -359,8 +358,12 @@ def check_colour(displacement: Function, colour: Function | None) -> None:
         raise InputError(f"the colour '{colour.name}' has shape {shape}; a scalar is expected")
     if colour.function_space.mesh is not displacement.function_space.mesh:
         raise InputError(f"'{colour.name}' is on another mesh than '{displacement.name}'")
-    if not np.all(np.isfinite(colour.x.array)):
-        raise InputError(f"'{colour.name}' has values that are NaN or infinite")
+    _check_finite(colour)
+
+
+def _check_finite(function: Function) -> None:
+    if not np.all(np.isfinite(function.x.array)):
+        raise InputError(f"'{function.name}' has values that are NaN or infinite")
 
 
 def _require(module: str) -> None:
