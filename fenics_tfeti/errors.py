@@ -69,21 +69,9 @@ class Interrupted(KeyboardInterrupt):
 def format_point(point: Iterable[float], size: float = 0.0) -> str:
     """Write coordinates for a message, without the rounding errors that they carry.
 
-    Parameters
-    ----------
-    point : (gdim,) or (3,) sequence of float
-        The coordinates; any length unit.
-    size : float
-        Size of what surrounds the point, for points near the origin: six digits are kept of this
-        or of the largest coordinate, whichever is larger.
+    Six digits are kept of the largest coordinate or of `size`, that of what surrounds a point near
+    the origin.
 
-    Returns
-    -------
-    str
-        Such as "(0.333333, 1, 0)".
-
-    Examples
-    --------
     >>> format_point((1 / 3, 1.0, 1.4e-17))
     '(0.333333, 1, 0)'
     >>> format_point((1.4e-17, 0.0), size=1.0)
@@ -98,18 +86,7 @@ def format_point(point: Iterable[float], size: float = 0.0) -> str:
 
 @contextmanager
 def needs_fenicsx(what: str) -> Iterator[None]:
-    """Say how to install FEniCSx where an import in the block misses one of its packages.
-
-    Parameters
-    ----------
-    what : str
-        What is imported, as the user calls it.
-
-    Raises
-    ------
-    ImportError
-        If a package of FEniCSx is missing.
-    """
+    """Say how to install FEniCSx where an import in the block misses one of its packages."""
     try:
         yield
     except ModuleNotFoundError as error:

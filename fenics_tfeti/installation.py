@@ -1,4 +1,4 @@
-"""What an installation has: ``python -m fenics_tfeti``."""
+"""Versions and libraries of an installation: ``python -m fenics_tfeti``."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from scipy.linalg.blas import dgemm
 from fenics_tfeti.errors import ContactError, needs_fenicsx
 from fenics_tfeti.feti.local.cholesky import available_packages
 from fenics_tfeti.feti.report.report import versions
+from fenics_tfeti.parallel import print_on_first_rank
 
 # Rate of products of dense matrices below which BLAS is slow [operations/s]: the reference
 # implementation reaches 1e9 to 3e9 on one core, others 1e10 and more.
@@ -27,40 +28,30 @@ _LIBRARIES = {"openblas": "OpenBLAS", "mkl": "MKL", "blis": "BLIS", "atlas": "AT
 
 
 def facts(comm: MPI.Intracomm) -> dict[str, str]:
-    """Return what the installation has, by name. The same on all ranks.
-
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    """
+    """Return versions and libraries of the installation, by name. The same on all ranks."""
     packages = available_packages()
-    found = {"fenics_tfeti": _version("fenics_tfeti"), "Python": platform.python_version()}
-    found["dolfinx"] = _dolfinx()
+    entries = {"fenics_tfeti": _version("fenics_tfeti"), "Python": platform.python_version()}
+    entries["dolfinx"] = _dolfinx()
     names = {"petsc": "PETSc", "mpi": "MPI", "numpy": "NumPy", "scipy": "SciPy"}
-    found |= {names[name]: " ".join(number.split()) for name, number in versions().items()}
-    found["BLAS"] = comm.bcast(blas())
-    found["sparse factors"] = ", ".join(packages) or "none: install PETSc with CHOLMOD or MUMPS"
+    entries |= {names[name]: " ".join(number.split()) for name, number in versions().items()}
+    entries["BLAS"] = comm.bcast(blas())
+    entries["sparse factors"] = ", ".join(packages) or "none: install PETSc with CHOLMOD or MUMPS"
     extras = {"gmsh": "mesh files", "pyvista": "pictures", "matplotlib": "curves"}
-    found |= {name: extra(name, purpose) for name, purpose in extras.items()}
-    found["processes"] = str(comm.size)
-    return found
+    entries |= {name: extra(name, purpose) for name, purpose in extras.items()}
+    entries["processes"] = str(comm.size)
+    return entries
 
 
 def extra(package: str, purpose: str) -> str:
-    """Return the version of an optional package, or what it would be for."""
+    """Return the version of an optional package, or its purpose where it is missing."""
     return _version(package) if find_spec(package) else f"not installed (for {purpose})"
 
 
 def blas(rate: float | None = None, loaded: Sequence[str] | None = None) -> str:
     """Return the libraries of BLAS that a process uses, and how fast products are.
 
-    Parameters
-    ----------
-    rate : float, optional
-        Operations in a second; by default measured, which takes a tenth of a second.
-    loaded : sequence of str, optional
-        The names of the shared libraries of the process; by default of this one.
+    By default the rate [operations/s] is measured, which takes a tenth of a second, and the shared
+    libraries are those of this process.
     """
     rate = _rate() if rate is None else rate
     loaded = _loaded_libraries() if loaded is None else loaded
@@ -110,35 +101,24 @@ def _dolfinx() -> str:
 
 
 def main(comm: MPI.Intracomm = MPI.COMM_WORLD) -> int:
-    """Print what the installation has, run the self-test, and return an exit code. Collective.
-
-    Returns
-    -------
-    int
-        0 if the self-test passes, else 1.
-    """
-    found = facts(comm)
-    lines = [f"{name:>16}  {value}" for name, value in found.items()]
-    _print(comm, "\n".join(lines))
-    if "cannot be imported" in found["dolfinx"]:
+    """Print the installation, run the self-test, and return 0 if it passes, else 1. Collective."""
+    entries = facts(comm)
+    lines = [f"{name:>16}  {value}" for name, value in entries.items()]
+    print_on_first_rank(comm, "\n".join(lines))
+    if "cannot be imported" in entries["dolfinx"]:
         return 1
-    _print(comm, f"{'self-test':>16}  two blocks meshed apart ...")
+    print_on_first_rank(comm, f"{'self-test':>16}  two blocks meshed apart ...")
     from fenics_tfeti.self_test import self_test
 
     try:
         result = self_test(comm)
     except ContactError as error:
-        _print(comm, f"{'':>16}  FAILED: {error}")
+        print_on_first_rank(comm, f"{'':>16}  FAILED: {error}")
         return 1
     verdict = "passed" if result.passed else "FAILED"
-    _print(
+    print_on_first_rank(
         comm,
         f"{'':>16}  {verdict}: the pressure is exact to {result.error:.1e}, "
         f"{result.products} products with F, {result.seconds:.1f} s",
     )
     return 0 if result.passed else 1
-
-
-def _print(comm: MPI.Intracomm, text: str) -> None:
-    if comm.rank == 0:
-        print(text, flush=True)

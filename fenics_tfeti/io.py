@@ -3,23 +3,19 @@
 Importing this module imports dolfinx.
 """
 
-from fenics_tfeti.fem.io import (
-    Box,
-    Interface,
-    TaggedMesh,
-    boxes,
+from fenics_tfeti.fem.io.fields import (
     contact_fields,
     displacement_space,
-    draw_deformed,
-    draw_profile,
     piecewise_constant,
-    progress,
-    read_msh,
-    split_interfaces,
-    tag_facets,
     von_mises,
     write_fields,
 )
+from fenics_tfeti.fem.io.gmsh import read_msh
+from fenics_tfeti.fem.io.interfaces import Interface, split_interfaces
+from fenics_tfeti.fem.io.pictures import draw_deformed, draw_profile
+from fenics_tfeti.fem.io.progress import progress
+from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
 
 __all__ = [
     "Box",

@@ -56,46 +56,32 @@ class ContactOptions:
         for name in ("subdomain_size", "non_penetration_tolerance", "non_penetration_max_it"):
             check_range(self, name, 0, float("inf"))
 
-    def of_geometry(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """Return all options but those of the solver, by name."""
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "solver"}
 
 
-def contact_options(given: Mapping[str, Any] | None, prefix: str) -> ContactOptions:
+def contact_options(options: Mapping[str, Any] | None, prefix: str) -> ContactOptions:
     """Make options from a mapping, and from PETSc's database and the command line under a prefix.
 
-    Parameters
-    ----------
-    given : mapping or None
-        Names and values; strings are converted.
-    prefix : str
-        ``-<prefix><name> value`` on the command line overrides what is given.
-
-    Returns
-    -------
-    ContactOptions
-        Defaults for all that is not given.
-
-    Raises
-    ------
-    InputError
-        For an unknown name, with the nearest known one, or a value of the wrong kind.
+    ``-<prefix><name> value`` on the command line overrides the mapping; strings are converted. An
+    unknown name is an error, with the nearest known one.
     """
     if not isinstance(prefix, str) or not prefix or prefix.startswith("-"):
         raise InputError(
             f"options_prefix is {prefix!r}; expected a word such as 'tfeti_', without a dash"
         )
-    if not isinstance(given, Mapping | None):
+    if not isinstance(options, Mapping | None):
         raise InputError(
-            f"options is a {type(given).__name__}; expected a dictionary of names and values"
+            f"options is a {type(options).__name__}; expected a dictionary of names and values"
         )
-    merged = {**(given or {}), **_command_line(prefix)}
+    merged = {**(options or {}), **_command_line(prefix)}
     geometry = [f.name for f in fields(ContactOptions) if f.name != "solver"]
     solver = [f.name for f in fields(Options)]
     refuse_unknown(merged, [*solver, *geometry])
-    of_solver = convert(Options, {k: v for k, v in merged.items() if k in solver})
-    own = convert(ContactOptions, {k: v for k, v in merged.items() if k in geometry})
-    return ContactOptions(of_solver, *(getattr(own, name) for name in geometry))
+    solver_options = convert(Options, {k: v for k, v in merged.items() if k in solver})
+    geometry_options = convert(ContactOptions, {k: v for k, v in merged.items() if k in geometry})
+    return ContactOptions(solver_options, *(getattr(geometry_options, name) for name in geometry))
 
 
 def _command_line(prefix: str) -> dict[str, str]:

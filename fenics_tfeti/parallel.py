@@ -9,7 +9,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import TextIO, TypeVar
 
 from mpi4py import MPI
 
@@ -29,27 +29,20 @@ def raise_collectively(comm: MPI.Comm) -> Iterator[None]:
     the error of the lowest rank that has one, which keeps its traceback there. An error that cannot
     be pickled is a RuntimeError with its name and message on the other ranks.
 
-    Parameters
-    ----------
-    comm : MPI.Comm
-        The ranks.
-
-    Examples
-    --------
     >>> with raise_collectively(MPI.COMM_WORLD):
     ...     if MPI.COMM_WORLD.rank == 0:
     ...         raise ValueError("bad input")
     Traceback (most recent call last):
     ValueError: bad input
     """
-    own: Exception | None = None
+    local: Exception | None = None
     try:
         yield
     except Exception as caught:
-        own = caught
-    for rank, error in enumerate(comm.allgather(_portable(own))):
+        local = caught
+    for rank, error in enumerate(comm.allgather(_portable(local))):
         if error is not None:
-            raise own if own is not None and rank == comm.rank else error
+            raise local if local is not None and rank == comm.rank else error
 
 
 def _portable(error: Exception | None) -> Exception | None:
@@ -59,6 +52,12 @@ def _portable(error: Exception | None) -> Exception | None:
     except Exception:
         return RuntimeError(f"{type(error).__name__}: {error}")
     return error
+
+
+def print_on_first_rank(comm: MPI.Comm, text: str, file: TextIO | None = None) -> None:
+    """Print a text on rank 0, at once."""
+    if comm.rank == 0:
+        print(text, file=file, flush=True)
 
 
 def concatenate_ranks(comm: MPI.Intracomm, part: Array) -> Array:
@@ -82,14 +81,14 @@ def first_of_rank(comm: MPI.Intracomm, count: int) -> tuple[int, int]:
     return sum(counts[: comm.rank]), sum(counts)
 
 
-def exchange(comm: MPI.Intracomm, messages: Sequence[T]) -> list[T]:
+def all_to_all(comm: MPI.Intracomm, messages: Sequence[T]) -> list[T]:
     """Send a message to each rank, return those that arrive, by rank. Collective.
 
     The one to this rank itself is not copied.
     """
     to_others = [None if rank == comm.rank else m for rank, m in enumerate(messages)]
-    arrived = comm.alltoall(to_others)
-    return [messages[rank] if rank == comm.rank else m for rank, m in enumerate(arrived)]
+    received = comm.alltoall(to_others)
+    return [messages[rank] if rank == comm.rank else m for rank, m in enumerate(received)]
 
 
 def values_of_owners(
@@ -97,52 +96,33 @@ def values_of_owners(
 ) -> Array:
     """Return rows of a distributed array whose ranks own consecutive numbers. Collective.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    owned : (int, int)
-        The first number that this rank owns, and the one after its last.
-    values : (n, ...) array
-        Rows of the numbers that this rank owns, in their order; more rows do not matter.
-    numbers : (k,) integer array
-        Numbers of any ranks, ascending.
+    This rank owns the numbers from owned[0] to before owned[1]; its rows `values` are in their
+    order, and more rows do not matter. `numbers` (k,), ascending, are of any ranks.
     """
     ends = np.array(comm.allgather(owned[1]))
-    asked = exchange(comm, np.split(numbers, np.searchsorted(numbers, ends[:-1])))
-    rows = exchange(comm, [values[part - owned[0]] for part in asked])
+    queries = all_to_all(comm, np.split(numbers, np.searchsorted(numbers, ends[:-1])))
+    rows = all_to_all(comm, [values[part - owned[0]] for part in queries])
     return np.concatenate(rows)
 
 
 class Directory:
     """A distributed directory of integer keys, such as global node numbers.
 
-    Any rank may hold a key. Each key has a home rank, by its number, which knows the ranks that
-    hold it and keeps its row of distributed tables.
-
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    keys : (m,) integer array
-        The distinct keys that this rank holds.
-
-    Attributes
-    ----------
-    keys : (d,) integer array
-        The keys whose home is this rank, ascending.
+    Any rank may hold a key; each gives its distinct ones. Each key has a home rank, by its number,
+    which knows the ranks that hold it and keeps its row of distributed tables. ``keys`` are those
+    whose home is this rank, ascending.
     """
 
     def __init__(self, comm: MPI.Intracomm, keys: Numbers) -> None:
         self._comm = comm
         limit = comm.allreduce(int(keys.max(initial=-1)), MPI.MAX) + 1
         self._chunk = max(1, -(-limit // comm.size))
-        arrived = exchange(comm, self._by_home(keys, [])[0])
-        ranks = np.repeat(np.arange(comm.size), [rows[0].size for rows in arrived])
-        held = np.concatenate([rows[0] for rows in arrived])
-        order = np.argsort(held, kind="stable")
-        self._held, self._holders = held[order], ranks[order]
-        self.keys: Numbers = np.unique(held)
+        received = all_to_all(comm, self._by_home(keys, [])[0])
+        ranks = np.repeat(np.arange(comm.size), [rows[0].size for rows in received])
+        keys_held = np.concatenate([rows[0] for rows in received])
+        order = np.argsort(keys_held, kind="stable")
+        self._held, self._holders = keys_held[order], ranks[order]
+        self.keys: Numbers = np.unique(keys_held)
 
     def _by_home(
         self, keys: Numbers, data: list[Array]
@@ -160,49 +140,40 @@ class Directory:
 
         Rows arrive in the order of ranks, those of a rank in the order given.
         """
-        arrived = exchange(self._comm, self._by_home(keys, list(data))[0])
-        return tuple(np.concatenate(column) for column in zip(*arrived, strict=True))
+        received = all_to_all(self._comm, self._by_home(keys, list(data))[0])
+        return tuple(np.concatenate(column) for column in zip(*received, strict=True))
 
     def position(self, keys: Numbers) -> Numbers:
         """Return the positions of keys in ``self.keys``; -1 for keys that no rank holds."""
         if self.keys.size == 0:
             return np.full(keys.shape, -1, dtype=np.int64)
-        at = np.minimum(np.searchsorted(self.keys, keys), self.keys.size - 1)
-        return np.where(self.keys[at] == keys, at, -1).astype(np.int64)
+        position = np.minimum(np.searchsorted(self.keys, keys), self.keys.size - 1)
+        return np.where(self.keys[position] == keys, position, -1).astype(np.int64)
 
     def lookup(self, keys: Numbers, *tables: Array) -> tuple[Array, ...]:
-        """Return the rows of distributed tables for any keys.
+        """Return for keys (k,) whether a rank holds them, and their rows of distributed tables.
 
-        Parameters
-        ----------
-        keys : (k,) integer array
-            The keys.
-        *tables : (d, ...) arrays
-            Rows of the tables for ``self.keys``.
-
-        Returns
-        -------
-        found, rows... : (k,) bool array, (k, ...) arrays
-            Whether a rank holds the key, and its row of each table (zeros if none does).
+        Tables have a row for each of ``self.keys``; rows of keys that no rank holds are zero.
         """
         questions, order = self._by_home(keys, [])
         answers = []
-        for (asked,) in exchange(self._comm, questions):
-            at = self.position(asked)
-            rows = [table[at] if table.size else table[:0] for table in tables]
+        for (query,) in all_to_all(self._comm, questions):
+            position = self.position(query)
+            rows = [table[position] if table.size else table[:0] for table in tables]
             rows = [
-                self._blank_missing(row, at, table) for row, table in zip(rows, tables, strict=True)
+                self._blank_missing(row, position, table)
+                for row, table in zip(rows, tables, strict=True)
             ]
-            answers.append((at >= 0, *rows))
-        columns = zip(*exchange(self._comm, answers), strict=True)
+            answers.append((position >= 0, *rows))
+        columns = zip(*all_to_all(self._comm, answers), strict=True)
         inverse = np.argsort(order, kind="stable")
         return tuple(np.concatenate(column)[inverse] for column in columns)
 
     @staticmethod
-    def _blank_missing(rows: Array, at: Numbers, table: Array) -> Array:
-        if rows.shape[0] != at.size:
-            return np.zeros((at.size, *table.shape[1:]), dtype=table.dtype)
-        rows[at < 0] = 0
+    def _blank_missing(rows: Array, position: Numbers, table: Array) -> Array:
+        if rows.shape[0] != position.size:
+            return np.zeros((position.size, *table.shape[1:]), dtype=table.dtype)
+        rows[position < 0] = 0
         return rows
 
     def forward(self, keys: Numbers, *data: Array) -> tuple[Array, ...]:
@@ -220,5 +191,5 @@ class Directory:
         order = np.argsort(holder, kind="stable")
         cuts = np.searchsorted(holder[order], np.arange(1, self._comm.size))
         split = [np.split(column[row[order]], cuts) for column in columns]
-        arrived = exchange(self._comm, list(zip(*split, strict=True)))
-        return tuple(np.concatenate(column) for column in zip(*arrived, strict=True))
+        received = all_to_all(self._comm, list(zip(*split, strict=True)))
+        return tuple(np.concatenate(column) for column in zip(*received, strict=True))

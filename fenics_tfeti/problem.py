@@ -1,4 +1,4 @@
-"""ContactProblem: the way from the user's forms and tags to displacements and contact forces."""
+"""ContactProblem: from the user's forms and tags to displacements and contact forces."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from fenics_tfeti.continuation import (
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import (
-    given_conditions,
-    given_contacts,
-    given_forms,
-    given_function,
-    given_tied,
+    as_conditions,
+    as_contacts,
+    as_forms,
+    as_tied_pairs,
+    check_function,
 )
 from fenics_tfeti.fem.contact.checks import check_depth
 from fenics_tfeti.fem.contact.contact import (
@@ -69,7 +69,7 @@ from fenics_tfeti.fem.contact.tied import TiedPair, TiedPairing, tie_pairs, tied
 from fenics_tfeti.fem.contact.transfer import check_same_contacts, expected_contact, gather_solved
 from fenics_tfeti.fem.decomposition.assembly import prepare_forms, same_values
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
-from fenics_tfeti.fem.decomposition.partition import given_subdomains, split_into_subdomains
+from fenics_tfeti.fem.decomposition.partition import as_subdomains, split_into_subdomains
 from fenics_tfeti.fem.decomposition.parts import Part, number_parts
 from fenics_tfeti.fem.displacement import (
     displacement_function,
@@ -176,58 +176,50 @@ class ContactProblem:
         check_real_numbers()
         self.options = contact_options(options, options_prefix)
         self._timer = Timer()
-        a, L = given_forms(a, L)
+        a, L = as_forms(a, L)
         self.space = space_of_forms(a, L)
-        self.bcs, self.contacts = given_conditions(bcs), given_contacts(contacts)
-        self.tied = given_tied(tied)
-        self.u = given_function(u, self.space)
+        self.bcs, self.contacts = as_conditions(bcs), as_contacts(contacts)
+        self.tied = as_tied_pairs(tied)
+        self.u = check_function(u, self.space)
         self._tied: list[tuple[TiedPair, TiedPairing]] = []
-        # pairs whose roles were exchanged, by the identity of the user's
+        # the user's pairs whose roles were exchanged, by identity, with the exchanged ones
         self._exchanged: dict[int, tuple[Contact, Contact]] = {}
-        # the pairs whose roles were judged, and what the report says of them
-        self._judged: list[tuple[Contact, dict[str, Any]]] = []
-        self._searched: list[Contact] = []
-        self._matched: list[ContactPairing] = []
-        self._moved: list[ContactPairing] = []
-        self._used: list[ContactPairing] = []
-        # friction at the conditions of `_matched`
-        self._rubbing: list[NodalFriction | None] = []
+        # pairs whose roles were decided, with the entries of the report
+        self._roles: list[tuple[Contact, dict[str, Any]]] = []
+        self._oriented: list[Contact] = []  # the contacts, some with exchanged roles
+        self._conditions: list[ContactPairing] = []
+        self._deformed_conditions: list[ContactPairing] = []
+        self._solved_conditions: list[ContactPairing] = []
+        self._friction: list[NodalFriction | None] = []  # at `_conditions`
         self._solver: TornSolver | None = None
         self._displacement: Function | None = None
         self._monitor: MonitorFunction | None = None
         self._checkpoint: str | os.PathLike[str] | None = None
-        self._continued: Continuation | None = None
+        self._restored: Continuation | None = None
         self._warned_of_gradients = False
         self._solves = 0
         self._passes = list[GeometryPass]()
         self._origin = SlipOrigin.undeformed(self.space, len(self.contacts))
         prescribed = prescribed_values(self.space, self.bcs)
         with self._timer.phase("partition"):
-            bodies = self._bodies = find_bodies(self.space.mesh, cell_tags)
-            check_mesh(self.space.mesh, bodies, self.contacts)
+            self._bodies = find_bodies(self.space.mesh, cell_tags)
+            check_mesh(self.space.mesh, self._bodies, self.contacts)
         with self._timer.phase("contact search"):
             self._boundary = MeshBoundary.of(self.space)
-        self._match_contacts(prescribed)
+        self._find_conditions(prescribed)
         with self._timer.phase("compilation"):
             self._forms = prepare_forms(self.space, a, L)
         with self._timer.phase("partition"):
-            if subdomains is None:
-                size, partitioner = self.options.subdomain_size, self.options.partitioner
-                cells = split_into_subdomains(self.space, bodies, size, partitioner)
-            else:
-                cells = given_subdomains(self.space.mesh, bodies, subdomains)
-            self._cells = cells
+            self._cells = self._split_cells(subdomains)
             self._parts = self._numbered_parts()
-        self._body_names = bodies.names
         self._x = self.space.mesh.geometry.x.copy()
         self._values = self._forms.values()
         with self._timer.phase("assembly"):
-            warn_of_locking(self._forms, bodies)
+            warn_of_locking(self._forms, self._bodies)
         torn = self._assemble()
-        self._judge_roles(torn, prescribed)
+        self._choose_roles(torn, prescribed)
         self.system = self._torn_system(torn, prescribed)
-        self._stale = False
-        self._solved_before = False
+        self._stale = self._has_solved = False
 
     def solve(
         self,
@@ -300,8 +292,8 @@ class ContactProblem:
                 energy = [body.energy_norm**2 for body in self.report.certificate.bodies]
                 self._warned_of_gradients = warn_of_large_gradients(uh, self._bodies, energy)
             if self.report.converged:
-                moved = obstacle_displacements(self.space, self._matched, self._rubbing)
-                self._origin = SlipOrigin(owned_values(uh), moved)
+                displacements = obstacle_displacements(self.space, self._conditions, self._friction)
+                self._origin = SlipOrigin(owned_values(uh), displacements)
             self._save(uh, [])
             try:
                 interruption.check(self.space.mesh.comm)
@@ -349,18 +341,18 @@ class ContactProblem:
         ...     load.value = loads[step]
         ...     uh = problem.solve(checkpoint=file)
         """
-        if self._solved_before:
+        if self._has_solved:
             raise InputError("a checkpoint is for a problem that was not solved yet")
-        nodes = OwnedNodes.of(self.space, self._input_numbers)
+        nodes = OwnedNodes.from_space(self.space, self._input_numbers)
         saved = read_continuation(checkpoint, self.system, nodes, len(self.contacts))
-        self._continued, self._solves = saved, saved.solves
+        self._restored, self._solves = saved, saved.solves
         self._origin = saved.origin
         return saved.solves
 
     def _save(self, uh: Function, passes: Sequence[GeometryPass]) -> None:
         """Write the checkpoint, if there is to be one."""
         if self._checkpoint is not None and self._solver is not None:
-            nodes = OwnedNodes.of(self.space, self._input_numbers)
+            nodes = OwnedNodes.from_space(self.space, self._input_numbers)
             saved = Continuation(
                 self._solver.state,
                 owned_values(uh),
@@ -376,15 +368,15 @@ class ContactProblem:
         return input_numbers(self.space)
 
     def _solve(self, coarse: ContactProblem | None) -> Function:
-        if self._solved_before:
+        if self._has_solved:
             self._timer = Timer()
-        self._solved_before = True
+        self._has_solved = True
         if coarse is not None:
             self._check_coarse(coarse)
         # also at first: values may have changed since the problem was set up
         self._refresh()
         if self.options.non_penetration == "linearised":
-            return self._solve_linearised(self._matched, coarse)
+            return self._solve_linearised(self._conditions, coarse)
         return self._solve_exactly(coarse)
 
     def _check_coarse(self, coarse: Any) -> None:
@@ -411,90 +403,90 @@ class ContactProblem:
                 raise InputError("the coarse problem is not solved; call its solve() first")
 
     def _guess(
-        self, coarse: ContactProblem | None, matched: Sequence[ContactPairing]
+        self, coarse: ContactProblem | None, conditions: Sequence[ContactPairing]
     ) -> ContactGuess | None:
         if coarse is None or coarse._displacement is None:
-            return self._restored_guess(matched)
+            return self._restored_guess(conditions)
         with self._timer.phase("coarse contact"):
             solved = gather_solved(
                 coarse._boundary,
-                coarse._searched,
-                coarse._used,
+                coarse._oriented,
+                coarse._solved_conditions,
                 coarse.contact,
                 coarse._displacement,
             )
-            return expected_contact(solved, matched)
+            return expected_contact(solved, conditions)
 
-    def _restored_guess(self, matched: Sequence[ContactPairing]) -> ContactGuess | None:
+    def _restored_guess(self, conditions: Sequence[ContactPairing]) -> ContactGuess | None:
         """Return the contact forces of a checkpoint whose multipliers are those of other ranks."""
-        saved = self._continued
+        saved = self._restored
         if saved is None or saved.state is not None or self.options.solver.method != "active_set":
             return None
-        return saved.guess(matched, self.space.dofmap.index_map.local_range[0])
+        return saved.guess(conditions, self.space.dofmap.index_map.local_range[0])
 
-    def _match_contacts(self, prescribed: Prescribed) -> None:
+    def _find_conditions(self, prescribed: Prescribed) -> None:
         with self._timer.phase("contact search"):
             contacts = [self._exchanged.get(id(c), (c, c))[1] for c in self.contacts]
-            known = list(zip(self._searched, self._matched, strict=True))
-            if [id(c) for c in self._searched] != [id(c) for c in contacts]:
-                self._moved = []
-            matched = match_contacts(self._boundary, contacts, known, prescribed)
-            check_depth(self.space, self._bodies, matched)
-            self._searched, self._matched = contacts, matched
-            self._rubbing = self._nodal_friction(self._matched, prescribed)
+            earlier = list(zip(self._oriented, self._conditions, strict=True))
+            if [id(c) for c in self._oriented] != [id(c) for c in contacts]:
+                self._deformed_conditions = []
+            conditions = match_contacts(self._boundary, contacts, earlier, prescribed)
+            check_depth(self.space, self._bodies, conditions)
+            self._oriented, self._conditions = contacts, conditions
+            self._friction = self._nodal_friction(self._conditions, prescribed)
             self._tied = tie_pairs(self._boundary, self.tied, self._tied, prescribed)
 
     def _nodal_friction(
-        self, matched: Sequence[ContactPairing], prescribed: Prescribed
+        self, conditions: Sequence[ContactPairing], prescribed: Prescribed
     ) -> list[NodalFriction | None]:
         return [
-            nodal_friction(self.space, contact, match, prescribed)
-            for contact, match in zip(self._searched, matched, strict=True)
+            nodal_friction(self.space, contact, pairing, prescribed)
+            for contact, pairing in zip(self._oriented, conditions, strict=True)
         ]
 
-    def _judge_roles(self, torn: Sequence[Subdomain], prescribed: Prescribed) -> None:
+    def _choose_roles(self, torn: Sequence[Subdomain], prescribed: Prescribed) -> None:
         """Exchange slave and master of new pairs where that is better and wanted, or warn."""
         comm = self.space.mesh.comm
-        known = {id(contact) for contact, _ in self._judged}
+        decided = {id(contact) for contact, _ in self._roles}
         for number, contact in enumerate(self.contacts):
-            if id(contact) in known or not isinstance(contact, ContactPair):
+            if id(contact) in decided or not isinstance(contact, ContactPair):
                 continue
-            match, obstacle = self._matched[number], None
-            ratio = roles_ratio(comm, match, torn)
-            exchange = prefers_exchange(contact, ratio)
-            if exchange:
-                obstacle = self._exchange_roles(contact, prescribed)
-                exchange = obstacle is None
-            roles = describe_roles(contact, ratio, exchange, obstacle)
-            if ratio is not None and exchange:
+            pairing, error = self._conditions[number], None
+            ratio = roles_ratio(comm, pairing, torn)
+            exchanges = prefers_exchange(contact, ratio)
+            if exchanges:
+                error = self._exchange_roles(contact, prescribed)
+                exchanges = error is None
+            roles = describe_roles(contact, ratio, exchanges, error)
+            if ratio is not None and exchanges:
                 ratio = 1.0 / ratio
-            self._judged.append((contact, {"roles_ratio": ratio, "roles": roles}))
+            self._roles.append((contact, {"roles_ratio": ratio, "roles": roles}))
             with raise_collectively(comm):
                 if ratio is not None and comm.rank == 0:
-                    warn_of_roles(match.name, ratio)
+                    warn_of_roles(pairing.name, ratio)
         with raise_collectively(comm):
-            for contact, match in zip(self.contacts, self._matched, strict=True):
-                if comm.rank == 0 and id(contact) not in known:
-                    warn_of_deviation(match.summary)
+            for contact, pairing in zip(self.contacts, self._conditions, strict=True):
+                if comm.rank == 0 and id(contact) not in decided:
+                    warn_of_deviation(pairing.summary)
 
     def _exchange_roles(self, contact: ContactPair, prescribed: Prescribed) -> str | None:
         """Exchange the roles of a pair; return the error, if any, with which they are as given."""
         self._exchanged[id(contact)] = (contact, exchanged(contact))
         try:
-            self._match_contacts(prescribed)
+            self._find_conditions(prescribed)
         except InputError as error:
             # surfaces that can be masters only, such as folded ones, or masters of other pairs
             del self._exchanged[id(contact)]
-            self._match_contacts(prescribed)
+            self._find_conditions(prescribed)
             return str(error)
         return None
 
     def _pairing_entries(self) -> list[dict[str, Any]]:
         nothing = {"roles_ratio": None, "roles": None}
-        judged = {id(contact): roles for contact, roles in self._judged}
+        decided = {id(contact): roles for contact, roles in self._roles}
         entries = [
-            {**match.summary, **judged.get(id(contact), nothing)}
-            for contact, match in zip(self.contacts, self._matched, strict=True)
+            {**pairing.summary, **decided.get(id(contact), nothing)}
+            for contact, pairing in zip(self.contacts, self._conditions, strict=True)
         ]
         return entries + [pairing.summary for _, pairing in self._tied]
 
@@ -503,8 +495,10 @@ class ContactProblem:
         sides = [report.on_slaves.copy(), report.on_masters.copy()]
         for number, contact in enumerate(self.contacts):
             if id(contact) in self._exchanged:
-                for side, other in zip(sides, (report.on_masters, report.on_slaves), strict=True):
-                    side[number] = other[number]
+                for side, opposite in zip(
+                    sides, (report.on_masters, report.on_slaves), strict=True
+                ):
+                    side[number] = opposite[number]
         forces = [side.force for side in sides[0]]
         return {"on_slaves": sides[0], "on_masters": sides[1], "contact_forces": forces}
 
@@ -515,40 +509,41 @@ class ContactProblem:
 
     def _torn_system(self, torn: Sequence[Subdomain], prescribed: Prescribed) -> TornSystem:
         gdim = self.space.mesh.geometry.dim
-        rows = contact_rows(self._matched, gdim)
+        rows = contact_rows(self._conditions, gdim)
+        ties = [tie for _, tie in self._tied]
         return TornSystem(
             torn,
             prescribed,
             rows,
             gdim,
-            self._body_names,
-            [*(matched.name for matched in self._matched), *(one.name for _, one in self._tied)],
+            self._bodies.names,
+            [*(pairing.name for pairing in self._conditions), *(tie.name for tie in ties)],
             self.space.mesh.comm,
             [f"Dirichlet condition {i}" for i in range(len(self.bcs))],
-            tied_rows([one for _, one in self._tied], gdim, len(self._matched)),
-            friction_rows(self.space, rows, self._matched, self._rubbing, self._origin),
+            tied_rows(ties, gdim, len(self._conditions)),
+            friction_rows(self.space, rows, self._conditions, self._friction, self._origin),
         )
 
     def _refresh(self) -> None:
-        """Take in what changed since the last solve, or since the problem was set up."""
+        """Update the system by all that changed since the last solve or the set-up."""
         with raise_collectively(self.space.mesh.comm):
-            self.bcs, self.contacts = given_conditions(self.bcs), given_contacts(self.contacts)
-            self.tied = given_tied(self.tied)
+            self.bcs, self.contacts = as_conditions(self.bcs), as_contacts(self.contacts)
+            self.tied = as_tied_pairs(self.tied)
         self._origin = self._origin.resized(len(self.contacts))
-        moved = self._take_moved_mesh()
+        is_moved = self._refresh_geometry()
         prescribed = prescribed_values(self.space, self.bcs)
-        self._match_contacts(prescribed)
-        before, now = self._values, self._forms.values()
+        self._find_conditions(prescribed)
+        old, new = self._values, self._forms.values()
         comm = self.space.mesh.comm
-        if moved or self._stale or not same_values(before.bilinear, now.bilinear, comm):
+        if is_moved or self._stale or not same_values(old.bilinear, new.bilinear, comm):
             self._release()
             torn = self._assemble()
-        elif not same_values(before.linear, now.linear, comm):
+        elif not same_values(old.linear, new.linear, comm):
             torn = self._assemble(self.system.subdomains)
         else:
             torn = list(self.system.subdomains)
-        self._values, self._stale = now, False
-        self._judge_roles(torn, prescribed)
+        self._values, self._stale = new, False
+        self._choose_roles(torn, prescribed)
         self.system = self._torn_system(torn, prescribed)
 
     def _release(self) -> None:
@@ -558,12 +553,18 @@ class ContactProblem:
         if self._solver is not None:
             self._solver.release()
 
+    def _split_cells(self, labels: Sequence[int] | None) -> list[NDArray[np.int32]]:
+        if labels is not None:
+            return as_subdomains(self.space.mesh, self._bodies, labels)
+        size, partitioner = self.options.subdomain_size, self.options.partitioner
+        return split_into_subdomains(self.space, self._bodies, size, partitioner)
+
     def _numbered_parts(self) -> list[Part]:
         bodies = [self._bodies.of_cell[cells[0]] for cells in self._cells]
         return number_parts(self.space, self._cells, bodies, self._boundary.coordinates)
 
-    def _take_moved_mesh(self) -> bool:
-        """Tell whether nodes were moved since the last solve; then nothing found on them holds."""
+    def _refresh_geometry(self) -> bool:
+        """Set the geometry up anew if nodes were moved since the last solve; tell whether."""
         domain = self.space.mesh
         if same_values([self._x], [domain.geometry.x], domain.comm):
             return False
@@ -571,7 +572,7 @@ class ContactProblem:
         check_mesh(domain, self._bodies, self.contacts)
         with self._timer.phase("contact search"):
             self._boundary = MeshBoundary.of(self.space)
-        self._searched, self._matched, self._moved, self._tied = [], [], [], []
+        self._oriented, self._conditions, self._deformed_conditions, self._tied = [], [], [], []
         self.reset_slip()
         with self._timer.phase("partition"):
             self._parts = self._numbered_parts()
@@ -580,62 +581,64 @@ class ContactProblem:
         return True
 
     def _solve_linearised(
-        self, matched: Sequence[ContactPairing], coarse: ContactProblem | None = None
+        self, conditions: Sequence[ContactPairing], coarse: ContactProblem | None = None
     ) -> Function:
-        rows = contact_rows(matched, self.system.gdim)
-        rubbing = self._rubbing
-        if matched is not self._matched:
-            rubbing = self._nodal_friction(matched, self.system.prescribed)
-        friction = friction_rows(self.space, rows, matched, rubbing, self._origin)
-        system = replace(self.system, contacts=rows, friction=friction)
-        guess = self._guess(coarse, matched)
-        start = None if self._continued is None else self._continued.state
+        rows = contact_rows(conditions, self.system.gdim)
+        friction = self._friction
+        if conditions is not self._conditions:
+            friction = self._nodal_friction(conditions, self.system.prescribed)
+        rows_of_friction = friction_rows(self.space, rows, conditions, friction, self._origin)
+        system = replace(self.system, contacts=rows, friction=rows_of_friction)
+        guess = self._guess(coarse, conditions)
+        start = None if self._restored is None else self._restored.state
         solver = self.options.solver
         self._solver = TornSolver(system, solver, self._timer, self._solver, guess, start)
-        self._continued = None
+        self._restored = None
         try:
             solution = self._solver.solve(self._monitor)
         except (NotConverged, Interrupted) as error:
             if error.solution is None:
                 raise
-            error.solution = self._take(error.solution, matched, rubbing)
+            error.solution = self._store_results(error.solution, conditions, friction)
             error.report = self.report
             raise
-        return self._take(solution, matched, rubbing)
+        return self._store_results(solution, conditions, friction)
 
     def _solve_exactly(self, coarse: ContactProblem | None) -> Function:
         """Repeat with normals, gaps and partners of the deformed surfaces, sec. 11.1, 11.11.2."""
         self._check_initial_gaps()
         passes = self._passes = list[GeometryPass]()
-        if self._continued is not None:
-            passes += self._continued.passes
-            uh = fill_owned(Function(self.space), self._continued.displacement)
-            deformed = self._deformed(self._matched, uh)
-            self._moved = _pairings(self._matched, deformed)
-        of_other_runs = sum(earlier.seconds for earlier in passes)
+        if self._restored is not None:
+            passes += self._restored.passes
+            uh = fill_owned(Function(self.space), self._restored.displacement)
+            deformed = self._deformed_contacts(self._conditions, uh)
+            self._deformed_conditions = _pairings(self._conditions, deformed)
+        earlier_seconds = sum(earlier.seconds for earlier in passes)
         # where the last solution ended is nearer to the present one than the undeformed state
-        matched = self._moved or self._matched
+        conditions = self._deformed_conditions or self._conditions
         while True:
-            uh = self._solve_linearised(matched, None if passes else coarse)
-            deformed = self._deformed(matched, uh)
+            uh = self._solve_linearised(conditions, None if passes else coarse)
+            deformed = self._deformed_contacts(conditions, uh)
             products = self.report.products["total"]
             seconds = self._timer.slowest(self.space.mesh.comm)
             new_pass = geometry_pass(deformed, self._results, uh, products)
-            spent = seconds["total"] + of_other_runs - sum(earlier.seconds for earlier in passes)
+            spent = seconds["total"] + earlier_seconds - sum(earlier.seconds for earlier in passes)
             passes.append(replace(new_pass, seconds=spent))
             self.report = replace(self.report, passes=passes, seconds=seconds)
-            matched = self._moved = _pairings(matched, deformed)
+            conditions = self._deformed_conditions = _pairings(conditions, deformed)
             if passes[-1].error <= self.options.non_penetration_tolerance:
                 return uh
             if len(passes) == self.options.non_penetration_max_it:
                 return self._not_exact(uh, passes[-1])
             self._save(uh, passes)
 
-    def _deformed(self, matched: Sequence[ContactPairing], uh: Function) -> list[DeformedContact]:
+    def _deformed_contacts(
+        self, conditions: Sequence[ContactPairing], uh: Function
+    ) -> list[DeformedContact]:
         with self._timer.phase("deformed surfaces"):
             return [
-                deformed_contact(self._boundary, contact, match, uh, _gives_normals(contact))
-                for contact, match in zip(self._searched, matched, strict=True)
+                deformed_contact(self._boundary, contact, pairing, uh, _gives_normals(contact))
+                for contact, pairing in zip(self._oriented, conditions, strict=True)
             ]
 
     def _check_initial_gaps(self) -> None:
@@ -665,26 +668,26 @@ class ContactProblem:
             )
         return uh
 
-    def _take(
+    def _store_results(
         self,
         solution: TornSolution,
-        matched: Sequence[ContactPairing],
-        rubbing: Sequence[NodalFriction | None],
+        conditions: Sequence[ContactPairing],
+        friction: Sequence[NodalFriction | None],
     ) -> Function:
         versions = {**solution.report.versions, "dolfinx": _compat.version()}
-        pairing = self._pairing_entries()
+        entries = self._pairing_entries()
         self.report = ContactReport(
             **{
                 **vars(solution.report),
                 **self._resultants(solution.report),
                 "versions": versions,
-                "options": {**solution.report.options, **self.options.of_geometry()},
+                "options": {**solution.report.options, **self.options.as_dict()},
             },
-            pairing=pairing,
+            pairing=entries,
         )
-        forces = _split(solution.normal_force, [match.slave.size for match in matched])
-        sizes = [0 if one is None else one.bound.size for one in rubbing]
-        of_friction = zip(
+        forces = _split(solution.normal_force, [pairing.slave.size for pairing in conditions])
+        sizes = [0 if nodal is None else nodal.bound.size for nodal in friction]
+        friction_values = zip(
             _split(solution.tangential_force, sizes),
             _split(solution.slip, sizes),
             _split(solution.sticking, sizes),
@@ -697,19 +700,19 @@ class ContactProblem:
         self._results = [
             # the gap of the undeformed surfaces, with the normal that the force acts along
             _contact_result(
-                _with_gap_of(match, first),
+                _with_gaps(pairing, undeformed),
                 opening,
                 force,
-                friction_result(one, match, *values),
+                friction_result(nodal, pairing, *values),
                 self.space.mesh.comm,
             )
-            for match, first, opening, force, one, values in zip(
-                matched,
-                self._matched,
-                openings(self.space, matched, owned_values(self._displacement)),
+            for pairing, undeformed, opening, force, nodal, values in zip(
+                conditions,
+                self._conditions,
+                openings(self.space, conditions, owned_values(self._displacement)),
                 forces,
-                rubbing,
-                of_friction,
+                friction,
+                friction_values,
                 strict=True,
             )
         ]
@@ -717,53 +720,53 @@ class ContactProblem:
             result.seen_from_master() if id(contact) in self._exchanged else result
             for contact, result in zip(self.contacts, self._results, strict=True)
         ]
-        self._used = list(matched)
+        self._solved_conditions = list(conditions)
         return self._displacement
 
 
 def _pairings(
-    matched: Sequence[ContactPairing], deformed: Sequence[DeformedContact]
+    conditions: Sequence[ContactPairing], deformed: Sequence[DeformedContact]
 ) -> list[ContactPairing]:
-    return [new.pairing(match) for match, new in zip(matched, deformed, strict=True)]
+    return [contact.pairing(pairing) for pairing, contact in zip(conditions, deformed, strict=True)]
 
 
 def _gives_normals(contact: Contact) -> bool:
     return isinstance(contact, ContactPair) and contact.normal is not None
 
 
-def _with_gap_of(match: ContactPairing, first: ContactPairing) -> ContactPairing:
+def _with_gaps(pairing: ContactPairing, undeformed: ContactPairing) -> ContactPairing:
     """Return conditions with the gaps of others; infinite at nodes that these do not have."""
-    _, here, there = np.intersect1d(match.slave, first.slave, return_indices=True)
-    gap = np.full(match.slave.size, np.inf)
-    gap[here] = first.gap[there]
-    return replace(match, gap=gap)
+    _, rows, rows_of_gaps = np.intersect1d(pairing.slave, undeformed.slave, return_indices=True)
+    gap = np.full(pairing.slave.size, np.inf)
+    gap[rows] = undeformed.gap[rows_of_gaps]
+    return replace(pairing, gap=gap)
 
 
 def _split(values: NDArray[Any], sizes: Sequence[int]) -> list[NDArray[Any]]:
     """Split rows into parts of these sizes."""
-    parts: list[NDArray[Any]] = np.split(values, np.cumsum([0, *sizes])[1:])[: len(sizes)]
-    return parts
+    pieces: list[NDArray[Any]] = np.split(values, np.cumsum([0, *sizes])[1:])[: len(sizes)]
+    return pieces
 
 
 def _contact_result(
-    matched: ContactPairing,
+    pairing: ContactPairing,
     opening: NDArray[np.float64],
     force: NDArray[np.float64],
     friction: FrictionResult | None,
     comm: MPI.Intracomm,
 ) -> ContactResult:
     return ContactResult(
-        matched.name,
-        matched.slave,
-        matched.coordinates,
-        matched.gap,
+        pairing.name,
+        pairing.slave,
+        pairing.coordinates,
+        pairing.gap,
         opening,
-        matched.normal,
+        pairing.normal,
         normal_force=force,
-        pressure=force / matched.area,
+        pressure=force / pairing.area,
         active=force > 0.0,
-        area=matched.area,
-        coverage=np.ones_like(force) if matched.coverage is None else matched.coverage,
+        area=pairing.area,
+        coverage=np.ones_like(force) if pairing.coverage is None else pairing.coverage,
         friction=friction,
         comm=comm,
     )

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.deformed import GeometryPass
-from fenics_tfeti.fem.io.page import page_of_report
+from fenics_tfeti.fem.io.page import report_page
 from fenics_tfeti.fem.io.scene import gather_scene
 from fenics_tfeti.feti import Report
 from fenics_tfeti.feti.files.arrays import write_whole
@@ -95,7 +95,7 @@ class ContactReport(Report):
         scene = None if displacement is None else gather_scene(displacement, fields)
         with raise_collectively(comm):
             if comm.rank == 0:
-                page = page_of_report(without_nan(self.to_dict()), title, scene)
+                page = report_page(without_nan(self.to_dict()), title, scene)
                 write_whole(path, "the page", lambda file: file.write(page.encode()))
 
     def pairing_table(self) -> str:
@@ -120,20 +120,8 @@ _COLUMNS = {
 
 
 def pairing_table(pairing: Sequence[Mapping[str, Any]]) -> str:
-    """Write the pairing of contacts as a table, a line for each contact.
+    """Write the pairing of contacts, see `ContactReport.pairing`, as a table, a line for each.
 
-    Parameters
-    ----------
-    pairing : sequence of mapping
-        See `Report.pairing`.
-
-    Returns
-    -------
-    str
-        Largest distances and angles, smallest and largest gaps; "-" where an obstacle has none.
-
-    Examples
-    --------
     >>> entry = {"contact": "joint", "discretisation": "mortar", "pairs": 25, "unmatched": 0}
     >>> entry |= {"largest_distance": None, "largest_relative_distance": None}
     >>> entry |= {"largest_angle": 0.0, "smallest_gap": 0.0, "largest_gap": 0.01}

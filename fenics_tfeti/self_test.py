@@ -24,51 +24,34 @@ _EXACT = 1e-6
 
 @dataclass(frozen=True)
 class SelfTest:
-    """The result of the self-test.
+    """Result of the self-test."""
 
-    Attributes
-    ----------
-    error : float
-        Largest error of the contact pressures, relative to the exact one.
-    products : int
-        Products with F.
-    seconds : float
-        Wall time, most of it for the compilation of forms [s].
-    """
-
-    error: float
-    products: int
-    seconds: float
+    error: float  # largest error of the contact pressures, relative to the exact one
+    products: int  # with F
+    seconds: float  # wall time, most of it for the compilation of forms
 
     @property
     def passed(self) -> bool:
-        """Whether the pressures are exact up to the tolerance of the solution."""
+        """True if the pressures are exact up to the tolerance of the solution."""
         return self.error <= _EXACT
 
 
 def self_test(comm: MPI.Intracomm) -> SelfTest:
-    """Press a block on another one that is meshed apart; the pressure is uniform. Collective.
-
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-
-    Returns
-    -------
-    SelfTest
-        The same on all ranks.
-    """
+    """Press a block on another one that is meshed apart; the pressure is uniform. Collective."""
     begin = time.perf_counter()
     lower, upper, bottom, top, walls = 1, 2, 3, 4, (5, 6)
-    parts = [Box((0, 0, 0), (1, 1, 1), (5, 5, 3)), Box((0, 0, 1), (1, 1, 2), (4, 4, 3))]
-    blocks = boxes(comm, parts, "hexahedron")
+    solids = [Box((0, 0, 0), (1, 1, 1), (5, 5, 3)), Box((0, 0, 1), (1, 1, 2), (4, 4, 3))]
+    blocks = boxes(comm, solids, "hexahedron")
 
-    def at(axis: int, place: float) -> Callable[[Any], Any]:
+    def on_plane(axis: int, place: float) -> Callable[[Any], Any]:
         return lambda x: np.isclose(x[axis], place)
 
-    markers: list[Any] = [(lower, at(2, 1.0), 1), (upper, at(2, 1.0), 2)]
-    markers += [(bottom, at(2, 0.0)), (top, at(2, 2.0)), *((walls[k], at(k, 0.0)) for k in (0, 1))]
+    markers: list[Any] = [(lower, on_plane(2, 1.0), 1), (upper, on_plane(2, 1.0), 2)]
+    markers += [
+        (bottom, on_plane(2, 0.0)),
+        (top, on_plane(2, 2.0)),
+        *((walls[k], on_plane(k, 0.0)) for k in (0, 1)),
+    ]
     facet_tags = tag_facets(blocks.mesh, markers, blocks.cell_tags)
     V = displacement_space(blocks.mesh)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
@@ -91,7 +74,7 @@ def self_test(comm: MPI.Intracomm) -> SelfTest:
         options={"rtol": 1e-9, "subdomain_size": 200},
     )
     problem.solve()
-    found = problem.contact[0].gather().pressure
-    error = float(np.abs(found / float(pressure.value) - 1.0).max())
+    computed = problem.contact[0].gather().pressure
+    error = float(np.abs(computed / float(pressure.value) - 1.0).max())
     seconds = comm.allreduce(time.perf_counter() - begin, MPI.MAX)
     return SelfTest(error, problem.report.products["total"], seconds)

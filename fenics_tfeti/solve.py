@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import TextIO, get_args, get_origin, get_type_hints
+from typing import get_args, get_origin, get_type_hints
 
 from mpi4py import MPI
 
@@ -23,7 +23,7 @@ from fenics_tfeti.feti import (
     parse_options,
 )
 from fenics_tfeti.feti.files.arrays import write_arrays
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import print_on_first_rank, raise_collectively
 
 SOLUTION_FORMAT = "fenics_tfeti solution 1"
 
@@ -34,26 +34,16 @@ _SOLVED, _NOT_CONVERGED, _ERROR, _INTERRUPTED = 0, 1, 2, 130
 
 
 def main(arguments: Sequence[str] | None = None, comm: MPI.Intracomm = MPI.COMM_WORLD) -> int:
-    """Read a system, solve it, write what is asked for, and print a summary. Collective.
+    """Solve the system in a file as the command line says, and print a summary. Collective.
 
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        By default those of the command line.
-    comm : MPI.Intracomm
-        The ranks.
-
-    Returns
-    -------
-    int
-        0 if the solution is certified, 1 if it is the last iterate only, 2 after an error,
-        130 after an interruption.
+    Return 0 if the solution is certified, 1 if it is the last iterate only, 2 after an error, 130
+    after an interruption.
     """
-    given = _parser().parse_args(arguments)
-    chosen = {name: getattr(given, name) for name in _OPTIONS}
+    parsed = _parser().parse_args(arguments)
+    values = {name: getattr(parsed, name) for name in _OPTIONS}
     try:
-        options = parse_options({k: v for k, v in chosen.items() if v is not None})
-        system = load_system(given.system, comm)
+        options = parse_options({k: v for k, v in values.items() if v is not None})
+        system = load_system(parsed.system, comm)
         interrupted = False
         try:
             solution = TornSolver(system, options).solve()
@@ -61,17 +51,17 @@ def main(arguments: Sequence[str] | None = None, comm: MPI.Intracomm = MPI.COMM_
             if error.solution is None:
                 raise
             solution, interrupted = error.solution, isinstance(error, Interrupted)
-        if given.solution:
-            save_solution(given.solution, system, solution)
-        if given.report:
-            solution.report.to_json(given.report)
+        if parsed.solution:
+            save_solution(parsed.solution, system, solution)
+        if parsed.report:
+            solution.report.to_json(parsed.report)
     except (ContactError, OSError) as error:
-        _print(comm, f"error: {error}", sys.stderr)
+        print_on_first_rank(comm, f"error: {error}", sys.stderr)
         return _ERROR
     except Interrupted as error:
-        _print(comm, f"error: {error}", sys.stderr)
+        print_on_first_rank(comm, f"error: {error}", sys.stderr)
         return _INTERRUPTED
-    _print(comm, str(solution.report))
+    print_on_first_rank(comm, str(solution.report))
     if interrupted:
         return _INTERRUPTED
     return _SOLVED if solution.report.converged else _NOT_CONVERGED
@@ -109,40 +99,23 @@ def save_solution(path: str | os.PathLike[str], system: TornSystem, solution: To
 
     The file has the ``nodes`` (n,), ascending, with their ``displacement`` (n, gdim) [m]; for each
     contact row, in the order of ranks, ``normal_force`` [N] and ``active``; for each tied row
-    ``tied_force`` [N].
-
-    Parameters
-    ----------
-    path : path-like
-        File to write or replace.
-    system : TornSystem
-        The system.
-    solution : TornSolution
-        Its solution.
-
-    Raises
-    ------
-    OSError
-        On all ranks, if rank 0 cannot write the file; a file that exists is left as it is.
+    ``tied_force`` [N]. If rank 0 cannot write it, all ranks raise and an old file is left as it is.
     """
     comm, subdomains = system.comm, system.subdomains
     numbers = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in subdomains)])
     values = np.concatenate([np.zeros(0), *solution.displacements]).reshape(-1, system.gdim)
     rows = solution.normal_force, solution.active, solution.tied_force
-    parts = comm.gather((numbers, values, *rows))
+    ranks = comm.gather((numbers, values, *rows))
     with raise_collectively(comm):
-        if parts is not None:
-            numbers, values, *whole = (np.concatenate(part) for part in zip(*parts, strict=True))
+        if ranks is not None:
+            numbers, values, *whole = (
+                np.concatenate(columns) for columns in zip(*ranks, strict=True)
+            )
             # copies of a node are equal
             nodes, first = np.unique(numbers, return_index=True)
             arrays = {"nodes": nodes, "displacement": values[first]}
             arrays |= zip(("normal_force", "active", "tied_force"), whole, strict=True)
             write_arrays(path, "the solution", SOLUTION_FORMAT, arrays)
-
-
-def _print(comm: MPI.Intracomm, text: str, file: TextIO | None = None) -> None:
-    if comm.rank == 0:
-        print(text, file=file, flush=True)
 
 
 if __name__ == "__main__":

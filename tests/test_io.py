@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from new_process import run_python
 
-import fenics_tfeti.fem.io
 import fenics_tfeti.io
 
 
 def test_names_are_those_of_fem_io():
-    assert fenics_tfeti.io.__all__ == fenics_tfeti.fem.io.__all__
     for name in fenics_tfeti.io.__all__:
-        assert getattr(fenics_tfeti.io, name) is getattr(fenics_tfeti.fem.io, name)
+        assert getattr(fenics_tfeti.io, name).__module__.startswith("fenics_tfeti.fem.io.")
 
 
 def test_import_of_the_package_does_not_load_dolfinx():

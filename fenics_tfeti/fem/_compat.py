@@ -107,16 +107,9 @@ def space_with_dofs(space: fem.FunctionSpace, dofs: Numbers, size: int) -> fem.F
     - 0.9 has ``cpp.fem.FunctionSpace_float64`` of (mesh, element, dofmap, value shape);
     - 0.10 and 0.11 have ``cpp.fem.FunctionSpace_float64`` of (mesh, element, dofmap).
 
-    Takes the class of the given space and dispatches on its attribute ``value_shape``.
-
-    Parameters
-    ----------
-    space : FunctionSpace
-        The space.
-    dofs : (cells, v) integer array
-        The (blocked) degrees of freedom of each cell of this rank, ghosts included.
-    size : int
-        Number of (blocked) degrees of freedom of this rank, none of which other ranks share.
+    Takes the class of the given space and dispatches on its attribute ``value_shape``. `dofs`
+    (cells, v) are the (blocked) degrees of freedom of each cell of this rank, ghosts included; none
+    of the `size` of this rank is shared.
     """
     domain, old = space.mesh, space.dofmap
     table = cpp.graph.AdjacencyList_int32(
@@ -193,12 +186,12 @@ def input_cells(domain: mesh.Mesh) -> NDArray[np.int64] | None:
 
     - 0.5.2 and 0.9 have an empty array for submeshes, 0.10 and 0.11 raise a RuntimeError.
     """
-    cells = domain.topology.index_map(domain.topology.dim).size_local
+    owned = domain.topology.index_map(domain.topology.dim).size_local
     try:
-        given = np.asarray(domain.topology.original_cell_index, dtype=np.int64)
+        cells = np.asarray(domain.topology.original_cell_index, dtype=np.int64)
     except RuntimeError:
         return None
-    return None if given.size < cells else given[:cells]
+    return None if cells.size < owned else cells[:owned]
 
 
 def geometry_cells(domain: mesh.Mesh) -> Numbers:
@@ -251,14 +244,7 @@ def bc_values(bc: Any, size: int) -> tuple[Numbers, NDArray[np.float64]]:
     """Return the unrolled local degrees of freedom of a Dirichlet condition and their values.
 
     - 0.5.2 has ``fem.set_bc(array, [bc])``, 0.9 to 0.11 ``bc.set(array)``; both take
-      values that are functions, constants or arrays.
-
-    Parameters
-    ----------
-    bc : dolfinx.fem.DirichletBC
-        The condition.
-    size : int
-        Number of unrolled degrees of freedom of this rank, ghosts included.
+      values that are functions, constants or arrays. `size` counts this rank's, ghosts included.
     """
     values = np.zeros(size)
     if hasattr(bc, "set"):
@@ -290,46 +276,32 @@ def tags_are_on(tags: Any, domain: mesh.Mesh) -> bool:
 # -- graphs ------------------------------------------------------------------------------------
 
 
-def partition_graph(offsets: Numbers, neighbours: Numbers, parts: int) -> Numbers:
-    """Partition a graph of this rank by SCOTCH, always into the same parts.
+def partition_graph(offsets: Numbers, neighbours: Numbers, count: int) -> Numbers:
+    """Partition a graph of this rank, in CSR form, by SCOTCH, always into the same parts.
 
     - 0.5.2 has ``graph.create_adjacencylist``, 0.9 ``graph.adjacencylist``; 0.10 and 0.11 wrap its
       result in a Python class that the partitioner does not take.
-
-    Parameters
-    ----------
-    offsets : (n + 1,) integer array
-        Where each vertex's neighbours begin.
-    neighbours : integer array
-        The neighbours.
-    parts : int
-        Number of parts.
-
-    Returns
-    -------
-    (n,) integer array
-        Part of each vertex.
     """
     create = getattr(dolfinx.graph, "adjacencylist", None) or dolfinx.graph.create_adjacencylist
     graph = create(neighbours.astype(np.int64), offsets.astype(np.int32))
     partitioner = dolfinx.graph.partitioner_scotch(seed=0)
     with _one_scotch_thread():
-        return np.array(partitioner(MPI.COMM_SELF, parts, cpp_object(graph), False).array)
+        return np.array(partitioner(MPI.COMM_SELF, count, cpp_object(graph), False).array)
 
 
 @contextmanager
 def _one_scotch_thread() -> Iterator[None]:
     """Run SCOTCH 7 on one thread: with several, the parts differ from run to run."""
     name = "SCOTCH_PTHREAD_NUMBER"
-    before = os.environ.get(name)
+    value = os.environ.get(name)
     os.environ[name] = "1"
     try:
         yield
     finally:
-        if before is None:
+        if value is None:
             del os.environ[name]
         else:
-            os.environ[name] = before
+            os.environ[name] = value
 
 
 # -- forms -------------------------------------------------------------------------------------
@@ -362,14 +334,8 @@ class CompiledForm:
       ``MeshTags``;
     - 0.9 to 0.11 have ``fem.compile_form`` and ``fem.create_form``, with lists of entities.
 
-    Dispatches on ``fem.create_form``.
-
-    Parameters
-    ----------
-    form : ufl.Form
-        Its integrals name their tags: none is over "everywhere".
-    comm : MPI.Comm
-        Rank 0 compiles, then the others load.
+    Dispatches on ``fem.create_form``. Integrals name their tags: none is over "everywhere". Rank 0
+    compiles, then the others load.
     """
 
     def __init__(self, form: ufl.Form, comm: MPI.Comm) -> None:
@@ -385,16 +351,9 @@ class CompiledForm:
         cells: dict[int, Numbers],
         facets: dict[int, Numbers],
     ) -> Any:
-        """Bind the form to spaces and to what it is integrated over.
+        """Bind the form to a space for each argument, and to the cells and facets of each tag.
 
-        Parameters
-        ----------
-        spaces : list
-            One for each argument, on the form's mesh.
-        cells : dict
-            For each tag of a cell integral the cells of this rank.
-        facets : dict
-            For each tag of an exterior facet integral rows (cell, local facet) of this rank.
+        Facets are rows (cell, local facet) of this rank.
         """
         domain = spaces[0].mesh
         if self._new:
@@ -403,8 +362,8 @@ class CompiledForm:
                 kinds.cell: list(cells.items()),
                 kinds.exterior_facet: [(tag, rows.ravel()) for tag, rows in facets.items()],
             }
-            own = ({w: w for w in self._form.coefficients()}, {c: c for c in self._constants()})
-            return fem.create_form(self._compiled, spaces, domain, subdomains, *own)
+            inputs = ({w: w for w in self._form.coefficients()}, {c: c for c in self._constants()})
+            return fem.create_form(self._compiled, spaces, domain, subdomains, *inputs)
         ufcx_form, module, _ = self._compiled
         functions = self._form.coefficients()
         kinds = cpp.fem.IntegralType
@@ -447,21 +406,17 @@ def _tags_from_facets(domain: mesh.Mesh, facets: dict[int, Numbers]) -> Any:
 
 
 def _tags(domain: mesh.Mesh, dim: int, entities: list[Numbers], values: list[int]) -> Any:
-    found = np.concatenate(entities)
+    numbers = np.concatenate(entities)
     tags = np.repeat(values, [part.size for part in entities]).astype(np.int32)
-    order = np.argsort(found)
-    return mesh.meshtags(domain, dim, found[order], tags[order])
+    order = np.argsort(numbers)
+    return mesh.meshtags(domain, dim, numbers[order], tags[order])
 
 
 def assemble_stiffness(form: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.float64]]:
     """Assemble a bilinear form on a space whose dofs no ranks share. Collective.
 
-    The PETSc path is the same in all versions (native matrices of 0.5.2 have no blocks).
-
-    Returns
-    -------
-    tuple
-        indptr, indices, data of this rank's rows and columns.
+    Return indptr, indices, data of this rank's rows and columns. The PETSc path is the same in all
+    versions (native matrices of 0.5.2 have no blocks).
     """
     A = fem.petsc.assemble_matrix(form)
     A.assemble()
@@ -504,7 +459,7 @@ def distributed_mesh(
     cell: str,
     degree: int = 1,
 ) -> dolfinx.mesh.Mesh:
-    """Create a distributed mesh from arrays.
+    """Create a distributed mesh from each rank's share of cells (m, n) and points (k, gdim) [m].
 
     - 0.5.2 has ``create_mesh(comm, cells, x, domain)`` and elements from ``ufl``;
     - 0.9 has ``create_mesh(comm, cells, x, e)``, 0.10 and 0.11 ``create_mesh(comm, cells, e, x)``,
@@ -512,20 +467,8 @@ def distributed_mesh(
     - 0.5.2 builds the dual graph of the cells for the partitioner on one process, too, where later
       versions call none: a quarter to a third of the time.
 
-    Dispatches on the name of the argument of the coordinate element.
-
-    Parameters
-    ----------
-    comm : MPI.Comm
-        Communicator of the mesh.
-    cells : (m, n) array of int
-        Numbers of the nodes of this rank's share of the cells, in the order of dolfinx.
-    points : (k, gdim) array
-        This rank's share of the nodes [m]; they are numbered through the ranks.
-    cell : str
-        Shape of the cells, such as "hexahedron".
-    degree : int
-        Degree of the cells' geometry.
+    Dispatches on the name of the argument of the coordinate element. Nodes of cells are in the
+    order of dolfinx; points are numbered through the ranks.
     """
     gdim = points.shape[1]
     if "domain" in inspect.signature(mesh.create_mesh).parameters:
@@ -546,27 +489,13 @@ def _to_one_process(comm: MPI.Comm, size: int, dim: int, cells: Any, ghost_mode:
 
 
 def gmsh_model_to_mesh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[Any, Any, Any]:
-    """Distribute the mesh of the current Gmsh model of rank 0.
+    """Distribute the mesh of the current Gmsh model of rank 0; return mesh, cell and facet tags.
 
     - 0.5.2 and 0.9 have ``dolfinx.io.gmshio``, which returns (mesh, cell tags, facet tags);
     - 0.10 and 0.11 have ``dolfinx.io.gmsh``, which returns an object with these attributes, and
       None for facet tags where no facet is tagged.
 
     Dispatches on the module that can be imported and on the attributes of the result.
-
-    Parameters
-    ----------
-    model : gmsh.model
-        Used on rank 0 only.
-    comm : MPI.Comm
-        Communicator of the mesh.
-    gdim : int
-        Number of coordinates to keep.
-
-    Returns
-    -------
-    tuple
-        Mesh, tags of the cells, tags of the facets (possibly empty).
     """
     try:
         from dolfinx.io import gmsh as reader
@@ -588,7 +517,7 @@ def gmsh_model_to_mesh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[Any, Any,
 def entity_nodes(
     domain: dolfinx.mesh.Mesh, dim: int, entities: NDArray[np.int32]
 ) -> NDArray[np.int32]:
-    """Return the rows of ``mesh.geometry.x`` at the vertices of entities such as facets.
+    """Return the rows (m, v) of ``mesh.geometry.x`` at the vertices of entities such as facets.
 
     - 0.5.2 has ``cpp.mesh.entities_to_geometry`` only; it is in 0.9 to 0.11 as well, and all take
       the C++ mesh;
@@ -596,20 +525,6 @@ def entity_nodes(
     - of curved cells, 0.9 to 0.11 return the other nodes as well, after the vertices.
 
     Does not dispatch: without entities, dolfinx is not called, and other nodes are cut off.
-
-    Parameters
-    ----------
-    domain : dolfinx.mesh.Mesh
-        The mesh.
-    dim : int
-        Dimension of the entities.
-    entities : (m,) array of int
-        Entities of this rank.
-
-    Returns
-    -------
-    (m, v) array of int
-        Their vertices, in the vertex order of dolfinx.
     """
     domain.topology.create_connectivity(dim, domain.topology.dim)
     shape = cpp.mesh.cell_entity_type(cpp.mesh.to_type(cell_name(domain)), dim, 0)
@@ -636,19 +551,12 @@ def interpolate_expression(expression: Any, function: Any) -> None:
 
 
 def list_pieces(index: Path, pieces: Sequence[str]) -> None:
-    """Make the list of the files of all ranks that ``io.VTKFile`` writes name some pieces.
+    """Replace the list of .vtu files in the .pvtu file that ``io.VTKFile`` writes on all ranks.
 
     - 0.5.2 lists the files once for each function, so that ParaView draws the mesh several times;
     - 0.9 to 0.11 list them once.
 
     Does not dispatch: the list is replaced.
-
-    Parameters
-    ----------
-    index : Path
-        The .pvtu file.
-    pieces : sequence of str
-        The names of the .vtu files.
     """
     tree = ElementTree.parse(index)
     grid = tree.getroot()[0]

@@ -5,7 +5,7 @@ They are the same on all ranks, and so are the errors.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,14 +20,8 @@ from fenics_tfeti.fem.contact.friction import check_friction
 from fenics_tfeti.fem.contact.tied import TiedPair, tied_name
 
 
-def given_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
-    """Return the forms; no load, as L = 0, is a form that vanishes.
-
-    Raises
-    ------
-    InputError
-        For what is no form of UFL, such as a compiled one.
-    """
+def as_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
+    """Return the forms; no load, as L = 0, is a form that vanishes."""
     _check_form(a, "the bilinear form a")
     if _is_zero(L):
         return a, _no_load(a)
@@ -35,14 +29,8 @@ def given_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
     return a, L
 
 
-def given_function(u: Any, space: FunctionSpace) -> Function | None:
-    """Return the function that solves fill, if there is one.
-
-    Raises
-    ------
-    InputError
-        If it is no function, or on another space than the forms.
-    """
+def check_function(u: Any, space: FunctionSpace) -> Function | None:
+    """Return the function that solves fill, if there is one."""
     if u is not None and not isinstance(u, Function):
         raise InputError(
             f"u is a {type(u).__name__}; a dolfinx.fem.Function on the space of the forms is "
@@ -53,65 +41,28 @@ def given_function(u: Any, space: FunctionSpace) -> Function | None:
     return u
 
 
-def given_conditions(bcs: Any) -> list[Any]:
-    """Return the Dirichlet conditions as a list: none for None, one for a single condition.
-
-    Raises
-    ------
-    InputError
-        With the first thing that is no Dirichlet condition.
-    """
-    conditions = _listed(bcs, _is_condition, "bcs", "Dirichlet conditions")
-    for number, bc in enumerate(conditions):
-        if not _is_condition(bc):
-            raise InputError(
-                f"Dirichlet condition {number} is a {type(bc).__name__}; a condition as returned "
-                "by dolfinx.fem.dirichletbc is expected"
-            )
-    return conditions
+def as_conditions(bcs: Any) -> list[Any]:
+    """Return the Dirichlet conditions as a list: none for None, one for a single condition."""
+    names = ("bcs", "Dirichlet conditions", "Dirichlet condition")
+    return _listed(bcs, _is_condition, names, "a condition as returned by dolfinx.fem.dirichletbc")
 
 
-def given_contacts(contacts: Any) -> list[Contact]:
-    """Return the contacts as a list: none for None, one for a single contact.
-
-    Raises
-    ------
-    InputError
-        With the first thing that is no contact, or a contact's tags, obstacle or friction that are
-        none.
-    """
-    found = _listed(contacts, _is_contact, "contacts", "ContactPair or RigidObstacle")
-    for number, contact in enumerate(found):
-        if not _is_contact(contact):
-            raise InputError(
-                f"contact {number} is a {type(contact).__name__}; a ContactPair or a RigidObstacle "
-                "is expected"
-            )
+def as_contacts(contacts: Any) -> list[Contact]:
+    """Return the contacts as a list: none for None, one for a single contact."""
+    names = ("contacts", "ContactPair or RigidObstacle", "contact")
+    listed = _listed(contacts, _is_contact, names, "a ContactPair or a RigidObstacle")
+    for number, contact in enumerate(listed):
         _check_contact(contact, contact_name(contact, number))
-    return found
+    return listed
 
 
-def given_tied(pairs: Any) -> list[TiedPair]:
-    """Return the tied pairs, of one or of a list.
-
-    Parameters
-    ----------
-    pairs : sequence of TiedPair, one of them, or None
-        What the user gave.
-
-    Raises
-    ------
-    InputError
-        With the first thing that is no tied pair, or a pair's tags that are none.
-    """
-    found = _listed(pairs, lambda thing: isinstance(thing, TiedPair), "tied", "TiedPair")
-    for number, pair in enumerate(found):
-        if not isinstance(pair, TiedPair):
-            raise InputError(
-                f"tied pair {number} is a {type(pair).__name__}; a TiedPair is expected"
-            )
+def as_tied_pairs(pairs: Any) -> list[TiedPair]:
+    """Return the tied pairs as a list: none for None, one for a single pair."""
+    names = ("tied", "TiedPair", "tied pair")
+    listed = _listed(pairs, lambda thing: isinstance(thing, TiedPair), names, "a TiedPair")
+    for number, pair in enumerate(listed):
         _check_tags(pair, ("slave", "master"), tied_name(pair, number))
-    return found
+    return listed
 
 
 def _is_condition(thing: Any) -> bool:
@@ -122,16 +73,22 @@ def _is_contact(thing: Any) -> bool:
     return isinstance(thing, ContactPair | RigidObstacle)
 
 
-def _listed(given: Any, is_one: Any, argument: str, expected: str) -> list[Any]:
-    if given is None:
+def _listed(
+    value: Any, is_item: Callable[[Any], bool], names: tuple[str, str, str], expected: str
+) -> list[Any]:
+    """Return items as a list and check each; names of the argument, of items and of one item."""
+    argument, items, item = names
+    if value is None:
         return []
-    if is_one(given):
-        return [given]
-    if isinstance(given, str) or not isinstance(given, Iterable):
-        raise InputError(
-            f"{argument} is a {type(given).__name__}; a list of {expected} is expected"
-        )
-    return list(given)
+    if is_item(value):
+        return [value]
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise InputError(f"{argument} is a {type(value).__name__}; a list of {items} is expected")
+    listed = list(value)
+    for number, thing in enumerate(listed):
+        if not is_item(thing):
+            raise InputError(f"{item} {number} is a {type(thing).__name__}; {expected} is expected")
+    return listed
 
 
 def _check_form(form: Any, what: str) -> None:

@@ -29,35 +29,19 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 
 @dataclass(frozen=True)
 class SurfaceNodes:
-    """Nodes on the surface of bodies; a node that several bodies share has a row for each.
+    """Nodes (k,) on the surface of bodies; a node that several bodies share has a row for each."""
 
-    Attributes
-    ----------
-    number : (k,) integer array
-        Global node numbers in the input of the mesh.
-    x : (k, gdim) array
-        Coordinates [m].
-    body : (k,) integer array
-        The body.
-    size : (k,) array
-        Shortest edge of the body's cells at the node; edges of length zero do not count [m].
-    slave, master : (k,) bool array
-        Whether the node is on the slave's or the master's surface of a contact pair.
-    vertex : (k,) integer array
-        Global node numbers in the distributed mesh.
-    """
-
-    number: Numbers
-    x: Vector
+    number: Numbers  # global, in the input of the mesh
+    x: Vector  # (k, gdim) [m]
     body: Numbers
-    size: Vector
-    slave: Mask
-    master: Mask
-    vertex: Numbers
+    size: Vector  # shortest edge of the body's cells at the node, of those longer than zero [m]
+    slave: Mask  # on a slave surface of a contact pair
+    master: Mask  # on a master surface of a contact pair
+    vertex: Numbers  # global number in the distributed mesh
 
-    def __getitem__(self, chosen: Any) -> SurfaceNodes:
+    def __getitem__(self, rows: Any) -> SurfaceNodes:
         """Return some of the rows."""
-        return SurfaceNodes(*(column[chosen] for column in self.columns()))
+        return SurfaceNodes(*(column[rows] for column in self.columns()))
 
     def columns(self) -> tuple[Any, ...]:
         """Return the attributes in their order."""
@@ -82,17 +66,7 @@ class SurfaceNodes:
 
 
 def surface_nodes(domain: Mesh, cells: CellGeometry, contacts: Sequence[Contact]) -> SurfaceNodes:
-    """Return the nodes of the exterior facets of this rank's cells.
-
-    Parameters
-    ----------
-    domain : Mesh
-        The mesh.
-    cells : CellGeometry
-        Its cells.
-    contacts : sequence of ContactPair or RigidObstacle
-        For the marks of slave and master.
-    """
+    """Return the nodes of the exterior facets of this rank's cells, marked by the contact pairs."""
     cell, facet = np.nonzero(exterior_cell_facets(domain))
     nodes = cells.nodes[cell[:, None], np.array(cells.type.facets)[facet]]
     per_facet = nodes.shape[1]
@@ -134,31 +108,31 @@ def check_pieces(domain: Mesh, bodies: Bodies, cells: CellGeometry, surface: Sur
     """Check that each cell tag, where given, is on one connected body. Collective."""
     if bodies.tags is None:
         return
-    tags, pieces = np.unique(bodies.tags, return_counts=True)
-    if np.all(pieces == 1):
+    tags, counts = np.unique(bodies.tags, return_counts=True)
+    if np.all(counts == 1):
         return
-    tag = tags[np.argmax(pieces > 1)]
-    (here,) = np.nonzero(bodies.tags == tag)
-    mine = np.isin(cells.body, here)
-    columns = cells.midpoint.T[mine], cells.body[mine]
-    places, of = (concatenate_ranks(domain.comm, column) for column in columns)
-    one, other = (
-        points[coordinate_order(points)[0]] for points in (places[of == body] for body in here[:2])
+    tag = tags[np.argmax(counts > 1)]
+    (pieces,) = np.nonzero(bodies.tags == tag)
+    in_pieces = np.isin(cells.body, pieces)
+    columns = cells.midpoint.T[in_pieces], cells.body[in_pieces]
+    midpoints, numbers = (concatenate_ranks(domain.comm, column) for column in columns)
+    first, second = (
+        points[coordinate_order(points)[0]]
+        for points in (midpoints[numbers == piece] for piece in pieces[:2])
     )
-    nodes = surface[np.isin(surface.body, here)]
+    nodes = surface[np.isin(surface.body, pieces)]
     shared = _shared_nodes(domain, nodes, nodes.body)
-    same = _coincident_pairs(domain, nodes, np.zeros(nodes.body.size))[0]
+    coincident = _coincident_pairs(domain, nodes, np.zeros(nodes.body.size))[0]
     hint = ""
     if len(shared):
         hint = f"They share {_count(domain, shared, 'node')}, but no facet. "
-    elif len(same):
-        hint = (
-            f"They have {_count(domain, same, 'pair')}: were nodes that should be one not merged? "
-        )
+    elif len(coincident):
+        pairs = _count(domain, coincident, "pair")
+        hint = f"They have {pairs}: were nodes that should be one not merged? "
     raise InputError(
-        f"the cells with tag {tag} in cell_tags are in {len(here)} pieces, one with a cell around "
-        f"{format_mesh_point(domain, one)}, another with one around "
-        f"{format_mesh_point(domain, other)}. {hint}A cell tag stands for one body, connected "
+        f"the cells with tag {tag} in cell_tags are in {len(pieces)} pieces, one with a cell "
+        f"around {format_mesh_point(domain, first)}, another with one around "
+        f"{format_mesh_point(domain, second)}. {hint}A cell tag stands for one body, connected "
         "through facets: connect the pieces, give each a tag of its own, or leave cell_tags out, "
         "then the bodies are the connected parts of the mesh"
     )
@@ -171,8 +145,10 @@ def check_joints(domain: Mesh, bodies: Bodies, surface: SurfaceNodes) -> None:
     if not len(shared):
         return
     first = shared[coordinate_order(shared)[0]]
-    near = np.all(surface.x == first, axis=1)
-    names = [bodies.names[b] for b in np.unique(concatenate_ranks(domain.comm, surface.body[near]))]
+    at_first = np.all(surface.x == first, axis=1)
+    names = [
+        bodies.names[b] for b in np.unique(concatenate_ranks(domain.comm, surface.body[at_first]))
+    ]
     raise InputError(
         f"bodies are joined through {_count(domain, shared, 'node')}, but through no facet: "
         f"{' and '.join(names)}. An edge or a point cannot hold an elastic body: give each body "
@@ -194,11 +170,11 @@ def check_split_nodes(domain: Mesh, surface: SurfaceNodes) -> None:
 
 def check_cracks(domain: Mesh, bodies: Bodies, surface: SurfaceNodes) -> None:
     """Check that no body has two nodes at one place, except on the faces of a pair. Collective."""
-    points, of = _coincident_pairs(domain, surface, surface.body)
+    points, body = _coincident_pairs(domain, surface, surface.body)
     if not len(points):
         return
     raise InputError(
-        f"{bodies.names[of[coordinate_order(points)[0]]]} has "
+        f"{bodies.names[body[coordinate_order(points)[0]]]} has "
         f"{_count(domain, points, 'pair')}: the cells there are not connected, as in a crack. "
         "Merge these nodes (in Gmsh by removeDuplicateNodes, for this body alone); if a crack is "
         "meant, make its two faces a ContactPair, without the facets at its tip"
@@ -207,10 +183,10 @@ def check_cracks(domain: Mesh, bodies: Bodies, surface: SurfaceNodes) -> None:
 
 def _count(domain: Mesh, points: Vector, what: str) -> str:
     """Return for instance "3 nodes (the first at (1, 0.5))"; collective."""
-    of = " of nodes at the same place" if what == "pair" else ""
+    pair = " of nodes at the same place" if what == "pair" else ""
     plural, first = ("", "") if len(points) == 1 else ("s", "the first ")
     place = format_mesh_point(domain, points[coordinate_order(points)[0]])
-    return f"{len(points)} {what}{plural}{of} ({first}at {place})"
+    return f"{len(points)} {what}{plural}{pair} ({first}at {place})"
 
 
 # -- nodes -------------------------------------------------------------------------------------
@@ -232,59 +208,49 @@ def _coincident_pairs(
 ) -> tuple[Vector, Numbers]:
     """Find pairs of nodes of a group at the same place, except a slave and a master node.
 
-    Parameters
-    ----------
-    domain : Mesh
-        The mesh.
-    nodes : SurfaceNodes
-        Nodes of this rank.
-    group : (k,) array
-        Nodes of different groups may coincide.
-
-    Returns
-    -------
-    points, body : (n, gdim), (n,) arrays
-        The place and the body of each pair, on all ranks.
+    Return the place (n, gdim) and the body (n,) of each pair, on all ranks. Nodes of different
+    groups may coincide.
     """
     comm, gdim = domain.comm, domain.geometry.dim
     reach = SAME_PLACE * comm.allreduce(float(nodes.size.max(initial=0.0)), MPI.MAX)
     keys, rows = _bins(comm, nodes.x, reach)
     data = (*nodes.columns(), group)
     *columns, group = Directory(comm, np.unique(keys)).collect(keys, *(d[rows] for d in data))[1:]
-    near = SurfaceNodes(*columns)
+    candidates = SurfaceNodes(*columns)
     pairs = np.zeros((0, 2), dtype=np.int64)
     if group.size:
         # one more coordinate keeps the groups apart
-        place = np.column_stack([near.x, 4.0 * reach * group])
-        pairs = cKDTree(place).query_pairs(reach, output_type="ndarray")
-    a, b = near[pairs[:, 0]], near[pairs[:, 1]]
+        point = np.column_stack([candidates.x, 4.0 * reach * group])
+        pairs = cKDTree(point).query_pairs(reach, output_type="ndarray")
+    a, b = candidates[pairs[:, 0]], candidates[pairs[:, 1]]
     distance = np.linalg.norm(a.x - b.x, axis=1)
     wrong = (a.number != b.number) & (distance <= SAME_PLACE * np.minimum(a.size, b.size))
-    slave, master = _marked_anywhere(near, near.slave), _marked_anywhere(near, near.master)
-    one, other = pairs.T
-    wrong &= ~((slave[one] & master[other]) | (master[one] & slave[other]))
+    slave, master = (
+        _marked_anywhere(candidates, candidates.slave),
+        _marked_anywhere(candidates, candidates.master),
+    )
+    first, second = pairs.T
+    wrong &= ~((slave[first] & master[second]) | (master[first] & slave[second]))
     numbers = np.sort(np.stack([a.number, b.number], axis=1)[wrong], axis=1)
-    found = [concatenate_ranks(comm, column) for column in (numbers, a.x[wrong], a.body[wrong])]
+    gathered = [concatenate_ranks(comm, column) for column in (numbers, a.x[wrong], a.body[wrong])]
     # a pair near the border of bins is found in each of them
-    once = np.unique(found[0], axis=0, return_index=True)[1]
-    return found[1][once].reshape(-1, gdim), found[2][once]
+    distinct = np.unique(gathered[0], axis=0, return_index=True)[1]
+    return gathered[1][distinct].reshape(-1, gdim), gathered[2][distinct]
 
 
 def _marked_anywhere(nodes: SurfaceNodes, mark: Mask) -> Mask:
     """Tell which nodes are marked in any of their rows: no rank has all facets at a node."""
-    numbers, place = np.unique(nodes.number, return_inverse=True)
+    numbers, position = np.unique(nodes.number, return_inverse=True)
     marked = np.zeros(numbers.size, dtype=bool)
-    np.logical_or.at(marked, place, mark)
-    return marked[place]
+    np.logical_or.at(marked, position, mark)
+    return marked[position]
 
 
 def _bins(comm: MPI.Intracomm, x: Vector, reach: float) -> tuple[Numbers, Numbers]:
     """Sort points into cubic bins, by which they are distributed over the ranks.
 
-    Returns
-    -------
-    keys, rows : integer arrays
-        Key of a bin and row of a point, for each bin that the point is in or within `reach` of.
+    Return the key of a bin and the row of a point, for each bin that the point is in or within
+    `reach` of.
     """
     bins_along_mesh = 64
     number_of_keys = 2**20
@@ -299,11 +265,13 @@ def _bins(comm: MPI.Intracomm, x: Vector, reach: float) -> tuple[Numbers, Number
     ]
     # of the corners of a cube around each point; nearly all cubes are in one bin
     corners = [
-        sum(ends[end][:, axis] for axis, end in enumerate(of)) % number_of_keys
-        for of in product((0, 1), repeat=x.shape[1])
+        sum(ends[end][:, axis] for axis, end in enumerate(ends_of_corner)) % number_of_keys
+        for ends_of_corner in product((0, 1), repeat=x.shape[1])
     ]
-    several = np.any([corner != corners[0] for corner in corners], axis=0)
-    (alone,), (near_border,) = np.nonzero(~several), np.nonzero(several)
-    both = np.unique(np.concatenate([corner[several] * len(x) + near_border for corner in corners]))
-    keys, rows = np.divmod(both, max(len(x), 1))
-    return np.append(corners[0][alone], keys), np.append(alone, rows)
+    spread = np.any([corner != corners[0] for corner in corners], axis=0)
+    (single,), (multiple,) = np.nonzero(~spread), np.nonzero(spread)
+    rows_of_bins = np.unique(
+        np.concatenate([corner[spread] * len(x) + multiple for corner in corners])
+    )
+    keys, rows = np.divmod(rows_of_bins, max(len(x), 1))
+    return np.append(corners[0][single], keys), np.append(single, rows)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -19,7 +19,7 @@ from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, format_mesh_point
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.tolerances import FLAT_CELL
-from fenics_tfeti.fem.topology import cell_facets, cell_type, cell_vertices
+from fenics_tfeti.fem.topology import batches, cell_facets, cell_type, cell_vertices
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -29,53 +29,35 @@ _CELLS = 2**12
 
 @dataclass(frozen=True)
 class CellGeometry:
-    """The cells that this rank owns.
+    """The m cells that this rank owns.
 
     Coordinates are by component, with the cells as the last axis: several times faster than
     operations over short last axes.
-
-    Attributes
-    ----------
-    type : ReferenceCell
-        The cells' type.
-    nodes : (m, v) integer array
-        Rows of ``geometry.x`` at the vertices.
-    x : (gdim, n) array
-        Coordinates of the nodes [m].
-    midpoint : (gdim, m) array
-        Means of the corners [m].
-    size : (m,) array
-        Twice the largest distance of a corner from the midpoint [m].
-    lowest, highest, volume : (m,) arrays
-        Determinants of the Jacobian: the least and the largest at the corners, and that at the
-        midpoint [m^gdim].
-    body : (m,) integer array
-        The body of each.
     """
 
     type: ReferenceCell
-    nodes: NDArray[np.int32]
-    x: Vector
-    midpoint: Vector
-    size: Vector
-    lowest: Vector
+    nodes: NDArray[np.int32]  # (m, v) rows of ``geometry.x`` at the vertices
+    x: Vector  # (gdim, n) coordinates of the nodes [m]
+    midpoint: Vector  # (gdim, m) means of the corners [m]
+    size: Vector  # twice the largest distance of a corner from the midpoint [m]
+    lowest: Vector  # least and largest det J at the corners, and det J at the midpoint [m^gdim]
     highest: Vector
     volume: Vector
     body: Numbers
 
     @staticmethod
-    def of(domain: Mesh, body: Numbers) -> CellGeometry:
-        """Compute it for a mesh, given the body of each owned cell."""
+    def from_mesh(domain: Mesh, body: Numbers) -> CellGeometry:
+        """Measure the cells of a mesh, given the body of each owned cell."""
         type_, nodes = cell_type(domain), cell_vertices(domain)[: body.size]
         x = np.ascontiguousarray(domain.geometry.x[:, : domain.geometry.dim].T)
         midpoint = np.empty((len(x), body.size))
         size, lowest, highest, volume = np.empty((4, body.size))
-        for some in _batches(body.size):
-            corners = x[:, nodes[some].T]
-            midpoint[:, some] = corners.mean(axis=1)
-            spokes = corners - midpoint[:, None, some]
-            size[some] = 2.0 * np.sqrt(np.sum(spokes**2, axis=0).max(axis=0))
-            lowest[some], highest[some], volume[some] = _determinants(type_, corners)
+        for batch in batches(body.size, _CELLS):
+            corners = x[:, nodes[batch].T]
+            midpoint[:, batch] = corners.mean(axis=1)
+            spokes = corners - midpoint[:, None, batch]
+            size[batch] = 2.0 * np.sqrt(np.sum(spokes**2, axis=0).max(axis=0))
+            lowest[batch], highest[batch], volume[batch] = _determinants(type_, corners)
         return CellGeometry(type_, nodes, x, midpoint, size, lowest, highest, volume, body)
 
     def shortest_edges(self, cells: Numbers) -> Vector:
@@ -88,21 +70,14 @@ class CellGeometry:
         return shortest
 
 
-def _batches(cells: int) -> Iterator[slice]:
-    for first in range(0, cells, _CELLS):
-        yield slice(first, min(first + _CELLS, cells))
-
-
 # -- single cells ------------------------------------------------------------------------------
 
 
 def check_shapes(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
     """Check the determinants of the Jacobians, whose sign dolfinx ignores. Collective.
 
-    Raises
-    ------
-    InputError
-        Cells in which the determinant changes its sign, straight or curved, cells without volume.
+    Wrong are cells in which the determinant changes its sign, straight or curved, and cells without
+    volume.
     """
     dim = len(cells.x)
     scale = FLAT_CELL * cells.size**dim
@@ -140,10 +115,10 @@ def _range_in_curved_cells(domain: Mesh, cells: CellGeometry) -> tuple[Vector, V
     """Return the smallest and the largest det J (m,) at the nodes of cells of degree 2."""
     nodes, gradients = _compat.geometry_cells(domain), _compat.gradients_at_nodes(cells.type.name)
     lowest, highest = np.empty((2, cells.body.size))
-    for some in _batches(cells.body.size):
-        columns = [along @ cells.x[:, nodes[some].T] for along in gradients]
+    for batch in batches(cells.body.size, _CELLS):
+        columns = [derivative @ cells.x[:, nodes[batch].T] for derivative in gradients]
         values = _determinant(columns)
-        lowest[some], highest[some] = values.min(axis=0), values.max(axis=0)
+        lowest[batch], highest[batch] = values.min(axis=0), values.max(axis=0)
     return lowest, highest
 
 
@@ -157,8 +132,8 @@ def _determinants(type_: ReferenceCell, corners: Vector) -> tuple[Vector, Vector
     grid = corners.reshape(dim, *(2,) * dim, -1)
     edges = [np.diff(grid, axis=dim - d) for d in range(dim)]
     means = [e.reshape(dim, 2 ** (dim - 1), -1).mean(axis=1) for e in edges]
-    at_corners = _determinant(edges).reshape(2**dim, -1)
-    return at_corners.min(axis=0), at_corners.max(axis=0), _determinant(means)
+    values = _determinant(edges).reshape(2**dim, -1)
+    return values.min(axis=0), values.max(axis=0), _determinant(means)
 
 
 def _determinant(columns: Sequence[Vector]) -> Vector:
@@ -180,7 +155,7 @@ def _raise_for_cells(
 ) -> None:
     """Raise on all ranks if any has wrong cells, naming the first by its coordinates."""
     points = concatenate_ranks(domain.comm, cells.midpoint[:, wrong].T)
-    of = concatenate_ranks(domain.comm, cells.body[wrong])
+    body = concatenate_ranks(domain.comm, cells.body[wrong])
     if not len(points):
         return
     first = coordinate_order(points)[0]
@@ -188,7 +163,7 @@ def _raise_for_cells(
     where = "around" if len(points) == 1 else "the first around"
     raise InputError(
         f"the mesh has {what}: {len(points)} of {total} cells, {where} "
-        f"{format_mesh_point(domain, points[first])} in {bodies.names[of[first]]}. {remedy}"
+        f"{format_mesh_point(domain, points[first])} in {bodies.names[body[first]]}. {remedy}"
     )
 
 
@@ -198,10 +173,7 @@ def _raise_for_cells(
 def check_overlaps(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
     """Check that the two cells of a facet are on different sides of it. Collective.
 
-    Raises
-    ------
-    InputError
-        Cells on the same side of a common facet, such as a cell turned inside out.
+    They are on the same side where a cell is turned inside out, for instance.
     """
     facets, above = cell_facets(domain)[: cells.body.size], _above(cells)
     number = int(facets.max(initial=-1)) + 1
@@ -210,12 +182,12 @@ def check_overlaps(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
         crowded |= np.bincount(facets[side], minlength=number) > 1
     folded = np.count_nonzero(crowded[facets], axis=1)
     # a cell turned inside out has several such facets, each of its neighbours one
-    most = domain.comm.allreduce(int(folded.max(initial=0)), MPI.MAX)
+    largest = domain.comm.allreduce(int(folded.max(initial=0)), MPI.MAX)
     _raise_for_cells(
         domain,
         bodies,
         cells,
-        (folded > 0) & (folded == most),
+        (folded > 0) & (folded == largest),
         "cells that overlap their neighbours, on the same side of a common facet",
         "A vertex was moved through the opposite side: mesh there again",
     )
@@ -228,18 +200,18 @@ def _above(cells: CellGeometry) -> Mask:
     cells on the two sides of a facet give it opposite orientations.
     """
     above = np.empty((cells.body.size, len(cells.type.facets)), dtype=bool)
-    for some in _batches(cells.body.size):
-        nodes, positive = cells.nodes[some].T.copy(), cells.volume[some] > 0.0
+    for batch in batches(cells.body.size, _CELLS):
+        nodes, positive = cells.nodes[batch].T.copy(), cells.volume[batch] > 0.0
         for k, facet in enumerate(cells.type.facets):
-            above[some, k] = _odd(nodes[list(facet)]) ^ positive ^ bool(k % 2)
+            above[batch, k] = _odd(nodes[list(facet)]) ^ positive ^ bool(k % 2)
     return above
 
 
 def _odd(nodes: NDArray[np.int32]) -> Mask:
     """Tell which facets (v, k) have their vertices in an order that reverses the orientation."""
     if len(nodes) == 4:  # a quadrilateral by its diagonals: the ends of each, then the two
-        one, other = nodes[[0, 3]], nodes[[1, 2]]
-        odd: Mask = _odd(one) ^ _odd(other) ^ (one.min(axis=0) > other.min(axis=0))
+        first, second = nodes[[0, 3]], nodes[[1, 2]]
+        odd: Mask = _odd(first) ^ _odd(second) ^ (first.min(axis=0) > second.min(axis=0))
     else:
         odd = np.bitwise_xor.reduce([a > b for a, b in combinations(nodes, 2)])
     return odd

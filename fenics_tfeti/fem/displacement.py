@@ -24,21 +24,8 @@ from fenics_tfeti.typing import Vector
 def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
     """Return the space of the forms' arguments, and check that it is a space of displacements.
 
-    Parameters
-    ----------
-    a, L : ufl.Form
-        Bilinear and linear form.
-
-    Returns
-    -------
-    FunctionSpace
-        Lagrange elements of degree 1 or 2 with one component for each dimension.
-
-    Raises
-    ------
-    InputError
-        Wrong numbers of arguments, forms that are not linear in them, several spaces, another
-        element, cells of a higher degree than the displacement.
+    The space has Lagrange elements of degree 1 or 2, not below that of the cells, with one
+    component for each dimension; a is bilinear and L linear.
     """
     arguments = a.arguments() + L.arguments()
     _check_linear_in_trial_function(a)
@@ -84,9 +71,9 @@ def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
             f"the mesh has cells of dimension {space.mesh.topology.dim}; cells of the dimension "
             f"{gdim} of its coordinates are expected"
         )
-    of_cells = _compat.geometry_degree(space.mesh)
-    if of_cells > degree:
-        curved = "2" if of_cells == 2 else "3 or more"
+    cell_degree = _compat.geometry_degree(space.mesh)
+    if cell_degree > degree:
+        curved = "2" if cell_degree == 2 else "3 or more"
         raise InputError(
             f"the mesh has curved cells, of degree {curved}, and the displacement is of degree "
             f"{degree}; take displacements of degree 2 on cells of degree 1 or 2, or cells of "
@@ -111,29 +98,14 @@ def _check_linear_in_trial_function(a: ufl.Form) -> None:
 
 
 def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
-    """Evaluate Dirichlet conditions. Collective.
+    """Evaluate Dirichlet conditions at this rank's degrees of freedom. Collective.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    bcs : sequence of dolfinx.fem.DirichletBC
-        On the space or its components.
-
-    Returns
-    -------
-    Prescribed
-        The values of this rank's degrees of freedom, each with the number of its last condition.
-
-    Raises
-    ------
-    InputError
-        A condition on another space, NaN, contradictory values.
+    Each has the number of its last condition. Contradictory values are errors.
     """
     block = space.dofmap.index_map_bs
     index_map = space.dofmap.index_map
     size = block * (index_map.size_local + index_map.num_ghosts)
-    given = np.zeros(size, dtype=bool)
+    prescribed = np.zeros(size, dtype=bool)
     values = np.zeros(size)
     condition = np.zeros(size, dtype=np.int64)
     with raise_collectively(space.mesh.comm):
@@ -144,11 +116,11 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
                     "one of its components"
                 )
             dofs, new = _compat.bc_values(bc, size)
-            _check_values(space, number, dofs, new, given, values)
-            given[dofs] = True
+            _check_values(space, number, dofs, new, prescribed, values)
+            prescribed[dofs] = True
             values[dofs] = new
             condition[dofs] = number
-    unrolled = np.flatnonzero(given)
+    unrolled = np.flatnonzero(prescribed)
     nodes = index_map.local_to_global((unrolled // block).astype(np.int32))
     return Prescribed(
         np.asarray(nodes, dtype=np.int64),
@@ -163,7 +135,7 @@ def _check_values(
     number: int,
     dofs: NDArray[np.int32],
     new: Vector,
-    given: NDArray[np.bool_],
+    prescribed: NDArray[np.bool_],
     values: Vector,
 ) -> None:
     """Check the new values at some dofs against the values that are given already."""
@@ -174,7 +146,7 @@ def _check_values(
             "infinite"
         )
     scale = max(np.abs(new).max(initial=0.0), np.abs(values).max(initial=0.0))
-    wrong = dofs[given[dofs] & (np.abs(values[dofs] - new) > SAME_VALUE * scale)]
+    wrong = dofs[prescribed[dofs] & (np.abs(values[dofs] - new) > SAME_VALUE * scale)]
     if wrong.size:
         block = space.dofmap.index_map_bs
         x = space.tabulate_dof_coordinates()[wrong[0] // block]
@@ -189,28 +161,15 @@ def displacement_function(
     space: FunctionSpace,
     subdomains: Sequence[Subdomain],
     displacements: Sequence[Vector],
-    into: Function | None = None,
+    function: Function | None = None,
 ) -> Function:
-    """Return the function with the displacements of the subdomains.
+    """Return a function, by default a new one, filled with the displacements of subdomains.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    subdomains : sequence of Subdomain
-        This rank's subdomains.
-    displacements : sequence of (n_i,) arrays
-        Their displacements, equal at all copies of a node [m].
-    into : Function, optional
-        The function to fill; by default a new one.
-
-    Returns
-    -------
-    Function
-        On the user's mesh, ghosts up to date.
+    The displacements (n_i,) of this rank's subdomains [m] are equal at all copies of a node; the
+    function's ghosts are up to date.
     """
     block = space.dofmap.index_map_bs
-    uh = fem.Function(space, name="displacement") if into is None else into
+    uh = fem.Function(space, name="displacement") if function is None else function
     values = uh.x.array.reshape(-1, block)
     for subdomain, displacement in zip(subdomains, displacements, strict=True):
         values[_local_nodes(space, subdomain.nodes)] = displacement.reshape(-1, block)
@@ -241,6 +200,6 @@ def _local_nodes(space: FunctionSpace, nodes: NDArray[np.int64]) -> NDArray[np.i
     order = np.argsort(ghosts)
     owned = (nodes >= first) & (nodes < last)
     local: NDArray[np.int64] = nodes - first
-    at = np.searchsorted(ghosts[order], nodes[~owned])
-    local[~owned] = index_map.size_local + order[at]
+    position = np.searchsorted(ghosts[order], nodes[~owned])
+    local[~owned] = index_map.size_local + order[position]
     return local

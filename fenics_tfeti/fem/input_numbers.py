@@ -18,24 +18,14 @@ from fenics_tfeti.typing import Numbers
 
 @dataclass(frozen=True)
 class OwnedNodes:
-    """The nodes that this rank owns.
+    """The n nodes that this rank owns."""
 
-    Attributes
-    ----------
-    first : int
-        Number of the first one in the displacement's space.
-    coordinates : (n, gdim) array
-        [m].
-    numbers : (n,) integer array or None
-        See `input_numbers`.
-    """
-
-    first: int
-    coordinates: NDArray[np.float64]
-    numbers: Numbers | None
+    first: int  # global number of the first one
+    coordinates: NDArray[np.float64]  # (n, gdim) [m]
+    numbers: Numbers | None  # see `input_numbers`
 
     @staticmethod
-    def of(space: FunctionSpace, numbers: Numbers | None) -> OwnedNodes:
+    def from_space(space: FunctionSpace, numbers: Numbers | None) -> OwnedNodes:
         """Return the nodes of a space, where they are now, with their numbers."""
         first, end = space.dofmap.index_map.local_range
         x = space.tabulate_dof_coordinates()[: end - first, : space.mesh.geometry.dim]
@@ -43,40 +33,30 @@ class OwnedNodes:
 
 
 def input_numbers(space: FunctionSpace) -> Numbers | None:
-    """Return numbers of the nodes of a space by the input of its mesh. Collective.
+    """Return numbers (n,) of this rank's nodes of a Lagrange space by the mesh's input. Collective.
 
     The number of a node is its place in the first cell that it belongs to, in the order in which
-    the cells were given to dolfinx. It is the same for the same input on any ranks.
-
-    Parameters
-    ----------
-    space : FunctionSpace
-        Lagrange elements.
-
-    Returns
-    -------
-    (n,) integer array or None
-        For the nodes that this rank owns; distinct, with gaps. None on all ranks for a submesh,
-        which has no input.
+    the cells were given to dolfinx. It is the same for the same input on any ranks. Numbers are
+    distinct, with gaps; a submesh has no input: None on all ranks.
     """
     comm, index_map = space.mesh.comm, space.dofmap.index_map
-    given = _compat.input_cells(space.mesh)
-    if not comm.allreduce(given is not None, MPI.LAND) or given is None:
+    cells = _compat.input_cells(space.mesh)
+    if not comm.allreduce(cells is not None, MPI.LAND) or cells is None:
         return None
-    nodes = _compat.cell_dofs(space)[: given.size].astype(np.int64)
-    number = given[:, np.newaxis] * nodes.shape[1] + np.arange(nodes.shape[1])
+    nodes = _compat.cell_dofs(space)[: cells.size].astype(np.int64)
+    number = cells[:, np.newaxis] * nodes.shape[1] + np.arange(nodes.shape[1])
     in_cells = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=bool)
     in_cells[nodes] = True
     local = np.flatnonzero(in_cells)
     lowest = _lowest(nodes, number, in_cells.size)[local]
-    held = np.asarray(index_map.local_to_global(local.astype(np.int32)), dtype=np.int64)
-    directory = Directory(comm, held)
-    keys, lowest = directory.collect(held, lowest)
-    at_home = _lowest(
-        directory.position(keys)[:, np.newaxis], lowest[:, np.newaxis], directory.keys.size
+    keys = np.asarray(index_map.local_to_global(local.astype(np.int32)), dtype=np.int64)
+    directory = Directory(comm, keys)
+    arrived, lowest = directory.collect(keys, lowest)
+    lowest_at_home = _lowest(
+        directory.position(arrived)[:, np.newaxis], lowest[:, np.newaxis], directory.keys.size
     )
-    found: Numbers = directory.lookup(np.arange(*index_map.local_range), at_home)[1]
-    return found
+    numbers: Numbers = directory.lookup(np.arange(*index_map.local_range), lowest_at_home)[1]
+    return numbers
 
 
 def _lowest(positions: Numbers, numbers: Numbers, size: int) -> Numbers:

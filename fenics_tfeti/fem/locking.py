@@ -1,9 +1,9 @@
-"""Whether displacements of degree 1 lock, because a material is nearly incompressible.
+"""Check whether displacements of degree 1 lock, because a material is nearly incompressible.
 
 Some cells are measured by their element matrices. The energies of linear displacements are the
-elasticity tensor. Its largest eigenvalue, d lambda + 2 mu, belongs to the dilatation, the others,
-2 mu, to shear. Quadrilaterals and hexahedra lock if the volumetric term resists dilatations that
-vary within the cell, too: if it is not integrated by one point.
+elasticity tensor. Its largest eigenvalue, d lambda + 2 mu, belongs to the dilatation, the others, 2
+mu, to shear. Quadrilaterals and hexahedra lock if the volumetric term resists dilatations that vary
+within the cell, too: if it is not integrated by one point.
 """
 
 from __future__ import annotations
@@ -33,15 +33,7 @@ _RESISTED = 0.5
 
 
 def warn_of_locking(forms: PreparedForms, bodies: Bodies) -> None:
-    """Warn, on rank 0, if cells of degree 1 lock. Collective.
-
-    Parameters
-    ----------
-    forms : PreparedForms
-        The user's forms.
-    bodies : Bodies
-        Those of the mesh.
-    """
+    """Warn, on rank 0, if cells of degree 1 lock. Collective."""
     space = forms.space
     domain = space.mesh
     if _compat.element_facts(space)[1] > 1:
@@ -50,8 +42,8 @@ def warn_of_locking(forms: PreparedForms, bodies: Bodies) -> None:
     corners = domain.geometry.x[cell_vertices(domain)[cells], : domain.geometry.dim]
     matrices = forms.cell_matrices(cells)
     ratios = [locking_ratio(type_, x, K) for x, K in zip(corners, matrices, strict=True)]
-    own = max(zip(ratios, bodies.of_cell[cells].tolist(), strict=True), default=(0.0, 0))
-    ratio, body = max(domain.comm.allgather(own))
+    largest = max(zip(ratios, bodies.of_cell[cells].tolist(), strict=True), default=(0.0, 0))
+    ratio, body = max(domain.comm.allgather(largest))
     if ratio <= _NEARLY_INCOMPRESSIBLE:
         return
     remedy = "Take displacements of degree 2 (displacement_space(mesh, degree=2))"
@@ -75,26 +67,20 @@ def _samples(forms: PreparedForms, bodies: Bodies) -> NDArray[np.int32]:
     form = forms.bilinear
     if form.cell_tag is not None:
         groups += [np.flatnonzero(form.cell_tag == tag) for tag in form.cell_ids]
-    chosen = [group[:: max(1, -(-group.size // _CELLS))] for group in groups]
+    selected = [group[:: max(1, -(-group.size // _CELLS))] for group in groups]
     for values in form.cell_data():
         if values.dtype.kind == "f" and len(values):
-            of_cell = values[: bodies.of_cell.size].reshape(bodies.of_cell.size, -1)
-            chosen += [of_cell.argmin(axis=0), of_cell.argmax(axis=0)]
-    found: NDArray[np.int32] = np.unique(np.concatenate([np.zeros(0), *chosen])).astype(np.int32)
-    return found
+            rows = values[: bodies.of_cell.size].reshape(bodies.of_cell.size, -1)
+            selected += [rows.argmin(axis=0), rows.argmax(axis=0)]
+    cells: NDArray[np.int32] = np.unique(np.concatenate([np.zeros(0), *selected])).astype(np.int32)
+    return cells
 
 
 def locking_ratio(type_: ReferenceCell, corners: Vector, K: Vector) -> float:
     """Return Poisson's ratio of a cell's material, or 0 where the cell does not lock.
 
-    Parameters
-    ----------
-    type_ : ReferenceCell
-        The cell's type.
-    corners : (v, gdim) array
-        Its vertices [m].
-    K : (v gdim, v gdim) array
-        Its stiffness matrix for displacements of degree 1 [N/m].
+    `corners` (v, gdim) are its vertices [m], K (v gdim, v gdim) its stiffness matrix of degree 1
+    [N/m].
     """
     d, x = type_.dim, corners - corners.mean(axis=0)
     linear = np.stack([(x @ strain).ravel() for strain in _strains(d)], axis=1)
@@ -124,7 +110,7 @@ def _strains(d: int) -> list[Vector]:
 
 
 def _resisted(x: Vector, K: Vector, mu_volume: float, lambda_volume: float) -> float:
-    """Return which share of the dilatations that vary within a cell the volumetric term resists.
+    """Return the share of dilatations varying within a cell that the volumetric term resists.
 
     For the products of two coordinates as displacements along one of them, as in bending: 1 with
     all points of integration, 0 with one.
@@ -146,24 +132,26 @@ def _resisted(x: Vector, K: Vector, mu_volume: float, lambda_volume: float) -> f
     constant = float(means @ means) / volume
     flat = modes.reshape(len(modes), -1)
     energy = float(np.einsum("mi,ij,mj->", flat, K, flat))
-    of_dilatation = (energy * volume - mu_volume * shear) / lambda_volume
-    return (of_dilatation - constant) / (squares - constant)
+    resistance = (energy * volume - mu_volume * shear) / lambda_volume
+    return (resistance - constant) / (squares - constant)
 
 
 def _gauss_points(x: Vector) -> list[tuple[Vector, float]]:
     """Return gradients of the shape functions (v, d), and det J times the weight, at 2^d points."""
     v, d = x.shape
     bits = np.arange(v)[:, None] >> np.arange(d) & 1
-    found = []
+    gradients = []
     for point in product((0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12)), repeat=d):
         factors = np.where(bits, point, 1.0 - np.array(point))
-        along = np.stack(
+        derivatives = np.stack(
             [
                 (2.0 * bits[:, k] - 1.0) * np.delete(factors, k, axis=1).prod(axis=1)
                 for k in range(d)
             ],
             axis=1,
         )
-        jacobian = x.T @ along
-        found.append((along @ np.linalg.inv(jacobian), abs(np.linalg.det(jacobian)) / 2**d))
-    return found
+        jacobian = x.T @ derivatives
+        gradients.append(
+            (derivatives @ np.linalg.inv(jacobian), abs(np.linalg.det(jacobian)) / 2**d)
+        )
+    return gradients

@@ -29,25 +29,11 @@ from fenics_tfeti.parallel import raise_collectively
 def check_mesh(domain: Mesh, bodies: Bodies, contacts: Sequence[Contact]) -> None:
     """Check the cells, and that each body is connected through facets. Collective.
 
-    Parameters
-    ----------
-    domain : Mesh
-        The mesh, of straight-sided cells.
-    bodies : Bodies
-        Its bodies.
-    contacts : sequence of ContactPair or RigidObstacle
-        The surfaces of a pair may be the two faces of a crack in one body.
-
-    Raises
-    ------
-    InputError
-        On all ranks: coordinates that are NaN, cells without volume, twisted or overlapping cells,
-        a cell tag on several pieces, bodies joined through edges or points only, nodes that dolfinx
-        has split, and nodes at the same place in one body.
+    The surfaces of a contact pair may be the two faces of a crack in one body.
     """
     with raise_collectively(domain.comm):
         _check_finite(domain)
-    cells = CellGeometry.of(domain, bodies.of_cell)
+    cells = CellGeometry.from_mesh(domain, bodies.of_cell)
     check_shapes(domain, bodies, cells)
     check_overlaps(domain, bodies, cells)
     surface = surface_nodes(domain, cells, contacts)

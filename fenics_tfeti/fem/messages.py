@@ -33,22 +33,14 @@ def raise_where(
 ) -> None:
     """Raise an `InputError` on all ranks if points of any rank are wrong. Collective.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    wrong : (k,) bool array
-        Which of this rank's points are wrong.
-    points : (k, gdim) array
-        Coordinates [m].
-    message : callable
-        (number of wrong points, coordinates of the first one as text) -> message.
+    `wrong` (k,) marks some of this rank's points (k, gdim) [m]; the message is made of the number
+    of wrong points of all ranks and the coordinates of the first one as text.
     """
-    found = concatenate_ranks(comm, points[wrong])
+    bad = concatenate_ranks(comm, points[wrong])
     size = comm.allreduce(float(np.abs(points).max(initial=0.0)), MPI.MAX)
-    if len(found):
-        first = found[coordinate_order(found)[0]]
-        raise InputError(message(len(found), format_point(first, size)))
+    if len(bad):
+        first = bad[coordinate_order(bad)[0]]
+        raise InputError(message(len(bad), format_point(first, size)))
 
 
 def format_mesh_point(domain: Mesh, point: Vector) -> str:

@@ -19,51 +19,26 @@ class ReferenceCell:
 
     The nodes of degree 2 are the vertices, the midpoints of the edges, those of the facets that are
     quadrilaterals, and the midpoint of a quadrilateral or hexahedron, in this order.
-
-    Attributes
-    ----------
-    name : str
-        Name in dolfinx and UFL.
-    dim : int
-        Dimension.
-    vertices : int
-        Number of vertices.
-    edges : tuple of (int, int)
-        Vertices of each edge, in dolfinx's numbering of edges.
-    facets : tuple of tuples of int
-        Vertices of each facet, in dolfinx's numbering of facets.
-    facet_name : str
-        Name of the facets' cell type.
-    axes : tuple of int
-        The vertices that share an edge with vertex 0, such that the edges to them form a
-        right-handed system.
-    reflected : tuple of int
-        The vertices in an order that reverses the orientation.
-    vtk_type : int
-        Number of the cell type in VTK.
-    vtk_order : tuple of int
-        The vertices in the order of VTK, which is also that of Gmsh.
-    grid_cut : tuple of tuples of int
-        The cells of this type into which one block of a grid is cut, by the vertices of the block
-        in tensor-product order. Simplices all share the diagonal from the lowest to the highest
-        vertex: opposite sides of the block are cut alike, so that adjacent grids match.
     """
 
-    name: str
+    name: str  # in dolfinx and UFL
     dim: int
     vertices: int
-    edges: tuple[tuple[int, int], ...]
-    facets: tuple[Vertices, ...]
+    edges: tuple[tuple[int, int], ...]  # vertices of each, in dolfinx's numbering of edges
+    facets: tuple[Vertices, ...]  # vertices of each, in dolfinx's numbering of facets
     facet_name: str
-    axes: Vertices
-    reflected: Vertices
+    axes: Vertices  # neighbours of vertex 0, such that the edges to them form a right-handed system
+    reflected: Vertices  # the vertices in an order that reverses the orientation
     vtk_type: int
-    vtk_order: Vertices
+    vtk_order: Vertices  # the vertices in the order of VTK, which is also that of Gmsh
+    # The cells into which one block of a grid is cut, by the vertices of the block in tensor-
+    # product order. Simplices all share the diagonal from the lowest to the highest vertex:
+    # opposite sides of the block are cut alike, so that adjacent grids match.
     grid_cut: tuple[Vertices, ...]
 
     @property
     def is_simplex(self) -> bool:
-        """Whether the cell is an interval, a triangle or a tetrahedron."""
+        """True for intervals, triangles and tetrahedra."""
         return self.vertices == self.dim + 1
 
     @property
@@ -106,8 +81,8 @@ class ReferenceCell:
 
     @cached_property
     def _facet_nodes(self) -> tuple[tuple[Vertices, ...], tuple[Vertices, ...]]:
-        around = self.facet.vtk_order
-        linear = tuple(tuple(facet[k] for k in around) for facet in self.facets)
+        cycle_order = self.facet.vtk_order
+        linear = tuple(tuple(facet[k] for k in cycle_order) for facet in self.facets)
         number = {edge: self.vertices + k for k, edge in enumerate(self.edges)}
         quadratic = []
         for k, cycle in enumerate(linear):
@@ -148,8 +123,8 @@ def _grid_pieces(dim: int) -> list[list[Vertices]]:
         # along each axis the side where both are, or both sides
         return tuple(
             v
-            for v, at in enumerate(corners)
-            if all(a != b or c == a for a, b, c in zip(first, second, at, strict=True))
+            for v, corner in enumerate(corners)
+            if all(a != b or c == a for a, b, c in zip(first, second, corner, strict=True))
         )
 
     return [[vertices_around(piece, corner) for corner in corners] for piece in corners]
@@ -258,15 +233,8 @@ MESH_CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
 
 def reference_cell(name: str) -> ReferenceCell:
-    """Return the cell type of a name.
+    """Return the cell type with a name of dolfinx.
 
-    Parameters
-    ----------
-    name : str
-        As in dolfinx, such as "hexahedron".
-
-    Examples
-    --------
     >>> reference_cell("tetrahedron").facet.edges
     ((1, 2), (0, 2), (0, 1))
     """

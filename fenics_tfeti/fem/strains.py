@@ -1,4 +1,4 @@
-"""Whether the strains and rotations of a solution are as small as linear elasticity assumes."""
+"""Check whether strains and rotations of a solution are as small as linear elasticity assumes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.reference_cells import ReferenceCell
-from fenics_tfeti.fem.topology import cell_type, cell_vertices, vertex_nodes
+from fenics_tfeti.fem.topology import batches, cell_type, cell_vertices, vertex_nodes
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
@@ -28,21 +28,8 @@ _CELLS = 2**14
 def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Sequence[float]) -> bool:
     """Warn, on rank 0, if displacement gradients are large in cells that carry load. Collective.
 
-    They are those at the midpoints. Bodies without strain energy may turn as far as they like.
-
-    Parameters
-    ----------
-    uh : Function
-        The displacement [m].
-    bodies : Bodies
-        Those of its mesh.
-    energy : sequence of float
-        The strain energy of each [J].
-
-    Returns
-    -------
-    bool
-        Whether it has warned, on all ranks.
+    They are those at the midpoints. Bodies without strain energy [J] may turn as far as they like.
+    Return on all ranks whether there was a warning.
     """
     comm = uh.function_space.mesh.comm
     size, strain2 = _cell_measures(uh, bodies.of_cell.size)
@@ -78,37 +65,25 @@ def _cell_measures(uh: Function, cells: int) -> tuple[Vector, Vector]:
     type_, u = cell_type(domain), uh.x.array.reshape(-1, gdim)
     vertices, nodes = cell_vertices(domain)[:cells], vertex_nodes(space)[:cells]
     size, strain2 = np.empty((2, cells))
-    for first in range(0, cells, _CELLS):
-        some = slice(first, first + _CELLS)
-        corners = domain.geometry.x[vertices[some], :gdim]
-        gradient, volume = cell_gradients(type_, corners, u[nodes[some]])
+    for batch in batches(cells, _CELLS):
+        corners = domain.geometry.x[vertices[batch], :gdim]
+        gradient, volume = cell_gradients(type_, corners, u[nodes[batch]])
         strain = 0.5 * (gradient + gradient.transpose(0, 2, 1))
-        size[some] = np.linalg.norm(gradient, axis=(1, 2))
-        strain2[some] = np.sum(strain**2, axis=(1, 2)) * volume
+        size[batch] = np.linalg.norm(gradient, axis=(1, 2))
+        strain2[batch] = np.sum(strain**2, axis=(1, 2)) * volume
     return size, strain2
 
 
 def cell_gradients(type_: ReferenceCell, corners: Vector, values: Vector) -> tuple[Vector, Vector]:
-    """Return the gradients of a vector field at the midpoints of cells.
+    """Return gradients (k, gdim, gdim) of vector fields at cell midpoints, and |det J| [m^gdim].
 
-    Parameters
-    ----------
-    type_ : ReferenceCell
-        The cells' type.
-    corners, values : (k, v, gdim) arrays
-        Coordinates [m] and values at the vertices.
-
-    Returns
-    -------
-    gradient : (k, gdim, gdim) array
-        Derivatives of the components in rows.
-    volume : (k,) array
-        det J at the midpoint, by magnitude [m^gdim].
+    The coordinates [m] and the values at the vertices are of shape (k, v, gdim); derivatives of a
+    component are in a row.
     """
     if type_.is_simplex:
-        along = np.vstack([-np.ones(type_.dim), np.eye(type_.dim)])
+        derivatives = np.vstack([-np.ones(type_.dim), np.eye(type_.dim)])
     else:
         bits = np.arange(type_.vertices)[:, None] >> np.arange(type_.dim) & 1
-        along = (2.0 * bits - 1.0) / 2 ** (type_.dim - 1)
-    jacobian, differences = (np.einsum("kva,vd->kad", f, along) for f in (corners, values))
+        derivatives = (2.0 * bits - 1.0) / 2 ** (type_.dim - 1)
+    jacobian, differences = (np.einsum("kva,vd->kad", f, derivatives) for f in (corners, values))
     return differences @ np.linalg.inv(jacobian), np.abs(np.linalg.det(jacobian))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -27,14 +28,14 @@ def owned_cells(domain: Mesh) -> int:
     return int(domain.topology.index_map(domain.topology.dim).size_local)
 
 
-def tags_of_cells(domain: Mesh, cell_tags: Any) -> NDArray[np.int64]:
-    """Return the tag of each cell that this rank owns. Collective.
+def batches(count: int, size: int) -> Iterator[slice]:
+    """Return slices of at most `size` that cover `count` rows."""
+    for first in range(0, count, size):
+        yield slice(first, min(first + size, count))
 
-    Raises
-    ------
-    InputError
-        Tags of facets instead of cells, cells without a tag.
-    """
+
+def tags_of_cells(domain: Mesh, cell_tags: Any) -> NDArray[np.int64]:
+    """Return the tag of each cell that this rank owns; all cells need one. Collective."""
     owned = owned_cells(domain)
     tags = np.zeros(owned, dtype=np.int64)
     with raise_collectively(domain.comm):
@@ -48,10 +49,10 @@ def tags_of_cells(domain: Mesh, cell_tags: Any) -> NDArray[np.int64]:
                 f"cell_tags are on entities of dimension {cell_tags.dim}, cells have dimension "
                 f"{domain.topology.dim}: were the facet tags passed?"
             )
-        mine = cell_tags.indices < owned
+        on_owned = cell_tags.indices < owned
         tagged = np.zeros(owned, dtype=bool)
-        tagged[cell_tags.indices[mine]] = True
-        tags[cell_tags.indices[mine]] = cell_tags.values[mine]
+        tagged[cell_tags.indices[on_owned]] = True
+        tags[cell_tags.indices[on_owned]] = cell_tags.values[on_owned]
         if not tagged.all():
             raise InputError(
                 f"cell_tags leave {np.count_nonzero(~tagged)} of {owned} cells of rank "
@@ -97,5 +98,7 @@ def exterior_facets(domain: Mesh) -> NDArray[np.bool_]:
 
 def exterior_cell_facets(domain: Mesh) -> NDArray[np.bool_]:
     """Tell which facets of each owned cell are on the boundary of the mesh."""
-    of_cell: NDArray[np.bool_] = exterior_facets(domain)[cell_facets(domain)[: owned_cells(domain)]]
-    return of_cell
+    exterior: NDArray[np.bool_] = exterior_facets(domain)[
+        cell_facets(domain)[: owned_cells(domain)]
+    ]
+    return exterior

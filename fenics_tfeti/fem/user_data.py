@@ -22,22 +22,7 @@ from fenics_tfeti.typing import Vector
 
 
 def evaluate(function: Callable[[Vector], Any], points: Vector, what: str) -> Any:
-    """Call a user's function; an exception that it raises becomes an `InputError`.
-
-    Parameters
-    ----------
-    function : callable
-        Called with points of shape (3, k).
-    points : (k, 3) array
-        Coordinates [m].
-    what : str
-        The function's name in messages.
-
-    Returns
-    -------
-    object
-        What the function returned.
-    """
+    """Call a user's function of points (3, k); what it raises becomes an `InputError`."""
     try:
         return function(np.array(points.T, order="C"))
     except InputError as error:
@@ -55,13 +40,7 @@ def vectors_at(
     gdim: int,
     what: str,
 ) -> Vector:
-    """Evaluate a user's vector field (k, gdim) at points (k, 3). Collective.
-
-    Raises
-    ------
-    InputError
-        A wrong shape, NaN, or an exception of the function.
-    """
+    """Evaluate a user's vector field (k, gdim) at points (k, 3), check its shape. Collective."""
     with raise_collectively(comm):
         vectors = _vectors(function, points, gdim, what)
     raise_where(
@@ -75,30 +54,17 @@ def vectors_at(
 
 def unit_vectors(
     comm: MPI.Intracomm,
-    given: ArrayLike | Callable[[Vector], ArrayLike],
+    direction: ArrayLike | Callable[[Vector], ArrayLike],
     points: Vector,
     gdim: int,
     what: str,
 ) -> Vector:
-    """Evaluate a constant or a user's vector field at points (k, 3), divided by its length.
-
-    Collective.
-
-    Returns
-    -------
-    (k, gdim) array
-        Unit vectors.
-
-    Raises
-    ------
-    InputError
-        A wrong shape, NaN, or a vector of length zero.
-    """
-    if callable(given):
-        vectors = vectors_at(comm, given, points, gdim, what)
+    """Evaluate a constant or a vector field at points (k, 3); return unit vectors. Collective."""
+    if callable(direction):
+        vectors = vectors_at(comm, direction, points, gdim, what)
     else:
         with raise_collectively(comm):
-            vectors = np.tile(_constant_vector(given, gdim, what), (len(points), 1))
+            vectors = np.tile(_constant_vector(direction, gdim, what), (len(points), 1))
     length = np.linalg.norm(vectors, axis=1)
     longest = comm.allreduce(float(length.max(initial=0.0)), MPI.MAX)
     raise_where(
@@ -114,15 +80,9 @@ def unit_vectors(
     return unit
 
 
-def points_of(given: ArrayLike, gdim: int, what: str) -> Vector:
-    """Return a user's points as (k, gdim); they may have gdim or three coordinates each.
-
-    Raises
-    ------
-    InputError
-        A wrong shape or NaN.
-    """
-    points = _numbers(given, what)
+def as_points(data: ArrayLike, gdim: int, what: str) -> Vector:
+    """Return a user's points as (k, gdim); they may have gdim or three coordinates each."""
+    points = _numbers(data, what)
     if points.ndim != 2 or points.shape[1] not in (gdim, 3) or not len(points):
         raise InputError(f"{what} have shape {points.shape}, expected (k, {gdim}) with k > 0")
     if not np.isfinite(points).all():
@@ -132,11 +92,11 @@ def points_of(given: ArrayLike, gdim: int, what: str) -> Vector:
     return flat
 
 
-def _numbers(given: Any, what: str) -> Vector:
+def _numbers(data: Any, what: str) -> Vector:
     try:
-        return np.asarray(given, dtype=float)
+        return np.asarray(data, dtype=float)
     except (TypeError, ValueError):
-        raise InputError(f"{what}: expected an array of numbers, not {type(given).__name__}") from (
+        raise InputError(f"{what}: expected an array of numbers, not {type(data).__name__}") from (
             None
         )
 
@@ -157,8 +117,8 @@ def _vectors(
     return vectors
 
 
-def _constant_vector(given: ArrayLike, gdim: int, what: str) -> Vector:
-    vector = _numbers(given, what)
+def _constant_vector(data: ArrayLike, gdim: int, what: str) -> Vector:
+    vector = _numbers(data, what)
     if vector.shape != (gdim,):
         raise InputError(f"{what} has shape {vector.shape}; expected ({gdim},) or a function of x")
     if not np.isfinite(vector).all() or not np.any(vector):

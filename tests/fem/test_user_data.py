@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fenics_tfeti import InputError
-from fenics_tfeti.fem.user_data import evaluate, points_of, unit_vectors, vectors_at
+from fenics_tfeti.fem.user_data import as_points, evaluate, unit_vectors, vectors_at
 
 COMM = MPI.COMM_SELF
 X = np.array([[1.0, 2.0, 0.0], [3.0, 4.0, 0.0]])
@@ -65,7 +65,7 @@ def test_vector_that_is_rounding_has_no_direction():
 
 @pytest.mark.parametrize("columns", [2, 3])
 def test_points_may_have_three_coordinates_in_the_plane(columns):
-    np.testing.assert_array_equal(points_of(X[:, :columns], 2, "they"), X[:, :2])
+    np.testing.assert_array_equal(as_points(X[:, :columns], 2, "they"), X[:, :2])
 
 
 @pytest.mark.parametrize(
@@ -79,4 +79,4 @@ def test_points_may_have_three_coordinates_in_the_plane(columns):
 )
 def test_wrong_points(given, words):
     with pytest.raises(InputError, match=words):
-        points_of(given, 2, "they")
+        as_points(given, 2, "they")

@@ -34,13 +34,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class FormValues:
-    """Copies of the values of the forms' coefficients and constants, to notice changes.
-
-    Attributes
-    ----------
-    bilinear, linear : list of arrays
-        Values in a and in L.
-    """
+    """Copies of the values of the coefficients and constants of a and L, to notice changes."""
 
     bilinear: list[NDArray[np.float64]]
     linear: list[NDArray[np.float64]]
@@ -48,15 +42,7 @@ class FormValues:
 
 @dataclass(frozen=True)
 class PreparedForms:
-    """The user's forms, ready to be assembled on this rank's subdomains.
-
-    Attributes
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    bilinear, linear : PreparedForm
-        The forms a and L.
-    """
+    """The user's forms a and L, ready to be assembled on this rank's subdomains."""
 
     space: FunctionSpace
     bilinear: PreparedForm
@@ -68,23 +54,12 @@ class PreparedForms:
         known: Sequence[Subdomain] | None = None,
         x: NDArray[np.float64] | None = None,
     ) -> list[Subdomain]:
-        """Assemble K_i and f_i of this rank's subdomains. Collective.
+        """Assemble K_i and f_i of this rank's subdomains, or only f_i of known ones. Collective.
 
-        Parameters
-        ----------
-        parts : sequence of Part
-            Their cells and nodes.
-        known : sequence of Subdomain, optional
-            The same subdomains with earlier loads: only f_i is assembled anew.
-        x : (dofs, 3) array, optional
-            Coordinates of the blocked degrees of freedom [m], where they are known.
-
-        Returns
-        -------
-        list of Subdomain
-            With global node numbers of the displacement's space. Subdomains share K_i if they are
-            congruent, their coefficients and tags are equal and `a` is translation invariant; those
-            that are rotated or mirrored, if the matrices of their cells are.
+        `x` are the coordinates (dofs, 3) of the blocked degrees of freedom [m], where they are
+        known. Subdomains share K_i if they are congruent, their coefficients and tags are equal and
+        `a` is translation invariant; those that are rotated or mirrored, if the matrices of their
+        cells are.
         """
         loads = self._loads(parts)
         if known is not None:
@@ -113,13 +88,7 @@ class PreparedForms:
         return [K.toarray() for K in self._assembled(parts)]
 
     def values(self) -> FormValues:
-        """Return the present values of the forms' coefficients and constants. Collective.
-
-        Raises
-        ------
-        InputError
-            NaN in coefficients and constants.
-        """
+        """Return the present values of the forms' coefficients and constants. Collective."""
         with raise_collectively(self.space.mesh.comm):
             return FormValues(self.bilinear.values(), self.linear.values())
 
@@ -129,8 +98,8 @@ class PreparedForms:
         """Assemble one matrix for all parts with equal data; return the part that it is of."""
         form = self.bilinear
         data = form.cell_data()
-        chosen = samples(parts, data) if form.translation_invariant else {}
-        matrices = self._sample_matrices(parts, chosen)
+        sample_cells = samples(parts, data) if form.translation_invariant else {}
+        matrices = self._sample_matrices(parts, sample_cells)
         first = find_equal(parts, x, data, form.translation_invariant, matrices)
         different = sorted(set(first))
         logger.info(
@@ -151,41 +120,35 @@ class PreparedForms:
         ]
 
     def _sample_matrices(
-        self, parts: Sequence[Part], chosen: Mapping[int, NDArray[np.int64]]
+        self, parts: Sequence[Part], cells: Mapping[int, NDArray[np.int64]]
     ) -> dict[int, NDArray[np.float64]]:
         """Return the matrices of some cells of some parts, in the frames of the parts' shapes.
 
-        Collective, also for ranks without such parts.
-
-        Parameters
-        ----------
-        parts : sequence of Part
-            This rank's.
-        chosen : dict of int to integer arrays
-            Positions of the cells of some of them.
+        Collective, also for ranks without such parts. `cells` are positions, for each of these
+        parts.
         """
         torn = list[Part]()
-        for i, rows in chosen.items():
+        for i, rows in cells.items():
             # in the order that cells of images have, too
             order = np.argsort(parts[i].table[rows], axis=1)
             table = np.empty_like(order, dtype=np.int32)
             np.put_along_axis(table, order, np.arange(order.size).reshape(order.shape), axis=1)
             nodes = np.take_along_axis(parts[i].table[rows], order, axis=1)
             torn.append(Part(parts[i].cells[rows], parts[i].nodes[nodes.ravel()], table, 0))
-        found = dict[int, NDArray[np.float64]]()
+        matrices = dict[int, NDArray[np.float64]]()
         if not self.space.mesh.comm.allreduce(bool(torn), MPI.LOR):
-            return found
-        for i, K, part in zip(chosen, self._assembled(torn), torn, strict=True):
-            cells, nodes_of_cell = part.table.shape
-            size = K.shape[0] // cells
+            return matrices
+        for i, K, part in zip(cells, self._assembled(torn), torn, strict=True):
+            count, nodes_of_cell = part.table.shape
+            size = K.shape[0] // count
             entries = K.tocoo()
-            found[i] = np.zeros((cells, size, size))
-            found[i][entries.row // size, entries.row % size, entries.col % size] = entries.data
-            turn = parts[i].turn
-            if turn is not None:
-                T = np.kron(np.eye(nodes_of_cell), turn)
-                found[i] = T.T @ found[i] @ T
-        return found
+            matrices[i] = np.zeros((count, size, size))
+            matrices[i][entries.row // size, entries.row % size, entries.col % size] = entries.data
+            rotation = parts[i].rotation
+            if rotation is not None:
+                T = np.kron(np.eye(nodes_of_cell), rotation)
+                matrices[i] = T.T @ matrices[i] @ T
+        return matrices
 
     def _loads(self, parts: Sequence[Part]) -> list[NDArray[np.float64]]:
         V, ends = self._torn_space(parts)
@@ -204,25 +167,7 @@ class PreparedForms:
 
 
 def prepare_forms(space: FunctionSpace, a: ufl.Form, L: ufl.Form) -> PreparedForms:
-    """Check and compile the user's forms. Collective.
-
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    a, L : ufl.Form
-        Bilinear and linear form, with integrals over cells and exterior facets.
-
-    Returns
-    -------
-    PreparedForms
-        To assemble subdomains.
-
-    Raises
-    ------
-    InputError
-        Unsupported integrals, coefficients or tags; NaN in coefficients and constants.
-    """
+    """Check and compile the user's forms on the displacement's space. Collective."""
     exterior = exterior_cell_facets(space.mesh)
     return PreparedForms(
         space,
@@ -232,20 +177,20 @@ def prepare_forms(space: FunctionSpace, a: ufl.Form, L: ufl.Form) -> PreparedFor
 
 
 def same_values(
-    before: Sequence[NDArray[np.float64]], now: Sequence[NDArray[np.float64]], comm: MPI.Intracomm
+    old: Sequence[NDArray[np.float64]], new: Sequence[NDArray[np.float64]], comm: MPI.Intracomm
 ) -> bool:
     """Tell whether values are unchanged on all ranks. Collective."""
-    same = all(np.array_equal(x, y) for x, y in zip(before, now, strict=True))
-    return bool(comm.allreduce(same, MPI.LAND))
+    equal = all(np.array_equal(x, y) for x, y in zip(old, new, strict=True))
+    return bool(comm.allreduce(equal, MPI.LAND))
 
 
 def _frame(part: Part, first: Part) -> NDArray[np.float64] | None:
     """Return the matrix that turns the first part of a class to one of its members."""
-    if part.turn is first.turn:
+    if part.rotation is first.rotation:
         return None
-    if first.turn is None:
-        return part.turn
-    return first.turn.T if part.turn is None else part.turn @ first.turn.T
+    if first.rotation is None:
+        return part.rotation
+    return first.rotation.T if part.rotation is None else part.rotation @ first.rotation.T
 
 
 def _diagonal_block(

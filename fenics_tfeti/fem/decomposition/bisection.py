@@ -21,48 +21,29 @@ _PASSES = 6
 _LARGE = 0.3
 
 
-def bisect(graph: sp.csr_matrix, midpoints: Points, parts: int) -> Numbers:
-    """Cut a connected set of cells into parts with nearly as many cells each.
+def bisect(graph: sp.csr_matrix, midpoints: Points, count: int) -> Numbers:
+    """Cut a connected set of m cells into parts with nearly as many cells each; return the labels.
 
-    Parameters
-    ----------
-    graph : (m, m) scipy.sparse.csr_matrix
-        Adjacency of the cells.
-    midpoints : (m, d) array
-        Their midpoints [m].
-    parts : int
-        Wanted number of parts, at most m.
-
-    Returns
-    -------
-    (m,) integer array
-        The part of each cell. Every part is connected; there are more of them than wanted where
-        planes cut a part in two, and fewer where these pieces are small.
-
-    Examples
-    --------
-    >>> import numpy as np, scipy.sparse as sp
-    >>> row = sp.diags([1.0, 1.0], [-1, 1], shape=(4, 4), format="csr")
-    >>> x = np.array([[0.0], [1.0], [2.0], [3.0]])
-    >>> bisect(row, x, 2).tolist()
-    [0, 0, 1, 1]
+    Every part is connected; there are more of them than `count` <= m where planes cut a part in
+    two, and fewer where these pieces are small. `graph` is the adjacency of the cells, `midpoints`
+    are of shape (m, d).
     """
     label = np.zeros(len(midpoints), dtype=np.int64)
-    _cut(midpoints, np.arange(len(midpoints)), parts, label)
-    return _connected(graph, _smoothed(graph, label), parts)
+    _cut(midpoints, np.arange(len(midpoints)), count, label)
+    return _connected(graph, _smoothed(graph, label), count)
 
 
-def _cut(x: Points, cells: Numbers, parts: int, label: Numbers) -> None:
+def _cut(x: Points, cells: Numbers, count: int, label: Numbers) -> None:
     """Give the parts of some cells numbers from the one on that they have in `label`."""
-    if parts == 1:
+    if count == 1:
         return
-    fewer = parts // 2
-    count = cells.size * fewer // parts
-    order = np.argpartition(_along_longest_axis(x[cells]), count)
-    before, behind = cells[order[:count]], cells[order[count:]]
-    label[behind] += fewer
-    _cut(x, before, fewer, label)
-    _cut(x, behind, parts - fewer, label)
+    fewer = count // 2
+    below = cells.size * fewer // count
+    order = np.argpartition(_along_longest_axis(x[cells]), below)
+    lower, upper = cells[order[:below]], cells[order[below:]]
+    label[upper] += fewer
+    _cut(x, lower, fewer, label)
+    _cut(x, upper, count - fewer, label)
 
 
 def _along_longest_axis(x: Points) -> Points:
@@ -72,10 +53,10 @@ def _along_longest_axis(x: Points) -> Points:
     variances, axes = np.linalg.eigh(covariance)
     longest = int(np.argmax(np.diag(covariance)))
     if covariance[longest, longest] >= _LONG_ENOUGH * variances[-1]:
-        along: Points = relative[:, longest]
+        coordinate: Points = relative[:, longest]
     else:
-        along = relative @ axes[:, -1]
-    return along
+        coordinate = relative @ axes[:, -1]
+    return coordinate
 
 
 def _smoothed(graph: sp.csr_matrix, label: Numbers) -> Numbers:
@@ -84,60 +65,60 @@ def _smoothed(graph: sp.csr_matrix, label: Numbers) -> Numbers:
     Of neighbours only one moves at a time. Every second pass also moves cells that have as many
     neighbours in their own part, which lets others follow.
     """
-    near = _neighbours(graph)
+    neighbours = _neighbours(graph)
     # behind the cells is what stands for missing neighbours
-    label, nobody = np.append(label, -1), len(near)
-    turn = np.append(np.random.default_rng(0).permutation(nobody), 0)
-    watched = np.arange(nobody)
+    label, cells = np.append(label, -1), len(neighbours)
+    random_order = np.append(np.random.default_rng(0).permutation(cells), 0)
+    watched = np.arange(cells)
     for step in range(_PASSES):
-        of_near = label[near[watched]]
-        at_interface = ((of_near >= 0) & (of_near != label[watched][:, None])).any(axis=1)
-        watched, of_near = watched[at_interface], of_near[at_interface]
-        gain, best = _best_move(label[watched], of_near)
+        labels = label[neighbours[watched]]
+        at_interface = ((labels >= 0) & (labels != label[watched][:, None])).any(axis=1)
+        watched, labels = watched[at_interface], labels[at_interface]
+        gain, best = _best_move(label[watched], labels)
         moving = gain >= (1 if step % 2 == 0 else 0)
-        urgency = np.zeros(nobody + 1, dtype=np.int64)
-        urgency[watched[moving]] = gain[moving] * nobody + turn[watched[moving]] + 1
-        moving &= urgency[watched] > urgency[near[watched]].max(axis=1)
+        urgency = np.zeros(cells + 1, dtype=np.int64)
+        urgency[watched[moving]] = gain[moving] * cells + random_order[watched[moving]] + 1
+        moving &= urgency[watched] > urgency[neighbours[watched]].max(axis=1)
         label[watched[moving]] = best[moving]
-        watched = np.union1d(watched, near[watched[moving]].ravel())
-        watched = watched[watched < nobody]
+        watched = np.union1d(watched, neighbours[watched[moving]].ravel())
+        watched = watched[watched < cells]
     return label[:-1]
 
 
-def _best_move(own: Numbers, of_near: Numbers) -> tuple[Numbers, Numbers]:
+def _best_move(label: Numbers, labels: Numbers) -> tuple[Numbers, Numbers]:
     """Return by how much moving each cell reduces the interface, in facets, and where to."""
-    other = (of_near >= 0) & (of_near != own[:, None])
-    count = np.sum((of_near[:, :, None] == of_near[:, None, :]) & other[:, :, None], axis=1)
-    row, best = np.arange(own.size), np.argmax(count, axis=1)
-    gain: Numbers = count[row, best] - np.sum(of_near == own[:, None], axis=1)
-    return gain, of_near[row, best]
+    outside = (labels >= 0) & (labels != label[:, None])
+    count = np.sum((labels[:, :, None] == labels[:, None, :]) & outside[:, :, None], axis=1)
+    row, best = np.arange(label.size), np.argmax(count, axis=1)
+    gain: Numbers = count[row, best] - np.sum(labels == label[:, None], axis=1)
+    return gain, labels[row, best]
 
 
 def _neighbours(graph: sp.csr_matrix) -> Indices:
     """Return the neighbours of each cell in rows, filled with the number of cells."""
-    cells, degree = graph.shape[0], np.diff(graph.indptr)
-    near = np.full((cells, int(degree.max(initial=1))), cells, dtype=np.int32)
-    row = np.repeat(np.arange(cells), degree)
-    near[row, np.arange(graph.nnz) - graph.indptr[row]] = graph.indices
-    return near
+    count, degree = graph.shape[0], np.diff(graph.indptr)
+    rows = np.full((count, int(degree.max(initial=1))), count, dtype=np.int32)
+    cell = np.repeat(np.arange(count), degree)
+    rows[cell, np.arange(graph.nnz) - graph.indptr[cell]] = graph.indices
+    return rows
 
 
-def _connected(graph: sp.csr_matrix, label: Numbers, parts: int) -> Numbers:
+def _connected(graph: sp.csr_matrix, label: Numbers, count: int) -> Numbers:
     """Return connected pieces; small ones join the piece with which they have most facets."""
     number, piece = components(graph, label)
     facets = _common_facets(graph, piece, number)
     joined, size = np.arange(number), np.bincount(piece)
-    for one in np.argsort(size, kind="stable"):
-        own = joined[one]
-        if size[own] >= _LARGE * label.size / parts:
+    for small in np.argsort(size, kind="stable"):
+        target = joined[small]
+        if size[target] >= _LARGE * label.size / count:
             continue
-        near = slice(*facets.indptr[one : one + 2])
-        others = joined[facets.indices[near]]
-        common = np.where(others == own, 0, facets.data[near])
+        entries = slice(*facets.indptr[small : small + 2])
+        neighbours = joined[facets.indices[entries]]
+        common = np.where(neighbours == target, 0, facets.data[entries])
         if common.any():
-            other = others[np.argmax(common)]
-            size[other] += size[own]
-            joined[joined == own] = other
+            best = neighbours[np.argmax(common)]
+            size[best] += size[target]
+            joined[joined == target] = best
     part: Numbers = np.unique(joined, return_inverse=True)[1][piece]
     return part
 

@@ -24,46 +24,21 @@ from fenics_tfeti.typing import Numbers
 class Bodies:
     """The bodies of a mesh: connected through facets and, where cells are tagged, of one tag.
 
-    Attributes
-    ----------
-    of_cell : (cells,) integer array
-        The body of each cell that this rank owns.
-    names : list of str
-        Names for messages, by number; the same on all ranks.
-    tags : (bodies,) integer array or None
-        The tag of each, where cells are tagged; the same on all ranks.
-    part : (bodies,) integer array
-        The connected part of the mesh, whatever the tags, that each is in; the same on all ranks.
-    graph : (cells, cells) scipy.sparse.csr_matrix
-        Adjacency, through facets, of the cells that this rank owns, whatever the tags.
+    `names`, `tags` and `part`, by number of the body, are the same on all ranks.
     """
 
-    of_cell: Numbers
-    names: list[str]
-    tags: Numbers | None
-    part: Numbers
-    graph: sp.csr_matrix
+    of_cell: Numbers  # of each cell that this rank owns
+    names: list[str]  # for messages
+    tags: Numbers | None  # None where cells are not tagged
+    part: Numbers  # the connected part of the mesh, whatever the tags, that each is in
+    graph: sp.csr_matrix  # adjacency of owned cells through facets, whatever the tags
 
 
 def find_bodies(domain: Mesh, cell_tags: Any | None) -> Bodies:
     """Find the connected bodies of a distributed mesh. Collective.
 
-    Parameters
-    ----------
-    domain : Mesh
-        The mesh.
-    cell_tags : MeshTags or None
-        Tag of every cell, where bodies are to be told apart by tags too.
-
-    Returns
-    -------
-    Bodies
-        Numbered by tag, then by their lowest global cell number.
-
-    Raises
-    ------
-    InputError
-        Tags of facets instead of cells, cells without a tag.
+    They are told apart by cell tags too, where given, and numbered by tag, then by their lowest
+    global cell number.
     """
     tagged = cell_tags is not None
     tags = tags_of_cells(domain, cell_tags) if tagged else np.zeros(owned_cells(domain), np.int64)
@@ -101,17 +76,17 @@ def _join_across_ranks(domain: Mesh, component: Numbers, tags: Numbers, total: i
     flat = facets.ravel()
     cell_of = np.repeat(np.arange(owned), facets.shape[1])
     # facets with one owned cell: on the boundary of the mesh or between ranks
-    once = np.bincount(flat, minlength=int(facet_of.max(initial=-1)) + 1)[flat] == 1
+    single = np.bincount(flat, minlength=int(facet_of.max(initial=-1)) + 1)[flat] == 1
     to_global = domain.topology.index_map(dim - 1).local_to_global
-    keys = np.asarray(to_global(flat[once].astype(np.int32)), dtype=np.int64)
-    cells = cell_of[once]
+    keys = np.asarray(to_global(flat[single].astype(np.int32)), dtype=np.int64)
+    cells = cell_of[single]
     order = np.argsort(keys)
-    keys, own, tag = keys[order], component[cells][order], tags[cells][order]
+    keys, label, tag = keys[order], component[cells][order], tags[cells][order]
 
-    found, other, other_tag = Directory(comm, keys).forward(keys, own, tag)
-    at = np.searchsorted(keys, found)
-    joined = (tag[at] == other_tag) & (own[at] != other)
-    edges = np.unique(np.stack([own[at][joined], other[joined]]), axis=1)
+    arrived, other_label, other_tag = Directory(comm, keys).forward(keys, label, tag)
+    position = np.searchsorted(keys, arrived)
+    joined = (tag[position] == other_tag) & (label[position] != other_label)
+    edges = np.unique(np.stack([label[position][joined], other_label[joined]]), axis=1)
     edges = concatenate_ranks(comm, edges.T)
     graph = sp.csr_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(total, total))
     number: Numbers = connected_components(graph, directed=False)[1].astype(np.int64)
@@ -128,9 +103,9 @@ def _common_values(
     lowest = np.full(bodies, np.iinfo(np.int64).max)
     common[body] = columns
     order = np.argsort(body, kind="stable")
-    here, first = np.unique(body[order], return_index=True)
-    if here.size:
-        lowest[here] = np.minimum.reduceat(np.asarray(numbers, dtype=np.int64)[order], first)
+    present, first = np.unique(body[order], return_index=True)
+    if present.size:
+        lowest[present] = np.minimum.reduceat(np.asarray(numbers, dtype=np.int64)[order], first)
     domain.comm.Allreduce(MPI.IN_PLACE, common, MPI.MAX)
     domain.comm.Allreduce(MPI.IN_PLACE, lowest, MPI.MIN)
     return common, lowest
@@ -142,13 +117,13 @@ def _names(domain: Mesh, body: Numbers, bodies: int, tags: Numbers | None) -> li
     low = np.full((bodies, gdim), np.inf)
     high = -low
     order = np.argsort(body, kind="stable")
-    here, first = np.unique(body[order], return_index=True)
+    present, first = np.unique(body[order], return_index=True)
     nodes = _compat.geometry_cells(domain)[order]
     # by component: reductions over long columns are faster than those over short rows
-    for k in range(gdim if here.size else 0):
+    for k in range(gdim if present.size else 0):
         x = domain.geometry.x[:, k][nodes.ravel()]
-        low[here, k] = np.minimum.reduceat(x, first * nodes.shape[1])
-        high[here, k] = np.maximum.reduceat(x, first * nodes.shape[1])
+        low[present, k] = np.minimum.reduceat(x, first * nodes.shape[1])
+        high[present, k] = np.maximum.reduceat(x, first * nodes.shape[1])
     domain.comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)
     domain.comm.Allreduce(MPI.IN_PLACE, high, MPI.MAX)
     names = []

@@ -31,17 +31,11 @@ def cell_graph(domain: Mesh) -> sp.csr_matrix:
 
 
 def components(graph: sp.csr_matrix, label: Numbers) -> tuple[int, Numbers]:
-    """Find the connected components of cells with equal labels.
-
-    Returns
-    -------
-    number, component : int, (cells,) integer array
-        The number of components, and that of each cell.
-    """
-    same = np.repeat(label, np.diff(graph.indptr)) == label[graph.indices]
-    ends = np.append(0, np.cumsum(same))[graph.indptr]
+    """Return the number of connected components of equal labels, and the component of each cell."""
+    equal = np.repeat(label, np.diff(graph.indptr)) == label[graph.indices]
+    ends = np.append(0, np.cumsum(equal))[graph.indptr]
     # SciPy would convert other data to float
-    cut = sp.csr_matrix((np.ones(ends[-1]), graph.indices[same], ends), shape=graph.shape)
+    cut = sp.csr_matrix((np.ones(ends[-1]), graph.indices[equal], ends), shape=graph.shape)
     number, component = connected_components(cut, directed=False)
     return int(number), component
 
@@ -54,20 +48,5 @@ def groups(label: Numbers) -> list[Indices]:
 
 
 def connected_groups(graph: sp.csr_matrix, label: Numbers, cells: Indices) -> list[Indices]:
-    """Split cells into the connected components of equal labels.
-
-    Parameters
-    ----------
-    graph : (n, n) scipy.sparse.csr_matrix
-        Adjacency of the cells.
-    label : (n,) integer array
-        Label of each cell.
-    cells : (n,) integer array
-        Their numbers.
-
-    Returns
-    -------
-    list of integer arrays
-        The cells of each component.
-    """
+    """Split cells (n,) into connected components of equal labels."""
     return [cells[group] for group in groups(components(graph, label)[1])]

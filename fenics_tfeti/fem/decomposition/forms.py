@@ -42,63 +42,36 @@ _NO_TAG = np.iinfo(np.int64).min
 
 @dataclass(frozen=True)
 class PreparedForm:
-    """A compiled form, with the tags of its integrals on the user's cells and facets.
+    """A compiled form, with the tags of its integrals on the user's cells and facets."""
 
-    Attributes
-    ----------
-    name : str
-        For messages.
-    compiled : CompiledForm
-        The kernels.
-    coefficients : list of Function
-        The user's coefficients.
-    constants : list of Constant
-        The user's constants.
-    cell_tag : (cells,) integer array or None
-        Tag of each cell, where the form has integrals over cells.
-    facet_tag : (cells, facets of a cell) integer array or None
-        Tag of each facet of each cell, on the boundary of the mesh only, where the form has
-        integrals over facets.
-    cell_ids, facet_ids : list of int
-        The tags that the form's integrals name.
-    translation_invariant : bool
-        Whether a translated cell has the same element matrix.
-    """
-
-    name: str
+    name: str  # for messages
     compiled: _compat.CompiledForm
     coefficients: list[Function]
     constants: list[Any]
-    cell_tag: Numbers | None
-    facet_tag: Numbers | None
-    cell_ids: list[int]
+    cell_tag: Numbers | None  # (cells,), where the form has integrals over cells
+    facet_tag: Numbers | None  # (cells, facets of a cell), on the mesh's boundary only
+    cell_ids: list[int]  # tags that the form's integrals name
     facet_ids: list[int]
-    translation_invariant: bool
+    translation_invariant: bool  # a translated cell has the same element matrix
 
     def bind(self, spaces: list[FunctionSpace], cells: Sequence[Indices]) -> Any:
         """Bind the form to torn spaces and to the cells of some parts."""
-        chosen = np.sort(np.concatenate([np.zeros(0, dtype=np.int32), *cells]))
+        rows = np.sort(np.concatenate([np.zeros(0, dtype=np.int32), *cells]))
         # each tag of the form has to be bound, also where none of these cells has it
-        of_cells: dict[int, Indices] = {}
-        of_facets: dict[int, Indices] = {}
+        tagged_cells: dict[int, Indices] = {}
+        tagged_facets: dict[int, Indices] = {}
         if self.cell_tag is not None:
-            tag = self.cell_tag[chosen]
-            of_cells = {t: chosen[tag == t] for t in self.cell_ids}
+            tag = self.cell_tag[rows]
+            tagged_cells = {t: rows[tag == t] for t in self.cell_ids}
         if self.facet_tag is not None:
-            tags = self.facet_tag[chosen]
+            tags = self.facet_tag[rows]
             for t in self.facet_ids:
-                row, facet = np.nonzero(tags == t)
-                of_facets[t] = np.column_stack([chosen[row], facet]).astype(np.int32)
-        return self.compiled.bind(spaces, of_cells, of_facets)
+                position, facet = np.nonzero(tags == t)
+                tagged_facets[t] = np.column_stack([rows[position], facet]).astype(np.int32)
+        return self.compiled.bind(spaces, tagged_cells, tagged_facets)
 
     def values(self) -> list[NDArray[np.float64]]:
-        """Return copies of the present values of the coefficients and constants.
-
-        Raises
-        ------
-        InputError
-            NaN or infinite values, on this rank.
-        """
+        """Return copies of the coefficients' and constants' present values; NaN is an error."""
         _check_values(self.name, self.coefficients, self.constants)
         coefficients = [np.array(w.x.array, dtype=float) for w in self.coefficients]
         return coefficients + [np.array(c.value, dtype=float) for c in self.constants]
@@ -114,22 +87,8 @@ def prepare_form(
 ) -> PreparedForm:
     """Check and compile a form, and look up the tags of its measures. Collective.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space.
-    form : ufl.Form
-        With integrals over cells and exterior facets.
-    name : str
-        The form's name in messages.
-    exterior : (cells, facets of a cell) bool array
-        Which facets of each owned cell are on the boundary of the mesh.
-
-    Raises
-    ------
-    InputError
-        Unsupported integrals, coefficients or tags; tags on nothing that the form is integrated
-        over; NaN in coefficients and constants.
+    `name` is that of the form in messages; `exterior` (cells, facets of a cell) marks the facets of
+    owned cells that are on the boundary of the mesh.
     """
     domain = space.mesh
     kinds = ("cell", "exterior_facet")
@@ -149,12 +108,12 @@ def prepare_form(
     _check_used(domain, facet_data, facets, facet_ids, f"the {name} has ds")
     cell_tag = facet_tag = None
     if _has(form, "cell"):
-        of_cell = _dense_tags(cell_data, owned, cell_ids)
-        form, cell_ids, cell_tag = _tag_everywhere(form, "cell", cell_ids, of_cell)
+        tags = _dense_tags(cell_data, owned, cell_ids)
+        form, cell_ids, cell_tag = _tag_everywhere(form, "cell", cell_ids, tags)
     if _has(form, "exterior_facet"):
-        of_facet = _dense_tags(facet_data, facets.size, facet_ids)
-        form, facet_ids, of_facet = _tag_everywhere(form, "exterior_facet", facet_ids, of_facet)
-        facet_tag = np.where(exterior, of_facet[facet_of[:owned]], _NO_TAG)
+        tags = _dense_tags(facet_data, facets.size, facet_ids)
+        form, facet_ids, tags = _tag_everywhere(form, "exterior_facet", facet_ids, tags)
+        facet_tag = np.where(exterior, tags[facet_of[:owned]], _NO_TAG)
     return PreparedForm(
         name,
         _compat.CompiledForm(form, domain.comm),
@@ -239,8 +198,8 @@ def _tagged_ids(form: ufl.Form, kind: str) -> list[int]:
 
 def _subdomain_data(form: ufl.Form, kind: str, name: str) -> Any:
     """Return the tags that the measures of one kind have; None without any."""
-    given = [i.subdomain_data() for i in form.integrals() if i.integral_type() == kind]
-    different = list({id(data): data for data in given if data is not None}.values())
+    data = [i.subdomain_data() for i in form.integrals() if i.integral_type() == kind]
+    different = list({id(tags): tags for tags in data if tags is not None}.values())
     if len(different) > 1:
         measure = {"cell": "dx", "exterior_facet": "ds"}[kind]
         raise InputError(
@@ -283,14 +242,14 @@ def _check_used(
     """
     if not ids:
         return
-    there = np.unique(tags.values[integrated[tags.indices]])
-    there = np.unique(concatenate_ranks(domain.comm, there))
-    missing = np.setdiff1d(ids, there)
+    present = np.unique(tags.values[integrated[tags.indices]])
+    present = np.unique(concatenate_ranks(domain.comm, present))
+    missing = np.setdiff1d(ids, present)
     if missing.size:
         on = "cell" if which.endswith("dx") else "facet of the mesh's boundary"
         raise InputError(
             f"{which}({missing[0]}), but tag {missing[0]} is on no {on}; the tags there are "
-            f"{there.tolist()}"
+            f"{present.tolist()}"
         )
 
 
@@ -298,8 +257,8 @@ def _dense_tags(tags: Any, size: int, ids: list[int]) -> Numbers:
     """Return the tag of each entity, where it is one of the ids."""
     dense = np.full(size, _NO_TAG)
     if tags is not None:
-        used = np.isin(tags.values, ids) & (tags.indices < size)
-        dense[tags.indices[used]] = tags.values[used]
+        listed = np.isin(tags.values, ids) & (tags.indices < size)
+        dense[tags.indices[listed]] = tags.values[listed]
     return dense
 
 
@@ -309,25 +268,20 @@ def _tag_everywhere(
     """Replace "everywhere" in integrals of one kind by all tags in use and one for the rest.
 
     "Everywhere" would include cells of other parts and, in some versions of dolfinx, facets between
-    ranks.
-
-    Returns
-    -------
-    tuple
-        The form, its tags, and the tag of each entity where it is one of them.
+    ranks. Return the form, its tags, and the tag of each entity where it is one of them.
     """
-    rest = max(ids, default=0) + 1
-    everywhere = (*ids, rest) if ids else rest
+    untagged = max(ids, default=0) + 1
+    everywhere = (*ids, untagged) if ids else untagged
     integrals = []
     for integral in form.integrals():
         if integral.integral_type() == kind and integral.subdomain_id() == "everywhere":
             integral = integral.reconstruct(subdomain_id=everywhere)
         integrals.append(integral)
     form = ufl.Form(integrals)
-    used = _tagged_ids(form, kind)
-    if rest in used:
-        tags = np.where(tags == _NO_TAG, rest, tags)
-    return form, used, tags
+    ids_of_form = _tagged_ids(form, kind)
+    if untagged in ids_of_form:
+        tags = np.where(tags == _NO_TAG, untagged, tags)
+    return form, ids_of_form, tags
 
 
 def _values_of_cells(function: Function) -> NDArray[np.float64]:

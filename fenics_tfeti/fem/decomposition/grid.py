@@ -20,45 +20,18 @@ _SAMPLE = 1000
 
 @dataclass(frozen=True)
 class Grid:
-    """The cells of a body whose nodes form a tensor-product grid.
+    """The m cells of a body whose nodes form a tensor-product grid in d dimensions."""
 
-    Attributes
-    ----------
-    cell : (m, d) integer array
-        Index along each axis of the grid box of each cell; the simplices of one box have the same.
-    cells : (d,) integer array
-        Number of boxes along each axis.
-    lengths : (d,) array
-        The body's [m].
-    """
-
-    cell: Numbers
-    cells: Numbers
-    lengths: Points
+    cell: Numbers  # (m, d) index of the grid box of each cell; the simplices of a box have the same
+    cells: Numbers  # (d,) number of boxes along each axis
+    lengths: Points  # (d,) of the body [m]
 
 
 def find_grid(points: Points, cell_nodes: Numbers | Indices) -> Grid | None:
-    """Find out from coordinates whether nodes form a grid along the axes.
+    """Return the grid along the axes that points (k, d) at cells (m, v) form, or None.
 
-    Parameters
-    ----------
-    points : (k, d) array
-        Nodes [m].
-    cell_nodes : (m, v) integer array
-        Those of the body's cells.
-
-    Returns
-    -------
-    Grid or None
-        A grid if at least half of all combinations of coordinates are at one node and none is at
-        two: corners of the body may be missing, and so may boxes on other ranks.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 3.0], [1.0, 3.0]])
-    >>> find_grid(points, np.array([[0, 1, 2], [1, 2, 3]])).cells.tolist()
-    [1, 1]
+    At least half of all combinations of coordinates are at one node and none is at two: corners of
+    the body may be missing, and so may boxes on other ranks.
     """
     if cell_nodes.size == 0:
         return None
@@ -79,8 +52,8 @@ def find_grid(points: Points, cell_nodes: Numbers | Indices) -> Grid | None:
 
 def _indices(points: Points) -> Numbers:
     """Return for each point and axis the number of different smaller coordinates."""
-    same = RELATIVE_ROUNDING * np.ptp(points, axis=0).max()
-    return np.stack([_grid_index(x, same) for x in points.T], axis=1)
+    tolerance = RELATIVE_ROUNDING * np.ptp(points, axis=0).max()
+    return np.stack([_grid_index(x, tolerance) for x in points.T], axis=1)
 
 
 def _combinations(index: Numbers) -> float:
@@ -89,20 +62,7 @@ def _combinations(index: Numbers) -> float:
 
 
 def block_of_cells(grid: Grid, nodes: float) -> Numbers:
-    """Cut a grid into equal blocks that are nearly cubes.
-
-    Parameters
-    ----------
-    grid : Grid
-        The cells.
-    nodes : float
-        Wanted number of nodes of a block.
-
-    Returns
-    -------
-    (m,) integer array
-        The block of each cell.
-    """
+    """Cut a grid into equal blocks, nearly cubes of about so many nodes; label the cells (m,)."""
     dim = grid.cells.size
     cells_of_block = max(nodes ** (1.0 / dim) - 1.0, 1.0) ** dim
     blocks = max(np.prod(grid.cells) / cells_of_block, 1.0)
@@ -116,22 +76,22 @@ def block_of_cells(grid: Grid, nodes: float) -> Numbers:
     return block
 
 
-def _grid_index(x: Points, same: float) -> Numbers:
+def _grid_index(x: Points, tolerance: float) -> Numbers:
     """Return for each coordinate the number of different smaller ones."""
     order = np.argsort(x)
     index = np.empty(x.size, dtype=np.int64)
-    index[order] = np.cumsum(np.diff(x[order], prepend=x[order[:1]]) > same)
+    index[order] = np.cumsum(np.diff(x[order], prepend=x[order[:1]]) > tolerance)
     return index
 
 
-def _blocks_along(cells: int, wanted: float) -> int:
+def _blocks_along(cells: int, target: float) -> int:
     """Return the number of blocks along an axis, preferably one that divides the cells.
 
     A divisor is taken if it differs from the wanted number by no more than a factor of 1.4.
     """
     largest_factor = 1.4
-    wanted = min(max(wanted, 1.0), float(cells))
-    counts = np.arange(1, min(cells, int(2.0 * wanted) + 1) + 1)
-    factor = np.maximum(counts / wanted, wanted / counts)
+    target = min(max(target, 1.0), float(cells))
+    counts = np.arange(1, min(cells, int(2.0 * target) + 1) + 1)
+    factor = np.maximum(counts / target, target / counts)
     divides = (cells % counts == 0) & (factor <= largest_factor)
     return int(counts[np.argmin(np.where(divides, factor, factor + largest_factor))])

@@ -27,71 +27,52 @@ _ZERO = 1e-15
 def find_images(points: Points, reference: Points) -> Iterator[tuple[Points, Numbers]]:
     """Find the rotations and mirrorings by which points are the images of reference points.
 
-    There are several for symmetric sets, rotations first, and some may come twice. None are found
-    for sets of which more than a thousand points may be the image of any one.
-
-    Parameters
-    ----------
-    points, reference : (k, d) arrays
-        Coordinates in the plane or in space.
-
-    Yields
-    ------
-    turn : (d, d) array
-        Orthogonal matrix T: points[order] = reference T' but for a translation.
-    order : (k,) integer array
-        The point that is the image of each reference point.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> corner = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 1.0]])
-    >>> moved = np.array([[5.0, 5.0], [5.0, 8.0], [4.0, 5.0]])
-    >>> turn, order = next(find_images(moved, corner))
-    >>> turn.round(12).tolist(), order.tolist()
-    ([[0.0, -1.0], [1.0, 0.0]], [0, 1, 2])
+    Yield an orthogonal matrix T and an order with points[order] = reference T' but for a
+    translation; both sets are (k, d), in the plane or in space. There are several for symmetric
+    sets, rotations first, and some may come twice. None are found for sets of which more than a
+    thousand points may be the image of any one.
     """
     if points.shape != reference.shape:
         return
     largest = max(np.abs(points).max(), np.abs(reference).max())
     x, y = points - points.mean(axis=0), reference - reference.mean(axis=0)
     radii = np.linalg.norm(y, axis=1)
-    same = RELATIVE_ROUNDING * float(radii.max())
-    if np.abs(np.sort(np.linalg.norm(x, axis=1)) - np.sort(radii)).max() > same:
+    tolerance = RELATIVE_ROUNDING * float(radii.max())
+    if np.abs(np.sort(np.linalg.norm(x, axis=1)) - np.sort(radii)).max() > tolerance:
         return
     tree = cKDTree(x)
     probes = np.unique(np.linspace(0, len(y) - 1, _PROBES).astype(int))
-    for turn in _candidates(x, y, same):
-        if tree.query(y[probes] @ turn.T)[0].max() > same:
+    for rotation in _candidates(x, y, tolerance):
+        if tree.query(y[probes] @ rotation.T)[0].max() > tolerance:
             continue
-        distance, order = tree.query(y @ turn.T)
-        if distance.max() > same or np.unique(order).size < order.size:
+        distance, order = tree.query(y @ rotation.T)
+        if distance.max() > tolerance or np.unique(order).size < order.size:
             continue
-        turn = _nearest_orthogonal(x[order].T @ y)
-        if np.abs(x[order] - y @ turn.T).max() <= COORDINATE_ROUNDING * largest:
-            yield turn, order
+        rotation = _nearest_orthogonal(x[order].T @ y)
+        if np.abs(x[order] - y @ rotation.T).max() <= COORDINATE_ROUNDING * largest:
+            yield rotation, order
 
 
-def _candidates(x: Points, y: Points, same: float) -> Iterator[Points]:
+def _candidates(x: Points, y: Points, tolerance: float) -> Iterator[Points]:
     """Return the orthogonal matrices that take the chosen nodes of y to nodes of x."""
-    first = _rarest(np.linalg.norm(y, axis=1)[:, None], same)
+    first = _rarest(np.linalg.norm(y, axis=1)[:, None], tolerance)
     a = y[first]
-    at = np.flatnonzero(np.abs(np.linalg.norm(x, axis=1) - np.linalg.norm(a)) <= same)
-    if at.size > _MOST:
+    candidates = np.flatnonzero(np.abs(np.linalg.norm(x, axis=1) - np.linalg.norm(a)) <= tolerance)
+    if candidates.size > _MOST:
         return
     if y.shape[1] == 2:
-        own, pairs = a[None], [x[i][None] for i in at]
+        vectors, pairs = a[None], [x[i][None] for i in candidates]
     else:
-        second = _rarest(_places(y, a), same)
+        second = _rarest(_places(y, a), tolerance)
         b = y[second]
-        along = _places(b[None], a)
-        own = np.stack([a, b])
+        place = _places(b[None], a)
+        vectors = np.stack([a, b])
         pairs = [
             np.stack([x[i], x[j]])
-            for i in at
-            for j in np.flatnonzero(np.abs(_places(x, x[i]) - along).max(axis=1) <= same)
+            for i in candidates
+            for j in np.flatnonzero(np.abs(_places(x, x[i]) - place).max(axis=1) <= tolerance)
         ]
-    basis = _basis(own)
+    basis = _basis(vectors)
     for side in (1.0, -1.0):
         for images in pairs:
             image = _basis(images)
@@ -101,16 +82,16 @@ def _candidates(x: Points, y: Points, same: float) -> Iterator[Points]:
 
 def _places(x: Points, axis: Points) -> Points:
     """Return the distances of points from an axis through the centre, and the places along it."""
-    along = x @ (axis / np.linalg.norm(axis))
-    across = np.linalg.norm(x - along[:, None] * axis / np.linalg.norm(axis), axis=1)
-    return np.stack([across, along], axis=1)
+    place = x @ (axis / np.linalg.norm(axis))
+    distance = np.linalg.norm(x - place[:, None] * axis / np.linalg.norm(axis), axis=1)
+    return np.stack([distance, place], axis=1)
 
 
-def _rarest(measures: Points, same: float) -> int:
+def _rarest(measures: Points, tolerance: float) -> int:
     """Return the point, far out in the first measure, that shares its measures with fewest."""
-    far = np.flatnonzero(measures[:, 0] >= 0.5 * measures[:, 0].max())
-    shared = cKDTree(measures).query_ball_point(measures[far], same, return_length=True)
-    return int(far[np.lexsort([-measures[far, 0], shared])[0]])
+    outer = np.flatnonzero(measures[:, 0] >= 0.5 * measures[:, 0].max())
+    shared = cKDTree(measures).query_ball_point(measures[outer], tolerance, return_length=True)
+    return int(outer[np.lexsort([-measures[outer, 0], shared])[0]])
 
 
 def _basis(vectors: Points) -> Points:
@@ -125,5 +106,5 @@ def _basis(vectors: Points) -> Points:
 
 def _nearest_orthogonal(matrix: Points) -> Points:
     left, _, right = np.linalg.svd(matrix)
-    turn: Points = left @ right
-    return np.where(np.abs(turn) < _ZERO, 0.0, turn)
+    rotation: Points = left @ right
+    return np.where(np.abs(rotation) < _ZERO, 0.0, rotation)

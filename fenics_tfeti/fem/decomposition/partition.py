@@ -38,28 +38,12 @@ def split_into_subdomains(
     partitioner: Partitioner = "auto",
     many_cells: int = MANY_CELLS,
 ) -> list[Indices]:
-    """Split this rank's cells, body by body, into connected subdomains.
+    """Split this rank's cells, body by body, into connected subdomains of about so many unknowns.
 
-    Parameters
-    ----------
-    space : FunctionSpace
-        The displacement's space, to count unknowns.
-    bodies : Bodies
-        The bodies.
-    unknowns : int
-        Wanted number of unknowns of a subdomain.
-    partitioner : {"auto", "scotch", "bisection"}
-        "scotch" partitions the graph of the cells, "bisection" cuts across the longest axes. "auto"
-        cuts into blocks where the nodes of this rank's cells of a body form a grid along the axes,
-        bisects many cells that planes do not cut into more parts than wanted, and leaves all else
-        to SCOTCH.
-    many_cells : int
-        Number of cells of a body on this rank from which on they are many.
-
-    Returns
-    -------
-    list of integer arrays
-        The cells of each subdomain. Bodies that are images of each other are cut equally.
+    "scotch" partitions the graph of the cells, "bisection" cuts across the longest axes. "auto"
+    cuts into blocks where the nodes of this rank's cells of a body form a grid along the axes,
+    bisects `many_cells` or more of a body that planes do not cut into more parts than intended, and
+    leaves all else to SCOTCH. Bodies that are images of each other are cut equally.
     """
     block = space.dofmap.index_map_bs
     subdomains: list[Indices] = []
@@ -67,14 +51,14 @@ def split_into_subdomains(
     cuts: dict[bytes, Numbers] = {}
     for body in number_parts(space, bodies_of_rank, range(len(bodies_of_rank))):
         cells = body.cells
-        parts = round(block * body.nodes.size / unknowns)
-        if parts <= 1:
+        count = round(block * body.nodes.size / unknowns)
+        if count <= 1:
             subdomains.append(cells)
             continue
         graph = bodies.graph[cells][:, cells]
         label = cuts.get(body.shape) if body.shape is not None else None
         if label is None:
-            label = _cut(space.mesh, cells, graph, parts, unknowns / block, partitioner, many_cells)
+            label = _cut(space.mesh, cells, graph, count, unknowns / block, partitioner, many_cells)
             if body.shape is not None:
                 cuts[body.shape] = label
         subdomains += [cells[group] for group in groups(label)]
@@ -85,47 +69,30 @@ def _cut(
     domain: Mesh,
     cells: Indices,
     graph: sp.csr_matrix,
-    parts: int,
+    count: int,
     nodes: float,
     partitioner: Partitioner,
     many_cells: int,
 ) -> Numbers:
     """Return the connected part of each cell, of so many parts or of so many nodes."""
     points, cell_nodes = domain.geometry.x[:, : domain.geometry.dim], cell_vertices(domain)[cells]
-    parts = min(parts, cells.size)
+    count = min(count, cells.size)
     grid = find_grid(points, cell_nodes) if partitioner == "auto" else None
     if grid is not None:
         return components(graph, block_of_cells(grid, nodes))[1]
     if partitioner == "bisection" or (partitioner == "auto" and cells.size >= many_cells):
-        label = bisect(graph, points[cell_nodes].mean(axis=1), parts)
+        label = bisect(graph, points[cell_nodes].mean(axis=1), count)
         # planes that cut parts in two, of a coiled body, also cut it lengthwise
-        if partitioner == "bisection" or label.max() < parts:
+        if partitioner == "bisection" or label.max() < count:
             return label
-    label = _compat.partition_graph(graph.indptr, graph.indices, parts).astype(np.int64)
+    label = _compat.partition_graph(graph.indptr, graph.indices, count).astype(np.int64)
     return components(graph, label)[1]
 
 
-def given_subdomains(domain: Mesh, bodies: Bodies, labels: Sequence[int]) -> list[Indices]:
+def as_subdomains(domain: Mesh, bodies: Bodies, labels: Sequence[int]) -> list[Indices]:
     """Make subdomains by the user's labels: cells of one label on one rank and in one body.
 
-    Parameters
-    ----------
-    domain : Mesh
-        The mesh.
-    bodies : Bodies
-        The bodies.
-    labels : (cells,) sequence of int
-        Label of each cell that this rank owns.
-
-    Returns
-    -------
-    list of integer arrays
-        The cells of each subdomain; a label whose cells are not connected gives several.
-
-    Raises
-    ------
-    InputError
-        If there is not one label for each cell.
+    Each cell that this rank owns has a label; a label whose cells are not connected gives several.
     """
     label = np.asarray(labels)
     owned = owned_cells(domain)
@@ -135,14 +102,14 @@ def given_subdomains(domain: Mesh, bodies: Bodies, labels: Sequence[int]) -> lis
                 f"'subdomains' has shape {label.shape}, but rank {domain.comm.rank} owns {owned} "
                 "cells: give one label for each cell that the rank owns, without ghosts"
             )
-    given, number = np.unique(label, return_inverse=True)
-    both = bodies.of_cell * given.size + number
-    subdomains = connected_groups(bodies.graph, both, np.arange(owned, dtype=np.int32))
-    if len(subdomains) > np.unique(both).size:
+    distinct, number = np.unique(label, return_inverse=True)
+    body_and_label = bodies.of_cell * distinct.size + number
+    subdomains = connected_groups(bodies.graph, body_and_label, np.arange(owned, dtype=np.int32))
+    if len(subdomains) > np.unique(body_and_label).size:
         logger.info(
             "rank %d: %d subdomain labels gave %d connected subdomains",
             domain.comm.rank,
-            given.size,
+            distinct.size,
             len(subdomains),
         )
     return subdomains

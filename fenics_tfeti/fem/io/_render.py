@@ -25,7 +25,7 @@ OUTLINE = "#8a9099"
 DPI = 200
 
 
-def grid_of(data: Any) -> pyvista.UnstructuredGrid:
+def build_grid(data: Any) -> pyvista.UnstructuredGrid:
     """Return the undeformed mesh with its colours."""
     cells = data["cells"]
     rows = np.column_stack([np.full(len(cells), cells.shape[1]), cells])
@@ -38,7 +38,7 @@ def grid_of(data: Any) -> pyvista.UnstructuredGrid:
     return grid
 
 
-def edges_of(surface: pyvista.PolyData) -> pyvista.PolyData:
+def sharp_edges(surface: pyvista.PolyData) -> pyvista.PolyData:
     """Return the sharp edges and the boundary of each body.
 
     The filter merges points at the same place; bodies that touch are moved apart for it.
@@ -58,8 +58,8 @@ def edges_of(surface: pyvista.PolyData) -> pyvista.PolyData:
 def render_mesh(data: Any, limits: tuple[float, float], pixels: tuple[int, int]) -> Image:
     """Return an image (height, width, 3) of the deformed mesh on white, without margins."""
     most_outlined = 20_000  # the lines between more faces would hide the colours
-    surface = grid_of(data).extract_surface(algorithm="dataset_surface")
-    edges = edges_of(surface)
+    surface = build_grid(data).extract_surface(algorithm="dataset_surface")
+    edges = sharp_edges(surface)
     deformed, deformed_edges = (part.copy() for part in (surface, edges))
     for part in (deformed, deformed_edges):
         part.points = part.points + float(data["scale"]) * part["displacement"]

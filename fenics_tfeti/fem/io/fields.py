@@ -117,7 +117,7 @@ def write_fields(path: str | os.PathLike[str], functions: Function | Sequence[Fu
         _check_fields(path, functions)
     degree = max(_compat.geometry_degree(mesh), *(field_degree(function) for function in functions))
     # the writer takes continuous fields of one degree
-    functions = [of_degree(function, degree) for function in functions]
+    functions = [raised_to_degree(function, degree) for function in functions]
     folder: Path | None = None
     with ExitStack() as folders:
         with raise_collectively(comm), _named(path):
@@ -132,7 +132,7 @@ def write_fields(path: str | os.PathLike[str], functions: Function | Sequence[Fu
             _write_piece(folder / str(comm.rank), functions)
         with raise_collectively(comm), _named(path):
             if comm.rank == 0:
-                _take_files(folder, path, comm.size)
+                _move_files(folder, path, comm.size)
 
 
 def _write_piece(folder: Path, functions: Sequence[Function]) -> None:
@@ -157,7 +157,7 @@ def _is_whole(file: Path) -> bool:
         return content.read().rstrip().endswith(b"</VTKFile>")
 
 
-def of_degree(function: Function, degree: int) -> Function:
+def raised_to_degree(function: Function, degree: int) -> Function:
     """Return a field in the space of a higher degree; one that is constant on cells as it is."""
     if field_degree(function) in (0, degree):
         return function
@@ -178,31 +178,25 @@ def _named(path: Path) -> Iterator[None]:
         raise OSError(error.errno, f"fields cannot be written: {reason}", str(path)) from None
 
 
-def _take_files(folder: Path, path: Path, ranks: int) -> None:
+def _move_files(folder: Path, path: Path, ranks: int) -> None:
     """Move the files of all ranks to where they belong, the collection last."""
     index = next((folder / "0").glob("*.pvtu"))
     pieces = [f"{path.stem}_p{rank}_000000.vtu" for rank in range(ranks)]
     _compat.list_pieces(index, pieces)
     collection = folder / "collection.pvd"
     collection.write_text(_COLLECTION.format(quoteattr(f"{path.stem}000000.pvtu")))
-    moved = {next((folder / str(rank)).glob("*.vtu")): pieces[rank] for rank in range(ranks)}
-    moved |= {index: f"{path.stem}000000.pvtu", collection: path.name}
-    for name in moved.values():
+    targets = {next((folder / str(rank)).glob("*.vtu")): pieces[rank] for rank in range(ranks)}
+    targets |= {index: f"{path.stem}000000.pvtu", collection: path.name}
+    for name in targets.values():
         if path.with_name(name).is_dir():
             raise OSError(errno.EISDIR, f"{name} is a folder")
-    for file, name in moved.items():
+    for file, name in targets.items():
         file.chmod(0o644)
         file.replace(path.with_name(name))
 
 
 def field_degree(function: Function) -> int:
-    """Return the degree of a field: 1 or 2 if it is continuous, 0 if constant on each cell.
-
-    Raises
-    ------
-    InputError
-        If it is none of these, and can therefore not be written or drawn.
-    """
+    """Return 1 or 2 for a continuous field, 0 for one that is constant on each cell; or raise."""
     family, degree, _ = _compat.element_facts(function.function_space)
     if (family, degree) in (("Lagrange", 1), ("Lagrange", 2), ("Discontinuous Lagrange", 0)):
         return degree
@@ -334,23 +328,25 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
         # forces are drawn on the body that has the nodes
         contact = contact.seen_from_master() if contact.on_master else contact
         nodes = contact.nodes - first
-        at = to_scalar[nodes]
-        pressure.x.array[at] += contact.pressure
-        in_contact[at] = True
-        gap.x.array[at] = np.minimum(gap.x.array[at], contact.gap)
-        opening.x.array[at] = np.minimum(opening.x.array[at], contact.opening)
+        scalar_dofs = to_scalar[nodes]
+        pressure.x.array[scalar_dofs] += contact.pressure
+        in_contact[scalar_dofs] = True
+        gap.x.array[scalar_dofs] = np.minimum(gap.x.array[scalar_dofs], contact.gap)
+        opening.x.array[scalar_dofs] = np.minimum(opening.x.array[scalar_dofs], contact.opening)
         components = block * to_vector[nodes][:, None] + np.arange(block)
         force.x.array[components] -= contact.normal_force[:, None] * contact.normal
         if contact.friction is not None:
             traction.x.array[components] += contact.friction.traction
             slip.x.array[components] += contact.friction.slip
-            state.x.array[at] = np.maximum(state.x.array[at], contact.friction.state)
+            state.x.array[scalar_dofs] = np.maximum(
+                state.x.array[scalar_dofs], contact.friction.state
+            )
     for field in (gap, opening):
         infinite = np.isinf(field.x.array)
         field.x.array[infinite] = np.where(in_contact[infinite], np.nan, 0.0)
-    found = [pressure, force, gap, opening]
+    results = [pressure, force, gap, opening]
     if any(contact.friction is not None for contact in contacts):
-        found += [traction, slip, state]
-    for field in found:
+        results += [traction, slip, state]
+    for field in results:
         field.x.scatter_forward()
-    return found
+    return results

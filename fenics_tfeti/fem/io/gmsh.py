@@ -89,9 +89,9 @@ def read_msh(
 
     mesh.topology.create_connectivity(gdim - 1, gdim)
     owned = mesh.topology.index_map(gdim - 1).size_local
-    found = comm.allreduce(int(np.count_nonzero(facet_tags.indices < owned)))
-    if found != tagged_facets:
-        raise _not_facets(path, tagged_facets - found, tagged_facets, gdim - 1)
+    received = comm.allreduce(int(np.count_nonzero(facet_tags.indices < owned)))
+    if received != tagged_facets:
+        raise _not_facets(path, tagged_facets - received, tagged_facets, gdim - 1)
     tagged = TaggedMesh(mesh, cell_tags, facet_tags, names)
     return split_interfaces(tagged, split) if split else tagged
 
@@ -99,10 +99,7 @@ def read_msh(
 def _prepare(model: Any, path: Path, gdim: int) -> tuple[dict[str, int], int]:
     """Check what dolfinx requires; its own errors, on rank 0 alone, would leave ranks waiting.
 
-    Returns
-    -------
-    tuple
-        Name -> tag of the physical groups, and the number of tagged facets.
+    Return name -> tag of the physical groups, and the number of tagged facets.
     """
     dimension = max((d for d in range(4) if len(model.mesh.getElementTypes(d))), default=0)
     if dimension == 0:
@@ -154,22 +151,22 @@ def _check_cell_nodes(model: Any, path: Path, dim: int) -> None:
     types, _, rows = model.mesh.getElements(dim)
     cells = np.sort(rows[0].reshape(-1, model.mesh.getElementProperties(types[0])[3]), axis=1)
 
-    def around(wrong: NDArray[Any]) -> str:
+    def describe(wrong: NDArray[Any]) -> str:
         first = format_point(np.mean([model.mesh.getNode(n)[0] for n in cells[wrong[0]]], axis=0))
         return f"{len(wrong)} of {len(cells)}, the first around {first}"
 
     collapsed = np.flatnonzero(np.any(cells[:, 1:] == cells[:, :-1], axis=1))
     if len(collapsed):
         raise InputError(
-            f"{path} has cells with the same node twice: {around(collapsed)}; mesh there again, "
+            f"{path} has cells with the same node twice: {describe(collapsed)}; mesh there again, "
             "without collapsed cells"
         )
-    once = np.unique(cells, axis=0, return_index=True)[1]
-    again = np.setdiff1d(np.arange(len(cells)), once)
-    if len(again):
+    distinct = np.unique(cells, axis=0, return_index=True)[1]
+    repeated = np.setdiff1d(np.arange(len(cells)), distinct)
+    if len(repeated):
         raise InputError(
-            f"{path} has several cells with the same nodes: {around(again)}; remove the copies "
-            "(removeDuplicateElements in Gmsh)"
+            f"{path} has several cells with the same nodes: {describe(repeated)}; remove the "
+            "copies (removeDuplicateElements in Gmsh)"
         )
     unused = np.setdiff1d(model.mesh.getNodes()[0], cells)
     if len(unused):
@@ -213,9 +210,9 @@ def _check_facet_groups(model: Any, groups: list[tuple[int, int]], path: Path, d
             "tag; split the groups so that they do not overlap"
         )
     in_cells = np.unique(model.mesh.getElements(dim + 1)[2][0])
-    alone = np.count_nonzero(~np.isin(facets, in_cells).all(axis=1))
-    if alone:
-        raise _not_facets(path, alone, len(facets), dim)
+    orphans = np.count_nonzero(~np.isin(facets, in_cells).all(axis=1))
+    if orphans:
+        raise _not_facets(path, orphans, len(facets), dim)
     return len(facets)
 
 

@@ -20,11 +20,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from dolfinx.mesh import Mesh, meshtags
+from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
+from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, sorted_tags
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.topology import cell_facets, cell_type, owned_cells
 from fenics_tfeti.parallel import (
@@ -96,7 +96,7 @@ def split_interfaces(tagged: TaggedMesh, interfaces: Sequence[Interface]) -> Tag
     """
     mesh = tagged.mesh
     openings, names = _openings(tagged, interfaces)
-    sides = _Sides.of(tagged)
+    sides = _FacetSides.from_mesh(tagged)
     opened = _opened_facets(mesh, sides, openings)
     _check_new_tags(mesh.comm, sides, opened, openings)
     cells, points = _renumbered(mesh, sides, opened)
@@ -105,8 +105,8 @@ def split_interfaces(tagged: TaggedMesh, interfaces: Sequence[Interface]) -> Tag
     facet_tags = sides.facet_tag.copy()
     for k, opening in enumerate(openings):
         cell, facet = np.nonzero(opened == k)
-        of_slave = sides.cell_tag[cell] == opening.slave
-        facet_tags[cell, facet] = np.where(of_slave, opening.slave_tag, opening.master_tag)
+        on_slave = sides.cell_tag[cell] == opening.slave
+        facet_tags[cell, facet] = np.where(on_slave, opening.slave_tag, opening.master_tag)
     split = _compat.distributed_mesh(
         mesh.comm, cells, points, _compat.cell_name(mesh), _compat.geometry_degree(mesh)
     )
@@ -133,12 +133,12 @@ def _openings(
 ) -> tuple[list[_Opening], dict[str, int]]:
     """Replace names by tags; also return all names."""
     comm = tagged.mesh.comm
-    used = [
+    existing = [
         np.unique(concatenate_ranks(comm, np.unique(tags.values)))
         for tags in (tagged.cell_tags, tagged.facet_tags)
     ]
-    given = [t for i in interfaces for t in (i.slave_tag, i.master_tag) if not isinstance(t, str)]
-    free = 1 + max([0, *given, *(int(t.max(initial=0)) for t in used)])
+    numbers = [t for i in interfaces for t in (i.slave_tag, i.master_tag) if not isinstance(t, str)]
+    free = 1 + max([0, *numbers, *(int(t.max(initial=0)) for t in existing)])
     added: dict[str, int] = {}
 
     def new_tag(tag: int | str) -> int:
@@ -154,8 +154,12 @@ def _openings(
     with raise_collectively(comm):
         openings = []
         for i in interfaces:
-            slave, master = (_tag(t, tagged.names, used[0], "cell") for t in (i.slave, i.master))
-            facets = None if i.facets is None else _tag(i.facets, tagged.names, used[1], "facet")
+            slave, master = (
+                _tag(t, tagged.names, existing[0], "cell") for t in (i.slave, i.master)
+            )
+            facets = (
+                None if i.facets is None else _tag(i.facets, tagged.names, existing[1], "facet")
+            )
             opening = _Opening(slave, master, new_tag(i.slave_tag), new_tag(i.master_tag), facets)
             if slave == master:
                 raise InputError(
@@ -168,53 +172,37 @@ def _openings(
     return openings, {**tagged.names, **added}
 
 
-def _tag(tag: int | str, names: Mapping[str, int], used: Numbers, kind: str) -> int:
+def _tag(tag: int | str, names: Mapping[str, int], existing: Numbers, kind: str) -> int:
     if isinstance(tag, str) and tag not in names:
         raise InputError(f"no body or surface has the name '{tag}'; the names are {sorted(names)}")
     number = int(names[tag] if isinstance(tag, str) else tag)
-    if number not in used:
-        raise InputError(f"tag {number} is on no {kind}; the {kind} tags are {used.tolist()}")
+    if number not in existing:
+        raise InputError(f"tag {number} is on no {kind}; the {kind} tags are {existing.tolist()}")
     return number
 
 
 @dataclass(frozen=True)
-class _Sides:
-    """The facets of this rank's cells, each seen from its cell.
+class _FacetSides:
+    """The facets of this rank's m cells, each seen from its cell."""
 
-    Attributes
-    ----------
-    cell_tag : (m,) integer array
-        Tags of the cells that this rank owns.
-    facet : (m, f) integer array
-        Global numbers of their facets.
-    facet_tag : (m, f) integer array
-        Tags of the facets.
-    directory : Directory
-        Of the facets.
-    low, high : (d,) integer arrays
-        The smallest and largest cell tag on the sides of the directory's facets.
-    tag : (d,) integer array
-        Tags of the directory's facets.
-    """
-
-    cell_tag: Numbers
-    facet: Numbers
-    facet_tag: Numbers
-    directory: Directory
-    low: Numbers
+    cell_tag: Numbers  # (m,)
+    facet: Numbers  # (m, f) global numbers
+    facet_tag: Numbers  # (m, f)
+    directory: Directory  # of the facets; the following are for its keys
+    low: Numbers  # smallest and largest cell tag at the facet
     high: Numbers
-    tag: Numbers
+    tag: Numbers  # of the facet
 
     @staticmethod
-    def of(tagged: TaggedMesh) -> _Sides:
-        """Gather what is known of each facet on its home rank. Collective."""
+    def from_mesh(tagged: TaggedMesh) -> _FacetSides:
+        """Gather the tags around each facet on its home rank. Collective."""
         mesh, owned = tagged.mesh, owned_cells(tagged.mesh)
         local = cell_facets(mesh)[:owned]
         facet_map = mesh.topology.index_map(mesh.topology.dim - 1)
         facet = _to_global(facet_map, local)
         cell_tag = np.full(owned, _UNTAGGED, dtype=np.int64)
-        here = tagged.cell_tags.indices < owned
-        cell_tag[tagged.cell_tags.indices[here]] = tagged.cell_tags.values[here]
+        on_owned = tagged.cell_tags.indices < owned
+        cell_tag[tagged.cell_tags.indices[on_owned]] = tagged.cell_tags.values[on_owned]
 
         directory = Directory(mesh.comm, np.unique(facet))
         keys, values = directory.collect(facet.ravel(), np.repeat(cell_tag, facet.shape[1]))
@@ -230,7 +218,7 @@ class _Sides:
         )
         tag[directory.position(keys)] = values
         facet_tag = directory.lookup(facet.ravel(), tag)[1].reshape(facet.shape)
-        return _Sides(cell_tag, facet, facet_tag, directory, low, high, tag)
+        return _FacetSides(cell_tag, facet, facet_tag, directory, low, high, tag)
 
 
 def _to_global(index_map: Any, local: NDArray[Any]) -> Numbers:
@@ -238,39 +226,39 @@ def _to_global(index_map: Any, local: NDArray[Any]) -> Numbers:
     return np.asarray(numbers, dtype=np.int64).reshape(local.shape)
 
 
-def _opened_facets(mesh: Mesh, sides: _Sides, openings: Sequence[_Opening]) -> Numbers:
+def _opened_facets(mesh: Mesh, sides: _FacetSides, openings: Sequence[_Opening]) -> Numbers:
     """Return the number of the interface that each facet (m, f) of a cell is in; -1 for none."""
     comm = mesh.comm
     opened = np.full(sides.tag.size, -1, dtype=np.int64)
     for k, opening in enumerate(openings):
         low, high = sorted((opening.slave, opening.master))
-        chosen = (sides.low == low) & (sides.high == high)
+        selected = (sides.low == low) & (sides.high == high)
         if opening.facets is not None:
-            chosen &= sides.tag == opening.facets
-        number, again = comm.allreduce(np.array([chosen.sum(), (opened[chosen] >= 0).sum()]))
+            selected &= sides.tag == opening.facets
+        number, repeated = comm.allreduce(np.array([selected.sum(), (opened[selected] >= 0).sum()]))
         if not number:
             raise InputError(
                 f"there are no {opening}: they do not touch, have nodes of their own already, or "
                 "the tag is on other facets"
             )
-        if again:
-            first = openings[int(comm.allreduce(opened[chosen].max(initial=-1), MPI.MAX))]
-            raise InputError(f"{again} of the {opening} are in two interfaces, also in: {first}")
-        opened[chosen] = k
-    of_cells: Numbers = sides.directory.lookup(sides.facet.ravel(), opened)[1]
-    return of_cells.reshape(sides.facet.shape)
+        if repeated:
+            first = openings[int(comm.allreduce(opened[selected].max(initial=-1), MPI.MAX))]
+            raise InputError(f"{repeated} of the {opening} are in two interfaces, also in: {first}")
+        opened[selected] = k
+    numbers: Numbers = sides.directory.lookup(sides.facet.ravel(), opened)[1]
+    return numbers.reshape(sides.facet.shape)
 
 
 def _check_new_tags(
-    comm: MPI.Intracomm, sides: _Sides, opened: Numbers, openings: Sequence[_Opening]
+    comm: MPI.Intracomm, sides: _FacetSides, opened: Numbers, openings: Sequence[_Opening]
 ) -> None:
     """Check that the new tags are on no facet that stays."""
     new = sorted({tag for o in openings for tag in (o.slave_tag, o.master_tag)})
-    there = np.unique(sides.facet_tag[(opened < 0) & np.isin(sides.facet_tag, new)])
-    there = np.unique(concatenate_ranks(comm, there))
-    if there.size:
+    occupied = np.unique(sides.facet_tag[(opened < 0) & np.isin(sides.facet_tag, new)])
+    occupied = np.unique(concatenate_ranks(comm, occupied))
+    if occupied.size:
         raise InputError(
-            f"other facets have the tags {there.tolist()} of new surfaces; choose tags that no "
+            f"other facets have the tags {occupied.tolist()} of new surfaces; choose tags that no "
             "facet has"
         )
 
@@ -278,44 +266,44 @@ def _check_new_tags(
 # -- nodes -------------------------------------------------------------------------------------
 
 
-def _renumbered(mesh: Mesh, sides: _Sides, opened: Numbers) -> tuple[Numbers, Vector]:
+def _renumbered(mesh: Mesh, sides: _FacetSides, opened: Numbers) -> tuple[Numbers, Vector]:
     """Return the nodes of this rank's cells (m, n) in the new mesh, and its share of the points."""
     comm, kind = mesh.comm, cell_type(mesh)
     nodes = _compat.geometry_cells(mesh)[: owned_cells(mesh)]
     # dolfinx 0.5 may number a node that two ranks share twice; the input's numbers are unique
     old = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)[nodes]
     directory = Directory(comm, np.unique(old))
-    at_surface = np.zeros(directory.keys.size, dtype=bool)
+    on_surface = np.zeros(directory.keys.size, dtype=bool)
     for f, corners in enumerate(kind.facets):
         keys = directory.collect(old[opened[:, f] >= 0][:, corners].ravel())[0]
-        at_surface[directory.position(keys)] = True
+        on_surface[directory.position(keys)] = True
 
     vertices = old[:, : kind.vertices]
-    concerned = directory.lookup(vertices.ravel(), at_surface)[1].reshape(vertices.shape)
-    copy = _copies_of_vertices(mesh, sides, opened, directory, vertices, concerned)
+    split = directory.lookup(vertices.ravel(), on_surface)[1].reshape(vertices.shape)
+    copy = _copies_of_vertices(mesh, sides, opened, directory, vertices, split)
     if old.shape[1] > kind.vertices:
         copy = np.hstack([copy, _copies_between_vertices(mesh, directory, old, copy)])
 
-    most = np.zeros(directory.keys.size, dtype=np.int64)
+    last_copy = np.zeros(directory.keys.size, dtype=np.int64)
     keys, number = directory.collect(old.ravel(), copy.ravel())
-    np.maximum.at(most, directory.position(keys), number)
-    first = first_of_rank(comm, int(np.sum(most + 1)))[0]
-    start = first + np.cumsum(most + 1) - (most + 1)
+    np.maximum.at(last_copy, directory.position(keys), number)
+    first = first_of_rank(comm, int(np.sum(last_copy + 1)))[0]
+    start = first + np.cumsum(last_copy + 1) - (last_copy + 1)
     cells = directory.lookup(old.ravel(), start)[1].reshape(old.shape) + copy
 
     points = np.zeros((directory.keys.size, mesh.geometry.dim))
     keys, x = directory.collect(old.ravel(), mesh.geometry.x[nodes.ravel(), : mesh.geometry.dim])
     points[directory.position(keys)] = x
-    return cells, np.repeat(points, most + 1, axis=0)
+    return cells, np.repeat(points, last_copy + 1, axis=0)
 
 
 def _copies_of_vertices(
     mesh: Mesh,
-    sides: _Sides,
+    sides: _FacetSides,
     opened: Numbers,
     directory: Directory,
     vertices: Numbers,
-    concerned: Mask,
+    split: Mask,
 ) -> Numbers:
     """Return which copy of its vertices each cell has (m, v), counted from 0.
 
@@ -323,29 +311,31 @@ def _copies_of_vertices(
     """
     kind, cell_map = cell_type(mesh), mesh.topology.index_map(mesh.topology.dim)
     number = _to_global(cell_map, np.arange(len(vertices)))
-    rows = []
+    columns = []
     for f, corners in enumerate(kind.facets):
         for corner in corners:
-            mine = np.flatnonzero(concerned[:, corner])
-            facet = np.where(opened[mine, f] < 0, sides.facet[mine, f], -1)
-            rows.append(np.stack([vertices[mine, corner], number[mine], facet]))
-    vertex, cell, facet = directory.collect(*np.concatenate(rows, axis=1))
-    around, at_cell = np.unique(np.stack([vertex, cell], axis=1), axis=0, return_inverse=True)
+            rows = np.flatnonzero(split[:, corner])
+            facet = np.where(opened[rows, f] < 0, sides.facet[rows, f], -1)
+            columns.append(np.stack([vertices[rows, corner], number[rows], facet]))
+    vertex, cell, facet = directory.collect(*np.concatenate(columns, axis=1))
+    vertex_cells, cell_position = np.unique(
+        np.stack([vertex, cell], axis=1), axis=0, return_inverse=True
+    )
     closed = facet >= 0
-    joints, at_joint = np.unique(
+    joints, joint_position = np.unique(
         np.stack([vertex, facet], axis=1)[closed], axis=0, return_inverse=True
     )
-    size = len(around) + len(joints)
-    ends = (at_cell.ravel()[closed], len(around) + at_joint.ravel())
+    size = len(vertex_cells) + len(joints)
+    ends = (cell_position.ravel()[closed], len(vertex_cells) + joint_position.ravel())
     graph = sp.coo_matrix((np.ones(ends[0].size), ends), (size, size))
-    group = connected_components(graph, directed=False)[1][: len(around)]
-    copy = _rank_within(around[:, 0], group)
+    group = connected_components(graph, directed=False)[1][: len(vertex_cells)]
+    copy = _rank_within(vertex_cells[:, 0], group)
 
-    vertex, cell, copy = directory.forward(around[:, 0], around[:, 1], copy)
-    copies = np.zeros(concerned.shape, dtype=np.int64)
+    vertex, cell, copy = directory.forward(vertex_cells[:, 0], vertex_cells[:, 1], copy)
+    copies = np.zeros(split.shape, dtype=np.int64)
     first = int(number[0]) if number.size else 0
-    here = (cell >= first) & (cell < first + number.size)
-    vertex, cell, copy = vertex[here], cell[here] - first, copy[here]
+    on_rank = (cell >= first) & (cell < first + number.size)
+    vertex, cell, copy = vertex[on_rank], cell[on_rank] - first, copy[on_rank]
     corner = np.argmax(vertices[cell] == vertex[:, None], axis=1)
     copies[cell, corner] = copy
     return copies
@@ -359,23 +349,23 @@ def _copies_between_vertices(
     Cells have the same copy where they have the same copies of the vertices around it: thus nodes
     of degree 2 are shared where dolfinx sees one edge or face.
     """
-    between = cell_type(mesh).midpoints
+    midpoints = cell_type(mesh).midpoints
     digit = 1 + mesh.comm.allreduce(int(copies.max(initial=0)), MPI.MAX)
     span = digit ** copies.shape[1]
-    code = np.zeros((len(old), len(between)), dtype=np.int64)
-    for k, ends in enumerate(between):
+    code = np.zeros((len(old), len(midpoints)), dtype=np.int64)
+    for k, ends in enumerate(midpoints):
         # neighbours list the vertices in different orders
         order = np.argsort(old[:, ends], axis=1)
         ordered = np.take_along_axis(copies[:, ends], order, axis=1)
         code[:, k] = ordered @ digit ** np.arange(len(ends))
     nodes = old[:, copies.shape[1] :]
-    found = np.unique(np.stack(directory.collect(nodes.ravel(), code.ravel()), axis=1), axis=0)
-    rank = np.arange(len(found)) - np.searchsorted(found[:, 0], found[:, 0])
-    node, number, rank = directory.forward(found[:, 0], found[:, 1], rank)
-    known = node * span + number
-    order = np.argsort(known)
-    at: Numbers = rank[order][np.searchsorted(known[order], nodes * span + code)]
-    return at
+    distinct = np.unique(np.stack(directory.collect(nodes.ravel(), code.ravel()), axis=1), axis=0)
+    rank = np.arange(len(distinct)) - np.searchsorted(distinct[:, 0], distinct[:, 0])
+    node, number, rank = directory.forward(distinct[:, 0], distinct[:, 1], rank)
+    keys = node * span + number
+    order = np.argsort(keys)
+    numbers: Numbers = rank[order][np.searchsorted(keys[order], nodes * span + code)]
+    return numbers
 
 
 def _rank_within(key: Numbers, group: Numbers) -> Numbers:
@@ -390,22 +380,24 @@ def _rank_within(key: Numbers, group: Numbers) -> Numbers:
     return ranks
 
 
-def _check_open(mesh: Mesh, sides: _Sides, opened: Numbers, cells: Numbers) -> None:
+def _check_open(mesh: Mesh, sides: _FacetSides, opened: Numbers, cells: Numbers) -> None:
     """Check that the two sides of each opened facet have different vertices."""
     x, nodes = mesh.geometry.x[:, : mesh.geometry.dim], _compat.geometry_cells(mesh)
     rows = []
     for f, corners in enumerate(cell_type(mesh).facets):
-        mine = np.flatnonzero(opened[:, f] >= 0)
-        middle = x[nodes[mine][:, corners]].mean(axis=1)
-        rows.append((sides.facet[mine, f], np.sort(cells[mine][:, corners], axis=1), middle))
+        opened_cells = np.flatnonzero(opened[:, f] >= 0)
+        middle = x[nodes[opened_cells][:, corners]].mean(axis=1)
+        rows.append(
+            (sides.facet[opened_cells, f], np.sort(cells[opened_cells][:, corners], axis=1), middle)
+        )
     columns = (np.concatenate(column) for column in zip(*rows, strict=True))
     keys, vertices, places = sides.directory.collect(*columns)
     order = np.argsort(keys, kind="stable")
     keys, vertices, places = keys[order], vertices[order], places[order]
-    same: Mask = (keys[1:] == keys[:-1]) & np.all(vertices[1:] == vertices[:-1], axis=1)
+    closed: Mask = (keys[1:] == keys[:-1]) & np.all(vertices[1:] == vertices[:-1], axis=1)
     raise_where(
         mesh.comm,
-        same,
+        closed,
         places[1:],
         lambda number, place: (
             f"{number} facets of the interfaces cannot be opened, the first around {place}: all "
@@ -428,16 +420,18 @@ def _with_tags(
     directory = Directory(mesh.comm, number)
     keys, *columns = directory.collect(number, cell_tag, facet_tag)
     order = np.argsort(keys)
-    given = np.asarray(mesh.topology.original_cell_index, dtype=np.int64)
-    _, of_cell, of_facets = directory.lookup(given, *(column[order] for column in columns))
+    input_cells = np.asarray(mesh.topology.original_cell_index, dtype=np.int64)
+    _, cell_tags, tags_of_facets = directory.lookup(
+        input_cells, *(column[order] for column in columns)
+    )
     facets = cell_facets(mesh)
     facet_map = mesh.topology.index_map(dim - 1)
-    of_facet = np.full(facet_map.size_local + facet_map.num_ghosts, _UNTAGGED, dtype=np.int64)
-    of_facet[facets] = of_facets
-    return TaggedMesh(mesh, _tags(mesh, dim, of_cell), _tags(mesh, dim - 1, of_facet), names)
+    facet_tags = np.full(facet_map.size_local + facet_map.num_ghosts, _UNTAGGED, dtype=np.int64)
+    facet_tags[facets] = tags_of_facets
+    return TaggedMesh(mesh, _tags(mesh, dim, cell_tags), _tags(mesh, dim - 1, facet_tags), names)
 
 
 def _tags(mesh: Mesh, dim: int, values: Numbers) -> Any:
     """Return the tags of all entities of this rank that have one."""
     tagged = np.flatnonzero(values != _UNTAGGED)
-    return meshtags(mesh, dim, tagged.astype(np.int32), values[tagged].astype(np.int32))
+    return sorted_tags(mesh, dim, tagged, values[tagged])

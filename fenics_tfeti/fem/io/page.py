@@ -20,30 +20,16 @@ _FOLDER = Path(__file__).parent
 _UNITS = {"displacement": "m", "contact_pressure": "Pa", "von_mises_stress": "Pa"}
 
 
-def page_of_report(report: Mapping[str, Any], title: str, scene: Scene | None = None) -> str:
-    """Return the page as text.
-
-    Parameters
-    ----------
-    report : mapping
-        What `ContactReport.to_dict` returns.
-    title : str
-        The heading.
-    scene : Scene, optional
-        The deformed bodies.
-
-    Raises
-    ------
-    ImportError
-        If Plotly is missing, whose JavaScript the page contains.
-    """
+def report_page(report: Mapping[str, Any], title: str, scene: Scene | None = None) -> str:
+    """Return the page for what `ContactReport.to_dict` returns; it contains Plotly's JavaScript."""
     library = _plotly()
     figures = {"convergence": _convergence(report), "phases": _phases(report["seconds"])}
     if report["passes"]:
         figures["passes"] = _passes(report["passes"])
     data = {"figures": figures, "scene": None if scene is None else _scene(scene)}
     body = [_verdict(report, title), *_bodies(scene), *_contacts(report), *_iterations(report)]
-    body += [*_certificate(report), *_times(report), *_details(report)]
+    phases = ["<h2>Phases</h2>", '<div class="figure" id="phases"></div>']
+    body += [*_certificate(report), *phases, *_details(report)]
     # in an element of its own, whose end must not be in the data
     text = json.dumps(data, allow_nan=False).replace("</", "<\\/")
     script = (_FOLDER / "page.js").read_text()
@@ -120,10 +106,10 @@ def _contacts(report: Mapping[str, Any]) -> list[str]:
 
 
 def _iterations(report: Mapping[str, Any]) -> list[str]:
-    found = ["<h2>Convergence</h2>", '<div class="figure" id="convergence"></div>']
+    sections = ["<h2>Convergence</h2>", '<div class="figure" id="convergence"></div>']
     if report["passes"]:
-        found += ["<h2>Geometry passes</h2>", '<div class="figure" id="passes"></div>']
-    return found
+        sections += ["<h2>Geometry passes</h2>", '<div class="figure" id="passes"></div>']
+    return sections
 
 
 def _certificate(report: Mapping[str, Any]) -> list[str]:
@@ -137,20 +123,18 @@ def _certificate(report: Mapping[str, Any]) -> list[str]:
         (f"error of {', '.join(group['bodies'])}", _number(group["error"]))
         for group in certificate["groups"]
     ]
-    rows += [(f"share of {one['body']}", _number(one["error"])) for one in certificate["bodies"]]
+    rows += [(f"share of {body['body']}", _number(body["error"])) for body in certificate["bodies"]]
     return ["<h2>Certificate</h2>", f'<div class="wide">{_table(rows, head=True)}</div>']
 
 
-def _times(report: Mapping[str, Any]) -> list[str]:
-    return ["<h2>Phases</h2>", '<div class="figure" id="phases"></div>']
-
-
 def _details(report: Mapping[str, Any]) -> list[str]:
-    parts = []
+    sections = []
     for name in ("options", "versions", "unknowns", "products"):
         table = _table(list(report[name].items()))
-        parts.append(f'<details><summary>{name}</summary><div class="wide">{table}</div></details>')
-    return parts
+        sections.append(
+            f'<details><summary>{name}</summary><div class="wide">{table}</div></details>'
+        )
+    return sections
 
 
 def _table(rows: Iterable[Sequence[Any]], head: bool = False) -> str:
@@ -204,7 +188,7 @@ def _curve(steps: Sequence[Mapping[str, Any]], name: str, label: str) -> dict[st
 
 def _passes(passes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     numbers = list(range(1, len(passes) + 1))
-    error = _positive(one["error"] for one in passes)
+    error = _positive(entry["error"] for entry in passes)
     trace = {"type": "scatter", "mode": "lines+markers", "x": numbers, "y": error}
     layout = {
         "xaxis": {"title": {"text": "pass"}, "dtick": 1},

@@ -23,7 +23,7 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.io.fields import field_degree, of_degree
+from fenics_tfeti.fem.io.fields import field_degree, raised_to_degree
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_type, owned_cells
 from fenics_tfeti.feti.files.arrays import folder_of, write_arrays, write_whole
@@ -177,23 +177,14 @@ def draw_profile(
 class GatheredMesh:
     """The whole mesh and its fields.
 
-    Attributes
-    ----------
-    points, displacement : (n, 3) array
-        Nodes and their displacements [m].
-    cells : (m, v) array of int
-        Their vertices in the order of VTK, right-handed: outward normals show the sharp edges. For
-        degree 2 these are the pieces into which the nodes cut each cell.
-    colours : (n,) or (m,) array
-        Values of nodes or cells.
-    vtk_type : int
-        VTK's number of the cells' type.
+    For degree 2, cells are the pieces into which the nodes cut each cell. They are right-handed:
+    outward normals show the sharp edges.
     """
 
-    points: NDArray[np.float64]
-    displacement: NDArray[np.float64]
-    cells: NDArray[np.int64]
-    colours: NDArray[np.float64]
+    points: NDArray[np.float64]  # (n, 3) [m]
+    displacement: NDArray[np.float64]  # (n, 3) [m]
+    cells: NDArray[np.int64]  # (m, v) in the order of VTK
+    colours: NDArray[np.float64]  # of the n nodes or the m cells
     vtk_type: int
 
 
@@ -202,26 +193,28 @@ def gather_mesh(displacement: Function, colour: Function | None) -> GatheredMesh
     mesh = displacement.function_space.mesh
     cell = cell_type(mesh)
     owned = owned_cells(mesh)
-    given = [displacement] if colour is None else [displacement, colour]
-    degree = max(_compat.geometry_degree(mesh), *map(field_degree, given), 1)
-    displacement = of_degree(displacement, degree)
+    functions = [displacement] if colour is None else [displacement, colour]
+    degree = max(_compat.geometry_degree(mesh), *map(field_degree, functions), 1)
+    displacement = raised_to_degree(displacement, degree)
     space = displacement.function_space
     nodes = _compat.cell_dofs(space)[:owned]
     cells = space.dofmap.index_map.local_to_global(nodes.ravel()).reshape(nodes.shape)
 
     # cell by cell: the nodes of a cell are in the same order in all spaces of one degree
     gdim = mesh.geometry.dim
-    moves = displacement.x.array.reshape(-1, gdim)[nodes]
+    displacements = displacement.x.array.reshape(-1, gdim)[nodes]
     if colour is None:
-        colours = np.linalg.norm(moves, axis=2)
+        colours = np.linalg.norm(displacements, axis=2)
     else:
-        colour = of_degree(colour, degree)
+        colour = raised_to_degree(colour, degree)
         colours = colour.x.array[_compat.cell_dofs(colour.function_space)[:owned]]
-    local = (space.tabulate_dof_coordinates()[nodes], moves, cells, colours)
+    local = (space.tabulate_dof_coordinates()[nodes], displacements, cells, colours)
     ranks = mesh.comm.gather(local)
     if ranks is None:
         return None
-    points, moves, cells, colours = (np.concatenate(parts) for parts in zip(*ranks, strict=True))
+    points, displacements, cells, colours = (
+        np.concatenate(arrays) for arrays in zip(*ranks, strict=True)
+    )
 
     _, first, place = np.unique(cells, return_index=True, return_inverse=True)
     by_cell = colours.shape[1] == 1
@@ -231,7 +224,7 @@ def gather_mesh(displacement: Function, colour: Function | None) -> GatheredMesh
     right_handed = _right_handed(corners, points[corners], cell)
     return GatheredMesh(
         points=points,
-        displacement=np.pad(moves.reshape(-1, gdim)[first], ((0, 0), (0, 3 - gdim))),
+        displacement=np.pad(displacements.reshape(-1, gdim)[first], ((0, 0), (0, 3 - gdim))),
         cells=right_handed[:, cell.vtk_order],
         colours=np.repeat(colours[:, 0], len(pieces)) if by_cell else colours.ravel()[first],
         vtk_type=cell.vtk_type,
@@ -253,9 +246,9 @@ def round_scale(view: GatheredMesh) -> float:
     size = float(np.ptp(view.points, axis=0).max())
     if largest == 0.0:
         return 1.0
-    wanted = 0.1 * size / largest
-    power = 10.0 ** np.floor(np.log10(wanted))
-    return float(power * max(k for k in (1, 2, 5) if k * power <= wanted * (1 + 1e-9)))
+    target = 0.1 * size / largest
+    power = 10.0 ** np.floor(np.log10(target))
+    return float(power * max(k for k in (1, 2, 5) if k * power <= target * (1 + 1e-9)))
 
 
 def _render(path: Path, data: dict[str, Any]) -> None:
@@ -352,8 +345,7 @@ def check_displacement(displacement: Function) -> None:
             f"'{displacement.name}' is not a displacement; a continuous field of degree 1 or 2 "
             f"with {mesh.geometry.dim} components is expected"
         )
-    if not np.all(np.isfinite(displacement.x.array)):
-        raise InputError(f"'{displacement.name}' has values that are NaN or infinite")
+    _check_finite(displacement)
 
 
 def check_colour(displacement: Function, colour: Function | None) -> None:
@@ -366,8 +358,12 @@ def check_colour(displacement: Function, colour: Function | None) -> None:
         raise InputError(f"the colour '{colour.name}' has shape {shape}; a scalar is expected")
     if colour.function_space.mesh is not displacement.function_space.mesh:
         raise InputError(f"'{colour.name}' is on another mesh than '{displacement.name}'")
-    if not np.all(np.isfinite(colour.x.array)):
-        raise InputError(f"'{colour.name}' has values that are NaN or infinite")
+    _check_finite(colour)
+
+
+def _check_finite(function: Function) -> None:
+    if not np.all(np.isfinite(function.x.array)):
+        raise InputError(f"'{function.name}' has values that are NaN or infinite")
 
 
 def _require(module: str) -> None:

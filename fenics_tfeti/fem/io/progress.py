@@ -53,7 +53,7 @@ def progress(
     try:
         for done, step in enumerate(steps):
             if drawn:
-                line = bar_of_loop(label, done, len(steps), time.perf_counter() - begin)
+                line = progress_bar(label, done, len(steps), time.perf_counter() - begin)
                 stream.write(_ERASE + line)
                 stream.flush()
             yield step
@@ -63,18 +63,8 @@ def progress(
             stream.flush()
 
 
-def bar_of_loop(label: str, done: int, steps: int, seconds: float) -> str:
-    """Return the bar with its numbers, after some of the steps.
-
-    Parameters
-    ----------
-    label : str
-        What stands in front.
-    done, steps : int
-        Steps that are done, of how many.
-    seconds : float
-        What they took [s].
-    """
+def progress_bar(label: str, done: int, steps: int, seconds: float) -> str:
+    """Return the bar with its numbers, after so many steps and seconds."""
     filled = _WIDTH * done // steps
     bar = "#" * filled + "." * (_WIDTH - filled)
     left = f", {_clock(seconds * (steps - done) / done)} left" if done else ""
@@ -83,5 +73,5 @@ def bar_of_loop(label: str, done: int, steps: int, seconds: float) -> str:
 
 def _clock(seconds: float) -> str:
     """Return a time as minutes and seconds."""
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes}:{rest:02d}"
+    minutes, remainder = divmod(round(seconds), 60)
+    return f"{minutes}:{remainder:02d}"

@@ -33,44 +33,21 @@ _FACES = {
 
 @dataclass(frozen=True)
 class Scene:
-    """Triangles of the outer faces, or of the cells in two dimensions.
+    """Triangles of the outer faces, or of the cells in two dimensions."""
 
-    Attributes
-    ----------
-    points, displacement : (n, 3) array
-        Nodes of the triangles and their displacements [m].
-    triangles : (t, 3) integer array
-        Positions of their corners, counterclockwise from outside.
-    fields : dict of (n,) or (t,) array
-        Values by name, of nodes or triangles.
-    scale : float
-        Magnification that makes displacements visible.
-    flat : bool
-        Whether the mesh has two dimensions.
-    """
-
-    points: Vector
-    displacement: Vector
-    triangles: Numbers
-    fields: dict[str, Vector]
-    scale: float
-    flat: bool
+    points: Vector  # (n, 3) [m]
+    displacement: Vector  # (n, 3) [m]
+    triangles: Numbers  # (t, 3) corners, counterclockwise from outside
+    fields: dict[str, Vector]  # (n,) or (t,) by name
+    scale: float  # magnification that makes displacements visible
+    flat: bool  # a mesh of two dimensions
 
 
 def gather_scene(displacement: Function, fields: Sequence[Function] = ()) -> Scene | None:
     """Gather the outer faces on rank 0; the other ranks get None. Collective.
 
-    Parameters
-    ----------
-    displacement : dolfinx.fem.Function
-        Continuous of degree 1 or 2, with a component for each dimension [m].
-    fields : sequence of dolfinx.fem.Function
-        Scalars on the same mesh, continuous of degree 1 or 2 or constant on each cell.
-
-    Raises
-    ------
-    InputError
-        On all ranks, if a field is wrong.
+    The displacement is continuous of degree 1 or 2, fields are scalars, continuous or constant on
+    each cell; what is wrong of them raises an `InputError` on all ranks.
     """
     with raise_collectively(displacement.function_space.mesh.comm):
         check_displacement(displacement)
@@ -84,23 +61,17 @@ def gather_scene(displacement: Function, fields: Sequence[Function] = ()) -> Sce
     triangles, cell = outer_triangles(view)
     kept, corners = np.unique(triangles, return_inverse=True)
     values: dict[str, Vector] = {}
-    for name, one in zip(names, views, strict=True):
-        if one is not None:
-            by_cell = len(one.colours) == len(one.cells)
-            values[name] = one.colours[cell] if by_cell else one.colours[kept]
+    for name, gathered in zip(names, views, strict=True):
+        if gathered is not None:
+            by_cell = len(gathered.colours) == len(gathered.cells)
+            values[name] = gathered.colours[cell] if by_cell else gathered.colours[kept]
     flat = displacement.function_space.mesh.geometry.dim == 2
     moves = view.displacement[kept]
     return Scene(view.points[kept], moves, corners.reshape(-1, 3), values, round_scale(view), flat)
 
 
 def outer_triangles(mesh: GatheredMesh) -> tuple[Numbers, Numbers]:
-    """Return the triangles of the faces of one cell only, and the cell of each.
-
-    Parameters
-    ----------
-    mesh : GatheredMesh
-        The mesh.
-    """
+    """Return the triangles of the faces of one cell only, and the cell of each."""
     table = np.array(_FACES[mesh.vtk_type])
     faces = mesh.cells[:, table].reshape(-1, table.shape[1])
     cell = np.repeat(np.arange(len(mesh.cells)), len(table))

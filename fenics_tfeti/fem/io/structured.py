@@ -11,11 +11,11 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from dolfinx.mesh import Mesh, exterior_facet_indices, meshtags
+from dolfinx.mesh import Mesh, exterior_facet_indices
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
+from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, sorted_tags
 from fenics_tfeti.fem.reference_cells import MESH_CELLS, ReferenceCell, reference_cell
 from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively
@@ -43,7 +43,7 @@ class Box:
     name: str = ""
 
 
-def boxes(comm: MPI.Comm, parts: Sequence[Box], cell: str = "hexahedron") -> TaggedMesh:
+def boxes(comm: MPI.Comm, bodies: Sequence[Box], cell: str = "hexahedron") -> TaggedMesh:
     """Create a mesh of boxes that share no nodes. Collective.
 
     Boxes that touch are separate bodies, with two nodes at each place where their grids match.
@@ -53,7 +53,7 @@ def boxes(comm: MPI.Comm, parts: Sequence[Box], cell: str = "hexahedron") -> Tag
     ----------
     comm : MPI.Comm
         Communicator of the mesh.
-    parts : sequence of Box
+    bodies : sequence of Box
         The boxes: of three coordinates for hexahedra and tetrahedra (six for each block of the
         grid), of two for quadrilaterals and triangles (two for each).
     cell : str
@@ -79,27 +79,27 @@ def boxes(comm: MPI.Comm, parts: Sequence[Box], cell: str = "hexahedron") -> Tag
     (90, 16)
     """
     with raise_collectively(comm):
-        _check_boxes(parts, cell)
+        _check_boxes(bodies, cell)
     cell_type = reference_cell(cell)
-    cell_counts = [len(cell_type.grid_cut) * int(np.prod(part.divisions)) for part in parts]
-    node_counts = [int(np.prod(np.add(part.divisions, 1))) for part in parts]
+    cell_counts = [len(cell_type.grid_cut) * int(np.prod(body.divisions)) for body in bodies]
+    node_counts = [int(np.prod(np.add(body.divisions, 1))) for body in bodies]
     first_nodes = np.cumsum([0, *node_counts])[:-1]
     cells = [
-        _cells(part, cell_type, share, first_node)
-        for part, first_node, share in zip(
-            parts, first_nodes, _shares(cell_counts, comm), strict=True
+        _cells(body, cell_type, share, first_node)
+        for body, first_node, share in zip(
+            bodies, first_nodes, _shares(cell_counts, comm), strict=True
         )
     ]
     points = [
-        _points(part, share) for part, share in zip(parts, _shares(node_counts, comm), strict=True)
+        _points(body, share) for body, share in zip(bodies, _shares(node_counts, comm), strict=True)
     ]
     mesh = _compat.distributed_mesh(comm, np.concatenate(cells), np.concatenate(points), cell)
     # the cells were numbered box by box
     number = mesh.topology.original_cell_index
-    box = 1 + np.searchsorted(np.cumsum(cell_counts), number, side="right")
-    cell_tags = _tags(mesh, mesh.topology.dim, np.arange(len(number)), box)
-    facet_tags = _tags(mesh, mesh.topology.dim - 1, np.arange(0), np.arange(0))
-    names = {part.name: k for k, part in enumerate(parts, start=1) if part.name}
+    body_of_cell = 1 + np.searchsorted(np.cumsum(cell_counts), number, side="right")
+    cell_tags = sorted_tags(mesh, mesh.topology.dim, np.arange(len(number)), body_of_cell)
+    facet_tags = sorted_tags(mesh, mesh.topology.dim - 1, np.arange(0), np.arange(0))
+    names = {body.name: k for k, body in enumerate(bodies, start=1) if body.name}
     return TaggedMesh(mesh, cell_tags, facet_tags, names)
 
 
@@ -149,45 +149,45 @@ def tag_facets(
     mesh.topology.create_connectivity(dim - 1, dim)
     facets = exterior_facet_indices(mesh.topology)
     nodes = _compat.entity_nodes(mesh, dim - 1, facets)
-    chosen = np.zeros((len(rows), len(facets)), dtype=bool)
+    selected = np.zeros((len(rows), len(facets)), dtype=bool)
     with raise_collectively(mesh.comm):
         if cell_tags is None and any(len(row) > 2 for row in rows):
             raise InputError("a facet tag is for one body only: pass the cell_tags as well")
         for k, (tag, marker, *body) in enumerate(rows):
-            chosen[k] = _is_selected(nodes, mesh.geometry.x, marker, tag)
+            selected[k] = _is_selected(nodes, mesh.geometry.x, marker, tag)
             if body:
-                chosen[k] &= _is_in_body(mesh, facets, cell_tags, body[0])
+                selected[k] &= _is_in_body(mesh, facets, cell_tags, body[0])
         tags = np.array([row[0] for row in rows], dtype=np.int32)
-        values = _one_tag_each(tags, chosen)
-    counts = mesh.comm.allreduce(np.count_nonzero(chosen, axis=1))
+        values = _unique_tags(tags, selected)
+    counts = mesh.comm.allreduce(np.count_nonzero(selected, axis=1))
     if not np.all(counts):
         raise InputError(
             f"no facet of the surface is selected for the facet tags {tags[counts == 0].tolist()}; "
             "check their markers (they need a tolerance, as in numpy.isclose) and bodies"
         )
-    return _tags(mesh, dim - 1, facets[np.any(chosen, axis=0)], values)
+    return sorted_tags(mesh, dim - 1, facets[np.any(selected, axis=0)], values)
 
 
-def _check_boxes(parts: Sequence[Box], cell: str) -> None:
+def _check_boxes(bodies: Sequence[Box], cell: str) -> None:
     if cell not in MESH_CELLS:
         raise InputError(f"unknown cell '{cell}'; choose one of {', '.join(MESH_CELLS)}")
-    if not parts:
+    if not bodies:
         raise InputError("a mesh needs at least one box")
     gdim = reference_cell(cell).dim
-    for part in parts:
-        lengths = {len(part.lower), len(part.upper), len(part.divisions)}
+    for body in bodies:
+        lengths = {len(body.lower), len(body.upper), len(body.divisions)}
         if lengths != {gdim}:
             raise InputError(
-                f"{part} has corners or divisions of {sorted(lengths)} components; a mesh of "
+                f"{body} has corners or divisions of {sorted(lengths)} components; a mesh of "
                 f"{cell} cells needs {gdim}"
             )
-        if not np.all(np.asarray(part.lower) < np.asarray(part.upper)):
+        if not np.all(np.asarray(body.lower) < np.asarray(body.upper)):
             raise InputError(
-                f"{part} is empty: each component of lower has to be less than that of upper"
+                f"{body} is empty: each component of lower has to be less than that of upper"
             )
-        if any(int(n) != n or n < 1 for n in part.divisions):
-            raise InputError(f"{part}: the divisions have to be whole numbers of at least 1")
-    names = [part.name for part in parts if part.name]
+        if any(int(n) != n or n < 1 for n in body.divisions):
+            raise InputError(f"{body}: the divisions have to be whole numbers of at least 1")
+    names = [body.name for body in bodies if body.name]
     if len(set(names)) < len(names):
         raise InputError(f"two boxes have the same name, out of {names}; rename one")
 
@@ -205,34 +205,28 @@ def _shares(counts: list[int], comm: MPI.Comm) -> list[NDArray[np.int64]]:
     ]
 
 
-def _points(part: Box, chosen: NDArray[np.int64]) -> NDArray[np.float64]:
+def _points(box: Box, nodes: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the coordinates (n, gdim) of chosen nodes of a box."""
     axes = [
         np.linspace(start, stop, n + 1)
-        for start, stop, n in zip(part.lower, part.upper, part.divisions, strict=True)
+        for start, stop, n in zip(box.lower, box.upper, box.divisions, strict=True)
     ]
-    places = np.unravel_index(chosen, [len(axis) for axis in axes], order="F")
+    places = np.unravel_index(nodes, [len(axis) for axis in axes], order="F")
     return np.column_stack([axis[i] for axis, i in zip(axes, places, strict=True)])
 
 
 def _cells(
-    part: Box, cell: ReferenceCell, chosen: NDArray[np.int64], first_node: int
+    box: Box, cell: ReferenceCell, cells: NDArray[np.int64], first_node: int
 ) -> NDArray[np.int64]:
     """Return the nodes (m, v) of chosen cells of a box, which are numbered within the box."""
-    gdim = len(part.divisions)
-    strides = np.cumprod([1, *np.add(part.divisions, 1)])[:gdim]
+    gdim = len(box.divisions)
+    strides = np.cumprod([1, *np.add(box.divisions, 1)])[:gdim]
     corners = (np.arange(2**gdim)[:, np.newaxis] >> np.arange(gdim) & 1) @ strides
-    block, piece = np.divmod(chosen, len(cell.grid_cut))
-    lowest = np.column_stack(np.unravel_index(block, part.divisions, order="F")) @ strides
-    nodes: NDArray[np.int64] = corners[np.asarray(cell.grid_cut)][piece]
-    nodes += first_node + lowest[:, np.newaxis]
-    return nodes
-
-
-def _tags(mesh: Mesh, dim: int, entities: NDArray[Any], values: NDArray[Any]) -> Any:
-    """Return tags of entities in any order."""
-    order = np.argsort(entities)
-    return meshtags(mesh, dim, entities[order].astype(np.int32), values[order].astype(np.int32))
+    block, piece = np.divmod(cells, len(cell.grid_cut))
+    lowest = np.column_stack(np.unravel_index(block, box.divisions, order="F")) @ strides
+    vertices: NDArray[np.int64] = corners[np.asarray(cell.grid_cut)][piece]
+    vertices += first_node + lowest[:, np.newaxis]
+    return vertices
 
 
 def _is_selected(
@@ -260,17 +254,17 @@ def _is_in_body(
     return np.isin(cells, cell_tags.find(body))
 
 
-def _one_tag_each(tags: NDArray[np.int32], chosen: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Return the tag of each selected facet; `chosen` is (markers, facets)."""
-    chosen = chosen[:, np.any(chosen, axis=0)]
+def _unique_tags(tags: NDArray[np.int32], selected: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Return the tag of each selected facet; `selected` is (markers, facets)."""
+    selected = selected[:, np.any(selected, axis=0)]
     limits = np.iinfo(np.int32)
-    highest = np.where(chosen, tags[:, np.newaxis], limits.min).max(axis=0, initial=limits.min)
-    lowest = np.where(chosen, tags[:, np.newaxis], limits.max).min(axis=0, initial=limits.max)
-    twice = np.flatnonzero(lowest != highest)
-    if len(twice):
+    highest = np.where(selected, tags[:, np.newaxis], limits.min).max(axis=0, initial=limits.min)
+    lowest = np.where(selected, tags[:, np.newaxis], limits.max).min(axis=0, initial=limits.max)
+    ambiguous = np.flatnonzero(lowest != highest)
+    if len(ambiguous):
         raise InputError(
-            f"{len(twice)} facets are selected for several tags, {lowest[twice[0]]} and "
-            f"{highest[twice[0]]} for example, but a facet can have only one: make the markers "
+            f"{len(ambiguous)} facets are selected for several tags, {lowest[ambiguous[0]]} and "
+            f"{highest[ambiguous[0]]} for example, but a facet can have only one: make the markers "
             "disjoint"
         )
     return np.asarray(highest, dtype=np.int32)

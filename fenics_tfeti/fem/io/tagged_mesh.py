@@ -1,11 +1,14 @@
-"""A distributed mesh with tagged cells and facets: what reading or making a mesh returns."""
+"""The result of reading or making a mesh: a distributed mesh with tagged cells and facets."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
 
-from dolfinx.mesh import Mesh
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx.mesh import Mesh, meshtags
 
 
 @dataclass(frozen=True)
@@ -29,3 +32,9 @@ class TaggedMesh:
     cell_tags: Any
     facet_tags: Any
     names: dict[str, int]
+
+
+def sorted_tags(mesh: Mesh, dim: int, entities: NDArray[Any], values: NDArray[Any]) -> Any:
+    """Return mesh tags of entities of this rank that are in any order."""
+    order = np.argsort(entities)
+    return meshtags(mesh, dim, entities[order].astype(np.int32), values[order].astype(np.int32))

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.feti.local.cholesky import DistributedCholesky, SparseCholesky
-from fenics_tfeti.parallel import concatenate_buffers, exchange
+from fenics_tfeti.parallel import all_to_all, concatenate_buffers
 from fenics_tfeti.typing import Numbers, Vector
 
 CoarseSolverKind = Literal["auto", "redundant", "distributed", "inverse"]
@@ -126,7 +126,9 @@ class CoarseLayout:
         first = int(ends[comm.rank]) - own
         rank = np.searchsorted(ends, others, side="right")
         to = {int(r): np.flatnonzero(rank == r) for r in np.unique(rank)}
-        asked = exchange(comm, [others[to[r]] if r in to else others[:0] for r in range(comm.size)])
+        asked = all_to_all(
+            comm, [others[to[r]] if r in to else others[:0] for r in range(comm.size)]
+        )
         of = {r: numbers - first for r, numbers in enumerate(asked) if numbers.size}
         return CoarseLayout(comm, tuple(counts), others, to, of, solver, package)
 

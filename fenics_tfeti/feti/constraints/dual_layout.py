@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti import interruption
-from fenics_tfeti.parallel import Directory, exchange
+from fenics_tfeti.parallel import Directory, all_to_all
 from fenics_tfeti.qp import Space
 from fenics_tfeti.typing import Array, Numbers, Vector
 
@@ -134,7 +134,7 @@ class DualLayout:
         for rank, shared in self._neighbours.items():
             chosen = np.isin(rows, shared)
             messages[rank] = (self.numbers[rows[chosen]], columns[chosen], entries.data[chosen])
-        arrived = [np.concatenate(c) for c in zip(*exchange(self.comm, messages), strict=True)]
+        arrived = [np.concatenate(c) for c in zip(*all_to_all(self.comm, messages), strict=True)]
         rows = np.concatenate([rows, self.local(arrived[0])])
         columns = np.concatenate([columns, arrived[1]])
         values = np.concatenate([entries.data, arrived[2]])

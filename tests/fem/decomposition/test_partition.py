@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti import InputError
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
-from fenics_tfeti.fem.decomposition.partition import given_subdomains, split_into_subdomains
+from fenics_tfeti.fem.decomposition.partition import as_subdomains, split_into_subdomains
 from fenics_tfeti.fem.decomposition.parts import number_parts
 from fenics_tfeti.io import Box, boxes, displacement_space
 
@@ -83,7 +83,7 @@ def test_no_subdomain_is_in_two_bodies():
 def test_cells_of_one_label_are_one_subdomain():
     mesh = cube(4)
     label = np.arange(4**3) // 32
-    found = given_subdomains(mesh, find_bodies(mesh, None), label)
+    found = as_subdomains(mesh, find_bodies(mesh, None), label)
     assert sum(part.size for part in found) == 4**3
     assert all(np.unique(label[part]).size == 1 for part in found)
 
@@ -94,13 +94,13 @@ def test_label_of_separate_cells_gives_several_subdomains():
     graph = find_bodies(mesh, None).graph
     middle = np.argmax(np.diff(graph.indptr) == 2)  # a cell with two neighbours
     label[middle] = 1
-    assert len(given_subdomains(mesh, find_bodies(mesh, None), label)) == 3
+    assert len(as_subdomains(mesh, find_bodies(mesh, None), label)) == 3
 
 
 def test_wrong_number_of_labels_is_refused():
     mesh = cube(2)
     with pytest.raises(InputError, match=r"shape \(3,\), but rank 0 owns 8 cells"):
-        given_subdomains(mesh, find_bodies(mesh, None), [0, 1, 2])
+        as_subdomains(mesh, find_bodies(mesh, None), [0, 1, 2])
 
 
 def test_bodies_that_are_images_are_cut_equally():
@@ -123,4 +123,4 @@ def test_bodies_that_are_images_are_cut_equally():
     assert len(parts) >= 8 and len(parts) % 2 == 0
     assert len(set(shapes)) <= len(parts) // 2
     assert all(shapes.count(shape) % 2 == 0 for shape in shapes)
-    assert sum(part.turn is not None for part in numbered) >= len(parts) // 2
+    assert sum(part.rotation is not None for part in numbered) >= len(parts) // 2

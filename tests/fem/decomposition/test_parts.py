@@ -48,7 +48,7 @@ def test_parts_of_other_sizes_have_other_shapes(cell):
     row.mesh.geometry.x[:, 0] **= 2
     parts = number_parts(row.V, cells, [0] * NUMBER)
     assert len({part.shape for part in parts}) == NUMBER
-    assert all(part.turn is None for part in parts)
+    assert all(part.rotation is None for part in parts)
 
 
 def test_equal_data_are_found():

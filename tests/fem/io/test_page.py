@@ -16,7 +16,7 @@ import pytest
 import scenes
 
 from fenics_tfeti import InputError
-from fenics_tfeti.fem.io.page import page_of_report
+from fenics_tfeti.fem.io.page import report_page
 from fenics_tfeti.feti.report.report import without_nan
 from fenics_tfeti.io import contact_fields, von_mises
 
@@ -155,7 +155,7 @@ def test_report_that_is_not_converged():
         report, converged=False, reason="a </script> limit", certificate=certificate, faces=faces
     )
     whole = json.loads(json.dumps(without_nan(wrong.to_dict())))
-    text = page_of_report(whole, "Open")
+    text = report_page(whole, "Open")
     assert 'class="verdict open' in text and "at most not finite" in text
     assert "a &lt;/script&gt; limit" in text
     assert data_of(text)["scene"] is None

@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 import pytest
 
-from fenics_tfeti.fem.io.progress import bar_of_loop
+from fenics_tfeti.fem.io.progress import progress_bar
 from fenics_tfeti.io import progress
 
 
@@ -33,7 +33,7 @@ class Terminal(io.StringIO):
 )
 def test_bar(done, seconds, line):
     """The steps done, the time, and what is left if the others take as long."""
-    assert bar_of_loop("load step", done, 3, seconds) == line
+    assert progress_bar("load step", done, 3, seconds) == line
 
 
 def test_steps():
@@ -41,7 +41,7 @@ def test_steps():
     assert list(progress("abc", "load step", MPI.COMM_SELF, terminal)) == ["a", "b", "c"]
     *lines, last = terminal.lines()
     assert [line.split(",")[0] for line in lines] == [
-        bar_of_loop("load step", done, 3, 0.0).split(",")[0] for done in range(3)
+        progress_bar("load step", done, 3, 0.0).split(",")[0] for done in range(3)
     ]
     assert last == ""
 

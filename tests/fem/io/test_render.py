@@ -18,12 +18,12 @@ EDGES = """
 import runpy, sys
 import numpy as np
 import pyvista
-edges_of = runpy.run_path(sys.argv[1])["edges_of"]
+sharp_edges = runpy.run_path(sys.argv[1])["sharp_edges"]
 square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
 points = np.concatenate([square, square + [0, 1, 0]])
 both = pyvista.PolyData(points, [4, 0, 1, 2, 3, 4, 4, 5, 6, 7])
 both.point_data["displacement"] = np.outer([0, 0, 0, 0, 5, 5, 5, 5], [1.0, 0, 0])
-edges = edges_of(both)
+edges = sharp_edges(both)
 ends = (edges.points + edges.point_data["displacement"])[edges.lines.reshape(-1, 3)[:, 1:]]
 print(len(ends), np.ptp(ends, axis=1).max(), both.points[:, 0].max())
 """

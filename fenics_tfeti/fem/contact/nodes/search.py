@@ -18,7 +18,7 @@ from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MasterNodes, Surface
 from fenics_tfeti.fem.messages import coordinate_order
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-from fenics_tfeti.fem.user_data import points_of, unit_vectors, vectors_at
+from fenics_tfeti.fem.user_data import as_points, unit_vectors, vectors_at
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -248,8 +248,8 @@ def _as_pairs(pairs: Any, gdim: int, name: str) -> tuple[Vector, Vector]:
         slave, master = pairs
     except (TypeError, ValueError):
         raise InputError(f"{name}: pairs have to be (slave points, master points)") from None
-    slave = points_of(slave, gdim, f"{name}: the slave points of pairs")
-    master = points_of(master, gdim, f"{name}: the master points of pairs")
+    slave = as_points(slave, gdim, f"{name}: the slave points of pairs")
+    master = as_points(master, gdim, f"{name}: the master points of pairs")
     if len(slave) != len(master):
         raise InputError(
             f"{name}: pairs have {len(slave)} slave points and {len(master)} master points; give "

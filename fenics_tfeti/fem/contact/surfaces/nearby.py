@@ -27,7 +27,7 @@ from fenics_tfeti.fem.contact.surfaces.oriented import (
     owned_facets,
 )
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.parallel import exchange
+from fenics_tfeti.parallel import all_to_all
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 Boxes = tuple[Vector, Vector]
@@ -69,7 +69,9 @@ def gather_nearby(
     needed = _needed_boxes(comm, points, nodes, rows, distance)
     parts = _selected(comm, needed, tree)
     numbers = global_nodes(space, rows)
-    received = exchange(comm, [_packed(rows[part], numbers[part], points, moves) for part in parts])
+    received = all_to_all(
+        comm, [_packed(rows[part], numbers[part], points, moves) for part in parts]
+    )
     return _joined(received)
 
 
@@ -93,14 +95,14 @@ def _distances(
     # the surface is not farther than the farthest point of any box
     bound = np.min([_farthest(x, low, high) for low, high in boxes], axis=0)
     queries = [np.flatnonzero(_nearest(x, low, high) <= bound) for low, high in boxes]
-    received = exchange(comm, [x[query] for query in queries])
+    received = all_to_all(comm, [x[query] for query in queries])
     answers = [np.zeros(len(part)) for part in received]
     if tree is not None:
         corners = Facets(points, rows).coordinates()
         places = cKDTree(np.concatenate([points[np.unique(rows)], corners.mean(axis=1)]))
         answers = [places.query(part)[0] if len(part) else np.zeros(0) for part in received]
     closest = np.full(len(x), np.inf)
-    for query, answer in zip(queries, exchange(comm, answers), strict=True):
+    for query, answer in zip(queries, all_to_all(comm, answers), strict=True):
         closest[query] = np.minimum(closest[query], answer)
     distance = np.zeros(len(points))
     distance[queried] = closest
