@@ -97,8 +97,10 @@ def feasible_start(
     free, weak = _softly_supported(coarse_space)
     if free.shape[1] + weak.shape[1]:
         prescribed = coarse_space.prolong(supports.without_free_motions(supports.coefficients(c)))
-        gaps = _OF_SURFACE * unit * (c - prescribed)[constraints.inequality]
-        if not (close_gaps or weak.shape[1]):
+        gaps = unit * (c - prescribed)[constraints.inequality]
+        if close_gaps:
+            gaps *= _OF_SURFACE
+        elif not weak.shape[1]:
             gaps = np.where(np.isfinite(gaps), 0.0, gaps)
         if coarse_space.comm.allreduce(int(np.count_nonzero(bound.radius + bound.slope))):
             # soft supports carry what contact and friction need not
