@@ -220,7 +220,16 @@ class TornSolver:
         e = coarse_space.coarse_load(load)
         check_load(system, local.kernels, projector, e)
         bound = friction.bound
-        feasible = feasible_start(system, local.kernels, coarse_space, e, c, local.unit, bound)
+        feasible = feasible_start(
+            system,
+            local.kernels,
+            coarse_space,
+            e,
+            c,
+            local.unit,
+            bound,
+            close_gaps=self.options.method != "smalbe",
+        )
         radius = bound.at(friction.pressing(feasible, coarse_space.constraints.layout))
         size = coarse_space.coarse_load_size(load)
         return ContactData(load, c, e, size, feasible, bound, radius)
@@ -230,7 +239,15 @@ class TornSolver:
         local, data = self.setup.local, self.data
         coarse_space = self.setup.projector.coarse_space
         return feasible_start(
-            self.system, local.kernels, coarse_space, data.e, data.c, local.unit, bound, False
+            self.system,
+            local.kernels,
+            coarse_space,
+            data.e,
+            data.c,
+            local.unit,
+            bound,
+            close_gaps=self.options.method != "smalbe",
+            explain=False,
         )
 
     def _first_state(

@@ -47,6 +47,8 @@ def feasible_start(
     c: Vector,
     unit: float,
     bound: SlipBound,
+    *,
+    close_gaps: bool,
     explain: bool = True,
 ) -> Vector:
     """Return lambda~ with G lambda~ = e, lambda~_I >= o and |lambda~_T| <= r + m lambda~_N.
@@ -70,6 +72,10 @@ def feasible_start(
         The stiffness that a weight of 1 stands for [N/m].
     bound : SlipBound
         r and m of each site of friction.
+    close_gaps : bool
+        Whether gaps have to be closed before contact presses, too, where no soft support resists:
+        that is the first active set. SMALBE-M, which adds to these forces, takes fewer products
+        from the smallest ones.
     explain : bool
         Whether an error says how much friction it would take, which takes time.
 
@@ -91,7 +97,11 @@ def feasible_start(
     free, weak = _softly_supported(coarse_space)
     if free.shape[1] + weak.shape[1]:
         prescribed = coarse_space.prolong(supports.without_free_motions(supports.coefficients(c)))
-        gaps = _OF_SURFACE * unit * (c - prescribed)[constraints.inequality]
+        gaps = unit * (c - prescribed)[constraints.inequality]
+        if close_gaps:
+            gaps *= _OF_SURFACE
+        elif not weak.shape[1]:
+            gaps = np.where(np.isfinite(gaps), 0.0, gaps)
         if coarse_space.comm.allreduce(int(np.count_nonzero(bound.radius + bound.slope))):
             # soft supports carry what contact and friction need not
             for group in split_by_groups(system, coarse_space, free, e):
