@@ -21,7 +21,7 @@ def stiff_block_over_uneven_gaps() -> TornSystem:
     """Return a block that falls, tilts and comes to rest on three nodes."""
     system = column(n=2)
     *lower, upper = system.subdomains
-    stiff = replace(upper, stiffness=(1e6 * upper.stiffness).tocsr())
+    stiff = replace(upper, stiffness=(1e4 * upper.stiffness).tocsr())
     gap = 1e3 * np.random.default_rng(1).random(system.contacts.gap.size)
     return replace(system, subdomains=[*lower, stiff], contacts=replace(system.contacts, gap=gap))
 
@@ -69,7 +69,8 @@ def test_rounding_is_noticed_and_its_error_is_named(preconditioner, inaccurate):
     report = TornSolver(inaccurate, options).solve().report
     assert not report.converged
     assert report.certificate.error <= 1e-3
-    assert f"its certificate has reached {report.certificate.worst:.1e} (error)" in report.reason
+    # of the whole or of its only group: the same number but for rounding
+    assert f"its certificate has reached {report.certificate.worst:.1e} (error" in report.reason
     assert "rounding has ended the conjugate gradients" in report.reason
     # the residual of the recurrences falls again after it has risen, off Gl = e
     assert report.products["total"] <= 50
