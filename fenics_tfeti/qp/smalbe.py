@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from fenics_tfeti.qp.proportioning import (
     Hessian,
     Products,
     ProportioningOptions,
+    ProportioningResult,
     proportioning,
 )
 from fenics_tfeti.qp.space import Space
@@ -200,31 +202,21 @@ def smalbe(
     space = space or Space()
     products = Products() if products is None else products
     norm_b = space.norm(b) if norm_b is None else norm_b
-    tolerance = options.rtol * norm_b
-
-    def solved(split: Split) -> bool:  # (11.47)
-        return max(split.gradient_norm, split.constraint_norm) <= tolerance
-
+    tests = _Tests(options.rtol * norm_b, options.eta * norm_b, options.patience)
     x, q = feasible.project(start.x.copy()), start.q
     M = options.M0 if start.M is None else start.M
     gradient = _first_gradient(hessian, b, x, q, space, products)
     history: list[OuterIteration] = []
     # ||Gx||^2 at the last update of mu; before the first one any increase is enough
     before = np.inf
-    smallest, since = np.inf, 0
     for k in range(options.max_it):
-
-        def balanced(split: Split, M: float = M) -> bool:  # (11.46)
-            wanted = max(M * split.constraint_norm, _INNER_FLOOR * tolerance)
-            return split.gradient_norm <= min(wanted, options.eta * norm_b)
-
         # Step 1: inner iterations until ||g^P(x, mu, rho)|| <= min(M_k ||Gx||, eta), or (11.47)
         inner = proportioning(
             hessian,
             b - q,
             feasible,
             x,
-            lambda split: solved(split) or balanced(split),  # noqa: B023 - used in this pass only
+            partial(tests.end_inner, M=M),
             options=options.inner,
             space=space,
             gradient=gradient,
@@ -232,28 +224,15 @@ def smalbe(
             products=products,
         )
         moved, x, split = inner.x - x, inner.x, inner.split
-        history.append(
-            OuterIteration(
-                k,
-                products.total,
-                split.gradient_norm / norm_b if norm_b > 0.0 else 0.0,
-                split.constraint_norm / norm_b if norm_b > 0.0 else 0.0,
-                M,
-                _count_active(feasible, x, space),
-            )
-        )
+        active = _count_active(feasible, x, space)
+        history.append(_outer_iteration(k, products, split, norm_b, M, active))
         if monitor is not None:
             monitor(history[-1])
         # Step 2: stop if ||g^P|| <= eps ||b|| and ||Gx|| <= eps ||b||
-        if solved(split) or not inner.converged:
-            reason: Reason = "converged" if solved(split) else "max_products"
-            return SMALBEResult(
-                SMALBEState(x, q, M), inner.gradient, solved(split), reason, history
-            )
-        if split.constraint_norm <= 0.5 * smallest:
-            smallest, since = split.constraint_norm, k
-        elif k - since >= options.patience:
-            return SMALBEResult(SMALBEState(x, q, M), inner.gradient, False, "slow", history)
+        reason = tests.end(inner, k)
+        if reason is not None:
+            state = SMALBEState(x, q, M)
+            return SMALBEResult(state, inner.gradient, reason == "converged", reason, history)
         # Step 4: M_{k+1} = beta M_k if L increased by less than rho/2 ||Gx||^2: by rho ||Gx||^2 in
         # the last update of mu, then by the change at constant mu. The difference of the values of
         # L would be rounding where ||Gx||^2 is below it, and a large M then repeats two iterates
@@ -267,6 +246,47 @@ def smalbe(
         q = q + options.rho * inner.Qx
         gradient = inner.gradient + options.rho * inner.Qx, inner.Qx
     return SMALBEResult(SMALBEState(x, q, M), gradient[0], False, "max_it", history)
+
+
+@dataclass
+class _Tests:
+    """The tests that end inner and outer iterations.
+
+    `smallest` is the smallest ||Gx|| that was half of the one before, `since` its iteration.
+    """
+
+    tolerance: float
+    eta: float
+    patience: int
+    smallest: float = np.inf
+    since: int = 0
+
+    def solved(self, split: Split) -> bool:
+        """Tell whether (11.47) holds."""
+        return max(split.gradient_norm, split.constraint_norm) <= self.tolerance
+
+    def end_inner(self, split: Split, M: float) -> bool:
+        """Tell whether (11.46) or (11.47) holds."""
+        limit = min(max(M * split.constraint_norm, _INNER_FLOOR * self.tolerance), self.eta)
+        return self.solved(split) or split.gradient_norm <= limit
+
+    def end(self, inner: ProportioningResult, k: int) -> Reason | None:
+        """Return why the outer iterations end, if they do."""
+        if self.solved(inner.split):
+            return "converged"
+        if not inner.converged:
+            return "max_products"
+        if inner.split.constraint_norm <= 0.5 * self.smallest:
+            self.smallest, self.since = inner.split.constraint_norm, k
+        return "slow" if k - self.since >= self.patience else None
+
+
+def _outer_iteration(
+    k: int, products: Products, split: Split, norm_b: float, M: float, active: int
+) -> OuterIteration:
+    scale = 1.0 / norm_b if norm_b > 0.0 else 0.0
+    gradient, constraint = scale * split.gradient_norm, scale * split.constraint_norm
+    return OuterIteration(k, products.total, gradient, constraint, M, active)
 
 
 def _first_gradient(
