@@ -157,7 +157,8 @@ class PrimalProblem:
         row_bodies, friction = self.setup.row_bodies, self.setup.constraints.friction
         of_subdomain, number = row_bodies.of_subdomain, row_bodies.bodies
         parts = vars(self._subdomain_sums(recovered, multipliers)).values()
-        sums = np.array([np.bincount(of_subdomain, part, number) for part in parts])
+        # bincount of nothing makes integers, which ranks without subdomains would send
+        sums = np.array([np.bincount(of_subdomain, part, number) for part in parts], dtype=float)
         own = _Sums(*sums)
         slips, along = self.slips(recovered), balls.directions(friction.at_sites(multipliers))
         sites = np.flatnonzero(friction.owned(self.setup.constraints.layout.owned))
