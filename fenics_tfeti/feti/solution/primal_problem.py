@@ -221,7 +221,10 @@ class PrimalProblem:
         """Return the size of each body's displacement without rigid motions of subdomains [m]."""
         row_bodies = self.setup.row_bodies
         size = np.zeros(row_bodies.bodies)
-        np.maximum.at(size, row_bodies.of_unknown, np.abs(strained))
+        starts = self.setup.local.unknowns.ends[:-1]
+        if starts.size:
+            of_subdomain = np.maximum.reduceat(np.abs(strained), starts)
+            np.maximum.at(size, row_bodies.of_subdomain, of_subdomain)
         self._comm.Allreduce(MPI.IN_PLACE, size, MPI.MAX)
         return size
 
