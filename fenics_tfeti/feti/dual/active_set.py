@@ -286,14 +286,10 @@ def _without_tensile_rows(problem: DualProblem, face: Face, iterate: PCPGIterate
     everywhere = np.ones(constraints.friction.size, dtype=bool)
     tensile, sites = _counts(problem, active & ~compressive, sites=everywhere)
     if sites or not tensile:
-        return iterate.sign_test_gradient
+        return iterate.gradient
     rows = constraints.face(compressive, np.zeros(0, dtype=bool))
     loose = LooseBodies.without(problem.coarse_space, rows)
-    return (
-        iterate.sign_test_gradient
-        if loose is None
-        else loose.at_least_penetration(iterate.sign_test_gradient)
-    )
+    return iterate.gradient if loose is None else loose.at_least_penetration(iterate.gradient)
 
 
 def _counts(problem: DualProblem, *masks: Mask, sites: Mask | None = None) -> list[int]:

@@ -223,8 +223,6 @@ class PCPGIterate:
         l, with Gl = e and the fixed ones off the face.
     gradient : (m,) array
         Fl - d + G'a.
-    sign_test_gradient : (m,) array
-        The same in the position of loose bodies in which signs are tested.
     residual : float
         ||P(d - Fl)|| on the face [m].
     violation : float
@@ -247,7 +245,6 @@ class PCPGIterate:
     contact_state: ContactState
     multipliers: Vector
     gradient: Vector
-    sign_test_gradient: Vector
     residual: float
     violation: float
     direction: Vector
@@ -353,11 +350,8 @@ def _at_least_penetration(problem: DualProblem, face: Face, iterate: PCPGIterate
     if face.loose is None:
         return iterate
     gradient = face.loose.at_least_penetration(iterate.gradient)
-    sign_test_gradient = face.loose.sign_test_gradient(gradient)
-    _, violation = _norms(problem, face, iterate.multipliers, sign_test_gradient)
-    return replace(
-        iterate, gradient=gradient, sign_test_gradient=sign_test_gradient, violation=violation
-    )
+    _, violation = _norms(problem, face, iterate.multipliers, gradient)
+    return replace(iterate, gradient=gradient, violation=violation)
 
 
 def _improves(iterate: PCPGIterate, best: PCPGIterate, tolerance: float) -> bool:
@@ -403,7 +397,7 @@ def _step(
     alpha = rz / curvature
     l, g = l + alpha * p, g + alpha * (change - curvature_gradient)
     lengths = (*iterate.step_lengths, alpha)
-    return PCPGIterate(face.contact_state, l, g, g, *_norms(problem, face, l, g), p, rz, lengths)
+    return PCPGIterate(face.contact_state, l, g, *_norms(problem, face, l, g), p, rz, lengths)
 
 
 def _with_preconditioned_residual(
@@ -431,7 +425,7 @@ def iterate_on(
     """Return the iterate of multipliers with a known gradient on a face, with its energy."""
     norms, none = _norms(problem, face, multipliers, gradient), np.zeros_like(gradient)
     iterate = PCPGIterate(
-        face.contact_state, multipliers, gradient, gradient, *norms, none, 1.0, step_lengths
+        face.contact_state, multipliers, gradient, *norms, none, 1.0, step_lengths
     )
     return _with_preconditioned_residual(problem, face, iterate, products)
 
@@ -470,7 +464,7 @@ def _iterate_at(
     g = face.projector.remove_rigid_motion(part, l)[0] - curvature_gradient
     none = np.zeros_like(l)
     return PCPGIterate(
-        face.contact_state, l, g, g, *_norms(problem, face, l, g), none, 1.0, step_lengths
+        face.contact_state, l, g, *_norms(problem, face, l, g), none, 1.0, step_lengths
     )
 
 
