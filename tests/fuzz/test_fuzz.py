@@ -30,6 +30,7 @@ NEEDS = {
     961: "passes without the residual of the recurrences",
     1059: "passes without the residual of the recurrences",
     1078: "methods that take turns",
+    1129: "springs of a tiny part of the stiffness, as supports",
 }
 
 

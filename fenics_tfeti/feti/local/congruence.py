@@ -18,7 +18,7 @@ from fenics_tfeti.feti.costs import ROWS
 from fenics_tfeti.feti.local.frames import Frames
 from fenics_tfeti.feti.local.rigid_body_modes import rigid_body_modes
 from fenics_tfeti.feti.system import Subdomain
-from fenics_tfeti.feti.tolerances import FEW, GIVEN, rounding
+from fenics_tfeti.feti.tolerances import ENERGY, GIVEN, rounding
 from fenics_tfeti.typing import Numbers, Vector
 
 # digits of the fingerprint by which candidates are found; the comparison decides
@@ -176,7 +176,7 @@ def is_rounding(change: sp.csr_matrix, stiffness: sp.csr_matrix, coordinates: Ve
         return False
     # a soft elastic support changes no entry by more, but the energies of rigid motions
     R = rigid_body_modes(coordinates)
-    return bool(np.abs(R.T @ (change @ R)).max(initial=0.0) <= rounding(largest, FEW))
+    return bool(np.abs(R.T @ (change @ R)).max(initial=0.0) <= rounding(largest, ENERGY))
 
 
 def apply_by_class(

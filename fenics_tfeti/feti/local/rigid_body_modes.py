@@ -6,7 +6,7 @@ import numpy as np
 
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.system import Subdomain
-from fenics_tfeti.feti.tolerances import FEW, NEGLIGIBLE, SOFT_SUPPORT, rounding
+from fenics_tfeti.feti.tolerances import ENERGY, NEGLIGIBLE, SOFT_SUPPORT, rounding
 from fenics_tfeti.typing import Vector
 
 # length of a rotation's part that is orthogonal to other modes, in units of the subdomain's size,
@@ -90,7 +90,7 @@ def low_energy_modes(subdomain: Subdomain) -> tuple[Vector, Vector]:
     """
     R = rigid_body_modes(subdomain.coordinates_in_frame)
     stiffness = np.abs(subdomain.stiffness.data).max(initial=0.0)
-    gram, none = R.T @ (subdomain.stiffness @ R), rounding(stiffness, FEW)
+    gram, none = R.T @ (subdomain.stiffness @ R), rounding(stiffness, ENERGY)
     # rounding would couple motions along a soft support with others that it leaves free
     energies, vectors = np.linalg.eigh(np.where(np.abs(gram) > none, gram, 0.0))
     if energies.max(initial=0.0) <= none:
