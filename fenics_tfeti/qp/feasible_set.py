@@ -233,7 +233,7 @@ class Discs:
 
 @dataclass(frozen=True)
 class FrictionCones:
-    """The factor of normal forces n >= 0 and tangential forces with |t| <= r + m n.
+    """The factor of normal forces n >= 0 and tangential forces with ``|t| <= r + m n``.
 
     With m = 0 the bound of the tangential force is given; with r = 0 the set is a second-order
     cone.
