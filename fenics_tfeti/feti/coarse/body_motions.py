@@ -26,24 +26,13 @@ class BodyMotions:
     The unit of a motion is a root mean square displacement of 1 over the nodes of the body, and
     rows of B are taken with unit length: what resists is a matter of geometry, and depends neither
     on units nor on the mesh.
-
-    Attributes
-    ----------
-    basis : (coarse, modes * bodies) scipy.sparse.csr_matrix
-        T: R T z moves each body rigidly, z in units of motion.
-    moved : (m, modes * bodies) scipy.sparse.csr_matrix
-        What the motions do to the rows of B that this rank holds; traces of rounding are removed.
-    supports : (bodies, modes, modes) array
-        E of each body: ||E z|| is the part of a motion outside the kernel of K, which elastic
-        supports resist.
-    rounding : float
-        What rounding may leave in `moved`.
     """
 
-    basis: sp.csr_matrix
-    moved: sp.csr_matrix
+    basis: sp.csr_matrix  # T (coarse, modes * bodies): R T z moves each body rigidly
+    moved: sp.csr_matrix  # B R T (m, modes * bodies) on the rows held, without rounding
+    # E (bodies, modes, modes): elastic supports resist ||E z||, outside the kernel of K
     supports: Vector
-    rounding: float
+    rounding: float  # size that rounding may leave in `moved`
 
     @property
     def modes(self) -> int:
@@ -66,16 +55,8 @@ def body_motions(
 ) -> BodyMotions:
     """Measure what rigid motions of bodies do to the constraints.
 
-    Parameters
-    ----------
-    system : TornSystem
-        The subdomains.
-    kernels : sequence of (n_i, k_i) arrays
-        R_i of this rank's subdomains, in their frames.
-    constraints : Constraints
-        B.
-    everyone : (m, coarse) scipy.sparse.csr_matrix
-        G' with the columns of all ranks, in the rows that this rank holds.
+    R_i are in the frames of the subdomains; `everyone` is G' with the columns of all ranks,
+    (m, coarse), in the rows that this rank holds. Collective.
     """
     basis, supports, distance = _motions_and_supports(system, kernels)
     # also that of coordinates far from the origin
@@ -158,23 +139,9 @@ def describe_body_motion(
 ) -> list[str]:
     """Name the bodies that take part in a motion, and how each of them moves.
 
-    Parameters
-    ----------
-    system : TornSystem
-        The subdomains.
-    kernels : sequence of (n_i, k_i) arrays
-        R_i of this rank's subdomains, in their frames.
-    own_motion : array
-        This rank's part of the coarse vector xi of the motion R xi.
-    either_way : bool
-        Whether the opposite motion is meant as well.
-    negligible : float
-        Size of what is left out, relative to the motion.
-
-    Returns
-    -------
-    list of str
-        "body: motion" for each body, on all ranks.
+    Returns "body: motion" for each body, on all ranks. The motion is R xi; own_motion is this
+    rank's part of xi. With either_way the opposite motion is meant as well; parts up to negligible,
+    relative to the motion, are left out.
     """
     ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
     centres, sizes, _ = _centres_and_sizes(system)

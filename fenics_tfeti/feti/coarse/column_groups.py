@@ -20,30 +20,17 @@ from fenics_tfeti.typing import Numbers, Vector
 
 @dataclass(frozen=True)
 class ColumnGroups:
-    """Groups of columns that share no rows with other groups; of one shape.
+    """Groups of columns that share no rows with other groups; of one shape."""
 
-    Attributes
-    ----------
-    rows : (g, n) integer array
-        The rows of each group.
-    columns : (g, k) integer array
-        Its columns.
-    dense : (g, n, k) array
-        Its entries.
-    """
-
-    rows: Numbers
-    columns: Numbers
-    dense: Vector
+    rows: Numbers  # (g, n)
+    columns: Numbers  # (g, k)
+    dense: Vector  # (g, n, k): entries
 
 
 def column_groups(columns: sp.csr_matrix) -> list[ColumnGroups]:
     """Split columns into groups that share no rows.
 
-    Parameters
-    ----------
-    columns : (n, k) scipy.sparse.csr_matrix
-        The columns, none of them empty; entries that are stored count, also zero ones.
+    The columns (n, k) are not empty; entries that are stored count, also zero ones.
     """
     if not columns.shape[1]:
         return []
@@ -93,17 +80,8 @@ def of_one_body(motions: sp.csc_matrix, modes: int) -> NDArray[np.bool_]:
 def orthonormal_columns(columns: sp.csr_matrix, others: sp.csr_matrix) -> sp.csr_matrix:
     """Return an orthonormal basis of the range of independent columns.
 
-    Parameters
-    ----------
-    columns : (n, k) scipy.sparse.csr_matrix
-        Many columns in small groups.
-    others : (n, l) scipy.sparse.csr_matrix
-        Few others, which may share rows with all of them.
-
-    Returns
-    -------
-    (n, k + l) scipy.sparse.csr_matrix
-        The first k as sparse as groups of columns that share rows allow.
+    There are many columns (n, k) in small groups, and few others (n, l), which may share rows with
+    all of them. The first k of the result are as sparse as the groups allow.
     """
     data, row, column = [np.zeros(0)], [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)]
     for groups in column_groups(columns):
@@ -125,12 +103,8 @@ def orthonormal_columns(columns: sp.csr_matrix, others: sp.csr_matrix) -> sp.csr
 def pivot_rows(columns: sp.csr_matrix, others: sp.csr_matrix) -> Numbers:
     """Return as many rows as there are columns, which are independent there.
 
-    Parameters
-    ----------
-    columns : (n, k) scipy.sparse.csr_matrix
-        Many independent columns in small groups.
-    others : (n, l) scipy.sparse.csr_matrix
-        Few others, which may share rows with all of them.
+    There are many independent columns (n, k) in small groups, and few others (n, l), which may
+    share rows with all of them.
     """
     found = [np.zeros(0, dtype=np.int64)]
     for groups in column_groups(columns):

@@ -47,62 +47,28 @@ _MOST = 3000
 
 @dataclass(frozen=True)
 class Response:
-    """K_s^+ B_s' times some columns of [C, G_E', W] or of U, of one subdomain.
+    """K_s^+ B_s' times some columns of [C, G_E', W] or of U, of one subdomain."""
 
-    Attributes
-    ----------
-    columns : (j,) integer array
-        Positions of the columns in [C, G_E', W]; those of U have the positions of C.
-    displacements : (j, b) array
-        Displacements of the packed interface unknowns, column by column of U.
-    """
-
-    columns: Numbers
-    displacements: Vector
+    columns: Numbers  # (j,): positions in [C, G_E', W]; columns of U have the positions of C
+    displacements: Vector  # (j, b): of the packed interface unknowns, a row for each column
 
 
 @dataclass(frozen=True)
 class Deflation:
-    """The Schur complement of F with respect to the multipliers U alpha.
-
-    Attributes
-    ----------
-    coarse_space : CoarseSpace
-        G.
-    vectors : LocalVectors
-        The columns of C that belong to subdomains of this rank.
-    own : (m, k) scipy.sparse.csr_matrix
-        The same as columns, in their places among those of all ranks.
-    X : (h, k) array
-        Rows of X of this rank's coarse unknowns, then those of `CoarseLayout.others`.
-    W, V : (m, w), (w, k) arrays
-        Weakly resisted motions on the equality rows, and their coefficients.
-    pieces : (j, b) scipy.sparse.csr_matrix
-        [C, G_E', W]'B on this rank's packed interface unknowns.
-    responses : list of Response
-        Of each subdomain, in the order of the packed interface unknowns.
-    unknowns : (subdomains + 1,) integer array
-        First packed interface unknown of each subdomain, and the end of the last.
-    kept : (r,) integer array
-        Columns of U that do not depend on others.
-    factor : (r, r) array
-        Lower Cholesky factor of U'FU of these columns.
-    solves : int
-        Solves with K_s^+ that the set-up took on this rank.
-    """
+    """The Schur complement of F with respect to the multipliers U alpha."""
 
     coarse_space: CoarseSpace
-    vectors: LocalVectors
-    own: sp.csr_matrix
-    X: Vector
-    W: Vector
-    V: Vector
-    pieces: sp.csr_matrix
-    responses: list[Response]
-    unknowns: Numbers
-    kept: Numbers
-    factor: Vector
-    solves: int
+    vectors: LocalVectors  # columns of C of this rank's subdomains
+    own: sp.csr_matrix  # (m, k): the same, placed among the columns of all ranks
+    X: Vector  # (h, k): rows of the own coarse unknowns, then those of `CoarseLayout.others`
+    W: Vector  # (m, w): weakly resisted motions on the equality rows
+    V: Vector  # (w, k): their coefficients
+    pieces: sp.csr_matrix  # (j, b): [C, G_E', W]'B on the packed interface unknowns
+    responses: list[Response]  # in the order of the packed interface unknowns
+    unknowns: Numbers  # (subdomains + 1,): first packed unknown of each, and the end
+    kept: Numbers  # (r,): columns of U that do not depend on others
+    factor: Vector  # (r, r): lower Cholesky factor of U'FU of these columns
+    solves: int  # with K_s^+ on this rank, of the set-up
 
     @staticmethod
     def build(
@@ -112,14 +78,8 @@ class Deflation:
     ) -> Deflation | None:
         """Make U, K^+B'U and the factor of U'FU; None if P_E leaves no vector. Collective.
 
-        Parameters
-        ----------
-        coarse_space : CoarseSpace
-            G.
-        on_interface : sequence of callable
-            K_i^+ between interface unknowns of each class, (k, b) -> (k, b).
-        vectors : LocalVectors
-            The columns of C that belong to subdomains of this rank.
+        The operators apply K_i^+ between the interface unknowns of each class, (k, b) -> (k, b);
+        the vectors are the columns of C of this rank's subdomains.
         """
         constraints = coarse_space.constraints
         first, total = first_of_rank(constraints.layout.comm, vectors.excess.size)
@@ -171,12 +131,7 @@ class Deflation:
     def part(self, operator: Operator, x: Vector) -> Vector:
         """Return this rank's part of F_c x, x the same on all holders; two reductions.
 
-        Parameters
-        ----------
-        operator : callable
-            This rank's K^+ on packed forces of the interface.
-        x : (m,) array
-            Multipliers.
+        The operator is this rank's K^+ on packed forces of the interface.
         """
         interface = self.coarse_space.interface
         displacements = operator(interface.transposed @ x)
@@ -199,14 +154,7 @@ class Deflation:
     def completed(self, multipliers: Vector, rest: Vector, at: Vector) -> Vector:
         """Return lambda + U (U'FU)^{-1} U'(d - F lambda): the minimum over lambda + U alpha.
 
-        Parameters
-        ----------
-        multipliers : (m,) array
-            lambda.
-        rest : (m,) array
-            d - F times other multipliers.
-        at : (m,) array
-            These other multipliers.
+        All arguments are (m,); rest is d - F times the other multipliers `at`.
         """
         forces = self.coarse_space.interface.transposed @ (at - multipliers)
         alpha = self._solve(self._restricted(rest)) + self._coefficients_of(forces)

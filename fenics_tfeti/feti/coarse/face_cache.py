@@ -21,17 +21,10 @@ _KEPT = 2
 
 @dataclass(frozen=True)
 class FaceCache:
-    """The last faces, the latest one first.
-
-    Attributes
-    ----------
-    comm : MPI.Intracomm
-        The ranks; each of them has its rows of a face.
-    kept : list of ((rows, across), object)
-        Rows and combinations of rows, see `Projector`, and what is kept for them.
-    """
+    """The last faces, the latest one first."""
 
     comm: MPI.Intracomm
+    # ((rows, across), see `Projector`, and what is kept for them)
     kept: list[tuple[tuple[Any, ...], Any]] = field(default_factory=list)
 
     def find(self, rows: Mask, across: Vector | None) -> Any:

@@ -64,43 +64,24 @@ class CoarseFactor(Protocol):
     def solve_sum(self, own: Vector, others: Vector, numbers: Vector) -> tuple[Vector, Vector]:
         """Solve for the sum of the ranks' parts; return this rank's part of the solution.
 
-        Parameters
-        ----------
-        own, others : (own,), (h,) array
-            What this rank adds to its own and to other ranks' unknowns, `CoarseLayout.others`.
-        numbers : (k,) array
-            To be summed over the ranks on the occasion; the sums are returned as well.
+        This rank adds own (own,) to its unknowns and others (h,) to those of `CoarseLayout.others`.
+        The numbers (k,) are summed over the ranks in the same reduction; their sums are returned as
+        well.
         """
         ...
 
 
 @dataclass(frozen=True)
 class CoarseLayout:
-    """Ownership of the coarse unknowns, and the communication of coarse vectors and matrices.
-
-    Attributes
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    counts : tuple of int
-        Number of unknowns of each rank.
-    others : (h,) integer array
-        Other ranks' unknowns that this rank's multipliers act on, ascending.
-    send_to, receive_from : mapping from int to integer array
-        By rank: positions of its unknowns in `others`; the own unknowns that are in its `others`.
-    solver : {"redundant", "distributed", "inverse"}
-        Where coarse matrices and their factors are kept.
-    package : str
-        Package for the factors of whole matrices.
-    """
+    """Ownership of the coarse unknowns, and the communication of coarse vectors and matrices."""
 
     comm: MPI.Intracomm
-    counts: tuple[int, ...]
-    others: Numbers
-    send_to: Mapping[int, Numbers]
-    receive_from: Mapping[int, Numbers]
+    counts: tuple[int, ...]  # unknowns of each rank
+    others: Numbers  # (h,): other ranks' unknowns that the multipliers here act on, ascending
+    send_to: Mapping[int, Numbers]  # by rank: positions of its unknowns in `others`
+    receive_from: Mapping[int, Numbers]  # by rank: own unknowns that are in its `others`
     solver: CoarseSolverKind
-    package: str
+    package: str  # for the factors of whole matrices
 
     @staticmethod
     def build(
@@ -108,18 +89,7 @@ class CoarseLayout:
     ) -> CoarseLayout:
         """Find out which ranks share unknowns; collective.
 
-        Parameters
-        ----------
-        comm : MPI.Intracomm
-            The ranks.
-        own : int
-            Number of this rank's unknowns.
-        others : (h,) integer array
-            Other ranks' unknowns that this rank's multipliers act on, ascending.
-        solver : {"redundant", "distributed", "inverse"}
-            Where coarse matrices and their factors are kept.
-        package : str
-            Package for the factors of whole matrices.
+        The `others` (h,) are ascending: other ranks' unknowns that this rank's multipliers act on.
         """
         counts = comm.allgather(own)
         ends = np.cumsum(counts)
@@ -134,7 +104,7 @@ class CoarseLayout:
 
     @property
     def by_rows(self) -> bool:
-        """Whether a rank keeps its own rows of coarse matrices only."""
+        """True if a rank keeps only its own rows of coarse matrices."""
         return self.solver != "redundant"
 
     @property
@@ -306,20 +276,10 @@ def choose_coarse_solver(
 ) -> CoarseSolverKind:
     """Return the coarse solver that moves the least.
 
-    For one face of the active set method, in bytes: what factors and solves read of memory, and
-    what could be read while their messages are under way. Messages count twice, and so does all of
-    the inverse by rows.
-
-    Parameters
-    ----------
-    ranks : int
-        Number of ranks.
-    size : int
-        Coarse unknowns.
-    changes : int
-        Independent columns of contact and tangential rows in G.
-    mumps : bool
-        Whether there is MUMPS, to distribute the factor.
+    The cost is that of one face of the active set method, in bytes: memory that factors and solves
+    read, and what could be read while their messages are under way. Messages count twice, and so
+    does all of the inverse by rows. The changes are the independent columns of contact and
+    tangential rows in G.
 
     Examples
     --------

@@ -53,42 +53,12 @@ def feasible_start(
 ) -> Vector:
     """Return lambda~ with G lambda~ = e, lambda~_I >= o and |lambda~_T| <= r + m lambda~_N.
 
-    Bodies are rigid, and contact rows springs of a part of the stiffness `unit`; with friction, of
-    any stiffness. Where equality rows resist motions weakly, as soft springs do, they are too.
-
-    Parameters
-    ----------
-    system : TornSystem
-        The subdomains.
-    kernels : sequence of arrays
-        R_i of this rank's subdomains.
-    coarse_space : CoarseSpace
-        G.
-    e : (coarse,) array
-        R'f.
-    c : (m,) array
-        Right-hand sides of the constraints.
-    unit : float
-        The stiffness that a weight of 1 stands for [N/m].
-    bound : SlipBound
-        r and m of each site of friction.
-    close_gaps : bool
-        Whether gaps have to be closed before contact presses, too, where no soft support resists:
-        that is the first active set. SMALBE-M, which adds to these forces, takes fewer products
-        from the smallest ones.
-    explain : bool
-        Whether an error says how much friction it would take, which takes time.
-
-    Returns
-    -------
-    (m,) array
-        The multipliers that this rank holds.
-
-    Raises
-    ------
-    UnresistedMotion
-        If no contact forces, and no friction within its bounds, balance the load (11.16), naming
-        body and motion, and how much friction it would take.
+    Bodies are rigid and contact rows are springs of a part of the stiffness `unit` [N/m], with
+    friction of any stiffness; equality rows that resist motions weakly, as soft springs do, are
+    springs too. With close_gaps, for the first active set, gaps have to be closed before contact
+    presses also where no soft support resists; SMALBE-M, which adds to these forces, takes fewer
+    products from the smallest ones. Raises `UnresistedMotion` if no admissible forces balance the
+    load e = R'f (11.16); `explain` adds, at a cost, how much friction it would take. Collective.
     """
     constraints = coarse_space.constraints
     supports = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
@@ -233,18 +203,9 @@ def _contact_and_friction(
 ) -> tuple[ProductSet, int]:
     """Return the set of contact forces, after them those of friction, and their number.
 
-    A site whose bound does not depend on a normal force has one of its own, which does nothing.
-
-    Parameters
-    ----------
-    number : (c,) integer array
-        Global numbers of the contact rows.
-    normal : (k,) integer array
-        Global number of the contact row of each site; -1 for none.
-    radius, slope : (k,) arrays
-        r and m.
-    directions : int
-        Tangential components of each site.
+    A site whose bound does not depend on a normal force (normal is -1) has a force of its own,
+    which does nothing. The numbers are global ones of contact rows: (c,) of all, (k,) of the sites,
+    with r and m (k,) and `directions` tangential components of each.
     """
     contact, k = number.size, radius.size
     tangential = contact + np.arange(directions * k).reshape(k, directions)

@@ -27,24 +27,12 @@ from fenics_tfeti.typing import Mask, Vector
 
 @dataclass(frozen=True)
 class GramInverse:
-    """(GG')^+ of the rows of a face: a factor, and what it lacks of weakly resisted motions.
-
-    Attributes
-    ----------
-    layout : DualLayout
-        That of the multipliers.
-    factor : CoarseFactor
-        That of A.
-    motions : (coarse, k) array
-        Z; without columns where the rows resist no motion weakly.
-    rows : (m, k) array
-        W on all rows that this rank holds; on the rows of the face orthonormal.
-    """
+    """(GG')^+ of the rows of a face: a factor, and what it lacks of weakly resisted motions."""
 
     layout: DualLayout
-    factor: CoarseFactor
-    motions: Vector
-    rows: Vector
+    factor: CoarseFactor  # of A
+    motions: Vector  # Z (coarse, k); k = 0 where the rows resist no motion weakly
+    rows: Vector  # W (m, k) on all rows held; orthonormal on the rows of the face
 
     @staticmethod
     def of(coarse_space: CoarseSpace, factor: CoarseFactor) -> GramInverse:
@@ -55,7 +43,7 @@ class GramInverse:
 
     @property
     def is_corrected(self) -> bool:
-        """Whether there are motions that the rows resist weakly."""
+        """True if there are motions that the rows resist weakly."""
         return bool(self.motions.shape[1])
 
     def solve(self, coarse: Vector) -> Vector:
@@ -77,16 +65,8 @@ def corrected(
 ) -> GramInverse:
     """Return A^{-1} with its correction for weakly resisted motions, which A pins. Collective.
 
-    Parameters
-    ----------
-    inverse : GramInverse
-        A^{-1} alone.
-    coarse_space : CoarseSpace
-        G.
-    weak : (modes * bodies, k) array
-        The motions z, see `BodyMotions`.
-    on_rows : callable
-        x -> its part on the rows of the face.
+    The inverse is A^{-1} alone, `weak` holds the motions z (modes * bodies, k) of `BodyMotions`,
+    and on_rows maps x (m,) to its part on the rows of the face.
     """
     if not weak.shape[1]:
         return inverse
@@ -109,14 +89,8 @@ def coarse_matrix(
 ) -> sp.csr_matrix:
     """Return the rows of GG' that this rank keeps.
 
-    Parameters
-    ----------
-    coarse_space : CoarseSpace
-        G.
-    rows : (m,) bool array
-        The rows of B that are meant: those of the equality constraints and others.
-    combined : (k, m) scipy.sparse.csr_matrix or None
-        Combinations of tangential rows that are meant as well.
+    The rows (m,) of B include those of the equality constraints; combined (k, m) are combinations
+    of tangential rows that count as well.
     """
     columns, layout = _columns(coarse_space, rows, combined), coarse_space.layout
     gram: sp.csr_matrix = coarse_space.equality + layout.rows(
@@ -133,19 +107,10 @@ def pins(
 ) -> Vector:
     """Return what is added to the diagonal of GG' for motions that are resisted too little.
 
-    Weak motions are pinned so firmly that what resists them, the square of `WEAK` at most, is
-    rounding beside it. That is relative to rows that resist fully: perhaps no row of GG' does.
-
-    Parameters
-    ----------
-    coarse_space : CoarseSpace
-        G.
-    gram : (coarse or own, coarse) scipy.sparse.csr_matrix
-        GG'.
-    free : (coarse, k), (coarse, l) scipy.sparse.csr_matrix
-        Motions without resistance, those of one body and those of several.
-    weak : (coarse, n) scipy.sparse.csr_matrix
-        Motions with a weak one.
+    Weak motions (coarse, n) are pinned so firmly that what resists them, the square of `WEAK` at
+    most, is rounding beside the pin. That is relative to rows that resist fully: perhaps no row of
+    GG' does. The free motions, (coarse, k) of one body and (coarse, l) of several, have no
+    resistance.
     """
     single, several = free
     added = np.zeros(coarse_space.layout.size)
@@ -168,16 +133,8 @@ def factored(
 ) -> CoarseFactor:
     """Factor GG' of a face with pins, or change the inverse of that of all rows. Collective.
 
-    Parameters
-    ----------
-    coarse_space : CoarseSpace
-        G.
-    gram : (coarse or own, coarse) scipy.sparse.csr_matrix
-        GG'.
-    rows, combined
-        As for `coarse_matrix`.
-    added : (coarse,) array
-        The pins.
+    The gram matrix is (coarse or own, coarse); rows and combined are as for `coarse_matrix`, and
+    `added` holds the pins (coarse,).
     """
     layout = coarse_space.layout
     if layout.solver != "inverse" or not layout.size:

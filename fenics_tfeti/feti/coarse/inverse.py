@@ -36,69 +36,30 @@ _REFINEMENTS = 3
 
 @dataclass(frozen=True)
 class _Change:
-    """U S U' on this rank.
+    """U S U' on this rank."""
 
-    Attributes
-    ----------
-    columns : (own, q) scipy.sparse.csr_matrix
-        This rank's rows of U.
-    moved : (own, q) array
-        This rank's rows of X U.
-    small : (array, array)
-        LU factors of S^{-1} + U'XU, on all ranks.
-    """
-
-    columns: sp.csr_matrix
-    moved: Vector
-    small: tuple[Vector, NDArray[np.int32]]
+    columns: sp.csr_matrix  # own rows of U (own, q)
+    moved: Vector  # own rows of X U (own, q)
+    small: tuple[Vector, NDArray[np.int32]]  # LU factors of S^{-1} + U'XU, on all ranks
 
 
 @dataclass(frozen=True)
 class InverseByRows:
-    """The inverse of a coarse matrix, of which each rank has its own rows; a `CoarseFactor`.
-
-    Attributes
-    ----------
-    layout : CoarseLayout
-        Ownership of the coarse unknowns.
-    rows : (own, coarse) array
-        This rank's rows of X.
-    pins : (coarse,) array
-        What A has on its diagonal besides GG'.
-    matrix : (own, coarse) scipy.sparse.csr_matrix
-        This rank's rows of the matrix.
-    change : _Change or None
-        By what the matrix differs from A.
-    refinements : int
-        How often a solution is improved by that for its residual.
-    """
+    """The inverse of a coarse matrix, of which each rank has its own rows; a `CoarseFactor`."""
 
     layout: CoarseLayout
-    rows: Vector
-    pins: Vector
-    matrix: sp.csr_matrix
-    change: _Change | None = None
-    refinements: int = 0
+    rows: Vector  # own rows of X (own, coarse)
+    pins: Vector  # (coarse,): on the diagonal of A, besides GG'
+    matrix: sp.csr_matrix  # own rows of the face's matrix (own, coarse)
+    change: _Change | None = None  # difference of the matrix from A
+    refinements: int = 0  # number of corrections of a solution by that for its residual
 
     @staticmethod
     def build(layout: CoarseLayout, own_rows: sp.csr_matrix, pins: Vector) -> InverseByRows:
         """Invert GG' of all rows with its pins, given this rank's rows of GG'. Collective.
 
-        Every rank factors the whole matrix.
-
-        Parameters
-        ----------
-        layout : CoarseLayout
-            Ownership of the coarse unknowns.
-        own_rows : (own, coarse) scipy.sparse.csr_matrix
-            This rank's rows of GG'.
-        pins : (coarse,) array
-            What the matrix has on its diagonal besides GG'.
-
-        Raises
-        ------
-        FactorizationError
-            If the matrix is not positive definite.
+        Every rank factors the whole matrix; the pins (coarse,) are added to the diagonal of GG'.
+        Raises `FactorizationError` if the matrix is not positive definite.
         """
         matrix = layout.add_to_diagonal(own_rows, pins)
         factor = SparseCholesky(replace(layout, solver="redundant").rows(matrix), layout.package)
@@ -114,19 +75,9 @@ class InverseByRows:
     ) -> InverseByRows:
         """Return the inverse of A with columns of G removed and others added. Collective.
 
-        Parameters
-        ----------
-        own_rows : (own, coarse) scipy.sparse.csr_matrix
-            This rank's rows of GG'.
-        removed, added : (coarse, k) scipy.sparse.csr_matrix
-            The columns of G that this rank owns.
-        pins : (coarse,) array
-            What the matrix has on its diagonal besides GG'.
-
-        Raises
-        ------
-        FactorizationError
-            If the matrix is singular to rounding.
+        The rows of the new GG' are those of this rank, (own, coarse), and the columns of G
+        (coarse, k) those that it owns. Raises `FactorizationError` if the matrix is singular to
+        rounding.
         """
         more = pins - self.pins
         pinned = np.flatnonzero(more)
@@ -226,11 +177,6 @@ class InverseByRows:
 
 def independent_columns(columns: sp.spmatrix) -> sp.csc_matrix:
     """Return columns V with VV' = CC', as few as there are independent ones on the same unknowns.
-
-    Parameters
-    ----------
-    columns : (n, k) sparse matrix
-        C.
 
     Examples
     --------

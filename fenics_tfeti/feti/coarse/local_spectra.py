@@ -38,13 +38,6 @@ def threshold(gdim: int, nodes: int) -> float:
 
     Eigenvalues of a uniform material are a small multiple of H / h.
 
-    Parameters
-    ----------
-    gdim : int
-        2 or 3.
-    nodes : int
-        Nodes of the subdomain.
-
     Examples
     --------
     >>> threshold(3, 1000), threshold(2, 100)
@@ -59,35 +52,17 @@ class TornRows:
     """The equality rows of some subdomains; rows that several of them share, once for each.
 
     Subdomains are in the order of the packed interface unknowns.
-
-    Attributes
-    ----------
-    rows : (r,) integer array
-        Local positions of the rows, subdomain by subdomain.
-    ends : (subdomains + 1,) integer array
-        First row of each subdomain, and the end of the last; others have none.
-    matrix, transposed : scipy.sparse.csr_matrix
-        The matrices B_s on the packed interface unknowns, as a block diagonal matrix (r, b).
     """
 
-    rows: Numbers
-    ends: Numbers
+    rows: Numbers  # (r,): local positions, subdomain by subdomain
+    ends: Numbers  # (subdomains + 1,): first row of each, and the end; others have none
+    # block diagonal matrix (r, b) of the B_s, on the packed interface unknowns
     matrix: sp.csr_matrix
     transposed: sp.csr_matrix
 
     @staticmethod
     def build(interface: Interface, equality: Mask, chosen: Mask) -> TornRows:
-        """Split B.
-
-        Parameters
-        ----------
-        interface : Interface
-            B by packed unknowns.
-        equality : (m,) bool array
-            The rows that count.
-        chosen : (subdomains,) bool array
-            The subdomains that count.
-        """
+        """Split B (m, b) into the matrices B_s of the chosen subdomains."""
         entries, m = interface.matrix.tocoo(), equality.size
         of_unknown = np.repeat(np.arange(chosen.size), np.diff(interface.ends))
         kept = equality[entries.row] & chosen[of_unknown[entries.col]]
@@ -102,24 +77,12 @@ class TornRows:
 
 @dataclass(frozen=True)
 class LocalVectors:
-    """Ritz vectors of the subdomains' dual operators.
+    """Ritz vectors of the subdomains' dual operators."""
 
-    Attributes
-    ----------
-    rows : list of (r,) integer arrays
-        Global numbers of the rows of each vector.
-    values : list of (r,) arrays
-        The vector on these rows, of length 1.
-    excess : (k,) array
-        Ritz value relative to the threshold.
-    solves : int
-        Solves with K_s^+ that this took.
-    """
-
-    rows: list[Numbers]
-    values: list[Vector]
-    excess: Vector
-    solves: int
+    rows: list[Numbers]  # (r,) each: global numbers of rows
+    values: list[Vector]  # (r,) each, of length 1, on these rows
+    excess: Vector  # (k,): Ritz value relative to the threshold
+    solves: int  # with K_s^+, for all vectors
 
     def chosen(self, kept: Mask) -> LocalVectors:
         """Return some of the vectors."""
@@ -144,22 +107,9 @@ def local_vectors(
 ) -> LocalVectors:
     """Return Ritz vectors of P_s F_s P_s with values above a limit.
 
-    Parameters
-    ----------
-    torn : TornRows
-        The rows of each subdomain.
-    interface : Interface
-        The classes of congruent subdomains.
-    on_interface : sequence of callable
-        K_i^+ between interface unknowns of each class, (k, b) -> (k, b).
-    kernels : sequence of (b, k) arrays
-        R_i on the interface unknowns of each class.
-    numbers : (m,) integer array
-        Global numbers of the rows.
-    unit : float
-        The stiffness that a weight of 1 stands for [N/m].
-    limits : (subdomains,) array
-        tau of each subdomain.
+    The operators apply K_i^+ between the interface unknowns of each class, (k, b) -> (k, b), and
+    the kernels are R_i (b, k) there. The numbers (m,) of rows are global; unit is the stiffness
+    that a weight of 1 stands for [N/m], and the limits (subdomains,) are tau.
     """
     numbers = numbers[torn.rows]
     spaces = _first_subspaces(torn, interface, kernels, numbers, limits)
@@ -189,28 +139,14 @@ def local_vectors(
 
 @dataclass
 class _Subspace:
-    """A Krylov subspace of one subdomain.
+    """A Krylov subspace of one subdomain."""
 
-    Attributes
-    ----------
-    rows : slice
-        Its rows among those of all subdomains.
-    limit : float
-        tau.
-    motions : (r, k) array
-        Orthonormal basis of the range of G_s'.
-    basis, images : (r, j) arrays
-        Orthonormal basis, and P_s F_s P_s times it.
-    block : (r, b) array
-        The next columns of the basis; without columns when the subspace is large enough.
-    """
-
-    rows: slice
-    limit: float
-    motions: Vector
-    basis: Vector
-    images: Vector
-    block: Vector
+    rows: slice  # among those of all subdomains
+    limit: float  # tau
+    motions: Vector  # (r, k): orthonormal basis of the range of G_s'
+    basis: Vector  # (r, j): orthonormal
+    images: Vector  # (r, j): P_s F_s P_s times the basis
+    block: Vector  # (r, b): next columns of the basis; b = 0 when it is large enough
 
     def new_directions(self, x: Vector) -> Vector:
         """Return an orthonormal basis of what x adds to the subspace."""

@@ -29,23 +29,8 @@ def subdomains_with_jumps(
 
     The stiffness of a node is the sum of the weights of its copies: a copy's own is small also
     where few cells of a subdomain meet the node. Nodes of stiff neighbours do not count, and
-    neither do nodes far from each other: the stiffness grows with the size of the cells.
-
-    Parameters
-    ----------
-    system : TornSystem
-        The subdomains.
-    constraints : Constraints
-        B with weights of stiffness.
-    interface : Interface
-        Its packed columns.
-    unknowns : TornUnknowns
-        Where the displacements are among the torn unknowns.
-
-    Returns
-    -------
-    (subdomains,) bool array
-        In the order of the packed interface unknowns.
+    neither do nodes far from each other: the stiffness grows with the size of the cells. Subdomains
+    are in the order of the packed interface unknowns.
     """
     jumps = _ratios(constraints.weights[interface.columns], interface) > _JUMP
     if system.comm.allreduce(bool(jumps.any()), MPI.LOR):

@@ -23,18 +23,9 @@ _LARGEST = 10.0
 def prescribed_motion(coarse_space: CoarseSpace, c: Vector) -> Vector:
     """Return the coarse vector of the rigid motions next to the prescribed ones. Collective.
 
-    Parameters
-    ----------
-    coarse_space : CoarseSpace
-        G.
-    c : (m,) array
-        Right-hand sides of the constraints; those of equality rows are used.
-
-    Returns
-    -------
-    (coarse,) array
-        a with B_E R a = c_E in the least squares sense; zero where nothing is prescribed, or where
-        R a would be out of proportion to it.
+    The vector a (coarse,) satisfies B_E R a = c_E in the least squares sense; it is zero where
+    nothing is prescribed, or where R a would be out of proportion to it. Only the equality rows of
+    c (m,) are used.
     """
     constraints, comm = coarse_space.constraints, coarse_space.comm
     prescribed = np.where(constraints.equality, c, 0.0)

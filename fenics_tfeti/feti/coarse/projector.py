@@ -32,34 +32,16 @@ _ACCURATE, _MOST_PASSES = 1e-11, 4
 
 @dataclass(frozen=True)
 class Projector:
-    """Q = G'(GG')^+ G and P = I - Q for the equality rows and some contact and tangential rows.
-
-    Attributes
-    ----------
-    coarse_space : CoarseSpace
-        G.
-    rows : (m,) bool array
-        The rows of B that are meant; all others of a multiplier count as zero.
-    across : (k, gdim - 1) array or None
-        Unit vectors at sites of friction, zero at most: the combinations of their rows that are
-        meant as well.
-    free : (coarse, k) scipy.sparse.csr_matrix
-        Orthonormal basis of the kernel of GG': rigid motions that these rows do not resist.
-    free_bodies : (modes * bodies, k) scipy.sparse.csr_matrix
-        The same as motions of bodies, see `BodyMotions`.
-    gram : GramInverse
-        (GG')^+.
-    passes : int
-        Applications of P, one after the other, that make it accurate.
-    """
+    """Q = G'(GG')^+ G and P = I - Q for the equality rows and some contact and tangential rows."""
 
     coarse_space: CoarseSpace
-    rows: Mask
+    rows: Mask  # rows of B (m,); other entries of a multiplier count as zero
+    # (k, gdim - 1): unit vectors at sites of friction, or zero, that combine their rows
     across: Vector | None
-    free: sp.csr_matrix
-    free_bodies: sp.csr_matrix
-    gram: GramInverse
-    passes: int = 1
+    free: sp.csr_matrix  # (coarse, k): orthonormal kernel of GG', motions these rows do not resist
+    free_bodies: sp.csr_matrix  # (modes * bodies, k): the same, see `BodyMotions`
+    gram: GramInverse  # (GG')^+
+    passes: int = 1  # applications of P, one after the other, that make it accurate
 
     @staticmethod
     def build(
@@ -70,17 +52,9 @@ class Projector:
     ) -> Projector:
         """Factor GG' of the equality rows and the chosen others. Collective.
 
-        Parameters
-        ----------
-        coarse_space : CoarseSpace
-            G.
-        active : (i,) bool array, optional
-            The contact rows; by default all of them and all tangential rows.
-        sticking : (k,) bool array, optional
-            The sites of friction whose tangential rows are meant; none by default, if contact rows
-            are given.
-        across : (k, gdim - 1) array, optional
-            Unit vectors at sites that do not stick, zero at others: combinations of their rows.
+        By default all contact and all tangential rows are chosen; with active contact rows (i,),
+        the tangential rows are those of sticking sites (k,), by default none, and the combinations
+        across (k, gdim - 1): unit vectors at sites that do not stick, zero at others.
         """
         constraints = coarse_space.constraints
         everything = active is None
@@ -155,14 +129,8 @@ class Projector:
     def unresisted(self, e: Vector, size: Vector) -> Vector:
         """Return the part of a coarse load that does work on motions that the rows do not resist.
 
-        It is zero for bodies where it is rounding of their own load.
-
-        Parameters
-        ----------
-        e : (coarse,) array
-            R'f.
-        size : (coarse,) array
-            |R|'|f|.
+        The load is e = R'f and its size |R|'|f|, (coarse,). The part is zero for bodies where it is
+        rounding of their own load.
         """
         part: Vector = self.free @ (self.free.T @ e)
         if not part.any():
@@ -265,14 +233,8 @@ class Projector:
         """Return y - G'a with the rigid motions a = (GG')^+ Gy, and x'y; one exchange.
 
         On the rows this is Py; on the other rows it is what the motions do there. The motions that
-        the rows do not resist are left out of a.
-
-        Parameters
-        ----------
-        part : (m,) array
-            This rank's part of y.
-        x : (m,) array
-            A vector whose inner product with y is wanted; it is summed along with Gy.
+        the rows do not resist are left out of a. `part` is this rank's part of y (m,); x'y is
+        summed along with Gy.
         """
         motion, xy = self._own_motion(part, x, resisted=True)
         return self._refined(self._sum(part - motion), off_the_rows=True), xy

@@ -46,25 +46,11 @@ def weak_motions(
 ) -> tuple[Vector, sp.csr_matrix]:
     """Return the motions of bodies that rows and elastic supports resist weakly or not at all.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks; all return the same.
-    rows : (m, modes * bodies) scipy.sparse.csr_matrix
-        B of this rank's part of the rows, of unit length, for motions of bodies.
-    supports : (bodies, modes, modes) array
-        E of each body: ||E z|| is what its elastic supports resist.
-    below : float
-        Largest resistance that counts as weak.
-    unresisted : float
-        Resistance of a motion of one body that is rounding.
-
-    Returns
-    -------
-    resistance : (k,) array
-        The root of ||B z||^2 + ||E z||^2 of each motion, at most `below` but for rounding.
-    motions : (modes * bodies, k) scipy.sparse.csc_matrix
-        Orthonormal z, those of single bodies first, and of these the translations first.
+    The rows (m, modes * bodies) are those of B of this rank, of unit length, for motions of bodies;
+    ||E z|| is what elastic supports resist. Returns (||B z||^2 + ||E z||^2)^(1/2) of each motion,
+    at most `below` but for rounding, and orthonormal z (modes * bodies, k), those of single bodies
+    first, and among these the translations. A motion of one body resisted by `unresisted` or less
+    counts as free. Collective.
     """
     values, vectors = _of_single_bodies(comm, rows.tocsc(), supports)
     free = values <= unresisted
@@ -159,20 +145,11 @@ def _block_columns(vectors: Vector, chosen: NDArray[np.bool_]) -> sp.csr_matrix:
 
 @dataclass(frozen=True)
 class _Part:
-    """A connected part of the Gram matrix with weak eigenvectors.
+    """A connected part of the Gram matrix with weak eigenvectors."""
 
-    Attributes
-    ----------
-    unknowns : (n,) integer array
-        Its rows of the Gram matrix.
-    columns : slice
-        Its columns among the weak motions.
-    others : callable
-        (z, x) -> the inverse of the Gram matrix on the other eigenvectors, applied to x (n, k).
-    """
-
-    unknowns: Numbers
-    columns: slice
+    unknowns: Numbers  # (n,): rows of the Gram matrix
+    columns: slice  # among the weak motions
+    # (z, x (n, k)) -> inverse of the Gram matrix on the other eigenvectors, times x
     others: Callable[[Vector, Vector], Vector]
 
 

@@ -41,50 +41,21 @@ class CoarseSpace:
 
     G is applied as R' after B'; only its columns for contact rows, those shared with other ranks'
     subdomains, and GG' of the equality rows are kept as matrices.
-
-    Attributes
-    ----------
-    interface : Interface
-        B and the classes of congruent subdomains.
-    kernels : sequence of (n_i, k_i) arrays
-        R_i of this rank's subdomains in their frames; congruent ones share it.
-    traces : sequence of (b, k) arrays
-        R_i on the interface unknowns, for each class.
-    ends : (subdomains + 1,) integer array
-        First coarse unknown of each subdomain among this rank's, and the end of the last.
-    layout : CoarseLayout
-        Ownership of the coarse unknowns, and where coarse matrices are kept.
-    others : (h, m) scipy.sparse.csr_matrix
-        The rows of G of other ranks' subdomains in the columns that this rank holds.
-    contact : (coarse, i) scipy.sparse.csr_matrix
-        All rows of G in the inequality columns that this rank holds.
-    friction : (coarse, m) scipy.sparse.csr_matrix
-        All rows of G in the columns of tangential rows; the others are empty.
-    equality : (coarse or own, coarse) scipy.sparse.csr_matrix
-        GG' of the equality rows alone, the rows that this rank keeps.
-    bodies : BodyMotions
-        Rigid motions of bodies.
-    constraints : Constraints
-        The columns.
-    faces : FaceCache
-        What belongs to the projectors of the last faces.
-    inverse : InverseByRows or None
-        The inverse of GG' of all rows, if faces are to be changes of it; `Projector.build` of all
-        rows makes it.
     """
 
     interface: Interface
-    kernels: Sequence[Vector]
-    traces: Sequence[Vector]
-    ends: Numbers
+    kernels: Sequence[Vector]  # R_i (n_i, k_i) in their frames; congruent subdomains share it
+    traces: Sequence[Vector]  # R_i (b, k) on the interface unknowns, for each class
+    ends: Numbers  # (subdomains + 1,): first own coarse unknown of each, and the end
     layout: CoarseLayout
-    others: sp.csr_matrix
-    contact: sp.csr_matrix
-    friction: sp.csr_matrix
-    equality: sp.csr_matrix
+    others: sp.csr_matrix  # (h, m): rows of G of other ranks' subdomains, columns held here
+    contact: sp.csr_matrix  # (coarse, i): all rows of G, inequality columns held here
+    friction: sp.csr_matrix  # (coarse, m): all rows of G; zero but in tangential rows
+    equality: sp.csr_matrix  # (coarse or own, coarse): GG' of the equality rows, rows kept here
     bodies: BodyMotions
     constraints: Constraints
-    faces: FaceCache
+    faces: FaceCache  # what belongs to the projectors of the last faces
+    # of GG' of all rows, if faces are changes of it; made by `Projector.build` of all rows
     inverse: InverseByRows | None = None
 
     @staticmethod
@@ -98,20 +69,7 @@ class CoarseSpace:
     ) -> CoarseSpace:
         """Form G and exchange its shared columns with the neighbours.
 
-        Parameters
-        ----------
-        system : TornSystem
-            The subdomains.
-        constraints : Constraints
-            B.
-        interface : Interface
-            Its packed columns.
-        kernels : sequence of (n_i, k_i) arrays
-            R_i of this rank's subdomains.
-        package : str
-            Package for the factors of coarse matrices that are whole on every rank.
-        solver : {"auto", "redundant", "distributed", "inverse"}
-            Where coarse matrices and their factors are kept.
+        The package is that for factors of coarse matrices that are whole on every rank. Collective.
         """
         ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
         first, size = first_of_rank(system.comm, int(ends[-1]))
@@ -239,21 +197,10 @@ class CoarseSpace:
     ) -> tuple[sp.csr_matrix, sp.csr_matrix]:
         """Return the rigid motions of bodies that some rows resist not at all, and weakly.
 
-        Parameters
-        ----------
-        rows : (m,) bool array
-            The rows of B.
-        below : float
-            Largest resistance that counts as weak; by default those which, squared in GG', would be
-            lost to rounding.
-        combinations : (q, m) scipy.sparse.csr_matrix, optional
-            Combinations of rows, of unit length, that this rank owns, and that resist as well.
-
-        Returns
-        -------
-        free, weak : (modes * bodies, k) scipy.sparse.csr_matrix
-            Orthonormal motions z, see `BodyMotions`: those without resistance, and those with a
-            weak one. Where bodies move by themselves, each motion is that of one body.
+        By default, motions count as weak if their resistance, squared in GG', would be lost to
+        rounding. Combinations (q, m) of rows, of unit length and owned by this rank, resist as
+        well. The motions z (modes * bodies, k) of `BodyMotions` are orthonormal; where bodies move
+        by themselves, each is that of one body. Collective.
         """
         owned = np.flatnonzero(rows[: self.constraints.layout.owned])
         unresisted = max(ZERO, self.bodies.rounding)
@@ -277,10 +224,7 @@ class CoarseSpace:
     def moved_rows(self, z: Vector) -> Vector:
         """Return B R T z on the rows that this rank holds, without traces of rounding.
 
-        Parameters
-        ----------
-        z : (modes * bodies,) or (modes * bodies, k) array
-            Motions of bodies.
+        The motions z of bodies are (modes * bodies,) or (modes * bodies, k).
         """
         moved: Vector = (self.constraints.row_lengths * (self.bodies.moved @ z).T).T
         return moved

@@ -24,21 +24,8 @@ def check_load(
 ) -> None:
     """Check that the load does no work on the motions that no constraint resists.
 
-    Parameters
-    ----------
-    system : TornSystem
-        The subdomains.
-    kernels : sequence of arrays
-        R_i of this rank's subdomains.
-    projector : Projector
-        Of all constraints.
-    e : (coarse,) array
-        R'f.
-
-    Raises
-    ------
-    UnresistedMotion
-        Naming body and motion.
+    The projector is that of all constraints and e = R'f (coarse,). Raises `UnresistedMotion`, which
+    names body and motion. Collective.
     """
     coarse_space = projector.coarse_space
     for group in split_by_groups(system, coarse_space, projector.free_bodies, e):
@@ -48,22 +35,11 @@ def check_load(
 
 @dataclass(frozen=True)
 class LoadedGroup:
-    """Bodies that contacts connect, and their motions that some rows do not resist.
+    """Bodies that contacts connect, and their motions that some rows do not resist."""
 
-    Attributes
-    ----------
-    motions : (modes * bodies, k) scipy.sparse.csc_matrix
-        Orthonormal z, see `BodyMotions`.
-    work : (k,) array
-        Work of the load on these motions [N].
-    force : float
-        Sum of the magnitudes of the nodal loads [N]: the work is at most this, but for rotations of
-        what reaches far.
-    """
-
-    motions: sp.csc_matrix
-    work: Vector
-    force: float
+    motions: sp.csc_matrix  # orthonormal z (modes * bodies, k), see `BodyMotions`
+    work: Vector  # (k,): of the load on these motions [N]
+    force: float  # sum of |nodal loads| [N]: bounds the work, but for rotations of what reaches far
 
 
 def split_by_groups(
