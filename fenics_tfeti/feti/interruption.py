@@ -81,13 +81,7 @@ def _set_flag(number: int, frame: FrameType | None) -> None:
 
 
 def check(comm: MPI.Intracomm) -> None:
-    """Raise `Interrupted` on all ranks if one of them got the signal. Collective.
-
-    Raises
-    ------
-    Interrupted
-        Without a solution.
-    """
+    """Raise `Interrupted` on all ranks if one of them got the signal. Collective."""
     agree(comm.allreduce(received(), MPI.LOR))
     if agreed():
         raise Interrupted("interrupted, before there was an iterate")

@@ -29,12 +29,7 @@ ENERGY, FEW, MANY, GIVEN = 8, 32, 512, 4096
 def rounding(size: T, n: int = 1) -> T:
     """Return the size of n rounding errors of numbers of a size in double precision.
 
-    Parameters
-    ----------
-    size : float or array
-        Size of the numbers that are rounded.
-    n : int, optional
-        Number of errors: 1, `ENERGY`, `FEW`, `MANY` or `GIVEN`.
+    The number n is 1, `ENERGY`, `FEW`, `MANY` or `GIVEN`.
 
     Examples
     --------

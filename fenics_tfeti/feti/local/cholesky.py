@@ -28,18 +28,7 @@ _PREFERENCE = ("cholmod", "rslab", "mumps")
 
 
 def check_real_numbers(scalar: type = PETSc.ScalarType) -> None:
-    """Check that PETSc computes with real numbers.
-
-    Parameters
-    ----------
-    scalar : type
-        The numbers of matrices and vectors, by default those of PETSc.
-
-    Raises
-    ------
-    InputError
-        For complex numbers.
-    """
+    """Check that PETSc computes with real numbers; raise `InputError` if it does not."""
     if np.issubdtype(scalar, np.complexfloating):
         raise InputError(
             "PETSc is built for complex numbers here, and contact needs real ones. Install the "
@@ -74,21 +63,9 @@ def choose_package(package: Package, available: Sequence[str] | None = None) -> 
 
     CHOLMOD solves with a factor of a few thousand unknowns fastest. rslab factors and solves as
     fast as MUMPS, in less memory and without its MPI communicators, which limit the number of
-    factors.
-
-    Parameters
-    ----------
-    package : {"auto", "cholmod", "rslab", "mumps"}
-        The wanted one; "auto" takes the first that is available.
-    available : sequence of str, optional
-        Packages to choose from; by default those that are installed.
-
-    Raises
-    ------
-    FactorizationError
-        If it is not available.
-    InputError
-        If PETSc computes with complex numbers.
+    factors. "auto" takes the first that is available, by default of those installed. Raises
+    `FactorizationError` if the package is not available, and `InputError` if PETSc computes with
+    complex numbers.
     """
     check_real_numbers()
     if available is None:
@@ -141,21 +118,10 @@ class _Indefinite(Exception):
 class SparseCholesky:
     """The factor of a sparse symmetric positive definite matrix.
 
-    Parameters
-    ----------
-    matrix : (n, n) scipy.sparse.csr_matrix
-        Both triangles.
-    package : str
-        "cholmod", "rslab" or "mumps".
-    quick : bool, optional
-        The factor is for few solves: CHOLMOD takes PETSc's nested dissection and tries no other
-        ordering. That is half the time for a large coarse problem on a grid, and a factor up to
-        two fifths larger.
-
-    Raises
-    ------
-    FactorizationError
-        If the matrix is not positive definite.
+    The matrix has both triangles; `FactorizationError` if it is not positive definite. A `quick`
+    factor is for few solves: CHOLMOD takes PETSc's nested dissection and tries no other ordering.
+    That is half the time for a large coarse problem on a grid, and a factor up to two fifths
+    larger.
 
     Examples
     --------
@@ -341,17 +307,8 @@ def _reject_bad_pivots(factor: PETSc.Mat) -> None:
 class DistributedCholesky:
     """The factor of a sparse symmetric positive definite matrix over several ranks, by MUMPS.
 
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks; everything here is collective.
-    own_rows : (own, n) scipy.sparse.csr_matrix
-        This rank's rows, both triangles; lower ranks have the rows before.
-
-    Raises
-    ------
-    FactorizationError
-        If the matrix is not positive definite, on all ranks.
+    The own rows (own, n) have both triangles; lower ranks have the rows before. All methods are
+    collective; `FactorizationError` on all ranks if the matrix is not positive definite.
 
     Examples
     --------

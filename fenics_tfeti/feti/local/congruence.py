@@ -27,24 +27,12 @@ _DIGITS = 8
 
 @dataclass(frozen=True)
 class CongruenceClass:
-    """Subdomains with the same stiffness and coordinates, but for translations, in their frames.
+    """Subdomains with the same stiffness and coordinates, but for translations, in their frames."""
 
-    Attributes
-    ----------
-    members : (k,) integer array
-        Their positions among this rank's subdomains, ascending.
-    starts : (k,) integer array
-        First torn unknown of each.
-    size : int
-        Unknowns of each.
-    frames : Frames or None
-        The frames of the members, if there are any.
-    """
-
-    members: Numbers
-    starts: Numbers
-    size: int
-    frames: Frames | None = None
+    members: Numbers  # (k,): positions among this rank's subdomains, ascending
+    starts: Numbers  # (k,): first torn unknown of each
+    size: int  # unknowns of each
+    frames: Frames | None = None  # of the members, if they have any
 
     @property
     def first(self) -> int:
@@ -88,18 +76,7 @@ class CongruenceClass:
 
 
 def find_congruence_classes(subdomains: Sequence[Subdomain]) -> list[CongruenceClass]:
-    """Sort subdomains into classes of congruent ones.
-
-    Parameters
-    ----------
-    subdomains : sequence of Subdomain
-        This rank's.
-
-    Returns
-    -------
-    list of CongruenceClass
-        In the order of their first members.
-    """
+    """Sort this rank's subdomains into classes of congruent ones, in the order of first members."""
     starts = np.cumsum([0, *(s.size for s in subdomains)])[:-1]
     candidates: dict[int, list[list[int]]] = {}
     fingerprints: dict[int, int] = {}
@@ -163,12 +140,7 @@ def _same(first: Subdomain, second: Subdomain) -> bool:
 def is_rounding(change: sp.csr_matrix, stiffness: sp.csr_matrix, coordinates: Vector) -> bool:
     """Tell whether a change of a stiffness matrix is but rounding.
 
-    Parameters
-    ----------
-    change, stiffness : (n, n) scipy.sparse.csr_matrix
-        [N/m].
-    coordinates : (nodes, gdim) array
-        [m].
+    The change and the stiffness (n, n) are in [N/m], the coordinates (nodes, gdim) in [m].
     """
     largest = np.abs(stiffness.data).max(initial=0.0)
     # assembly at another place may change as much

@@ -32,31 +32,15 @@ from fenics_tfeti.typing import Vector
 
 @dataclass(frozen=True)
 class FloatingSubdomain:
-    """A subdomain, with the ground of its soft supports.
+    """A subdomain, with the ground of its soft supports."""
 
-    Attributes
-    ----------
-    stiffness : (n + g, n + g) scipy.sparse.csr_matrix
-        K_i, with the g unknowns of the ground last; K_i itself where g = 0 [N/m].
-    kernel : (n + g, k) array
-        R_i; the part of the n displacements is orthonormal.
-    grounds : int
-        g.
-    """
-
-    stiffness: sp.csr_matrix
-    kernel: Vector
-    grounds: int
+    stiffness: sp.csr_matrix  # K_i (n + g, n + g), the ground's g unknowns last [N/m]
+    kernel: Vector  # R_i (n + g, k); the part of the n displacements is orthonormal
+    grounds: int  # g
 
 
 def set_free(subdomain: Subdomain) -> FloatingSubdomain:
-    """Return a subdomain with the ground of its soft supports as unknowns.
-
-    Parameters
-    ----------
-    subdomain : Subdomain
-        Stiffness and coordinates.
-    """
+    """Return a subdomain with the ground of its soft supports as unknowns."""
     K = subdomain.stiffness
     R, energies = low_energy_modes(subdomain)
     soft = np.flatnonzero(energies)

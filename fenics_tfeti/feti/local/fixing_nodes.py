@@ -18,17 +18,7 @@ _HOLDS = 1e-3
 def node_graph(stiffness: sp.csr_matrix, gdim: int) -> sp.csr_matrix:
     """Return the adjacency matrix D of the mesh's nodes from the pattern of K.
 
-    Parameters
-    ----------
-    stiffness : (gdim * nodes, gdim * nodes) scipy.sparse.csr_matrix
-        K_i.
-    gdim : int
-        Unknowns of a node.
-
-    Returns
-    -------
-    (nodes, nodes) scipy.sparse.csr_matrix
-        Ones, also on the diagonal.
+    It has ones, also on the diagonal; K_i is (gdim * nodes, gdim * nodes).
     """
     blocks = stiffness.tobsr(blocksize=(gdim, gdim))
     ones = np.ones(blocks.indices.size)
@@ -39,17 +29,7 @@ def node_graph(stiffness: sp.csr_matrix, gdim: int) -> sp.csr_matrix:
 def split_nodes(coordinates: Vector, parts: int) -> list[Numbers]:
     """Split nodes into parts of equal size by recursive coordinate bisection (step 1).
 
-    Parameters
-    ----------
-    coordinates : (nodes, gdim) array
-        [m].
-    parts : int
-        Their number, at most the number of nodes.
-
-    Returns
-    -------
-    list of integer arrays
-        The nodes of each part.
+    There are at most as many parts as nodes; the coordinates are (nodes, gdim) [m].
     """
 
     def bisect(nodes: Numbers, parts: int) -> list[Numbers]:
@@ -67,17 +47,8 @@ def split_nodes(coordinates: Vector, parts: int) -> list[Numbers]:
 def perron_centres(graph: sp.csr_matrix, part: Numbers) -> Numbers:
     """Return the node of each part's graph where its Perron vector is largest (steps 2, 3).
 
-    Parameters
-    ----------
-    graph : (nodes, nodes) scipy.sparse.csr_matrix
-        Adjacency matrix.
-    part : (nodes,) integer array
-        The part of each node; of one that falls into pieces, the largest stands for it.
-
-    Returns
-    -------
-    (parts,) integer array
-        Of equal ones the first.
+    Of a part that falls into pieces, the largest stands for it; of equal entries the first counts.
+    `part` is the part of each node (nodes,).
     """
     coo = graph.tocoo()
     inside = part[coo.row] == part[coo.col]
@@ -98,22 +69,9 @@ def fixing_nodes(
 ) -> Numbers:
     """Choose fixing nodes near the centres of equal parts of the mesh (algorithm 11.1).
 
-    Parameters
-    ----------
-    stiffness : (n, n) scipy.sparse.csr_matrix
-        K_i.
-    coordinates : (nodes, gdim) array
-        [m].
-    number : int
-        M; doubled as often as needed where the nodes found lie near a line.
-    images : (g, nodes) integer array, optional
-        The images of the nodes under symmetries, which the fixing nodes are to have, too: as many
-        of those found as make M together with their images.
-
-    Returns
-    -------
-    (fixing nodes,) integer array
-        Local node numbers, ascending.
+    Returns local node numbers, ascending. Their number M is doubled as often as needed where the
+    nodes found lie near a line. The fixing nodes are symmetric under the images (g, nodes) of the
+    nodes: as many of those found as make M together with their images.
     """
     graph = node_graph(stiffness, coordinates.shape[1])
     while True:

@@ -17,12 +17,8 @@ from fenics_tfeti.typing import Numbers, Vector
 def in_frame(values: Vector, frame: Vector | None) -> Vector:
     """Return T'u at each node.
 
-    Parameters
-    ----------
-    values : (gdim * nodes, ...) array
-        u: vectors of the nodes of a subdomain, or columns of them.
-    frame : (gdim, gdim) array, optional
-        T; the identity by default.
+    u (gdim * nodes, ...) are vectors of the nodes of a subdomain, or columns of them; the frame is
+    T (gdim, gdim), None for the identity.
     """
     return values if frame is None else out_of_frame(values, frame.T)
 
@@ -38,18 +34,10 @@ def out_of_frame(values: Vector, frame: Vector | None) -> Vector:
 
 @dataclass(frozen=True)
 class Frames:
-    """The frames of subdomains with equal numbers of nodes.
+    """The frames of subdomains with equal numbers of nodes."""
 
-    Attributes
-    ----------
-    turns : (k, gdim, gdim) array
-        T of each.
-    nodes : int
-        Nodes of each; further unknowns of a subdomain are not turned.
-    """
-
-    turns: Vector
-    nodes: int
+    turns: Vector  # T of each (k, gdim, gdim)
+    nodes: int  # of each; further unknowns of a subdomain are not turned
 
     def __getitem__(self, batch: slice) -> Frames:
         """Return the frames of a part of the subdomains."""

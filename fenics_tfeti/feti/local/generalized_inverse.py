@@ -19,23 +19,10 @@ def regularized_stiffness(
 ) -> sp.csr_matrix:
     """Return K + rho Q with Q = R_F (R_F'R_F)^{-1} R_F' on the fixed unknowns, rho = max diag K.
 
-    Its inverse is the K^+ of (11.34) with S^+ = (S + rho Q)^{-1}: block elimination of the
-    remaining unknowns gives the Schur complement S + rho Q, and the rest of (11.34) is the rest of
-    the elimination.
-
-    Parameters
-    ----------
-    stiffness : (n, n) scipy.sparse.csr_matrix
-        K.
-    R : (n, k) array
-        Basis of its kernel.
-    fixed : (s,) integer array
-        F, the unknowns of the fixing nodes.
-
-    Returns
-    -------
-    (n, n) scipy.sparse.csr_matrix
-        Symmetric positive definite.
+    It is positive definite for a basis R (n, k) of the kernel of K and F (s,), the unknowns of the
+    fixing nodes. Its inverse is the K^+ of (11.34) with S^+ = (S + rho Q)^{-1}: block elimination
+    of the remaining unknowns gives the Schur complement S + rho Q, and the rest of (11.34) is the
+    rest of the elimination.
     """
     if R.shape[1] == 0:
         return stiffness
@@ -52,25 +39,10 @@ def regularized_stiffness(
 class GeneralizedInverse:
     """K_i^+ with K K^+ K = K (11.28).
 
-    Parameters
-    ----------
-    subdomain : Subdomain
-        Stiffness and coordinates.
-    R : (n, k) array
-        Orthonormal basis of the kernel of K_i.
-    package : str
-        "cholmod" or "mumps".
-    number : int
-        M, the number of fixing nodes.
-    stiffness : (n, n) scipy.sparse.csr_matrix, optional
-        K_i with unknowns beyond those of the nodes; by default that of the subdomain.
-    symmetries : SymmetryGroup, optional
-        What leaves K_i as it is, and K_i^+ is to have, too; the identity alone by default.
-
-    Raises
-    ------
-    FactorizationError
-        If K_i is not positive semidefinite or its kernel is not the one of its rigid body modes.
+    R (n, k) is an orthonormal basis of the kernel of K_i, and `number` is M, the number of fixing
+    nodes. The stiffness, by default that of the subdomain, may have unknowns beyond those of the
+    nodes. Symmetries leave K_i as it is; K_i^+ is to have them too. Raises `FactorizationError` if
+    K_i is not positive semidefinite or its kernel is not that of its rigid body modes.
     """
 
     def __init__(

@@ -20,17 +20,8 @@ _AS_WIDE = 2.0
 def raw_modes(coordinates: Vector, origin: Vector) -> Vector:
     """Return unit translations and rotations about an origin.
 
-    Parameters
-    ----------
-    coordinates : (nodes, gdim) array
-        [m].
-    origin : (gdim,) array
-        Centre of the rotations [m].
-
-    Returns
-    -------
-    (gdim * nodes, 3 or 6) array
-        Translations along the axes, then the rotation (2D), or those about x, y and z (3D).
+    The columns (gdim * nodes, 3 or 6) are translations along the axes, then the rotation (2D), or
+    those about x, y and z (3D). Coordinates (nodes, gdim) and origin (gdim,) are in [m].
     """
     nodes, gdim = coordinates.shape
     x = coordinates - origin
@@ -47,15 +38,8 @@ def raw_modes(coordinates: Vector, origin: Vector) -> Vector:
 def rigid_body_modes(coordinates: Vector) -> Vector:
     """Return an orthonormal basis of the rigid body modes of a set of nodes.
 
-    Parameters
-    ----------
-    coordinates : (nodes, gdim) array
-        [m].
-
-    Returns
-    -------
-    (gdim * nodes, k) array
-        R with R'R = I; k = 3 in 2D, 6 in 3D, less for nodes on a line or a single node.
+    It is R (gdim * nodes, k) with R'R = I; k = 3 in 2D, 6 in 3D, less for nodes on a line or a
+    single node.
     """
     centre = coordinates.mean(axis=0)
     size = np.abs(coordinates - centre).max()
@@ -74,19 +58,8 @@ def low_energy_modes(subdomain: Subdomain) -> tuple[Vector, Vector]:
     """Return the rigid body modes that K_i resists softly or not at all, in the frame of K_i.
 
     An elastic support (a term u.v ds in the form) resists some or all of them. Modes that it
-    resists firmly are left out.
-
-    Parameters
-    ----------
-    subdomain : Subdomain
-        Stiffness and coordinates.
-
-    Returns
-    -------
-    R : (n, k) array
-        With R'R = I, k <= 6 (3 in 2D).
-    energies : (k,) array
-        R'KR is the diagonal matrix of these; 0 for modes in the kernel [N/m].
+    resists firmly are left out. Returns R (n, k) with R'R = I, k <= 6 (3 in 2D), and the energies
+    (k,), the diagonal matrix R'KR [N/m]; 0 for modes in the kernel.
     """
     R = rigid_body_modes(subdomain.coordinates_in_frame)
     stiffness = np.abs(subdomain.stiffness.data).max(initial=0.0)
@@ -102,17 +75,8 @@ def low_energy_modes(subdomain: Subdomain) -> tuple[Vector, Vector]:
 def kernel(subdomain: Subdomain) -> Vector:
     """Return an orthonormal basis of the rigid body modes that K_i resists softly or not at all.
 
-    Without soft elastic supports it is the kernel of K_i.
-
-    Parameters
-    ----------
-    subdomain : Subdomain
-        Stiffness and coordinates.
-
-    Returns
-    -------
-    (n, k) array
-        R_i with R_i'R_i = I, k <= 6 (3 in 2D).
+    Without soft elastic supports it is the kernel of K_i. It is R_i (n, k) with R_i'R_i = I,
+    k <= 6 (3 in 2D).
     """
     return low_energy_modes(subdomain)[0]
 
@@ -126,24 +90,10 @@ def describe_motion(
 ) -> str:
     """Say in words which rigid motion a displacement field is.
 
-    Parameters
-    ----------
-    coordinates : (nodes, gdim) array
-        [m].
-    displacement : (gdim * nodes,) array
-        A rigid motion of the nodes.
-    either_way : bool
-        Whether the opposite motion is meant as well: then the one whose first component is positive
-        is named.
-    negligible : float
-        Size of a translation or rotation, relative to the motion, that is left out.
-    about : (gdim,) array and float, optional
-        Mean place and size of the body that moves so [m]; by default those of the nodes.
-
-    Returns
-    -------
-    str
-        For instance "translation along (0, 0, 1)".
+    For instance "translation along (0, 0, 1)". With either_way the opposite motion is meant as
+    well: the one whose first component is positive is named. A translation or rotation is left out
+    if its size, relative to the motion, is at most negligible. `about` is the mean place (gdim,)
+    and the size of the body that moves [m], by default those of the nodes.
     """
     gdim = coordinates.shape[1]
     if about is None:

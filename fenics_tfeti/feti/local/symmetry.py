@@ -28,17 +28,10 @@ class SymmetryGroup:
     """A commutative group of signed permutations that are their own inverses.
 
     The element g takes the unit vector e_i to signs[g, i] e_k with k = images[g, i].
-
-    Attributes
-    ----------
-    images : (g, n) integer array
-        Of the element 0 the unknowns themselves; the element i xor j is the product of i and j.
-    signs : (g, n) array
-        1 and -1.
     """
 
-    images: Numbers
-    signs: Vector
+    images: Numbers  # (g, n): element 0 is the identity; element i xor j is the product of i and j
+    signs: Vector  # (g, n): 1 and -1
 
     @staticmethod
     def trivial(size: int) -> SymmetryGroup:
@@ -63,13 +56,7 @@ class SymmetryGroup:
         )
 
     def on(self, unknowns: Numbers) -> SymmetryGroup:
-        """Return the subgroup that leaves a set of unknowns as it is, on these unknowns.
-
-        Parameters
-        ----------
-        unknowns : (b,) integer array
-            Ascending.
-        """
+        """Return the subgroup that leaves a set of unknowns (b,), ascending, as it is, on these."""
         inside = np.zeros(self.images.shape[1], dtype=bool)
         inside[unknowns] = True
         place = np.cumsum(inside) - 1
@@ -91,17 +78,8 @@ class SymmetryGroup:
 def find_symmetries(stiffness: sp.csr_matrix, coordinates: Vector) -> SymmetryGroup:
     """Return a group of symmetries of a subdomain about its middle.
 
-    Parameters
-    ----------
-    stiffness : (n, n) scipy.sparse.csr_matrix
-        K.
-    coordinates : (nodes, gdim) array
-        [m].
-
-    Returns
-    -------
-    SymmetryGroup
-        Of n unknowns; trivial where there are further ones than those of the nodes.
+    It is trivial where there are further unknowns than those of the nodes. K is (n, n), the
+    coordinates are (nodes, gdim) [m].
     """
     group = SymmetryGroup.trivial(stiffness.shape[0])
     nodes, gdim = coordinates.shape

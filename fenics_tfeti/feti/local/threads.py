@@ -14,17 +14,9 @@ from petsc4py import PETSc
 
 @cache
 def openmp(path: str) -> ctypes.CDLL | None:
-    """Return what has the functions of the OpenMP library that another library is linked with.
+    """Return the functions of the OpenMP library that a library is linked with.
 
-    Parameters
-    ----------
-    path : str
-        The other library.
-
-    Returns
-    -------
-    ctypes.CDLL or None
-        None if it is linked with none.
+    None if it is linked with none.
     """
     # the search for a symbol goes through all libraries that this one is linked with
     library = ctypes.CDLL(path)
@@ -35,14 +27,10 @@ def openmp(path: str) -> ctypes.CDLL | None:
 def one_thread(path: str = PETSc.__file__) -> Iterator[None]:
     """Let OpenMP's parallel regions run on one thread, whatever number they ask for.
 
-    CHOLMOD 3 asks for four in its supernodal factorisation, whatever OMP_NUM_THREADS is.
-    A factor of some thousand unknowns has many regions of a few microseconds, and on two
-    processors the threads wait for each other most of the time: it takes three times as long.
-
-    Parameters
-    ----------
-    path : str
-        A library that is linked with what uses OpenMP; by default PETSc and its packages.
+    CHOLMOD 3 asks for four in its supernodal factorisation, whatever OMP_NUM_THREADS is. A factor
+    of some thousand unknowns has many regions of a few microseconds, and on two processors the
+    threads wait for each other most of the time: it takes three times as long. The path is that of
+    a library that is linked with what uses OpenMP.
     """
     library = openmp(path)
     if library is None:
