@@ -28,29 +28,13 @@ from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
 @dataclass(frozen=True)
 class RowData:
-    """Data of contact, tied and tangential rows.
+    """Data of contact, tied and tangential rows."""
 
-    Attributes
-    ----------
-    number : (r,) integer array
-        Global row number; -1 of a condition that is no row of B.
-    contact : (r,) integer array
-        Number of the contact.
-    scale : (r,) array
-        Factor that makes B D^{-1} B' = 1 of the condition whose slave's sum has length 1.
-    rhs : (r,) array
-        Right-hand side, scaled.
-    tied : (r,) bool array
-        Whether it is an equality.
-    tangential : Tangential
-        Which rows are tangential rows.
-    """
-
-    number: Numbers
-    contact: Numbers
-    scale: Vector
-    rhs: Vector
-    tied: Mask
+    number: Numbers  # (r,): global row number; -1 of a condition that is no row of B
+    contact: Numbers  # (r,): number of the contact
+    scale: Vector  # (r,): makes B D^{-1} B' = 1 of the condition whose slave's sum has length 1
+    rhs: Vector  # (r,): right-hand side, scaled
+    tied: Mask  # (r,): whether it is an equality
     tangential: Tangential
 
     @staticmethod
@@ -78,30 +62,13 @@ class RowData:
 
 @dataclass(frozen=True)
 class ConditionRows:
-    """The contact, tied and tangential rows that a rank gives, and those with entries on it.
+    """The contact, tied and tangential rows that a rank gives, and those with entries on it."""
 
-    Attributes
-    ----------
-    entries : Entries
-        Their entries on this rank.
-    given : RowData
-        The conditions that this rank gives: its contact rows, its tied rows, and the tangential
-        rows of its contact rows.
-    tolerance : (conditions of this rank,) array
-        Rounding of their right-hand sides, scaled.
-    local : RowData
-        The rows with entries on this rank, once for each of their nodes there.
-    infinite_gaps : int
-        Number of contact rows with an infinite gap, over all ranks.
-    redundancy : Redundancy
-        Rows that others imply, and rows that are not orthogonal.
-    """
-
-    entries: Entries
-    given: RowData
-    tolerance: Vector
-    local: RowData
-    infinite_gaps: int
+    entries: Entries  # on this rank
+    given: RowData  # contact rows, tied rows, and tangential rows of the contact rows of this rank
+    tolerance: Vector  # (conditions of this rank,): rounding of their right-hand sides, scaled
+    local: RowData  # rows with entries on this rank, once for each of their nodes there
+    infinite_gaps: int  # contact rows with an infinite gap, over all ranks
     redundancy: Redundancy
 
     @property
@@ -135,11 +102,8 @@ def condition_rows(
 ) -> ConditionRows:
     """Return contact and tied rows with B D^{-1} B' = 1, numbered from `first`. Collective.
 
-    Raises
-    ------
-    InputError
-        On all ranks, if a row names a node of no subdomain, prescribed displacements violate it, or
-        two rows exclude each other.
+    Raises an InputError on all ranks if a row names a node of no subdomain, prescribed
+    displacements violate it, or two rows exclude each other.
     """
     comm = system.comm
     contacts, tied, tangential = _all_conditions(system)

@@ -36,39 +36,19 @@ _SMALL_PIVOT, _SHIFT = 1e-6, rounding(1.0, GIVEN)
 class Coupling:
     """Tied and contact rows that are not orthogonal to all others.
 
-    All other rows, and rows of different blocks of W, are orthonormal.
-
-    Attributes
-    ----------
-    numbers : (w,) integer array
-        Global numbers of the coupled rows, ascending; the same on all ranks.
-    gram : (w, w) scipy.sparse.csr_matrix
-        W in this order, with a diagonal of 1, or less for tangential rows; the same on all ranks.
-        Singular if rows depend linearly on others.
-    tied : (w,) bool array
-        Which of them are equalities.
-    tangential : (w,) bool array
-        Which of them are tangential rows of friction.
-    tolerance : (w,) array
-        Rounding of their right-hand sides.
-    rows : (h,) integer array
-        Local positions of the coupled rows that this rank holds.
-    positions : (h,) integer array
-        Their positions in `numbers`.
-    owned : (h,) bool array
-        Which of them this rank owns.
-    comm : MPI.Intracomm
-        The ranks.
+    All other rows, and rows of different blocks of W, are orthonormal. `numbers`, `gram`, `tied`,
+    `tangential` and `tolerance` are the same on all ranks.
     """
 
-    numbers: Numbers
+    numbers: Numbers  # (w,): global numbers of the coupled rows, ascending
+    # (w, w): W; its diagonal is 1, or less for tangential rows; it may be singular
     gram: sp.csr_matrix
-    tied: Mask
-    tangential: Mask
-    tolerance: Vector
-    rows: Numbers
-    positions: Numbers
-    owned: Mask
+    tied: Mask  # (w,): equalities
+    tangential: Mask  # (w,): tangential rows of friction
+    tolerance: Vector  # (w,): rounding of right-hand sides
+    rows: Numbers  # (h,): local positions of the coupled rows that this rank holds
+    positions: Numbers  # (h,): their positions in `numbers`
+    owned: Mask  # (h,): which of them this rank owns
     comm: MPI.Intracomm
 
     @cached_property
@@ -113,35 +93,18 @@ class Coupling:
 
 @dataclass(frozen=True)
 class GramInverse:
-    """W_RR^+ = (I - N N') W_RR^- (I - N N'), with W_RR^- of independent rows and null vectors N.
+    """W_RR^+ = (I - N N') W_RR^- (I - N N'), with W_RR^- of independent rows and null vectors N."""
 
-    Attributes
-    ----------
-    chosen : (w,) bool array
-        R.
-    independent : (r,) integer array
-        Positions of rows on which all others of R depend.
-    null : (w, k) scipy.sparse.csr_matrix
-        N: an orthonormal basis of the kernel of W_RR.
-    """
-
-    chosen: Mask
-    independent: Numbers
-    null: sp.csr_matrix
+    chosen: Mask  # (w,): R
+    independent: Numbers  # (r,): positions of rows on which all others of R depend
+    null: sp.csr_matrix  # (w, k): N, an orthonormal basis of the kernel of W_RR
     _factor: SuperLU | None = field(repr=False)
 
     @staticmethod
     def build(W: sp.csr_matrix, chosen: Mask, groups: Sequence[Numbers] = ()) -> GramInverse:
         """Factor W_RR.
 
-        Parameters
-        ----------
-        W : (w, w) scipy.sparse.csr_matrix
-            Symmetric positive semidefinite, with a diagonal of 1.
-        chosen : (w,) bool array
-            R.
-        groups : sequence of integer arrays
-            `dependent_groups` of W.
+        W is positive semidefinite with a diagonal of 1; the groups are its `dependent_groups`.
 
         Examples
         --------
@@ -186,10 +149,7 @@ class GramInverse:
 def dependent_groups(W: sp.csr_matrix) -> list[Numbers]:
     """Return groups of rows that contain the null vectors of W: each has some, and all have all.
 
-    Parameters
-    ----------
-    W : (w, w) scipy.sparse.csr_matrix
-        Symmetric positive semidefinite, with a diagonal of 1.
+    W is positive semidefinite with a diagonal of 1.
 
     Examples
     --------

@@ -23,29 +23,10 @@ from fenics_tfeti.typing import Array, Numbers, Vector
 class DualLayout:
     """The distribution of a vector: each rank holds the components that it needs.
 
-    A component may be held by several ranks; the lowest of them owns it. Owned components come
-    first, then the others, both by ascending place. All ranks that hold a component have bitwise
-    equal values of it.
-
-    Parameters
-    ----------
-    comm : MPI.Intracomm
-        The ranks.
-    numbers : (m,) integer array
-        The distinct global numbers that this rank holds.
-    place : (m,) integer array, optional
-        What they are in order of on this rank; their numbers by default.
-
-    Attributes
-    ----------
-    numbers : (m,) integer array
-        The global numbers in local order.
-    owned : int
-        Number of owned components.
-    size : int
-        Number of components over all ranks.
-    space : Space
-        The inner product.
+    A component may be held by several ranks; the lowest of them owns it. The global numbers (m,)
+    of a rank are distinct. In local order its owned components come first, then the others, both by
+    ascending `place` (m,), the numbers by default. All ranks that hold a component have bitwise
+    equal values of it. `size` is the number of components over all ranks.
     """
 
     def __init__(self, comm: MPI.Intracomm, numbers: Numbers, place: Numbers | None = None) -> None:
@@ -83,10 +64,7 @@ class DualLayout:
     def sum(self, part: Vector) -> Vector:
         """Add up the parts of each component over the ranks that hold it; one exchange.
 
-        Parameters
-        ----------
-        part : (m,) or (m, k) array
-            This rank's part of one vector, or of several.
+        The part is (m,), or (m, k) of several vectors.
         """
         if self.comm.size == 1:
             return part
@@ -119,10 +97,7 @@ class DualLayout:
     def sum_sparse(self, part: sp.csr_matrix) -> sp.csr_matrix:
         """Add up the parts of sparse rows over the ranks that hold them. Collective.
 
-        Parameters
-        ----------
-        part : (m, k) scipy.sparse.csr_matrix
-            This rank's part; its columns are global.
+        The columns of the part (m, k) are global.
         """
         if self.comm.size == 1:
             return part

@@ -12,21 +12,11 @@ from fenics_tfeti.typing import Numbers, Vector
 
 @dataclass(frozen=True)
 class Entries:
-    """Entries of B in the columns of this rank.
+    """Entries of B in the columns of this rank."""
 
-    Attributes
-    ----------
-    rows : (e,) integer array
-        Global row numbers.
-    columns : (e,) integer array
-        Torn unknowns of this rank.
-    values : (e,) array
-        The entries.
-    """
-
-    rows: Numbers
-    columns: Numbers
-    values: Vector
+    rows: Numbers  # (e,): global row numbers
+    columns: Numbers  # (e,): torn unknowns of this rank
+    values: Vector  # (e,)
 
     @staticmethod
     def concatenate(parts: Sequence[Entries]) -> Entries:

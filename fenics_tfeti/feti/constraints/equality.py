@@ -18,21 +18,11 @@ from fenics_tfeti.typing import Numbers, Vector
 
 @dataclass(frozen=True)
 class EqualityRows:
-    """The equality rows of this rank's copies.
+    """The equality rows of this rank's copies."""
 
-    Attributes
-    ----------
-    entries : Entries
-        Their entries on this rank.
-    prescribed : (p,) integer array
-        Global numbers of the Dirichlet rows.
-    values : (p,) array
-        Their right-hand sides; those of gluing rows are zero.
-    """
-
-    entries: Entries
-    prescribed: Numbers
-    values: Vector
+    entries: Entries  # on this rank
+    prescribed: Numbers  # (p,): global numbers of the Dirichlet rows
+    values: Vector  # (p,): their right-hand sides; those of gluing rows are zero
 
 
 @dataclass(frozen=True)
@@ -55,16 +45,7 @@ def equality_rows(
 ) -> EqualityRows:
     """Return the gluing and Dirichlet rows of this rank's copies. Collective.
 
-    Parameters
-    ----------
-    directory : Directory
-        Of the nodes.
-    copies : Copies
-        This rank's copies of nodes with such rows.
-    local : NodeTable
-        The table of the nodes of these copies.
-    gdim, rank : int
-        Components of a displacement; this rank.
+    `copies` are those of nodes with such rows, `local` is the table of these nodes.
     """
     chain = _chain(directory, copies, rank)
     local_copies = chain.copy >= 0

@@ -21,19 +21,7 @@ from fenics_tfeti.typing import Numbers, Vector
 def check_conditions(system: TornSystem, constraints: Constraints, c: Vector) -> None:
     """Check that all conditions and the prescribed displacements have a common solution.
 
-    Parameters
-    ----------
-    system : TornSystem
-        Contacts, and names for the message.
-    constraints : Constraints
-        B.
-    c : (m,) array
-        Right-hand sides of the constraints.
-
-    Raises
-    ------
-    InputError
-        On all ranks, naming the contacts and the slave nodes.
+    Raises an InputError on all ranks that names the contacts and the slave nodes.
     """
     coupling = constraints.coupling
     if not coupling.groups:
@@ -56,14 +44,8 @@ def check_conditions(system: TornSystem, constraints: Constraints, c: Vector) ->
 def contradiction(W: Vector, gaps: Vector, rounding: Vector | float = 0.0) -> Numbers:
     """Return rows of B_I u <= c that have no common solution; none if all of them have one.
 
-    Parameters
-    ----------
-    W : (k, k) array
-        Gram matrix of the rows, which have unit length.
-    gaps : (k,) array
-        c.
-    rounding : (k,) array or float
-        Errors of c: a contradiction that they may have caused is none.
+    W (k, k) is the Gram matrix of the rows, which have unit length, and `gaps` (k,) is c. A
+    contradiction that `rounding`, the errors of c, may have caused is none.
 
     Examples
     --------

@@ -24,21 +24,11 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 
 @dataclass(frozen=True)
 class Tangential:
-    """What tangential rows are, beside conditions on nodes; -1 for contact and tied rows.
+    """Site, direction and bound of tangential rows; -1 for contact and tied rows."""
 
-    Attributes
-    ----------
-    site : (r,) integer array
-        Global number of the contact row with friction, counted from 0.
-    direction : (r,) integer array
-        Number of the tangent.
-    bound : (r,) array
-        Psi [N].
-    """
-
-    site: Numbers
-    direction: Numbers
-    bound: Vector
+    site: Numbers  # (r,): global number of the contact row with friction, counted from 0
+    direction: Numbers  # (r,): number of the tangent
+    bound: Vector  # (r,): Psi [N]
 
     @property
     def mask(self) -> Mask:
@@ -53,16 +43,10 @@ class Tangential:
 
 @dataclass(frozen=True)
 class SlipBound:
-    """The law of friction |lambda_T| <= r + m lambda_N at the sites that a rank holds.
+    """The law of friction |lambda_T| <= r + m lambda_N at the sites that a rank holds."""
 
-    Attributes
-    ----------
-    radius, slope : (k,) arrays
-        r and m.
-    """
-
-    radius: Vector
-    slope: Vector
+    radius: Vector  # (k,): r
+    slope: Vector  # (k,): m
 
     def at(self, pressing: Vector) -> Vector:
         """Return the bound (k,) at normal multipliers lambda_N."""
@@ -74,33 +58,17 @@ class SlipBound:
 class FrictionRows:
     """The tangential rows that this rank holds, by sites; it holds all rows of a site.
 
-    Attributes
-    ----------
-    rows : (k, gdim - 1) integer array
-        Local positions; -1 in a direction without a row. Those of the first direction that has one
-        ascend.
-    contact : (k,) integer array
-        Number of the contact.
-    scale : (k,) array
-        Factor t: a jump divided by t is a slip [m], and t lambda_T a force [N].
-    own : (sites of this rank,) integer array
-        Position of each site that this rank gave; -1 where it has no rows.
-    curved : bool
-        Whether any rank has a site with two rows, and so a disc.
-    normal : (sites of this rank,) integer array
-        Local position of the contact row of each site that this rank gave; -1 where it is no row of
-        B.
-    bound : SlipBound
-        The law of friction as given: r = Psi / t, and m the coefficient of Coulomb's law times the
-        factor of the contact row over t.
+    Directions without a row have the position -1; the positions of the first direction that has one
+    ascend. `own` and `normal` are of the sites that this rank gave.
     """
 
-    rows: Numbers
-    contact: Numbers
-    scale: Vector
-    own: Numbers
-    curved: bool
-    normal: Numbers
+    rows: Numbers  # (k, gdim - 1): local positions
+    contact: Numbers  # (k,): number of the contact
+    scale: Vector  # (k,): t: a jump divided by t is a slip [m], t lambda_T a force [N]
+    own: Numbers  # position of each site given; -1 where it has no rows
+    curved: bool  # whether any rank has a site with two rows, and so a disc
+    normal: Numbers  # local position of its contact row; -1 where it is no row of B
+    # as given: r = Psi / t, m = Coulomb's coefficient * factor of the contact row / t
     bound: SlipBound
 
     @staticmethod
@@ -115,18 +83,8 @@ class FrictionRows:
     ) -> FrictionRows:
         """Collect the rows of each site. Collective.
 
-        Parameters
-        ----------
-        rows : (r,) integer array
-            Local positions of tangential rows, ascending.
-        tangential, contact, scale
-            Site, direction and bound of each; number of the contact; factor.
-        directions : int
-            gdim - 1.
-        own_sites : (given,) integer array
-            The sites that this rank gave.
-        comm : MPI.Intracomm
-            The ranks.
+        Local positions `rows` (r,) of tangential rows ascend; `tangential`, `contact` and `scale`
+        are theirs. `own_sites` are the sites that this rank gave.
         """
         sites, first, at = np.unique(tangential.site, return_index=True, return_inverse=True)
         table = np.full((sites.size, directions), -1, dtype=np.int64)
@@ -154,16 +112,8 @@ class FrictionRows:
     ) -> FrictionRows:
         """Return the rows with the contact rows and coefficients of their sites. Collective.
 
-        Parameters
-        ----------
-        normal : (sites of this rank,) integer array
-            Local positions of the contact rows of the sites that this rank gave, or -1.
-        factor : (sites of this rank,) array
-            Factors of these rows.
-        coefficient : (sites of this rank,) array
-            Coefficients of friction.
-        layout : DualLayout
-            Of the rows.
+        All arrays are of the sites that this rank gave: local positions of their contact rows, or
+        -1, the factors of these rows and the coefficients of friction.
         """
         slope = self.from_given(np.where(normal >= 0, coefficient * factor, 0.0), layout)
         bound = SlipBound(self.bound.radius, slope / self.scale)
@@ -284,14 +234,8 @@ class FrictionRows:
     def multiplier_set(self, inequality: Numbers, shift: Vector, radius: Vector) -> ProductSet:
         """Return {x : shift + x is feasible}, with lambda_I >= o and |lambda_T| <= r.
 
-        Parameters
-        ----------
-        inequality : (i,) integer array
-            Local positions of the inequality rows, ascending.
-        shift : (m,) array
-            lambda~.
-        radius : (k,) array
-            r of each site.
+        `inequality` (i,) are the local positions of the inequality rows, ascending, `shift`
+        (m,) is lambda~, and `radius` (k,) is r of each site.
         """
         below = np.full(shift.size, -np.inf)
         above = np.full(shift.size, np.inf)
@@ -309,21 +253,10 @@ def check_slides(
 ) -> None:
     """Check that prescribed displacements slide nothing that may slip in another direction.
 
-    Parameters
-    ----------
-    contacts : ContactRows
-        All conditions of this rank.
-    tangential : Tangential
-        Which of them are tangential rows; those of a site follow each other.
-    gap, tolerance : (r,) arrays
-        Right-hand sides without what prescribed displacements decide, and their rounding.
-    free : (r,) bool array
-        Whether a row has a free part at all.
-
-    Raises
-    ------
-    InputError
-        On this rank, naming the first slave node.
+    The conditions (r,) are all of this rank; the tangential rows of a site follow each other. `gap`
+    is the right-hand side without the part that prescribed displacements decide, `tolerance` its
+    rounding, `free` tells whether a row has a free part. Raises an InputError on this rank that
+    names the first slave node.
     """
     first = np.flatnonzero(tangential.mask & (tangential.direction == 0))
     second = np.flatnonzero(tangential.mask & (tangential.direction == 1))

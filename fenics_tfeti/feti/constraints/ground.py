@@ -19,18 +19,10 @@ from fenics_tfeti.typing import Numbers, Vector
 
 @dataclass(frozen=True)
 class TornUnknowns:
-    """The torn unknowns of this rank: each subdomain's displacements, and after them its ground.
+    """The torn unknowns of this rank: each subdomain's displacements, and after them its ground."""
 
-    Attributes
-    ----------
-    sizes : (subdomains,) integer array
-        Number of displacements of each subdomain.
-    grounds : (subdomains,) integer array
-        Number of its unknowns of the ground.
-    """
-
-    sizes: Numbers
-    grounds: Numbers
+    sizes: Numbers  # (subdomains,): number of displacements of each
+    grounds: Numbers  # (subdomains,): number of unknowns of its ground
 
     @property
     def ends(self) -> Numbers:
@@ -70,21 +62,8 @@ def hold_ground(
 ) -> tuple[Constraints, Vector]:
     """Add an equality row y = 0 for each unknown of the ground. Collective.
 
-    Parameters
-    ----------
-    constraints : Constraints
-        B on the displacements.
-    c : (m,) array
-        Right-hand sides.
-    unknowns : TornUnknowns
-        Where the unknowns of the ground are.
-
-    Returns
-    -------
-    Constraints
-        B with the columns and rows of the ground; the same object where no rank has any.
-    (m,) array
-        c.
+    Returns B with the columns and rows of the ground, and its c (m,); the same objects where no
+    rank has any.
     """
     layout, new = constraints.layout, int(unknowns.grounds.sum())
     offset, total = first_of_rank(layout.comm, new)

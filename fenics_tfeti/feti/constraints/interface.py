@@ -18,27 +18,14 @@ from fenics_tfeti.typing import Numbers, Vector
 
 @dataclass(frozen=True)
 class Interface:
-    """The torn unknowns that B acts on, packed: class by class, subdomain by subdomain.
-
-    Attributes
-    ----------
-    classes : sequence of CongruenceClass
-        The classes.
-    unknowns : list of integer arrays
-        For each class the unknowns of a subdomain on which B has an entry, for any member; whole
-        nodes where there are frames.
-    columns : (b,) integer array
-        The torn unknown of each packed one; with frames, the node counts.
-    matrix : (m, b) scipy.sparse.csr_matrix
-        The columns of B; those of a subdomain with the frame T times T.
-    transposed : (b, m) scipy.sparse.csr_matrix
-        The same by rows of B': a product that gathers moves less memory than one that scatters.
-    """
+    """The torn unknowns that B acts on, packed: class by class, subdomain by subdomain."""
 
     classes: Sequence[CongruenceClass]
+    # for each class those of a subdomain with an entry of B for any member; with frames whole nodes
     unknowns: list[Numbers]
-    columns: Numbers
-    matrix: sp.csr_matrix
+    columns: Numbers  # (b,): torn unknown of each packed one; with frames, the node counts
+    matrix: sp.csr_matrix  # (m, b): columns of B; those of a subdomain with the frame T times T
+    # (b, m): B' by rows, as a product that gathers moves less memory than one that scatters
     transposed: sp.csr_matrix
 
     @staticmethod

@@ -22,27 +22,13 @@ _DENSE = 8
 
 @dataclass(frozen=True)
 class Copies:
-    """Copies of nodes in the subdomains of this rank, subdomain by subdomain.
+    """Copies of nodes in the subdomains of this rank, subdomain by subdomain."""
 
-    Attributes
-    ----------
-    node : (copies,) integer array
-        Position in `nodes`.
-    unknown : (copies,) integer array
-        First torn unknown.
-    weight : (copies,) array
-        Entry of D.
-    nodes : (nodes,) integer array
-        The distinct global numbers, ascending.
-    count : (nodes,) integer array
-        Number of copies on this rank.
-    """
-
-    node: Numbers
-    unknown: Numbers
-    weight: Vector
-    nodes: Numbers
-    count: Numbers
+    node: Numbers  # (copies,): position in `nodes`
+    unknown: Numbers  # (copies,): first torn unknown
+    weight: Vector  # (copies,): entry of D
+    nodes: Numbers  # (nodes,): distinct global numbers, ascending
+    count: Numbers  # (nodes,): number of copies on this rank
 
     @staticmethod
     def build(system: TornSystem, weights: Vector | None) -> Copies:
@@ -69,37 +55,20 @@ class Copies:
 
 @dataclass(frozen=True)
 class NodeTable:
-    """Data of nodes over all ranks: of those at home on this rank, or of those looked up.
+    """Data of nodes over all ranks: of those at home on this rank, or of those looked up."""
 
-    Attributes
-    ----------
-    multiplicity : (nodes,) integer array
-        Number of copies; 0 for a node of no subdomain.
-    weight : (nodes,) array
-        Sum of the copies' weights.
-    first_row : (nodes,) integer array
-        Global number of the node's first equality row.
-    prescribed : (nodes, gdim) bool array
-        Which components have a prescribed displacement.
-    values : (nodes, gdim) array
-        Prescribed displacements, 0 elsewhere [m].
-    """
-
-    multiplicity: Numbers
-    weight: Vector
-    first_row: Numbers
-    prescribed: Mask
-    values: Vector
+    multiplicity: Numbers  # (nodes,): number of copies; 0 for a node of no subdomain
+    weight: Vector  # (nodes,): sum of the copies' weights
+    first_row: Numbers  # (nodes,): global number of the node's first equality row
+    prescribed: Mask  # (nodes, gdim): components with a prescribed displacement
+    values: Vector  # (nodes, gdim): prescribed displacements, 0 elsewhere [m]
 
     @staticmethod
     def build(system: TornSystem, directory: Directory, copies: Copies) -> NodeTable:
         """Gather the table at the nodes' home ranks; number the equality rows.
 
-        Raises
-        ------
-        InputError
-            On all ranks, if prescribed displacements contradict each other or name a node of no
-            subdomain.
+        Raises an InputError on all ranks if prescribed displacements contradict each other or name
+        a node of no subdomain.
         """
         homes = directory.keys.size
         sums = np.bincount(copies.node, weights=copies.weight, minlength=copies.nodes.size)

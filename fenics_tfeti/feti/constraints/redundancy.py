@@ -28,53 +28,27 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 class ContactConditions:
     """The conditions of this rank, in coordinates where B D^{-1} B' is a dot product.
 
-    Attributes
-    ----------
-    row : (t,) integer array
-        Row of this rank that each term belongs to; rows without a term are not examined.
-    node : (t,) integer array
-        Global node number of the term.
-    coefficients : (t, gdim) array
-        Row of B times D^{-1/2} at the node; those of a row have length 1 together, of a tangential
-        row 1 at most.
-    rhs : (k,) array
-        Right-hand sides of this rank's rows, in the same scale.
-    tolerance : (k,) array
-        Rounding of the right-hand sides.
-    tied : (k,) bool array
-        Which rows are equalities.
-    tangential : (k,) bool array
-        Which rows are tangential rows of friction.
+    The coefficients of a row have length 1 together, those of a tangential row 1 at most.
     """
 
-    row: Numbers
-    node: Numbers
-    coefficients: Vector
-    rhs: Vector
-    tolerance: Vector
-    tied: Mask
-    tangential: Mask
+    row: Numbers  # (t,): row of this rank of each term; rows without a term are not examined
+    node: Numbers  # (t,): global node number of the term
+    coefficients: Vector  # (t, gdim): row of B times D^{-1/2} at the node
+    rhs: Vector  # (k,): right-hand sides of this rank's rows, in the same scale
+    tolerance: Vector  # (k,): their rounding
+    tied: Mask  # (k,): equalities
+    tangential: Mask  # (k,): tangential rows of friction
 
 
 @dataclass(frozen=True)
 class Redundancy:
-    """Rows that others imply, and rows that are not orthogonal to all others.
+    """Rows that others imply, and rows that are not orthogonal to all others."""
 
-    Attributes
-    ----------
-    dropped : (k,) bool array
-        Rows of this rank that a parallel row with the same or a smaller gap implies, or a tied one.
-    dropped_total : int
-        Their number over all ranks.
-    coupled : (k,) bool array
-        Rows of this rank, none of them dropped, that are not orthogonal to all others.
-    gram : (w, w) scipy.sparse.csr_matrix
-        B D^{-1} B' of the coupled rows of all ranks, rank by rank; the same on all ranks.
-    """
-
+    # (k,): rows of this rank that a parallel row with no larger gap implies, or a tied one
     dropped: Mask
-    dropped_total: int
-    coupled: Mask
+    dropped_total: int  # their number over all ranks
+    coupled: Mask  # (k,): rows of this rank, none dropped, that are not orthogonal to all others
+    # (w, w): B D^{-1} B' of the coupled rows of all ranks, rank by rank; the same on all ranks
     gram: sp.csr_matrix
 
 
@@ -84,27 +58,9 @@ def find_redundant(
     """Find rows that other rows imply, and those that are not orthogonal to all others.
 
     Rows that share a node are gathered on all ranks. Of node to node contact their number grows
-    with the edges between contact surfaces; of mortars they are all rows.
-
-    Parameters
-    ----------
-    conditions : ContactConditions
-        This rank's rows.
-    directory : Directory
-        Of the nodes.
-    comm : MPI.Intracomm
-        The ranks.
-
-    Returns
-    -------
-    Redundancy
-        Rows to drop, and the Gram matrix of the coupled ones.
-
-    Raises
-    ------
-    InputError
-        On all ranks, if two opposite conditions exclude each other, or a tied row contradicts a
-        parallel one.
+    with the edges between contact surfaces; of mortars they are all rows. Raises an InputError on
+    all ranks if two opposite conditions exclude each other, or a tied row contradicts a parallel
+    one.
     """
     first = first_of_rank(comm, conditions.rhs.size)[0]
     number = first + np.arange(conditions.rhs.size, dtype=np.int64)

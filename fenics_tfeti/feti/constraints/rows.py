@@ -33,75 +33,37 @@ from fenics_tfeti.typing import Numbers, Vector
 class TiedRows:
     """The equality rows of tied surfaces that this rank holds.
 
-    Attributes
-    ----------
-    rows : (t,) integer array
-        Their local positions, ascending.
-    contact : (t,) integer array
-        Number of the contact that each of them belongs to.
-    scale : (t,) array
-        Factor of each, as that of contact rows.
-    own_rows : (tied rows of this rank,) integer array
-        Local position of each tied row that this rank gave; -1 where prescribed displacements alone
-        decide it, or another row implies it.
+    Of the rows given, those that prescribed displacements alone decide or that another row implies
+    are no rows of B.
     """
 
-    rows: Numbers
-    contact: Numbers
-    scale: Vector
-    own_rows: Numbers
+    rows: Numbers  # (t,): local positions, ascending
+    contact: Numbers  # (t,): number of the contact
+    scale: Vector  # (t,): factor, as that of contact rows
+    own_rows: Numbers  # (tied rows that this rank gave,): local positions; -1 for no row of B
 
 
 @dataclass(frozen=True)
 class Constraints:
     """B of Bu <= c (inequality rows) and Bu = c (equality rows), on this rank's torn unknowns.
 
-    Friction has rows of its own, whose jumps Bu - c are slips.
-
-    Attributes
-    ----------
-    matrix : (m, n) scipy.sparse.csr_matrix
-        The columns of B for this rank's subdomains and all rows that have an entry there.
-    layout : DualLayout
-        Global numbers of the rows, and the ranks that share them.
-    inequality : (i,) integer array
-        Local positions of the inequality rows, ascending.
-    contact : (i,) integer array
-        Number of the contact that each of them belongs to.
-    scale : (i,) array
-        Factor t of each: the row is t times the condition whose slave's sum has length 1, so
-        its jump divided by t is a distance [m], and t lambda is the normal force [N].
-    own_rows : (contact rows of this rank,) integer array
-        Local position of each contact row that this rank gave; -1 where the gap is infinite,
-        prescribed displacements alone decide the row, or another row implies it.
-    weights : (n,) array
-        Diagonal of D for this rank's torn displacements.
-    nodes : int
-        Number of distinct nodes over all ranks.
-    redundant : int
-        Number of contact and tied rows dropped because others imply them.
-    infinite_gaps : int
-        Number of contact rows dropped because their gap is infinite.
-    tied : TiedRows
-        The equality rows of tied surfaces.
-    coupling : Coupling
-        Contact, tied and tangential rows that are not orthogonal to all others.
-    friction : FrictionRows
-        The tangential rows of contact rows with friction.
+    Friction has rows of its own, whose jumps Bu - c are slips. A contact row is t times the
+    condition whose slave's sum has length 1: its jump divided by t is a distance [m], and t lambda
+    is the normal force [N].
     """
 
-    matrix: sp.csr_matrix
-    layout: DualLayout
-    inequality: Numbers
-    contact: Numbers
-    scale: Vector
-    own_rows: Numbers
-    weights: Vector
-    nodes: int
-    redundant: int
-    infinite_gaps: int
+    matrix: sp.csr_matrix  # (m, n): columns of this rank's subdomains, all rows with an entry there
+    layout: DualLayout  # global numbers of the rows, and the ranks that share them
+    inequality: Numbers  # (i,): local positions of the inequality rows, ascending
+    contact: Numbers  # (i,): number of the contact
+    scale: Vector  # (i,): t
+    own_rows: Numbers  # (contact rows that this rank gave,): local positions; -1 for no row of B
+    weights: Vector  # (n,): diagonal of D for this rank's torn displacements
+    nodes: int  # distinct nodes over all ranks
+    redundant: int  # contact and tied rows dropped because others imply them
+    infinite_gaps: int  # contact rows dropped because their gap is infinite
     tied: TiedRows
-    coupling: Coupling
+    coupling: Coupling  # contact, tied and tangential rows that are not orthogonal to all others
     friction: FrictionRows
 
     @property
@@ -127,7 +89,7 @@ class Constraints:
 
     @cached_property
     def has_friction(self) -> bool:
-        """Whether any rank has tangential rows. Collective."""
+        """Tell whether any rank has tangential rows. Collective."""
         return bool(self.layout.comm.allreduce(self.friction.size > 0, MPI.LOR))
 
     @cached_property
@@ -163,12 +125,7 @@ class Constraints:
     def face(self, active: NDArray[np.bool_], sticking: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return the mask (m,) of the rows of a face.
 
-        Parameters
-        ----------
-        active : (i,) bool array
-            The inequality rows on it.
-        sticking : (k,) bool array
-            The sites of friction whose rows are on it.
+        On it are the inequality rows `active` (i,) and the rows of the sites `sticking` (k,).
         """
         rows = self.equality | self.friction.on_rows(sticking, self.size)
         rows[self.inequality] = active
@@ -196,26 +153,10 @@ def build_constraints(
 ) -> tuple[Constraints, Vector]:
     """Build B and c from global node numbers.
 
-    Parameters
-    ----------
-    system : TornSystem
-        Subdomains, prescribed displacements and contact rows.
-    weights : (torn nodes of this rank,) array, optional
-        Positive weights of the copies, subdomain by subdomain; 1 by default.
-
-    Returns
-    -------
-    Constraints
-        This rank's part of B.
-    (m,) array
-        c.
-
-    Raises
-    ------
-    InputError
-        On all ranks: contradictory prescribed displacements, a constraint on a node of no
-        subdomain, a contact or tied row that prescribed displacements violate, rows that exclude
-        each other.
+    Weights (torn nodes of this rank,) of the copies, subdomain by subdomain, are positive; 1 by
+    default. Raises an InputError on all ranks for contradictory prescribed displacements, a
+    constraint on a node of no subdomain, a contact or tied row that prescribed displacements
+    violate, and rows that exclude each other.
     """
     copies = Copies.build(system, weights)
     directory = Directory(system.comm, copies.nodes)

@@ -24,18 +24,9 @@ Scaling = Literal["multiplicity", "stiffness"]
 def node_weights(system: TornSystem, scaling: Scaling) -> Vector:
     """Return a weight for each copy of a node.
 
-    Parameters
-    ----------
-    system : TornSystem
-        The subdomains.
-    scaling : {"multiplicity", "stiffness"}
-        Weights of 1, or the mean of the diagonal of K_i over the components of the node, relative
-        to the largest over all ranks.
-
-    Returns
-    -------
-    (torn nodes of this rank,) array
-        Positive, at most 1.
+    By "multiplicity" they are 1; by "stiffness" the mean of the diagonal of K_i over the components
+    of the node, relative to the largest over all ranks. Returns (torn nodes of this rank,),
+    positive and at most 1.
     """
     if scaling == "multiplicity":
         return np.ones(sum(subdomain.nodes.size for subdomain in system.subdomains))

@@ -39,20 +39,8 @@ _FAILURES, _REDUCED = 8, 0.7
 def primal_dual_active_set(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate:
     """Run the active set method until its set does not change, or it cycles.
 
-    Parameters
-    ----------
-    problem : DualProblem
-        The dual problem (11.36).
-    start : Iterate
-        An iterate on a face, which is continued, or multipliers.
-    turn : Turn
-        Tolerance and limits.
-
-    Returns
-    -------
-    Iterate
-        The solution, or the last iterate: AT_ROUNDING if its residual is rounding, STALLED if the
-        set has occurred before or the share of the products is spent.
+    Its status is AT_ROUNDING if the residual of the last iterate is rounding, STALLED if the set
+    has occurred before or the share of the products is spent. An iterate on a face is continued.
     """
     method = _ActiveSet.start(problem, start, turn)
     while True:
@@ -76,68 +64,31 @@ def iterate_on_face(
 
 @dataclass(frozen=True)
 class _Step:
-    """The solution on a face, and the signs that it has.
-
-    Attributes
-    ----------
-    face : Face
-        The face.
-    iterate : PCPGIterate
-        The solution on it, to some accuracy.
-    gradient : (m,) array
-        Its gradient in the position of loose bodies in which signs are tested.
-    active, sticking : bool arrays
-        Which rows and sites would be on the face by these signs.
-    forces : (k, gdim - 1) array
-        The friction forces that the slips ask for.
-    changed : int
-        Rows and sites that differ from those of the face.
-    """
+    """The solution on a face, and the signs that it has."""
 
     face: Face
-    iterate: PCPGIterate
-    gradient: Vector
-    active: Mask
-    sticking: Mask
-    forces: Vector
-    changed: int
+    iterate: PCPGIterate  # solution on the face, to some accuracy
+    gradient: Vector  # (m,): in the position of loose bodies in which signs are tested
+    active: Mask  # (i,): rows that would be on the face by these signs
+    sticking: Mask  # (k,): sites that would be on it
+    forces: Vector  # (k, gdim - 1): friction forces that the slips ask for
+    changed: int  # rows and sites that differ from those of the face
 
 
 @dataclass
 class _ActiveSet:
-    """State of the active set method between two faces.
-
-    Attributes
-    ----------
-    problem, turn
-        As given.
-    has_friction : bool
-        Whether some site has a bound.
-    contact_state : ContactState
-        The next face.
-    iterate : (m,) array or PCPGIterate
-        Where it starts.
-    gradient : (m,) array
-        Gaps, and slips with the opposite sign, before it.
-    resumes : bool
-        Whether it is the face of the iterate.
-    repeated : bool
-        Whether the last face was solved, and once more for its slips.
-    progress : _Progress
-        The decrease of the violation of signs.
-    exact_sets : list of bool arrays
-        The sets of faces that were solved to the tolerance.
-    """
+    """State of the active set method between two faces."""
 
     problem: DualProblem
     turn: Turn
-    has_friction: bool
-    contact_state: ContactState
-    iterate: Vector | PCPGIterate
-    gradient: Vector
-    resumes: bool
-    repeated: bool = False
+    has_friction: bool  # whether some site has a bound
+    contact_state: ContactState  # of the next face
+    iterate: Vector | PCPGIterate  # start on the next face
+    gradient: Vector  # (m,): gaps, and slips with the opposite sign, before it
+    resumes: bool  # whether the next face is that of the iterate
+    repeated: bool = False  # whether the last face was solved, and once more for its slips
     progress: _Progress = field(default_factory=lambda: _Progress())
+    # active sets of faces that were solved to the tolerance
     exact_sets: list[Mask] = field(default_factory=list)
 
     @staticmethod
@@ -249,14 +200,11 @@ class _ActiveSet:
 class _Progress:
     """The decrease of the violation of signs from face to face.
 
-    Attributes
-    ----------
-    sign_factor : float
-        Accuracy of the faces relative to the violation; halved where the violation does not
-        decrease, since signs may have been those of inaccurate solutions.
+    Signs may have been those of inaccurate solutions: where the violation does not decrease, the
+    sign factor is halved.
     """
 
-    sign_factor: float = 1.0
+    sign_factor: float = 1.0  # tolerance of the residual on a face, relative to the violation
     best: float = np.inf
     failures: int = 0
 
@@ -269,7 +217,7 @@ class _Progress:
 
     @property
     def stagnates(self) -> bool:
-        """Whether the violation has not decreased for too many faces."""
+        """Tell whether the violation has not decreased for too many faces."""
         return self.failures > _FAILURES
 
 
@@ -330,22 +278,8 @@ def close_first_gaps(problem: DualProblem, contact_state: ContactState, gradient
 
     Where the load does work on motions that the rows leave free, the bodies move until the first
     gaps close, or the first slips are taken back; these rows join the set, and so on until the load
-    is balanced.
-
-    Parameters
-    ----------
-    problem : DualProblem
-        The dual problem.
-    contact_state : ContactState
-        The set.
-    gradient : (m,) array
-        On contact rows the gap, scaled as the row; negative gaps count as closed. On tangential
-        rows minus the slip.
-
-    Returns
-    -------
-    Face
-        The set with the rows that closed, its projector and preconditioner.
+    is balanced. The gradient (m,) is the gap on contact rows, scaled as the row, negative gaps
+    counting as closed, and minus the slip on tangential rows.
     """
     coarse_space, friction = problem.coarse_space, problem.constraints.friction
     gap = np.maximum(gradient[problem.constraints.inequality], 0.0)

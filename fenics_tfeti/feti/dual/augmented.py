@@ -35,20 +35,8 @@ class _Stopped(Exception):  # noqa: N818 - no error
 def solve_by_smalbe(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate:
     """Run SMALBE-M on (11.40).
 
-    Parameters
-    ----------
-    problem : DualProblem
-        (11.36), with an upper bound of ||PFP|| as its norm.
-    start : Iterate
-        The last iterate of this method, or another one.
-    turn : Turn
-        Tolerance, limits and parameters.
-
-    Returns
-    -------
-    Iterate
-        The solution or the last iterate; the start where SMALBE-M is interrupted or finds no
-        curvature.
+    The norm of the problem has to be an upper bound of ||PFP||. Returns the start where SMALBE-M is
+    interrupted or finds no curvature.
     """
     norm, options = problem.norm, turn.options
     start = replace(start, method=Method.SMALBE)

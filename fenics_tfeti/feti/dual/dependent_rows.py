@@ -27,20 +27,9 @@ def closable(
 ) -> ContactState | None:
     """Return a set without the rows and sites that cannot be closed together with the others.
 
-    Parameters
-    ----------
-    problem : DualProblem
-        The dual problem.
-    contact_state : ContactState
-        The set, with the friction forces of all sites.
-    multipliers : (m,) array
-        lambda of the contact rows; negative forces count as zero.
-
-    Returns
-    -------
-    ContactState or None
-        A subset, with forces of sites that slip now at their bound; None if all of the set can be
-        closed. Collective.
+    The friction forces of the set are those of all sites; in the subset, sites that slip now have
+    theirs at the bound. Negative contact forces count as zero. None if all of the set can be
+    closed. Collective.
     """
     constraints, coupling = problem.constraints, problem.constraints.coupling
     if not coupling.groups:
@@ -78,12 +67,7 @@ def closable(
 class _CoupledRows:
     """The coupled rows of all ranks, in the order of W, and the forces on them.
 
-    Attributes
-    ----------
-    on_face : (w,) bool array
-        Whether each is on the face.
-    force : (w,) array
-        lambda.
+    Arrays are (w,): `on_face` tells which rows are on the face, `force` is lambda.
     """
 
     def __init__(

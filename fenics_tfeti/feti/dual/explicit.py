@@ -30,20 +30,11 @@ class Orbits:
     """The interface unknowns of a subdomain as orbits of unit vectors under its symmetries.
 
     A vector x has the coordinates <g e_j, x>, those of e_j once for each element that leaves it.
-
-    Attributes
-    ----------
-    unknowns : (b,) integer array
-        The interface unknowns of the subdomain.
-    group : SymmetryGroup
-        Of these b unknowns.
-    representatives : (r,) integer array
-        The first unknown of each orbit, among the b.
     """
 
-    unknowns: Numbers
-    group: SymmetryGroup
-    representatives: Numbers
+    unknowns: Numbers  # (b,): interface unknowns of the subdomain
+    group: SymmetryGroup  # of these b unknowns
+    representatives: Numbers  # (r,): first unknown of each orbit, among the b
 
     @staticmethod
     def build(group: SymmetryGroup, unknowns: Numbers) -> Orbits:
@@ -70,18 +61,10 @@ class Orbits:
 
 @dataclass(frozen=True)
 class ExplicitInverse:
-    """The part of K_i^+ between interface unknowns, in blocks.
-
-    Attributes
-    ----------
-    orbits : Orbits
-        The unknowns.
-    blocks : (g, r, r) array
-        A block for each character, times 1/g, to be multiplied from the left.
-    """
+    """The part of K_i^+ between interface unknowns, in blocks."""
 
     orbits: Orbits
-    blocks: Vector
+    blocks: Vector  # (g, r, r): a block for each character, times 1/g, multiplied from the left
 
     @staticmethod
     def build(inverse: GeneralizedInverse, orbits: Orbits) -> ExplicitInverse:

@@ -34,7 +34,7 @@ class SolveStatus(Enum):
 
     @property
     def is_final(self) -> bool:
-        """Whether no other method should go on."""
+        """Tell whether no other method should go on."""
         return self in _FINAL
 
     def describe(self, options: Options) -> str:
@@ -60,36 +60,17 @@ class Method(Enum):
 
 @dataclass(frozen=True)
 class Iterate:
-    """An iterate of the dual problem.
+    """An iterate of the dual problem."""
 
-    Attributes
-    ----------
-    multipliers : (m,) array
-        lambda, feasible on contact and tangential rows.
-    method : Method
-        The one that made it, and that goes on first.
-    status : SolveStatus
-        How it ended.
-    on_face : PCPGIterate or None
-        The iterate on a face that the multipliers are those of.
-    newton : PCPGIterate or None
-        The last iterate of Newton's method, with its proximal term.
-    smalbe : SMALBEState or None
-        The last state of SMALBE-M.
-    active : (i,) bool array or None
-        Active set to start from; None for the rows with positive multipliers.
-    slips : (k, gdim - 1) array or None
-        Slips of the sites of friction to start from, scaled as the rows; None if they are not
-        known.
-    """
-
-    multipliers: Vector
-    method: Method = Method.ACTIVE_SET
+    multipliers: Vector  # (m,): lambda, feasible on contact and tangential rows
+    method: Method = Method.ACTIVE_SET  # the one that made it, and that goes on first
     status: SolveStatus = SolveStatus.NOT_STARTED
-    on_face: PCPGIterate | None = None
-    newton: PCPGIterate | None = None
+    on_face: PCPGIterate | None = None  # iterate on a face, with these multipliers
+    newton: PCPGIterate | None = None  # last iterate of Newton's method, with its proximal term
     smalbe: SMALBEState | None = None
+    # (i,): set to start from; None for the rows with positive multipliers
     active: Mask | None = None
+    # (k, gdim - 1): slips of sites to start from, scaled as the rows; None if not known
     slips: Vector | None = None
 
     def without_residual(self) -> Iterate:
@@ -127,35 +108,17 @@ class ActiveSetStep:
 
 @dataclass(frozen=True)
 class Turn:
-    """Tolerance and limits of a method in its turn.
+    """Tolerance and limits of a method in its turn."""
 
-    Attributes
-    ----------
-    tolerance : float
-        Tolerance of the energy of the residual [sqrt(J)].
-    max_products : int
-        Limit on `products`.
-    products : Products
-        Counter to add to.
-    monitor : callable
-        Called with every `ActiveSetStep` or `OuterIteration`.
-    options : Options
-        Parameters of SMALBE-M and MPRGP.
-    max_outer : int
-        Limit on outer iterations of SMALBE-M.
-    patience : int
-        Outer iterations in a row that may fail to halve ||Gx||.
-    """
-
-    tolerance: float
-    max_products: int
+    tolerance: float  # of the energy of the residual [sqrt(J)]
+    max_products: int  # limit on `products`
     products: Products
     monitor: Callable[[ActiveSetStep | OuterIteration], None]
     options: Options = field(default_factory=Options)
-    max_outer: int = 200
-    patience: int = 200
+    max_outer: int = 200  # limit on outer iterations of SMALBE-M
+    patience: int = 200  # outer iterations in a row that may fail to halve ||Gx||
 
     @property
     def is_spent(self) -> bool:
-        """Whether the limit on products is met."""
+        """Tell whether the limit on products is met."""
         return self.products.total >= self.max_products

@@ -34,27 +34,14 @@ _CLOSED = 1e-9
 
 @dataclass(frozen=True)
 class LooseBodies:
-    """Motions that rows leave free, and the contact rows that they move.
+    """Motions that rows leave free, and the contact rows that they move."""
 
-    Attributes
-    ----------
-    coarse_space : CoarseSpace
-        G.
-    motions : (modes * bodies, k) scipy.sparse.csr_matrix
-        Basis of the free motions, see `BodyMotions`.
-    rows : (r,) integer array
-        Contact rows that this rank owns and that the motions move.
-    closing : (r, modes * bodies) scipy.sparse.csr_matrix
-        By how much each motion of a body that moves closes them.
-    held : callable
-        y -> its part on the rows that leave the motions free.
-    """
-
-    coarse_space: CoarseSpace
-    motions: sp.csr_matrix
-    rows: Numbers
+    coarse_space: CoarseSpace  # G
+    motions: sp.csr_matrix  # (modes * bodies, k): basis of the free motions, see `BodyMotions`
+    rows: Numbers  # (r,): contact rows that this rank owns and that the motions move
+    # (r, modes * bodies): closing of the rows by each motion of a body that moves
     closing: sp.csr_matrix
-    held: Callable[[Vector], Vector]
+    held: Callable[[Vector], Vector]  # y -> its part on the rows that leave the motions free
 
     @staticmethod
     def on_face(projector: Projector) -> LooseBodies | None:
@@ -65,15 +52,7 @@ class LooseBodies:
 
     @staticmethod
     def without(coarse_space: CoarseSpace, rows: Mask) -> LooseBodies | None:
-        """Return those that some rows leave loose; None if they leave no motion free. Collective.
-
-        Parameters
-        ----------
-        coarse_space : CoarseSpace
-            G.
-        rows : (m,) bool array
-            The rows.
-        """
+        """Return those that rows (m,) leave loose; None if no motion is free. Collective."""
         free = coarse_space.weakly_resisted(rows)[0]
         return LooseBodies._of(coarse_space, free, rows, lambda y: np.where(rows, y, 0.0))
 
@@ -97,10 +76,7 @@ class LooseBodies:
     def at_least_penetration(self, gradient: Vector) -> Vector:
         """Return the gradient after the free motion with the least penetration. Collective.
 
-        Parameters
-        ----------
-        gradient : (m,) array
-            On contact rows off the face their gaps, after any free motion.
+        The gradient (m,) has on contact rows off the face their gaps, after any free motion.
         """
         return self._moved(gradient, self.motion(gradient))
 

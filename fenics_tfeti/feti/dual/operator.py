@@ -26,27 +26,14 @@ DualOperatorKind = Literal["auto", "implicit", "explicit"]
 
 @dataclass(frozen=True)
 class DualOperator:
-    """F and what else K^+ is needed for, on this rank's subdomains.
+    """F and what else K^+ is needed for, on this rank's subdomains."""
 
-    Attributes
-    ----------
-    constraints : Constraints
-        B, c.
-    interface : Interface
-        B on the unknowns that it acts on, and the classes of congruent subdomains.
-    inverses : sequence of GeneralizedInverse
-        K_i^+ of each class.
-    on_interface : sequence of callable
-        The part of K_i^+ between interface unknowns of each class, (k, b) -> (k, b).
-    explicit : int
-        Classes with a dense matrix.
-    """
-
-    constraints: Constraints
-    interface: Interface
-    inverses: Sequence[GeneralizedInverse]
+    constraints: Constraints  # B, c
+    interface: Interface  # B on the unknowns that it acts on
+    inverses: Sequence[GeneralizedInverse]  # K_i^+ of each class of congruent subdomains
+    # K_i^+ between interface unknowns of each class, (k, b) -> (k, b)
     on_interface: Sequence[Callable[[Vector], Vector]]
-    explicit: int
+    explicit: int  # classes with a dense matrix
 
     @staticmethod
     def build(
@@ -57,16 +44,7 @@ class DualOperator:
     ) -> DualOperator:
         """Make the operator, with explicit matrices or solves as asked for.
 
-        Parameters
-        ----------
-        constraints : Constraints
-            B, c.
-        interface : Interface
-            Its packed columns.
-        inverses : sequence of GeneralizedInverse
-            K_i^+ of each class.
-        kind : {"auto", "implicit", "explicit"}
-            Sparse solves, or a dense matrix for each class; auto counts bytes.
+        The kind "auto" counts bytes to choose sparse solves or a dense matrix for each class.
         """
         on_interface, explicit = [], 0
         for inverse, local, congruent in zip(
@@ -142,19 +120,9 @@ def _implicit(
 class ProjectedNorm:
     """An upper bound of ||PFP||, estimated when it is asked for and kept.
 
-    Parameters
-    ----------
-    part : callable
-        x -> this rank's part of Fx.
-    projector : Projector
-        P.
-    flexibility : float
-        Size of F without P, roughly [m/N]: where P leaves nothing, its rounding is the bound.
-
-    Attributes
-    ----------
-    products : int
-        Products with F that the estimates took.
+    `part` is x -> this rank's part of Fx. `flexibility` is the size of F without P, roughly [m/N]:
+    where P leaves nothing, its rounding is the bound. `products` counts those with F that the
+    estimates took.
     """
 
     def __init__(

@@ -50,18 +50,10 @@ _SLIP_STIFFNESS = 0.03
 
 @dataclass(frozen=True)
 class Proximal:
-    """The proximal term |l - centre|^2 / (2 stiffness) on the rows with bounds.
+    """The proximal term |l - centre|^2 / (2 stiffness) on the rows with bounds."""
 
-    Attributes
-    ----------
-    centre : (m,) array
-        Feasible multipliers; zero on equality rows.
-    stiffness : float
-        rho [N/m].
-    """
-
-    centre: Vector
-    stiffness: float
+    centre: Vector  # (m,): feasible multipliers; zero on equality rows
+    stiffness: float  # rho [N/m]
 
     def wanted(self, gradient: Vector) -> Vector:
         """Return centre + rho v for the jumps v = -gradient; its projection are the forces."""
@@ -70,28 +62,15 @@ class Proximal:
 
 @dataclass(frozen=True)
 class ContactState:
-    """Which conditions of contact and friction hold with equality: the choice of a face.
+    """Conditions of contact and friction that hold with equality: the choice of a face."""
 
-    Attributes
-    ----------
-    active : (i,) bool array
-        The contact rows that are closed.
-    sticking : (k,) bool array
-        The sites of friction that do not slip.
-    forces : (m,) array
-        The friction forces of the sites that slip, as multipliers; other rows do not matter.
-    curvature : (k,) array
-        Slip along the force divided by r: at the sites that slip the second derivative of the cost
-        for a force that turns.
-    proximal : Proximal or None
-        A term that is added to the cost.
-    """
-
-    active: Mask
-    sticking: Mask
+    active: Mask  # (i,): contact rows that are closed
+    sticking: Mask  # (k,): sites of friction that do not slip
+    # (m,): friction forces of the sites that slip, as multipliers; others do not matter
     forces: Vector
+    # (k,): slip along the force / r, the second derivative of the cost for a force that turns
     curvature: Vector
-    proximal: Proximal | None = None
+    proximal: Proximal | None = None  # added to the cost
 
     @staticmethod
     def of(
@@ -121,24 +100,13 @@ class ContactState:
 
 @dataclass(frozen=True)
 class Face:
-    """A face of the dual feasible set.
+    """A face of the dual feasible set."""
 
-    Attributes
-    ----------
-    contact_state : ContactState
-        Which rows are on it; its forces are the multipliers off the face.
-    projector : Projector
-        P and Q of the rows on the face, and of the tangents of sites that slip.
-    precondition : callable or None
-        x -> this rank's part of B_D S B_D'x on the face, scaled where forces turn.
-    loose : LooseBodies or None
-        Bodies whose position the rows on the face do not determine.
-    """
-
-    contact_state: ContactState
-    projector: Projector
+    contact_state: ContactState  # rows on the face; its forces are the multipliers off the face
+    projector: Projector  # P and Q of the rows on the face, and of the tangents of sites that slip
+    # x -> this rank's part of B_D S B_D'x on the face, scaled where forces turn
     precondition: Callable[[Vector], Vector] | None
-    loose: LooseBodies | None
+    loose: LooseBodies | None  # bodies whose position the rows on the face do not determine
 
     @staticmethod
     def build(problem: DualProblem, contact_state: ContactState, projector: Projector) -> Face:
@@ -213,46 +181,19 @@ def _sum_of(*parts: Callable[[Vector], Vector]) -> Callable[[Vector], Vector]:
 
 @dataclass(frozen=True)
 class PCPGIterate:
-    """An iterate on a face, with what the next step needs.
-
-    Attributes
-    ----------
-    contact_state : ContactState
-        The face.
-    multipliers : (m,) array
-        l, with Gl = e and the fixed ones off the face.
-    gradient : (m,) array
-        Fl - d + G'a.
-    residual : float
-        ||P(d - Fl)|| on the face [m].
-    violation : float
-        Norm of negative forces (times ||PFP||) on the face and negative gaps off it; with friction
-        also of forces above the bound, and of changes of forces that a slip asks for.
-    direction : (m,) array
-        The last search direction.
-    rz_of_direction : float
-        r'z of the residual from which the direction was made.
-    preconditioned : (m,) array or None
-        z = PMr, once it is known.
-    rz : float
-        r'z, the squared energy of the residual [J]; infinite while z is not known.
-    step_lengths : tuple of float
-        Step lengths of the conjugate gradients.
-    at_limit : bool
-        Whether the residual is rounding: more steps do not reduce it.
-    """
+    """An iterate on a face, with what the next step needs."""
 
     contact_state: ContactState
-    multipliers: Vector
-    gradient: Vector
-    residual: float
-    violation: float
-    direction: Vector
-    rz_of_direction: float
-    step_lengths: tuple[float, ...]
-    preconditioned: Vector | None = None
-    rz: float = np.inf
-    at_limit: bool = False
+    multipliers: Vector  # (m,): l, with Gl = e and the fixed ones off the face
+    gradient: Vector  # (m,): Fl - d + G'a
+    residual: float  # ||P(d - Fl)|| on the face [m]
+    violation: float  # norm of what violates the signs, see `_norms`
+    direction: Vector  # (m,): the last search direction
+    rz_of_direction: float  # r'z of the residual from which the direction was made
+    step_lengths: tuple[float, ...]  # of the conjugate gradients
+    preconditioned: Vector | None = None  # (m,): z = PMr, once it is known
+    rz: float = np.inf  # r'z, the squared energy of the residual [J]; infinite while z is not known
+    at_limit: bool = False  # whether the residual is rounding: more steps do not reduce it
 
     @property
     def energy(self) -> float:
@@ -279,41 +220,12 @@ def pcpg(
 ) -> PCPGIterate:
     """Minimise on a face until its signs are known well enough.
 
-    The iterations end when the residual is below `sign_factor` times the violation of the signs of
-    forces and gaps (more accuracy would be spent on the wrong face), or its energy below
-    `tolerance`. The signs are tested each time the residual has halved.
-
-    Where r'z has risen far above its smallest value, rounding may have taken the multipliers off
-    Gl = e, which the residual of the recurrences does not show. Before such an iterate counts as
-    better than the one with the smallest r'z, the true residual is computed, at the price of a
-    product.
-
-    Parameters
-    ----------
-    problem : DualProblem
-        The dual problem (11.36).
-    face : Face
-        The face.
-    start : (m,) array or PCPGIterate
-        Multipliers, or the last iterate on another face.
-    tolerance : float
-        Tolerance of the energy of the residual, sqrt(r'z) [sqrt(J)].
-    sign_factor : float
-        Tolerance of the residual relative to the violation; 0 where the signs do not matter.
-    max_products : int
-        Limit on `products`.
-    products : Products
-        Counter to add to.
-    resume : bool
-        Continue the conjugate gradients that ended in `start`, on the same face.
-    accurate : float
-        Residual [m] that ends the iterations whatever the signs are.
-
-    Returns
-    -------
-    PCPGIterate
-        The last iterate; where rounding ends the iterations the one with the smallest energy, up to
-        a factor of two.
+    The iterations end when the residual is below `sign_factor` times the violation of the signs
+    (more accuracy would be spent on the wrong face), or below `accurate` [m], or its energy
+    sqrt(r'z) below `tolerance` [sqrt(J)]; the signs are tested each time the residual has halved.
+    `start` is the multipliers, or the last iterate on another face; with `resume` its conjugate
+    gradients are continued on the same face. Where rounding ends the iterations, the iterate with
+    the smallest energy, up to a factor of two, is returned.
     """
     iterate = start if resume and isinstance(start, PCPGIterate) else None
     if iterate is None:
@@ -329,6 +241,8 @@ def pcpg(
             test_below = 0.5 * iterate.residual
         iterate = _with_preconditioned_residual(problem, face, iterate, products)
         peak = max(peak, iterate.rz)
+        # where r'z has risen far above its smallest value, rounding may have taken the multipliers
+        # off Gl = e, which the residual of the recurrences does not show
         if _improves(iterate, best, tolerance) and peak > _RISEN * best.rz:
             true = _true_iterate(problem, face, iterate, products)
             if not _improves(true, best, tolerance):
@@ -512,7 +426,11 @@ def friction_step(
 def _norms(
     problem: DualProblem, face: Face, multipliers: Vector, gradient: Vector
 ) -> tuple[float, float]:
-    """Return the norms of the residual and of what violates the signs; one reduction."""
+    """Return the norms of the residual and of what violates the signs; one reduction.
+
+    The signs are violated by negative forces (times ||PFP||) on the face and negative gaps off it;
+    with friction also by forces above the bound, and by changes of forces that a slip asks for.
+    """
     rows = problem.constraints.inequality
     wrong = np.zeros_like(gradient)
     force = problem.norm * multipliers[rows]

@@ -29,16 +29,9 @@ from fenics_tfeti.typing import Mask, Vector
 
 @dataclass
 class Preconditioner:
-    """B_D S B_D' on the faces of a dual problem.
+    """B_D S B_D' on the faces of a dual problem."""
 
-    Attributes
-    ----------
-    apply : callable
-        x -> this rank's part of B D^{-1} S D^{-1} B'x, see `interface_operator`.
-    constraints : Constraints
-        B.
-    """
-
+    # x -> this rank's part of B D^{-1} S D^{-1} B'x, see `interface_operator`
     apply: Callable[[Vector], Vector]
     constraints: Constraints
     _inverse: GramInverse | None = field(init=False, repr=False, default=None)
@@ -46,10 +39,7 @@ class Preconditioner:
     def on_face(self, rows: Mask) -> Callable[[Vector], Vector]:
         """Return x -> this rank's part of B_D S B_D'x, x zero off the face. Collective.
 
-        Parameters
-        ----------
-        rows : (m,) bool array
-            The rows of the face, see `Constraints.face`.
+        For the mask `rows` (m,) of the face see `Constraints.face`.
         """
         coupling = self.constraints.coupling
         if not coupling.numbers.size:
@@ -71,14 +61,8 @@ class Preconditioner:
     def kernel_part(self, x: Vector, rows: Mask) -> Vector | float:
         """Return the part of x that the preconditioner of a face takes to zero. Collective.
 
-        It is that in the kernel of W_RR, along which the face has neither forces nor energy.
-
-        Parameters
-        ----------
-        x : (m,) array
-            Multipliers.
-        rows : (m,) bool array
-            The rows of the face.
+        It is that in the kernel of W_RR, along which the face has neither forces nor energy; `rows`
+        (m,) is the mask of the face.
         """
         coupling = self.constraints.coupling
         if not coupling.groups:
@@ -95,23 +79,9 @@ class Preconditioner:
         """Return x -> this rank's part of N (N'CN)^+ N'x. Collective.
 
         N are the combinations of rows of a face that vanish, B'N = o: neither F nor B_D S B_D' sees
-        them, but the curvature C of forces that turn and of a proximal term does.
-
-        Parameters
-        ----------
-        rows : (m,) bool array
-            The rows of the face, and all of sites whose force turns.
-        tangent : (k, 2) array or None
-            The directions in which forces turn; zero at other sites.
-        curvature : (k,) array
-            C of forces that turn.
-        compliance : float
-            C of all rows.
-
-        Returns
-        -------
-        callable or None
-            None if C does not see N, on all ranks.
+        them, but the curvature C does: `curvature` (k,) of forces that turn along `tangent` (k, 2),
+        zero at other sites, and `compliance` of all rows by a proximal term. `rows` (m,) are those
+        of the face, and all of sites whose force turns. None if C does not see N, on all ranks.
         """
         coupling = self.constraints.coupling
         if not coupling.groups or (tangent is None and not compliance):
@@ -178,19 +148,7 @@ def interface_operator(
 
     Lumped takes K_bb, the interior held still; Dirichlet the Schur complement
     K_bb - K_bi K_ii^{-1} K_ib, the interior free to follow. The interface is what B has entries on.
-
-    Parameters
-    ----------
-    kind : {"lumped", "dirichlet"}
-        Which.
-    F : DualOperator
-        For B.
-    stiffness : sequence of (n, n) scipy.sparse.csr_matrix
-        K_i of each class of congruent subdomains.
-    kernels : sequence of (n, k) arrays
-        Basis R_i of its kernel, of each class.
-    package : str
-        Package for the factors of K_ii.
+    For each class of congruent subdomains K_i is (n, n), its kernel R_i (n, k).
     """
     interface = F.interface
     reactions = [

@@ -19,51 +19,21 @@ from fenics_tfeti.typing import Vector
 
 @dataclass(frozen=True)
 class DualProblem:
-    """Minimise 1/2 l'Fl - d'l subject to Gl = e, l_I >= o and |l_T| <= r, (11.36) with friction.
+    """Minimise 1/2 l'Fl - d'l subject to Gl = e, l_I >= o and |l_T| <= r, (11.36) with friction."""
 
-    Attributes
-    ----------
-    F : callable
-        x -> this rank's part of Fx, F the dual operator.
-    d : (m,) array
-        BK^+f - c.
-    e : (coarse,) array
-        R'f of all subdomains.
-    e_size : (coarse,) array
-        |R|'|f|, which the rounding of e is relative to.
-    c : (m,) array
-        Right-hand sides of the constraints: prescribed displacements and gaps, scaled as the rows.
-    projector : Projector
-        P and Q of all rows.
-    norm : float
-        ||PFP||: a rough value as the scale of gaps against forces, an upper bound for SMALBE-M.
-    preconditioner : Preconditioner or None
-        B_D S B_D' on faces.
-    radius : (k,) array
-        r of each site of friction.
-    unit : float
-        The stiffness that a weight of 1 stands for [N/m].
-    feasible : (m,) array
-        lambda~ with G lambda~ = e and feasible forces: those of rigid bodies.
-    d_0 : (m,) array
-        d - F lambda~, the d of (11.39).
-    energy_norm : float
-        An energy norm as large as the solution's, or larger [sqrt(J)].
-    """
-
-    F: Callable[[Vector], Vector]
-    d: Vector
-    e: Vector
-    e_size: Vector
-    c: Vector
-    projector: Projector
-    norm: float
-    preconditioner: Preconditioner | None
-    radius: Vector
-    unit: float
-    feasible: Vector
-    d_0: Vector
-    energy_norm: float
+    F: Callable[[Vector], Vector]  # x -> this rank's part of Fx, F the dual operator
+    d: Vector  # (m,): BK^+f - c
+    e: Vector  # (coarse,): R'f of all subdomains
+    e_size: Vector  # (coarse,): |R|'|f|, which the rounding of e is relative to
+    c: Vector  # (m,): prescribed displacements and gaps, scaled as the rows
+    projector: Projector  # P and Q of all rows
+    norm: float  # ||PFP||: scale of gaps against forces, for SMALBE-M an upper bound [m/N]
+    preconditioner: Preconditioner | None  # B_D S B_D' on faces
+    radius: Vector  # (k,): r of each site of friction
+    unit: float  # stiffness that a weight of 1 stands for [N/m]
+    feasible: Vector  # (m,): lambda~ with G lambda~ = e and feasible forces: those of rigid bodies
+    d_0: Vector  # (m,): d - F lambda~, the d of (11.39)
+    energy_norm: float  # an energy norm as large as the solution's, or larger [sqrt(J)]
 
     @property
     def coarse_space(self) -> CoarseSpace:

@@ -49,19 +49,7 @@ _PATIENCE = 40
 def proximal_newton(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate:
     """Run the proximal point method until residual, bounds and slips are within the tolerance.
 
-    Parameters
-    ----------
-    problem : DualProblem
-        The dual problem (11.36).
-    start : Iterate
-        The last iterate of this method, one on a face, or multipliers.
-    turn : Turn
-        Tolerance and limits.
-
-    Returns
-    -------
-    Iterate
-        The solution, or the last iterate.
+    It starts from its own last iterate, from one on a face, or from multipliers.
     """
     bounds, tolerance = _Bounds(problem), turn.tolerance
     state = _first_state(problem, start, turn)
