@@ -431,10 +431,7 @@ class TornSystem:
     def __post_init__(self) -> None:
         """Check the communicator, without which no error reaches the other ranks.
 
-        Raises
-        ------
-        InputError
-            On this rank.
+        `InputError` is raised on this rank.
         """
         if not isinstance(self.comm, MPI.Intracomm) or self.comm == MPI.COMM_NULL:
             raise InputError(f"comm: got {self.comm!r}, expected an intracommunicator of mpi4py")

@@ -40,11 +40,8 @@ class _SharedNodes:
 def check_bodies(system: TornSystem) -> None:
     """Check the gluing of subdomains. Collective.
 
-    Raises
-    ------
-    InputError
-        On all ranks: copies of a node at different places; a body whose subdomains can move against
-        each other.
+    `InputError` is raised on all ranks if copies of a node are at different places, or if the
+    subdomains of a body can move against each other.
     """
     comm = system.comm
     first = first_of_rank(comm, len(system.subdomains))[0]

@@ -73,26 +73,14 @@ def check_system(system: TornSystem, stiffness: bool = True) -> None:
 
 
 def check_types(system: TornSystem) -> None:
-    """Check that `subdomains` is a list of `Subdomain`.
-
-    Raises
-    ------
-    InputError
-        On this rank.
-    """
+    """Check that `subdomains` is a list of `Subdomain`; `InputError` on this rank if not."""
     _check_type("subdomains", system.subdomains, Sequence, "a list of Subdomain")
     for number, subdomain in enumerate(system.subdomains):
         _check_type(f"subdomains[{number}]", subdomain, Subdomain, "a Subdomain")
 
 
 def check_guess(guess: ContactGuess, rows: int) -> None:
-    """Check a contact guess for this rank's contact rows.
-
-    Raises
-    ------
-    InputError
-        On this rank.
-    """
+    """Check a contact guess for this rank's contact rows; `InputError` on this rank."""
     _check_type("guess", guess, ContactGuess, "a ContactGuess")
     for name in ("normal_force", "gap"):
         _check_array(f"{name} of the contact guess", getattr(guess, name), (rows,))

@@ -26,19 +26,7 @@ _KINDS = {"integers": "iu", "numbers": "fiu", "strings": "U", "truth values": "b
 def write_whole(path: str | os.PathLike[str], what: str, write: Callable[[BinaryIO], Any]) -> None:
     """Write a file under another name beside the target, then replace the target.
 
-    Parameters
-    ----------
-    path : path-like
-        File to write or replace.
-    what : str
-        What is written, for the message of an error.
-    write : callable
-        Writes the content to a binary file.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written; the target is left as it was.
+    If it cannot be written, an `OSError` names `what` is written, and the target is left as it was.
     """
     target = Path(path)
     part = target.with_name(f"{target.name}.{os.getpid()}.part")
@@ -59,13 +47,7 @@ def write_whole(path: str | os.PathLike[str], what: str, write: Callable[[Binary
 
 @contextmanager
 def folder_of(path: Path) -> Iterator[None]:
-    """Create the folder of a file; folders that are new and empty after the block are removed.
-
-    Raises
-    ------
-    OSError
-        If it cannot be created.
-    """
+    """Create the folder of a file; folders that are new and empty after the block are removed."""
     new = [folder for folder in path.parents if not folder.exists()]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -79,23 +61,10 @@ def folder_of(path: Path) -> Iterator[None]:
 def write_arrays(
     path: str | os.PathLike[str], what: str, file_format: str, arrays: Mapping[str, Any]
 ) -> None:
-    """Write named arrays as an npz file, or nothing.
+    """Write named arrays as an npz file, or nothing; errors are those of `write_whole`.
 
-    Parameters
-    ----------
-    path : path-like
-        File to write or replace.
-    what : str
-        What is written, for the message of an error.
-    file_format : str
-        What the file is, and the version of its format; the entry ``format`` of the file.
-    arrays : mapping
-        Names, which may contain slashes, and arrays.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written; the target is left as it was.
+    The entry ``format`` of the file is `file_format`: the kind of file and the version of its
+    format. Names may contain slashes.
     """
     entries = {_FORMAT: np.array(file_format), **arrays}
     write_whole(path, what, lambda file: _save(file, entries))
@@ -111,38 +80,17 @@ def _save(file: BinaryIO, arrays: Mapping[str, Any]) -> None:
 
 @dataclass(frozen=True)
 class ArrayFile:
-    """An npz file of named arrays, open for reading; arrays are read when they are asked for.
+    """An npz file of named arrays, open for reading; arrays are read when they are asked for."""
 
-    Attributes
-    ----------
-    path : Path
-        For messages.
-    names : frozenset of str
-        The names of the arrays, without that of the format.
-    archive : zipfile.ZipFile
-        The file.
-    """
-
-    path: Path
-    names: frozenset[str]
+    path: Path  # for messages
+    names: frozenset[str]  # without that of the format
     archive: zipfile.ZipFile
 
     def read(self, name: str, kind: str, shape: tuple[int | None, ...]) -> Array:
-        """Return an array.
+        """Return an array of "integers", "numbers", "strings" or "truth values".
 
-        Parameters
-        ----------
-        name : str
-            Its name.
-        kind : {"integers", "numbers", "strings", "truth values"}
-            What it has to contain.
-        shape : tuple of int or None
-            Its shape; None for any length.
-
-        Raises
-        ------
-        InputError
-            If there is none, if it is damaged, or of another kind or shape.
+        None in the shape stands for any length. `InputError` is raised if there is no such array,
+        if it is damaged, or of another kind or shape.
         """
         if name not in self.names:
             raise InputError(f"{self.path}: the array {name!r} is missing")
@@ -183,19 +131,8 @@ class ArrayFile:
 def open_arrays(path: str | os.PathLike[str], file_format: str) -> Iterator[ArrayFile]:
     """Open an npz file that `write_arrays` or another program has written.
 
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    file_format : str
-        What its entry ``format`` has to be.
-
-    Raises
-    ------
-    InputError
-        If it is no such file, or damaged.
-    OSError
-        If it cannot be read.
+    `InputError` is raised if its entry ``format`` is not `file_format` or the file is damaged,
+    `OSError` if it cannot be read.
     """
     with Path(path).open("rb") as file:
         try:

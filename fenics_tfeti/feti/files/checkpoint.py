@@ -96,19 +96,9 @@ class Checkpoint:
 def fingerprint(system: TornSystem) -> dict[str, str]:
     """Return what a checkpoint has to agree in with a problem, as check sums. Collective.
 
+    They are of the "subdomains" (node numbers, coordinates, bodies), the "supports" (nodes and
+    components), the "contacts" (nodes, friction) and "tied surfaces" (nodes), over all ranks.
     Loads, prescribed values, gaps and stiffness may differ: load steps change them.
-
-    Parameters
-    ----------
-    system : TornSystem
-        The problem.
-
-    Returns
-    -------
-    dict
-        Check sums of the "subdomains" (node numbers, coordinates, bodies), the "supports" (nodes
-        and components), the "contacts" (nodes, friction) and "tied surfaces" (nodes), over all
-        ranks.
     """
     parts: dict[str, list[Any]] = {
         "subdomains": [(s.nodes, s.coordinates, s.body) for s in system.subdomains],

@@ -49,31 +49,17 @@ class Resultant:
 class Resultants:
     """The resultants of a solution; equal on all ranks.
 
-    Attributes
-    ----------
-    load : Resultant
-        Of f.
-    reactions : list of Resultant
-        What the support exerts, for each Dirichlet condition. Of several conditions for one
-        displacement the last one counts.
-    springs : Resultant
-        What elastic supports in the stiffness exert.
-    normal_forces : list of float
-        For each contact the sum of the normal forces [N]; zero for tied pairs.
-    on_slaves, on_masters : list of Resultant
-        For each contact and tied pair the forces on the slave's nodes and on those of the
-        master; none on rigid obstacles.
-    equilibrium : float
-        The sum of all forces from outside (load, reactions, springs and obstacles), relative to the
-        largest sum of magnitudes of nodal forces of loads, supports and obstacles.
+    The equilibrium is the sum of all forces from outside (load, reactions, springs and obstacles),
+    relative to the largest sum of magnitudes of nodal forces of loads, supports and obstacles.
     """
 
-    load: Resultant
-    reactions: list[Resultant]
-    springs: Resultant
-    normal_forces: list[float]
-    on_slaves: list[Resultant]
-    on_masters: list[Resultant]
+    load: Resultant  # of f
+    # of several Dirichlet conditions for one displacement the last one counts
+    reactions: list[Resultant]  # forces of the support, for each condition
+    springs: Resultant  # forces of elastic supports in the stiffness
+    normal_forces: list[float]  # sum for each contact [N]; zero for tied pairs
+    on_slaves: list[Resultant]  # forces on the slave's nodes, for each contact and tied pair
+    on_masters: list[Resultant]  # the same on the master's nodes; none on rigid obstacles
     equilibrium: float
 
 
@@ -141,20 +127,8 @@ def resultants(
 ) -> Resultants:
     """Sum up the forces of a solution over all ranks. Collective.
 
-    Parameters
-    ----------
-    system : TornSystem
-        Subdomains, prescribed displacements and contact rows.
-    F : DualOperator
-        For B'.
-    kernels : sequence of (n_i, k_i) arrays
-        R_i of this rank's subdomains: one that cannot move rigidly has springs.
-    unknowns : TornUnknowns
-        Displacements and the ground of soft springs.
-    load : (n,) array
-        f of this rank's subdomains [N].
-    multipliers : (m,) array
-        lambda.
+    `kernels` has R_i (n_i, k_i) of this rank's subdomains: one that cannot move rigidly has
+    springs. `load` is f (n,) of these subdomains [N].
     """
     gdim, comm = system.gdim, system.comm
     forces = _contact_forces(system, F.constraints, multipliers)

@@ -32,42 +32,22 @@ from fenics_tfeti.feti.tolerances import NEARLY_UNLOADED
 class BodyError:
     """The error of one body.
 
-    Attributes
-    ----------
-    body : str
-        Its name.
-    energy_norm : float
-        ||u||_K of the body [sqrt(J)].
-    error : float
-        The body's share of ||u - u_t||_K, relative to its energy norm, or to a thousandth of its
-        group's where the body hardly deforms.
-    scale : float
-        What it is relative to [sqrt(J)].
+    A body that hardly deforms is compared with a thousandth of its group's energy norm.
     """
 
     body: str
-    energy_norm: float
-    error: float
-    scale: float
+    energy_norm: float  # ||u||_K of the body [sqrt(J)]
+    error: float  # the body's share of ||u - u_t||_K, relative to the scale
+    scale: float  # the body's energy norm, or the thousandth of its group's [sqrt(J)]
 
 
 @dataclass(frozen=True)
 class GroupError:
-    """The error of a group of bodies that press on each other.
-
-    Attributes
-    ----------
-    bodies : list of str
-        Their names.
-    energy_norm : float
-        ||u||_K of the group [sqrt(J)].
-    error : float
-        Bound of ||u - u*||_K / ||u||_K; zero where the strains of the group are rounding.
-    """
+    """The error of a group of bodies that press on each other."""
 
     bodies: list[str]
-    energy_norm: float
-    error: float
+    energy_norm: float  # ||u||_K of the group [sqrt(J)]
+    error: float  # bound of ||u - u*||_K / ||u||_K; zero where the group's strains are rounding
 
     @property
     def scale(self) -> float:

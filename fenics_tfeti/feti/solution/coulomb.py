@@ -45,19 +45,9 @@ def iterate_slip_bounds(
 ) -> Outcome:
     """Solve the dual problem with slip bounds that depend on the normal forces.
 
-    Parameters
-    ----------
-    context : SolveContext
-        Operators, data and options.
-    start : Iterate or None
-        First iterate; multipliers that vanish by default.
-    balance : callable
-        The feasible start for given bounds; raises `UnresistedMotion`.
-
-    Returns
-    -------
-    Outcome
-        The last candidate; the certificate has the error of the slip bounds.
+    `balance` returns the feasible start for given bounds, or raises `UnresistedMotion`. Without
+    `start` the first multipliers vanish. The outcome is that of the last candidate; its certificate
+    has the error of the slip bounds.
     """
     comm = context.setup.constraints.layout.comm
     if not comm.allreduce(bool(context.data.bound.slope.any()), MPI.LOR):
@@ -88,33 +78,15 @@ class _Step:
 
 @dataclass
 class _FixedPoint:
-    """State of the fixed point on the slip bounds between two steps.
+    """State of the fixed point on the slip bounds between two steps."""
 
-    Attributes
-    ----------
-    context : SolveContext
-        With the bounds of the next step.
-    balance : callable
-        The feasible start for given bounds.
-    iterate : Iterate or None
-        Where the next step starts.
-    rtol : float
-        Its tolerance.
-    changes : list of float
-        The errors of the steps so far.
-    residual : (k,) array or None
-        Change of the bounds that the last step asked for.
-    length : float
-        The part of it that was taken.
-    """
-
-    context: SolveContext
-    balance: Callable[[SlipBound], Vector]
-    iterate: Iterate | None
-    rtol: float
-    changes: list[float] = field(default_factory=list)
-    residual: Vector | None = None
-    length: float = 1.0
+    context: SolveContext  # with the bounds of the next step
+    balance: Callable[[SlipBound], Vector]  # the feasible start for given bounds
+    iterate: Iterate | None  # start of the next step
+    rtol: float  # tolerance of the next step
+    changes: list[float] = field(default_factory=list)  # errors of the steps so far
+    residual: Vector | None = None  # (k,) change of the bounds that the last step asked for
+    length: float = 1.0  # the part of it that was taken
 
     @staticmethod
     def start(

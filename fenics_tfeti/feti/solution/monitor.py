@@ -18,24 +18,12 @@ MonitorFunction = Callable[[Step], None]
 
 @dataclass(frozen=True)
 class Monitor:
-    """Those that are told of each step.
+    """Receivers of each step: the history, the log, standard output and the user's function."""
 
-    Attributes
-    ----------
-    history : History
-        Of the report.
-    comm : MPI.Intracomm
-        The ranks, of which rank 0 writes.
-    function : callable or None
-        The user's, called with each step on all ranks.
-    prints : bool
-        Whether to print a line for each step.
-    """
-
-    history: History
+    history: History  # of the report
     comm: MPI.Intracomm
-    function: MonitorFunction | None = None
-    prints: bool = False
+    function: MonitorFunction | None = None  # called with each step on all ranks
+    prints: bool = False  # rank 0 prints a line for each step
 
     def tell(self, step: Step) -> None:
         """Tell of a face, an outer iteration of SMALBE-M, or a step of Coulomb's law."""
@@ -50,14 +38,7 @@ class Monitor:
 
 
 def describe_step(step: Step, number: int) -> str:
-    """Return a line about a step.
-
-    Parameters
-    ----------
-    step : ActiveSetStep, OuterIteration or SlipBoundStep
-        The step.
-    number : int
-        Its number in the solve, from 0.
+    """Return a line about a step; steps of a solve are numbered from 0.
 
     Examples
     --------

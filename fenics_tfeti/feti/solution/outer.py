@@ -55,23 +55,10 @@ _SHARE = 2000
 def iterate_until_certified(context: SolveContext, start: Iterate | None) -> Outcome:
     """Solve the dual problem to tolerances that decrease until the certificate holds.
 
-    Rigid motions that supports prescribe are taken out, and put back in the end.
-
-    Gaps that are far from closing are shortened: all contact rows share the projector, so a gap out
-    of all proportion would swamp the others by rounding. As long as no row with a shortened gap
-    closes, the solution is the same; if one does, the gaps are lengthened.
-
-    Parameters
-    ----------
-    context : SolveContext
-        Operators, data and options.
-    start : Iterate or None
-        First iterate; multipliers that vanish by default.
-
-    Returns
-    -------
-    Outcome
-        The certified candidate, or the one with the smallest certificate.
+    Rigid motions that supports prescribe are taken out, and put back in the end. Gaps that are far
+    from closing are shortened: all contact rows share the projector, so a gap out of all proportion
+    would swamp the others by rounding. As long as no row with a shortened gap closes, the solution
+    is the same; if one does, the gaps are lengthened. Without `start` the first multipliers vanish.
     """
     setup, data = context.setup, context.data
     with context.timer.phase("iterations"):
@@ -190,24 +177,12 @@ class _Best:
 
 @dataclass(frozen=True)
 class _Loop:
-    """The problem and the scale of one outer loop.
+    """The problem and the scale of one outer loop."""
 
-    Attributes
-    ----------
-    context : SolveContext
-        With the data of this loop.
-    primal : PrimalProblem
-        The primal problem (11.21).
-    d_0 : (m,) array
-        BK^+(f - B'lambda~) - c, printed d in (11.39), not deflated.
-    scale : EnergyScale
-        What the tolerances are relative to.
-    """
-
-    context: SolveContext
+    context: SolveContext  # with the data of this loop
     primal: PrimalProblem
-    d_0: Vector
-    scale: EnergyScale
+    d_0: Vector  # (m,) BK^+(f - B'lambda~) - c, printed d in (11.39), not deflated
+    scale: EnergyScale  # the tolerances are relative to it
 
     @staticmethod
     def begin(context: SolveContext, shortened: Mask, feasible: FeasibleState) -> _Loop:

@@ -54,20 +54,10 @@ class _BodyMeasures:
 
 @dataclass(frozen=True)
 class PrimalProblem:
-    """K, f, B and c of (11.21) on this rank.
+    """K, f, B and c of (11.21) on this rank."""
 
-    Attributes
-    ----------
-    setup : DualSetup
-        K and B.
-    data : ContactData
-        f, c and r.
-    body_names : sequence of str
-        Names of the bodies.
-    """
-
-    setup: DualSetup
-    data: ContactData
+    setup: DualSetup  # K and B
+    data: ContactData  # f, c and r
     body_names: Sequence[str]
 
     def certify(
@@ -75,19 +65,9 @@ class PrimalProblem:
     ) -> tuple[Certificate, float]:
         """Measure how well displacements and multipliers solve the primal problem. Collective.
 
-        Parameters
-        ----------
-        recovered : Recovered
-            Displacements.
-        multipliers : (m,) array
-            lambda, with lambda_I >= o, and G lambda = e but for motions that the face leaves free.
-        face : Projector
-            That of the equality rows and the contact rows with a force.
-
-        Returns
-        -------
-        Certificate, float
-            The certificate; 1/2 u'Ku - f'u, with friction and the sum of r |s| [J].
+        The face is that of the equality rows and the contact rows with a force. The multipliers
+        have lambda_I >= o, and G lambda = e but for motions that the face leaves free. Returned
+        beside the certificate: 1/2 u'Ku - f'u, with friction and the sum of r |s| [J].
         """
         sums = self._sums(recovered, multipliers)
         measures = self._body_measures(sums, recovered, face)

@@ -30,36 +30,19 @@ class Stagnation(Enum):
 class Progress:
     """The decrease of the certificate from pass to pass.
 
-    Attributes
-    ----------
-    scale : EnergyScale
-        What rounding is relative to.
-    rounding : float
-        Tolerance that rounding of the jumps makes the smallest [sqrt(J)].
-    bound, worst : float
-        The smallest so far: the bound of the error, and the largest number of the certificate.
-    tolerance : float
-        That of the pass in which one of them last halved.
-    failures : int
-        Passes since then that changed the certificate: one that changes nothing has only brought
-        the tolerance down to the iterate.
-    last : tuple of float
-        The two numbers of the last pass.
-    passes : int
-        All passes.
-    by_active_set : bool
-        Whether SMALBE-M has handed over to the active set method.
+    A pass that does not change the certificate is no failure: it has only brought the tolerance
+    down to the iterate.
     """
 
-    scale: EnergyScale
-    rounding: float
-    bound: float = np.inf
-    worst: float = np.inf
-    tolerance: float = np.inf
-    failures: int = 0
-    last: tuple[float, float] = (np.inf, np.inf)
+    scale: EnergyScale  # rounding is relative to it
+    rounding: float  # smallest tolerance that the rounding of the jumps allows [sqrt(J)]
+    bound: float = np.inf  # smallest bound of the error so far
+    worst: float = np.inf  # smallest so far of the certificate's largest number
+    tolerance: float = np.inf  # of the pass in which bound or worst last halved [sqrt(J)]
+    failures: int = 0  # passes since then that changed the certificate
+    last: tuple[float, float] = (np.inf, np.inf)  # the two numbers of the last pass
     passes: int = 0
-    by_active_set: bool = False
+    by_active_set: bool = False  # SMALBE-M has handed over to the active set method
 
     @staticmethod
     def start(scale: EnergyScale) -> Progress:

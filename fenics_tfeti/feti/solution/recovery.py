@@ -36,30 +36,14 @@ _TURNS = 8
 
 @dataclass(frozen=True)
 class Recovered:
-    """Displacements recovered from multipliers.
+    """Displacements recovered from multipliers."""
 
-    Attributes
-    ----------
-    strained : (n,) array
-        K^+(f - B'lambda): the torn displacement without its rigid motions [m].
-    torn : (n,) array
-        u_t [m].
-    displacement : (n,) array
-        u: all copies of a node are equal, and no contact is penetrated [m].
-    jumps : (m,) array
-        Bu - c.
-    closed : (i,) bool array
-        The contact rows that were closed: those with a force, and those that u_t penetrates.
-    sticking : (k,) bool array
-        The sites of friction whose slip is zero.
-    """
-
-    strained: Vector
-    torn: Vector
-    displacement: Vector
-    jumps: Vector
-    closed: Mask
-    sticking: Mask
+    strained: Vector  # (n,) K^+(f - B'lambda): u_t without its rigid motions [m]
+    torn: Vector  # (n,) u_t [m]
+    displacement: Vector  # (n,) u: copies of a node are equal, no contact is penetrated [m]
+    jumps: Vector  # (m,) Bu - c
+    closed: Mask  # (i,) contact rows with a force, and those that u_t penetrates
+    sticking: Mask  # (k,) sites of friction whose slip is zero
 
 
 def balance_multipliers(
@@ -70,26 +54,8 @@ def balance_multipliers(
     What is missing of G lambda = e is added in the least squares sense on the equality rows, on the
     contact rows with a force, and on the tangential rows with a force below its bound; forces at
     their bound turn. Contact rows whose force would become negative leave the face, and sites of
-    friction that would exceed their bound.
-
-    Parameters
-    ----------
-    coarse_space : CoarseSpace
-        G.
-    e : (coarse,) array
-        R'f.
-    multipliers : (m,) array
-        lambda, with lambda_I >= o and |lambda_T| <= r.
-    radius : (k,) array
-        r of each site of friction.
-
-    Returns
-    -------
-    (m,) array
-        Balanced multipliers; the given ones where no face can take what is missing.
-    Projector
-        That of the equality rows, the contact rows with a force, the sites that stick, and the
-        directions across the forces of the others.
+    friction that would exceed their bound. The given multipliers have lambda_I >= o and
+    |lambda_T| <= r; they are returned where no face can take what is missing.
     """
     rows, space = coarse_space.constraints.inequality, coarse_space.constraints.layout.space
     friction, balanced, turns = coarse_space.constraints.friction, multipliers, 0
@@ -139,24 +105,10 @@ def recover_displacement(
 ) -> Recovered:
     """Return u_t of (11.29), and the nearest displacement on which the constraints hold.
 
-    alpha makes the equality rows and the rows with a force hold in the least squares sense (end of
-    sec. 11.6). Where these leave motions free, it is the one of smallest norm that penetrates
-    nothing; where they resist motions weakly, what is penetrated takes part in the least squares.
-
-    Parameters
-    ----------
-    F : DualOperator
-        K^+ and B.
-    face : Projector
-        That of the equality rows and the contact rows with a force.
-    load : (n,) array
-        f of this rank's subdomains [N].
-    c : (m,) array
-        Right-hand sides of the constraints.
-    multipliers : (m,) array
-        lambda.
-    unit : float
-        The stiffness that a weight of 1 stands for [N/m].
+    alpha makes the equality rows and the rows with a force, those of the face, hold in the least
+    squares sense (end of sec. 11.6). Where these leave motions free, it is the one of smallest norm
+    that penetrates nothing; where they resist motions weakly, what is penetrated takes part in the
+    least squares. A weight of 1 stands for the stiffness `unit` [N/m].
     """
     coarse_space, rows = face.coarse_space, F.constraints.inequality
     forces = load - F.constraint_forces(multipliers)
@@ -219,21 +171,8 @@ def forces_at_rest(F: DualOperator, load: Vector, c: Vector) -> Vector | None:
     """Return multipliers with which u = o is the solution: B'lambda = f, and all rows hold.
 
     That is so for a load on held nodes only, or for one that copies of a node share out; then there
-    is no displacement that errors could be compared with.
-
-    Parameters
-    ----------
-    F : DualOperator
-        For B.
-    load : (n,) array
-        f of this rank's subdomains [N].
-    c : (m,) array
-        Right-hand sides of the constraints.
-
-    Returns
-    -------
-    (m,) array or None
-        lambda; None if something moves, on all ranks alike.
+    is no displacement that errors could be compared with. None, on all ranks alike, if something
+    moves.
     """
     constraints, coupling = F.constraints, F.constraints.coupling
     # as B_E D^{-1} B_E' = blockdiag(I, W_EE)
@@ -256,33 +195,12 @@ def close_constraints(
 ) -> tuple[Vector, Mask]:
     """Return the nearest displacement on which the constraints hold, and the rows closed for that.
 
-    u = u_t - D^{-1} B_R' W_R^{-1} (B_R u_t - c_R), with R the rows of the face and the contact rows
-    that u_t penetrates. B_R D^{-1} B_R' = W_R is the identity but for contact, tied and tangential
-    rows that share a node. Where friction is at its bound the part of the slip is removed that is
-    not along the force, if that takes less energy than friction loses by it, 2 (r |s| - l_T's); of
-    rows that share a node only slip against it.
-
-    Parameters
-    ----------
-    F : DualOperator
-        For B.
-    c : (m,) array
-        Right-hand sides of the constraints.
-    torn : (n,) array
-        u_t [m].
-    face : (m,) bool array
-        The equality rows, the contact rows with a force, and the tangential rows that stick.
-    multipliers : (m,) array
-        lambda.
-    unit : float
-        The stiffness that a weight of 1 stands for [N/m].
-
-    Returns
-    -------
-    (n,) array
-        u [m].
-    (m,) bool array
-        R.
+    u = u_t - D^{-1} B_R' W_R^{-1} (B_R u_t - c_R), with R the rows of the face (equality rows,
+    contact rows with a force, tangential rows that stick) and the contact rows that u_t penetrates.
+    B_R D^{-1} B_R' = W_R is the identity but for contact, tied and tangential rows that share a
+    node. Where friction is at its bound the part of the slip is removed that is not along the
+    force, if that takes less energy than friction loses by it, 2 (r |s| - l_T's); of rows that
+    share a node only slip against it. A weight of 1 stands for the stiffness `unit` [N/m].
     """
     constraints, rows = F.constraints, F.constraints.inequality
     jump = F.jumps(torn) - c
@@ -337,14 +255,8 @@ def _close_coupled_rows(
 def close_with_gram(coupling: Coupling, jump: Vector, closed: Mask) -> tuple[Vector, Mask]:
     """Return y = W_R^+ jump_R, zero outside R, and R, with W y >= jump on the rows outside it.
 
-    Parameters
-    ----------
-    coupling : Coupling
-        W = B D^{-1} B' of the coupled rows.
-    jump : (w,) array
-        B u_t - c; positive where penetrated.
-    closed : (w,) bool array
-        First R, beside the tied rows.
+    W = B D^{-1} B' of the w coupled rows; the jump B u_t - c is positive where penetrated. R starts
+    from the closed and the tied rows.
     """
     W, R, block = coupling.gram, closed | coupling.tied, coupling.block
     # of what is closed, in each block of W: gaps of other rows may be far

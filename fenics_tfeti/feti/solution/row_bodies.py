@@ -20,43 +20,26 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 class RowBodies:
     """The bodies that contact and tied rows connect.
 
-    Attributes
-    ----------
-    bodies, contacts : int
-        Numbers of bodies and of contacts over all ranks.
-    of_subdomain, of_unknown : (subdomains,), (n,) integer arrays
-        The body of each of this rank's subdomains and torn unknowns.
-    row, body : (p,) integer arrays
-        The bodies of each inequality row that this rank holds, (row, body) in ascending order; all
-        bodies of a row, whichever rank has them.
-    tied : (2, q) integer array
-        Pairs of bodies that tied rows of this rank connect.
-    site, site_body : (p,) integer arrays
-        The bodies of each site of friction that this rank holds, as those of inequality rows.
+    A pair (row, body) stands for each body of an inequality row that this rank holds, whichever
+    rank has the body, in ascending order; (site, site_body) for those of sites of friction.
     """
 
-    bodies: int
-    contacts: int
-    of_subdomain: Numbers
-    of_unknown: Numbers
-    row: Numbers
-    body: Numbers
-    tied: Numbers
-    site: Numbers
-    site_body: Numbers
+    bodies: int  # number over all ranks
+    contacts: int  # number over all ranks
+    of_subdomain: Numbers  # (subdomains,) body of each of this rank's subdomains
+    of_unknown: Numbers  # (n,) body of each of this rank's torn unknowns
+    row: Numbers  # (p,)
+    body: Numbers  # (p,)
+    tied: Numbers  # (2, q) pairs of bodies that tied rows of this rank connect
+    site: Numbers  # (s,)
+    site_body: Numbers  # (s,)
 
     @staticmethod
     def build(system: TornSystem, constraints: Constraints, ends: Numbers) -> RowBodies:
         """Find the bodies of contact and tied rows. Collective.
 
-        Parameters
-        ----------
-        system : TornSystem
-            For the body of each subdomain.
-        constraints : Constraints
-            B.
-        ends : (subdomains + 1,) integer array
-            First torn unknown of each subdomain, and the end of the last.
+        `ends` (subdomains + 1,) has the first torn unknown of each subdomain, and the end of the
+        last.
         """
         of_subdomain = np.array([s.body for s in system.subdomains], dtype=np.int64)
         count = system.comm.allreduce(int(of_subdomain.max(initial=-1)), MPI.MAX) + 1
@@ -71,14 +54,8 @@ class RowBodies:
     def groups(self, comm: MPI.Intracomm, closed: Mask, with_force: Mask) -> Numbers:
         """Return the group of each body. Collective.
 
-        Parameters
-        ----------
-        comm : MPI.Intracomm
-            The ranks.
-        closed : (i,) bool array
-            The contact rows that are closed.
-        with_force : (k,) bool array
-            The sites of friction that may have a force.
+        Bodies are connected by contact rows (i,) that are closed, by sites of friction (k,) that
+        may have a force, and by tied rows.
         """
         rows, sites = closed[self.row], with_force[self.site]
         pairs = np.hstack(
@@ -144,25 +121,8 @@ def without_unloaded_groups(
     Bodies that do not press on others decouple, and without a load the dual function of such a
     group is -1/2 lambda'F lambda - c'lambda. Where c'lambda >= 0, as in a body that touches
     nothing, lambda = o is at least as good. What the iterations leave there instead has no scale:
-    relative to the energy of the group, which is all error, it never becomes small. Collective.
-
-    Parameters
-    ----------
-    constraints : Constraints
-        B.
-    row_bodies : RowBodies
-        The bodies of subdomains and of rows.
-    load : (n,) array
-        f of this rank's subdomains [N].
-    c : (m,) array
-        Right-hand sides of the constraints.
-    multipliers : (m,) array
-        lambda, with G lambda = e.
-
-    Returns
-    -------
-    (m,) array
-        With G lambda = e.
+    relative to the energy of the group, which is all error, it never becomes small. G lambda = e
+    remains true. Collective.
     """
     comm, layout = constraints.layout.comm, constraints.layout
     with_force = constraints.friction.at_sites(multipliers).any(axis=1)

@@ -24,21 +24,11 @@ _ROUNDING_ERRORS = 64
 
 @dataclass(frozen=True)
 class FeasibleState:
-    """The torn displacement K^+(f - B'lambda~) at the feasible start.
+    """The torn displacement K^+(f - B'lambda~) at the feasible start."""
 
-    Attributes
-    ----------
-    jumps : (m,) array
-        Its jumps, scaled as the rows.
-    strain : float
-        f'K^+f of the forces f - B'lambda~ [J].
-    largest_jump : float
-        Largest absolute value of jumps and of prescribed displacements, over all ranks.
-    """
-
-    jumps: Vector
-    strain: float
-    largest_jump: float
+    jumps: Vector  # (m,) scaled as the rows
+    strain: float  # f'K^+f of the forces f - B'lambda~ [J]
+    largest_jump: float  # largest |jump| and |prescribed displacement|, over all ranks
 
     @staticmethod
     def of(setup: DualSetup, data: ContactData) -> FeasibleState:
@@ -55,31 +45,17 @@ class FeasibleState:
 
 @dataclass(frozen=True)
 class EnergyScale:
-    """Scale of the errors of displacements.
+    """Scale of the errors of displacements."""
 
-    Attributes
-    ----------
-    energy_norm : float
-        An energy norm as large as the solution's, or larger [sqrt(J)].
-    closing : float
-        Energy norm of rigid motions that close the prescribed jumps [sqrt(J)].
-    """
-
-    energy_norm: float
-    closing: float
+    energy_norm: float  # an energy norm as large as the solution's, or larger [sqrt(J)]
+    closing: float  # energy norm of rigid motions that close the prescribed jumps [sqrt(J)]
 
     @staticmethod
     def of(context: SolveContext, feasible: FeasibleState, shortened: Mask) -> EnergyScale:
         """Take the larger of the energy norms of u_t at lambda~ and of its jumps.
 
-        Parameters
-        ----------
-        context : SolveContext
-            Operators and data; with timer and history to add to.
-        feasible : FeasibleState
-            u_t at lambda~.
-        shortened : (i,) bool array
-            Contact rows with a shortened gap, which are expected to stay open.
+        Contact rows (i,) with a shortened gap are expected to stay open. Adds to the timer and the
+        history of the context.
         """
         setup, data = context.setup, context.data
         jumps = _energy_of_jumps(context, shortened, feasible.jumps - data.c)

@@ -48,30 +48,14 @@ from fenics_tfeti.typing import Vector
 
 @dataclass(frozen=True)
 class LocalSetup:
-    """Set-up that depends on the stiffness matrices alone.
+    """Set-up that depends on the stiffness matrices alone."""
 
-    Attributes
-    ----------
-    weights : (torn nodes of this rank,) array
-        Weights of the copies of nodes, D in B D^{-1} B' = blockdiag(I, W).
-    unknowns : TornUnknowns
-        Displacements, and the ground of soft elastic supports.
-    classes : list of CongruenceClass
-        Classes of congruent subdomains.
-    kernels : list of (n_i, k_i) arrays
-        R_i of this rank's subdomains in their frames; congruent ones share it.
-    stiffness : list of (n_i, n_i) scipy.sparse.csr_matrix
-        K_i of each class in its frame [N/m].
-    unit : float
-        The stiffness that a weight of 1 stands for [N/m].
-    """
-
-    weights: Vector
-    unknowns: TornUnknowns
+    weights: Vector  # (torn nodes of this rank,) D in B D^{-1} B' = blockdiag(I, W)
+    unknowns: TornUnknowns  # displacements, and the ground of soft elastic supports
     classes: list[CongruenceClass]
-    kernels: list[Vector]
-    stiffness: list[sp.csr_matrix]
-    unit: float
+    kernels: list[Vector]  # (n_i, k_i) R_i of each subdomain in its frame; congruent ones share it
+    stiffness: list[sp.csr_matrix]  # (n_i, n_i) K_i of each class in its frame [N/m]
+    unit: float  # the stiffness that a weight of 1 stands for [N/m]
 
     @staticmethod
     def build(system: TornSystem, options: Options) -> LocalSetup:
@@ -104,12 +88,8 @@ def factor_subdomains(
 ) -> list[GeneralizedInverse]:
     """Factor the regularised stiffness matrix of each class: K_i^+ (11.28). Collective.
 
-    It has the symmetries of K_i where a dense matrix could be made of it.
-
-    Raises
-    ------
-    FactorizationError
-        On all ranks, if a stiffness matrix is not positive semidefinite.
+    It has the symmetries of K_i where a dense matrix could be made of it. `FactorizationError` is
+    raised on all ranks if a stiffness matrix is not positive semidefinite.
     """
     with raise_collectively(system.comm):
         return [
@@ -135,39 +115,17 @@ def _symmetries(
 
 @dataclass(frozen=True)
 class DualSetup:
-    """Set-up that depends on the stiffness matrices and the rows of B.
-
-    Attributes
-    ----------
-    local : LocalSetup
-        What depends on the stiffness matrices alone.
-    constraints : Constraints
-        B.
-    projector : Projector
-        P and Q of all rows.
-    F : DualOperator
-        F = BK^+B'.
-    preconditioner : Preconditioner or None
-        B_D S B_D' on faces.
-    norm : ProjectedNorm
-        ||PFP||.
-    row_bodies : RowBodies
-        The bodies that the contact rows connect.
-    deflation : Deflation or None
-        What F and d are replaced by where the material jumps.
-    deflation_solves : int
-        Solves with K_i^+ of this rank that deflation, or the search for its vectors, took.
-    """
+    """Set-up that depends on the stiffness matrices and the rows of B."""
 
     local: LocalSetup
-    constraints: Constraints
-    projector: Projector
-    F: DualOperator
-    preconditioner: Preconditioner | None
-    norm: ProjectedNorm
+    constraints: Constraints  # B
+    projector: Projector  # P and Q of all rows
+    F: DualOperator  # BK^+B'
+    preconditioner: Preconditioner | None  # B_D S B_D' on faces
+    norm: ProjectedNorm  # ||PFP||
     row_bodies: RowBodies
-    deflation: Deflation | None = None
-    deflation_solves: int = 0
+    deflation: Deflation | None = None  # what F and d are replaced by where the material jumps
+    deflation_solves: int = 0  # solves with K_i^+ of this rank for deflation or its vectors
 
     @staticmethod
     def build(
@@ -207,15 +165,8 @@ class DualSetup:
     ) -> DualSetup:
         """Return the set-up with deflation, if the options and the material ask for it. Collective.
 
-        Parameters
-        ----------
-        system : TornSystem
-            Subdomains.
-        options : Options
-            Whether.
-        known : DualSetup, optional
-            With the same stiffness matrices: its vectors serve again if the equality rows are the
-            same, too.
+        `known` has the same stiffness matrices: its vectors serve again if the equality rows are
+        the same, too.
         """
         if options.deflation == "off":
             return self
@@ -287,23 +238,7 @@ class DualSetup:
 
 @dataclass(frozen=True)
 class SolveContext:
-    """Operators, data and options of one solve.
-
-    Attributes
-    ----------
-    setup : DualSetup
-        Operators.
-    data : ContactData
-        Loads and right-hand sides.
-    options : Options
-        Methods, tolerances and limits.
-    timer : Timer
-        To add the times of phases to.
-    monitor : Monitor
-        To tell of each step; with the history to add to.
-    body_names : sequence of str
-        Names of the bodies for the certificate.
-    """
+    """Operators, data and options of one solve, with the timer and the monitor to add to."""
 
     setup: DualSetup
     data: ContactData
@@ -357,10 +292,8 @@ def build_projector(
 def choose_factor(options: Options, available: Sequence[str] | None = None) -> str:
     """Return the package of the sparse Cholesky factors, of those that are available.
 
-    Raises
-    ------
-    FactorizationError
-        If it is not available, or MUMPS is needed for a distributed coarse problem and missing.
+    `FactorizationError` is raised if it is not available, or if MUMPS is needed for a distributed
+    coarse problem and missing.
     """
     if options.coarse_solver == "distributed":
         choose_package("mumps", available)

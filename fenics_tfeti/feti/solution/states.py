@@ -15,98 +15,44 @@ from fenics_tfeti.typing import Vector
 
 @dataclass(frozen=True)
 class ContactData:
-    """The data of one solve: loads and right-hand sides.
+    """The data of one solve: loads and right-hand sides."""
 
-    Attributes
-    ----------
-    load : (n,) array
-        f of this rank's subdomains [N].
-    c : (m,) array
-        Right-hand sides of the constraints.
-    e : (coarse,) array
-        R'f.
-    e_size : (coarse,) array
-        |R|'|f|, which the rounding of e is relative to.
-    feasible : (m,) array
-        lambda~ with G lambda~ = e, lambda~_I >= o and |lambda~_T| <= r.
-    bound : SlipBound
-        The law of friction.
-    radius : (k,) array
-        r of each site of friction: its slip bound in units of multipliers, with Coulomb's law that
-        of some normal forces.
-    removed : (m,) array or float
-        B R a of prescribed motions that were taken out of c.
-    """
-
-    load: Vector
-    c: Vector
-    e: Vector
-    e_size: Vector
-    feasible: Vector
-    bound: SlipBound
-    radius: Vector
-    removed: Vector | float = 0.0
+    load: Vector  # (n,) f of this rank's subdomains [N]
+    c: Vector  # (m,)
+    e: Vector  # (coarse,) R'f
+    e_size: Vector  # (coarse,) |R|'|f|, which the rounding of e is relative to
+    feasible: Vector  # (m,) lambda~ with G lambda~ = e, lambda~_I >= o and |lambda~_T| <= r
+    bound: SlipBound  # the law of friction
+    radius: Vector  # (k,) r: slip bounds in units of multipliers, Coulomb's for some normal forces
+    removed: Vector | float = 0.0  # (m,) B R a of prescribed motions that were taken out of c
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A solution with its certificate.
-
-    Attributes
-    ----------
-    recovered : Recovered
-        Displacements.
-    multipliers : (m,) array
-        lambda.
-    certificate : Certificate
-        How well they solve (11.21).
-    energy : float
-        1/2 u'Ku - f'u, with friction and the sum of r |s| [J].
-    face : Projector
-        That of the equality rows, the contact rows with a force and the sites that stick; its
-        ``free`` motions are undetermined.
-    slips : (k, gdim - 1) array
-        s at the sites of friction, scaled as the rows.
-    radius : (k,) array
-        r of each site of friction.
-    """
+    """A solution with its certificate; the `free` motions of its face are undetermined."""
 
     recovered: Recovered
-    multipliers: Vector
+    multipliers: Vector  # (m,) lambda
     certificate: Certificate
-    energy: float
-    face: Projector
-    slips: Vector
-    radius: Vector
+    energy: float  # 1/2 u'Ku - f'u, with friction and the sum of r |s| [J]
+    face: Projector  # of equality rows, contact rows with a force and sites that stick
+    slips: Vector  # (k, gdim - 1) s at the sites of friction, scaled as the rows
+    radius: Vector  # (k,) r
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of the outer loop.
+    """Result of the outer loop: the last candidate, or the best one if none is certified."""
 
-    Attributes
-    ----------
-    candidate : Candidate
-        The last candidate, or the one with the smallest certificate if none is certified.
-    iterate : Iterate
-        The last or best one.
-    status : SolveStatus
-        How the iterations ended: SOLVED if the certificate holds.
-    reason : str
-        The same in words.
-    tolerance : float
-        Tolerance of the dual problem in the last pass [sqrt(J)].
-    """
-
-    candidate: Candidate
+    candidate: Candidate  # the best one has the smallest certificate
     iterate: Iterate
-    status: SolveStatus
-    reason: str
-    tolerance: float
+    status: SolveStatus  # SOLVED if the certificate holds
+    reason: str  # the status in words
+    tolerance: float  # of the dual problem in the last pass [sqrt(J)]
 
     @property
     def converged(self) -> bool:
-        """Whether the certificate holds."""
+        """True if the certificate holds."""
         return self.status is SolveStatus.SOLVED
 
     @property
@@ -143,30 +89,14 @@ Step = ActiveSetStep | OuterIteration | SlipBoundStep
 
 @dataclass
 class History:
-    """Counters and histories of one solve.
+    """Counters and histories of one solve."""
 
-    Attributes
-    ----------
-    products : Products
-        Products with F by kind of step.
-    outer : list of OuterIteration
-        One entry for each outer iteration of SMALBE-M.
-    faces : list of ActiveSetStep
-        One entry for each face of the active set method.
-    slip_bounds : list of SlipBoundStep
-        One entry for each step of Coulomb's law.
-    norm_products_before : int
-        Products for ||PFP|| that were spent before.
-    deflation_solves : int
-        Solves with K_i^+ of this rank that the set-up of deflation took.
-    """
-
-    products: Products = field(default_factory=Products)
-    outer: list[OuterIteration] = field(default_factory=list)
-    faces: list[ActiveSetStep] = field(default_factory=list)
-    slip_bounds: list[SlipBoundStep] = field(default_factory=list)
-    norm_products_before: int = 0
-    deflation_solves: int = 0
+    products: Products = field(default_factory=Products)  # with F, by kind of step
+    outer: list[OuterIteration] = field(default_factory=list)  # of SMALBE-M
+    faces: list[ActiveSetStep] = field(default_factory=list)  # of the active set method
+    slip_bounds: list[SlipBoundStep] = field(default_factory=list)  # of Coulomb's law
+    norm_products_before: int = 0  # products for ||PFP|| that were spent before
+    deflation_solves: int = 0  # solves with K_i^+ of this rank that the set-up of deflation took
 
     def append(self, step: Step) -> int:
         """Add a step to those of its kind, and return its number among them."""
