@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from fenics_tfeti.feti.dual.pcpg import PCPGIterate
+from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.qp import OuterIteration, Products, SMALBEState
 from fenics_tfeti.typing import Mask, Vector
@@ -72,6 +73,14 @@ class Iterate:
     active: Mask | None = None
     # (k, gdim - 1): slips of sites to start from, scaled as the rows; None if not known
     slips: Vector | None = None
+
+    def at_multipliers(self, problem: DualProblem) -> Iterate:
+        """Return the iterate to start from its multipliers, active set and slips alone."""
+        if self.on_face is None:
+            return self
+        slips = -problem.constraints.friction.at_sites(self.on_face.gradient)
+        active = self.on_face.contact_state.active
+        return replace(self, on_face=None, active=active, slips=slips)
 
     def without_residual(self) -> Iterate:
         """Return the iterate without its residual, in whose recurrences rounding has added up.

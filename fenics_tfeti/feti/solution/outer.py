@@ -259,9 +259,10 @@ class _Loop:
         with self.context.timer.phase("iterations"):
             iterate = run(problem, iterate, turn)
             if method is Method.NEWTON and iterate.status is SolveStatus.SOLVED:
-                # without the proximal term forces that vanish do so exactly
+                # without the proximal term forces that vanish do so exactly; from the true
+                # residual, since rounding has added up in that of the line searches
                 whole = replace(turn, max_products=self.context.options.max_products)
-                exact = primal_dual_active_set(problem, iterate, whole)
+                exact = primal_dual_active_set(problem, iterate.at_multipliers(problem), whole)
                 iterate = exact if exact.status is SolveStatus.SOLVED else iterate
             iterate = replace(iterate, multipliers=self._completed(iterate.multipliers))
         if iterate.status is SolveStatus.SOLVED:
