@@ -259,11 +259,7 @@ class _Loop:
         with self.context.timer.phase("iterations"):
             iterate = run(problem, iterate, turn)
             if method is Method.NEWTON and iterate.status is SolveStatus.SOLVED:
-                # without the proximal term forces that vanish do so exactly; from the true
-                # residual, since rounding has added up in that of the line searches
-                whole = replace(turn, max_products=self.context.options.max_products)
-                exact = primal_dual_active_set(problem, iterate.at_multipliers(problem), whole)
-                iterate = exact if exact.status is SolveStatus.SOLVED else iterate
+                iterate = self._without_proximal_term(problem, iterate, turn)
             iterate = replace(iterate, multipliers=self._completed(iterate.multipliers))
         if iterate.status is SolveStatus.SOLVED:
             return iterate
@@ -272,6 +268,21 @@ class _Loop:
         if turn.products.total >= self.context.options.max_products:
             return replace(iterate, status=SolveStatus.OUT_OF_PRODUCTS)
         return iterate
+
+    def _without_proximal_term(
+        self, problem: DualProblem, solution: Iterate, turn: Turn
+    ) -> Iterate:
+        """Return the solution of the active set method from one of Newton's, if it finds one.
+
+        Forces that vanish do so exactly then. It starts from the true residual, since rounding has
+        added up in that of the line searches; where that leads off, from this one.
+        """
+        turn = replace(turn, max_products=self.context.options.max_products)
+        for start in (solution.at_multipliers(problem), solution):
+            iterate = primal_dual_active_set(problem, start, turn)
+            if iterate.status is SolveStatus.SOLVED:
+                return iterate
+        return solution
 
     def recover(self, multipliers: Vector) -> Candidate:
         """Recover displacements, and measure how well they and lambda solve (11.21)."""
