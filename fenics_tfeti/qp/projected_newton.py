@@ -160,7 +160,7 @@ class _Point:
 
 @dataclass(frozen=True)
 class _Problem:
-    """What is minimised, see `projected_newton`."""
+    """Derivatives of the cost, see `projected_newton`."""
 
     S: Vector | sp.csr_matrix
     T: sp.csr_matrix

@@ -25,16 +25,13 @@ from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.coarse.unresisted import LoadedGroup, raise_unresisted, split_by_groups
 from fenics_tfeti.feti.constraints.friction import SlipBound
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.feti.tolerances import ZERO
+from fenics_tfeti.feti.tolerances import SURFACE, ZERO
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.qp import Bounds, FrictionCones, ProductSet, least_norm, smallest_factor
 from fenics_tfeti.typing import Numbers, Vector
 
 # ||B R z|| of equality rows below which contact takes the load first
 _SOFTLY = 0.1
-# stiffness of a row of B in units of that of its nodes (the diagonal of K): what the neighbours on
-# a surface give way
-_OF_SURFACE = 0.3
 # motions of a group up to which dense matrices take no longer than sparse ones
 _DENSE = 200
 
@@ -69,7 +66,7 @@ def feasible_start(
         prescribed = coarse_space.prolong(supports.without_free_motions(supports.coefficients(c)))
         gaps = unit * (c - prescribed)[constraints.inequality]
         if close_gaps:
-            gaps *= _OF_SURFACE
+            gaps *= SURFACE
         elif not weak.shape[1]:
             gaps = np.where(np.isfinite(gaps), 0.0, gaps)
         if coarse_space.comm.allreduce(int(np.count_nonzero(bound.radius + bound.slope))):

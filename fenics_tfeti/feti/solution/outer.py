@@ -1,8 +1,8 @@
 """The outer loop: from the set-up to multipliers and displacements with a certificate.
 
 repeat
-lambda   by the primal-dual active set method, with friction by Newton's method on proximal
-         problems, or by SMALBE-M on (11.40): they take turns where one makes no progress
+lambda   by the primal-dual active set method, Newton's method on proximal problems, or SMALBE-M
+         on (11.40): they take turns where one makes no progress
 u        by recovery (11.29)
 stop     when the certificate of u and lambda holds
 eps      is reduced by what the certificate lacks
@@ -316,7 +316,7 @@ class _Loop:
 
     @cached_property
     def _loads(self) -> tuple[Vector, Vector]:
-        """D and d_0, deflated or not."""
+        """Right-hand sides d and d_0, deflated or not."""
         setup = self.context.setup
         with self.context.timer.phase("iterations"):
             return setup.load(self.context.data), setup.reduced(self.d_0)
