@@ -107,11 +107,11 @@ facet_tags = tag_facets(mesh, markers, wall.cell_tags)
 
 friction = Coulomb(0.35)
 contacts = [
-    ContactPair(facet_tags, slave, master, name, friction=friction)
+    ContactPair(facet_tags, slave, master, name=name, friction=friction)
     for slave, master, name in joints
 ]
 ground = Plane(point=(0, 0), normal=(0, 1))
-contacts.append(RigidObstacle(facet_tags, GROUND, ground, "ground", friction=friction))
+contacts.append(RigidObstacle(facet_tags, GROUND, ground, name="ground", friction=friction))
 
 # ## Linear elasticity, plane strain
 

@@ -21,17 +21,17 @@ from fenics_tfeti.errors import (
 )
 
 _LAZY = {
-    "ContactPair": "fenics_tfeti.fem.contact.contact",
+    "ContactPair": "fenics_tfeti.fem.contact.description",
     "ContactProblem": "fenics_tfeti.problem",
     "ContactResult": "fenics_tfeti.fem.contact.contact",
-    "Coulomb": "fenics_tfeti.fem.contact.friction",
+    "Coulomb": "fenics_tfeti.fem.contact.description",
     "Cylinder": "fenics_tfeti.fem.contact.obstacles",
     "FrictionResult": "fenics_tfeti.fem.contact.contact",
     "Plane": "fenics_tfeti.fem.contact.obstacles",
-    "RigidObstacle": "fenics_tfeti.fem.contact.contact",
+    "RigidObstacle": "fenics_tfeti.fem.contact.description",
     "Sphere": "fenics_tfeti.fem.contact.obstacles",
-    "TiedPair": "fenics_tfeti.fem.contact.tied",
-    "Tresca": "fenics_tfeti.fem.contact.friction",
+    "TiedPair": "fenics_tfeti.fem.contact.description",
+    "Tresca": "fenics_tfeti.fem.contact.description",
 }
 
 __all__ = [

@@ -32,19 +32,19 @@ from fenics_tfeti.fem.arguments import (
     check_function,
 )
 from fenics_tfeti.fem.contact.checks import check_depth
-from fenics_tfeti.fem.contact.contact import (
-    Contact,
-    ContactPair,
-    ContactPairing,
-    ContactResult,
-    FrictionResult,
-    contact_name,
-)
+from fenics_tfeti.fem.contact.contact import ContactPairing, ContactResult, FrictionResult
 from fenics_tfeti.fem.contact.deformed import (
     DeformedContact,
     GeometryPass,
     deformed_contact,
     geometry_pass,
+)
+from fenics_tfeti.fem.contact.description import (
+    Contact,
+    ContactPair,
+    TiedPair,
+    contact_name,
+    tied_name,
 )
 from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
 from fenics_tfeti.fem.contact.opening import openings
@@ -65,7 +65,7 @@ from fenics_tfeti.fem.contact.slip import (
     obstacle_displacements,
 )
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.fem.contact.tied import TiedPair, TiedPairing, tie_pairs, tied_name, tied_rows
+from fenics_tfeti.fem.contact.tied import TiedPairing, tie_pairs, tied_rows
 from fenics_tfeti.fem.contact.transfer import check_same_contacts, expected_contact, gather_solved
 from fenics_tfeti.fem.decomposition.assembly import prepare_forms, same_values
 from fenics_tfeti.fem.decomposition.bodies import find_bodies

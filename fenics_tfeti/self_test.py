@@ -14,7 +14,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti.fem.contact.contact import ContactPair
+from fenics_tfeti.fem.contact.description import ContactPair
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.problem import ContactProblem
 

@@ -1,11 +1,11 @@
-"""Arguments of `ContactProblem` as users give them: forms, lists, tags; what is meant, or an error.
+"""Arguments of `ContactProblem` as users give them: forms and lists; what is meant, or an error.
 
 They are the same on all ranks, and so are the errors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -15,9 +15,7 @@ from dolfinx.fem import Constant, Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.contact import Contact, ContactPair, RigidObstacle, contact_name
-from fenics_tfeti.fem.contact.friction import check_friction
-from fenics_tfeti.fem.contact.tied import TiedPair, tied_name
+from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObstacle, TiedPair
 
 
 def as_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
@@ -50,19 +48,13 @@ def as_conditions(bcs: Any) -> list[Any]:
 def as_contacts(contacts: Any) -> list[Contact]:
     """Return the contacts as a list: none for None, one for a single contact."""
     names = ("contacts", "ContactPair or RigidObstacle", "contact")
-    listed = _listed(contacts, _is_contact, names, "a ContactPair or a RigidObstacle")
-    for number, contact in enumerate(listed):
-        _check_contact(contact, contact_name(contact, number))
-    return listed
+    return _listed(contacts, _is_contact, names, "a ContactPair or a RigidObstacle")
 
 
 def as_tied_pairs(pairs: Any) -> list[TiedPair]:
     """Return the tied pairs as a list: none for None, one for a single pair."""
     names = ("tied", "TiedPair", "tied pair")
-    listed = _listed(pairs, lambda thing: isinstance(thing, TiedPair), names, "a TiedPair")
-    for number, pair in enumerate(listed):
-        _check_tags(pair, ("slave", "master"), tied_name(pair, number))
-    return listed
+    return _listed(pairs, lambda thing: isinstance(thing, TiedPair), names, "a TiedPair")
 
 
 def _is_condition(thing: Any) -> bool:
@@ -124,38 +116,3 @@ def _no_load(a: ufl.Form) -> ufl.Form:
     v = a.arguments()[0]
     mesh = v.ufl_function_space().mesh
     return ufl.inner(Constant(mesh, np.zeros(v.ufl_shape)), v) * ufl.dx(domain=mesh)
-
-
-def _check_contact(contact: Contact, name: str) -> None:
-    roles = ("slave", "master") if isinstance(contact, ContactPair) else ("slave",)
-    _check_tags(contact, roles, name)
-    if isinstance(contact, RigidObstacle) and not callable(contact.obstacle):
-        raise InputError(
-            f"{name}: the obstacle is a {type(contact.obstacle).__name__}; a function of x that "
-            "returns (gap, normal) or the gap is expected, such as Plane(point, normal)"
-        )
-    check_friction(contact.friction, name)
-    moves = isinstance(contact, RigidObstacle) and contact.displacement is not None
-    if moves and contact.friction is None:
-        raise InputError(
-            f"{name}: the obstacle's displacement has no effect without friction: leave it out, or "
-            "give it friction. Gaps to a moving obstacle are those that its "
-            "function returns"
-        )
-
-
-def _check_tags(pair: Any, roles: Sequence[str], name: str) -> None:
-    tags = pair.facet_tags
-    if not (hasattr(tags, "find") and hasattr(tags, "dim")):
-        raise InputError(
-            f"{name}: facet_tags is a {type(tags).__name__}; the mesh tags of the facets are "
-            "expected, as returned by dolfinx.mesh.meshtags"
-        )
-    for role in roles:
-        tag = getattr(pair, role)
-        if isinstance(tag, bool) or not isinstance(tag, int | np.integer):
-            raise InputError(
-                f"{name}: the tag of the {role} is {tag!r}; an integer is expected, one of the "
-                f"values of facet_tags. Surfaces have numbers, not names; to use several tags, "
-                "join them under one"
-            )

@@ -21,7 +21,7 @@ from fenics_tfeti.fem.body_checks import (
     surface_nodes,
 )
 from fenics_tfeti.fem.cell_checks import CellGeometry, check_overlaps, check_shapes
-from fenics_tfeti.fem.contact.contact import Contact
+from fenics_tfeti.fem.contact.description import Contact
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.parallel import raise_collectively
 

@@ -7,7 +7,7 @@ to no sub-package: markers of facets in `io` are evaluated by it as well.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 from mpi4py import MPI
 
@@ -19,6 +19,37 @@ from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.tolerances import NO_DIRECTION
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
+
+# constants, or functions of points x (3, n) that return (n,) or (gdim, n)
+ScalarField: TypeAlias = float | Callable[[Vector], ArrayLike]
+VectorField: TypeAlias = ArrayLike | Callable[[Vector], ArrayLike]
+
+
+def is_number(value: Any) -> bool:
+    """Tell whether a value is one finite real number; a truth value is none."""
+    if not isinstance(value, int | float | np.number | np.ndarray) or np.ndim(value):
+        return False
+    return np.asarray(value).dtype.kind in "iuf" and bool(np.isfinite(value))
+
+
+def as_coordinates(values: Any, what: str) -> Vector:
+    """Return two or three finite numbers as an array."""
+    try:
+        numbers = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    if numbers.shape not in ((2,), (3,)) or not np.isfinite(numbers).all():
+        raise InputError(f"{what} is {values!r}: two or three finite numbers are expected")
+    return numbers
+
+
+def as_direction(values: Any, what: str) -> Vector:
+    """Return a vector of two or three numbers as a unit vector."""
+    vector = as_coordinates(values, what)
+    length = float(np.linalg.norm(vector))
+    if length == 0.0:
+        raise InputError(f"{what} is {values!r}: it has no direction")
+    return vector / length
 
 
 def evaluate(function: Callable[[Vector], Any], points: Vector, what: str) -> Any:
@@ -118,9 +149,7 @@ def _vectors(
 
 
 def _constant_vector(data: ArrayLike, gdim: int, what: str) -> Vector:
-    vector = _numbers(data, what)
+    vector = as_direction(data, what)
     if vector.shape != (gdim,):
         raise InputError(f"{what} has shape {vector.shape}; expected ({gdim},) or a function of x")
-    if not np.isfinite(vector).all() or not np.any(vector):
-        raise InputError(f"{what} is {vector.tolist()}: it has no direction")
     return vector

@@ -15,12 +15,9 @@ from scenes import GROUND, MASTER, SLAVE, at, dimension, vector_space
 from dolfinx import fem
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.contact import (
-    ContactPair,
-    ContactPairing,
-    RigidObstacle,
-)
+from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
+from fenics_tfeti.fem.contact.description import ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.matching import match_contact
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import Box, boxes, tag_facets

@@ -78,7 +78,7 @@ class Loaded:
                 tags,
                 names[f"rollers {row} {side}"],
                 names[f"{side} raceway {row}"],
-                f"{side} {row}",
+                name=f"{side} {row}",
                 normal=bearing.away_from_axis(row),
             )
             for row in range(1, bearing.rows + 1)
@@ -86,7 +86,9 @@ class Loaded:
         ]
         if bearing.cage:
             pairs += [
-                ContactPair(tags, names[f"pockets {row}"], names[f"rollers {row} side"], f"{row}")
+                ContactPair(
+                    tags, names[f"pockets {row}"], names[f"rollers {row} side"], name=f"{row}"
+                )
                 for row in range(1, bearing.rows + 1)
             ]
         self.problem = ContactProblem(

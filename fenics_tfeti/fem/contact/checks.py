@@ -1,4 +1,4 @@
-"""Checks of contacts: their arguments, the pairs that were found, and contacts that overlap.
+"""Checks of contacts: the pairs that were found, and contacts that overlap.
 
 What concerns one pair of points or one surface alone is checked where it is read, in `search` and
 `surfaces`.
@@ -17,10 +17,10 @@ from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.contact import Contact, ContactPair, ContactPairing, RigidObstacle
+from fenics_tfeti.fem.contact.contact import ContactPairing
+from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.nodes.search import Partners
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
-from fenics_tfeti.fem.contact.surfaces.initial_gap import check_initial_gap
 from fenics_tfeti.fem.contact.surfaces.oriented import global_nodes, tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MasterNodes, Surface
 from fenics_tfeti.fem.decomposition.bodies import Bodies
@@ -29,59 +29,6 @@ from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.topology import cell_vertices
 from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Mask, Vector
-
-# -- arguments ---------------------------------------------------------------------------------
-
-
-def check_arguments(contact: ContactPair, name: str, degree: int) -> None:
-    """Check the arguments of a pair that need no mesh, but the displacement's degree."""
-    if contact.slave == contact.master:
-        raise InputError(
-            f"{name}: slave and master have the same tag {contact.slave}; each surface needs one "
-            "of its own. Where it is one surface between two bodies that share its nodes, "
-            "fenics_tfeti.io.split_interfaces makes two of it"
-        )
-    if contact.discretisation not in ("auto", "node_to_node", "mortar"):
-        raise InputError(
-            f"{name}: discretisation is {contact.discretisation!r}; 'auto', 'node_to_node' or "
-            "'mortar' is expected"
-        )
-    if contact.roles not in ("auto", "given"):
-        raise InputError(f"{name}: roles is {contact.roles!r}; 'auto' or 'given' is expected")
-    check_initial_gap(contact.initial_gap, name)
-    arguments = [
-        argument
-        for argument in ("direction", "mapping", "pairs")
-        if getattr(contact, argument) is not None
-    ]
-    if arguments and contact.discretisation == "mortar":
-        raise InputError(
-            f"{name}: {' and '.join(arguments)} tells how nodes find partners, but mortar "
-            "conditions are between surfaces. Leave it out, or take discretisation='node_to_node'"
-        )
-    if degree > 1 and (arguments or contact.discretisation == "node_to_node"):
-        request = " and ".join(arguments) or "discretisation='node_to_node'"
-        raise InputError(
-            f"{name}: {request} asks for conditions between pairs of nodes, which are for "
-            f"displacements of degree 1; this one is of degree {degree}. Leave it out: the "
-            "conditions are mortar conditions then"
-        )
-    if len(arguments) > 1:
-        raise InputError(
-            f"{name}: {' and '.join(arguments)} are given; partners can be found in one way only"
-        )
-    if contact.mapping is not None and not callable(contact.mapping):
-        raise InputError(f"{name}: the mapping has to be a function x (3, n) -> (3, n)")
-    try:
-        positive = 0.0 < float(contact.tolerance) < np.inf
-    except (TypeError, ValueError):
-        positive = False
-    if not positive:
-        raise InputError(
-            f"{name}: the tolerance is {contact.tolerance!r}; a positive number is expected, "
-            "relative to the size of the slave's facets"
-        )
-
 
 # -- the pairs of one contact ------------------------------------------------------------------
 

@@ -1,155 +1,19 @@
-"""Contacts, their conditions, and their results (sec. 11.1)."""
+"""Conditions of contacts, and their results (sec. 11.1)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.friction import FrictionLaw
-from fenics_tfeti.fem.contact.obstacles import Obstacle
-from fenics_tfeti.fem.contact.surfaces.tagged import Surface, VectorField
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Numbers, Vector
-
-InitialGap = Literal["geometric", "touching"] | float | Callable[[Vector], ArrayLike]
-
-
-@dataclass(frozen=True)
-class ContactPair:
-    """Two tagged surfaces that may touch but not penetrate each other.
-
-    The meshes of the surfaces need not match, and each surface may extend beyond the other. Where
-    every facet of the slave has a facet of the master opposite it with the same nodes, conditions
-    are between pairs of nodes. Otherwise they are segment-based dual mortar conditions: one for
-    each slave node that the master covers, on weighted means of the displacements.
-
-    Attributes
-    ----------
-    facet_tags : MeshTags
-        Tags of facets.
-    slave, master : int
-        Tag of the slave's and of the master's surface. With mortar conditions the slave is better
-        the softer surface, and of equally stiff ones that with the larger facets.
-    name : str
-        For messages and the report.
-    discretisation : {"auto", "node_to_node", "mortar"}
-        "auto" takes pairs of nodes where the meshes match, or where `direction`, `mapping` or
-        `pairs` says how to find them, and mortar conditions otherwise. The choice is in the report.
-        Displacements of degree 2 always have mortar conditions, with multipliers at the vertices.
-    roles : {"auto", "given"}
-        Whether `slave` and `master` are exchanged where mortar conditions are much better the other
-        way round, or are as given. "auto" exchanges them where E / h of the slave, estimated from
-        the stiffness matrices when the problem is set up, is more than four times that of the
-        master; not where data of the slave are given: a `normal`, or an `initial_gap`, a `friction`
-        or a `measure_weight` with values of functions; and not where the surfaces have no valid
-        conditions the other way round. The report says what was done and why. The nodes of a
-        `ContactResult` then are those of the master as given; all directions, and the resultants in
-        the report, stay those on the slave as given.
-    initial_gap : "geometric", "touching", float or callable
-        The gap between the undeformed surfaces. By default it is that of the mesh. "touching" is
-        for two meshes of one curved surface, whose facets gape or overlap by their distances from
-        it: gaps up to that size are set to zero. A number or a function of x (3, n) that returns
-        (n,) replaces the gap at the slave's nodes by a clearance (> 0) or an interference (< 0)
-        [m], which the facets of curved surfaces would blur.
-    tolerance : float
-        Node to node: largest distance of a master node from the place where the slave node looks
-        for it, relative to the edges of the slave's facets there. The distance is measured along
-        the surface to the nearest node, across the `direction`, from the image by `mapping`, or
-        from the points of `pairs` to the nodes.
-    direction : (gdim,) array-like or callable, optional
-        Node to node: partners are sought along this line, forwards and backwards, among the master
-        nodes whose normals point against the slave's. A callable gets x (3, n) [m] and returns
-        (gdim, n).
-    mapping : callable, optional
-        Node to node: chi of sec. 11.1: x (3, n) -> (3, n), the expected place of each slave node's
-        partner [m].
-    pairs : (slave points, master points), optional
-        Node to node: arrays (k, 3) of coordinates [m], one row for each pair. The same on all
-        ranks.
-    normal : (gdim,) array-like or callable, optional
-        Outward normals of the slave, of any length; a callable gets x (3, n) and returns (gdim, n).
-        By default the area-weighted average of the facets' normals at each node.
-    partial : bool
-        Whether nodes that belong to slave and master stay free instead of being an error; node to
-        node also slave nodes without partner, of which the report has the number. Mortar conditions
-        leave slave nodes that the master does not cover free in any case.
-    measure_weight : UFL expression or number, optional
-        Factor of ``ds`` in the forms, by which nodal forces become pressures: ``2 * pi * r`` or
-        ``r``, with ``r = SpatialCoordinate(mesh)[0]``, in axisymmetric forms, the thickness in
-        forms of a thin sheet. By default 1. Mortar conditions integrate with it, linearly
-        interpolated between the nodes of a facet.
-    friction : Tresca or Coulomb, optional
-        The law of friction; by default there is none. In load steps slip is counted from the end of
-        the last solve.
-    """
-
-    facet_tags: Any
-    slave: int
-    master: int
-    name: str = ""
-    tolerance: float = 0.1
-    direction: VectorField | None = None
-    mapping: Callable[[Vector], ArrayLike] | None = None
-    pairs: tuple[ArrayLike, ArrayLike] | None = None
-    normal: VectorField | None = None
-    partial: bool = False
-    measure_weight: Any = None
-    discretisation: Literal["auto", "node_to_node", "mortar"] = "auto"
-    initial_gap: InitialGap = "geometric"
-    roles: Literal["auto", "given"] = "auto"
-    friction: FrictionLaw | None = None
-
-
-@dataclass(frozen=True)
-class RigidObstacle:
-    """A tagged surface that may touch but not penetrate a rigid obstacle.
-
-    Attributes
-    ----------
-    facet_tags : MeshTags
-        Tags of facets.
-    slave : int
-        Tag of the surface.
-    obstacle : callable
-        x -> (gap, normal) for points x of shape (3, n): the distance (n,) to the obstacle [m] and
-        the unit normal (gdim, n) that points from the obstacle to the body. Or x -> gap alone, the
-        distance along the surface's own outward normal. Where there is no obstacle, the gap is
-        +inf and the normal is not used. `Plane`, `Sphere` and `Cylinder` are such callables.
-    name : str
-        For messages and the report.
-    measure_weight : UFL expression or number, optional
-        Factor of ``ds`` in the forms, see `ContactPair`. By default 1.
-    friction : Tresca or Coulomb, optional
-        The law of friction; by default there is none.
-    displacement : (gdim,) array-like or callable, optional
-        How far the obstacle has moved at each point since the undeformed state [m], for friction:
-        slip is relative to the obstacle. A callable gets x (3, n) and returns (gdim, n). By default
-        the obstacle is at rest. Where it moves along its normal, `obstacle` has to say so too.
-    """
-
-    facet_tags: Any
-    slave: int
-    obstacle: Obstacle
-    name: str = ""
-    measure_weight: Any = None
-    friction: FrictionLaw | None = None
-    displacement: VectorField | None = None
-
-
-Contact = ContactPair | RigidObstacle
-
-
-def contact_name(contact: Contact, number: int) -> str:
-    """Return a contact's name, by default from its number and kind."""
-    kind = "pair" if isinstance(contact, ContactPair) else "obstacle"
-    return contact.name or f"contact {number} ({kind})"
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from mpi4py import MPI
 
 import numpy as np
 
+from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.checks import (
-    check_arguments,
     check_different_nodes,
     check_different_surfaces,
     check_facing,
@@ -19,13 +19,8 @@ from fenics_tfeti.fem.contact.checks import (
     check_partners,
     check_shared_nodes,
 )
-from fenics_tfeti.fem.contact.contact import (
-    Contact,
-    ContactPair,
-    ContactPairing,
-    RigidObstacle,
-    contact_name,
-)
+from fenics_tfeti.fem.contact.contact import ContactPairing
+from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObstacle, contact_name
 from fenics_tfeti.fem.contact.mortar.pairing import match_by_mortar
 from fenics_tfeti.fem.contact.nodes import search
 from fenics_tfeti.fem.contact.nodes.matching_meshes import meshes_match
@@ -153,7 +148,7 @@ def _match_pair(
 ) -> ContactPairing:
     comm = boundary.space.mesh.comm
     with raise_collectively(comm):
-        check_arguments(contact, name, boundary.degree)
+        _check_degree(contact, name, boundary.degree)
     tags = contact.facet_tags
     slave = tagged_surface(boundary, tags, contact.slave, f"slave of {name}", contact.normal)
     tagged_master = tagged_surface(boundary, tags, contact.master, f"master of {name}")
@@ -171,6 +166,20 @@ def _match_pair(
     pairing = match_by_mortar(boundary, name, contact, slave, master, shared, fixed)
     summary = {**pairing.summary, "slave": contact.slave, "master": contact.master}
     return replace(pairing, master_surface=tagged_master, summary=summary)
+
+
+def _check_degree(contact: ContactPair, name: str, degree: int) -> None:
+    """Check that conditions between pairs of nodes are for displacements of degree 1."""
+    if degree > 1 and (_gives_partners(contact) or contact.discretisation == "node_to_node"):
+        arguments = [
+            a for a in ("direction", "mapping", "pairs") if getattr(contact, a) is not None
+        ]
+        request = " and ".join(arguments) or "discretisation='node_to_node'"
+        raise InputError(
+            f"{name}: {request} asks for conditions between pairs of nodes, which are for "
+            f"displacements of degree 1; this one is of degree {degree}. Leave it out: the "
+            "conditions are mortar conditions then"
+        )
 
 
 def _gives_partners(contact: ContactPair) -> bool:

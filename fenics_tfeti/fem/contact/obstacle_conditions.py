@@ -9,7 +9,8 @@ import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.fem.contact.contact import ContactPairing, MortarTerms, RigidObstacle
+from fenics_tfeti.fem.contact.contact import ContactPairing, MortarTerms
+from fenics_tfeti.fem.contact.description import RigidObstacle
 from fenics_tfeti.fem.contact.mortar.one_sided import nodal_normals, one_sided_conditions
 from fenics_tfeti.fem.contact.mortar.pairing import mean_over_terms, slave_facets
 from fenics_tfeti.fem.contact.obstacles import gap_and_normal

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.tolerances import NO_DIRECTION, NO_OBSTACLE, UNIT_LENGTH
-from fenics_tfeti.fem.user_data import evaluate
+from fenics_tfeti.fem.user_data import as_coordinates, as_direction, evaluate, is_number
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
@@ -50,8 +50,8 @@ class Plane:
 
     def __post_init__(self) -> None:
         """Check the data."""
-        normal = _direction(self.normal, "the plane's normal")
-        if _coordinates(self.point, "the plane's point").size < normal.size:
+        normal = as_direction(self.normal, "the plane's normal")
+        if as_coordinates(self.point, "the plane's point").size < normal.size:
             raise InputError(
                 f"the plane's point {self.point} has fewer coordinates than its normal "
                 f"{self.normal}"
@@ -59,7 +59,7 @@ class Plane:
 
     def __call__(self, x: Vector) -> tuple[Vector, Vector]:
         """Return the distances and normals at points x of shape (3, n)."""
-        unit = _direction(self.normal, "the plane's normal")
+        unit = as_direction(self.normal, "the plane's normal")
         gdim = unit.size
         gap = unit @ (x[:gdim] - np.asarray(self.point, dtype=float)[:gdim, None])
         return gap, np.tile(unit[:, None], (1, x.shape[1]))
@@ -101,7 +101,7 @@ class Sphere:
 
     def __post_init__(self) -> None:
         """Check the data."""
-        _coordinates(self.centre, "the sphere's centre")
+        as_coordinates(self.centre, "the sphere's centre")
         _check_radius(self.radius, "sphere")
 
     def __call__(self, x: Vector) -> tuple[Vector, Vector]:
@@ -153,8 +153,8 @@ class Cylinder:
     def __post_init__(self) -> None:
         """Check the data."""
         sizes = (
-            _coordinates(self.point, "the cylinder's point").size,
-            _direction(self.axis, "the cylinder's axis").size,
+            as_coordinates(self.point, "the cylinder's point").size,
+            as_direction(self.axis, "the cylinder's axis").size,
         )
         if sizes != (3, 3):
             raise InputError(
@@ -165,7 +165,7 @@ class Cylinder:
 
     def __call__(self, x: Vector) -> tuple[Vector, Vector]:
         """Return the distances and normals at points x of shape (3, n)."""
-        axis = _direction(self.axis, "the cylinder's axis")
+        axis = as_direction(self.axis, "the cylinder's axis")
         offset = x - np.asarray(self.point, dtype=float)[:, None]
         outward = offset - axis[:, None] * (axis @ offset)
         return _radial_gap(x, outward, self.radius, self.hollow, "on the axis of the cylinder")
@@ -262,28 +262,6 @@ def _radial_gap(
     return sign * (distance - radius), sign * outward / distance
 
 
-def _coordinates(values: Sequence[float], label: str) -> Vector:
-    try:
-        numbers = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{label} is {values!r}: two or three numbers are expected") from None
-    if numbers.shape not in ((2,), (3,)) or not np.isfinite(numbers).all():
-        raise InputError(f"{label} is {values!r}: two or three finite numbers are expected")
-    return numbers
-
-
-def _direction(values: Sequence[float], label: str) -> Vector:
-    vector = _coordinates(values, label)
-    length = float(np.linalg.norm(vector))
-    if length == 0.0:
-        raise InputError(f"{label} is {values!r}: it has no direction")
-    return vector / length
-
-
 def _check_radius(radius: float, kind: str) -> None:
-    try:
-        positive = 0.0 < float(radius) < np.inf
-    except (TypeError, ValueError):
-        positive = False
-    if not positive:
+    if not is_number(radius) or radius <= 0.0:
         raise InputError(f"the {kind}'s radius is {radius!r}: a positive number is expected")

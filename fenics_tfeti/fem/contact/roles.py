@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
-from fenics_tfeti.fem.contact.contact import ContactPair, ContactPairing
+from fenics_tfeti.fem.contact.contact import ContactPairing
+from fenics_tfeti.fem.contact.description import ContactPair
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.parallel import concatenate_ranks

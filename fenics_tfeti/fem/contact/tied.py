@@ -11,8 +11,8 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import MortarTerms
+from fenics_tfeti.fem.contact.description import TiedPair, tied_name
 from fenics_tfeti.fem.contact.mortar.checks import check_covered
 from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, tied_conditions
 from fenics_tfeti.fem.contact.mortar.pairing import slave_facets
@@ -31,34 +31,6 @@ from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 
 
 @dataclass(frozen=True)
-class TiedPair:
-    """Two tagged surfaces that stay together where they face each other.
-
-    They may be meshed apart, as a coarse and a fine part of one body are: mortar conditions hold
-    their displacements together in the mean around each slave node, exactly for linear ones. What
-    one surface has beyond the other stays free.
-
-    Attributes
-    ----------
-    facet_tags : MeshTags
-        Tags of facets.
-    slave, master : int
-        Tag of the slave's and of the master's surface. The slave is better the surface with the
-        larger facets, of equal ones that of the softer body.
-    name : str
-        For messages and the report.
-    measure_weight : UFL expression or number, optional
-        Factor of ``ds`` in the forms, see `ContactPair`. By default 1.
-    """
-
-    facet_tags: Any
-    slave: int
-    master: int
-    name: str = ""
-    measure_weight: Any = None
-
-
-@dataclass(frozen=True)
 class TiedPairing:
     """The conditions of a tied pair at the slave nodes that this rank owns."""
 
@@ -69,21 +41,10 @@ class TiedPairing:
     prescribed: NDArray[np.bool_]  # (s, gdim): components prescribed at its nodes
 
 
-def tied_name(pair: TiedPair, number: int) -> str:
-    """Return a tied pair's name, by default from its number."""
-    return pair.name or f"tied pair {number}"
-
-
 def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescribed) -> TiedPairing:
     """Find the conditions of a tied pair. Collective."""
     space, name = boundary.space, tied_name(pair, number)
     comm = space.mesh.comm
-    with raise_collectively(comm):
-        if pair.slave == pair.master:
-            raise InputError(
-                f"{name}: slave and master have the same tag {pair.slave}; each surface needs one "
-                "of its own. Bodies that share the nodes of a surface are tied already"
-            )
     slave = tagged_surface(boundary, pair.facet_tags, pair.slave, f"slave of {name}")
     tagged_surface(boundary, pair.facet_tags, pair.master, f"master of {name}")
     master = gather_nearby(boundary, pair.facet_tags, pair.master, pair.slave, slave.nodes)

@@ -91,7 +91,7 @@ def test_two_obstacles_at_one_surface_are_allowed():
 def test_one_obstacle_twice_at_one_surface_is_refused():
     V, tags = strips()
     floor = Plane((0.0, 0.5), (0.0, 1.0))
-    contacts = [RigidObstacle(tags, SLAVE, floor, name) for name in ("one", "two")]
+    contacts = [RigidObstacle(tags, SLAVE, floor, name=name) for name in ("one", "two")]
     with pytest.raises(InputError, match="one and two match 5 slave nodes twice"):
         pairs_of(V, contacts)
 

@@ -1,25 +1,10 @@
-"""Names of contacts, and results gathered from all ranks."""
+"""Results gathered from all ranks."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from fenics_tfeti import ContactPair, ContactResult, Plane, RigidObstacle
-from fenics_tfeti.fem.contact.contact import contact_name
-
-FLOOR = Plane((0.0, 0.0), (0.0, 1.0))
-
-
-def test_default_name_of_a_pair():
-    assert contact_name(ContactPair(None, 1, 2), 3) == "contact 3 (pair)"
-
-
-def test_default_name_of_an_obstacle():
-    assert contact_name(RigidObstacle(None, 1, FLOOR), 0) == "contact 0 (obstacle)"
-
-
-def test_given_name():
-    assert contact_name(RigidObstacle(None, 1, FLOOR, name="floor"), 0) == "floor"
+from fenics_tfeti import ContactResult
 
 
 def test_gathered_nodes_are_in_the_order_of_their_numbers():

@@ -15,7 +15,7 @@ from scenes import YOUNG, at, elasticity, fixed, vector_space
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Coulomb, InputError
+from fenics_tfeti import ContactPair, ContactProblem, Coulomb
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.roles import roles_ratio
 from fenics_tfeti.io import contact_fields, tag_facets
@@ -181,17 +181,12 @@ def test_roles_stay_where_the_master_can_be_no_slave():
         sum(elasticity(u, v, modulus, dx(k + 1)) for k, modulus in enumerate(young)),
         0,
         bcs=[fixed(V, tags, bottom, None), fixed(V, tags, top, 1, -1e-3)],
-        contacts=ContactPair(tags, UPPER, LOWER, "joint"),
+        contacts=ContactPair(tags, UPPER, LOWER, name="joint"),
         cell_tags=beams.cell_tags,
     )
     problem.solve()
     assert not problem.contact[0].on_master
     assert "joint: slave and master are as given, though E / h" in str(problem.report)
-
-
-def test_wrong_roles():
-    with pytest.raises(InputError, match="roles is 'any'"):
-        posed(roles="any")
 
 
 def test_matching_nodes_have_no_roles():

@@ -195,14 +195,6 @@ def test_wrong_displacements_of_obstacles(displacement, message):
         held_square(displacement)
 
 
-def test_displacement_without_friction_is_an_error():
-    scene = pushed_cube("triangle", 2)
-    (contact,) = scene.problem.contacts
-    scene.problem.contacts = [replace(contact, friction=None, displacement=(0.1, 0.0))]
-    with pytest.raises(InputError, match="has no effect without friction"):
-        scene.problem.solve()
-
-
 # -- results --------------------------------------------------------------------------------------
 
 

@@ -173,19 +173,19 @@ def surfaces_that_lie_back_to_back(comm):
     plates(comm, (2, 1.0), (1, 0.0))
 
 
-@mistake("contact 0", "slave", "'top'", "integer")
+@mistake("ContactPair: the tag of the slave", "'top'", "integer")
 def tag_that_is_a_name(comm):
     scene = beams(comm)
     scene.problem(contacts=[ContactPair(scene.facet_tags, slave="top", master=MASTER)])
 
 
-@mistake("contact 0", "master", r"\[6\]", "integer", "join them")
+@mistake("ContactPair: the tag of the master", r"\[6\]", "integer", "join them")
 def several_tags(comm):
     scene = beams(comm)
     scene.problem(contacts=[ContactPair(scene.facet_tags, slave=SLAVE, master=[MASTER])])
 
 
-@mistake("contact 0", "facet_tags", "ndarray", "meshtags")
+@mistake("ContactPair: facet_tags", "ndarray", "meshtags")
 def facet_tags_that_are_an_array(comm):
     scene = beams(comm)
     scene.problem(contacts=[ContactPair(np.zeros(3), slave=SLAVE, master=MASTER)])
@@ -208,7 +208,7 @@ def wrong_contact_before_a_later_step(comm):
     problem.solve()
 
 
-@mistake("contact 0", "obstacle is a float", "Plane")
+@mistake("RigidObstacle: the obstacle is a float", "Plane")
 def obstacle_that_is_no_function(comm):
     scene = beams(comm)
     scene.problem(contacts=[RigidObstacle(scene.facet_tags, SLAVE, 0.0)])

@@ -10,7 +10,8 @@ import numpy as np
 from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.contact import ContactPair, ContactPairing, MortarTerms
+from fenics_tfeti.fem.contact.contact import ContactPairing, MortarTerms
+from fenics_tfeti.fem.contact.description import ContactPair
 from fenics_tfeti.fem.contact.mortar.checks import check_covered, check_folds
 from fenics_tfeti.fem.contact.mortar.conditions import (
     MortarConditions,

@@ -18,19 +18,6 @@ from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
 
-def check_initial_gap(value: Any, name: str) -> None:
-    """Check the argument `initial_gap` of a pair."""
-    if callable(value) or (isinstance(value, str) and value in ("geometric", "touching")):
-        return
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if number and np.isfinite(float(value)):
-        return
-    raise InputError(
-        f"{name}: initial_gap is {value!r}; 'geometric', 'touching', a number [m] or a function "
-        "x (3, n) -> (n,) is expected"
-    )
-
-
 def chord_heights(corners: Vector, normals: Vector, middles: Vector | None = None) -> Vector:
     """Return distances (f,) of facets from curved surfaces through their nodes, with normals [m].
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 import ufl
 from dolfinx import fem
@@ -33,11 +32,9 @@ from fenics_tfeti.fem.topology import (
     exterior_facets,
     vertex_nodes,
 )
-from fenics_tfeti.fem.user_data import unit_vectors
+from fenics_tfeti.fem.user_data import VectorField, unit_vectors
 from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Indices, Numbers, Vector
-
-VectorField = ArrayLike | Callable[[Vector], ArrayLike]
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ from fenics_tfeti import ContactPair
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
 from fenics_tfeti.fem.contact.surfaces.initial_gap import (
-    check_initial_gap,
     chord_heights,
     facet_deviations,
     initial_gap,
@@ -88,12 +87,6 @@ def test_touching_nodes_of_matching_meshes():
     V, tags = arcs(8, 8, gap=1e-4)
     pair = ContactPair(tags, SLAVE, MASTER, initial_gap="touching", discretisation="node_to_node")
     assert (matched(V, pair).gap == 0.0).all()
-
-
-@pytest.mark.parametrize("given", ["closed", None, True, np.nan, [0.1]])
-def test_what_is_no_gap(given):
-    with pytest.raises(InputError, match=r"joint: initial_gap is .* 'touching'"):
-        check_initial_gap(given, "joint")
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,327 @@
+"""Contacts as users describe them: what may touch, what stays together, and laws of friction.
+
+Each description checks itself when it is made, so that the error is at the line that the user
+wrote. What depends on the mesh is checked when the problem is posed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from dolfinx.fem import Function
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.obstacles import Obstacle
+from fenics_tfeti.fem.user_data import ScalarField, VectorField, as_direction, is_number
+from fenics_tfeti.typing import Vector
+
+NodalValue: TypeAlias = ScalarField | Any  # or a Function
+InitialGap: TypeAlias = Literal["geometric", "touching"] | ScalarField
+
+
+@dataclass(frozen=True)
+class Tresca:
+    """Friction with a given bound: the tangential traction is at most the slip bound.
+
+    It acts at all nodes that may touch, whether they are pressed or not.
+
+    Attributes
+    ----------
+    slip_bound : float, callable or dolfinx.fem.Function
+        Largest tangential traction [Pa]: a number, a function of x (3, n) [m] that returns (n,), or
+        values at the nodes: a scalar Function of degree 1 on the mesh. With the `measure_weight` of
+        the contact it becomes the largest nodal force.
+
+    Examples
+    --------
+    >>> Tresca(slip_bound=2e6)
+    Tresca(slip_bound=2000000.0)
+    """
+
+    slip_bound: NodalValue
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        _check_nodal_value(self.slip_bound, "slip_bound")
+
+
+@dataclass(frozen=True)
+class Coulomb:
+    """Coulomb's law: the tangential traction is at most the coefficient times the pressure.
+
+    Attributes
+    ----------
+    coefficient : float, callable or dolfinx.fem.Function
+        Coefficient of friction: a number, a function of x (3, n) [m] that returns (n,), or values
+        at the nodes: a scalar Function of degree 1 on the mesh.
+
+    Examples
+    --------
+    >>> Coulomb(coefficient=0.3)
+    Coulomb(coefficient=0.3)
+    """
+
+    coefficient: NodalValue
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        _check_nodal_value(self.coefficient, "coefficient")
+
+
+FrictionLaw: TypeAlias = Tresca | Coulomb
+
+
+@dataclass(frozen=True)
+class ContactPair:
+    """Two tagged surfaces that may touch but not penetrate each other.
+
+    Their meshes need not match, and each surface may extend beyond the other. :doc:`surfaces` says
+    what to choose.
+
+    Attributes
+    ----------
+    facet_tags : MeshTags
+        Tags of facets.
+    slave, master : int
+        Tag of the slave's and of the master's surface.
+    name : str
+        For messages and the report.
+    friction : Tresca or Coulomb, optional
+        The law of friction; by default there is none.
+    initial_gap : "geometric", "touching", float or callable
+        The gap between the undeformed surfaces. By default it is that of the mesh. "touching" sets
+        gaps to zero that are no larger than the distance of the facets from the curved surface. A
+        number or a function of x (3, n) that returns (n,) is a clearance (> 0) or an interference
+        (< 0) at the slave's nodes [m].
+    normal : (gdim,) array-like or callable, optional
+        Outward normals of the slave, of any length; a callable gets x (3, n) and returns (gdim, n).
+        By default the mean of the facets' normals at each node.
+    partial : bool
+        Whether nodes that belong to slave and master, and slave nodes without partner, stay free
+        instead of being an error.
+    roles : {"auto", "given"}
+        Whether `slave` and `master` are exchanged where mortar conditions are much better the other
+        way round, or are as given.
+    """
+
+    facet_tags: Any
+    slave: int
+    master: int
+    _: KW_ONLY
+    name: str = ""
+    friction: FrictionLaw | None = None
+    initial_gap: InitialGap = "geometric"
+    normal: VectorField | None = None
+    partial: bool = False
+    roles: Literal["auto", "given"] = "auto"
+    discretisation: Literal["auto", "node_to_node", "mortar"] = "auto"
+    tolerance: float = 0.1
+    direction: VectorField | None = None
+    mapping: Callable[[Vector], Any] | None = None
+    pairs: tuple[Any, Any] | None = None
+    measure_weight: Any = None
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        label = _label(self)
+        _check_surfaces(self.facet_tags, {"slave": self.slave, "master": self.master}, label)
+        if self.slave == self.master:
+            raise InputError(
+                f"{label}: slave and master have the same tag {self.slave}; each surface needs one "
+                "of its own. Where it is one surface between two bodies that share its nodes, "
+                "fenics_tfeti.io.split_interfaces makes two of it"
+            )
+        _check_friction(self.friction, label)
+        _check_initial_gap(self.initial_gap, label)
+        if self.normal is not None and not callable(self.normal):
+            as_direction(self.normal, f"{label}: the normal")
+        if self.roles not in ("auto", "given"):
+            raise InputError(f"{label}: roles is {self.roles!r}; 'auto' or 'given' is expected")
+        self._check_partners(label)
+
+    def _check_partners(self, label: str) -> None:
+        if self.discretisation not in ("auto", "node_to_node", "mortar"):
+            raise InputError(
+                f"{label}: discretisation is {self.discretisation!r}; 'auto', 'node_to_node' or "
+                "'mortar' is expected"
+            )
+        arguments = [
+            argument
+            for argument in ("direction", "mapping", "pairs")
+            if getattr(self, argument) is not None
+        ]
+        if arguments and self.discretisation == "mortar":
+            raise InputError(
+                f"{label}: {' and '.join(arguments)} tells how nodes find partners, but mortar "
+                "conditions are between surfaces. Leave it out, or take "
+                "discretisation='node_to_node'"
+            )
+        if len(arguments) > 1:
+            raise InputError(
+                f"{label}: {' and '.join(arguments)} are given; partners can be found in one way "
+                "only"
+            )
+        if self.mapping is not None and not callable(self.mapping):
+            raise InputError(f"{label}: the mapping has to be a function x (3, n) -> (3, n)")
+        if not is_number(self.tolerance) or self.tolerance <= 0.0:
+            raise InputError(
+                f"{label}: the tolerance is {self.tolerance!r}; a positive number is expected, "
+                "relative to the size of the slave's facets"
+            )
+
+
+@dataclass(frozen=True)
+class RigidObstacle:
+    """A tagged surface that may touch but not penetrate a rigid obstacle.
+
+    Attributes
+    ----------
+    facet_tags : MeshTags
+        Tags of facets.
+    slave : int
+        Tag of the surface.
+    obstacle : callable
+        x -> (gap, normal) for points x of shape (3, n): the distance (n,) to the obstacle [m] and
+        the unit normal (gdim, n) that points from the obstacle to the body. Or x -> gap alone, the
+        distance along the surface's own outward normal. Where there is no obstacle, the gap is
+        +inf and the normal is not used. `Plane`, `Sphere` and `Cylinder` are such callables.
+    name : str
+        For messages and the report.
+    friction : Tresca or Coulomb, optional
+        The law of friction; by default there is none.
+    displacement : (gdim,) array-like or callable, optional
+        How far the obstacle has moved at each point since the undeformed state [m], for friction:
+        slip is relative to the obstacle. A callable gets x (3, n) and returns (gdim, n). By default
+        the obstacle is at rest. Where it moves along its normal, `obstacle` has to say so too.
+    """
+
+    facet_tags: Any
+    slave: int
+    obstacle: Obstacle
+    _: KW_ONLY
+    name: str = ""
+    friction: FrictionLaw | None = None
+    displacement: VectorField | None = None
+    measure_weight: Any = None
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        label = _label(self)
+        _check_surfaces(self.facet_tags, {"slave": self.slave}, label)
+        if not callable(self.obstacle):
+            raise InputError(
+                f"{label}: the obstacle is a {type(self.obstacle).__name__}; a function of x that "
+                "returns (gap, normal) or the gap is expected, such as Plane(point, normal)"
+            )
+        _check_friction(self.friction, label)
+        if self.displacement is not None and self.friction is None:
+            raise InputError(
+                f"{label}: the obstacle's displacement has no effect without friction: leave it "
+                "out, or give it friction. Gaps to a moving obstacle are those that its function "
+                "returns"
+            )
+
+
+@dataclass(frozen=True)
+class TiedPair:
+    """Two tagged surfaces that stay together where they face each other.
+
+    They may be meshed apart, as a coarse and a fine part of one body are: mortar conditions hold
+    their displacements together in the mean around each slave node, exactly for linear ones. What
+    one surface has beyond the other stays free.
+
+    Attributes
+    ----------
+    facet_tags : MeshTags
+        Tags of facets.
+    slave, master : int
+        Tag of the slave's and of the master's surface. The slave is better the surface with the
+        larger facets, of equal ones that of the softer body.
+    name : str
+        For messages and the report.
+    """
+
+    facet_tags: Any
+    slave: int
+    master: int
+    _: KW_ONLY
+    name: str = ""
+    measure_weight: Any = None
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        label = _label(self)
+        _check_surfaces(self.facet_tags, {"slave": self.slave, "master": self.master}, label)
+        if self.slave == self.master:
+            raise InputError(
+                f"{label}: slave and master have the same tag {self.slave}; each surface needs one "
+                "of its own. Bodies that share the nodes of a surface are tied already"
+            )
+
+
+Contact: TypeAlias = ContactPair | RigidObstacle
+
+
+def contact_name(contact: Contact, number: int) -> str:
+    """Return a contact's name, by default from its number and kind."""
+    kind = "pair" if isinstance(contact, ContactPair) else "obstacle"
+    return contact.name or f"contact {number} ({kind})"
+
+
+def tied_name(pair: TiedPair, number: int) -> str:
+    """Return a tied pair's name, by default from its number."""
+    return pair.name or f"tied pair {number}"
+
+
+def _label(contact: Any) -> str:
+    """Return how messages call a contact that has no number yet; check that a name is a text."""
+    if not isinstance(contact.name, str):
+        raise InputError(f"{type(contact).__name__}: name is {contact.name!r}; a text is expected")
+    return contact.name or type(contact).__name__
+
+
+def _check_surfaces(facet_tags: Any, tags: dict[str, Any], label: str) -> None:
+    if not (hasattr(facet_tags, "find") and hasattr(facet_tags, "dim")):
+        raise InputError(
+            f"{label}: facet_tags is a {type(facet_tags).__name__}; the mesh tags of the facets "
+            "are expected, as returned by dolfinx.mesh.meshtags"
+        )
+    for role, tag in tags.items():
+        if isinstance(tag, bool) or not isinstance(tag, int | np.integer):
+            raise InputError(
+                f"{label}: the tag of the {role} is {tag!r}; an integer is expected, one of the "
+                "values of facet_tags. Surfaces have numbers, not names; to use several tags, "
+                "join them under one"
+            )
+
+
+def _check_friction(law: Any, label: str) -> None:
+    if law is not None and not isinstance(law, FrictionLaw):
+        raise InputError(
+            f"{label}: friction is a {type(law).__name__}; Tresca(slip_bound), "
+            "Coulomb(coefficient) or None is expected"
+        )
+
+
+def _check_nodal_value(value: Any, label: str) -> None:
+    if callable(value) or isinstance(value, Function):
+        return
+    if not is_number(value) or value < 0.0:
+        raise InputError(
+            f"{label} is {value!r}; a finite number, at least 0, a function x (3, n) -> "
+            "(n,) or a scalar Function of degree 1 is expected"
+        )
+
+
+def _check_initial_gap(value: Any, label: str) -> None:
+    if isinstance(value, str) and value in ("geometric", "touching"):
+        return
+    if not callable(value) and not is_number(value):
+        raise InputError(
+            f"{label}: initial_gap is {value!r}; 'geometric', 'touching', a number [m] or a "
+            "function x (3, n) -> (n,) is expected"
+        )

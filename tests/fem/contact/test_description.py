@@ -1,0 +1,66 @@
+"""Descriptions of contacts check themselves: the error is where they are made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import scenes
+from scenes import MASTER, SLAVE
+
+from fenics_tfeti import ContactPair, Coulomb, InputError, Plane, RigidObstacle, TiedPair, Tresca
+from fenics_tfeti.fem.contact.description import contact_name, tied_name
+
+FLOOR = Plane((0.0, 0.0), (0.0, 1.0))
+TAGS = scenes.two_beams(MPI.COMM_SELF, "triangle", 2).facet_tags
+PAIR = ContactPair(TAGS, SLAVE, MASTER, name="joint")
+OBSTACLE = RigidObstacle(TAGS, SLAVE, FLOOR)
+TIE = TiedPair(TAGS, SLAVE, MASTER)
+
+
+def test_names():
+    assert contact_name(ContactPair(TAGS, 1, 2), 3) == "contact 3 (pair)"
+    assert contact_name(OBSTACLE, 0) == "contact 0 (obstacle)"
+    assert contact_name(replace(OBSTACLE, name="floor"), 0) == "floor"
+    assert tied_name(TIE, 1) == "tied pair 1"
+
+
+@pytest.mark.parametrize(
+    ("contact", "change", "message"),
+    [
+        (PAIR, {"facet_tags": np.zeros(3)}, "joint: facet_tags is a ndarray; .*meshtags"),
+        (PAIR, {"slave": "top"}, "joint: the tag of the slave is 'top'; an integer"),
+        (PAIR, {"master": [MASTER]}, "joint: the tag of the master is .*join them"),
+        (PAIR, {"master": SLAVE}, "joint: slave and master have the same tag 5.*split_interfaces"),
+        (PAIR, {"name": 7}, "ContactPair: name is 7"),
+        (PAIR, {"roles": "any"}, "joint: roles is 'any'"),
+        (PAIR, {"friction": 0.3}, "joint: friction is a float; Tresca"),
+        (PAIR, {"friction": Tresca}, "joint: friction is a type"),
+        *[
+            (PAIR, {"initial_gap": gap}, "joint: initial_gap is .* 'touching'")
+            for gap in ("closed", None, True, np.nan, [0.1])
+        ],
+        (PAIR, {"normal": (0.0, 0.0)}, "joint: the normal is .* no direction"),
+        (PAIR, {"normal": 1.0}, "joint: the normal is 1.0: two or three finite numbers"),
+        (OBSTACLE, {"slave": True}, "RigidObstacle: the tag of the slave is True"),
+        (OBSTACLE, {"obstacle": 0.0}, "RigidObstacle: the obstacle is a float; .* Plane"),
+        (OBSTACLE, {"displacement": (1.0, 0.0)}, "RigidObstacle: .* has no effect without fric"),
+        (TIE, {"master": SLAVE}, "TiedPair: slave and master have the same tag .*tied already"),
+        (TIE, {"master": "upper"}, "TiedPair: the tag of the master"),
+        (TIE, {"facet_tags": None}, "TiedPair: facet_tags is a NoneType"),
+    ],
+)
+def test_mistakes(contact, change, message):
+    with pytest.raises(InputError, match=message):
+        replace(contact, **change)
+
+
+@pytest.mark.parametrize("value", [-1.0, np.inf, np.nan, "1 MPa", True, np.ones(9), None])
+def test_what_is_no_bound_and_no_coefficient(value):
+    with pytest.raises(InputError, match="slip_bound is .*; a finite number, at least 0"):
+        Tresca(value)
+    with pytest.raises(InputError, match="coefficient is .*; a finite number, at least 0"):
+        Coulomb(value)
