@@ -11,7 +11,7 @@ that hold for a radius a of the contact area much smaller than R1 and R2 are
 
 This demo illustrates how to
 
-- define contact of two curved bodies, whose nodes do not coincide: `direction` is the line on which
+- define contact of two curved bodies, whose nodes do not coincide: `Along` is the line on which
   the master node of a slave node is found;
 - give each body its own material.
 
@@ -31,7 +31,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import Along, ContactPair, ContactProblem
 from fenics_tfeti.io import (
     contact_fields,
     displacement_space,
@@ -112,7 +112,7 @@ pair = ContactPair(
     facet_tags,
     slave=tags["contact_upper"],
     master=tags["contact_lower"],
-    direction=down,
+    partners=Along(down),
     normal=down,
 )
 problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=[pair], options={"rtol": 1e-6})

@@ -40,7 +40,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import Along, ContactPair, ContactProblem
 from fenics_tfeti.io import (
     contact_fields,
     displacement_space,
@@ -103,7 +103,7 @@ contacts = [
         slave=tags[f"roller {where}"],
         master=tags[f"{plate} inner"],
         name=f"{plate} plate",
-        direction=(0, 1),
+        partners=Along((0, 1)),
         normal=lambda x: x[:2],
     )
     for where, plate in (("below", "lower"), ("above", "upper"))

@@ -42,7 +42,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import Along, ContactPair, ContactProblem
 from fenics_tfeti.io import (
     displacement_space,
     draw_deformed,
@@ -107,7 +107,7 @@ for name, component, value in (
 # The foot is the slave. Its nodes start above nodes of the base, and are paired vertically.
 
 contact = ContactPair(
-    facet_tags, slave=tags["block surface"], master=tags["base surface"], direction=(0, 1)
+    facet_tags, slave=tags["block surface"], master=tags["base surface"], partners=Along((0, 1))
 )
 exact = {
     "non_penetration": "exact",

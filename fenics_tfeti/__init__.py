@@ -21,13 +21,17 @@ from fenics_tfeti.errors import (
 )
 
 _LAZY = {
+    "Along": "fenics_tfeti.fem.contact.description",
     "ContactPair": "fenics_tfeti.fem.contact.description",
     "ContactProblem": "fenics_tfeti.problem",
     "ContactResult": "fenics_tfeti.fem.contact.contact",
     "Coulomb": "fenics_tfeti.fem.contact.description",
     "Cylinder": "fenics_tfeti.fem.contact.obstacles",
     "FrictionResult": "fenics_tfeti.fem.contact.contact",
+    "Mapped": "fenics_tfeti.fem.contact.description",
+    "Nearest": "fenics_tfeti.fem.contact.description",
     "Plane": "fenics_tfeti.fem.contact.obstacles",
+    "Points": "fenics_tfeti.fem.contact.description",
     "RigidObstacle": "fenics_tfeti.fem.contact.description",
     "Sphere": "fenics_tfeti.fem.contact.obstacles",
     "TiedPair": "fenics_tfeti.fem.contact.description",
@@ -35,6 +39,7 @@ _LAZY = {
 }
 
 __all__ = [
+    "Along",
     "ContactError",
     "ContactPair",
     "ContactProblem",
@@ -45,8 +50,11 @@ __all__ = [
     "FrictionResult",
     "InputError",
     "Interrupted",
+    "Mapped",
+    "Nearest",
     "NotConverged",
     "Plane",
+    "Points",
     "RigidObstacle",
     "Sphere",
     "TiedPair",

@@ -111,16 +111,15 @@ def unit_vectors(
     return unit
 
 
-def as_points(data: ArrayLike, gdim: int, what: str) -> Vector:
-    """Return a user's points as (k, gdim); they may have gdim or three coordinates each."""
+def as_points(data: ArrayLike, what: str) -> Vector:
+    """Return a user's points as an array, with two or three coordinates each."""
     points = _numbers(data, what)
-    if points.ndim != 2 or points.shape[1] not in (gdim, 3) or not len(points):
-        raise InputError(f"{what} have shape {points.shape}, expected (k, {gdim}) with k > 0")
+    if points.ndim != 2 or points.shape[1] not in (2, 3) or not len(points):
+        raise InputError(f"{what} have shape {points.shape}, expected (k, 2) or (k, 3) with k > 0")
     if not np.isfinite(points).all():
         row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
         raise InputError(f"{what} are NaN or infinite, the first in row {row}")
-    flat: Vector = points[:, :gdim]
-    return flat
+    return points
 
 
 def _numbers(data: Any, what: str) -> Vector:

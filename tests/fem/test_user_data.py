@@ -64,14 +64,14 @@ def test_vector_that_is_rounding_has_no_direction():
 
 
 @pytest.mark.parametrize("columns", [2, 3])
-def test_points_may_have_three_coordinates_in_the_plane(columns):
-    np.testing.assert_array_equal(as_points(X[:, :columns], 2, "they"), X[:, :2])
+def test_points_have_two_or_three_coordinates(columns):
+    np.testing.assert_array_equal(as_points(X[:, :columns], "they"), X[:, :columns])
 
 
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        (X[0], r"shape \(3,\), expected \(k, 2\)"),
+        (X[0], r"shape \(3,\), expected \(k, 2\) or"),
         (X[:0], r"shape \(0, 3\)"),
         ([["a", "b"]], "array of numbers, not list"),
         (X * [1.0, np.nan, 1.0], "NaN or infinite, the first in row 0"),
@@ -79,4 +79,4 @@ def test_points_may_have_three_coordinates_in_the_plane(columns):
 )
 def test_wrong_points(given, words):
     with pytest.raises(InputError, match=words):
-        as_points(given, 2, "they")
+        as_points(given, "they")

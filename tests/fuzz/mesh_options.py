@@ -139,7 +139,7 @@ def _choose_pairing(problem: MeshProblem, rng: Generator) -> None:
     for number in range(len(problem.joints)):
         kind, roles = str(rng.choice(["auto", "mortar"])), str(rng.choice(["auto", "given"]))
         if rng.random() < 0.4:
-            problem.pairing[number] = {"discretisation": kind, "roles": roles}
+            problem.pairing[number] = {"partners": None if kind == "auto" else kind, "roles": roles}
     problem.story.append(f"pairing {problem.pairing}")
 
 
@@ -157,7 +157,7 @@ def check_roles(problem: MeshProblem, exchanged: list[bool]) -> None:
     """Check that slave and master are exchanged where that is wanted and better."""
     for number, j in enumerate(problem.joints):
         given = problem.pairing.get(number, {})
-        mortar = given.get("discretisation") == "mortar" or problem.degree > 1
+        mortar = given.get("partners") == "mortar" or problem.degree > 1
         rubbing = problem.friction.get(number)
         may = mortar and given.get("roles") != "given" and (rubbing is None or rubbing.part == 1.0)
         assert may or not exchanged[number], "exchanged without need"

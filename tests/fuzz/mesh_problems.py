@@ -163,7 +163,7 @@ class MeshProblem:
     options: dict[str, Any] = field(default_factory=dict)
     story: list[str] = field(default_factory=list)
     friction: dict[int, Rubbing] = field(default_factory=dict)  # by contact
-    pairing: dict[int, dict[str, str]] = field(default_factory=dict)  # arguments, by joint
+    pairing: dict[int, dict[str, Any]] = field(default_factory=dict)  # arguments, by joint
     degree: int = 1
     slider: int | None = None  # a box that only a contact with tilted facets holds, the last one
 

@@ -65,8 +65,8 @@ def test_options_are_drawn():
     given = [pair for problem in problems for pair in problem.pairing.values()]
     rubbing = [one for problem in problems for one in problem.friction.values()]
     assert {one.law for one in rubbing} == {"Tresca", "Coulomb"}
-    assert {(pair["discretisation"], pair["roles"]) for pair in given} == set(
-        product(("auto", "mortar"), ("auto", "given"))
+    assert {(pair["partners"], pair["roles"]) for pair in given} == set(
+        product((None, "mortar"), ("auto", "given"))
     )
     assert {problem.degree for problem in problems} == {1, 2}
     assert any(problem.slider is not None for problem in problems)

@@ -129,7 +129,7 @@ def plane_joint(size: float, degree: int, exchange: bool = False, **of_pair: Any
     slave, master = names["lug surface"], names["pin surface"]
     if exchange:
         slave, master = master, slave
-    pair = ContactPair(tags, slave, master, discretisation="mortar", roles="given", **of_pair)
+    pair = ContactPair(tags, slave, master, partners="mortar", roles="given", **of_pair)
     load = -fem.Constant(mesh, 540.0 / area) * v[0] * dx
     return ContactProblem(_elasticity(u, v), load, bcs=bcs, contacts=[pair])
 

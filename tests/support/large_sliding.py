@@ -89,7 +89,7 @@ class Scene:
     kept: Any = None
 
     def pair(self, slave: int) -> ContactPair:
-        return ContactPair(self.facet_tags, slave, SLAVE + MASTER - slave, discretisation="mortar")
+        return ContactPair(self.facet_tags, slave, SLAVE + MASTER - slave, partners="mortar")
 
     def problem(self, slave: int, options: dict[str, Any]) -> ContactProblem:
         return ContactProblem(

@@ -163,7 +163,7 @@ def solved(
         if not blocks.slope:
             L -= pressure * free * ufl.inner(normal, v) * ds(tag)
     master = LOWER + UPPER - slave
-    pair = ContactPair(facet_tags, slave, master, discretisation="mortar", roles="given")
+    pair = ContactPair(facet_tags, slave, master, partners="mortar", roles="given")
     problem = ContactProblem(
         elasticity(u, v, young),
         L,

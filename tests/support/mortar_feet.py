@@ -60,7 +60,7 @@ def foot_on_table(
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     ds = ufl.Measure("ds", domain=blocks.mesh, subdomain_data=tags)
     pressure = Constant(blocks.mesh, PRESSURE)
-    pair = ContactPair(tags, slave, TABLE + FOOT - slave, discretisation="mortar", **of_pair)
+    pair = ContactPair(tags, slave, TABLE + FOOT - slave, partners="mortar", **of_pair)
     problem = ContactProblem(
         elasticity(u, v, Constant(blocks.mesh, YOUNG)),
         -pressure * v[across] * ds(LOADED),

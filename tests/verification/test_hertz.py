@@ -26,7 +26,7 @@ from scenes import POISSON, elasticity, fixed, vector_space
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle, Sphere
+from fenics_tfeti import Along, ContactPair, ContactProblem, Plane, RigidObstacle, Sphere
 from fenics_tfeti.io import read_msh
 
 half_balls = runpy.run_path(str(Path(__file__).parents[2] / "meshes" / "half_balls.py"))[
@@ -117,7 +117,7 @@ def pressed(
         names = ["contact_upper", "contact_lower"][:: 1 if upper_is_slave else -1]
         outward = -axis if upper_is_slave else axis
         slave, master = (tags[name] for name in names)
-        contact = ContactPair(facet_tags, slave, master, direction=outward, normal=outward)
+        contact = ContactPair(facet_tags, slave, master, partners=Along(outward), normal=outward)
     elif obstacle == "groove":
         rigid = Sphere(centre=2.0 * RADIUS * axis, radius=2.0 * RADIUS, hollow=True)
         contact = RigidObstacle(facet_tags, tags["contact"], rigid)

@@ -16,7 +16,7 @@ from scenes import POISSON, YOUNG, elasticity, fixed, vector_space
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, UnresistedMotion
+from fenics_tfeti import Along, ContactPair, ContactProblem, UnresistedMotion
 from fenics_tfeti.io import read_msh
 
 pytest.importorskip("gmsh")
@@ -60,7 +60,7 @@ def problem(elements, slave, force=(0.0, 0.0)):
         round_ = slave == "roller"
         one, other = surfaces if round_ else surfaces[::-1]
         normal = (lambda x: x[:2]) if round_ else None
-        contacts.append(ContactPair(facet_tags, one, other, direction=(0, 1), normal=normal))
+        contacts.append(ContactPair(facet_tags, one, other, partners=Along((0, 1)), normal=normal))
     return ContactProblem(a, L, bcs, contacts, cell_tags=bodies.cell_tags, options={"rtol": 1e-9})
 
 

@@ -185,7 +185,7 @@ def check_not_crossed(
     raise InputError(
         f"{name}: pairs cross on {len(crossings)} edges of slave facets: the neighbours {a} and "
         f"{b} have the partners {partner_a} and {partner_b}, which lie in the opposite order. "
-        "Correct the pairs, mapping or direction, or lower the pair's tolerance"
+        "Correct the points, mapping or direction, or lower the tolerance"
     )
 
 

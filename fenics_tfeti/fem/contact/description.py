@@ -1,4 +1,4 @@
-"""Contacts as users describe them: what may touch, what stays together, and laws of friction.
+"""Contacts as users describe them: surfaces, partners of their nodes, and laws of friction.
 
 Each description checks itself when it is made, so that the error is at the line that the user
 wrote. What depends on the mesh is checked when the problem is posed.
@@ -11,12 +11,13 @@ from dataclasses import KW_ONLY, dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.obstacles import Obstacle
-from fenics_tfeti.fem.user_data import ScalarField, VectorField, as_direction, is_number
+from fenics_tfeti.fem.user_data import ScalarField, VectorField, as_direction, as_points, is_number
 from fenics_tfeti.typing import Vector
 
 NodalValue: TypeAlias = ScalarField | Any  # or a Function
@@ -76,6 +77,107 @@ FrictionLaw: TypeAlias = Tresca | Coulomb
 
 
 @dataclass(frozen=True)
+class Nearest:
+    """Conditions between each slave node and the nearest master node.
+
+    Attributes
+    ----------
+    tolerance : float
+        Largest distance of the two along the surface, relative to the mean edge of the smallest of
+        the slave's facets there.
+    """
+
+    tolerance: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        _check_tolerance(self)
+
+
+@dataclass(frozen=True)
+class Along:
+    """Conditions between each slave node and a master node on a line through it.
+
+    Attributes
+    ----------
+    direction : (gdim,) array-like or callable
+        Direction of the line, of any length and either sense; a callable gets x (3, n) [m] and
+        returns (gdim, n). Of the master nodes on the line, those are candidates whose normals point
+        against the slave node's.
+    tolerance : float
+        Largest distance of the master node from the line, relative to the mean edge of the smallest
+        of the slave's facets there.
+    """
+
+    direction: VectorField
+    tolerance: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        if not callable(self.direction):
+            as_direction(self.direction, "Along: the direction")
+        _check_tolerance(self)
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """Conditions between each slave node and the master node nearest to its image.
+
+    Attributes
+    ----------
+    mapping : callable
+        chi of sec. 11.1: x (3, n) -> (3, n), the expected places of the slave nodes' partners [m].
+    tolerance : float
+        Largest distance of the master node from the image, relative to the mean edge of the
+        smallest of the slave's facets there.
+    """
+
+    mapping: Callable[[Vector], ArrayLike]
+    tolerance: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        if not callable(self.mapping):
+            raise InputError(
+                f"Mapped: the mapping is {self.mapping!r}; a function x (3, n) -> (3, n) is "
+                "expected"
+            )
+        _check_tolerance(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Conditions between pairs of nodes at given places, the same on all ranks.
+
+    Attributes
+    ----------
+    slave, master : (k, gdim) or (k, 3) array-like
+        Coordinates of the slave node and of the master node of each pair [m].
+    tolerance : float
+        Largest distance of the nodes from these places, relative to the mean edge of the smallest
+        of the facets there.
+    """
+
+    slave: ArrayLike
+    master: ArrayLike
+    tolerance: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        slave = as_points(self.slave, "Points: the slave points")
+        master = as_points(self.master, "Points: the master points")
+        if len(slave) != len(master):
+            raise InputError(
+                f"Points: {len(slave)} slave points and {len(master)} master points are given; "
+                "give one master point for each slave point"
+            )
+        _check_tolerance(self)
+
+
+NodePartners: TypeAlias = Nearest | Along | Mapped | Points
+
+
+@dataclass(frozen=True)
 class ContactPair:
     """Two tagged surfaces that may touch but not penetrate each other.
 
@@ -106,6 +208,10 @@ class ContactPair:
     roles : {"auto", "given"}
         Whether `slave` and `master` are exchanged where mortar conditions are much better the other
         way round, or are as given.
+    partners : Nearest, Along, Mapped, Points or "mortar", optional
+        Whether conditions are between pairs of nodes, and how these are found, or mortar
+        conditions. By default they are between nodes where the meshes match, and mortar conditions
+        elsewhere.
     """
 
     facet_tags: Any
@@ -118,11 +224,7 @@ class ContactPair:
     normal: VectorField | None = None
     partial: bool = False
     roles: Literal["auto", "given"] = "auto"
-    discretisation: Literal["auto", "node_to_node", "mortar"] = "auto"
-    tolerance: float = 0.1
-    direction: VectorField | None = None
-    mapping: Callable[[Vector], Any] | None = None
-    pairs: tuple[Any, Any] | None = None
+    partners: NodePartners | Literal["mortar"] | None = None
     measure_weight: Any = None
 
     def __post_init__(self) -> None:
@@ -141,36 +243,11 @@ class ContactPair:
             as_direction(self.normal, f"{label}: the normal")
         if self.roles not in ("auto", "given"):
             raise InputError(f"{label}: roles is {self.roles!r}; 'auto' or 'given' is expected")
-        self._check_partners(label)
-
-    def _check_partners(self, label: str) -> None:
-        if self.discretisation not in ("auto", "node_to_node", "mortar"):
+        is_mortar = isinstance(self.partners, str) and self.partners == "mortar"
+        if not (is_mortar or self.partners is None or isinstance(self.partners, NodePartners)):
             raise InputError(
-                f"{label}: discretisation is {self.discretisation!r}; 'auto', 'node_to_node' or "
-                "'mortar' is expected"
-            )
-        arguments = [
-            argument
-            for argument in ("direction", "mapping", "pairs")
-            if getattr(self, argument) is not None
-        ]
-        if arguments and self.discretisation == "mortar":
-            raise InputError(
-                f"{label}: {' and '.join(arguments)} tells how nodes find partners, but mortar "
-                "conditions are between surfaces. Leave it out, or take "
-                "discretisation='node_to_node'"
-            )
-        if len(arguments) > 1:
-            raise InputError(
-                f"{label}: {' and '.join(arguments)} are given; partners can be found in one way "
-                "only"
-            )
-        if self.mapping is not None and not callable(self.mapping):
-            raise InputError(f"{label}: the mapping has to be a function x (3, n) -> (3, n)")
-        if not is_number(self.tolerance) or self.tolerance <= 0.0:
-            raise InputError(
-                f"{label}: the tolerance is {self.tolerance!r}; a positive number is expected, "
-                "relative to the size of the slave's facets"
+                f"{label}: partners is {self.partners!r}; Nearest(), Along(direction), "
+                "Mapped(mapping), Points(slave, master), 'mortar' or None is expected"
             )
 
 
@@ -297,6 +374,14 @@ def _check_surfaces(facet_tags: Any, tags: dict[str, Any], label: str) -> None:
                 "values of facet_tags. Surfaces have numbers, not names; to use several tags, "
                 "join them under one"
             )
+
+
+def _check_tolerance(partners: NodePartners) -> None:
+    if not is_number(partners.tolerance) or partners.tolerance <= 0.0:
+        raise InputError(
+            f"{type(partners).__name__}: the tolerance is {partners.tolerance!r}; a positive "
+            "number is expected, relative to the size of the slave's facets"
+        )
 
 
 def _check_friction(law: Any, label: str) -> None:

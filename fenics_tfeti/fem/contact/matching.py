@@ -20,10 +20,17 @@ from fenics_tfeti.fem.contact.checks import (
     check_shared_nodes,
 )
 from fenics_tfeti.fem.contact.contact import ContactPairing
-from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObstacle, contact_name
+from fenics_tfeti.fem.contact.description import (
+    Contact,
+    ContactPair,
+    Nearest,
+    NodePartners,
+    RigidObstacle,
+    contact_name,
+)
 from fenics_tfeti.fem.contact.mortar.pairing import match_by_mortar
-from fenics_tfeti.fem.contact.nodes import search
 from fenics_tfeti.fem.contact.nodes.matching_meshes import meshes_match
+from fenics_tfeti.fem.contact.nodes.search import find_partners
 from fenics_tfeti.fem.contact.obstacle_conditions import match_obstacle
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
 from fenics_tfeti.fem.contact.surfaces.cylinders import without_axial_tilt
@@ -32,7 +39,6 @@ from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas, weighted_form
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components, same_supports
 from fenics_tfeti.fem.contact.surfaces.tagged import (
-    MasterNodes,
     MeshBoundary,
     Surface,
     area_of_facets,
@@ -147,49 +153,46 @@ def _match_pair(
     boundary: MeshBoundary, name: str, contact: ContactPair, prescribed: Prescribed
 ) -> ContactPairing:
     comm = boundary.space.mesh.comm
-    with raise_collectively(comm):
-        _check_degree(contact, name, boundary.degree)
-    tags = contact.facet_tags
+    tags, partners = contact.facet_tags, contact.partners
+    if isinstance(partners, NodePartners):
+        with raise_collectively(comm):
+            _check_degree(partners, name, boundary.degree)
     slave = tagged_surface(boundary, tags, contact.slave, f"slave of {name}", contact.normal)
     tagged_master = tagged_surface(boundary, tags, contact.master, f"master of {name}")
-    if _gives_partners(contact) or contact.discretisation == "node_to_node":
-        return _match_nodes(boundary, name, contact, slave, tagged_master)
+    if isinstance(partners, NodePartners):
+        return _match_nodes(boundary, name, contact, partners, slave, tagged_master)
     master = gather_nearby(boundary, tags, contact.master, contact.slave, slave.nodes)
     number = comm.allreduce(tagged_master.nodes.size)
     shared = _shared_nodes(comm, name, slave, master.nodes, number, contact.partial)
     with raise_collectively(comm):
         normals = master.normals(name)
-    may_pair_nodes = contact.discretisation == "auto" and boundary.degree == 1
-    if may_pair_nodes and meshes_match(boundary.space, slave, master, normals, contact.tolerance):
-        return _match_nodes(boundary, name, contact, slave, tagged_master)
+    near = Nearest()
+    may_pair_nodes = partners is None and boundary.degree == 1
+    if may_pair_nodes and meshes_match(boundary.space, slave, master, normals, near.tolerance):
+        return _match_nodes(boundary, name, contact, near, slave, tagged_master)
     fixed = prescribed_components(slave, prescribed)
     pairing = match_by_mortar(boundary, name, contact, slave, master, shared, fixed)
     summary = {**pairing.summary, "slave": contact.slave, "master": contact.master}
     return replace(pairing, master_surface=tagged_master, summary=summary)
 
 
-def _check_degree(contact: ContactPair, name: str, degree: int) -> None:
+def _check_degree(partners: NodePartners, name: str, degree: int) -> None:
     """Check that conditions between pairs of nodes are for displacements of degree 1."""
-    if degree > 1 and (_gives_partners(contact) or contact.discretisation == "node_to_node"):
-        arguments = [
-            a for a in ("direction", "mapping", "pairs") if getattr(contact, a) is not None
-        ]
-        request = " and ".join(arguments) or "discretisation='node_to_node'"
+    if degree > 1:
         raise InputError(
-            f"{name}: {request} asks for conditions between pairs of nodes, which are for "
-            f"displacements of degree 1; this one is of degree {degree}. Leave it out: the "
-            "conditions are mortar conditions then"
+            f"{name}: partners={type(partners).__name__}(...) asks for conditions between pairs of "
+            f"nodes, which are for displacements of degree 1; this one is of degree {degree}. "
+            "Leave it out: the conditions are mortar conditions then"
         )
 
 
-def _gives_partners(contact: ContactPair) -> bool:
-    """Tell whether the user says how partners are found."""
-    arguments = (contact.direction, contact.mapping, contact.pairs)
-    return any(argument is not None for argument in arguments)
-
-
 def _match_nodes(
-    boundary: MeshBoundary, name: str, contact: ContactPair, slave: Surface, tagged_master: Surface
+    boundary: MeshBoundary,
+    name: str,
+    contact: ContactPair,
+    how: NodePartners,
+    slave: Surface,
+    tagged_master: Surface,
 ) -> ContactPairing:
     comm = boundary.space.mesh.comm
     master = gather_master(comm, tagged_master)
@@ -197,9 +200,9 @@ def _match_nodes(
     shared = _shared_nodes(comm, name, slave, master.nodes, number, contact.partial)
     master = master.without(shared)
 
-    partners = _find_partners(comm, contact, slave, master, name)
+    partners = find_partners(comm, how, slave, master, name)
     partners.distance[np.isin(slave.nodes, shared)] = np.inf
-    limit = contact.tolerance * slave.size
+    limit = how.tolerance * slave.size
     check_partners(comm, slave, partners, limit, contact.partial, name)
     paired = partners.distance <= limit
     check_one_to_one(comm, slave, master, partners, paired, contact.partial, name)
@@ -265,20 +268,6 @@ def _shared_nodes(
     partly = shared.size < number
     check_shared_nodes(comm, slave, is_shared, partial and partly, name)
     return shared
-
-
-def _find_partners(
-    comm: MPI.Intracomm, contact: ContactPair, slave: Surface, master: MasterNodes, name: str
-) -> search.Partners:
-    if contact.direction is not None:
-        return search.along_direction(
-            comm, slave, master, contact.direction, contact.tolerance, name
-        )
-    if contact.mapping is not None:
-        return search.by_mapping(comm, slave, master, contact.mapping, name)
-    if contact.pairs is not None:
-        return search.by_coordinates(comm, slave, master, contact.pairs, contact.tolerance, name)
-    return search.nearest(slave, master)
 
 
 def _covered_facets(

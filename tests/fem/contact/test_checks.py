@@ -13,7 +13,16 @@ from strips import bend, matched, strips
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, InputError, Plane, RigidObstacle
+from fenics_tfeti import (
+    Along,
+    ContactPair,
+    ContactProblem,
+    InputError,
+    Mapped,
+    Nearest,
+    Plane,
+    RigidObstacle,
+)
 from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import Box, boxes, tag_facets
@@ -37,7 +46,7 @@ def test_meshes_that_correspond_but_are_not_identical():
             x + np.append(0.06 * random.uniform(-1, 1, (len(x), 2)), np.zeros((len(x), 1)), 1)
         ),
     )
-    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, tolerance=0.9)
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER)
     # all 25 nodes, but for a corner of which less than 0.4 is covered
     assert matched(scene.V, pair).summary["pairs"] == 24
 
@@ -61,8 +70,8 @@ def test_edge_node_meets_one_surface_from_two_sides():
     )
     V = scenes.vector_space(tagged.mesh)
     contacts = [
-        ContactPair(tags, SLAVE, MASTER, direction=(0.0, 1.0)),
-        ContactPair(tags, SECOND_SLAVE, MASTER, direction=(1.0, 0.0)),
+        ContactPair(tags, SLAVE, MASTER, partners=Along((0.0, 1.0))),
+        ContactPair(tags, SECOND_SLAVE, MASTER, partners=Along((1.0, 0.0))),
     ]
     assert [
         pairing.summary["pairs"] for pairing in match_contacts(MeshBoundary.of(V), contacts)
@@ -74,7 +83,7 @@ def test_equal_tags_of_different_mesh_tags_are_different_surfaces():
     other = tag_facets(V.mesh, [(MASTER, at(0, 1.0)), (SLAVE, at(0, 0.0))])
     contacts = [
         ContactPair(tags, SLAVE, MASTER),
-        ContactPair(other, SLAVE, MASTER, mapping=lambda x: x + [[1], [0], [0]]),
+        ContactPair(other, SLAVE, MASTER, partners=Mapped(lambda x: x + [[1], [0], [0]])),
     ]
     assert [
         pairing.summary["pairs"] for pairing in match_contacts(MeshBoundary.of(V), contacts)
@@ -100,15 +109,14 @@ def test_pairs_in_the_order_of_the_nodes_do_not_cross():
     """The partners of all nodes are far to the right, in the same order."""
     V, tags = strips()
     bend(V, lambda x: x[:, 1] > 1.05, lambda x: x + [0.5, 0.0, 0.0])
-    pair = ContactPair(tags, SLAVE, MASTER, mapping=lambda x: x - [[0.5], [0.1], [0.0]])
+    pair = ContactPair(tags, SLAVE, MASTER, partners=Mapped(lambda x: x - [[0.5], [0.1], [0.0]]))
     assert pairs_of(V, [pair]) == [5]
 
 
-@pytest.mark.parametrize("tolerance", [0.0, np.nan, np.inf, "wide", None])
+@pytest.mark.parametrize("tolerance", [0.0, np.nan, np.inf, "wide", None, True])
 def test_tolerance_that_is_not_a_positive_number(tolerance):
-    V, tags = strips()
     with pytest.raises(InputError, match="a positive number is expected"):
-        matched(V, ContactPair(tags, SLAVE, MASTER, tolerance=tolerance))
+        Nearest(tolerance)
 
 
 def test_interference_fit_is_no_mistake():

@@ -11,7 +11,19 @@ import pytest
 import scenes
 from scenes import MASTER, SLAVE
 
-from fenics_tfeti import ContactPair, Coulomb, InputError, Plane, RigidObstacle, TiedPair, Tresca
+from fenics_tfeti import (
+    Along,
+    ContactPair,
+    Coulomb,
+    InputError,
+    Mapped,
+    Nearest,
+    Plane,
+    Points,
+    RigidObstacle,
+    TiedPair,
+    Tresca,
+)
 from fenics_tfeti.fem.contact.description import contact_name, tied_name
 
 FLOOR = Plane((0.0, 0.0), (0.0, 1.0))
@@ -36,6 +48,9 @@ def test_names():
         (PAIR, {"master": [MASTER]}, "joint: the tag of the master is .*join them"),
         (PAIR, {"master": SLAVE}, "joint: slave and master have the same tag 5.*split_interfaces"),
         (PAIR, {"name": 7}, "ContactPair: name is 7"),
+        (PAIR, {"partners": "nts"}, r"joint: partners is 'nts'; Nearest\(\)"),
+        (PAIR, {"partners": Nearest}, "joint: partners is <class"),
+        (PAIR, {"partners": np.ones(2)}, "joint: partners is array"),
         (PAIR, {"roles": "any"}, "joint: roles is 'any'"),
         (PAIR, {"friction": 0.3}, "joint: friction is a float; Tresca"),
         (PAIR, {"friction": Tresca}, "joint: friction is a type"),
@@ -64,3 +79,34 @@ def test_what_is_no_bound_and_no_coefficient(value):
         Tresca(value)
     with pytest.raises(InputError, match="coefficient is .*; a finite number, at least 0"):
         Coulomb(value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (((0.0, 0.0),), r"Along: the direction is \(0.0, 0.0\): it has no direction"),
+        (("down",), "Along: the direction is 'down': two or three finite numbers"),
+        (((0.0, 1.0), 0.0), "Along: the tolerance is 0.0; a positive number"),
+    ],
+)
+def test_what_is_no_line(arguments, message):
+    with pytest.raises(InputError, match=message):
+        Along(*arguments)
+
+
+def test_what_is_no_mapping():
+    with pytest.raises(InputError, match=r"Mapped: the mapping is \(0, 1\); a function"):
+        Mapped((0, 1))
+
+
+@pytest.mark.parametrize(
+    ("slave", "master", "message"),
+    [
+        ([[0.0, np.nan]], [[0.0, 1.0]], "Points: the slave points are NaN .* row 0"),
+        ([[0.0, 1.0]], [0.0, 1.0], r"Points: the master points have shape \(2,\)"),
+        ([[0.0, 1.0]], [[0.0, 1.0], [1.0, 1.0]], "Points: 1 slave points and 2 master points"),
+    ],
+)
+def test_what_are_no_points(slave, master, message):
+    with pytest.raises(InputError, match=message):
+        Points(slave, master)

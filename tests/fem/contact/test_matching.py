@@ -13,7 +13,7 @@ from strips import matched, partners, strips
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle
+from fenics_tfeti import ContactPair, ContactProblem, Mapped, Nearest, Plane, RigidObstacle
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
@@ -28,7 +28,7 @@ SECOND_SLAVE, SECOND_MASTER = 15, 16
 def test_tilted_normal_shortens_the_gap():
     V, tags = strips(gap=0.1)
     pair = ContactPair(
-        tags, SLAVE, MASTER, normal=(0.6, -0.8), mapping=lambda x: x - [[0], [0.1], [0]]
+        tags, SLAVE, MASTER, normal=(0.6, -0.8), partners=Mapped(lambda x: x - [[0], [0.1], [0]])
     )
     np.testing.assert_allclose(matched(V, pair).gap, 0.08, rtol=1e-13)
 
@@ -159,18 +159,18 @@ def test_shared_nodes_of_a_partial_contact_stay_free():
     )
     V = scenes.vector_space(tagged.mesh)
     # the corner is in both; (0.5, 0) and (1, 0) meet (0, 0.5) and (0, 1) when the corner closes
-    folded = {"mapping": lambda x: x[[1, 0, 2]], "partial": True}
+    folded = {"partners": Mapped(lambda x: x[[1, 0, 2]]), "partial": True}
     x, partner, pairing = partners(V, ContactPair(tags, SLAVE, MASTER, **folded))
     np.testing.assert_allclose(partner, x[:, ::-1], atol=1e-14)
     assert pairing.summary["pairs"] == 2 and pairing.summary["unmatched"] == 1
     with pytest.raises(InputError, match=r"share 1 nodes, the first at \(0, 0\).*partial=True"):
-        matched(V, ContactPair(tags, SLAVE, MASTER, discretisation="node_to_node"))
+        matched(V, ContactPair(tags, SLAVE, MASTER, partners=Nearest()))
 
 
 def test_nodes_are_errors_where_the_contact_is_not_partial():
     _, tags, V = slab_on_two(MPI.COMM_SELF)
     with pytest.raises(InputError, match=r"8 of 13 slave nodes .*partial=True"):
-        matched(V, ContactPair(tags, SLAVE, MASTER, discretisation="node_to_node"))
+        matched(V, ContactPair(tags, SLAVE, MASTER, partners=Nearest()))
 
 
 def test_known_pair_is_returned_as_it_is():

@@ -9,21 +9,21 @@ import pytest
 from scenes import LOADED, MASTER, SLAVE, dimension, fixed, pressed_block, two_beams
 from stepped_blocks import two_blocks
 
-from fenics_tfeti import ContactPair
+from fenics_tfeti import ContactPair, Nearest
 from fenics_tfeti.io import contact_fields
 
 COMM = MPI.COMM_SELF
-each_discretisation = pytest.mark.parametrize("discretisation", ["node_to_node", "mortar"])
+each_kind = pytest.mark.parametrize("partners", [Nearest(), "mortar"], ids=["nodes", "mortar"])
 
 
-@each_discretisation
+@each_kind
 @pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])
-def test_bodies_that_do_not_touch(cell, discretisation):
+def test_bodies_that_do_not_touch(cell, partners):
     """The upper body is translated down by less than the gap."""
     scene, up = two_beams(COMM, cell, 2, gap=0.1), dimension(cell) - 1
     scene.kept[1].value = 0.0
     moved = [fixed(scene.V, scene.facet_tags, LOADED, k, -0.03 * (k == up)) for k in range(up + 1)]
-    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, discretisation=discretisation)
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, partners=partners)
     problem = scene.problem(bcs=[scene.bcs[0], *moved], contacts=pair)
     problem.solve()
     (contact,) = problem.contact

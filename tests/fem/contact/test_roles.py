@@ -35,7 +35,7 @@ def posed(cell="triangle", upper_young=YOUNG, lower=4, upper=4, weight=None, **p
     dx = ufl.Measure("dx", domain=domain, subdomain_data=beams.cell_tags)
     young = [fem.Constant(domain, value) for value in (YOUNG, upper_young)]
     a = sum(elasticity(u, v, modulus, dx(k + 1)) for k, modulus in enumerate(young))
-    arguments = {"slave": UPPER, "master": LOWER, "discretisation": "mortar", **pair}
+    arguments = {"slave": UPPER, "master": LOWER, "partners": "mortar", **pair}
     if weight is not None:
         arguments["measure_weight"] = weight(domain)
     problem = ContactProblem(

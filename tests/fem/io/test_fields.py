@@ -17,7 +17,7 @@ import dolfinx
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair
+from fenics_tfeti import ContactPair, Nearest
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.io import Box, boxes, contact_fields, piecewise_constant, von_mises, write_fields
 
@@ -244,12 +244,12 @@ def test_fields_may_be_used_in_forms():
     ]
 
 
-@pytest.mark.parametrize("discretisation", ["node_to_node", "mortar"])
+@pytest.mark.parametrize("partners", [Nearest(), "mortar"], ids=["nodes", "mortar"])
 @pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
-def test_integral_of_the_pressure_is_the_contact_force(cell, discretisation):
+def test_integral_of_the_pressure_is_the_contact_force(cell, partners):
     """Of a pressure that is not uniform: the areas are those of the shape functions."""
     scene = two_beams(MPI.COMM_SELF, cell, 4)
-    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, discretisation=discretisation)
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, partners=partners)
     problem = scene.problem(contacts=[pair], options={"rtol": 1e-9})
     problem.solve()
     pressure = contact_fields(scene.V, problem.contact)[0]

@@ -11,7 +11,7 @@ from scenes import CLAMPED, LOADED, MASTER, ROLLER, SLAVE, YOUNG
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import Along, ContactPair, ContactProblem, Mapped, Nearest, Points
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.io import Box, boxes, tag_facets
 from mistakes.catalogue import beams, mistake
@@ -55,119 +55,120 @@ def non_matching(comm: MPI.Comm) -> scenes.Scene:
 @mistake("2 of 4 slave nodes", r"\(0\.333333, 1\) at distance 0\.0833", "toleran")
 def slave_nodes_without_partner(comm):
     scene = non_matching(comm)
-    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, discretisation="node_to_node")
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, partners=Nearest())
     scene.problem(contacts=[pair]).solve()
 
 
-def paired(comm: MPI.Comm, **arguments) -> None:
+def paired(comm: MPI.Comm, partners=None, normal=None) -> None:
     scene = beams(comm)
-    pair = ContactPair(scene.facet_tags, slave=SLAVE, master=MASTER, name="joint", **arguments)
+    tags = scene.facet_tags
+    pair = ContactPair(tags, SLAVE, MASTER, name="joint", partners=partners, normal=normal)
     scene.problem(contacts=[pair]).solve()
 
 
-@mistake("joint", "direction and mapping", "one way")
-def two_ways_to_find_partners(comm):
-    paired(comm, direction=(0.0, 1.0), mapping=lambda x: x)
+@mistake("joint: partners is 'nts'", r"Nearest\(\)", "'mortar' or None")
+def unknown_partners(comm):
+    paired(comm, "nts")
 
 
-@mistake("joint", "tolerance", "-0.1", "positive")
+@mistake("Nearest: the tolerance", "-0.1", "positive")
 def tolerance_that_is_negative(comm):
-    paired(comm, tolerance=-0.1)
+    paired(comm, Nearest(tolerance=-0.1))
 
 
 @mistake("joint", "direction", r"\(3,\)", r"\(2,\)")
 def direction_of_a_wrong_shape(comm):
-    paired(comm, direction=(0.0, 0.0, 1.0))
+    paired(comm, Along((0.0, 0.0, 1.0)))
 
 
-@mistake("joint", "direction", "no direction")
+@mistake("Along: the direction", "no direction")
 def direction_of_no_length(comm):
-    paired(comm, direction=(0.0, 0.0))
+    paired(comm, Along((0.0, 0.0)))
 
 
 @mistake("joint", "direction", "vanishes", "1 points", r"\(1\.5, 1\)")
 def direction_that_vanishes_somewhere(comm):
-    paired(comm, direction=lambda x: x[:2] - np.array([[1.5], [1.0]]))
+    paired(comm, Along(lambda x: x[:2] - np.array([[1.5], [1.0]])))
 
 
 @mistake("joint", r"5 of 5 slave nodes have no partner", r"\(1, 1\.1\) at dist", "across the dir")
 def direction_that_misses(comm):
     scene = scenes.two_beams(comm, "quadrilateral", 4, gap=0.1)
-    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", direction=(1.0, -1.0))
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", partners=Along((1.0, -1.0)))
     scene.problem(contacts=[pair]).solve()
 
 
-@mistake("joint", "mapping", "function")
+@mistake("Mapped: the mapping", "function")
 def mapping_that_is_no_function(comm):
-    paired(comm, mapping=(0.0, 1.0))
+    paired(comm, Mapped((0.0, 1.0)))
 
 
 @mistake("joint", "mapping", "shape", r"expected \(2, \d\)")
 def mapping_of_a_wrong_shape(comm):
-    paired(comm, mapping=lambda x: x[0])
+    paired(comm, Mapped(lambda x: x[0]))
 
 
 @mistake("joint", "mapping", "NaN", "1 points", r"\(1\.25, 1\)")
 def mapping_that_is_nan_somewhere(comm):
-    paired(comm, mapping=lambda x: np.where(np.isclose(x[0], 1.25), np.nan, x))
+    paired(comm, Mapped(lambda x: np.where(np.isclose(x[0], 1.25), np.nan, x)))
 
 
 @mistake("joint", "mapping", "KeyError", "chi")
 def mapping_that_fails(comm):
-    paired(comm, mapping=lambda x: {}["chi"])
+    paired(comm, Mapped(lambda x: {}["chi"]))
 
 
 @mistake("joint", r"4 of 5 slave nodes", r"\(1, 1\) at distance 0.125", "mapped", "0.5", "toleran")
 def mapping_that_misses_the_nodes(comm):
-    paired(comm, mapping=lambda x: x + np.array([[0.125], [0.0], [0.0]]) * (3 - 2 * x[0]))
+    paired(comm, Mapped(lambda x: x + np.array([[0.125], [0.0], [0.0]]) * (3 - 2 * x[0])))
 
 
 @mistake("joint", "cross", "4 edges", r"\(1, 1\) and \(1\.25, 1\)", r"\(2, 1\) and \(1\.75, 1\)")
 def mapping_that_turns_the_surface_round(comm):
-    paired(comm, mapping=lambda x: np.array([3.0 - x[0], x[1], x[2]]))
+    paired(comm, Mapped(lambda x: np.array([3.0 - x[0], x[1], x[2]])))
 
 
 @mistake("joint", "cross", r"1 edges", r"\(1\.25, 1\) and \(1\.5, 1\)", "opposite order")
 def pairs_that_cross(comm):
-    paired(comm, pairs=(PLACES, PLACES[[0, 2, 1, 3, 4]]))
+    paired(comm, Points(PLACES, PLACES[[0, 2, 1, 3, 4]]))
 
 
 @mistake("joint", "1 slave nodes", "several pairs", r"\(1\.25, 1\)", "once")
 def slave_node_in_two_pairs(comm):
-    paired(comm, pairs=(PLACES[[0, 1, 1, 2, 3, 4]], PLACES[[0, 1, 2, 2, 3, 4]]))
+    paired(comm, Points(PLACES[[0, 1, 1, 2, 3, 4]], PLACES[[0, 1, 2, 2, 3, 4]]))
 
 
 @mistake(
     "joint", "1 master nodes", "several slave nodes", r"\(1\.5, 1\) of those at \(1\.25, 1\) and"
 )
 def master_node_in_two_pairs(comm):
-    paired(comm, pairs=(PLACES, PLACES[[0, 2, 2, 3, 4]]))
+    paired(comm, Points(PLACES, PLACES[[0, 2, 2, 3, 4]]))
 
 
 @mistake("joint", "1 of 5 slave nodes", r"\(1\.5, 1\)", "partial=True")
 def slave_node_in_no_pair(comm):
-    paired(comm, pairs=(PLACES[[0, 1, 3, 4]], PLACES[[0, 1, 3, 4]]))
+    paired(comm, Points(PLACES[[0, 1, 3, 4]], PLACES[[0, 1, 3, 4]]))
 
 
 @mistake("joint", "slave points", "1 pairs", r"\(1\.35, 1\) at distance 0.1 ", "0.025", "toleran")
 def slave_points_of_pairs_that_are_no_nodes(comm):
     moved = PLACES + np.outer([0, 1, 0, 0, 0], [0.1, 0, 0])
-    paired(comm, pairs=(moved, PLACES))
+    paired(comm, Points(moved, PLACES))
 
 
 @mistake("joint", "master points", "5 pairs", r"\(1, 1\.5\) at distance 0.5 ", "toleran")
 def master_points_of_pairs_that_are_no_nodes(comm):
-    paired(comm, pairs=(PLACES, PLACES + [0.0, 0.5, 0.0]))
+    paired(comm, Points(PLACES, PLACES + [0.0, 0.5, 0.0]))
 
 
-@mistake("joint", "pairs", "5 slave points", "4 master points")
+@mistake("Points", "5 slave points", "4 master points")
 def pairs_of_different_lengths(comm):
-    paired(comm, pairs=(PLACES, PLACES[1:]))
+    paired(comm, Points(PLACES, PLACES[1:]))
 
 
-@mistake("joint", "slave points of pairs", "NaN", "row 2")
+@mistake("Points: the slave points", "NaN", "row 2")
 def pairs_with_nan(comm):
-    paired(comm, pairs=(np.where(PLACES == 1.5, np.nan, PLACES), PLACES))
+    paired(comm, Points(np.where(PLACES == 1.5, np.nan, PLACES), PLACES))
 
 
 @mistake("joint", "normal", "slave", "into the body", "5 nodes", r"\(1, 1\)")
@@ -200,7 +201,8 @@ def normal_that_is_nan_somewhere(comm):
 @mistake("contact 0", "4 of 4 slave nodes", "toleran")
 def partial_contact_without_any_pair(comm):
     scene = non_matching(comm)
-    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, mapping=lambda x: x + 5.0, partial=True)
+    far = Mapped(lambda x: x + 5.0)
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, partners=far, partial=True)
     scene.problem(contacts=[pair]).solve()
 
 
@@ -210,8 +212,8 @@ def partial_contact_without_any_pair(comm):
 def partial_contact_that_is_not_one_to_one(comm):
     """The master has 3 elements on the slave's 4."""
     scene = non_matching(comm)
-    nodes = {"discretisation": "node_to_node", "tolerance": 1.0, "partial": True}
-    pair = ContactPair(scene.facet_tags, MASTER, SLAVE, **nodes)
+    near = Nearest(tolerance=1.0)
+    pair = ContactPair(scene.facet_tags, MASTER, SLAVE, partners=near, partial=True)
     scene.problem(contacts=[pair]).solve()
 
 
@@ -244,27 +246,12 @@ def mortar(comm: MPI.Comm, **arguments) -> None:
     scene.problem(contacts=[pair]).solve()
 
 
-@mistake("joint", "discretisation is 'nts'", "'mortar'")
-def unknown_discretisation(comm):
-    mortar(comm, discretisation="nts")
-
-
-@mistake("joint", "direction", "mortar conditions are between surfaces", "node_to_node")
-def mortar_conditions_along_a_direction(comm):
-    mortar(comm, discretisation="mortar", direction=(0.0, 1.0))
-
-
-@mistake("joint", "pairs", "mortar conditions are between surfaces")
-def mortar_conditions_of_pairs(comm):
-    mortar(comm, discretisation="mortar", pairs=(PLACES, PLACES))
-
-
 @mistake("joint", "asks for conditions between pairs of nodes", "of degree 2. Leave it out")
 def pairs_of_nodes_for_displacements_of_degree_2(comm):
     scene = non_matching(comm)
     V = scenes.vector_space(scene.mesh, 2)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", discretisation="node_to_node")
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", partners=Nearest())
     ContactProblem(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, 0, contacts=pair).solve()
 
 

@@ -14,18 +14,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.fem.contact.description import Along, Mapped, Nearest, NodePartners, Points
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MasterNodes, Surface
 from fenics_tfeti.fem.messages import coordinate_order
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-from fenics_tfeti.fem.user_data import as_points, unit_vectors, vectors_at
+from fenics_tfeti.fem.user_data import unit_vectors, vectors_at
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Numbers, Vector
 
-_REMEDY = (
-    "mesh the two surfaces alike, tag only where they face each other, or raise the pair's "
-    "tolerance"
-)
+_REMEDY = "mesh the two surfaces alike, tag only where they face each other, or raise the tolerance"
 
 
 @dataclass(frozen=True)
@@ -36,6 +34,21 @@ class Partners:
     distance: Vector  # (k,): limited by the tolerance [m]; infinite where there is no partner
     measure: str  # how the distance is measured, for messages
     remedy: str  # what to do if it is too large
+
+
+def find_partners(
+    comm: MPI.Intracomm, partners: NodePartners, slave: Surface, master: MasterNodes, name: str
+) -> Partners:
+    """Find the partner of each slave node in the way that the user chose. Collective."""
+    match partners:
+        case Nearest():
+            return nearest(slave, master)
+        case Along(direction, tolerance):
+            return along_direction(comm, slave, master, direction, tolerance, name)
+        case Mapped(mapping):
+            return by_mapping(comm, slave, master, mapping, name)
+        case Points():
+            return by_coordinates(comm, slave, master, partners, name)
 
 
 def nearest(slave: Surface, master: MasterNodes) -> Partners:
@@ -117,14 +130,13 @@ def by_coordinates(
     comm: MPI.Intracomm,
     slave: Surface,
     master: MasterNodes,
-    pairs: tuple[ArrayLike, ArrayLike],
-    tolerance: float,
+    pairs: Points,
     name: str,
 ) -> Partners:
     """Pair the nodes at the user's points, which are the same on all ranks. Collective."""
     gdim = slave.normal.shape[1]
     with raise_collectively(comm):
-        slave_points, master_points = _as_pairs(pairs, gdim, name)
+        slave_points, master_points = _point_arrays(pairs, gdim, name)
     _check_same_on_all_ranks(comm, slave_points, master_points, name)
 
     slave_distance, rows = _nearest_points(slave.points, slave_points)
@@ -136,14 +148,14 @@ def by_coordinates(
         ("slave", slave_distance, slave_points[local], slave.size[rows]),
         ("master", master_distance, master_points[local], master.size[partner]),
     ):
-        _check_points_are_nodes(comm, distance, tolerance * size, points, f"{name}: {side}")
+        _check_points_are_nodes(comm, distance, pairs.tolerance * size, points, f"{name}: {side}")
     _check_named_once(comm, slave, rows, name)
 
     partners = Partners(
         np.full(slave.nodes.size, -1, dtype=np.int64),
         np.full(slave.nodes.size, np.inf),
         "from the given points to the nodes",
-        "Name them in pairs",
+        "Name them among the points",
     )
     partners.master[rows], partners.distance[rows] = (
         partner,
@@ -243,19 +255,12 @@ def _first_points(points: Vector, chosen: NDArray[np.bool_], number: int = 3) ->
     return first
 
 
-def _as_pairs(pairs: Any, gdim: int, name: str) -> tuple[Vector, Vector]:
-    try:
-        slave, master = pairs
-    except (TypeError, ValueError):
-        raise InputError(f"{name}: pairs have to be (slave points, master points)") from None
-    slave = as_points(slave, gdim, f"{name}: the slave points of pairs")
-    master = as_points(master, gdim, f"{name}: the master points of pairs")
-    if len(slave) != len(master):
-        raise InputError(
-            f"{name}: pairs have {len(slave)} slave points and {len(master)} master points; give "
-            "one master point for each slave point"
-        )
-    return slave, master
+def _point_arrays(pairs: Points, gdim: int, name: str) -> tuple[Vector, Vector]:
+    """Return the points of slave and master (k, gdim)."""
+    slave, master = (np.asarray(points, dtype=float) for points in (pairs.slave, pairs.master))
+    if min(slave.shape[1], master.shape[1]) < gdim:
+        raise InputError(f"{name}: points have two coordinates, those of the mesh have {gdim}")
+    return slave[:, :gdim], master[:, :gdim]
 
 
 def _check_same_on_all_ranks(
@@ -265,7 +270,7 @@ def _check_same_on_all_ranks(
     first = comm.bcast(local)
     same = all(np.array_equal(a, b) for a, b in zip(local, first, strict=True))
     if not comm.allreduce(same, MPI.LAND):
-        raise InputError(f"{name}: pairs differ between ranks; give all of them to every rank")
+        raise InputError(f"{name}: points differ between ranks; give all of them to every rank")
 
 
 def _nearest_rank(comm: MPI.Intracomm, distance: Vector) -> Numbers:
@@ -293,7 +298,7 @@ def _check_points_are_nodes(
     )
     raise InputError(
         f"{label} points of {len(points)} pairs are not nodes of its surface: {places}. Distances "
-        "are to the nearest node. Take the coordinates from the mesh, or raise the pair's tolerance"
+        "are to the nearest node. Take the coordinates from the mesh, or raise the tolerance"
     )
 
 

@@ -7,7 +7,7 @@ import pytest
 from scenes import MASTER, SLAVE
 from strips import bend, matched, strips
 
-from fenics_tfeti import ContactPair
+from fenics_tfeti import Along, ContactPair
 
 
 def chosen(V, tags, **arguments):
@@ -18,7 +18,7 @@ def chosen(V, tags, **arguments):
 def test_equal_grids_match_at_any_distance(gap):
     V, tags = strips(gap=gap)
     assert chosen(V, tags) == "node_to_node"
-    assert chosen(V, tags, discretisation="mortar") == "mortar"
+    assert chosen(V, tags, partners="mortar") == "mortar"
 
 
 @pytest.mark.parametrize("upper", [3, 5, 8, 2])
@@ -45,4 +45,4 @@ def test_curved_face_above_a_plane(rise, expected):
 
 def test_ways_to_find_partners_ask_for_nodes():
     V, tags = strips((4, 2), (2, 2))
-    assert chosen(V, tags, direction=(0.0, 1.0)) == "node_to_node"
+    assert chosen(V, tags, partners=Along((0.0, 1.0))) == "node_to_node"

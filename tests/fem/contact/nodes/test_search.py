@@ -16,40 +16,41 @@ from strips import bend, matched, partners, ring, strips
 
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair
+from fenics_tfeti import Along, ContactPair, Mapped, Nearest, Points
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.io import Box, boxes, read_msh, tag_facets
 
-# where "auto" would take mortar conditions
-NODES = {"discretisation": "node_to_node"}
 CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
 
 
-def ways(V, tags, gap):
-    """Return the arguments of all ways to say that partners are `gap` below."""
-    up = V.mesh.geometry.dim - 1
-    down = np.eye(3)[up] * gap
-    slave = matched(V, ContactPair(tags, SLAVE, MASTER)).coordinates
-    gdim = V.mesh.geometry.dim
+def way_to_find(way, slave, down, tolerance=0.1):
+    """Return partners in one of all ways; they are `down` from the slave's coordinates."""
+    gdim = int(np.flatnonzero(down)[0]) + 1
+    direction = down[:gdim] / np.linalg.norm(down)
     return {
-        "nearest": {},
-        "direction": {"direction": down[:gdim] / gap},
-        "direction at points": {
-            "direction": lambda x: -3.0 * np.tile(down[:gdim, None], x.shape[1])
-        },
-        "mapping": {"mapping": lambda x: x - down[:, None]},
-        "pairs": {"pairs": (slave, slave - down)},
-    }
+        "nearest": Nearest(tolerance),
+        "direction": Along(direction, tolerance),
+        "direction at points": Along(
+            lambda x: -3.0 * np.tile(direction[:, None], x.shape[1]), tolerance
+        ),
+        "mapping": Mapped(lambda x: x + down[:, None], tolerance),
+        "points": Points(slave, slave + down, tolerance),
+    }[way]
+
+
+every_way = pytest.mark.parametrize(
+    "way", ["nearest", "direction", "direction at points", "mapping", "points"]
+)
 
 
 @pytest.mark.parametrize("cell", CELLS)
-@pytest.mark.parametrize("way", ["nearest", "direction", "direction at points", "mapping", "pairs"])
+@every_way
 def test_all_ways_find_the_node_below(cell, way):
     scene = scenes.two_beams(MPI.COMM_SELF, cell, 3, gap=0.1)
-    arguments = ways(scene.V, scene.facet_tags, 0.1)[way]
-    x, partner, pairing = partners(
-        scene.V, ContactPair(scene.facet_tags, SLAVE, MASTER, **arguments)
-    )
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER)
+    down = -0.1 * np.eye(3)[scene.V.mesh.geometry.dim - 1]
+    how = way_to_find(way, matched(scene.V, pair).coordinates, down)
+    x, partner, pairing = partners(scene.V, replace(pair, partners=how))
     down = 0.1 * np.eye(x.shape[1])[-1]
     assert len(x) == 4 ** (x.shape[1] - 1)
     np.testing.assert_allclose(partner, x - down, atol=1e-13)
@@ -61,12 +62,12 @@ def test_direction_that_is_not_the_nearest():
     V, tags = strips(gap=0.25)
     bend(V, lambda x: x[:, 1] > 1.1, lambda x: x - [0.125, 0.0, 0.0])
     x, partner, pairing = partners(
-        V, ContactPair(tags, SLAVE, MASTER, direction=(-1.0, 2.0), tolerance=1e-6)
+        V, ContactPair(tags, SLAVE, MASTER, partners=Along((-1.0, 2.0), 1e-6))
     )
     np.testing.assert_allclose(partner - x, np.tile([0.125, -0.25], (5, 1)), atol=1e-14)
     np.testing.assert_allclose(pairing.gap, 0.25)
     with pytest.raises(InputError, match="5 of 5 slave nodes"):
-        matched(V, ContactPair(tags, SLAVE, MASTER, **NODES))
+        matched(V, ContactPair(tags, SLAVE, MASTER, partners=Nearest()))
 
 
 def radial(x):
@@ -75,7 +76,7 @@ def radial(x):
 
 @pytest.mark.parametrize(
     "arguments",
-    [{"direction": radial}, {"mapping": lambda x: x * 2.0}, {"normal": radial}],
+    [{"partners": Along(radial)}, {"partners": Mapped(lambda x: x * 2.0)}, {"normal": radial}],
     ids=["direction", "mapping", "normal"],
 )
 def test_concentric_rings_pair_along_the_radius(arguments):
@@ -93,7 +94,7 @@ def test_direction_finds_the_near_side_of_a_master_all_around():
     )
     V = scenes.vector_space(cell_tags.mesh)
     tags = tag_facets(cell_tags.mesh, marks, cell_tags.cell_tags)
-    _, partner, _ = partners(V, ContactPair(tags, SLAVE, MASTER, direction=(0.0, 1.0)))
+    _, partner, _ = partners(V, ContactPair(tags, SLAVE, MASTER, partners=Along((0.0, 1.0))))
     np.testing.assert_allclose(partner[:, 1], 1.0)
 
 
@@ -106,7 +107,7 @@ def test_direction_takes_the_nearer_of_two_sheets():
     V = scenes.vector_space(tagged.mesh)
     # the far sheet is exactly below, the near one misses a little
     bend(V, lambda x: (x[:, 1] > 0.9) & (x[:, 1] < 1.55), lambda x: x + [0.01, 0.0, 0.0])
-    _, partner, _ = partners(V, ContactPair(tags, SLAVE, MASTER, direction=(0.0, -1.0)))
+    _, partner, _ = partners(V, ContactPair(tags, SLAVE, MASTER, partners=Along((0.0, -1.0))))
     np.testing.assert_allclose(partner[:, 1], 1.5)
 
 
@@ -122,7 +123,7 @@ def test_mapping_between_surfaces_that_do_not_face_each_other():
     x, partner, _ = partners(
         V,
         ContactPair(
-            tags, SLAVE, MASTER, mapping=lambda x: np.array([1 + x[1], x[0] - 3, 0 * x[2]])
+            tags, SLAVE, MASTER, partners=Mapped(lambda x: np.array([1 + x[1], x[0] - 3, 0 * x[2]]))
         ),
     )
     np.testing.assert_allclose(partner, np.stack([1 + x[:, 1], x[:, 0] - 3], axis=1), atol=1e-14)
@@ -132,33 +133,26 @@ def test_pairs_may_be_rounded_and_in_any_order():
     V, tags = strips()
     x = np.array([[0.5, 1.1], [0.0, 1.1], [1.0, 1.1], [0.25, 1.1], [0.75, 1.1]])
     rounded = x + 1e-3 * np.array([1.0, -1.0])
-    pair = ContactPair(tags, SLAVE, MASTER, pairs=(rounded, x - [0.0, 0.1]))
+    pair = ContactPair(tags, SLAVE, MASTER, partners=Points(rounded, x - [0.0, 0.1]))
     x, partner, pairing = partners(V, pair)
     np.testing.assert_allclose(partner, x - [0.0, 0.1], atol=1e-14)
     assert pairing.summary["largest_distance"] == pytest.approx(np.sqrt(2) * 1e-3)
 
 
-@pytest.mark.parametrize("way", ["nearest", "direction", "direction at points", "mapping", "pairs"])
+@every_way
 def test_micrometres_give_the_pairs_of_metres(way):
     numbers = []
     for metre in (1.0, 1e-6):
         scene = scenes.two_beams(MPI.COMM_SELF, "triangle", 4, gap=0.1, metre=metre)
         slave = scene.V.mesh.geometry.x[:, 1] > 1.05 * metre
         bend(scene.V, lambda x, s=slave: s, lambda x, m=metre: x + [0.02 * m, 0, 0])
-        wide = ContactPair(scene.facet_tags, SLAVE, MASTER, tolerance=0.09, **NODES)
-        x = matched(scene.V, wide).coordinates
-        arguments = {
-            "nearest": NODES,
-            "direction": {"direction": (0.0, 1.0)},
-            "direction at points": {"direction": lambda x: np.tile([[0.0], [1.0]], x.shape[1])},
-            "mapping": {"mapping": lambda x, m=metre: x - [[0], [0.1 * m], [0]]},
-            "pairs": {"pairs": (x, x - [0, 0.1 * metre, 0])},
-        }[way]
-        near = ContactPair(scene.facet_tags, SLAVE, MASTER, tolerance=0.09, **arguments)
+        pair = ContactPair(scene.facet_tags, SLAVE, MASTER, partners=Nearest(0.09))
+        x, down = matched(scene.V, pair).coordinates, np.array([0.0, -0.1 * metre, 0.0])
+        near = replace(pair, partners=way_to_find(way, x, down, 0.09))
         pairing = matched(scene.V, near)
         numbers.append((pairing.slave.tolist(), pairing.master.tolist()))
         with pytest.raises(InputError, match="5 (of 5 slave nodes|pairs)"):
-            matched(scene.V, replace(near, tolerance=0.07))
+            matched(scene.V, replace(pair, partners=way_to_find(way, x, down, 0.07)))
     assert numbers[0] == numbers[1]
 
 
@@ -171,7 +165,7 @@ def test_tolerance_is_relative_to_the_local_facets():
         return np.stack([places + 0.008 * (x[:, 1] > 1.05), x[:, 1], x[:, 2]], axis=1)
 
     bend(V, lambda x: np.ones(len(x), dtype=bool), grade)
-    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, partial=True, **NODES))
+    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, partners=Nearest(), partial=True))
     assert sorted(np.round(pairing.coordinates[:, 0], 12)) == [0.158, 0.358, 1.008]
     assert pairing.summary["unmatched"] == 2
     assert pairing.summary["largest_relative_distance"] == pytest.approx(0.08)
@@ -193,13 +187,13 @@ def gmsh_beams(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [{}, {"direction": (0, 0, 1)}, {"mapping": lambda x: x}],
+    "way",
+    [None, Along((0, 0, 1)), Mapped(lambda x: x)],
     ids=["nearest", "direction", "mapping"],
 )
-def test_unstructured_faces_that_are_alike(gmsh_beams, arguments):
+def test_unstructured_faces_that_are_alike(gmsh_beams, way):
     V, tags, names = gmsh_beams
-    pair = ContactPair(tags, names["contact_upper"], names["contact_lower"], **arguments)
+    pair = ContactPair(tags, names["contact_upper"], names["contact_lower"], partners=way)
     x, partner, pairing = partners(V, pair)
     np.testing.assert_allclose(partner, x, atol=1e-13)
     assert pairing.summary["unmatched"] == 0
@@ -210,8 +204,8 @@ def test_surfaces_that_nobody_meshed_alike():
     """17 slave nodes on 12 master nodes: a partial contact takes those near enough, no others."""
     V, tags = strips((11, 3), (16, 3), gap=0.05)
     with pytest.raises(InputError, match=r"15 of 17 slave nodes have no partner"):
-        matched(V, ContactPair(tags, SLAVE, MASTER, tolerance=1e-3, **NODES))
-    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, tolerance=0.5, partial=True, **NODES))
+        matched(V, ContactPair(tags, SLAVE, MASTER, partners=Nearest(1e-3)))
+    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, partners=Nearest(0.5), partial=True))
     i, j = np.arange(17), np.arange(12)
     misses = np.abs(i[:, None] / 16 - j / 11).min(axis=1) * 16
     assert pairing.summary["pairs"] == np.sum(misses <= 0.5) == 12
@@ -222,7 +216,7 @@ def test_surfaces_that_nobody_meshed_alike():
 
 
 @pytest.mark.parametrize(
-    "way", [NODES, {"direction": (0.0, 0.0, 1.0)}], ids=["nearest", "direction"]
+    "way", [Nearest(0.5), Along((0.0, 0.0, 1.0), 0.5)], ids=["nearest", "direction"]
 )
 def test_unstructured_faces_that_nobody_meshed_alike(tmp_path, way):
     """All slave nodes over the finer master find a node of it, those over its rim stay free."""
@@ -245,7 +239,7 @@ def test_unstructured_faces_that_nobody_meshed_alike(tmp_path, way):
         gmsh.finalize()
     blocks = read_msh(tmp_path / "blocks.msh", MPI.COMM_SELF)
     V = scenes.vector_space(blocks.mesh)
-    pair = ContactPair(blocks.facet_tags, SLAVE, MASTER, tolerance=0.5, partial=True, **way)
+    pair = ContactPair(blocks.facet_tags, SLAVE, MASTER, partners=way, partial=True)
     x, partner, pairing = partners(V, pair)
     points = V.tabulate_dof_coordinates()
     slave, master = (

@@ -12,7 +12,7 @@ from curved_rings import quarter_rings
 from scenes import MASTER, SLAVE
 from strips import bend, matched, strips
 
-from fenics_tfeti import ContactPair
+from fenics_tfeti import ContactPair, Nearest
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
 from fenics_tfeti.fem.contact.surfaces.initial_gap import (
@@ -22,7 +22,7 @@ from fenics_tfeti.fem.contact.surfaces.initial_gap import (
 )
 from fenics_tfeti.io import displacement_space
 
-WAYS = ("node_to_node", "mortar")
+WAYS = (Nearest(), "mortar")
 
 
 def arcs(lower, upper, gap=0.0, radius=2.0):
@@ -71,13 +71,13 @@ def test_gaps_beyond_the_chords_stay():
 @pytest.mark.parametrize("way", WAYS)
 def test_prescribed_gaps(way):
     V, tags = strips(gap=0.1)
-    number = matched(V, ContactPair(tags, SLAVE, MASTER, initial_gap=-0.02, discretisation=way))
+    number = matched(V, ContactPair(tags, SLAVE, MASTER, initial_gap=-0.02, partners=way))
     np.testing.assert_array_equal(number.gap, -0.02)
 
     def grows(x):
         return 0.01 + x[0]
 
-    pair = ContactPair(tags, SLAVE, MASTER, initial_gap=grows, discretisation=way)
+    pair = ContactPair(tags, SLAVE, MASTER, initial_gap=grows, partners=way)
     field = matched(V, pair)
     np.testing.assert_allclose(field.gap, 0.01 + field.coordinates[:, 0])
     assert field.summary["smallest_gap"] == pytest.approx(0.01)
@@ -85,7 +85,7 @@ def test_prescribed_gaps(way):
 
 def test_touching_nodes_of_matching_meshes():
     V, tags = arcs(8, 8, gap=1e-4)
-    pair = ContactPair(tags, SLAVE, MASTER, initial_gap="touching", discretisation="node_to_node")
+    pair = ContactPair(tags, SLAVE, MASTER, initial_gap="touching", partners=Nearest())
     assert (matched(V, pair).gap == 0.0).all()
 
 

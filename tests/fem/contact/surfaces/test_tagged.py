@@ -13,7 +13,7 @@ from strips import bend, matched, partners, ring, strips
 
 from dolfinx.mesh import meshtags
 
-from fenics_tfeti import ContactPair, InputError
+from fenics_tfeti import ContactPair, InputError, Mapped
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MeshBoundary,
     area_of_facets,
@@ -44,7 +44,7 @@ def test_analytic_normals_of_a_polygon():
 def test_averaged_normals_of_a_polygon():
     """Inside they are the radius, at the two ends the normal of the last facet."""
     V, tags = ring(n=8)
-    _, _, pairing = partners(V, ContactPair(tags, SLAVE, MASTER, mapping=lambda x: 2 * x))
+    _, _, pairing = partners(V, ContactPair(tags, SLAVE, MASTER, partners=Mapped(lambda x: 2 * x)))
     x, n = pairing.coordinates.T, pairing.normal.T
     sine = np.abs(n[0] * x[1] - n[1] * x[0])
     np.testing.assert_allclose(np.sort(sine)[-2:], np.sin(np.pi / 32), rtol=1e-12)
