@@ -11,12 +11,12 @@ and all integrals have the factor 2 pi r. Forces are then those of the whole bal
 r they are forces per radian.)
 
 Nodal forces become pressures by the integrals of the shape functions over the surface, so that the
-contact has to know the factor as well: it is the contact's `measure_weight`.
+problem has to know the factor as well: it is its `measure_weight`.
 
 This demo illustrates how to
 
 - write an axisymmetric problem;
-- give the weight of the surface measure to a contact.
+- give the weight of the surface measure.
 
 Run it by `python demos/axisymmetric_ball.py`, or on several processes by
 `mpirun -n 2 python demos/axisymmetric_ball.py`; it writes a picture into `results/`. The mesh, the
@@ -82,13 +82,9 @@ L_form = traction * v[1] * weight * ds(tags["flat"])
 axis = fem.locate_dofs_topological(V.sub(0), 1, facet_tags.find(tags["symmetry_x"]))
 bcs = [fem.dirichletbc(0.0, axis, V.sub(0))]
 
-contact = RigidObstacle(
-    facet_tags,
-    slave=tags["contact"],
-    obstacle=Plane(point=(0, 0), normal=(0, 1)),
-    measure_weight=weight,
-)
-problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=[contact])
+ground = Plane(point=(0, 0), normal=(0, 1))
+contact = RigidObstacle(facet_tags, slave=tags["contact"], obstacle=ground)
+problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=[contact], measure_weight=weight)
 problem.solve()
 
 # ## Comparison with Hertz

@@ -111,9 +111,8 @@ contact = ContactPair(
     slave=tags["socket surface"],
     master=tags["ball surface"],
     initial_gap=gap,
-    measure_weight=weight,
 )
-problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=[contact])
+problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=[contact], measure_weight=weight)
 
 # ## Load steps
 #

@@ -110,7 +110,7 @@ class ContactProblem:
         for each dimension, with integrals over cells (``dx``) and the boundary (``ds``). Cells may
         be curved, of degree 2, with displacements of degree 2. SI units are meant in what follows;
         any consistent ones will do. ``L = 0`` is no load. Where the forms multiply ``ds`` by a
-        weight, as axisymmetric ones do, the contacts need it as well.
+        weight, as axisymmetric ones do, it is `measure_weight`.
     bcs : sequence of dolfinx.fem.DirichletBC, one of them, or None
         Prescribed displacements, on the space or its components, of any value.
     contacts : sequence of ContactPair or RigidObstacle, one of them, or None
@@ -135,6 +135,11 @@ class ContactProblem:
     u : Function, optional
         The function on the displacement's space that each solve fills and returns, as for a file
         that a time loop writes to. By default each solve returns a new one.
+    measure_weight : UFL expression or number, optional
+        Factor of ``ds`` in the forms, by which nodal forces become pressures: ``2 * pi * r`` or
+        ``r``, with ``r = SpatialCoordinate(mesh)[0]``, in axisymmetric forms, the thickness in
+        forms of a thin sheet. By default 1. Mortar conditions integrate with it, linearly
+        interpolated between the nodes of a facet. Its values may change between solves.
 
     Attributes
     ----------
@@ -172,6 +177,7 @@ class ContactProblem:
         options_prefix: str = "tfeti_",
         tied: Sequence[TiedPair] | TiedPair | None = (),
         u: Function | None = None,
+        measure_weight: Any = None,
     ) -> None:
         check_real_numbers()
         self.options = contact_options(options, options_prefix)
@@ -181,6 +187,7 @@ class ContactProblem:
         self.bcs, self.contacts = as_conditions(bcs), as_contacts(contacts)
         self.tied = as_tied_pairs(tied)
         self.u = check_function(u, self.space)
+        self._measure_weight = measure_weight
         self._tied: list[tuple[TiedPair, TiedPairing]] = []
         # the user's pairs whose roles were exchanged, by identity, with the exchanged ones
         self._exchanged: dict[int, tuple[Contact, Contact]] = {}
@@ -205,7 +212,7 @@ class ContactProblem:
             self._bodies = find_bodies(self.space.mesh, cell_tags)
             check_mesh(self.space.mesh, self._bodies, self.contacts)
         with self._timer.phase("contact search"):
-            self._boundary = MeshBoundary.of(self.space)
+            self._boundary = MeshBoundary.of(self.space, self._measure_weight)
         self._find_conditions(prescribed)
         with self._timer.phase("compilation"):
             self._forms = prepare_forms(self.space, a, L)
@@ -571,7 +578,7 @@ class ContactProblem:
         self._stale = True
         check_mesh(domain, self._bodies, self.contacts)
         with self._timer.phase("contact search"):
-            self._boundary = MeshBoundary.of(self.space)
+            self._boundary = MeshBoundary.of(self.space, self._measure_weight)
         self._oriented, self._conditions, self._deformed_conditions, self._tied = [], [], [], []
         self.reset_slip()
         with self._timer.phase("partition"):

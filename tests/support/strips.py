@@ -13,9 +13,9 @@ from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import Box, boxes, tag_facets
 
 
-def matched(space, contact):
+def matched(space, contact, measure_weight=None):
     """Return the pairing of one contact."""
-    return match_contact(MeshBoundary.of(space), contact, 0)
+    return match_contact(MeshBoundary.of(space, measure_weight), contact, 0)
 
 
 def strips(lower=(4, 2), upper=(4, 2), gap=0.1, comm=MPI.COMM_SELF):

@@ -50,9 +50,11 @@ def pressed_cylinder(cell, weight):
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     factor = weight(mesh)
     bcs = [scenes.fixed(V, tags, SIDE_X, 0), scenes.fixed(V, tags, LOADED, 1, -1e-3)]
-    ground = RigidObstacle(tags, GROUND, Plane((0, 0), (0, 1)), measure_weight=factor)
+    ground = RigidObstacle(tags, GROUND, Plane((0, 0), (0, 1)))
     options = {"rtol": 1e-10}
-    problem = ContactProblem(elasticity(u, v, YOUNG, factor), 0, bcs, ground, options=options)
+    problem = ContactProblem(
+        elasticity(u, v, YOUNG, factor), 0, bcs, ground, options=options, measure_weight=factor
+    )
     problem.solve()
     return problem
 
@@ -110,9 +112,11 @@ def tubes(cell, n, weight=whole, outer_is_slave=False):
     young.interpolate(lambda x: YOUNG * np.where(x[0] < B, 1.0, STIFFER))
     factor, inside = weight(mesh), fem.Constant(mesh, INSIDE)
     L = inside * v[0] * factor * ufl.Measure("ds", domain=mesh, subdomain_data=tags)(LOADED)
-    pair = ContactPair(tags, SLAVE, MASTER, measure_weight=factor)
+    pair = ContactPair(tags, SLAVE, MASTER)
     bcs = [scenes.fixed(V, tags, SIDE_Y, 1)]
-    problem = ContactProblem(elasticity(u, v, young, factor), L, bcs, pair, tagged.cell_tags)
+    problem = ContactProblem(
+        elasticity(u, v, young, factor), L, bcs, pair, tagged.cell_tags, measure_weight=factor
+    )
     problem.solve()
     return problem
 

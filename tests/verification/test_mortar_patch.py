@@ -107,7 +107,8 @@ def test_axisymmetric(slave):
         ufl.inner(sigma, strain(v)) * r * ufl.dx,
         -pressure * v[1] * r * ds(LOADED),
         bcs=[fixed(V, tags, SUPPORTED[axis], axis) for axis in range(2)],
-        contacts=[ContactPair(tags, slave, LOWER + UPPER - slave, measure_weight=r)],
+        contacts=[ContactPair(tags, slave, LOWER + UPPER - slave)],
+        measure_weight=r,
         options={"rtol": 1e-12, "subdomain_size": 150},
     )
     uh = problem.solve().x.array.reshape(-1, 2)

@@ -177,8 +177,8 @@ def test_first_steps_of_a_rigid_ball(method):
     depth = fem.Constant(domain, 0.0)
     top = fem.locate_dofs_topological(V.sub(1), 1, tags.find(TOP))
     bcs = [fem.dirichletbc(depth, top, V.sub(1)), scenes.fixed(V, tags, SIDE, 0)]
-    ball = RigidObstacle(tags, BOTTOM, Sphere((0.0, -BALL), BALL), measure_weight=weight)
-    problem = ContactProblem(a, 0, bcs, ball, options={"method": method})
+    ball = RigidObstacle(tags, BOTTOM, Sphere((0.0, -BALL), BALL))
+    problem = ContactProblem(a, 0, bcs, ball, options={"method": method}, measure_weight=weight)
     for d in DEPTHS:
         depth.value = -d
         problem.solve()

@@ -10,7 +10,6 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Numbers, Vector
@@ -52,7 +51,7 @@ class ContactPairing:
     The gap is (chi(x) - x)'n (11.7), of a mortar condition the mean with its dual function. The
     area belongs to the node: in a partial contact that of the facets whose nodes all have partners,
     where the node has such facets; of a mortar condition the integral of its dual function over the
-    covered part. It is multiplied by the contact's `measure_weight`.
+    covered part. It has the weight of the measure.
     """
 
     name: str
@@ -65,8 +64,6 @@ class ContactPairing:
     summary: dict[str, Any]  # the contact's entry of `Report.pairing`
     surface: Surface  # all of the slave's surface
     covered: NDArray[np.bool_]  # (f,): whether the surface's facets have partners at all nodes
-    # the form of the areas with the weight; None without one
-    weighted_form: _compat.CompiledForm | None
     terms: MortarTerms | None = None  # None for pairs of nodes, and for degree 1 at obstacles
     coverage: Vector | None = None  # (k,), see `ContactResult`; 1 by default
     # (s, gdim): components prescribed at the surface's nodes, for mortar conditions
@@ -135,7 +132,7 @@ class ContactResult:
         [N]; [N/m] in plane problems; in axisymmetric ones [N] if the forms have the factor
         2 pi r, [N/rad] if they have r.
     pressure : (k,) array
-        Normal force over the area that belongs to the node, which has the contact's
+        Normal force over the area that belongs to the node, which has the problem's
         `measure_weight` [Pa].
     active : (k,) bool array
         Whether the normal force is positive.

@@ -35,7 +35,7 @@ class Tresca:
     slip_bound : float, callable or dolfinx.fem.Function
         Largest tangential traction [Pa]: a number, a function of x (3, n) [m] that returns (n,), or
         values at the nodes: a scalar Function of degree 1 on the mesh. With the `measure_weight` of
-        the contact it becomes the largest nodal force.
+        the problem it becomes the largest nodal force.
 
     Examples
     --------
@@ -225,7 +225,6 @@ class ContactPair:
     partial: bool = False
     roles: Literal["auto", "given"] = "auto"
     partners: NodePartners | Literal["mortar"] | None = None
-    measure_weight: Any = None
 
     def __post_init__(self) -> None:
         """Check the data."""
@@ -283,7 +282,6 @@ class RigidObstacle:
     name: str = ""
     friction: FrictionLaw | None = None
     displacement: VectorField | None = None
-    measure_weight: Any = None
 
     def __post_init__(self) -> None:
         """Check the data."""
@@ -327,7 +325,6 @@ class TiedPair:
     master: int
     _: KW_ONLY
     name: str = ""
-    measure_weight: Any = None
 
     def __post_init__(self) -> None:
         """Check the data."""

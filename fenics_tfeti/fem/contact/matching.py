@@ -36,7 +36,7 @@ from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_sum
 from fenics_tfeti.fem.contact.surfaces.cylinders import without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, initial_gap
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
-from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas, weighted_form
+from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components, same_supports
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MeshBoundary,
@@ -92,29 +92,27 @@ def match_contact(
     if isinstance(contact, RigidObstacle):
         return match_obstacle(boundary, name, contact, earlier)
     supports = Prescribed() if prescribed is None else prescribed
-    if earlier is None or not _still_holds(boundary.space.mesh.comm, contact, earlier, supports):
+    if earlier is None or not _still_holds(boundary, earlier, supports):
         pairing = _match_pair(boundary, name, contact, supports)
         if contact.normal is not None:
             return pairing
         normal = without_axial_tilt(boundary, pairing.surface, pairing.slave, pairing.normal)
         return replace(pairing, normal=normal)
     gap = _updated_gap(boundary.space.mesh.comm, contact, earlier)
-    if earlier.weighted_form is None:
+    if boundary.weight is None:
         return earlier if gap is earlier.gap else replace(earlier, gap=gap)
     surface = earlier.surface
-    area = node_areas(boundary, surface, earlier.covered, earlier.weighted_form, name)
+    area = node_areas(boundary, surface, earlier.covered, name)
     return replace(earlier, gap=gap, area=area[np.searchsorted(surface.nodes, earlier.slave)])
 
 
-def _still_holds(
-    comm: MPI.Intracomm, contact: ContactPair, earlier: ContactPairing, prescribed: Prescribed
-) -> bool:
+def _still_holds(boundary: MeshBoundary, earlier: ContactPairing, prescribed: Prescribed) -> bool:
     """Tell whether the conditions of a pair found earlier hold with these supports. Collective."""
     if earlier.prescribed is None:
         return True
-    if contact.measure_weight is not None:
+    if boundary.weight is not None:
         return False
-    return same_supports(comm, earlier.surface, prescribed, earlier.prescribed)
+    return same_supports(boundary.space.mesh.comm, earlier.surface, prescribed, earlier.prescribed)
 
 
 def _updated_gap(comm: MPI.Intracomm, contact: ContactPair, earlier: ContactPairing) -> Vector:
@@ -212,8 +210,7 @@ def _match_nodes(
     check_facing(comm, slave, paired, angle, name)
     partner = master.points[partner_rows]
     covered = _covered_facets(boundary, slave, paired, partner, name)
-    form = weighted_form(boundary, contact.measure_weight, name)
-    area = node_areas(boundary, slave, covered, form, name)
+    area = node_areas(boundary, slave, covered, name)
     normal = slave.normal[paired]
     gap = slave.without_rounding(np.sum((partner - slave.points[paired]) * normal, axis=1))
     places = slave.coordinates[paired]
@@ -244,7 +241,6 @@ def _match_nodes(
         ),
         slave,
         covered,
-        form,
         coverage=(area_of_facets(boundary, slave, covered) / slave.area)[paired],
     )
 

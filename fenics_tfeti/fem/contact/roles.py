@@ -16,9 +16,6 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from ufl.algorithms import extract_coefficients
-from ufl.core.expr import Expr
-
 from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.description import ContactPair
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
@@ -59,12 +56,11 @@ def exchanged(contact: ContactPair) -> ContactPair:
 
 def one_sided_data(contact: ContactPair) -> str | None:
     """Return the argument of a pair, if any, whose values belong to the slave that was given."""
-    law, weight = contact.friction, contact.measure_weight
+    law = contact.friction
     one_sided = {
         "normal": contact.normal is not None,
         "initial_gap": callable(contact.initial_gap),
         "friction": law is not None and not np.isscalar(next(iter(vars(law).values()))),
-        "measure_weight": isinstance(weight, Expr) and bool(extract_coefficients(weight)),
     }
     return next((name for name, present in one_sided.items() if present), None)
 

@@ -52,7 +52,7 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
         normals = master.normals(name)
     _check_separate(comm, slave, master.nodes, name)
     gdim = slave.normal.shape[1]
-    facets = slave_facets(space, pair, slave, boundary.coordinates[:, :gdim], name)
+    facets = slave_facets(boundary, slave, boundary.coordinates[:, :gdim])
     fixed = prescribed_components(slave, prescribed)
     corner_fixed = values_on_facets(space, slave, fixed.astype(float)) > 0.5
     conditions = tied_conditions(comm, facets, slave.nodes, master, normals, corner_fixed)
@@ -93,7 +93,7 @@ def tie_pairs(
         pairing = earlier.get(id(pair))
         if (
             pairing is None
-            or pair.measure_weight is not None
+            or boundary.weight is not None
             or not same_supports(comm, pairing.surface, prescribed, pairing.prescribed)
         ):
             pairing = tie(boundary, pair, number, prescribed)

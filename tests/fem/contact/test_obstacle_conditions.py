@@ -21,9 +21,9 @@ GAP = 0.25
 
 def matched(cell, degree, obstacle, weight=None):
     scene = pressed_block(MPI.COMM_SELF, cell, 2)
-    contact = RigidObstacle(scene.facet_tags, GROUND, obstacle, measure_weight=weight)
+    contact = RigidObstacle(scene.facet_tags, GROUND, obstacle)
     space = vector_space(scene.mesh, degree)
-    return space, contact, match_obstacle(MeshBoundary.of(space), "ground", contact, None)
+    return space, contact, match_obstacle(MeshBoundary.of(space, weight), "ground", contact, None)
 
 
 def tilted(d):

@@ -215,11 +215,11 @@ def obstacle_that_is_no_function(comm):
 
 
 def weighted(comm, weight):
-    """Pose the beams, whose nodes have x >= 0, with a weight of the contact's surface measure."""
+    """Pose the beams, whose nodes have x >= 0, with a weight of the surface measure."""
     scene = beams(comm)
     given = weight(scene) if callable(weight) else weight
-    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", measure_weight=given)
-    scene.problem(contacts=[pair])
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint")
+    scene.problem(contacts=[pair], measure_weight=given)
 
 
 def radius(scene):
@@ -246,23 +246,23 @@ def weight_that_is_nan(comm):
     weighted(comm, lambda scene: fem.Constant(scene.mesh, np.nan))
 
 
-@mistake("joint", "measure_weight", r"shape \(2,\)", "scalar")
+@mistake("measure_weight", r"shape \(2,\)", "scalar")
 def weight_that_is_a_vector(comm):
     weighted(comm, lambda scene: ufl.SpatialCoordinate(scene.mesh))
 
 
-@mistake("joint", "measure_weight", "another mesh")
+@mistake("measure_weight", "another mesh")
 def weight_on_another_mesh(comm):
     other = beams(comm)
     weighted(comm, lambda scene: radius(scene) * radius(other))
 
 
-@mistake("joint", "measure_weight", "test or trial function")
+@mistake("measure_weight", "test or trial function")
 def weight_with_a_test_function(comm):
     weighted(comm, lambda scene: ufl.TestFunction(scene.V)[0])
 
 
-@mistake("joint", "measure_weight is a str", "expression of UFL")
+@mistake("measure_weight is a str", "expression of UFL")
 def weight_that_is_a_text(comm):
     weighted(comm, "2 pi r")
 
@@ -271,5 +271,5 @@ def weight_that_is_a_text(comm):
 def weight_of_an_obstacle_that_is_negative(comm):
     scene = beams(comm)
     ground = scenes.Plane((0.0, 0.0), (0.0, 1.0))
-    obstacle = RigidObstacle(scene.facet_tags, SLAVE, ground, measure_weight=-radius(scene))
-    scene.problem(contacts=[obstacle])
+    obstacle = RigidObstacle(scene.facet_tags, SLAVE, ground)
+    scene.problem(contacts=[obstacle], measure_weight=-radius(scene))

@@ -9,7 +9,6 @@ import numpy as np
 
 from dolfinx.fem import Function, FunctionSpace
 
-from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import ContactPairing, MortarTerms
 from fenics_tfeti.fem.contact.description import ContactPair
 from fenics_tfeti.fem.contact.mortar.checks import check_covered, check_folds
@@ -21,11 +20,10 @@ from fenics_tfeti.fem.contact.mortar.conditions import (
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
-from fenics_tfeti.fem.contact.surfaces.measure_weight import as_ufl_weight, check_weighted_areas
+from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
-from fenics_tfeti.fem.topology import vertex_nodes
 from fenics_tfeti.parallel import raise_collectively, values_of_owners
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -48,7 +46,7 @@ def match_by_mortar(
     comm, gdim = space.mesh.comm, slave.normal.shape[1]
     points = boundary.coordinates[:, :gdim]
     oriented = replace(slave, normal=_normals(space, contact, slave, prescribed))
-    facets = slave_facets(space, contact, oriented, points, name)
+    facets = slave_facets(boundary, oriented, points)
     check_folds(comm, facets, name)
     with raise_collectively(comm):
         normals = master.normals(name)
@@ -106,7 +104,7 @@ def match_deformed(
     deformed = replace(surface, normal=normal)
     deformed = replace(deformed, normal=_normals(space, contact, deformed, prescribed))
     points = boundary.coordinates[:, :gdim] + displacement.x.array.reshape(-1, gdim)
-    facets = slave_facets(space, contact, deformed, points, name)
+    facets = slave_facets(boundary, deformed, points)
     shared = np.intersect1d(slave.nodes, master.nodes)
     conditions = mortar_conditions(comm, facets, surface.nodes, master, master_normals, shared)
     check_covered(comm, conditions, surface, name)
@@ -137,22 +135,19 @@ def _pairing(
         summary,
         slave,
         conditions.covered,
-        None,
         conditions.terms,
         conditions.coverage,
         prescribed,
     )
 
 
-def slave_facets(
-    space: FunctionSpace, contact: Any, slave: Surface, points: Vector, name: str
-) -> SlaveFacets:
+def slave_facets(boundary: MeshBoundary, slave: Surface, points: Vector) -> SlaveFacets:
     """Return this rank's facets of a slave, with normals and weights. Collective.
 
     The points (nodes, gdim) are all local nodes of the space, undeformed or deformed [m].
     """
-    weight = _nodal_weight(space, contact.measure_weight, name)
-    return SlaveFacets.of(space, slave, points, slave.normal, weight)
+    weight = boundary.nodal_weight()
+    return SlaveFacets.of(boundary.space, slave, points, slave.normal, weight)
 
 
 def _normals(
@@ -203,19 +198,3 @@ def mean_over_terms(terms: MortarTerms, nodes: Numbers, values: Vector) -> Vecto
     np.add.at(sums, row, terms.weights[:, None] * values[rows])
     means: Vector = sums / terms.area[:, None]
     return means
-
-
-def _nodal_weight(space: FunctionSpace, measure_weight: Any, name: str) -> Vector | None:
-    """Return the weight of the measure at all local nodes at vertices; None without one."""
-    with raise_collectively(space.mesh.comm):
-        weight = as_ufl_weight(space.mesh, measure_weight, name)
-    if weight is None:
-        return None
-    scalar = Function(_compat.lagrange_space(space.mesh, 1))
-    _compat.interpolate_expression(weight, scalar)
-    scalar.x.scatter_forward()
-    index_map = space.dofmap.index_map
-    values = np.zeros(index_map.size_local + index_map.num_ghosts)
-    # the two spaces may number their nodes differently
-    values[vertex_nodes(space)] = scalar.x.array[vertex_nodes(scalar.function_space)]
-    return values

@@ -1,4 +1,4 @@
-"""The weight of a contact's surface measure, such as 2 pi r in an axisymmetric form, checked."""
+"""The weight of the surface measure, such as 2 pi r in an axisymmetric form, checked."""
 
 from __future__ import annotations
 
@@ -21,35 +21,35 @@ from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.typing import Vector
 
 
-def as_ufl_weight(domain: Mesh, weight: Any, name: str) -> Any:
-    """Return the weight of a contact's measure as an expression of UFL, checked; None for none.
+def as_ufl_weight(domain: Mesh, weight: Any) -> Any:
+    """Return the weight of the measure as an expression of UFL, checked; None for none.
 
     Errors are the same on all ranks.
     """
     if weight is None:
         return None
-    label = f"{name}: measure_weight"
     if isinstance(weight, int | float | np.number) and not isinstance(weight, bool):
         # a Constant: for each number in the expression, code would be compiled anew
         return Constant(domain, float(weight))
     if not isinstance(weight, Expr):
         raise InputError(
-            f"{label} is a {type(weight).__name__}; a scalar expression of UFL or a number is "
-            "expected, such as 2 * ufl.pi * ufl.SpatialCoordinate(mesh)[0]"
+            f"measure_weight is a {type(weight).__name__}; a scalar expression of UFL or a number "
+            "is expected, such as 2 * ufl.pi * ufl.SpatialCoordinate(mesh)[0]"
         )
     if weight.ufl_shape or weight.ufl_free_indices:
         raise InputError(
-            f"{label} has shape {weight.ufl_shape}; a scalar is expected, by which ds is "
+            f"measure_weight has shape {weight.ufl_shape}; a scalar is expected, by which ds is "
             "multiplied in the forms"
         )
     if extract_arguments(weight):
         raise InputError(
-            f"{label} contains a test or trial function; give the factor of ds in the forms alone"
+            "measure_weight contains a test or trial function; give the factor of ds in the forms "
+            "alone"
         )
     mesh_domain = domain.ufl_domain()
     for terminal in traverse_unique_terminals(weight):
         if any(part != mesh_domain for part in extract_domains(terminal)):
-            raise InputError(f"{label} is on another mesh than the displacement")
+            raise InputError("measure_weight is on another mesh than the displacement")
     return weight
 
 

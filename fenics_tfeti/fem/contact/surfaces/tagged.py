@@ -16,6 +16,7 @@ from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.surfaces.measure_weight import as_ufl_weight
 from fenics_tfeti.fem.contact.surfaces.oriented import (
     corner_normals,
     global_nodes,
@@ -49,11 +50,15 @@ class MeshBoundary:
     exterior: NDArray[np.bool_]
     rows: Indices  # (facets, 2): a cell of each facet of this rank, and the facet's number in it
     normal_form: _compat.CompiledForm  # the normal times each vertex' shape function of degree 1
+    weight: Any  # factor of ds in the forms, an expression of UFL; None without one
+    weighted_form: _compat.CompiledForm  # `normal_form` with the weight
 
     @staticmethod
-    def of(space: FunctionSpace) -> MeshBoundary:
+    def of(space: FunctionSpace, measure_weight: Any = None) -> MeshBoundary:
         """Find the boundary of a space's mesh. Collective."""
         domain = space.mesh
+        with raise_collectively(domain.comm):
+            weight = as_ufl_weight(domain, measure_weight)
         exterior = exterior_facets(domain)
         facet_of = cell_facets(domain)
         rows = np.zeros((exterior.size, 2), dtype=np.int32)
@@ -66,16 +71,27 @@ class MeshBoundary:
         is_vertex = np.zeros(len(coordinates), dtype=bool)
         is_vertex[vertex_nodes(space)] = True
         form = _normal_form(linear)
-        return MeshBoundary(space, linear, coordinates, is_vertex, exterior, rows, form)
+        weighted = form if weight is None else _normal_form(linear, weight)
+        return MeshBoundary(
+            space, linear, coordinates, is_vertex, exterior, rows, form, weight, weighted
+        )
 
     @property
     def degree(self) -> int:
         """Degree of the displacement, 1 or 2."""
         return 1 if self.linear is self.space else 2
 
-    def form_with_weight(self, weight: Any) -> _compat.CompiledForm:
-        """Compile `normal_form` with a weight of ds. Collective."""
-        return _normal_form(self.linear, weight)
+    def nodal_weight(self) -> Vector | None:
+        """Evaluate the weight at all local nodes at vertices; None without one. Collective."""
+        if self.weight is None:
+            return None
+        scalar = fem.Function(_compat.lagrange_space(self.space.mesh, 1))
+        _compat.interpolate_expression(self.weight, scalar)
+        scalar.x.scatter_forward()
+        values = np.zeros(len(self.coordinates))
+        # the two spaces may number their nodes differently
+        values[vertex_nodes(self.space)] = scalar.x.array[vertex_nodes(scalar.function_space)]
+        return values
 
     def integrate(self, form: _compat.CompiledForm, facets: Indices) -> Vector:
         """Integrate the normal times each vertex' shape function over facets: (nodes, gdim).
@@ -234,15 +250,16 @@ def area_of_facets(
     boundary: MeshBoundary,
     surface: Surface,
     chosen: NDArray[np.bool_],
-    form: _compat.CompiledForm | None = None,
+    weighted: bool = False,
 ) -> Vector:
     """Return the share (k,) of each node's area that belongs to chosen facets (f,). Collective.
 
-    The form is that of `MeshBoundary.form_with_weight`; by default there is no weight.
+    It is that with the weight of the measure, or without.
     """
     facets = surface.facets[chosen]
-    weighted = boundary.integrate(form or boundary.normal_form, facets)[surface.local]
-    area: Vector = np.sum(weighted * surface.normal, axis=1)
+    form = boundary.weighted_form if weighted else boundary.normal_form
+    integrals = boundary.integrate(form, facets)[surface.local]
+    area: Vector = np.sum(integrals * surface.normal, axis=1)
     return area
 
 

@@ -87,7 +87,7 @@ def test_linear_weight_of_the_measure():
 
     V, tags = scene(Blocks("quadrilateral", 3, 4))
     radius = 1.0 + ufl.SpatialCoordinate(V.mesh)[0]
-    pair = ContactPair(tags, LOWER, UPPER, measure_weight=2.0 * radius)
-    pairing = match_contact(MeshBoundary.of(V), pair, 0)
+    pair = ContactPair(tags, LOWER, UPPER)
+    pairing = match_contact(MeshBoundary.of(V, 2.0 * radius), pair, 0)
     assert pairing.area.sum() == pytest.approx(3.0)
     assert pairing.summary["covered_area"] == pytest.approx(1.0)

@@ -1,8 +1,6 @@
-"""The weight of a contact's surface measure: what users may give, and the areas it makes."""
+"""The weight of the surface measure: what users may give, and the areas it makes."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 from mpi4py import MPI
 
@@ -32,14 +30,14 @@ def thickness(space, x):
 
 def test_no_weight_is_none():
     V, _ = strips()
-    assert as_ufl_weight(V.mesh, None, "joint") is None
+    assert as_ufl_weight(V.mesh, None) is None
 
 
 @pytest.mark.parametrize("number", [3, 3.0, np.float64(3.0), np.int64(3)])
 def test_numbers_are_constants(number):
     """So that one compiled form does for all of them."""
     V, _ = strips()
-    weight = as_ufl_weight(V.mesh, number, "joint")
+    weight = as_ufl_weight(V.mesh, number)
     assert isinstance(weight, fem.Constant) and float(weight.value) == 3.0
 
 
@@ -49,9 +47,9 @@ def test_areas_are_integrals_of_the_weight(kind, obstacle):
     """The integrals of 1 + x times the shape functions on four facets of 1/4."""
     V, tags = strips()
     weight = thickness(V, ufl.SpatialCoordinate(V.mesh))[kind]
-    ground = RigidObstacle(tags, SLAVE, Plane((0, 0), (0, 1)), measure_weight=weight)
-    pair = ContactPair(tags, SLAVE, MASTER, measure_weight=weight)
-    pairing = matched(V, ground if obstacle else pair)
+    ground = RigidObstacle(tags, SLAVE, Plane((0, 0), (0, 1)))
+    pair = ContactPair(tags, SLAVE, MASTER)
+    pairing = matched(V, ground if obstacle else pair, weight)
     order = np.argsort(pairing.coordinates[:, 0])
     h, x = 0.25, np.linspace(0, 1, 5)
     exact = h * (1 + x) * np.where((x == 0) | (x == 1), 0.5, 1.0)
@@ -64,7 +62,7 @@ def test_a_constant_weight_multiplies_areas(cell):
     scene = scenes.two_beams(MPI.COMM_SELF, cell, 3)
     pair = ContactPair(scene.facet_tags, SLAVE, MASTER)
     plain = matched(scene.V, pair)
-    weighted = matched(scene.V, replace(pair, measure_weight=3.0))
+    weighted = matched(scene.V, pair, 3.0)
     np.testing.assert_allclose(weighted.area, 3.0 * plain.area, rtol=1e-12)
     np.testing.assert_array_equal(weighted.normal, plain.normal)
     np.testing.assert_array_equal(weighted.gap, plain.gap)
@@ -75,7 +73,7 @@ def test_weight_in_a_partial_contact():
     V, tags = strips()
     V.mesh.geometry.x[V.mesh.geometry.x[:, 1] > 1.05, 0] += 0.25
     r = ufl.SpatialCoordinate(V.mesh)[0]
-    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, partial=True, measure_weight=r))
+    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, partial=True), r)
     assert pairing.area.sum() == pytest.approx(0.5 * (1.0 - 0.25**2), rel=1e-12)
 
 
@@ -83,9 +81,9 @@ def test_weight_in_a_partial_contact():
 def test_a_changed_weight_is_noticed(obstacle):
     V, tags = strips()
     weight = fem.Constant(V.mesh, 1.0)
-    ground = RigidObstacle(tags, SLAVE, Plane((0, 0), (0, 1)), measure_weight=weight)
-    contact = ground if obstacle else ContactPair(tags, SLAVE, MASTER, measure_weight=weight)
-    boundary = MeshBoundary.of(V)
+    ground = RigidObstacle(tags, SLAVE, Plane((0, 0), (0, 1)))
+    contact = ground if obstacle else ContactPair(tags, SLAVE, MASTER)
+    boundary = MeshBoundary.of(V, weight)
     first = match_contact(boundary, contact, 0)
     weight.value = 2.0
     second = match_contact(boundary, contact, 0, first)

@@ -8,23 +8,21 @@ import numpy as np
 import pytest
 from scenes import GROUND, pressed_block, vector_space
 
-from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas, weighted_form
+from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 
 
-def ground(degree=1):
+def ground(degree=1, weight=None):
     scene = pressed_block(MPI.COMM_SELF, "quadrilateral", 2)
-    boundary = MeshBoundary.of(vector_space(scene.mesh, degree))
+    boundary = MeshBoundary.of(vector_space(scene.mesh, degree), weight)
     return boundary, tagged_surface(boundary, scene.facet_tags, GROUND, "slave")
 
 
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("weight", [None, 3.0])
 def test_areas_are_those_of_the_vertices_times_the_weight(weight, degree):
-    boundary, surface = ground(degree)
-    form = weighted_form(boundary, weight, "joint")
-    assert (form is None) == (weight is None)
-    areas = node_areas(boundary, surface, np.ones(2, dtype=bool), form, "joint")
+    boundary, surface = ground(degree, weight)
+    areas = node_areas(boundary, surface, np.ones(2, dtype=bool), "joint")
     order = np.argsort(surface.points[:, 0])
     np.testing.assert_allclose(areas[order], (weight or 1.0) * np.array([0.25, 0.5, 0.25]))
 
@@ -32,6 +30,6 @@ def test_areas_are_those_of_the_vertices_times_the_weight(weight, degree):
 def test_nodes_of_covered_facets_have_their_area_there():
     boundary, surface = ground()
     middle = boundary.coordinates[surface.vertices][..., 0].mean(axis=1)
-    areas = node_areas(boundary, surface, middle < 0.5, None, "joint")
+    areas = node_areas(boundary, surface, middle < 0.5, "joint")
     order = np.argsort(surface.points[:, 0])
     np.testing.assert_allclose(areas[order], [0.25, 0.25, 0.25])
