@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from mpi4py import MPI
 
@@ -23,6 +23,17 @@ def coordinate_order(points: Vector) -> NDArray[np.intp]:
     """
     order: NDArray[np.intp] = np.lexsort(points.T[::-1])
     return order
+
+
+def first_rows(comm: MPI.Intracomm, columns: Sequence[Vector], number: int) -> list[Vector]:
+    """Return the first rows of all ranks by the coordinates in the first column. Collective."""
+
+    def first(rows: Sequence[Vector]) -> list[Vector]:
+        order = coordinate_order(rows[0])[:number]
+        return [row[order] for row in rows]
+
+    # sorted on each rank as well, so that each sends few rows
+    return first([concatenate_ranks(comm, row) for row in first(columns)])
 
 
 def raise_where(

@@ -64,16 +64,37 @@ def evaluate(function: Callable[[Vector], Any], points: Vector, what: str) -> An
         ) from error
 
 
-def vectors_at(
+def scalars_at(
     comm: MPI.Intracomm,
-    function: Callable[[Vector], ArrayLike],
+    values: ScalarField | Vector,
     points: Vector,
     gdim: int,
     what: str,
+    lowest: float = -np.inf,
 ) -> Vector:
-    """Evaluate a user's vector field (k, gdim) at points (k, 3), check its shape. Collective."""
+    """Return a user's scalar (k,) at points (k, 3), checked. Collective.
+
+    It is a number, a function, or an array of values at the points. No value is below `lowest`.
+    """
     with raise_collectively(comm):
-        vectors = _vectors(function, points, gdim, what)
+        scalars = _scalars(values, points, what) if callable(values) else values
+    scalars = np.array(np.broadcast_to(scalars, len(points)), dtype=float)
+    wrong = "NaN or infinite" if lowest == -np.inf else "negative, NaN or infinite"
+    raise_where(
+        comm,
+        ~(np.isfinite(scalars) & (scalars >= lowest)),
+        points[:, :gdim],
+        lambda number, place: f"{what} is {wrong} at {number} points, the first at {place}",
+    )
+    return scalars
+
+
+def vectors_at(
+    comm: MPI.Intracomm, field: VectorField, points: Vector, gdim: int, what: str
+) -> Vector:
+    """Return a user's constant vector or vector field (k, gdim) at points (k, 3). Collective."""
+    with raise_collectively(comm):
+        vectors = _vectors(field, points, gdim, what)
     raise_where(
         comm,
         ~np.isfinite(vectors).all(axis=1),
@@ -84,18 +105,10 @@ def vectors_at(
 
 
 def unit_vectors(
-    comm: MPI.Intracomm,
-    direction: ArrayLike | Callable[[Vector], ArrayLike],
-    points: Vector,
-    gdim: int,
-    what: str,
+    comm: MPI.Intracomm, direction: VectorField, points: Vector, gdim: int, what: str
 ) -> Vector:
-    """Evaluate a constant or a vector field at points (k, 3); return unit vectors. Collective."""
-    if callable(direction):
-        vectors = vectors_at(comm, direction, points, gdim, what)
-    else:
-        with raise_collectively(comm):
-            vectors = np.tile(_constant_vector(direction, gdim, what), (len(points), 1))
+    """Return `vectors_at` divided by their lengths. Collective."""
+    vectors = vectors_at(comm, direction, points, gdim, what)
     length = np.linalg.norm(vectors, axis=1)
     longest = comm.allreduce(float(length.max(initial=0.0)), MPI.MAX)
     raise_where(
@@ -131,13 +144,30 @@ def _numbers(data: Any, what: str) -> Vector:
         )
 
 
-def _vectors(
-    function: Callable[[Vector], ArrayLike], points: Vector, gdim: int, what: str
-) -> Vector:
+def _scalars(function: Callable[[Vector], ArrayLike], points: Vector, what: str) -> Vector:
     k = len(points)
     if k == 0:  # a user's function may fail for no points
-        return np.zeros((0, gdim))
+        return np.zeros(0)
     values = _numbers(evaluate(function, points, what), what)
+    if values.shape != (k,):
+        raise InputError(
+            f"{what} returned shape {values.shape} for points of shape (3, {k}), expected ({k},)"
+        )
+    return values
+
+
+def _vectors(field: VectorField, points: Vector, gdim: int, what: str) -> Vector:
+    k = len(points)
+    if not callable(field):
+        vector = _numbers(field, what)
+        if vector.shape != (gdim,):
+            raise InputError(
+                f"{what} has shape {vector.shape}, expected ({gdim},) or a function of x"
+            )
+        return np.tile(vector, (k, 1))
+    if k == 0:  # a user's function may fail for no points
+        return np.zeros((0, gdim))
+    values = _numbers(evaluate(field, points, what), what)
     if values.shape not in ((gdim, k), (3, k)):
         raise InputError(
             f"{what} returned shape {values.shape} for points of shape (3, {k}), expected "
@@ -145,10 +175,3 @@ def _vectors(
         )
     vectors: Vector = values[:gdim].T
     return vectors
-
-
-def _constant_vector(data: ArrayLike, gdim: int, what: str) -> Vector:
-    vector = as_direction(data, what)
-    if vector.shape != (gdim,):
-        raise InputError(f"{what} has shape {vector.shape}; expected ({gdim},) or a function of x")
-    return vector

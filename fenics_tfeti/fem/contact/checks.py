@@ -24,7 +24,7 @@ from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.surfaces.oriented import global_nodes, tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MasterNodes, Surface
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.messages import coordinate_order, raise_where
+from fenics_tfeti.fem.messages import coordinate_order, first_rows, raise_where
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.topology import cell_vertices
 from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
@@ -67,7 +67,7 @@ def check_partners(
     relative = partners.distance[far] / slave.size[far]
     largest = comm.allreduce(float(relative[np.isfinite(relative)].max(initial=0.0)), MPI.MAX)
     columns = (slave.points[far], partners.distance[far], limit[far])
-    rows = _first_rows(comm, columns, 3)
+    rows = first_rows(comm, columns, 3)
     places = "; ".join(
         f"{format_point(point, slave.extent)} at distance {distance:.3g} (tolerance {bound:.3g})"
         if np.isfinite(distance)
@@ -196,18 +196,6 @@ def _comes_before(first: Vector, second: Vector) -> Mask:
     rows = np.arange(len(first))
     smaller: Mask = first[rows, column] < second[rows, column]
     return smaller
-
-
-def _first_rows(comm: MPI.Intracomm, columns: tuple[Vector, ...], number: int) -> list[Vector]:
-    """Return the first rows over all ranks by the coordinates in the first column."""
-
-    def first(rows: list[Vector]) -> list[Vector]:
-        order = coordinate_order(rows[0])[:number]
-        return [row[order] for row in rows]
-
-    # sorted on each rank as well, so that each sends few rows
-    local = first(list(columns))
-    return first([concatenate_ranks(comm, row) for row in local])
 
 
 # -- several contacts --------------------------------------------------------------------------

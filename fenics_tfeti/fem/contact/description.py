@@ -17,7 +17,14 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.obstacles import Obstacle
-from fenics_tfeti.fem.user_data import ScalarField, VectorField, as_direction, as_points, is_number
+from fenics_tfeti.fem.user_data import (
+    ScalarField,
+    VectorField,
+    as_coordinates,
+    as_direction,
+    as_points,
+    is_number,
+)
 from fenics_tfeti.typing import Vector
 
 NodalValue: TypeAlias = ScalarField | Any  # or a Function
@@ -299,6 +306,8 @@ class RigidObstacle:
                 "out, or give it friction. Gaps to a moving obstacle are those that its function "
                 "returns"
             )
+        if self.displacement is not None and not callable(self.displacement):
+            as_coordinates(self.displacement, f"{label}: the obstacle's displacement")
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,8 @@ from dolfinx.fem import Function, FunctionSpace
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.description import FrictionLaw
-from fenics_tfeti.fem.contact.surfaces.initial_gap import scalars_at
-from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.topology import vertex_nodes
+from fenics_tfeti.fem.user_data import scalars_at
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
@@ -26,22 +25,11 @@ def values_at_nodes(
     """
     ((label, value),) = vars(law).items()
     label = f"{name}: {label}"
-    with raise_collectively(space.mesh.comm):
+    comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
+    with raise_collectively(comm):
         if isinstance(value, Function):
-            values = _nodal_values(space, value, nodes, label)
-        elif callable(value):
-            values = scalars_at(value, points, label)
-        else:
-            values = np.full(nodes.size, float(value))
-    raise_where(
-        space.mesh.comm,
-        ~(np.isfinite(values) & (values >= 0.0)),
-        points[:, : space.dofmap.index_map_bs],
-        lambda number, place: (
-            f"{label} is negative, NaN or infinite at {number} nodes, the first at {place}"
-        ),
-    )
-    return values
+            value = _nodal_values(space, value, nodes, label)
+    return scalars_at(comm, value, points, gdim, label, lowest=0.0)
 
 
 def _nodal_values(

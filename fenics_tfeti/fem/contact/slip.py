@@ -9,13 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from dolfinx.fem import FunctionSpace
 
-from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import ContactPairing, FrictionResult
 from fenics_tfeti.fem.contact.description import Contact, RigidObstacle, Tresca
 from fenics_tfeti.fem.contact.friction import values_at_nodes
@@ -23,7 +21,6 @@ from fenics_tfeti.fem.contact.opening import row_values
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
 from fenics_tfeti.fem.user_data import vectors_at
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed
-from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Mask, Vector
 
 # squared length of the tangential part of a prescribed direction that counts as none
@@ -108,21 +105,11 @@ def nodal_friction(
 def obstacle_motion(space: FunctionSpace, contact: Contact, points: Vector, name: str) -> Vector:
     """Return an obstacle's displacement (k, gdim) at points (k, 3) [m]. Collective."""
     gdim = space.dofmap.index_map_bs
-    motion: Any = contact.displacement if isinstance(contact, RigidObstacle) else None
+    motion = contact.displacement if isinstance(contact, RigidObstacle) else None
+    if motion is None:
+        return np.zeros((len(points), gdim))
     label = f"{name}: the obstacle's displacement"
-    if callable(motion):
-        return vectors_at(space.mesh.comm, motion, points, gdim, label)
-    with raise_collectively(space.mesh.comm):
-        try:
-            values = np.asarray(np.zeros(gdim) if motion is None else motion, dtype=float)
-        except (TypeError, ValueError):
-            values = np.zeros(0)
-        if values.shape != (gdim,) or not np.isfinite(values).all():
-            raise InputError(
-                f"{label} is {motion!r}; {gdim} finite numbers [m] or a function x (3, n) -> "
-                f"({gdim}, n) is expected"
-            )
-    return np.tile(values, (len(points), 1))
+    return vectors_at(space.mesh.comm, motion, points, gdim, label)
 
 
 def friction_rows(

@@ -48,12 +48,12 @@ def on_other_mesh(scene):
 @pytest.mark.parametrize(
     ("friction", "message"),
     [
-        (Coulomb(lambda x: -x[0]), "coefficient is negative, NaN or infinite at [0-9] nodes"),
+        (Coulomb(lambda x: -x[0]), "coefficient is negative, NaN or infinite at [0-9] points"),
         (Tresca(lambda x: x), r"returned shape \(3, 4\) for points of shape \(3, 4\)"),
-        (Tresca(lambda x: x[0] - 0.5), "negative, NaN or infinite at 2 nodes, the first at"),
+        (Tresca(lambda x: x[0] - 0.5), "negative, NaN or infinite at 2 points, the first at"),
         (Tresca(lambda x: x[0] / 0.0), "slip_bound (failed|is negative, NaN or infinite)"),
         (Tresca(lambda x: 1 / 0), "slip_bound failed .* ZeroDivisionError"),
-        (Tresca(lambda x: "much"), "has to return numbers"),
+        (Tresca(lambda x: "much"), "expected an array of numbers, not str"),
     ],
 )
 @pytest.mark.filterwarnings("ignore:divide by zero", "ignore:invalid value")

@@ -182,9 +182,9 @@ def test_displacement_may_be_a_vector():
 @pytest.mark.parametrize(
     ("displacement", "message"),
     [
-        ((0.1, 0.0, 0.0), r"the obstacle's displacement is .*; 2 finite numbers"),
-        ((np.nan, 0.0), "2 finite numbers"),
-        ("far", "2 finite numbers"),
+        ((0.1, 0.0, 0.0), r"the obstacle's displacement has shape \(3,\), expected \(2,\)"),
+        ((np.nan, 0.0), "the obstacle's displacement is .*: two or three finite numbers"),
+        ("far", "two or three finite numbers"),
         (lambda x: x[0], r"the obstacle's displacement returned shape \(5,\)"),
         (lambda x: np.full((2, x.shape[1]), np.inf), "displacement is NaN or infinite at 5 points"),
         (lambda x: 1 / 0, "ZeroDivisionError"),

@@ -17,10 +17,10 @@ from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem.contact.description import Along, Mapped, Nearest, NodePartners, Points
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MasterNodes, Surface
-from fenics_tfeti.fem.messages import coordinate_order
+from fenics_tfeti.fem.messages import coordinate_order, first_rows, raise_where
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.user_data import unit_vectors, vectors_at
-from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
+from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Numbers, Vector
 
 _REMEDY = "mesh the two surfaces alike, tag only where they face each other, or raise the tolerance"
@@ -95,7 +95,8 @@ def along_direction(
         reached, best = np.unique(line[order], return_index=True)
         partner[first + reached], distance[first + reached] = node[order][best], radial[order][best]
     # the distances of the others are for a message only, which names a few nodes
-    for row in _first_points(slave.points, partner < 0):
+    alone = np.flatnonzero(partner < 0)
+    for row in alone[coordinate_order(slave.points[alone])[:3]]:
         facing = master.normal @ slave.normal[row] < 0.0
         radial = _distance_to_lines(slave.points[[row]], lines[[row]], master.points[facing])[0]
         distance[row] = radial.min(initial=np.inf)
@@ -248,13 +249,6 @@ def _distance_to_lines(points: Vector, lines: Vector, targets: Vector) -> Vector
     return distance
 
 
-def _first_points(points: Vector, chosen: NDArray[np.bool_], number: int = 3) -> Numbers:
-    """Return the rows of the first chosen points by their coordinates."""
-    rows = np.flatnonzero(chosen)
-    first: Numbers = rows[coordinate_order(points[rows])[:number]]
-    return first
-
-
 def _point_arrays(pairs: Points, gdim: int, name: str) -> tuple[Vector, Vector]:
     """Return the points of slave and master (k, gdim)."""
     slave, master = (np.asarray(points, dtype=float) for points in (pairs.slave, pairs.master))
@@ -287,27 +281,27 @@ def _check_points_are_nodes(
     comm: MPI.Intracomm, distance: Vector, limit: Vector, points: Vector, label: str
 ) -> None:
     far = distance > limit
-    columns = (points[far], distance[far], limit[far])
-    points, distance, limit = (concatenate_ranks(comm, column) for column in columns)
-    if not len(points):
+    number = comm.allreduce(int(far.sum()))
+    if not number:
         return
-    first = _first_points(points, np.ones(len(points), dtype=bool))
+    rows = first_rows(comm, (points[far], distance[far], limit[far]), 3)
     places = "; ".join(
-        f"{format_point(points[k])} at distance {distance[k]:.3g} (tolerance {limit[k]:.3g})"
-        for k in first
+        f"{format_point(point)} at distance {length:.3g} (tolerance {bound:.3g})"
+        for point, length, bound in zip(*rows, strict=True)
     )
     raise InputError(
-        f"{label} points of {len(points)} pairs are not nodes of its surface: {places}. Distances "
-        "are to the nearest node. Take the coordinates from the mesh, or raise the tolerance"
+        f"{label} points of {number} pairs are not nodes of its surface: {places}. Distances are "
+        "to the nearest node. Take the coordinates from the mesh, or raise the tolerance"
     )
 
 
 def _check_named_once(comm: MPI.Intracomm, slave: Surface, rows: Numbers, name: str) -> None:
-    node, counts = np.unique(rows, return_counts=True)
-    repeated = concatenate_ranks(comm, slave.points[node[counts > 1]])
-    if len(repeated):
-        first = _first_points(repeated, np.ones(len(repeated), dtype=bool), 1)[0]
-        raise InputError(
-            f"{name}: {len(repeated)} slave nodes are in several pairs, the first at "
-            f"{format_point(repeated[first], slave.extent)}: name each once"
-        )
+    raise_where(
+        comm,
+        np.bincount(rows, minlength=slave.nodes.size) > 1,
+        slave.points,
+        lambda number, place: (
+            f"{name}: {number} slave nodes are in several pairs, the first at {place}: name each "
+            "once"
+        ),
+    )

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import combinations
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.messages import raise_where
-from fenics_tfeti.fem.user_data import evaluate
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.fem.user_data import scalars_at
 from fenics_tfeti.typing import Vector
 
 
@@ -86,35 +81,4 @@ def initial_gap(
     if isinstance(value, str):
         # twice: the normals at a surface's border see half of the curvature
         return np.where(np.abs(gap) <= 2.0 * chord, 0.0, gap) if value == "touching" else gap
-    if not callable(value):
-        return np.full_like(gap, float(value))
-    label = f"{name}: initial_gap"
-    with raise_collectively(comm):
-        values = scalars_at(value, points, label)
-    raise_where(
-        comm,
-        ~np.isfinite(values),
-        points,
-        lambda number, place: (
-            f"{label} is NaN or infinite at {number} points, the first at {place}"
-        ),
-    )
-    return values
-
-
-def scalars_at(function: Callable[[Vector], ArrayLike], points: Vector, label: str) -> Vector:
-    """Evaluate a user's scalar function (k,) at points (k, 3); the label is for messages."""
-    if not len(points):
-        # a user's function may fail for no points
-        return np.zeros(0)
-    returned = evaluate(function, points, label)
-    try:
-        values = np.asarray(returned, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{label} has to return numbers, one for each point") from None
-    if values.shape != (len(points),):
-        raise InputError(
-            f"{label} returned shape {values.shape} for points of shape (3, {len(points)}); "
-            f"({len(points)},) is expected"
-        )
-    return values
+    return scalars_at(comm, value, points, points.shape[1], f"{name}: initial_gap")
