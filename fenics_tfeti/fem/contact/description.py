@@ -211,7 +211,8 @@ class ContactPair:
         By default the mean of the facets' normals at each node.
     partial : bool
         Whether nodes that belong to slave and master, and slave nodes without partner, stay free
-        instead of being an error.
+        instead of being an error. Mortar conditions leave slave nodes free in any case that the
+        master does not cover.
     roles : {"auto", "given"}
         Whether `slave` and `master` are exchanged where mortar conditions are much better the other
         way round, or are as given.
@@ -247,6 +248,8 @@ class ContactPair:
         _check_initial_gap(self.initial_gap, label)
         if self.normal is not None and not callable(self.normal):
             as_direction(self.normal, f"{label}: the normal")
+        if not isinstance(self.partial, bool):
+            raise InputError(f"{label}: partial is {self.partial!r}; True or False is expected")
         if self.roles not in ("auto", "given"):
             raise InputError(f"{label}: roles is {self.roles!r}; 'auto' or 'given' is expected")
         is_mortar = isinstance(self.partners, str) and self.partners == "mortar"

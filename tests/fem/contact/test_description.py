@@ -51,6 +51,7 @@ def test_names():
         (PAIR, {"partners": "nts"}, r"joint: partners is 'nts'; Nearest\(\)"),
         (PAIR, {"partners": Nearest}, "joint: partners is <class"),
         (PAIR, {"partners": np.ones(2)}, "joint: partners is array"),
+        (PAIR, {"partial": "yes"}, "joint: partial is 'yes'"),
         (PAIR, {"roles": "any"}, "joint: roles is 'any'"),
         (PAIR, {"friction": 0.3}, "joint: friction is a float; Tresca"),
         (PAIR, {"friction": Tresca}, "joint: friction is a type"),
