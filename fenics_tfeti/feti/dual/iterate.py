@@ -119,6 +119,11 @@ class Turn:
     max_outer: int = 200  # limit on outer iterations of SMALBE-M
     patience: int = 200  # outer iterations in a row that may fail to halve ||Gx||
 
+    def extended(self, products: int) -> Turn:
+        """Return the turn with this number of products more, as far as the options allow."""
+        limit = min(self.max_products + products, self.options.max_products)
+        return replace(self, max_products=limit)
+
     @property
     def is_spent(self) -> bool:
         """Tell whether the limit on products is met."""

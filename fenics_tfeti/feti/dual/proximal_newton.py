@@ -69,11 +69,24 @@ def proximal_newton(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate
         iterate = _iterate(problem, start, state, wanted, status)
         if status is SolveStatus.STALLED:
             return iterate
-        on_face = primal_dual_active_set(problem, iterate.at_multipliers(), turn)
+        before = turn.products.total
+        on_face = _on_face(problem, iterate, turn)
+        turn = turn.extended(turn.products.total - before)
         if on_face.status is SolveStatus.SOLVED or status is SolveStatus.SOLVED:
             return on_face if on_face.status is SolveStatus.SOLVED else iterate
         stiffness = min(_GROWTH * term.stiffness, _LARGEST * problem.unit)
         term = Proximal(bounds.chosen(wanted), stiffness)
+
+
+def _on_face(problem: DualProblem, iterate: Iterate, turn: Turn) -> Iterate:
+    """Run the active set method from a solution, for at most as many products as were spent.
+
+    Multipliers P(l_k + rho v) are those of the residual where they solve (11.36) only.
+    """
+    if iterate.status is SolveStatus.SOLVED:
+        return primal_dual_active_set(problem, iterate, turn.extended(turn.products.total))
+    limited = replace(turn, max_products=min(2 * turn.products.total, turn.max_products))
+    return primal_dual_active_set(problem, iterate.at_multipliers(), limited)
 
 
 def _solve_proximal(
