@@ -23,10 +23,10 @@ from fenics_tfeti.errors import (
 _LAZY = {
     "ContactPair": "fenics_tfeti.fem.contact.contact",
     "ContactProblem": "fenics_tfeti.problem",
-    "ContactResult": "fenics_tfeti.fem.contact.contact",
+    "ContactResult": "fenics_tfeti.fem.contact.result",
     "Coulomb": "fenics_tfeti.fem.contact.friction",
     "Cylinder": "fenics_tfeti.fem.contact.obstacles",
-    "FrictionResult": "fenics_tfeti.fem.contact.contact",
+    "FrictionResult": "fenics_tfeti.fem.contact.result",
     "Plane": "fenics_tfeti.fem.contact.obstacles",
     "RigidObstacle": "fenics_tfeti.fem.contact.contact",
     "Sphere": "fenics_tfeti.fem.contact.obstacles",

@@ -22,11 +22,11 @@ from fenics_tfeti.fem.contact.contact import (
     Contact,
     ContactPair,
     ContactPairing,
-    ContactResult,
     RigidObstacle,
 )
 from fenics_tfeti.fem.contact.mortar.pairing import match_deformed, mean_relative
 from fenics_tfeti.fem.contact.obstacle_conditions import deformed_gaps
+from fenics_tfeti.fem.contact.result import ContactResult
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary

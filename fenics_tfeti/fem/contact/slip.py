@@ -19,11 +19,11 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import (
     Contact,
     ContactPairing,
-    FrictionResult,
     RigidObstacle,
 )
 from fenics_tfeti.fem.contact.friction import Tresca, values_at_nodes
 from fenics_tfeti.fem.contact.opening import row_values
+from fenics_tfeti.fem.contact.result import FrictionResult
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
 from fenics_tfeti.fem.user_data import vectors_at
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed

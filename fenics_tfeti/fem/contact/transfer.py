@@ -15,8 +15,9 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.contact import Contact, ContactPairing, ContactResult, RigidObstacle
+from fenics_tfeti.fem.contact.contact import Contact, ContactPairing, RigidObstacle
 from fenics_tfeti.fem.contact.mortar.pairing import mean_relative
+from fenics_tfeti.fem.contact.result import ContactResult
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
