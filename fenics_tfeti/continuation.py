@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.contact import ContactPairing, ContactResult
+from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.deformed import GeometryPass
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.input_numbers import OwnedNodes
@@ -32,15 +32,15 @@ _ENTRIES = {"force": 0, "obstacle": 1}
 
 
 @dataclass(frozen=True)
-class Continuation:
-    """State from which a later run of the same script goes on."""
+class Step:
+    """A load step as far as it was solved: where later solves start, saved and restored."""
 
-    state: SavedState | None  # start of the iterations; None if they were those of other subdomains
     displacement: Vector  # the last one, at owned degrees of freedom [m]
     force: Vector  # (contacts, nodes), the last normal forces at owned nodes [N]
-    solves: int  # finished calls of `solve`
     origin: SlipOrigin  # from where friction counts slip
+    solves: int = 0  # finished calls of `solve`
     passes: Sequence[GeometryPass] = ()  # finished passes of the call that was not
+    state: SavedState | None = None  # of the dual problem; None if that has other subdomains
 
     def guess(self, pairings: Sequence[ContactPairing], first_node: int) -> ContactGuess:
         """Return the last forces, as those of closed gaps, at the conditions of this rank."""
@@ -53,32 +53,24 @@ class Continuation:
         return ContactGuess(force, np.where(force > 0.0, 0.0, np.inf))
 
 
-def nodal_forces(nodes: OwnedNodes, results: Sequence[ContactResult]) -> Vector:
-    """Return the normal forces (contacts, nodes) at the nodes that this rank owns [N]."""
-    force = np.zeros((len(results), len(nodes.coordinates)))
-    for values, result in zip(force, results, strict=True):
-        values[result.nodes - nodes.first] = result.normal_force
-    return force
-
-
-def write_continuation(
+def write_step(
     path: str | os.PathLike[str],
     system: TornSystem,
     nodes: OwnedNodes,
-    continuation: Continuation,
+    step: Step,
 ) -> None:
     """Write a checkpoint, or leave the old one as it is. Collective; rank 0 writes.
 
-    The continuation has a state. If rank 0 cannot write the file, all ranks raise.
+    The step has a state. If rank 0 cannot write the file, all ranks raise.
     """
-    state = continuation.state
+    state = step.state
     assert state is not None
-    rows = np.array([astuple(p) for p in continuation.passes])
+    rows = np.array([astuple(p) for p in step.passes])
     common = {
-        "solves": np.array(continuation.solves),
+        "solves": np.array(step.solves),
         "passes": rows.reshape(-1, len(fields(GeometryPass))),
     }
-    arrays = _arrays(continuation, nodes.coordinates)
+    arrays = _arrays(step, nodes.coordinates)
     if nodes.numbers is not None:
         arrays["numbers"] = nodes.numbers
         sums = _check_sums(system, nodes.first, nodes.numbers)
@@ -86,15 +78,15 @@ def write_continuation(
     save_checkpoint(path, system, state, arrays, common)
 
 
-def _arrays(continuation: Continuation, coordinates: Vector) -> dict[str, Array]:
+def _arrays(step: Step, coordinates: Vector) -> dict[str, Array]:
     """Return the entries of the file for each rank."""
-    force, origin = continuation.force, continuation.origin
+    force, origin = step.force, step.origin
     n, gdim = coordinates.shape
     obstacles = origin.obstacles.reshape(len(origin.obstacles), n, gdim)
     pressed, displaced = np.nonzero(force), np.nonzero(obstacles.any(axis=2))
     return {
         "coordinates": coordinates,
-        "displacement": continuation.displacement.reshape(n, gdim),
+        "displacement": step.displacement.reshape(n, gdim),
         "slip_origin": origin.displacement.reshape(n, gdim),
         "force": force[pressed],
         "force_contact": pressed[0],
@@ -105,12 +97,12 @@ def _arrays(continuation: Continuation, coordinates: Vector) -> dict[str, Array]
     }
 
 
-def read_continuation(
+def read_step(
     path: str | os.PathLike[str],
     system: TornSystem,
     nodes: OwnedNodes,
     contacts: int,
-) -> Continuation:
+) -> Step:
     """Read the part of this rank from a checkpoint. Collective.
 
     Without numbers of the nodes the subdomains have to be those of the file.
@@ -124,10 +116,8 @@ def read_continuation(
     local = np.arange(len(nodes.coordinates))
     with raise_collectively(system.comm):
         shares = [{**checkpoint.own, "numbers": local}]
-        continuation = _continuation(
-            path, shares, checkpoint.common, local, nodes.coordinates, contacts
-        )
-    return replace(continuation, state=checkpoint.state)
+        step = _joined(path, shares, checkpoint.common, local, nodes.coordinates, contacts)
+    return replace(step, state=checkpoint.state)
 
 
 def _redistributed(
@@ -136,7 +126,7 @@ def _redistributed(
     nodes: OwnedNodes,
     numbers: Numbers,
     contacts: int,
-) -> Continuation:
+) -> Step:
     """Read this rank's part of a checkpoint of the same problem with other subdomains."""
     sums = _check_sums(system, nodes.first, numbers)
     with raise_collectively(system.comm), open_checkpoint(path) as file:
@@ -145,8 +135,8 @@ def _redistributed(
             if str(common.get(f"check sum/{name}", "")) != text:
                 raise _of_another_problem(path, name)
         shares = (file.read_all(f"{rank}/own/") for rank in range(file.integer("ranks")))
-        continuation = _continuation(path, shares, common, numbers, nodes.coordinates, contacts)
-    return continuation
+        step = _joined(path, shares, common, numbers, nodes.coordinates, contacts)
+    return step
 
 
 def _check_sums(system: TornSystem, first: int, numbers: Numbers) -> dict[str, str]:
@@ -184,14 +174,14 @@ def _of_another_problem(path: str | os.PathLike[str], name: str) -> InputError:
     return InputError(f"{path}: the checkpoint is that of another problem: the {name} differ")
 
 
-def _continuation(
+def _joined(
     path: str | os.PathLike[str],
     shares: Iterable[Mapping[str, Array]],
     common: Mapping[str, Array],
     numbers: Numbers,
     coordinates: Vector,
     contacts: int,
-) -> Continuation:
+) -> Step:
     """Join the shares of a file at the nodes of this rank, without a state."""
     n, gdim = coordinates.shape
     passes = common.get("passes", np.zeros(0))
@@ -208,12 +198,11 @@ def _continuation(
     if not distance <= RELATIVE_ROUNDING * np.abs(coordinates).max(initial=0.0):
         raise _of_another_problem(path, "coordinates")
     finished = [GeometryPass(*row) for row in passes.tolist()]
-    return Continuation(
-        None,
+    return Step(
         nodal["displacement"].ravel(),
         entries["force"],
-        int(common["solves"]),
         SlipOrigin(nodal["slip_origin"].ravel(), entries["obstacle"].reshape(contacts, n * gdim)),
+        int(common["solves"]),
         [replace(entry, products=int(entry.products)) for entry in finished],
     )
 

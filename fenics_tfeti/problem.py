@@ -8,20 +8,13 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 from numpy.typing import NDArray
 
 import ufl
 from dolfinx.fem import Function
 
-from fenics_tfeti.continuation import (
-    Continuation,
-    nodal_forces,
-    read_continuation,
-    write_continuation,
-)
+from fenics_tfeti.continuation import Step, read_step, write_step
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import (
@@ -31,14 +24,8 @@ from fenics_tfeti.fem.arguments import (
     as_tied_pairs,
     check_function,
 )
-from fenics_tfeti.fem.contact.checks import check_depth
-from fenics_tfeti.fem.contact.contact import ContactPairing, ContactResult, FrictionResult
-from fenics_tfeti.fem.contact.deformed import (
-    DeformedContact,
-    GeometryPass,
-    deformed_contact,
-    geometry_pass,
-)
+from fenics_tfeti.fem.contact.contact_set import ContactSearch, ContactSet, SolvedContacts
+from fenics_tfeti.fem.contact.deformed import GeometryPass, geometry_pass
 from fenics_tfeti.fem.contact.description import (
     Contact,
     ContactPair,
@@ -46,31 +33,11 @@ from fenics_tfeti.fem.contact.description import (
     contact_name,
     tied_name,
 )
-from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
-from fenics_tfeti.fem.contact.opening import openings
-from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
-from fenics_tfeti.fem.contact.roles import (
-    describe_roles,
-    exchanged,
-    prefers_exchange,
-    roles_ratio,
-    warn_of_roles,
-)
-from fenics_tfeti.fem.contact.slip import (
-    NodalFriction,
-    SlipOrigin,
-    friction_result,
-    friction_rows,
-    nodal_friction,
-    obstacle_displacements,
-)
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.fem.contact.tied import TiedPairing, tie_pairs, tied_rows
-from fenics_tfeti.fem.contact.transfer import check_same_contacts, expected_contact, gather_solved
-from fenics_tfeti.fem.decomposition.assembly import prepare_forms, same_values
+from fenics_tfeti.fem.contact.result import ContactResult
+from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.contact.transfer import check_same_contacts, expected_contact
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
-from fenics_tfeti.fem.decomposition.partition import as_subdomains, split_into_subdomains
-from fenics_tfeti.fem.decomposition.parts import Part, number_parts
+from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
 from fenics_tfeti.fem.displacement import (
     displacement_function,
     fill_owned,
@@ -85,9 +52,6 @@ from fenics_tfeti.fem.strains import warn_of_large_gradients
 from fenics_tfeti.feti import (
     ContactGuess,
     MonitorFunction,
-    Prescribed,
-    Report,
-    Subdomain,
     Timer,
     TornSolution,
     TornSolver,
@@ -187,46 +151,31 @@ class ContactProblem:
         self.bcs, self.contacts = as_conditions(bcs), as_contacts(contacts)
         self.tied = as_tied_pairs(tied)
         self.u = check_function(u, self.space)
-        self._measure_weight = measure_weight
-        self._tied: list[tuple[TiedPair, TiedPairing]] = []
-        # the user's pairs whose roles were exchanged, by identity, with the exchanged ones
-        self._exchanged: dict[int, tuple[Contact, Contact]] = {}
-        # pairs whose roles were decided, with the entries of the report
-        self._roles: list[tuple[Contact, dict[str, Any]]] = []
-        self._oriented: list[Contact] = []  # the contacts, some with exchanged roles
-        self._conditions: list[ContactPairing] = []
-        self._deformed_conditions: list[ContactPairing] = []
-        self._solved_conditions: list[ContactPairing] = []
-        self._friction: list[NodalFriction | None] = []  # at `_conditions`
-        self._solver: TornSolver | None = None
-        self._displacement: Function | None = None
-        self._monitor: MonitorFunction | None = None
-        self._checkpoint: str | os.PathLike[str] | None = None
-        self._restored: Continuation | None = None
-        self._warned_of_gradients = False
-        self._solves = 0
-        self._passes = list[GeometryPass]()
-        self._origin = SlipOrigin.undeformed(self.space, len(self.contacts))
-        prescribed = prescribed_values(self.space, self.bcs)
         with self._timer.phase("partition"):
             self._bodies = find_bodies(self.space.mesh, cell_tags)
             check_mesh(self.space.mesh, self._bodies, self.contacts)
-        with self._timer.phase("contact search"):
-            self._boundary = MeshBoundary.of(self.space, self._measure_weight)
-        self._find_conditions(prescribed)
-        with self._timer.phase("compilation"):
-            self._forms = prepare_forms(self.space, a, L)
-        with self._timer.phase("partition"):
-            self._cells = self._split_cells(subdomains)
-            self._parts = self._numbered_parts()
-        self._x = self.space.mesh.geometry.x.copy()
-        self._values = self._forms.values()
+        self._search = ContactSearch(self.space, self._bodies, measure_weight, self._timer)
+        origin = SlipOrigin.undeformed(self.space, len(self.contacts))
+        self._step = Step(origin.displacement, np.zeros((0, 0)), origin)
+        self._is_restored = self._has_warned = False
+        self._deformed: ContactSet | None = None  # after the last pass
+        self._solved: SolvedContacts | None = None
+        self._solver: TornSolver | None = None
+        found = self._find_contacts()
+        self._torn = TornMesh(
+            self.space,
+            a,
+            L,
+            self._bodies,
+            self._search.boundary.coordinates,
+            subdomains,
+            self.options.subdomain_size,
+            self.options.partitioner,
+            self._timer,
+        )
         with self._timer.phase("assembly"):
-            warn_of_locking(self._forms, self._bodies)
-        torn = self._assemble()
-        self._choose_roles(torn, prescribed)
-        self.system = self._torn_system(torn, prescribed)
-        self._stale = self._has_solved = False
+            warn_of_locking(self._torn.forms, self._bodies)
+        self._assemble(found)
 
     def solve(
         self,
@@ -286,22 +235,24 @@ class ContactProblem:
         OSError
             If the checkpoint cannot be written; an old one is left as it is.
         """
-        self._monitor, self._checkpoint = monitor, checkpoint
         with interruption.deferred():
             try:
-                uh = self._solve(coarse)
+                uh = self._solve(coarse, monitor, checkpoint)
             except Interrupted as error:
                 if error.solution is not None:
-                    self._save(error.solution, self._passes)
+                    self._save(checkpoint)
                 raise
-            self._solves += 1
-            if not self._warned_of_gradients:
+            finally:
+                self._timer.restart()
+            if not self._has_warned:
                 energy = [body.energy_norm**2 for body in self.report.certificate.bodies]
-                self._warned_of_gradients = warn_of_large_gradients(uh, self._bodies, energy)
+                self._has_warned = warn_of_large_gradients(uh, self._bodies, energy)
+            step = replace(self._step, solves=self._step.solves + 1, passes=())
             if self.report.converged:
-                displacements = obstacle_displacements(self.space, self._conditions, self._friction)
-                self._origin = SlipOrigin(owned_values(uh), displacements)
-            self._save(uh, [])
+                displacements = self._undeformed.obstacle_displacements()
+                step = replace(step, origin=SlipOrigin(step.displacement, displacements))
+            self._step = step
+            self._save(checkpoint)
             try:
                 interruption.check(self.space.mesh.comm)
             except Interrupted:
@@ -312,7 +263,8 @@ class ContactProblem:
 
     def reset_slip(self) -> None:
         """Count slip from the undeformed state in the next solve, as in the first one."""
-        self._origin = SlipOrigin.undeformed(self.space, len(self.contacts))
+        origin = SlipOrigin.undeformed(self.space, len(self.contacts))
+        self._step = replace(self._step, origin=origin)
 
     def restore(self, checkpoint: str | os.PathLike[str]) -> int:
         """Go on from a checkpoint that an earlier run of the same problem has written. Collective.
@@ -348,43 +300,68 @@ class ContactProblem:
         ...     load.value = loads[step]
         ...     uh = problem.solve(checkpoint=file)
         """
-        if self._has_solved:
+        if self._solver is not None:
             raise InputError("a checkpoint is for a problem that was not solved yet")
         nodes = OwnedNodes.from_space(self.space, self._input_numbers)
-        saved = read_continuation(checkpoint, self.system, nodes, len(self.contacts))
-        self._restored, self._solves = saved, saved.solves
-        self._origin = saved.origin
-        return saved.solves
+        self._step = read_step(checkpoint, self.system, nodes, len(self.contacts))
+        self._is_restored = True
+        return self._step.solves
 
-    def _save(self, uh: Function, passes: Sequence[GeometryPass]) -> None:
+    def _save(self, checkpoint: str | os.PathLike[str] | None) -> None:
         """Write the checkpoint, if there is to be one."""
-        if self._checkpoint is not None and self._solver is not None:
+        if checkpoint is not None and self._solver is not None:
             nodes = OwnedNodes.from_space(self.space, self._input_numbers)
-            saved = Continuation(
-                self._solver.state,
-                owned_values(uh),
-                nodal_forces(nodes, self.contact),
-                self._solves,
-                self._origin,
-                passes,
-            )
-            write_continuation(self._checkpoint, self.system, nodes, saved)
+            step = replace(self._step, state=self._solver.state)
+            write_step(checkpoint, self.system, nodes, step)
 
     @cached_property
     def _input_numbers(self) -> NDArray[np.int64] | None:
         return input_numbers(self.space)
 
-    def _solve(self, coarse: ContactProblem | None) -> Function:
-        if self._has_solved:
-            self._timer = Timer()
-        self._has_solved = True
-        if coarse is not None:
-            self._check_coarse(coarse)
-        # also at first: values may have changed since the problem was set up
-        self._refresh()
-        if self.options.non_penetration == "linearised":
-            return self._solve_linearised(self._conditions, coarse)
-        return self._solve_exactly(coarse)
+    # -- the present data --------------------------------------------------------------------------
+
+    def _find_contacts(self) -> ContactSet:
+        prescribed = prescribed_values(self.space, self.bcs)
+        return self._search.find(self.contacts, self.tied, prescribed)
+
+    def _assemble(self, found: ContactSet) -> None:
+        """Make the torn system from the conditions of contacts, which may exchange roles."""
+        torn = self._torn.assemble(self._release)
+        self._undeformed = found = self._search.with_roles(found, torn)
+        self.system = TornSystem(
+            torn,
+            found.prescribed,
+            found.rows(),
+            self.space.mesh.geometry.dim,
+            self._bodies.names,
+            found.names,
+            self.space.mesh.comm,
+            [f"Dirichlet condition {i}" for i in range(len(self.bcs))],
+            found.tied_rows(),
+            found.friction_rows(self._step.origin),
+        )
+
+    def _refresh(self) -> None:
+        """Update the system by all that changed since the last solve or the set-up."""
+        with raise_collectively(self.space.mesh.comm):
+            self.bcs, self.contacts = as_conditions(self.bcs), as_contacts(self.contacts)
+            self.tied = as_tied_pairs(self.tied)
+        origin = self._step.origin.resized(len(self.contacts))
+        self._step = replace(self._step, origin=origin)
+        if self._torn.has_moved():
+            check_mesh(self.space.mesh, self._bodies, self.contacts)
+            self._search.forget()
+            self._deformed = None
+            self.reset_slip()
+            self._torn.place_nodes(self._search.boundary.coordinates)
+        self._assemble(self._find_contacts())
+
+    def _release(self) -> None:
+        """Free the last stiffness matrices and factors, before others take their place."""
+        if hasattr(self, "system"):
+            self.system = replace(self.system, subdomains=[])
+        if self._solver is not None:
+            self._solver.release()
 
     def _check_coarse(self, coarse: Any) -> None:
         with raise_collectively(self.space.mesh.comm):
@@ -406,247 +383,97 @@ class ContactProblem:
                     "a coarse problem is a start for method='active_set'; with "
                     f"{self.options.solver.method!r} leave it out"
                 )
-            if coarse._displacement is None:
+            if coarse._solved is None:
                 raise InputError("the coarse problem is not solved; call its solve() first")
 
-    def _guess(
-        self, coarse: ContactProblem | None, conditions: Sequence[ContactPairing]
-    ) -> ContactGuess | None:
-        if coarse is None or coarse._displacement is None:
-            return self._restored_guess(conditions)
-        with self._timer.phase("coarse contact"):
-            solved = gather_solved(
-                coarse._boundary,
-                coarse._oriented,
-                coarse._solved_conditions,
-                coarse.contact,
-                coarse._displacement,
-            )
-            return expected_contact(solved, conditions)
+    # -- solutions ---------------------------------------------------------------------------------
 
-    def _restored_guess(self, conditions: Sequence[ContactPairing]) -> ContactGuess | None:
-        """Return the contact forces of a checkpoint whose multipliers are those of other ranks."""
-        saved = self._restored
-        if saved is None or saved.state is not None or self.options.solver.method != "active_set":
-            return None
-        return saved.guess(conditions, self.space.dofmap.index_map.local_range[0])
-
-    def _find_conditions(self, prescribed: Prescribed) -> None:
-        with self._timer.phase("contact search"):
-            contacts = [self._exchanged.get(id(c), (c, c))[1] for c in self.contacts]
-            earlier = list(zip(self._oriented, self._conditions, strict=True))
-            if [id(c) for c in self._oriented] != [id(c) for c in contacts]:
-                self._deformed_conditions = []
-            conditions = match_contacts(self._boundary, contacts, earlier, prescribed)
-            check_depth(self.space, self._bodies, conditions)
-            self._oriented, self._conditions = contacts, conditions
-            self._friction = self._nodal_friction(self._conditions, prescribed)
-            self._tied = tie_pairs(self._boundary, self.tied, self._tied, prescribed)
-
-    def _nodal_friction(
-        self, conditions: Sequence[ContactPairing], prescribed: Prescribed
-    ) -> list[NodalFriction | None]:
-        return [
-            nodal_friction(self.space, contact, pairing, prescribed)
-            for contact, pairing in zip(self._oriented, conditions, strict=True)
-        ]
-
-    def _choose_roles(self, torn: Sequence[Subdomain], prescribed: Prescribed) -> None:
-        """Exchange slave and master of new pairs where that is better and wanted, or warn."""
-        comm = self.space.mesh.comm
-        decided = {id(contact) for contact, _ in self._roles}
-        for number, contact in enumerate(self.contacts):
-            if id(contact) in decided or not isinstance(contact, ContactPair):
-                continue
-            pairing, error = self._conditions[number], None
-            ratio = roles_ratio(comm, pairing, torn)
-            exchanges = prefers_exchange(contact, ratio)
-            if exchanges:
-                error = self._exchange_roles(contact, prescribed)
-                exchanges = error is None
-            roles = describe_roles(contact, ratio, exchanges, error)
-            if ratio is not None and exchanges:
-                ratio = 1.0 / ratio
-            self._roles.append((contact, {"roles_ratio": ratio, "roles": roles}))
-            with raise_collectively(comm):
-                if ratio is not None and comm.rank == 0:
-                    warn_of_roles(pairing.name, ratio)
-        with raise_collectively(comm):
-            for contact, pairing in zip(self.contacts, self._conditions, strict=True):
-                if comm.rank == 0 and id(contact) not in decided:
-                    warn_of_deviation(pairing.summary)
-
-    def _exchange_roles(self, contact: ContactPair, prescribed: Prescribed) -> str | None:
-        """Exchange the roles of a pair; return the error, if any, with which they are as given."""
-        self._exchanged[id(contact)] = (contact, exchanged(contact))
-        try:
-            self._find_conditions(prescribed)
-        except InputError as error:
-            # surfaces that can be masters only, such as folded ones, or masters of other pairs
-            del self._exchanged[id(contact)]
-            self._find_conditions(prescribed)
-            return str(error)
-        return None
-
-    def _pairing_entries(self) -> list[dict[str, Any]]:
-        nothing = {"roles_ratio": None, "roles": None}
-        decided = {id(contact): roles for contact, roles in self._roles}
-        entries = [
-            {**pairing.summary, **decided.get(id(contact), nothing)}
-            for contact, pairing in zip(self.contacts, self._conditions, strict=True)
-        ]
-        return entries + [pairing.summary for _, pairing in self._tied]
-
-    def _resultants(self, report: Report) -> dict[str, list[Any]]:
-        """Return the forces and moments on slaves and masters as the user gave them."""
-        sides = [report.on_slaves.copy(), report.on_masters.copy()]
-        for number, contact in enumerate(self.contacts):
-            if id(contact) in self._exchanged:
-                for side, opposite in zip(
-                    sides, (report.on_masters, report.on_slaves), strict=True
-                ):
-                    side[number] = opposite[number]
-        forces = [side.force for side in sides[0]]
-        return {"on_slaves": sides[0], "on_masters": sides[1], "contact_forces": forces}
-
-    def _assemble(self, known: Sequence[Subdomain] | None = None) -> list[Subdomain]:
-        """Assemble the subdomains, or only the loads of known ones."""
-        with self._timer.phase("assembly"):
-            return self._forms.subdomains(self._parts, known, self._boundary.coordinates)
-
-    def _torn_system(self, torn: Sequence[Subdomain], prescribed: Prescribed) -> TornSystem:
-        gdim = self.space.mesh.geometry.dim
-        rows = contact_rows(self._conditions, gdim)
-        ties = [tie for _, tie in self._tied]
-        return TornSystem(
-            torn,
-            prescribed,
-            rows,
-            gdim,
-            self._bodies.names,
-            [*(pairing.name for pairing in self._conditions), *(tie.name for tie in ties)],
-            self.space.mesh.comm,
-            [f"Dirichlet condition {i}" for i in range(len(self.bcs))],
-            tied_rows(ties, gdim, len(self._conditions)),
-            friction_rows(self.space, rows, self._conditions, self._friction, self._origin),
-        )
-
-    def _refresh(self) -> None:
-        """Update the system by all that changed since the last solve or the set-up."""
-        with raise_collectively(self.space.mesh.comm):
-            self.bcs, self.contacts = as_conditions(self.bcs), as_contacts(self.contacts)
-            self.tied = as_tied_pairs(self.tied)
-        self._origin = self._origin.resized(len(self.contacts))
-        is_moved = self._refresh_geometry()
-        prescribed = prescribed_values(self.space, self.bcs)
-        self._find_conditions(prescribed)
-        old, new = self._values, self._forms.values()
-        comm = self.space.mesh.comm
-        if is_moved or self._stale or not same_values(old.bilinear, new.bilinear, comm):
-            self._release()
-            torn = self._assemble()
-        elif not same_values(old.linear, new.linear, comm):
-            torn = self._assemble(self.system.subdomains)
-        else:
-            torn = list(self.system.subdomains)
-        self._values, self._stale = new, False
-        self._choose_roles(torn, prescribed)
-        self.system = self._torn_system(torn, prescribed)
-
-    def _release(self) -> None:
-        """Free the last stiffness matrices and factors, before others take their place."""
-        self._stale = True
-        self.system = replace(self.system, subdomains=[])
-        if self._solver is not None:
-            self._solver.release()
-
-    def _split_cells(self, labels: Sequence[int] | None) -> list[NDArray[np.int32]]:
-        if labels is not None:
-            return as_subdomains(self.space.mesh, self._bodies, labels)
-        size, partitioner = self.options.subdomain_size, self.options.partitioner
-        return split_into_subdomains(self.space, self._bodies, size, partitioner)
-
-    def _numbered_parts(self) -> list[Part]:
-        bodies = [self._bodies.of_cell[cells[0]] for cells in self._cells]
-        return number_parts(self.space, self._cells, bodies, self._boundary.coordinates)
-
-    def _refresh_geometry(self) -> bool:
-        """Set the geometry up anew if nodes were moved since the last solve; tell whether."""
-        domain = self.space.mesh
-        if same_values([self._x], [domain.geometry.x], domain.comm):
-            return False
-        self._stale = True
-        check_mesh(domain, self._bodies, self.contacts)
-        with self._timer.phase("contact search"):
-            self._boundary = MeshBoundary.of(self.space, self._measure_weight)
-        self._oriented, self._conditions, self._deformed_conditions, self._tied = [], [], [], []
-        self.reset_slip()
-        with self._timer.phase("partition"):
-            self._parts = self._numbered_parts()
-        # last: after an error above, the nodes count as moved in the next solve too
-        self._x = domain.geometry.x.copy()
-        return True
+    def _solve(
+        self,
+        coarse: ContactProblem | None,
+        monitor: MonitorFunction | None,
+        checkpoint: str | os.PathLike[str] | None,
+    ) -> Function:
+        if coarse is not None:
+            self._check_coarse(coarse)
+        # also at first: values may have changed since the problem was set up
+        self._refresh()
+        if self.options.non_penetration == "linearised":
+            return self._solve_linearised(self._undeformed, coarse, monitor)
+        return self._solve_exactly(coarse, monitor, checkpoint)
 
     def _solve_linearised(
-        self, conditions: Sequence[ContactPairing], coarse: ContactProblem | None = None
+        self,
+        conditions: ContactSet,
+        coarse: ContactProblem | None,
+        monitor: MonitorFunction | None,
     ) -> Function:
-        rows = contact_rows(conditions, self.system.gdim)
-        friction = self._friction
-        if conditions is not self._conditions:
-            friction = self._nodal_friction(conditions, self.system.prescribed)
-        rows_of_friction = friction_rows(self.space, rows, conditions, friction, self._origin)
-        system = replace(self.system, contacts=rows, friction=rows_of_friction)
+        friction = conditions.friction_rows(self._step.origin)
+        system = replace(self.system, contacts=conditions.rows(), friction=friction)
         guess = self._guess(coarse, conditions)
-        start = None if self._restored is None else self._restored.state
-        solver = self.options.solver
+        solver, start = self.options.solver, self._step.state
         self._solver = TornSolver(system, solver, self._timer, self._solver, guess, start)
-        self._restored = None
+        self._is_restored = False
         try:
-            solution = self._solver.solve(self._monitor)
+            solution = self._solver.solve(monitor)
         except (NotConverged, Interrupted) as error:
             if error.solution is None:
                 raise
-            error.solution = self._store_results(error.solution, conditions, friction)
+            error.solution = self._store_results(error.solution, conditions)
             error.report = self.report
             raise
-        return self._store_results(solution, conditions, friction)
+        return self._store_results(solution, conditions)
 
-    def _solve_exactly(self, coarse: ContactProblem | None) -> Function:
+    def _guess(self, coarse: ContactProblem | None, conditions: ContactSet) -> ContactGuess | None:
+        """Return the contact of a coarse problem, or that of a checkpoint of other subdomains."""
+        if coarse is not None and coarse._solved is not None:
+            with self._timer.phase("coarse contact"):
+                return expected_contact(coarse._solved.gathered(), conditions.pairings)
+        has_state = self._step.state is not None
+        if not self._is_restored or has_state or self.options.solver.method != "active_set":
+            return None
+        first_node = self.space.dofmap.index_map.local_range[0]
+        return self._step.guess(conditions.pairings, first_node)
+
+    def _solve_exactly(
+        self,
+        coarse: ContactProblem | None,
+        monitor: MonitorFunction | None,
+        checkpoint: str | os.PathLike[str] | None,
+    ) -> Function:
         """Repeat with normals, gaps and partners of the deformed surfaces, sec. 11.1, 11.11.2."""
         self._check_initial_gaps()
-        passes = self._passes = list[GeometryPass]()
-        if self._restored is not None:
-            passes += self._restored.passes
-            uh = fill_owned(Function(self.space), self._restored.displacement)
-            deformed = self._deformed_contacts(self._conditions, uh)
-            self._deformed_conditions = _pairings(self._conditions, deformed)
-        earlier_seconds = sum(earlier.seconds for earlier in passes)
-        # where the last solution ended is nearer to the present one than the undeformed state
-        conditions = self._deformed_conditions or self._conditions
+        conditions, comm = self._first_conditions(), self.space.mesh.comm
+        passes = list(self._step.passes) if self._is_restored else []
         while True:
-            uh = self._solve_linearised(conditions, None if passes else coarse)
-            deformed = self._deformed_contacts(conditions, uh)
+            self._step = replace(self._step, passes=passes)
+            uh = self._solve_linearised(conditions, None if passes else coarse, monitor)
+            with self._timer.phase("deformed surfaces"):
+                self._deformed, measured = conditions.deformed(uh)
+            assert self._solved is not None
             products = self.report.products["total"]
-            seconds = self._timer.slowest(self.space.mesh.comm)
-            new_pass = geometry_pass(deformed, self._results, uh, products)
-            spent = seconds["total"] + earlier_seconds - sum(earlier.seconds for earlier in passes)
-            passes.append(replace(new_pass, seconds=spent))
+            new_pass = geometry_pass(measured, self._solved.results, uh, products)
+            passes = [*passes, replace(new_pass, seconds=self._timer.lap(comm))]
+            seconds = self._timer.slowest(comm)
             self.report = replace(self.report, passes=passes, seconds=seconds)
-            conditions = self._deformed_conditions = _pairings(conditions, deformed)
             if passes[-1].error <= self.options.non_penetration_tolerance:
                 return uh
-            if len(passes) == self.options.non_penetration_max_it:
+            if len(passes) >= self.options.non_penetration_max_it:
                 return self._not_exact(uh, passes[-1])
-            self._save(uh, passes)
+            self._step = replace(self._step, passes=passes)
+            self._save(checkpoint)
+            conditions = self._deformed.with_friction()
 
-    def _deformed_contacts(
-        self, conditions: Sequence[ContactPairing], uh: Function
-    ) -> list[DeformedContact]:
-        with self._timer.phase("deformed surfaces"):
-            return [
-                deformed_contact(self._boundary, contact, pairing, uh, _gives_normals(contact))
-                for contact, pairing in zip(self._oriented, conditions, strict=True)
-            ]
+    def _first_conditions(self) -> ContactSet:
+        """Return the conditions where the last solution ended, nearer than the undeformed ones."""
+        undeformed = self._undeformed
+        if self._is_restored:
+            uh = fill_owned(Function(self.space), self._step.displacement)
+            with self._timer.phase("deformed surfaces"):
+                self._deformed, _ = undeformed.deformed(uh)
+        if self._deformed is None or not undeformed.has_same_contacts(self._deformed):
+            return undeformed
+        return undeformed.at_conditions_of(self._deformed)
 
     def _check_initial_gaps(self) -> None:
         with raise_collectively(self.space.mesh.comm):
@@ -675,105 +502,25 @@ class ContactProblem:
             )
         return uh
 
-    def _store_results(
-        self,
-        solution: TornSolution,
-        conditions: Sequence[ContactPairing],
-        friction: Sequence[NodalFriction | None],
-    ) -> Function:
-        versions = {**solution.report.versions, "dolfinx": _compat.version()}
-        entries = self._pairing_entries()
+    def _store_results(self, solution: TornSolution, conditions: ContactSet) -> Function:
+        report = solution.report
+        on_slaves, on_masters = conditions.as_given(report.on_slaves, report.on_masters)
         self.report = ContactReport(
             **{
-                **vars(solution.report),
-                **self._resultants(solution.report),
-                "versions": versions,
-                "options": {**solution.report.options, **self.options.as_dict()},
+                **vars(report),
+                "on_slaves": on_slaves,
+                "on_masters": on_masters,
+                "contact_forces": [side.force for side in on_slaves],
+                "versions": {**report.versions, "dolfinx": _compat.version()},
+                "options": {**report.options, **self.options.as_dict()},
             },
-            pairing=entries,
+            pairing=self._search.pairing_entries(conditions),
         )
-        forces = _split(solution.normal_force, [pairing.slave.size for pairing in conditions])
-        sizes = [0 if nodal is None else nodal.bound.size for nodal in friction]
-        friction_values = zip(
-            _split(solution.tangential_force, sizes),
-            _split(solution.slip, sizes),
-            _split(solution.sticking, sizes),
-            _split(solution.slip_bound, sizes),
-            strict=True,
-        )
-        self._displacement = displacement_function(
+        uh = displacement_function(
             self.space, self.system.subdomains, solution.displacements, self.u
         )
-        self._results = [
-            # the gap of the undeformed surfaces, with the normal that the force acts along
-            _contact_result(
-                _with_gaps(pairing, undeformed),
-                opening,
-                force,
-                friction_result(nodal, pairing, *values),
-                self.space.mesh.comm,
-            )
-            for pairing, undeformed, opening, force, nodal, values in zip(
-                conditions,
-                self._conditions,
-                openings(self.space, conditions, owned_values(self._displacement)),
-                forces,
-                friction,
-                friction_values,
-                strict=True,
-            )
-        ]
-        self.contact = [
-            result.seen_from_master() if id(contact) in self._exchanged else result
-            for contact, result in zip(self.contacts, self._results, strict=True)
-        ]
-        self._solved_conditions = list(conditions)
-        return self._displacement
-
-
-def _pairings(
-    conditions: Sequence[ContactPairing], deformed: Sequence[DeformedContact]
-) -> list[ContactPairing]:
-    return [contact.pairing(pairing) for pairing, contact in zip(conditions, deformed, strict=True)]
-
-
-def _gives_normals(contact: Contact) -> bool:
-    return isinstance(contact, ContactPair) and contact.normal is not None
-
-
-def _with_gaps(pairing: ContactPairing, undeformed: ContactPairing) -> ContactPairing:
-    """Return conditions with the gaps of others; infinite at nodes that these do not have."""
-    _, rows, rows_of_gaps = np.intersect1d(pairing.slave, undeformed.slave, return_indices=True)
-    gap = np.full(pairing.slave.size, np.inf)
-    gap[rows] = undeformed.gap[rows_of_gaps]
-    return replace(pairing, gap=gap)
-
-
-def _split(values: NDArray[Any], sizes: Sequence[int]) -> list[NDArray[Any]]:
-    """Split rows into parts of these sizes."""
-    pieces: list[NDArray[Any]] = np.split(values, np.cumsum([0, *sizes])[1:])[: len(sizes)]
-    return pieces
-
-
-def _contact_result(
-    pairing: ContactPairing,
-    opening: NDArray[np.float64],
-    force: NDArray[np.float64],
-    friction: FrictionResult | None,
-    comm: MPI.Intracomm,
-) -> ContactResult:
-    return ContactResult(
-        pairing.name,
-        pairing.slave,
-        pairing.coordinates,
-        pairing.gap,
-        opening,
-        pairing.normal,
-        normal_force=force,
-        pressure=force / pairing.area,
-        active=force > 0.0,
-        area=pairing.area,
-        coverage=np.ones_like(force) if pairing.coverage is None else pairing.coverage,
-        friction=friction,
-        comm=comm,
-    )
+        self._solved = solved = conditions.solved(solution, uh)
+        self.contact = solved.as_given()
+        displacement, force = owned_values(uh), solved.nodal_forces()
+        self._step = replace(self._step, displacement=displacement, force=force)
+        return uh

@@ -101,7 +101,7 @@ def test_passes_of_both_runs_are_in_the_report(path, whole):
     passes = []
 
     def stop(step):
-        passes.append(len(problem._passes))
+        passes.append(len(problem._step.passes))
         if passes[-1] == 3:
             raise Interrupted("here")
 
@@ -113,7 +113,7 @@ def test_passes_of_both_runs_are_in_the_report(path, whole):
     assert "checkpoint" not in again.report.reused
     assert len(again.report.passes) >= 4
     assert [p.products for p in again.report.passes[:3]] == [
-        p.products for p in problem._passes[:3]
+        p.products for p in problem._step.passes[:3]
     ]
     errors = [p.error for p in again.report.passes]
     assert errors[-1] <= 1e-8 < min(errors[:-1])

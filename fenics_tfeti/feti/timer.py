@@ -24,6 +24,7 @@ class Timer:
 
     seconds: dict[str, float] = field(default_factory=dict)
     clock: Callable[[], float] = time.perf_counter
+    _last_lap: float = field(default=0.0, init=False, repr=False)
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
@@ -38,3 +39,14 @@ class Timer:
         """Return the slowest rank's time of each phase, and their ``total`` [s]. Collective."""
         seconds = {name: comm.allreduce(time, MPI.MAX) for name, time in self.seconds.items()}
         return {**seconds, "total": sum(seconds.values())}
+
+    def lap(self, comm: MPI.Intracomm) -> float:
+        """Return the ``total`` of `slowest` since the last lap [s]. Collective."""
+        total = self.slowest(comm)["total"]
+        lap, self._last_lap = total - self._last_lap, total
+        return lap
+
+    def restart(self) -> None:
+        """Forget all phases."""
+        self.seconds.clear()
+        self._last_lap = 0.0

@@ -33,3 +33,16 @@ def test_the_clock_does_not_go_backwards():
     with timer.phase("nothing"):
         pass
     assert timer.seconds["nothing"] >= 0.0
+
+
+def test_laps_add_up_to_the_total():
+    timer = timer_at(0.0, 2.0, 10.0, 11.0, 20.0, 24.0)
+    laps = []
+    for names in (["long"], ["short", "long"]):
+        for name in names:
+            with timer.phase(name):
+                pass
+        laps.append(timer.lap(MPI.COMM_SELF))
+    assert laps == [2.0, 5.0]
+    timer.restart()
+    assert timer.lap(MPI.COMM_SELF) == 0.0 and not timer.seconds

@@ -18,10 +18,11 @@ from scipy.spatial import cKDTree
 from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.contact import ContactPairing, ContactResult
+from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.mortar.pairing import match_deformed, mean_relative
 from fenics_tfeti.fem.contact.obstacle_conditions import deformed_gaps
+from fenics_tfeti.fem.contact.result import ContactResult
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary

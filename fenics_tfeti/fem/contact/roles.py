@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 from mpi4py import MPI
 
@@ -28,6 +29,20 @@ _EXCHANGE_RATIO = 4.0
 
 # Estimated condition number of a pair's rows, above which the user is told.
 _LARGE_CONDITION = 20.0
+
+
+@dataclass(frozen=True)
+class Roles:
+    """The slave and the master of a pair as they are used."""
+
+    given: ContactPair  # as the user gave it
+    used: ContactPair  # the same object, or the one with slave and master exchanged
+    ratio: float | None = None  # E / h of the slave over that of the master, as they are used
+    reason: str | None = None  # for the report, see `describe_roles`
+
+    def entries(self) -> dict[str, Any]:
+        """Return the entries of the report."""
+        return {"roles_ratio": self.ratio, "roles": self.reason}
 
 
 def roles_ratio(

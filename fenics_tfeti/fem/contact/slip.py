@@ -14,10 +14,11 @@ import numpy as np
 
 from dolfinx.fem import FunctionSpace
 
-from fenics_tfeti.fem.contact.contact import ContactPairing, FrictionResult
+from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.description import Contact, RigidObstacle, Tresca
 from fenics_tfeti.fem.contact.friction import values_at_nodes
 from fenics_tfeti.fem.contact.opening import row_values
+from fenics_tfeti.fem.contact.result import FrictionResult
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
 from fenics_tfeti.fem.user_data import vectors_at
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed

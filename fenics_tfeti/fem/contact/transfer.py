@@ -15,9 +15,10 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.contact import ContactPairing, ContactResult
+from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.description import Contact, RigidObstacle
 from fenics_tfeti.fem.contact.mortar.pairing import mean_relative
+from fenics_tfeti.fem.contact.result import ContactResult
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING

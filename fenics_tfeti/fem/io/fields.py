@@ -23,7 +23,7 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.contact import ContactResult
+from fenics_tfeti.fem.contact.result import ContactResult
 from fenics_tfeti.fem.topology import owned_cells, tags_of_cells, vertex_nodes
 from fenics_tfeti.feti.files.arrays import folder_of
 from fenics_tfeti.parallel import raise_collectively

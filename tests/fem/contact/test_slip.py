@@ -91,7 +91,7 @@ def test_step_that_does_not_converge_is_no_step():
     )
     scene.problem.solve()
     assert not scene.problem.report.converged
-    assert not scene.problem._origin.displacement.any()
+    assert not scene.problem._step.origin.displacement.any()
 
 
 def test_moved_mesh_counts_slip_anew(pushed):

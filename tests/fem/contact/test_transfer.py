@@ -12,8 +12,8 @@ import scenes
 from moved_blocks import CELLS, blocks, lifted
 
 from fenics_tfeti import Plane
-from fenics_tfeti.fem.contact.contact import ContactResult
 from fenics_tfeti.fem.contact.matching import match_contact
+from fenics_tfeti.fem.contact.result import ContactResult
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.contact.transfer import expected_contact, gather_solved
 

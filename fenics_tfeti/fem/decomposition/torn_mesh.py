@@ -1,0 +1,83 @@
+"""The user's mesh torn into subdomains, with what was assembled on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import ufl
+from dolfinx.fem import FunctionSpace
+
+from fenics_tfeti.fem.decomposition.assembly import FormValues, prepare_forms, same_values
+from fenics_tfeti.fem.decomposition.bodies import Bodies
+from fenics_tfeti.fem.decomposition.partition import (
+    Partitioner,
+    as_subdomains,
+    split_into_subdomains,
+)
+from fenics_tfeti.fem.decomposition.parts import number_parts
+from fenics_tfeti.feti.system import Subdomain
+from fenics_tfeti.feti.timer import Timer
+from fenics_tfeti.typing import Vector
+
+
+class TornMesh:
+    """Subdomains of a mesh, by the user's labels of cells or of a size; collective.
+
+    They are assembled again only where something changed. Coordinates `x` (dofs, 3) are those of
+    the blocked degrees of freedom [m].
+    """
+
+    def __init__(
+        self,
+        space: FunctionSpace,
+        a: ufl.Form,
+        L: ufl.Form,
+        bodies: Bodies,
+        x: Vector,
+        labels: Sequence[int] | None,
+        size: int,
+        partitioner: Partitioner,
+        timer: Timer,
+    ) -> None:
+        self._space, self._bodies, self._timer = space, bodies, timer
+        with timer.phase("compilation"):
+            self.forms = prepare_forms(space, a, L)
+        with timer.phase("partition"):
+            self._cells = (
+                split_into_subdomains(space, bodies, size, partitioner)
+                if labels is None
+                else as_subdomains(space.mesh, bodies, labels)
+            )
+        self.place_nodes(x)
+
+    def place_nodes(self, x: Vector) -> None:
+        """Take the nodes where they are now; all is assembled anew."""
+        with self._timer.phase("partition"):
+            bodies = [self._bodies.of_cell[cells[0]] for cells in self._cells]
+            self._parts = number_parts(self._space, self._cells, bodies, x)
+        self._values: FormValues | None = None  # with which the subdomains were assembled
+        self._subdomains: list[Subdomain] = []
+        # last: after an error above, the nodes count as moved in the next solve too
+        self._nodes, self._x = x, self._space.mesh.geometry.x.copy()
+
+    def has_moved(self) -> bool:
+        """Tell whether nodes were moved since `place_nodes`."""
+        domain = self._space.mesh
+        return not same_values([self._x], [domain.geometry.x], domain.comm)
+
+    def assemble(self, release: Callable[[], None]) -> list[Subdomain]:
+        """Assemble what changed: the loads, or all after `release` of what the caller holds."""
+        comm, old, new = self._space.mesh.comm, self._values, self.forms.values()
+        self._values = None  # after an error all is assembled anew
+        if old is None or not same_values(old.bilinear, new.bilinear, comm):
+            self._subdomains = []
+            release()
+            self._subdomains = self._assembled(None)
+        elif not same_values(old.linear, new.linear, comm):
+            self._subdomains = self._assembled(self._subdomains)
+        self._values = new
+        return list(self._subdomains)
+
+    def _assembled(self, known: Sequence[Subdomain] | None) -> list[Subdomain]:
+        with self._timer.phase("assembly"):
+            return self.forms.subdomains(self._parts, known, self._nodes)
