@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import isfinite
 
 from mpi4py import MPI
 
@@ -34,6 +35,19 @@ def first_rows(comm: MPI.Intracomm, columns: Sequence[Vector], number: int) -> l
 
     # sorted on each rank as well, so that each sends few rows
     return first([concatenate_ranks(comm, row) for row in first(columns)])
+
+
+def first_distances(
+    comm: MPI.Intracomm, points: Vector, distance: Vector, limit: Vector, size: float = 0.0
+) -> str:
+    """Write the first points of all ranks that are too far away, and how far. Collective."""
+    return "; ".join(
+        format_point(point, size)
+        + (f" at distance {length:.3g} (tolerance {bound:.3g})" if isfinite(length) else "")
+        for point, length, bound in zip(
+            *first_rows(comm, (points, distance, limit), 3), strict=True
+        )
+    )
 
 
 def raise_where(

@@ -24,7 +24,7 @@ from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.surfaces.oriented import global_nodes, tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MasterNodes, Surface
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.messages import coordinate_order, first_rows, raise_where
+from fenics_tfeti.fem.messages import coordinate_order, first_distances, raise_where
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.topology import cell_vertices
 from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
@@ -66,13 +66,8 @@ def check_partners(
         return
     relative = partners.distance[far] / slave.size[far]
     largest = comm.allreduce(float(relative[np.isfinite(relative)].max(initial=0.0)), MPI.MAX)
-    columns = (slave.points[far], partners.distance[far], limit[far])
-    rows = first_rows(comm, columns, 3)
-    places = "; ".join(
-        f"{format_point(point, slave.extent)} at distance {distance:.3g} (tolerance {bound:.3g})"
-        if np.isfinite(distance)
-        else f"{format_point(point, slave.extent)}"
-        for point, distance, bound in zip(*rows, strict=True)
+    places = first_distances(
+        comm, slave.points[far], partners.distance[far], limit[far], slave.extent
     )
     measure = (
         f"Distances are {partners.measure}, up to {largest:.2g} of the facets' size. "

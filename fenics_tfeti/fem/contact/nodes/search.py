@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.description import Along, Mapped, Nearest, NodePartners, Points
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MasterNodes, Surface
-from fenics_tfeti.fem.messages import coordinate_order, first_rows, raise_where
+from fenics_tfeti.fem.messages import coordinate_order, first_distances, raise_where
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-from fenics_tfeti.fem.user_data import unit_vectors, vectors_at
+from fenics_tfeti.fem.user_data import VectorField, unit_vectors, vectors_at
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -42,16 +42,16 @@ def find_partners(
     """Find the partner of each slave node in the way that the user chose. Collective."""
     match partners:
         case Nearest():
-            return nearest(slave, master)
+            return _nearest(slave, master)
         case Along(direction, tolerance):
-            return along_direction(comm, slave, master, direction, tolerance, name)
+            return _along(comm, slave, master, direction, tolerance, name)
         case Mapped(mapping):
-            return by_mapping(comm, slave, master, mapping, name)
+            return _mapped(comm, slave, master, mapping, name)
         case Points():
-            return by_coordinates(comm, slave, master, partners, name)
+            return _at_points(comm, slave, master, partners, name)
 
 
-def nearest(slave: Surface, master: MasterNodes) -> Partners:
+def _nearest(slave: Surface, master: MasterNodes) -> Partners:
     """Pair each slave node with the nearest master node; the distance is along the surface."""
     partner = _nearest_points(master.points, slave.points)[1]
     offset = master.points[partner] - slave.points
@@ -63,11 +63,11 @@ def nearest(slave: Surface, master: MasterNodes) -> Partners:
     )
 
 
-def along_direction(
+def _along(
     comm: MPI.Intracomm,
     slave: Surface,
     master: MasterNodes,
-    direction: ArrayLike | Callable[[Vector], ArrayLike],
+    direction: VectorField,
     tolerance: float,
     name: str,
 ) -> Partners:
@@ -108,7 +108,7 @@ def along_direction(
     )
 
 
-def by_mapping(
+def _mapped(
     comm: MPI.Intracomm,
     slave: Surface,
     master: MasterNodes,
@@ -127,12 +127,8 @@ def by_mapping(
     )
 
 
-def by_coordinates(
-    comm: MPI.Intracomm,
-    slave: Surface,
-    master: MasterNodes,
-    pairs: Points,
-    name: str,
+def _at_points(
+    comm: MPI.Intracomm, slave: Surface, master: MasterNodes, pairs: Points, name: str
 ) -> Partners:
     """Pair the nodes at the user's points, which are the same on all ranks. Collective."""
     gdim = slave.normal.shape[1]
@@ -284,11 +280,7 @@ def _check_points_are_nodes(
     number = comm.allreduce(int(far.sum()))
     if not number:
         return
-    rows = first_rows(comm, (points[far], distance[far], limit[far]), 3)
-    places = "; ".join(
-        f"{format_point(point)} at distance {length:.3g} (tolerance {bound:.3g})"
-        for point, length, bound in zip(*rows, strict=True)
-    )
+    places = first_distances(comm, points[far], distance[far], limit[far])
     raise InputError(
         f"{label} points of {number} pairs are not nodes of its surface: {places}. Distances are "
         "to the nearest node. Take the coordinates from the mesh, or raise the tolerance"
