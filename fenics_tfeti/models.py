@@ -19,7 +19,7 @@ def axisymmetric_strain(u: Any) -> Any:
 
     The coordinates of the mesh are (r, z), the third direction is that of the circumference.
     """
-    r = ufl.SpatialCoordinate(u.ufl_domain())[0]
+    r = ufl.SpatialCoordinate(u.ufl_function_space().ufl_domain())[0]
     e = ufl.sym(ufl.grad(u))
     return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, u[0] / r]])
 
