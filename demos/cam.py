@@ -198,5 +198,4 @@ draw_profile(
     xlabel="angle [degrees]",
     ylabel="moment [kN m/m]",
     title="Moment that turns a cam under a follower with a spring",
-    comm=comm,
 )

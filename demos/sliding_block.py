@@ -201,5 +201,4 @@ draw_profile(
     xlabel="position of the block against the top of the bump [m]",
     ylabel="horizontal force [kN/m]",
     title="Force that pushes a block over a bump without friction",
-    comm=comm,
 )
