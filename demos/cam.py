@@ -46,7 +46,6 @@ from fenics_tfeti.io import (
     displacement_space,
     draw_deformed,
     draw_profile,
-    progress,
     read_msh,
     von_mises,
 )
@@ -145,7 +144,7 @@ turn(0)
 problem = ContactProblem(a(u, v), 0, bcs=bcs, contacts=[contact], options=options)
 M, energy, passes = [], [], []
 table = ["angle  moment [N m/m]  energy [J/m]  passes  products"]
-for step, t in enumerate(progress(angles, "angle", comm)):
+for step, t in enumerate(angles):
     turn(t)
     uh = problem.solve()
     M.append(moment_of(problem, uh))
@@ -199,5 +198,4 @@ draw_profile(
     xlabel="angle [degrees]",
     ylabel="moment [kN m/m]",
     title="Moment that turns a cam under a follower with a spring",
-    comm=comm,
 )

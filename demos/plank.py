@@ -16,7 +16,7 @@ This demo illustrates how to
 - glue subdomains: by equal node numbers, and nothing else;
 - share one matrix between equal subdomains, which then share its factor as well;
 - write contact with a rigid body as rows, and read forces and reactions from the result;
-- write the system to a file for `python -m fenics_tfeti.solve`.
+- write the system to a file for `python -m fenics_tfeti.feti`.
 
 Run it by `python demos/plank.py`; it writes the system, the report and a picture into `results/`.
 Of the Python packages only NumPy, SciPy, petsc4py, mpi4py and Matplotlib are used. All units are
@@ -152,7 +152,7 @@ figure.savefig(results / "plank.png", dpi=120)
 
 # ## The same from a file
 #
-# `python -m fenics_tfeti.solve results/plank.npz --rtol 1e-8` solves the system again, on any
+# `python -m fenics_tfeti.feti results/plank.npz --rtol 1e-8` solves the system again, on any
 # number of processes.
 
 save_system(results / "plank.npz", system)

@@ -241,7 +241,6 @@ draw_profile(
     xlabel="position along the roller [mm]",
     ylabel="largest normal pressure [MPa]",
     title="Pressure along the most loaded roller",
-    comm=comm,
 )
 if comm.rank == 0:
     from matplotlib.figure import Figure

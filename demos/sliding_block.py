@@ -47,7 +47,6 @@ from fenics_tfeti.io import (
     displacement_space,
     draw_deformed,
     draw_profile,
-    progress,
     read_msh,
     von_mises,
 )
@@ -142,7 +141,7 @@ def error(one):
 
 
 table = ["position   H [N/m]  F [N/m]  products  linearised  penetration or gap of each pass [mm]"]
-for step, s in enumerate(progress(steps, "position", comm)):
+for step, s in enumerate(steps):
     shift.value = s
     uh = problem.solve()
     found = problem.contact[0].gather()
@@ -202,5 +201,4 @@ draw_profile(
     xlabel="position of the block against the top of the bump [m]",
     ylabel="horizontal force [kN/m]",
     title="Force that pushes a block over a bump without friction",
-    comm=comm,
 )

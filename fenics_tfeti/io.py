@@ -13,7 +13,6 @@ from fenics_tfeti.fem.io.fields import (
 from fenics_tfeti.fem.io.gmsh import read_msh
 from fenics_tfeti.fem.io.interfaces import Interface, split_interfaces
 from fenics_tfeti.fem.io.pictures import draw_deformed, draw_profile
-from fenics_tfeti.fem.io.progress import progress
 from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
 from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
 
@@ -27,7 +26,6 @@ __all__ = [
     "draw_deformed",
     "draw_profile",
     "piecewise_constant",
-    "progress",
     "read_msh",
     "split_interfaces",
     "tag_facets",

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import Any
 
 from mpi4py import MPI
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.deformed import GeometryPass
-from fenics_tfeti.fem.io.page import report_page
 from fenics_tfeti.fem.io.scene import gather_scene
 from fenics_tfeti.feti import Report
 from fenics_tfeti.feti.files.arrays import write_whole
@@ -95,6 +95,10 @@ class ContactReport(Report):
         scene = None if displacement is None else gather_scene(displacement, fields)
         with raise_collectively(comm):
             if comm.rank == 0:
+                if find_spec("plotly") is None:
+                    raise ImportError("the page needs the Python module plotly: pip install plotly")
+                from fenics_tfeti.fem.io.page import report_page
+
                 page = report_page(without_nan(self.to_dict()), title, scene)
                 write_whole(path, "the page", lambda file: file.write(page.encode()))
 

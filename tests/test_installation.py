@@ -10,12 +10,12 @@ from subprocess import CompletedProcess, run
 
 from mpi4py import MPI
 
+import numpy as np
 import pytest
 
-from fenics_tfeti import self_test
-from fenics_tfeti.errors import needs_fenicsx
-from fenics_tfeti.installation import blas, extra, facts, main
-from fenics_tfeti.self_test import SelfTest
+from fenics_tfeti import __main__
+from fenics_tfeti.__main__ import blas, extra, facts, main, self_test
+from fenics_tfeti.errors import ContactError, needs_fenicsx
 
 COMM = MPI.COMM_SELF
 ROOT = Path(__file__).parent.parent
@@ -66,10 +66,32 @@ def test_blas_is_named_by_the_loaded_libraries(loaded, name):
     assert blas(2e9, loaded).startswith(f"{name}, ")
 
 
-def test_wrong_pressures_are_a_failure(monkeypatch, capsys):
-    monkeypatch.setattr(self_test, "self_test", lambda comm: SelfTest(0.3, 7, 1.0))
+def test_self_test_is_exact():
+    error, products, seconds = self_test(COMM)
+    assert error < 1e-6 and 0 < products < 100 and seconds > 0.0
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "verdict"),
+    [
+        (1e-9, 0, "passed: the pressure is exact to 1.0e-09, 7 products with F, 1.0 s"),
+        (1e-5, 1, "FAILED: the pressure is exact to 1.0e-05"),
+        (np.nan, 1, "FAILED: the pressure is exact to nan"),
+    ],
+)
+def test_verdict(monkeypatch, capsys, error, code, verdict):
+    monkeypatch.setattr(__main__, "self_test", lambda comm: (error, 7, 1.0))
+    assert main(COMM) == code
+    assert verdict in capsys.readouterr().out
+
+
+def test_error_of_the_solver_is_told(monkeypatch, capsys):
+    def failing(comm):
+        raise ContactError("no contact")
+
+    monkeypatch.setattr(__main__, "self_test", failing)
     assert main(COMM) == 1
-    assert "FAILED: the pressure is exact to 3.0e-01" in capsys.readouterr().out
+    assert "FAILED: no contact" in capsys.readouterr().out
 
 
 def run_elsewhere(python: Path | str, *arguments: str, path: Path = ROOT) -> CompletedProcess[str]:

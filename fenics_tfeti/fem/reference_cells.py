@@ -1,14 +1,15 @@
 """Reference cells: vertices, edges and facets, and their order in dolfinx and in VTK.
 
-The only tables of cell shapes in the `fem` layer. Vertices are numbered as in dolfinx; those of
-quadrilaterals and hexahedra in tensor-product order, vertex x + 2 y + 4 z at the point (x, y, z).
-Nothing of FEniCSx is imported here.
+Vertices, edges and facets are numbered as in basix and dolfinx; the vertices of quadrilaterals and
+hexahedra in tensor-product order, vertex x + 2 y + 4 z at the point (x, y, z).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+
+import basix
 
 Vertices = tuple[int, ...]
 
@@ -130,101 +131,42 @@ def _grid_pieces(dim: int) -> list[list[Vertices]]:
     return [[vertices_around(piece, corner) for corner in corners] for piece in corners]
 
 
+def _from_basix(
+    name: str, facet_name: str, vtk_type: int, grid_cut: tuple[Vertices, ...] = ()
+) -> ReferenceCell:
+    """Return a cell type with the vertices, edges and facets that basix has for it."""
+    corners, *entities = basix.topology(getattr(basix.CellType, name))
+    vertices, dim = range(len(corners)), len(entities)
+    edges = tuple((a, b) for a, b in entities[0])
+    tensor, swapped = len(vertices) == 2**dim > 2, (1, 2)  # a swap of the first two axes
+    return ReferenceCell(
+        name=name,
+        dim=dim,
+        vertices=len(vertices),
+        edges=edges,
+        facets=tuple(map(tuple, entities[dim - 2])) if dim > 1 else ((0,), (1,)),
+        facet_name=facet_name,
+        axes=tuple(sorted(b for a, b in edges if a == 0)),
+        reflected=tuple(v ^ 3 if v % 4 in swapped else v for v in vertices) if dim > 1 else (1, 0),
+        vtk_type=vtk_type,
+        vtk_order=tuple(v ^ (v >> 1 & 1) for v in vertices) if tensor else tuple(vertices),
+        grid_cut=grid_cut or (tuple(vertices),),
+    )
+
+
+_TRIANGLES = ((0, 1, 3), (0, 2, 3))
+_TETRAHEDRA = (
+    *((0, 1, 3, 7), (0, 1, 5, 7), (0, 4, 5, 7)),
+    *((0, 2, 3, 7), (0, 4, 6, 7), (0, 2, 6, 7)),
+)
 _CELLS = {
     cell.name: cell
     for cell in (
-        ReferenceCell(
-            name="interval",
-            dim=1,
-            vertices=2,
-            edges=((0, 1),),
-            facets=((0,), (1,)),
-            facet_name="point",
-            axes=(1,),
-            reflected=(1, 0),
-            vtk_type=3,
-            vtk_order=(0, 1),
-            grid_cut=((0, 1),),
-        ),
-        ReferenceCell(
-            name="triangle",
-            dim=2,
-            vertices=3,
-            edges=((1, 2), (0, 2), (0, 1)),
-            facets=((1, 2), (0, 2), (0, 1)),
-            facet_name="interval",
-            axes=(1, 2),
-            reflected=(0, 2, 1),
-            vtk_type=5,
-            vtk_order=(0, 1, 2),
-            grid_cut=((0, 1, 3), (0, 2, 3)),
-        ),
-        ReferenceCell(
-            name="quadrilateral",
-            dim=2,
-            vertices=4,
-            edges=((0, 1), (0, 2), (1, 3), (2, 3)),
-            facets=((0, 1), (0, 2), (1, 3), (2, 3)),
-            facet_name="interval",
-            axes=(1, 2),
-            reflected=(0, 2, 1, 3),
-            vtk_type=9,
-            vtk_order=(0, 1, 3, 2),
-            grid_cut=((0, 1, 2, 3),),
-        ),
-        ReferenceCell(
-            name="tetrahedron",
-            dim=3,
-            vertices=4,
-            edges=((2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1)),
-            facets=((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)),
-            facet_name="triangle",
-            axes=(1, 2, 3),
-            reflected=(0, 2, 1, 3),
-            vtk_type=10,
-            vtk_order=(0, 1, 2, 3),
-            grid_cut=(
-                (0, 1, 3, 7),
-                (0, 1, 5, 7),
-                (0, 4, 5, 7),
-                (0, 2, 3, 7),
-                (0, 4, 6, 7),
-                (0, 2, 6, 7),
-            ),
-        ),
-        ReferenceCell(
-            name="hexahedron",
-            dim=3,
-            vertices=8,
-            edges=(
-                (0, 1),
-                (0, 2),
-                (0, 4),
-                (1, 3),
-                (1, 5),
-                (2, 3),
-                (2, 6),
-                (3, 7),
-                (4, 5),
-                (4, 6),
-                (5, 7),
-                (6, 7),
-            ),
-            facets=(
-                (0, 1, 2, 3),
-                (0, 1, 4, 5),
-                (0, 2, 4, 6),
-                (1, 3, 5, 7),
-                (2, 3, 6, 7),
-                (4, 5, 6, 7),
-            ),
-            facet_name="quadrilateral",
-            axes=(1, 2, 4),
-            reflected=(4, 5, 6, 7, 0, 1, 2, 3),
-            vtk_type=12,
-            vtk_order=(0, 1, 3, 2, 4, 5, 7, 6),
-            grid_cut=((0, 1, 2, 3, 4, 5, 6, 7),),
-        ),
+        _from_basix("interval", "point", 3),
+        _from_basix("triangle", "interval", 5, _TRIANGLES),
+        _from_basix("quadrilateral", "interval", 9),
+        _from_basix("tetrahedron", "triangle", 10, _TETRAHEDRA),
+        _from_basix("hexahedron", "quadrilateral", 12),
     )
 }
 

@@ -103,6 +103,7 @@ def test_load_steps(demo):
     hertz = np.cbrt(3 * forces * demo["R"] / (4 * demo["E_star"]))
     np.testing.assert_allclose(radii, hertz, rtol=0.015)
     np.testing.assert_allclose(radii[[4, 5]], radii[[1, 0]], rtol=1e-5)
+    assert max(demo["differences"]) < 1e-5  # of a new problem for each step
     # the start from rigid bodies is as good as the contact of half or twice the load
     assert demo["again"] < 1.25 * demo["scratch"]
 

@@ -1,4 +1,4 @@
-"""The tables of reference cells against those of basix and against geometry."""
+"""Reference cells against the geometry and the elements of basix."""
 
 from __future__ import annotations
 
@@ -42,19 +42,6 @@ def test_example_of_the_docstring():
 def test_number_of_vertices_and_dimension(name):
     cell = reference_cell(name)
     assert vertices_of(name).shape == (cell.vertices, cell.dim)
-
-
-@mesh_cell
-def test_facets_are_in_the_order_of_basix(name):
-    cell = reference_cell(name)
-    facets = basix.topology(basix_cell(name))[cell.dim - 1]
-    assert cell.facets == tuple(map(tuple, facets))
-
-
-@mesh_cell
-def test_edges_are_those_of_basix(name):
-    edges = basix.topology(basix_cell(name))[1]
-    assert reference_cell(name).edges == tuple(map(tuple, edges))
 
 
 def points_of_degree_2(name):

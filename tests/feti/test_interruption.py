@@ -138,7 +138,7 @@ def test_command_writes_the_last_iterate(tmp_path):
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from fenics_tfeti.feti import interruption\n"
         "from fenics_tfeti.feti.dual.operator import DualOperator\n"
-        "from fenics_tfeti.solve import main\n"
+        "from fenics_tfeti.feti.__main__ import main\n"
         "apply, number = DualOperator.packed, count(1)\n"
         "def waiting(self, x):\n"
         "    print('product', flush=True)\n"

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from mpi4py import MPI
 
-from fenics_tfeti.installation import facts
-from fenics_tfeti.self_test import self_test
+from fenics_tfeti.__main__ import facts, self_test
 
 COMM = MPI.COMM_WORLD
 
 
 def test_self_test_is_the_same_on_all_ranks():
     result = self_test(COMM)
-    assert result.passed
+    assert result[0] < 1e-6
     assert COMM.allgather(result) == [result] * COMM.size
 
 

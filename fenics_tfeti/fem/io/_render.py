@@ -1,7 +1,9 @@
 """Draw a deformed mesh in a process of its own: ``python _render.py data.npz picture.png``.
 
-On Debian 12, VTK from PyPI aborts in a process that used dolfinx 0.5.2. Therefore this script is
-run by its path and imports nothing of its package; `pictures.py` writes the data.
+VTK of PyPI 9.7 aborts beside Debian 12's dolfinx 0.5.2 where it draws a colour bar, and with other
+versions where there is no off-screen rendering. In a process of its own this costs the picture and
+not the solution. The script is run by its path and imports nothing of its package; `pictures.py`
+writes the data.
 """
 
 from __future__ import annotations

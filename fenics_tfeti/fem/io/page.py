@@ -2,58 +2,54 @@
 
 from __future__ import annotations
 
-import base64
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import plotly.graph_objects as go
+from plotly.offline import get_plotlyjs
 
 from fenics_tfeti.fem.io.scene import Scene
 
-_FOLDER = Path(__file__).parent
-
+_STYLE = Path(__file__).with_name("page.css")
 _UNITS = {"displacement": "m", "contact_pressure": "Pa", "von_mises_stress": "Pa"}
+_MAGNIFICATIONS = np.linspace(0.0, 2.0, 9)  # relative to that which makes displacements visible
 
 
 def report_page(report: Mapping[str, Any], title: str, scene: Scene | None = None) -> str:
     """Return the page for what `ContactReport.to_dict` returns; it contains Plotly's JavaScript."""
-    library = _plotly()
-    figures = {"convergence": _convergence(report), "phases": _phases(report["seconds"])}
+    body = [_verdict(report, title)]
+    if scene is not None:
+        body += ["<h2>Deformed bodies</h2>", _div("bodies", _bodies(scene))]
+    body += _contacts(report)
+    body += ["<h2>Convergence</h2>", _div("convergence", _convergence(report))]
     if report["passes"]:
-        figures["passes"] = _passes(report["passes"])
-    data = {"figures": figures, "scene": None if scene is None else _scene(scene)}
-    body = [_verdict(report, title), *_bodies(scene), *_contacts(report), *_iterations(report)]
-    phases = ["<h2>Phases</h2>", '<div class="figure" id="phases"></div>']
-    body += [*_certificate(report), *phases, *_details(report)]
-    # in an element of its own, whose end must not be in the data
-    text = json.dumps(data, allow_nan=False).replace("</", "<\\/")
-    script = (_FOLDER / "page.js").read_text()
+        body += ["<h2>Geometry passes</h2>", _div("passes", _passes(report["passes"]))]
+    body += _certificate(report)
+    body += ["<h2>Phases</h2>", _div("phases", _phases(report["seconds"])), *_details(report)]
     return "\n".join(
         [
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f"<title>{escape(title)}</title>",
-            f"<style>\n{(_FOLDER / 'page.css').read_text()}</style>",
-            f"<script>{library}</script>\n</head>\n<body>",
+            f"<style>\n{_STYLE.read_text()}</style>",
+            f"<script>{get_plotlyjs()}</script>\n</head>\n<body>",
             *body,
-            f'<script type="application/json" id="data">{text}</script>',
-            f"<script>\n{script}</script>\n</body>\n</html>\n",
+            "</body>\n</html>\n",
         ]
     )
 
 
-def _plotly() -> str:
-    if find_spec("plotly") is None:
-        raise ImportError("the page needs the Python module plotly: pip install plotly")
-    from plotly.offline import get_plotlyjs
-
-    library: str = get_plotlyjs()
-    return library
+def _div(name: str, figure: go.Figure) -> str:
+    """Return a figure as an element of a page that has Plotly's JavaScript."""
+    figure.update_layout(template="plotly_white", font={"family": "system-ui, sans-serif"})
+    config = {"responsive": True, "displaylogo": False}
+    plot = figure.to_html(
+        config, auto_play=False, include_plotlyjs=False, full_html=False, div_id=name
+    )
+    return f'<div class="figure {name}">{plot}</div>'
 
 
 def _verdict(report: Mapping[str, Any], title: str) -> str:
@@ -76,19 +72,6 @@ def _verdict(report: Mapping[str, Any], title: str) -> str:
     return f'<h1>{escape(title)}</h1>\n<div class="{kind} wide">{_table(facts)}</div>'
 
 
-def _bodies(scene: Scene | None) -> list[str]:
-    if scene is None:
-        return []
-    options = "".join(f"<option>{escape(name.replace('_', ' '))}</option>" for name in scene.fields)
-    return [
-        "<h2>Deformed bodies</h2>",
-        f'<div class="controls"><label>colour <select id="field">{options}</select></label>',
-        '<label>displacements <input type="range" id="scale" min="0" max="2" step="0.05" value="1">'
-        '</label><span id="factor"></span></div>',
-        '<div class="figure" id="bodies"></div>',
-    ]
-
-
 def _contacts(report: Mapping[str, Any]) -> list[str]:
     names = [side["name"] for side in report["on_slaves"]]
     if not names:
@@ -103,13 +86,6 @@ def _contacts(report: Mapping[str, Any]) -> list[str]:
     for name, force, vector, count, dissipated in zip(*columns, strict=False):
         rows.append((name, _number(force), ", ".join(map(_number, vector)), count, *dissipated))
     return ["<h2>Contact</h2>", f'<div class="wide">{_table(rows, head=True)}</div>']
-
-
-def _iterations(report: Mapping[str, Any]) -> list[str]:
-    sections = ["<h2>Convergence</h2>", '<div class="figure" id="convergence"></div>']
-    if report["passes"]:
-        sections += ["<h2>Geometry passes</h2>", '<div class="figure" id="passes"></div>']
-    return sections
 
 
 def _certificate(report: Mapping[str, Any]) -> list[str]:
@@ -158,72 +134,117 @@ def _positive(values: Iterable[float | None]) -> list[float | None]:
     return [value if value is not None and value > 0.0 else None for value in values]
 
 
-def _convergence(report: Mapping[str, Any]) -> dict[str, Any]:
+def _convergence(report: Mapping[str, Any]) -> go.Figure:
     """Return the residuals of the last solution by products with F."""
-    faces, outer = report["faces"], report["history"]
-    traces = []
-    if faces:
-        traces.append(_curve(faces, "residual", "active set: residual [m]"))
-    if outer:
-        traces.append(_curve(outer, "gradient", "SMALBE-M: |g^P| / |b|"))
-        traces.append(_curve(outer, "constraint", "SMALBE-M: |Gx| / |b|"))
-    layout = {
-        "xaxis": {"title": {"text": "products with F"}, "rangemode": "tozero"},
-        "yaxis": {"type": "log", "exponentformat": "power"},
-        "showlegend": True,
-        "legend": {"orientation": "h", "y": 1.12},
-    }
-    return {"traces": traces, "layout": layout}
-
-
-def _curve(steps: Sequence[Mapping[str, Any]], name: str, label: str) -> dict[str, Any]:
-    return {
-        "type": "scatter",
-        "mode": "lines+markers",
-        "x": [step["products"] for step in steps],
-        "y": _positive(step[name] for step in steps),
-        "name": label,
-    }
-
-
-def _passes(passes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    numbers = list(range(1, len(passes) + 1))
-    error = _positive(entry["error"] for entry in passes)
-    trace = {"type": "scatter", "mode": "lines+markers", "x": numbers, "y": error}
-    layout = {
-        "xaxis": {"title": {"text": "pass"}, "dtick": 1},
-        "yaxis": {"type": "log", "title": {"text": "relative error"}, "exponentformat": "power"},
-    }
-    return {"traces": [trace], "layout": layout}
-
-
-def _phases(seconds: Mapping[str, float]) -> dict[str, Any]:
-    phases = {name: time for name, time in reversed(list(seconds.items())) if name != "total"}
-    bar = {"type": "bar", "orientation": "h", "x": list(phases.values()), "y": list(phases)}
-    layout = {"margin": {"l": 130, "r": 15, "t": 10, "b": 45}}
-    return {"traces": [bar], "layout": {**layout, "xaxis": {"title": {"text": "seconds"}}}}
-
-
-def _scene(scene: Scene) -> dict[str, Any]:
-    """Return the bodies with arrays as text; JSON numbers would take thrice the space."""
-    fields = [
-        {
-            "label": f"{name.replace('_', ' ')} [{_UNITS[name]}]" if name in _UNITS else name,
-            "mode": "vertex" if len(values) == len(scene.points) else "cell",
-            "values": _text(values),
-        }
-        for name, values in scene.fields.items()
+    curves = [
+        ("faces", "residual", "active set: residual [m]"),
+        ("history", "gradient", "SMALBE-M: |g^P| / |b|"),
+        ("history", "constraint", "SMALBE-M: |Gx| / |b|"),
     ]
+    traces = [
+        go.Scatter(
+            x=[step["products"] for step in report[steps]],
+            y=_positive(step[residual] for step in report[steps]),
+            mode="lines+markers",
+            name=label,
+        )
+        for steps, residual, label in curves
+        if report[steps]
+    ]
+    return go.Figure(
+        traces,
+        {
+            "xaxis": {"title": "products with F", "rangemode": "tozero"},
+            "yaxis": {"type": "log", "exponentformat": "power"},
+            "showlegend": True,
+            "legend": {"orientation": "h", "y": 1.12},
+            "margin": {"l": 70, "r": 15, "t": 10, "b": 45},
+        },
+    )
+
+
+def _passes(passes: Sequence[Mapping[str, Any]]) -> go.Figure:
+    error = _positive(entry["error"] for entry in passes)
+    trace = go.Scatter(x=list(range(1, len(passes) + 1)), y=error, mode="lines+markers")
+    return go.Figure(
+        trace,
+        {
+            "xaxis": {"title": "pass", "dtick": 1},
+            "yaxis": {"type": "log", "title": "relative error", "exponentformat": "power"},
+            "margin": {"l": 70, "r": 15, "t": 10, "b": 45},
+        },
+    )
+
+
+def _phases(seconds: Mapping[str, float]) -> go.Figure:
+    phases = {name: time for name, time in reversed(list(seconds.items())) if name != "total"}
+    bars = go.Bar(x=list(phases.values()), y=list(phases), orientation="h")
+    margin = {"l": 130, "r": 15, "t": 10, "b": 45}
+    return go.Figure(bars, {"xaxis": {"title": "seconds"}, "margin": margin})
+
+
+def _bodies(scene: Scene) -> go.Figure:
+    """Return the deformed bodies, with a menu of fields and a slider of the magnification.
+
+    Both are frames, of which Plotly writes the arrays as bytes.
+    """
+    points, displacement = (x.astype(np.float32) for x in (scene.points, scene.displacement))
+
+    def places(scale: float) -> dict[str, Any]:
+        return dict(zip("xyz", (points + np.float32(scale) * displacement).T, strict=True))
+
+    colours = {name.replace("_", " "): _colours(scene, name) for name in scene.fields}
+    scales = {f"{scale:.3g}": places(scale) for scale in scene.scale * _MAGNIFICATIONS}
+    middle = len(scales) // 2
+    mesh = go.Mesh3d(
+        **dict(zip("ijk", scene.triangles.T, strict=True)),
+        **places(scene.scale),
+        **next(iter(colours.values())),
+        colorscale="YlOrRd",
+        flatshading=True,
+        lighting={"ambient": 1, "diffuse": 0} if scene.flat else {"ambient": 0.8, "diffuse": 0.3},
+        hovertemplate="%{intensity:.4g}<extra></extra>",
+    )
+    frames = [
+        go.Frame(name=name, data=go.Mesh3d(data)) for name, data in (colours | scales).items()
+    ]
+    eye = {"x": 0, "y": 0, "z": 2} if scene.flat else {"x": -1.0, "y": -1.5, "z": 0.9}
+    layout = {
+        "margin": {"l": 0, "r": 12, "t": 40, "b": 105},
+        "scene": {
+            "domain": {"y": [0.2, 1]},
+            "aspectmode": "data",
+            **{f"{axis}axis": {"visible": False} for axis in "xyz"},
+            "camera": {"eye": eye, "up": {"y": 1} if scene.flat else {"z": 1}},
+            "dragmode": "orbit",
+            "uirevision": "kept",  # what the user has turned stays
+        },
+        "updatemenus": [
+            {"buttons": _steps(colours), "x": 0, "xanchor": "left", "y": 1, "yanchor": "bottom"}
+        ],
+        "sliders": [
+            {
+                "steps": _steps(scales),
+                "active": middle,
+                "currentvalue": {"prefix": "displacements × "},
+            }
+        ],
+    }
+    return go.Figure(mesh, layout, frames)
+
+
+def _colours(scene: Scene, name: str) -> dict[str, Any]:
+    values = scene.fields[name]
+    label = f"{name.replace('_', ' ')} [{_UNITS[name]}]" if name in _UNITS else name
+    bar = {"title": {"text": label, "side": "top"}, "orientation": "h", "y": 0, "len": 0.9}
     return {
-        "points": [_text(x) for x in scene.points.T],
-        "displacement": [_text(x) for x in scene.displacement.T],
-        "triangles": [_text(x, np.int32) for x in scene.triangles.T],
-        "fields": fields,
-        "scale": scene.scale,
-        "flat": scene.flat,
+        "intensity": values.astype(np.float32),
+        "intensitymode": "vertex" if len(values) == len(scene.points) else "cell",
+        "colorbar": {**bar, "yanchor": "bottom", "thickness": 14},
     }
 
 
-def _text(values: NDArray[Any], kind: type[np.generic] = np.float32) -> str:
-    array = np.ascontiguousarray(values).astype(np.dtype(kind).newbyteorder("<"))
-    return base64.b64encode(array.tobytes()).decode()
+def _steps(frames: Iterable[str]) -> list[dict[str, Any]]:
+    """Return the entries of a menu or slider that show frames, at once."""
+    how = {"mode": "immediate", "frame": {"duration": 0}, "transition": {"duration": 0}}
+    return [{"label": name, "method": "animate", "args": [[name], how]} for name in frames]

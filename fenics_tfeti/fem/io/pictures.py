@@ -97,7 +97,7 @@ def draw_deformed(
 
     Notes
     -----
-    The picture is drawn by another Python process, since VTK and dolfinx can fail in one.
+    The picture is drawn by another Python process: where VTK fails, the solution is not lost.
     """
     path = Path(path)
     comm = displacement.function_space.mesh.comm

@@ -1,4 +1,4 @@
-"""Solve a torn system in a file: ``python -m fenics_tfeti.solve system.npz``; no dolfinx needed."""
+"""Solve a torn system in a file: ``python -m fenics_tfeti.feti system.npz``; no dolfinx needed."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None, comm: MPI.Intracomm = MPI.COMM_
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m fenics_tfeti.solve",
+        prog="python -m fenics_tfeti.feti",
         description="Solve a contact problem given by stiffness matrices, loads, node numbers and "
         "contact rows in a file. Under mpirun each rank takes a part of the subdomains.",
     )

@@ -1,4 +1,4 @@
-"""``python -m fenics_tfeti.solve``: what it reads, writes and prints."""
+"""``python -m fenics_tfeti.feti``: what it reads, writes and prints."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from new_process import run_python
 from torn import column
 
 from fenics_tfeti.feti import Options, TornSolver, save_system
-from fenics_tfeti.solve import main
+from fenics_tfeti.feti.__main__ import main
 
 COMM = MPI.COMM_SELF
 
@@ -29,7 +29,7 @@ def system(tmp_path):
 
 def test_command(system, tmp_path):
     report, solution = tmp_path / "report.json", tmp_path / "solution.npz"
-    command = [sys.executable, "-m", "fenics_tfeti.solve", str(system), "--rtol", "1e-9"]
+    command = [sys.executable, "-m", "fenics_tfeti.feti", str(system), "--rtol", "1e-9"]
     command += ["--report", str(report), "--solution", str(solution)]
     answer = subprocess.run(command, capture_output=True, text=True, timeout=100)
     assert answer.returncode == 0, answer.stderr
@@ -54,7 +54,7 @@ def test_it_runs_without_dolfinx(system):
     printed = run_python(
         "import sys\n"
         "for missing in ('dolfinx', 'ufl', 'basix', 'ffcx'): sys.modules[missing] = None\n"
-        "from fenics_tfeti.solve import main\n"
+        "from fenics_tfeti.feti.__main__ import main\n"
         "sys.exit(main(sys.argv[1:]))",
         str(system),
     )

@@ -1,0 +1,77 @@
+"""Material laws and supports that many problems have, as UFL expressions and dolfinx conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import ufl
+from dolfinx import fem
+
+
+def small_strain(u: Any) -> Any:
+    """Return the symmetric gradient of a displacement."""
+    return ufl.sym(ufl.grad(u))
+
+
+def axisymmetric_strain(u: Any) -> Any:
+    """Return the strain, 3 x 3, of a displacement (u_r, u_z) that does not change around the axis.
+
+    The coordinates of the mesh are (r, z), the third direction is that of the circumference.
+    """
+    r = ufl.SpatialCoordinate(u.ufl_function_space().ufl_domain())[0]
+    e = ufl.sym(ufl.grad(u))
+    return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, u[0] / r]])
+
+
+def isotropic(E: Any, nu: Any, strain: Callable[[Any], Any] = small_strain) -> Callable[[Any], Any]:
+    """Return the stress of an isotropic linear elastic material as a function of the displacement.
+
+    Parameters
+    ----------
+    E : float or UFL expression
+        Young's modulus [Pa].
+    nu : float or UFL expression
+        Poisson's ratio.
+    strain : callable, optional
+        The strain as a function of the displacement. By default `small_strain`, which in two
+        dimensions means plane strain; `axisymmetric_strain` is the other one of this module. For
+        plane stress pass E (1 + 2 nu) / (1 + nu)^2 for `E` and nu / (1 + nu) for `nu`.
+
+    Returns
+    -------
+    callable
+        Of a displacement, the stress tensor [Pa] of the shape of the strain.
+    """
+    mu, lmbda = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+
+    def stress(u: Any) -> Any:
+        e = strain(u)
+        return 2 * mu * e + lmbda * ufl.tr(e) * ufl.Identity(e.ufl_shape[0])
+
+    return stress
+
+
+def symmetry_plane(V: Any, facet_tags: Any, tag: int, axis: int) -> Any:
+    """Return the Dirichlet condition that nothing moves across a plane of symmetry.
+
+    Parameters
+    ----------
+    V : dolfinx.fem.FunctionSpace
+        The space of the displacement.
+    facet_tags : dolfinx.mesh.MeshTags
+        Tags of facets.
+    tag : int
+        Tag of the facets in the plane, or on any surface that is guided along it.
+    axis : int
+        The axis of coordinates that is normal to the plane.
+
+    Returns
+    -------
+    dolfinx.fem.DirichletBC
+        Zero displacement along the axis.
+    """
+    facet = V.mesh.topology.dim - 1
+    V.mesh.topology.create_connectivity(facet, facet + 1)
+    dofs = fem.locate_dofs_topological(V.sub(axis), facet, facet_tags.find(tag))
+    return fem.dirichletbc(0.0, dofs, V.sub(axis))

@@ -1,0 +1,99 @@
+"""Material laws and supports against formulas."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import locate_entities_boundary, meshtags
+
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.io import Box, boxes, displacement_space
+from fenics_tfeti.models import axisymmetric_strain, isotropic, symmetry_plane
+
+E, NU = 3.0, 0.3
+
+
+def mean(expression, mesh):
+    """Return the mean of a scalar on a mesh of volume 1."""
+    return mesh.comm.allreduce(fem.assemble_scalar(fem.form(expression * ufl.dx)))
+
+
+def unit_mesh(dim):
+    """Return a mesh of the unit square or cube that begins at (1, 0, 0)."""
+    begin = np.eye(dim)[0]
+    kind = {2: "triangle", 3: "hexahedron"}[dim]
+    return boxes(MPI.COMM_SELF, [Box(begin, begin + 1, dim * (2,))], kind).mesh
+
+
+def stretched(mesh, gradient):
+    """Return a displacement with a uniform gradient, as a row for each component."""
+    gdim = mesh.geometry.dim
+    u = fem.Function(displacement_space(mesh))
+    u.interpolate(lambda x: gradient @ x[:gdim])
+    return u
+
+
+def components(stress, mesh):
+    rows, columns = stress.ufl_shape
+    return np.array([[mean(stress[i, j], mesh) for j in range(columns)] for i in range(rows)])
+
+
+def hooke(e):
+    """Return the strain of a stress by E e = (1 + nu) s - nu tr(s) I, solved for s."""
+    mu = E / (2 * (1 + NU))
+    return 2 * mu * e + E * NU / ((1 + NU) * (1 - 2 * NU)) * np.trace(e) * np.eye(len(e))
+
+
+@pytest.mark.parametrize("number", [float, "constant"])
+def test_uniaxial_stress_has_the_modulus_and_poissons_ratio(number):
+    mesh = unit_mesh(3)
+    modulus = fem.Constant(mesh, E) if number == "constant" else E
+    u = stretched(mesh, 1e-3 * np.diag([1.0, -NU, -NU]))
+    stress = components(isotropic(modulus, NU)(u), mesh)
+    np.testing.assert_allclose(stress, 1e-3 * E * np.diag([1.0, 0, 0]), atol=1e-15)
+
+
+def test_stress_is_symmetric_and_has_no_part_of_rotations():
+    mesh = unit_mesh(3)
+    gradient = np.array([[0.0, 2, 0], [0, 0, 0], [0, 0, 0]])
+    shear = components(isotropic(E, NU)(stretched(mesh, gradient)), mesh)
+    np.testing.assert_allclose(shear, E / (1 + NU) * 0.5 * (gradient + gradient.T), atol=1e-14)
+
+
+def test_two_dimensions_are_plane_strain_and_with_other_numbers_plane_stress():
+    mesh = unit_mesh(2)
+    u = stretched(mesh, np.diag([1.0, -NU]))
+    strain = np.diag([1.0, -NU, 0])
+    plane_strain = components(isotropic(E, NU)(u), mesh)
+    np.testing.assert_allclose(plane_strain, hooke(strain)[:2, :2], atol=1e-14)
+    plane_stress = isotropic(E * (1 + 2 * NU) / (1 + NU) ** 2, NU / (1 + NU))
+    np.testing.assert_allclose(components(plane_stress(u), mesh), np.diag([E, 0.0]), atol=1e-14)
+
+
+def test_axisymmetric_stretch_has_a_hoop_strain():
+    """The radius of each point grows by 1 %, so does its circumference."""
+    mesh = unit_mesh(2)
+    u = stretched(mesh, np.diag([0.01, 0.0]))
+    stress = components(isotropic(E, NU, axisymmetric_strain)(u), mesh)
+    np.testing.assert_allclose(stress, hooke(np.diag([0.01, 0.0, 0.01])), atol=1e-14)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_symmetry_plane_holds_the_normal_component_alone(axis):
+    mesh = unit_mesh(3)
+    V = displacement_space(mesh)
+    place = mesh.geometry.x[:, axis].min()
+    facets = np.sort(locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[axis], place)))
+    tags = meshtags(mesh, 2, facets, np.full(facets.size, 7, dtype=np.int32))
+    dofs, prescribed = _compat.bc_values(
+        symmetry_plane(V, tags, 7, axis), V.dofmap.index_map.size_local * 3
+    )
+    x = V.tabulate_dof_coordinates()
+    expected = 3 * np.flatnonzero(np.isclose(x[:, axis], place)) + axis
+    np.testing.assert_array_equal(np.sort(dofs), expected)
+    assert not prescribed.any()
