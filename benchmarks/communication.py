@@ -249,9 +249,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--subdomains-per-metre", type=int, default=2, metavar="m")
     parser.add_argument("--elements-per-subdomain", type=int, default=6, metavar="H/h")
-    parser.add_argument(
-        "--coarse-solver", nargs="+", default=["redundant", "distributed", "inverse"]
-    )
+    parser.add_argument("--coarse-solver", nargs="+", default=["redundant", "distributed"])
     parser.add_argument("--json", metavar="FILE")
     arguments = parser.parse_args()
     comm = MPI.COMM_WORLD

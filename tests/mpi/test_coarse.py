@@ -1,7 +1,8 @@
-"""The coarse problem on several ranks: whole on each, distributed or inverted, to equal results."""
+"""The coarse problem on several ranks: redundant, distributed and iterative, to equal results."""
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from functools import lru_cache
 
@@ -15,13 +16,13 @@ from torn import column
 
 from fenics_tfeti.errors import FactorizationError
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
+from fenics_tfeti.feti.coarse.by_rows import AgglomeratedCholesky, MultigridSolver
 from fenics_tfeti.feti.coarse.face_cache import FaceCache
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.local.cholesky import DistributedCholesky
 from fenics_tfeti.report import ContactReport
 
 comm = MPI.COMM_WORLD
-KINDS = ("redundant", "distributed", "inverse")
+KINDS = ("redundant", "distributed", "iterative")
 SCENES = {
     "beams": lambda: two_beams(comm, "tetrahedron", 3),
     "materials": lambda: two_materials(comm, "hexahedron", 3),
@@ -136,11 +137,51 @@ def test_only_own_rows_are_kept_of_a_distributed_matrix():
     assert space.equality.shape == (space.layout.counts[comm.rank], space.size)
 
 
-def test_indefinite_matrix_is_an_error_on_all_ranks():
+each_number_of_groups = pytest.mark.parametrize("groups", range(1, comm.size + 1))
+
+
+def own_rows(matrix: sp.csr_matrix) -> sp.csr_matrix:
+    """Return two rows for each rank."""
+    return matrix[2 * comm.rank : 2 * comm.rank + 2]
+
+
+@each_number_of_groups
+def test_solution_by_the_first_ranks_of_groups(groups):
     n = 2 * comm.size
-    rows = sp.diags(np.where(np.arange(n) == 1, -1.0, 1.0), format="csr")
+    matrix = sp.diags(
+        [-np.ones(n - 1), np.arange(3.0, n + 3), -np.ones(n - 1)], [-1, 0, 1], format="csr"
+    )
+    x = np.random.default_rng(0).standard_normal(n)
+    own = slice(2 * comm.rank, 2 * comm.rank + 2)
+    found = AgglomeratedCholesky(comm, own_rows(matrix), groups).solve((matrix @ x)[own])
+    np.testing.assert_allclose(found, x[own], atol=1e-14)
+
+
+@each_number_of_groups
+def test_indefinite_matrix_is_an_error_on_all_ranks(groups):
+    rows = sp.diags(np.where(np.arange(2 * comm.size) == 1, -1.0, 1.0), format="csr")
     with pytest.raises(FactorizationError, match="not positive definite"):
-        DistributedCholesky(comm, rows[2 * comm.rank : 2 * comm.rank + 2])
+        AgglomeratedCholesky(comm, own_rows(rows), groups)
+
+
+def test_singular_matrix_is_an_error_of_the_iterations():
+    rows = sp.diags(np.where(np.arange(2 * comm.size) == 1, 0.0, 1.0), format="csr")
+    solver = MultigridSolver(comm, own_rows(rows), np.ones((2, 1)), 1, 1)
+    with pytest.raises(FactorizationError, match="not positive definite"):
+        solver.solve(np.ones(2))
+
+
+def test_iterations_that_do_not_converge_are_replaced_by_a_factor(caplog):
+    n = 100 * comm.size
+    random = np.random.default_rng(0)
+    X = np.linalg.qr(random.standard_normal((n, n)))[0]
+    matrix = sp.csr_matrix(X @ np.diag(np.logspace(0, 7, n)) @ X.T)
+    x, own = random.standard_normal(n), slice(100 * comm.rank, 100 * comm.rank + 100)
+    solver = MultigridSolver(comm, matrix[own], np.ones((100, 1)), 1, 1)
+    with caplog.at_level(logging.INFO, "fenics_tfeti"):
+        found = solver.solve((matrix @ x)[own])
+    np.testing.assert_allclose(found, x[own], atol=1e-6)
+    assert comm.rank or "no convergence in 200 iterations" in caplog.text
 
 
 def test_faces_are_known_again_on_all_ranks_or_on_none():

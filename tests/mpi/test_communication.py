@@ -29,8 +29,6 @@ METHODS = {
 WANTED = {
     ("active_set", "redundant"): (1, 2, 2, 0),
     ("active_set", "distributed"): (3, 0, 2, 2),
-    # where all contact rows are on the face, the inverse is not changed
-    ("active_set", "inverse"): (1, 2, 2, 0),
     ("smalbe", "redundant"): (2, 2, 1, 0),
     ("smalbe", "distributed"): (2, 0, 1, 2),
     ("smalbe, lumped", "redundant"): (3, 4, 2, 0),

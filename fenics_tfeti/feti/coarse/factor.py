@@ -1,6 +1,4 @@
-"""Coarse matrices and their factors: redundant on every rank, or distributed over the ranks.
-
-Their inverse by rows, which is changed for each face instead of factored, is in `inverse`.
+"""Coarse matrices and their factors: redundant on every rank, or by rows.
 
 Outside the iterations coarse vectors are whole on every rank. Within the iterations right-hand
 sides are sums of the ranks' parts, and a rank needs only its own subdomains' part of the solution.
@@ -17,11 +15,12 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.feti.local.cholesky import DistributedCholesky, SparseCholesky
+from fenics_tfeti.feti.coarse.by_rows import AgglomeratedCholesky, MultigridSolver
+from fenics_tfeti.feti.local.cholesky import SparseCholesky
 from fenics_tfeti.parallel import all_to_all, concatenate_buffers
 from fenics_tfeti.typing import Numbers, Vector
 
-CoarseSolverKind = Literal["auto", "redundant", "distributed", "inverse"]
+CoarseSolverKind = Literal["auto", "redundant", "distributed", "iterative"]
 
 # Counted on lattices of 108 to 2916 cubes, 1 to 16 ranks (benchmarks/coarse.py):
 # entries of the factor / size^1.5
@@ -32,13 +31,10 @@ _SOLVES, _FACTORISATION, _SLOWER = 10, 80, 2
 _COLLECTIVES, _MESSAGES = 86, 3
 # messages of a factorisation by MUMPS, in solves
 _MESSAGES_OF_FACTORISATION = 4
-# faces of a solve; time to solve for one of many columns, in solves; solves by the inverse for one,
-# with a refinement; bytes read of memory while its change for a face is prepared: 5 ms
-_FACES, _COLUMN, _REFINED, _CHANGE = 10, 0.25, 2, 50_000_000
 # bytes read of memory while a message is under way: 5 us at 10 GB/s
 _LATENCY = 50_000
-# what has to be spared; less is not worth another package or more memory
-_GAIN = 2.0
+# weight of messages: less is not worth another package
+_WEIGHT = 2.0
 
 
 class CoarseFactor(Protocol):
@@ -82,6 +78,7 @@ class CoarseLayout:
     receive_from: Mapping[int, Numbers]  # by rank: own unknowns that are in its `others`
     solver: CoarseSolverKind
     package: str  # for the factors of whole matrices
+    groups: int  # number of ranks that share a factor
 
     @staticmethod
     def build(
@@ -93,6 +90,7 @@ class CoarseLayout:
         """
         counts = comm.allgather(own)
         ends = np.cumsum(counts)
+        groups = choose_groups(comm.size, int(ends[-1]))
         first = int(ends[comm.rank]) - own
         rank = np.searchsorted(ends, others, side="right")
         to = {int(r): np.flatnonzero(rank == r) for r in np.unique(rank)}
@@ -100,7 +98,7 @@ class CoarseLayout:
             comm, [others[to[r]] if r in to else others[:0] for r in range(comm.size)]
         )
         of = {r: numbers - first for r, numbers in enumerate(asked) if numbers.size}
-        return CoarseLayout(comm, tuple(counts), others, to, of, solver, package)
+        return CoarseLayout(comm, tuple(counts), others, to, of, solver, package, groups)
 
     @property
     def by_rows(self) -> bool:
@@ -198,12 +196,18 @@ class CoarseLayout:
         more = sp.csr_matrix((diagonal[kept], (kept - begin, kept)), shape=rows.shape)
         return (rows + more).tocsr()
 
-    def factor(self, rows: sp.csr_matrix) -> CoarseFactor:
-        """Factor a symmetric positive definite matrix, given the rows that this rank keeps."""
+    def factor(self, rows: sp.csr_matrix, motions: Vector, modes: int) -> CoarseFactor:
+        """Factor a symmetric positive definite matrix, given the rows that this rank keeps.
+
+        The motions (own, k) of whole bodies, and the number of modes of a subdomain, 1 if it is not
+        the same for all, are for multigrid methods.
+        """
         if not self.size:
             return _Redundant(self, _NoUnknowns())
         if self.solver == "distributed":
-            return _Distributed(self, DistributedCholesky(self.comm, rows))
+            return _ByRows(self, AgglomeratedCholesky(self.comm, rows, self.groups))
+        if self.solver == "iterative":
+            return _ByRows(self, MultigridSolver(self.comm, rows, motions, modes, self.groups))
         return _Redundant(self, SparseCholesky(rows.tocsr(), self.package, quick=True))
 
 
@@ -242,62 +246,82 @@ class _Redundant:
         return self.whole.solve(coarse)[self.layout.own], sums
 
 
+class _SolverByRows(Protocol):
+    """A solver of which a rank gives and gets its own part; collective."""
+
+    entries: int
+
+    def solve(self, own: Vector) -> Vector: ...
+
+
 @dataclass(frozen=True)
-class _Distributed:
-    """The ranks share the factor: one exchange of coarse unknowns, and the messages of MUMPS."""
+class _ByRows:
+    """A rank has its own rows alone: a solve has one exchange of coarse unknowns, and its own."""
 
     layout: CoarseLayout
-    shared: DistributedCholesky
+    solver: _SolverByRows
 
     @property
     def entries(self) -> int:
-        return self.shared.entries
+        return self.solver.entries
 
     def solve(self, coarse: Vector) -> Vector:
-        return self.layout.gather(self.shared.solve(coarse[self.layout.own]))
+        return self.layout.gather(self.solver.solve(coarse[self.layout.own]))
 
     def solve_columns(self, coarse: Vector) -> Vector:
-        own = [self.shared.solve(column) for column in coarse[self.layout.own].T]
+        own = [self.solver.solve(column) for column in coarse[self.layout.own].T]
         return self.layout.gather(np.array(own).T)
 
     def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
-        solution = self.shared.solve(own)
+        solution = self.solver.solve(own)
         return solution, self.layout.fetch(solution)
 
     def solve_sum(self, own: Vector, others: Vector, numbers: Vector) -> tuple[Vector, Vector]:
         sums = numbers.copy()
         if numbers.size:
             self.layout.comm.Allreduce(MPI.IN_PLACE, sums)
-        return self.shared.solve(self.layout.sum_own(own, others)), sums
+        return self.solver.solve(self.layout.sum_own(own, others)), sums
 
 
-def choose_coarse_solver(
-    ranks: int, size: int, changes: int, mumps: bool = True
-) -> CoarseSolverKind:
-    """Return the coarse solver that moves the least.
-
-    The cost is that of one face of the active set method, in bytes: memory that factors and solves
-    read, and what could be read while their messages are under way. Messages count twice, and so
-    does all of the inverse by rows. The changes are the independent columns of contact and
-    tangential rows in G.
+def choose_coarse_solver(ranks: int, size: int, mumps: bool = True) -> CoarseSolverKind:
+    """Return the coarse solver that moves the least: redundant, or distributed.
 
     Examples
     --------
-    >>> [choose_coarse_solver(ranks, 6 * 1000, 200) for ranks in (1, 8, 64, 1000)]
-    ['redundant', 'distributed', 'inverse', 'inverse']
+    >>> [choose_coarse_solver(ranks, 6 * 1000) for ranks in (1, 2, 16, 1000)]
+    ['redundant', 'redundant', 'distributed', 'distributed']
     """
-    rounds = _LATENCY * np.log2(ranks)
-    # each solve reads the entries of a factor twice
-    solve = 16.0 * _ENTRIES * size**1.5
-    bytes_of: dict[CoarseSolverKind, float] = {"redundant": (_SOLVES + _FACTORISATION) * solve}
-    if ranks > 1:
-        columns = (_FACTORISATION + _COLUMN * size / ranks) * solve / _FACES
-        own = _REFINED * (8.0 * (size**2 / ranks + size + changes**2) + 2 * rounds)
-        change = _CHANGE + 8.0 * changes * (size / ranks + 2 * changes) + changes**3
-        bytes_of["inverse"] = _GAIN * (columns + _SOLVES * own + change)
-    if ranks > 1 and mumps:
-        part = (_SOLVES + _FACTORISATION) * solve * min(1.0, _SLOWER / ranks)
-        calls = (_COLLECTIVES + ranks) * rounds + _MESSAGES * ranks * _LATENCY
-        messages = (_SOLVES + _MESSAGES_OF_FACTORISATION) * calls
-        bytes_of["distributed"] = part + _GAIN * messages
-    return min(bytes_of, key=lambda kind: bytes_of[kind])
+    redundant = (_SOLVES + _FACTORISATION) * _bytes_of_solve(size)
+    if mumps and _bytes_of_face(ranks, size, choose_groups(ranks, size)) < redundant:
+        return "distributed"
+    return "redundant"
+
+
+def choose_groups(ranks: int, size: int) -> int:
+    """Return the number of ranks that share a factor by MUMPS so that it moves the least.
+
+    Examples
+    --------
+    >>> [choose_groups(ranks, 6 * 1000) for ranks in (1, 2, 16, 1000)]
+    [1, 2, 16, 16]
+    """
+    candidates = [*(1 << k for k in range(ranks.bit_length())), ranks]
+    return min(candidates, key=lambda groups: _bytes_of_face(ranks, size, groups))
+
+
+def _bytes_of_solve(size: int) -> float:
+    """Return the bytes of a solve, which reads the entries of a factor twice."""
+    return float(16.0 * _ENTRIES * size**1.5)
+
+
+def _bytes_of_face(ranks: int, size: int, groups: int) -> float:
+    """Return the bytes of a face of the active set method with MUMPS on one rank of each group.
+
+    They are memory that factors and solves read, and what could be read while messages are under
+    way.
+    """
+    part = (_SOLVES + _FACTORISATION) * _bytes_of_solve(size) * _SLOWER / groups
+    rounds = (_COLLECTIVES + groups) * np.log2(groups) + _MESSAGES * (groups - 1)
+    in_groups = 2 * (_SOLVES + 1) * np.log2(ranks / groups)
+    of_mumps = (_SOLVES + _MESSAGES_OF_FACTORISATION) * rounds
+    return float(part + _WEIGHT * _LATENCY * (of_mumps + in_groups))

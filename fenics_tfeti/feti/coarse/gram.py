@@ -18,7 +18,6 @@ import scipy.sparse as sp
 
 from fenics_tfeti.feti.coarse.column_groups import pivot_rows
 from fenics_tfeti.feti.coarse.factor import CoarseFactor
-from fenics_tfeti.feti.coarse.inverse import InverseByRows
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.tolerances import WEAK, rounding
@@ -124,42 +123,20 @@ def pins(
     return added
 
 
-def factored(
-    coarse_space: CoarseSpace,
-    gram: sp.csr_matrix,
-    rows: Mask,
-    combined: sp.csr_matrix | None,
-    added: Vector,
-) -> CoarseFactor:
-    """Factor GG' of a face with pins, or change the inverse of that of all rows. Collective.
-
-    The gram matrix is (coarse or own, coarse); rows and combined are as for `coarse_matrix`, and
-    `added` holds the pins (coarse,).
-    """
+def factored(coarse_space: CoarseSpace, gram: sp.csr_matrix, added: Vector) -> CoarseFactor:
+    """Factor GG' of a face, (coarse or own, coarse), with pins (coarse,) added. Collective."""
     layout = coarse_space.layout
-    if layout.solver != "inverse" or not layout.size:
-        return layout.factor(layout.add_to_diagonal(gram, added))
-    if coarse_space.inverse is None:
-        return InverseByRows.build(layout, gram, added)
-    removed = _columns(coarse_space, ~rows & ~coarse_space.constraints.equality, None, owned=True)
-    more = _columns(coarse_space, np.zeros_like(rows), combined, owned=True)
-    return coarse_space.inverse.changed(gram, removed, more, added)
+    return layout.factor(layout.add_to_diagonal(gram, added), *coarse_space.motions_for_multigrid())
 
 
 def _columns(
-    coarse_space: CoarseSpace, rows: Mask, combined: sp.csr_matrix | None, owned: bool = False
+    coarse_space: CoarseSpace, rows: Mask, combined: sp.csr_matrix | None
 ) -> sp.csr_matrix:
-    """Return the columns of G of contact and tangential rows, and of combinations of the latter.
-
-    They are all that this rank holds, or those that it owns.
-    """
+    """Return the columns of G of rows held: contact, tangential, combinations of the latter."""
     constraints = coarse_space.constraints
-    if owned:
-        rows = rows & (np.arange(rows.size) < constraints.layout.owned)
     columns = [coarse_space.contact[:, np.flatnonzero(rows[constraints.inequality])]]
     if constraints.friction.size:
         columns.append(coarse_space.friction[:, np.flatnonzero(rows & ~constraints.equality)])
     if combined is not None:
-        mine = constraints.friction.owned(constraints.layout.owned) if owned else slice(None)
-        columns.append(coarse_space.friction @ combined[mine].T)
+        columns.append(coarse_space.friction @ combined.T)
     return sp.hstack(columns, format="csr")

@@ -20,7 +20,6 @@ from fenics_tfeti.feti.coarse.gram import (
     factored,
     pins,
 )
-from fenics_tfeti.feti.coarse.inverse import InverseByRows
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.tolerances import FEW, ZERO, rounding
@@ -57,19 +56,14 @@ class Projector:
         across (k, gdim - 1): unit vectors at sites that do not stick, zero at others.
         """
         constraints = coarse_space.constraints
-        everything = active is None
         chosen = np.ones(constraints.inequality.size, dtype=bool) if active is None else active
         if sticking is None:
-            sticking = np.full(constraints.friction.size, everything)
+            sticking = np.full(constraints.friction.size, active is None)
         rows = constraints.face(chosen, sticking)
         known = coarse_space.faces.find(rows, across)
         if known is not None:
             return Projector(coarse_space, rows, across, **known)
         projector = Projector._of_rows(coarse_space, rows, across)
-        factor = projector.gram.factor
-        if everything and isinstance(factor, InverseByRows):
-            # other faces change it
-            projector = replace(projector, coarse_space=replace(coarse_space, inverse=factor))
         # without the coarse space, which owns the cache: no cycle keeps the factors in memory
         kept = {k: getattr(projector, k) for k in ("free", "free_bodies", "gram", "passes")}
         coarse_space.faces.keep(rows, across, kept)
@@ -95,7 +89,7 @@ class Projector:
             (free[:, single], free[:, ~single]),
             coarse_space.coarse_motions(weak),
         )
-        factor = factored(coarse_space, matrix, rows, combined, added)
+        factor = factored(coarse_space, matrix, added)
         bare = Projector(coarse_space, rows, across, free, z, GramInverse.of(coarse_space, factor))
         gram = corrected(bare.gram, coarse_space, weak.toarray(), bare.on_rows)
         projector = replace(bare, gram=gram)

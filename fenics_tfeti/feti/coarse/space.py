@@ -23,7 +23,6 @@ from fenics_tfeti.feti.coarse.factor import (
     CoarseSolverKind,
     choose_coarse_solver,
 )
-from fenics_tfeti.feti.coarse.inverse import InverseByRows, independent_columns
 from fenics_tfeti.feti.coarse.resistance import weak_motions
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
@@ -55,8 +54,6 @@ class CoarseSpace:
     bodies: BodyMotions
     constraints: Constraints
     faces: FaceCache  # what belongs to the projectors of the last faces
-    # of GG' of all rows, if faces are changes of it; made by `Projector.build` of all rows
-    inverse: InverseByRows | None = None
 
     @staticmethod
     def build(
@@ -87,10 +84,7 @@ class CoarseSpace:
         own_columns = (everyone.indices >= first) & (everyone.indices < first + ends[-1])
         others = np.unique(everyone.indices[~own_columns])
         if solver == "auto":
-            changing = everyone[: constraints.layout.owned][~equality[: constraints.layout.owned]]
-            changes = system.comm.allreduce(independent_columns(changing.T).shape[1])
-            mumps = "mumps" in available_packages()
-            solver = choose_coarse_solver(system.comm.size, size, changes, mumps)
+            solver = choose_coarse_solver(system.comm.size, size, "mumps" in available_packages())
         layout = CoarseLayout.build(
             system.comm, int(ends[-1]), others.astype(np.int64), solver, package
         )
@@ -220,6 +214,17 @@ class CoarseSpace:
     def coarse_motions(self, z: Any) -> Any:
         """Return the coarse vectors of motions z of bodies, sparse if these are."""
         return self.bodies.basis @ z
+
+    def motions_for_multigrid(self) -> tuple[Vector, int]:
+        """Return this rank's rows of the motions of all bodies together, and modes of a subdomain.
+
+        The modes are 1 where their number is not the same for all subdomains. Collective.
+        """
+        modes = self.bodies.modes
+        together = sp.vstack([sp.identity(modes)] * len(self.bodies.supports))
+        same = all(R.shape[1] == modes for R in self.kernels)
+        motions: Vector = (self.bodies.basis[self.layout.own] @ together).toarray()
+        return motions, modes if self.comm.allreduce(same, MPI.LAND) else 1
 
     def moved_rows(self, z: Vector) -> Vector:
         """Return B R T z on the rows that this rank holds, without traces of rounding.

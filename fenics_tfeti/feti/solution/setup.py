@@ -292,9 +292,9 @@ def build_projector(
 def choose_factor(options: Options, available: Sequence[str] | None = None) -> str:
     """Return the package of the sparse Cholesky factors, of those that are available.
 
-    `FactorizationError` is raised if it is not available, or if MUMPS is needed for a distributed
-    coarse problem and missing.
+    `FactorizationError` is raised if it is not available, or if MUMPS is needed for the coarse
+    problem and missing.
     """
-    if options.coarse_solver == "distributed":
+    if options.coarse_solver in ("distributed", "iterative"):
         choose_package("mumps", available)
     return choose_package(options.factor, available)
