@@ -28,9 +28,11 @@ _LAZY = {
     "Cylinder": "fenics_tfeti.fem.contact.obstacles",
     "FrictionResult": "fenics_tfeti.fem.contact.result",
     "Plane": "fenics_tfeti.fem.contact.obstacles",
+    "Results": "fenics_tfeti.fem.contact.result",
     "RigidObstacle": "fenics_tfeti.fem.contact.contact",
     "Sphere": "fenics_tfeti.fem.contact.obstacles",
     "TiedPair": "fenics_tfeti.fem.contact.tied",
+    "TiedResult": "fenics_tfeti.fem.contact.result",
     "Tresca": "fenics_tfeti.fem.contact.friction",
 }
 
@@ -47,9 +49,11 @@ __all__ = [
     "Interrupted",
     "NotConverged",
     "Plane",
+    "Results",
     "RigidObstacle",
     "Sphere",
     "TiedPair",
+    "TiedResult",
     "Tresca",
     "UnresistedMotion",
 ]

@@ -74,7 +74,7 @@ def self_test(comm: MPI.Intracomm) -> SelfTest:
         options={"rtol": 1e-9, "subdomain_size": 200},
     )
     problem.solve()
-    computed = problem.contact[0].gather().pressure
+    computed = problem.results[0].gather().pressure
     error = float(np.abs(computed / float(pressure.value) - 1.0).max())
     seconds = comm.allreduce(time.perf_counter() - begin, MPI.MAX)
     return SelfTest(error, problem.report.products["total"], seconds)
