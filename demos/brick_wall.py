@@ -129,7 +129,9 @@ traction = fem.Constant(mesh, np.array([0.0, -pressure]))
 ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
 L = ufl.inner(weight, v) * ufl.dx + ufl.inner(traction, v) * ds(LOADED)
 
-problem = ContactProblem(a, L, [], contacts, wall.cell_tags, options={"rtol": 1e-5})
+problem = ContactProblem(
+    a, L, bcs=[], contacts=contacts, cell_tags=wall.cell_tags, options={"rtol": 1e-5}
+)
 
 # ## Pushed until it gives way
 
@@ -147,7 +149,7 @@ for push in (0.0, 0.1, 0.2, 0.25, 0.3, 0.33, 0.36, 0.4):
     uh.name = "displacement"
     top = mesh.comm.allreduce(float(np.max(uh.x.array.reshape(-1, 2)[:, 0], initial=0)), MPI.MAX)
     moved.append((push, top))
-    energy.append(sum(problem.report.friction_work))
+    energy.append(sum(c.friction_work for c in problem.report.contacts))
     report = problem.report
     if mesh.comm.rank == 0:
         unknowns = report.unknowns
@@ -164,11 +166,11 @@ for push in (0.0, 0.1, 0.2, 0.25, 0.3, 0.33, 0.36, 0.4):
 width = bricks_per_course * length
 load = np.array([moved[-1][0], -1.0]) * pressure * width
 load[1] -= 18e3 * width * courses * height
-balance = np.abs(np.array(report.on_slaves[-1].force) + load).max() / np.abs(load).max()
+balance = np.abs(np.array(report.contacts[-1].force) + load).max() / np.abs(load).max()
 
 # ## Pictures
 
-write_fields(results / "brick_wall.pvd", [uh, *contact_fields(V, problem.contact)])
+write_fields(results / "brick_wall.pvd", [uh, *contact_fields(V, problem.results)])
 report.to_json(results / "brick_wall.json")
 share, top = np.array(moved).T
 draw_profile(

@@ -112,7 +112,9 @@ pair = ContactPair(
     friction=Coulomb(friction),
 )
 options = {"subdomain_size": 400}
-problem = ContactProblem(a_form, 0, bcs, [pair], blocks.cell_tags, options=options)
+problem = ContactProblem(
+    a_form, 0, bcs=bcs, contacts=[pair], cell_tags=blocks.cell_tags, options=options
+)
 
 # ## Pressed, then pushed in three steps
 #
@@ -122,7 +124,7 @@ curves, sticking = {}, []
 for push, style in ((0.0, ""), (8e-6, "o"), (16e-6, "s"), (24e-6, "^")):
     move.value[:] = push, -60e-6
     uh = problem.solve()
-    contact = problem.contact[0].gather()
+    contact = problem.results[0].gather()
     x, p, q = contact.coordinates[:, 0], contact.pressure, -contact.friction.traction[:, 0]
     inner = p > 0.3 * p.max()
     slope, constant = np.polyfit(x[inner] ** 2, p[inner] ** 2, 1)
@@ -150,7 +152,7 @@ for push, style in ((0.0, ""), (8e-6, "o"), (16e-6, "s"), (24e-6, "^")):
 # ## Picture
 
 curves["mu p"] = (1e3 * x, 1e-6 * friction * p, ":")
-write_fields(results / "cattaneo_mindlin.pvd", [uh, *contact_fields(V, problem.contact)])
+write_fields(results / "cattaneo_mindlin.pvd", [uh, *contact_fields(V, problem.results)])
 problem.report.to_json(results / "cattaneo_mindlin.json")
 draw_profile(
     results / "cattaneo_mindlin_traction.png",

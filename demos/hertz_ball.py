@@ -122,9 +122,9 @@ def fit(r, p):
 curves, errors = {}, {}
 for cells, style in (("tetrahedra", "^"), ("hexahedra", "o")):
     problem, uh, stress = solve(here.parent / "meshes" / f"hertz_ball_{cells}.msh")
-    contact = problem.contact[0].gather()
+    contact = problem.results[0].gather()
     r, p = np.linalg.norm(contact.coordinates[:, :2], axis=1), contact.pressure
-    F = 4 * problem.report.contact_force[0]
+    F = 4 * problem.report.contacts[0].normal_force
     (a, p0), (a_fit, p0_fit) = hertz(F), fit(r, p)
     errors[cells] = a_fit / a - 1, p0_fit / p0 - 1
     curves[cells] = (1e3 * r, 1e-6 * p, style)
@@ -142,7 +142,7 @@ curves["Hertz"] = (1e3 * radius, 1e-6 * pressure, "-")
 
 write_fields(
     results / "hertz_ball.pvd",
-    [uh, stress, *contact_fields(uh.function_space, problem.contact)],
+    [uh, stress, *contact_fields(uh.function_space, problem.results)],
 )
 problem.report.to_json(results / "hertz_ball.json")
 draw_profile(

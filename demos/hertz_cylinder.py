@@ -107,9 +107,9 @@ for (name, (R, obstacle)), style in zip(cases.items(), ("o", "s"), strict=True):
     problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=[contact])
     uh = problem.solve()
 
-    nodes = problem.contact[0].gather()
+    nodes = problem.results[0].gather()
     x, p = nodes.coordinates[:, 0], nodes.pressure
-    F = 2 * problem.report.contact_force[0]
+    F = 2 * problem.report.contacts[0].normal_force
     a = np.sqrt(4 * F * R / (np.pi * E_star))
     p0 = 2 * F / (np.pi * a)
     inner = p > 0.3 * p.max()
@@ -128,7 +128,7 @@ for (name, (R, obstacle)), style in zip(cases.items(), ("o", "s"), strict=True):
 # ## Pictures
 
 stress = von_mises(mesh, sigma(uh), poisson_ratio=nu)
-write_fields(results / "hertz_cylinder.pvd", [uh, stress, *contact_fields(V, problem.contact)])
+write_fields(results / "hertz_cylinder.pvd", [uh, stress, *contact_fields(V, problem.results)])
 problem.report.to_json(results / "hertz_cylinder.json")
 draw_profile(
     results / "hertz_cylinder_pressure.png",

@@ -127,9 +127,9 @@ uh = problem.solve()
 # largest pressure gives a and p0.
 
 report = problem.report
-contact = problem.contact[0].gather()
+contact = problem.results[0].gather()
 r, p = np.linalg.norm(contact.coordinates[:, :2], axis=1), contact.pressure
-F = 4 * report.contact_force[0]
+F = 4 * report.contacts[0].normal_force
 a = (3 * F * R / (4 * E_star)) ** (1 / 3)
 p0 = 3 * F / (2 * np.pi * a**2)
 inner = p > 0.3 * p.max()
@@ -137,7 +137,7 @@ slope, intercept = np.polyfit(r[inner] ** 2, p[inner] ** 2, 1)
 a_fit, p0_fit = np.sqrt(-intercept / slope), np.sqrt(intercept)
 if mesh.comm.rank == 0:
     print(f"{report.unknowns['primal']} unknowns, {report.products['total']} products")
-    farthest = 1e3 * report.pairing[0]["largest_distance"]
+    farthest = 1e3 * report.contacts[0].pairing["largest_distance"]
     print(f"largest distance of the nodes of a pair across z: {farthest:.3f} mm")
     print(f"F  = {F:8.2f} N, given {force:.2f} N")
     print(f"a  = {1e3 * a_fit:8.4f} mm,  Hertz {1e3 * a:8.4f}  {a_fit / a - 1:+.2%}")
@@ -147,7 +147,7 @@ if mesh.comm.rank == 0:
 
 is_upper = ufl.conditional(ufl.gt(ufl.SpatialCoordinate(mesh)[2], 0), 1.0, 0.0)
 stress = von_mises(mesh, is_upper * sigma_1(uh) + (1 - is_upper) * sigma_2(uh))
-write_fields(results / "hertz_two_balls.pvd", [uh, stress, *contact_fields(V, problem.contact)])
+write_fields(results / "hertz_two_balls.pvd", [uh, stress, *contact_fields(V, problem.results)])
 report.to_json(results / "hertz_two_balls.json")
 radius = np.linspace(0, a, 400)
 draw_profile(

@@ -146,7 +146,7 @@ if mesh.comm.rank == 0:
     print("certificate  ", {k: f"{v:.1e}" for k, v in report.certificate.numbers().items()})
     print("weight       ", {body: f"{w / W:.6f} W" for body, w in meshed.items()})
 errors = {}
-for contact in problem.contact:
+for contact in problem.results:
     contact = contact.gather()
     force, statics = contact.normal_force @ contact.normal / W, expected[contact.name]
     errors[contact.name] = np.linalg.norm(force - statics) / np.linalg.norm(statics)
@@ -158,7 +158,7 @@ for contact in problem.contact:
         )
 
 stress = von_mises(mesh, sigma(uh), poisson_ratio=nu if dim == 2 else None)
-write_fields(results / f"{name}.pvd", [uh, stress, *contact_fields(V, problem.contact)])
+write_fields(results / f"{name}.pvd", [uh, stress, *contact_fields(V, problem.results)])
 report.to_json(results / f"{name}.json")
 
 # The stress at the contacts is a thousand times that elsewhere. The picture is capped at 20 kPa, to

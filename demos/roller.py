@@ -130,7 +130,7 @@ if mesh.comm.rank == 0:
     print("free motions ", *report.free_motions, sep="\n  ")
     print("certificate  ", {k: f"{v:.1e}" for k, v in report.certificate.numbers().items()})
 errors = {}
-for contact, style in zip(problem.contact, ("o", "x"), strict=True):
+for contact, style in zip(problem.results, ("o", "x"), strict=True):
     contact = contact.gather()
     places = contact.coordinates[:, 0]
     force = contact.normal_force @ contact.normal
@@ -145,7 +145,7 @@ for contact, style in zip(problem.contact, ("o", "x"), strict=True):
         print(f"  largest p {peak / 1e6:.1f} MPa, Hertz {p0 / 1e6:.1f}  {of_peak:+.2%}")
 
 stress = von_mises(mesh, sigma(uh), poisson_ratio=nu)
-write_fields(results / "roller.pvd", [uh, stress, *contact_fields(V, problem.contact)])
+write_fields(results / "roller.pvd", [uh, stress, *contact_fields(V, problem.results)])
 report.to_json(results / "roller.json")
 stress.x.array[:] = np.minimum(stress.x.array, 100e6)
 draw_deformed(

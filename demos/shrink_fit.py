@@ -118,7 +118,7 @@ for sign, body, inner, outer in ((-1, "shaft", bore, radius), (1, "hub", radius,
     flexibility += (C + sign * nu / (1 - nu)) * (1 - nu**2) / E
 lame = interference / radius / flexibility
 
-nodes = problem.contact[0].gather()
+nodes = problem.results[0].gather()
 pressure = nodes.normal_force.sum() / nodes.area.sum()
 spread = np.abs(nodes.pressure / lame - 1).max()
 if mesh.comm.rank == 0:
@@ -131,7 +131,7 @@ if mesh.comm.rank == 0:
 x = ufl.SpatialCoordinate(mesh)
 is_hub = ufl.conditional(ufl.gt(ufl.inner(x, x), radius**2), 1.0, 0.0)
 stress = von_mises(mesh, is_hub * sigma["hub"](uh) + (1 - is_hub) * sigma["shaft"](uh))
-write_fields(results / "shrink_fit.pvd", [uh, stress, *contact_fields(V, problem.contact)])
+write_fields(results / "shrink_fit.pvd", [uh, stress, *contact_fields(V, problem.results)])
 problem.report.to_json(results / "shrink_fit.json")
 draw_deformed(
     results / "shrink_fit.png",

@@ -135,7 +135,13 @@ uh = problem.solve()
 # Each horizontal face below the top carries the load of its column and the weight above it.
 
 report = problem.report
-carried = dict(zip([contact.name for contact in contacts], report.contact_force, strict=True))
+carried = dict(
+    zip(
+        [contact.name for contact in contacts],
+        [c.normal_force for c in report.contacts],
+        strict=True,
+    )
+)
 worst = 0.0
 for i, j, k in cubes:
     below = f"{i} {j} {k} on {i} {j} {k - 1}" if k > 1 else f"{i} {j} {k} -z"
@@ -149,7 +155,7 @@ if mesh.comm.rank == 0:
     print("certificate  ", {k: f"{v:.1e}" for k, v in report.certificate.numbers().items()})
 
 stress = von_mises(mesh, sigma(uh))
-write_fields(results / "stack_of_blocks.pvd", [uh, stress, *contact_fields(V, problem.contact)])
+write_fields(results / "stack_of_blocks.pvd", [uh, stress, *contact_fields(V, problem.results)])
 report.to_json(results / "stack_of_blocks.json")
 draw_deformed(
     results / "stack_of_blocks.png",
