@@ -66,12 +66,11 @@ def projected_newton(
     *,
     basis: sp.csr_matrix | None = None,
     load: Vector | None = None,
-    stiffness: sp.csr_matrix | None = None,
     least_weight: float | None = None,
     sum_vectors: Callable[[Vector], Vector] = _same,
     sum_matrices: Callable[[sp.csr_matrix], sp.csr_matrix] = _same,
 ) -> Vector:
-    """Minimise h(STz - gap) + 1/2 z'Kz - load'z.
+    """Minimise h(STz - gap) - load'z.
 
     Parameters
     ----------
@@ -86,8 +85,6 @@ def projected_newton(
         full, S stays sparse.
     load : (k,) array, optional
         Forces on the motions; the same on all ranks.
-    stiffness : (k, k) scipy.sparse.csr_matrix, optional
-        K, positive semidefinite; the same on all ranks.
     least_weight : float, optional
         Last weight of the distance under a load, relative to the stiffness of the springs: by
         default as small as factors allow.
@@ -110,7 +107,6 @@ def projected_newton(
     """
     T = sp.identity(S.shape[1], format="csr") if basis is None else basis
     z = np.zeros(T.shape[1])
-    K = sp.csr_matrix((z.size, z.size)) if stiffness is None else stiffness
     feasible = _half_lines(S.shape[0]) if feasible is None else feasible
     squares = S**2 if isinstance(S, np.ndarray) else S.multiply(S)
     diagonal = sum_vectors(np.asarray(squares.sum(axis=0)).ravel())
@@ -119,9 +115,8 @@ def projected_newton(
         T,
         gap,
         feasible,
-        K,
         np.zeros_like(z) if load is None else load,
-        float(np.append(diagonal, K.diagonal()).max(initial=0.0)),
+        float(diagonal.max(initial=0.0)),
         sum_vectors,
         sum_matrices,
     )
@@ -166,7 +161,6 @@ class _Problem:
     T: sp.csr_matrix
     gap: Vector
     feasible: ProductSet
-    K: sp.csr_matrix
     load: Vector
     stiffest: float
     sum_vectors: Callable[[Vector], Vector]
@@ -177,7 +171,7 @@ class _Problem:
         v = self.S @ (self.T @ z) - self.gap
         x = self.feasible.project(v.copy())
         sums = self.sum_vectors(np.append(self.S.T @ x, x @ x))
-        gradient = self.T.T @ sums[:-1] + self.K @ z - self.load
+        gradient = self.T.T @ sums[:-1] - self.load
         terms = np.sqrt(self.stiffest * sums[-1]) + self.stiffest * np.linalg.norm(z)
         return _Point(v, gradient, float(terms + np.linalg.norm(self.load)))
 
@@ -185,10 +179,10 @@ class _Problem:
         """Return Newton's step for a gradient with the weight added. Collective."""
         if sp.issparse(self.S):
             H = (self.S.T @ self.feasible.derivative(point.v) @ self.S).tocsr()
-            H = self.T.T @ self.sum_matrices(H) @ self.T + self.K
+            H = self.T.T @ self.sum_matrices(H) @ self.T
             return -np.asarray(_factor(H, weight).solve(point.gradient))
         rows = self.S @ self.T
-        H = rows.T @ (self.feasible.derivative(point.v) @ rows) + self.K.toarray()
+        H = rows.T @ (self.feasible.derivative(point.v) @ rows)
         return -np.linalg.solve(H + weight * np.identity(self.load.size), point.gradient)
 
 

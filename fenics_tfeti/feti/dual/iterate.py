@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from fenics_tfeti.feti.dual.pcpg import PCPGIterate
-from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.qp import OuterIteration, Products, SMALBEState
 from fenics_tfeti.typing import Mask, Vector
@@ -23,6 +22,7 @@ class SolveStatus(Enum):
     NOT_STARTED = "nothing was solved"
     SOLVED = "converged"
     STALLED = "the method makes no more progress, or its share of the products is spent"
+    CENTRED = "a proximal problem is solved, the next one has its solution as centre"
     AT_ROUNDING = "rounding has ended the conjugate gradients"
     FLAT = (
         "SMALBE-M found no curvature along a direction: the contact conditions contradict each "
@@ -74,20 +74,12 @@ class Iterate:
     # (k, gdim - 1): slips of sites to start from, scaled as the rows; None if not known
     slips: Vector | None = None
 
-    def at_multipliers(self, problem: DualProblem) -> Iterate:
-        """Return the iterate to start from its multipliers, active set and slips alone."""
-        if self.on_face is None:
-            return self
-        slips = -problem.constraints.friction.at_sites(self.on_face.gradient)
-        active = self.on_face.contact_state.active
-        return replace(self, on_face=None, active=active, slips=slips)
+    def at_multipliers(self) -> Iterate:
+        """Return the iterate to start from its multipliers and active set alone.
 
-    def without_residual(self) -> Iterate:
-        """Return the iterate without its residual, in whose recurrences rounding has added up.
-
-        The residual of Newton's method is that of its line search, and stays.
+        Rounding has added up in the recurrences of its residual.
         """
-        if self.on_face is None or self.method is Method.NEWTON:
+        if self.on_face is None:
             return self
         return replace(self, on_face=None, active=self.on_face.contact_state.active)
 
@@ -126,6 +118,11 @@ class Turn:
     options: Options = field(default_factory=Options)
     max_outer: int = 200  # limit on outer iterations of SMALBE-M
     patience: int = 200  # outer iterations in a row that may fail to halve ||Gx||
+
+    def extended(self, products: int) -> Turn:
+        """Return the turn with this number of products more, as far as the options allow."""
+        limit = min(self.max_products + products, self.options.max_products)
+        return replace(self, max_products=limit)
 
     @property
     def is_spent(self) -> bool:

@@ -27,7 +27,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fenics_tfeti.feti import interruption
-from fenics_tfeti.feti.dual.active_set import close_first_gaps, iterate_on_face, unused_friction
+from fenics_tfeti.feti.dual.active_set import (
+    close_first_gaps,
+    iterate_on_face,
+    primal_dual_active_set,
+    unused_friction,
+)
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep, Iterate, Method, SolveStatus, Turn
 from fenics_tfeti.feti.dual.pcpg import ContactState, Face, PCPGIterate, Proximal, iterate_on, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
@@ -49,13 +54,45 @@ _PATIENCE = 40
 def proximal_newton(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate:
     """Run the proximal point method until residual, bounds and slips are within the tolerance.
 
-    It starts from its own last iterate, from one on a face, or from multipliers.
+    It starts from its own last iterate, from one on a face, or from multipliers. The solution of
+    each proximal problem is a start for the active set method, whose solution has forces that
+    vanish exactly: where it finds one, that ends the method.
     """
-    bounds, tolerance = _Bounds(problem), turn.tolerance
+    bounds = _Bounds(problem)
     state = _first_state(problem, start, turn)
     term = state.contact_state.proximal
     if term is None:
         term = Proximal(bounds.project(state.multipliers), _FIRST * problem.unit)
+    while True:
+        state, status = _solve_proximal(problem, bounds, term, state, turn)
+        wanted = bounds.wanted(term, state)
+        iterate = _iterate(problem, start, state, wanted, status)
+        if status is SolveStatus.STALLED:
+            return iterate
+        before = turn.products.total
+        on_face = _on_face(problem, iterate, turn)
+        turn = turn.extended(turn.products.total - before)
+        if on_face.status is SolveStatus.SOLVED or status is SolveStatus.SOLVED:
+            return on_face if on_face.status is SolveStatus.SOLVED else iterate
+        stiffness = min(_GROWTH * term.stiffness, _LARGEST * problem.unit)
+        term = Proximal(bounds.chosen(wanted), stiffness)
+
+
+def _on_face(problem: DualProblem, iterate: Iterate, turn: Turn) -> Iterate:
+    """Run the active set method from a solution, for at most as many products as were spent.
+
+    Multipliers P(l_k + rho v) are those of the residual where they solve (11.36) only.
+    """
+    if iterate.status is SolveStatus.SOLVED:
+        return primal_dual_active_set(problem, iterate, turn.extended(turn.products.total))
+    limited = replace(turn, max_products=min(2 * turn.products.total, turn.max_products))
+    return primal_dual_active_set(problem, iterate.at_multipliers(), limited)
+
+
+def _solve_proximal(
+    problem: DualProblem, bounds: _Bounds, term: Proximal, state: PCPGIterate, turn: Turn
+) -> tuple[PCPGIterate, SolveStatus]:
+    """Solve a proximal problem by Newton's method: SOLVED if that solves (11.36) as well."""
     best, failures = np.inf, 0
     while True:
         # a step that fails may have been too inaccurate
@@ -76,15 +113,15 @@ def proximal_newton(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate
         wanted, error = bounds.wanted(term, state), bounds.error(term, state)
         turn.monitor(_step(problem, face, contact_state, state, turn.products))
         unused = unused_friction(problem, face, replace(state, multipliers=wanted))
-        solved = max(state.energy, error / np.sqrt(term.stiffness), unused) <= tolerance
+        solved = max(state.energy, error / np.sqrt(term.stiffness), unused) <= turn.tolerance
         best, failures = (error, 0) if error <= 0.5 * best else (best, failures + 1)
-        if solved or turn.is_spent or failures > _PATIENCE or interruption.agreed():
-            status = SolveStatus.SOLVED if solved else SolveStatus.STALLED
-            state = replace(state, contact_state=replace(face.contact_state, proximal=term))
-            return _iterate(problem, start, state, wanted, status)
+        state = replace(state, contact_state=replace(face.contact_state, proximal=term))
+        if solved:
+            return state, SolveStatus.SOLVED
+        if turn.is_spent or failures > _PATIENCE or interruption.agreed():
+            return state, SolveStatus.STALLED
         if error <= _INEXACT * bounds.norm(wanted - term.centre):
-            stiffness = min(_GROWTH * term.stiffness, _LARGEST * problem.unit)
-            term, best, failures = Proximal(bounds.chosen(wanted), stiffness), np.inf, 0
+            return state, SolveStatus.CENTRED
 
 
 def _iterate(

@@ -127,7 +127,7 @@ def _iterate(loop: _Loop, start: Iterate | None) -> Outcome:
         if stagnation is Stagnation.OF_SMALBE:
             iterate = replace(iterate, method=Method.ACTIVE_SET)
         elif stagnation is Stagnation.OF_PASS:
-            iterate = iterate.without_residual()
+            iterate = iterate.at_multipliers()
         # its displacements are the largest vectors: the next ones take their place
         del candidate
         tolerance *= min(max(0.5 * limit / certificate.worst, 1e-3), 0.5)
@@ -258,8 +258,6 @@ class _Loop:
         }[method]
         with self.context.timer.phase("iterations"):
             iterate = run(problem, iterate, turn)
-            if method is Method.NEWTON and iterate.status is SolveStatus.SOLVED:
-                iterate = self._without_proximal_term(problem, iterate, turn)
             iterate = replace(iterate, multipliers=self._completed(iterate.multipliers))
         if iterate.status is SolveStatus.SOLVED:
             return iterate
@@ -268,21 +266,6 @@ class _Loop:
         if turn.products.total >= self.context.options.max_products:
             return replace(iterate, status=SolveStatus.OUT_OF_PRODUCTS)
         return iterate
-
-    def _without_proximal_term(
-        self, problem: DualProblem, solution: Iterate, turn: Turn
-    ) -> Iterate:
-        """Return the solution of the active set method from one of Newton's, if it finds one.
-
-        Forces that vanish do so exactly then. It starts from the true residual, since rounding has
-        added up in that of the line searches; where that leads off, from this one.
-        """
-        turn = replace(turn, max_products=self.context.options.max_products)
-        for start in (solution.at_multipliers(problem), solution):
-            iterate = primal_dual_active_set(problem, start, turn)
-            if iterate.status is SolveStatus.SOLVED:
-                return iterate
-        return solution
 
     def recover(self, multipliers: Vector) -> Candidate:
         """Recover displacements, and measure how well they and lambda solve (11.21)."""
