@@ -115,7 +115,7 @@ def print_table(report, wall: float) -> None:
             "subdomains": report.subdomains,
             "classes": report.classes,
             "outer iterations": report.outer_iterations,
-            "contact force [N]": f"{report.contact_force[0]:.6e}",
+            "contact force [N]": f"{report.contacts[0].normal_force:.6e}",
             "energy [J]": f"{report.energy:.6e}",
             "peak memory [MB]": report.peak_memory_bytes // 10**6,
             "seconds with mesh": f"{wall:.1f}",

@@ -118,7 +118,7 @@ def measure(bricks: int, gdim: int) -> dict[str, Any]:
         "faces": len(report.faces),
         "free motions": len(report.free_motions),
         "seconds": {"made": made, **report.seconds},
-        "weight error": abs(report.contact_force[-1] / weight - 1.0),
+        "weight error": abs(report.contacts[-1].normal_force / weight - 1.0),
         "bytes": report.peak_memory_bytes,
     }
 

@@ -81,7 +81,9 @@ def cubes(n, friction, move):
     ]
     pair = ContactPair(tags, slave=5, master=6, friction=friction)
     options = {"rtol": 1e-6, "subdomain_size": 375}
-    return ContactProblem(a, 0, supports, [pair], tagged.cell_tags, options=options)
+    return ContactProblem(
+        a, 0, bcs=supports, contacts=[pair], cell_tags=tagged.cell_tags, options=options
+    )
 
 
 def main():

@@ -145,7 +145,7 @@ def solve_contact(path: Path, rtol: float, options: dict[str, str]) -> dict[str,
         "bytes before": before,
         "residual": relative_residual(A, x, beams.load(), left_out),
         "certificate": report.to_dict()["certificate"],
-        "force": report.contact_force[0],
+        "force": report.contacts[0].normal_force,
     }
 
 

@@ -28,7 +28,7 @@ def main() -> None:
     of_pair = {} if given.initial_gap is None else {"initial_gap": given.initial_gap}
     problem = joint_problem(bodies, given.degree, given.exchange, **of_pair)
     uh = problem.solve()
-    motion, results = axial_motion(bodies, uh), [contact.gather() for contact in problem.contact]
+    motion, results = axial_motion(bodies, uh), [contact.gather() for contact in problem.results]
     if bodies.mesh.comm.rank:
         return
     print(problem.report)

@@ -155,7 +155,7 @@ def solve(m: int, n: int, options: Options, softer: bool) -> dict[str, object]:
         "bytes": report.peak_memory_bytes,
         "microseconds an unknown": 1e6 * wall / torn,
         "bytes an unknown": report.peak_memory_bytes / torn,
-        "force": report.contact_force[0],
+        "force": report.contacts[0].normal_force,
         "certificate": report.certificate.worst,
         "phases": {"building": built, **report.seconds},
     }

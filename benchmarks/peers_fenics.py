@@ -99,10 +99,10 @@ def solve_by_tfeti(scene: Scene, rtol: float, partitioner: str = "auto") -> Answ
     )
     uh = problem.solve()
     pressure = np.full(len(scene.points), np.nan)
-    pressure[problem.contact[0].nodes] = problem.contact[0].pressure
+    pressure[problem.results[0].nodes] = problem.results[0].pressure
     return parts.answer(
         uh.x.array.copy(),
-        float(problem.contact[0].normal_force.sum()),
+        float(problem.results[0].normal_force.sum()),
         pressure,
         iterations=problem.report.products["total"],
         iterations_of="products with F",

@@ -48,7 +48,7 @@ def compare(n: int) -> tuple[int, dict[str, Any]]:
     order, other = (np.lexsort(np.round(points, 9).T) for points in (x, y))
     if not np.allclose(x[order], y[other]):
         raise AssertionError("the codes did not solve on the same nodes")
-    contact = problem.contact[0]
+    contact = problem.results[0]
     along_x = np.argsort(contact.coordinates[:, 0])
     friction = contact.friction.force[along_x, 0]
     return problem.report.products["total"], {
@@ -87,8 +87,8 @@ def solve_by_tfeti(n: int, rtol: float = 1e-8) -> tuple[Vector, Vector, ContactP
     problem = ContactProblem(
         ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx,
         pull * v[0] * ds(RIGHT) - pressure * v[1] * ds(TOP),
-        [fem.dirichletbc(0.0, held, V.sub(0))],
-        [RigidObstacle(tags, BOTTOM, ground, friction=Coulomb(FRICTION))],
+        bcs=[fem.dirichletbc(0.0, held, V.sub(0))],
+        contacts=[RigidObstacle(tags, BOTTOM, ground, friction=Coulomb(FRICTION))],
         options={"rtol": rtol},
     )
     values = problem.solve().x.array.reshape(-1, 2)

@@ -77,9 +77,9 @@ problem.solve()
 # By Hertz's formula, p^2 is a linear function of r^2. A straight line through the nodes with more
 # than 30 % of the largest pressure gives a and p0.
 
-nodes = problem.contact[0].gather()
+nodes = problem.results[0].gather()
 radii, p = nodes.coordinates[:, 0], nodes.pressure
-F = problem.report.contact_force[0]
+F = problem.report.contacts[0].normal_force
 a = (3 * F * R / (4 * E_star)) ** (1 / 3)
 p0 = 3 * F / (2 * np.pi * a**2)
 inner = p > 0.3 * p.max()

@@ -105,11 +105,11 @@ radii, peaks, hertz, curves = [], [], [], {}
 for force, style in zip(forces, ("", "C0o", "", "C1s", "", "C3^"), strict=True):
     traction.value = -force / (np.pi * R1**2)
     uh = problem.solve()
-    nodes = problem.contact[0].gather()
+    nodes = problem.results[0].gather()
     x, y = nodes.coordinates[:, :2].T
     radii.append(np.sqrt(5 / 2 * nodes.normal_force @ x**2 / nodes.normal_force.sum()))
     peaks.append(nodes.pressure.max())
-    F = abs(problem.report.contact_forces[0][1])
+    F = abs(problem.report.contacts[0].force[1])
     a = np.cbrt(3 * F * R / (4 * E_star))
     p0 = 3 * F / (2 * np.pi * a**2)
     hertz.append((a, p0))

@@ -86,11 +86,11 @@ for mu, style in ((0.1, "o"), (0.2, "s"), (0.3, "^")):
     drum = RigidObstacle(
         facet_tags, slave=DRUM, obstacle=Sphere((0, 0), radius), friction=Coulomb(mu), name="drum"
     )
-    problem = ContactProblem(a, L, bcs, [drum], options={"subdomain_size": 60})
+    problem = ContactProblem(a, L, bcs=bcs, contacts=[drum], options={"subdomain_size": 60})
     uh = problem.solve()
     report = problem.report
     ratios[mu] = np.linalg.norm(report.reactions[0].force) / force
-    contact = problem.contact[0].gather()
+    contact = problem.results[0].gather()
     phi = np.arctan2(contact.coordinates[:, 1], contact.coordinates[:, 0])
     inner = (phi > 0.05) & (phi < np.pi - 0.05)
     tension = contact.pressure * radius

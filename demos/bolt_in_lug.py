@@ -103,10 +103,10 @@ forces, errors, curves = [], [], {}
 for (clearance, (finer_angle, finer_end)), style in zip(finer.items(), "os^", strict=True):
     problem.contacts = [bolt_in_hole(clearance)]
     uh = problem.solve()
-    nodes = problem.contact[0].gather()
+    nodes = problem.results[0].gather()
     x, y, z = nodes.coordinates.T
     t = np.degrees(np.arctan2(y, -x))
-    forces.append(4 * abs(problem.report.contact_forces[0][0]))
+    forces.append(4 * abs(problem.report.contacts[0].force[0]))
     angle = np.sqrt(nodes.normal_force @ t**2 / nodes.normal_force.sum())
     end = mesh.comm.allreduce(fem.assemble_scalar(fem.form(uh[0] * ds(tags["pulled"])))) / area
     errors.append((angle / finer_angle - 1, end / finer_end - 1))

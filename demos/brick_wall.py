@@ -124,7 +124,9 @@ traction = fem.Constant(mesh, np.array([0.0, -pressure]))
 ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
 L = ufl.inner(weight, v) * ufl.dx + ufl.inner(traction, v) * ds(LOADED)
 
-problem = ContactProblem(a, L, [], contacts, wall.cell_tags, options={"rtol": 1e-5})
+problem = ContactProblem(
+    a, L, bcs=[], contacts=contacts, cell_tags=wall.cell_tags, options={"rtol": 1e-5}
+)
 
 # ## Pushed until it gives way
 
@@ -154,7 +156,7 @@ for push in (0.0, 0.1, 0.2, 0.25, 0.3, 0.33, 0.36, 0.4):
 width = bricks_per_course * length
 load = np.array([moved[-1][0], -1.0]) * pressure * width
 load[1] -= 18e3 * width * courses * height
-balance = np.abs(np.array(problem.report.on_slaves[-1].force) + load).max() / np.abs(load).max()
+balance = np.abs(np.array(problem.report.contacts[-1].force) + load).max() / np.abs(load).max()
 
 # ## Pictures
 

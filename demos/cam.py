@@ -129,7 +129,7 @@ def turn(t):
 
 def moment_of(problem, uh):
     """Return the moment about the shaft that balances the contact forces on the cam."""
-    nodes = problem.contact[0]
+    nodes = problem.results[0]
     first = V.dofmap.index_map.local_range[0]
     y = nodes.coordinates[:, :2] + uh.x.array.reshape(-1, 2)[nodes.nodes - first]
     force = -nodes.normal_force[:, None] * nodes.normal

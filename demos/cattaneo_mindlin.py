@@ -91,7 +91,9 @@ pair = ContactPair(
     facet_tags, SLAVE, MASTER, initial_gap=lambda x: x[0] ** 2 / (2 * R), friction=Coulomb(friction)
 )
 options = {"subdomain_size": 400}
-problem = ContactProblem(a_form, 0, bcs, [pair], blocks.cell_tags, options=options)
+problem = ContactProblem(
+    a_form, 0, bcs=bcs, contacts=[pair], cell_tags=blocks.cell_tags, options=options
+)
 
 # ## Pressed, then pushed in three steps
 #
@@ -101,7 +103,7 @@ curves, sticking = {}, []
 for push, style in ((0.0, ""), (8e-6, "o"), (16e-6, "s"), (24e-6, "^")):
     move.value[:] = push, -60e-6
     problem.solve()
-    contact = problem.contact[0].gather()
+    contact = problem.results[0].gather()
     x, p, q = contact.coordinates[:, 0], contact.pressure, -contact.friction.traction[:, 0]
     inner = p > 0.3 * p.max()
     slope, constant = np.polyfit(x[inner] ** 2, p[inner] ** 2, 1)

@@ -176,7 +176,7 @@ if comm.rank == 0:
     for name, counts in products.items():
         print(f"{name}: {counts[-1]} products at rtol {tolerances[-1]:.0e}")
     print(f"deflation: {vectors} vectors, {memory / 1e6:.1f} MB")
-    print(f"force on the block {report.contact_force[0]:.1f} N/m")
+    print(f"force on the block {report.contacts[0].normal_force:.1f} N/m")
 
 # ## Pictures
 #

@@ -98,9 +98,9 @@ for n in (16, 32, 64, 128):
     alone = new_problem(n)
     alone.solve()
 
-    force = 2 * problem.report.contact_force[0]
+    force = 2 * problem.report.contacts[0].normal_force
     a = np.sqrt(4 * force * R / (np.pi * E_star))
-    contact = problem.contact[0].gather()
+    contact = problem.results[0].gather()
     x = contact.coordinates[:, 0]
     if comm.rank == 0:
         print(

@@ -93,9 +93,9 @@ curves, errors = {}, {}
 s = np.linspace(0, 0.995, 400)
 for name, gdim, style in (("strip", 2, "s"), ("disc", 3, "o")):
     problem, uh = solve(here.parent / "meshes" / f"punch_{name}.msh", gdim)
-    contact = problem.contact[0].gather()
+    contact = problem.results[0].gather()
     r = np.linalg.norm(contact.coordinates[:, : gdim - 1], axis=1) / a
-    F = 2 ** (gdim - 1) * problem.report.contact_force[0]
+    F = 2 ** (gdim - 1) * problem.report.contacts[0].normal_force
     p = contact.pressure / (F / (np.pi * a**2 if gdim == 3 else 2 * a))
     factor = 1 / 2 if gdim == 3 else 2 / np.pi
     inner = r < 0.75

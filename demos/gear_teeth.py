@@ -104,14 +104,14 @@ uh = problem.solve()
 # By Hertz's formula, p^2 is a quadratic function of the distance s along the flank. A parabola
 # through the nodes with more than 30 % of the largest pressure gives a and p0.
 
-nodes = problem.contact[0].gather()
+nodes = problem.results[0].gather()
 p = nodes.pressure
 direction = np.radians(40.5)  # of the line of centres
 pitch_point = r1 * np.array([np.cos(direction), np.sin(direction)])
 along = direction + angle  # of the tangent of the flanks at the pitch point
 s = (nodes.coordinates[:, :2] - pitch_point) @ [np.cos(along), np.sin(along)]
 
-F = np.linalg.norm(problem.report.contact_forces[0])
+F = np.linalg.norm(problem.report.contacts[0].force)
 statics = torque / (r1 * np.cos(angle))
 R = np.sin(angle) / (1 / r1 + 1 / r2)
 E_star = E / (2 * (1 - nu**2))

@@ -96,9 +96,9 @@ def fit(r, p):
 curves, errors = {}, {}
 for cells, style in (("tetrahedra", "^"), ("hexahedra", "o")):
     problem, uh, stress = solve(here.parent / "meshes" / f"hertz_ball_{cells}.msh")
-    contact = problem.contact[0].gather()
+    contact = problem.results[0].gather()
     r, p = np.linalg.norm(contact.coordinates[:, :2], axis=1), contact.pressure
-    F = 4 * problem.report.contact_force[0]
+    F = 4 * problem.report.contacts[0].normal_force
     a = (3 * F * R / (4 * E_star)) ** (1 / 3)
     p0 = 3 * F / (2 * np.pi * a**2)
     a_fit, p0_fit = fit(r, p)

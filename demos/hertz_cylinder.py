@@ -84,9 +84,9 @@ for (name, (R, obstacle)), style in zip(cases.items(), ("o", "s"), strict=True):
     problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=[contact])
     uh = problem.solve()
 
-    nodes = problem.contact[0].gather()
+    nodes = problem.results[0].gather()
     x, p = nodes.coordinates[:, 0], nodes.pressure
-    F = 2 * problem.report.contact_force[0]
+    F = 2 * problem.report.contacts[0].normal_force
     a = np.sqrt(4 * F * R / (np.pi * E_star))
     p0 = 2 * F / (np.pi * a)
     inner = p > 0.3 * p.max()

@@ -92,9 +92,9 @@ uh = problem.solve()
 # As for the ball on a plane: a straight line through p^2 over r^2 gives a and p0.
 
 report = problem.report
-contact = problem.contact[0].gather()
+contact = problem.results[0].gather()
 r, p = np.linalg.norm(contact.coordinates[:, :2], axis=1), contact.pressure
-F = 4 * report.contact_force[0]  # that of the quarter
+F = 4 * report.contacts[0].normal_force  # that of the quarter
 a = (3 * F * R / (4 * E_star)) ** (1 / 3)
 p0 = 3 * F / (2 * np.pi * a**2)
 inner = p > 0.3 * p.max()

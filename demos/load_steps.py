@@ -93,11 +93,11 @@ def new_problem():
 
 def force_and_radius(problem):
     """Return the contact force and the fitted radius of the contact area."""
-    found = problem.contact[0].gather()
+    found = problem.results[0].gather()
     r, p = np.linalg.norm(found.coordinates[:, :2], axis=1), found.pressure
     inner = p > 0.3 * p.max()
     slope, intercept = np.polyfit(r[inner] ** 2, p[inner] ** 2, 1)
-    return 4 * problem.report.contact_force[0], np.sqrt(-intercept / slope)
+    return 4 * problem.report.contacts[0].normal_force, np.sqrt(-intercept / slope)
 
 
 def tell(line):

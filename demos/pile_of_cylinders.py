@@ -112,7 +112,7 @@ uh = problem.solve()
 report = problem.report
 W = 9810 * np.pi * radius**2 * length
 errors = {}
-for contact in problem.contact:
+for contact in problem.results:
     contact = contact.gather()
     force, statics = contact.normal_force @ contact.normal / W, expected[contact.name]
     errors[contact.name] = np.linalg.norm(force - statics) / np.linalg.norm(statics)

@@ -122,7 +122,7 @@ report = solution.report
 report.to_json(results / "plank.json")
 
 lifting_force = report.reactions[0].force[1]
-floor_force = report.contact_force[0]
+floor_force = report.contacts[0].normal_force
 first_contact = h * columns[solution.active].min()
 print(f"lifting force {lifting_force:.0f} N, by beam theory {V:.0f} N")
 print(f"lifted length {first_contact:.2f} m, by beam theory {s:.2f} m")

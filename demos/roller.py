@@ -99,7 +99,7 @@ curves = {"Hertz": (1e3 * x, p0 * np.sqrt(1 - (x / b) ** 2) / 1e6, "-")}
 if mesh.comm.rank == 0:
     print("free motions:", *report.free_motions)
 errors = {}
-for contact, style in zip(problem.contact, ("o", "x"), strict=True):
+for contact, style in zip(problem.results, ("o", "x"), strict=True):
     contact = contact.gather()
     places = contact.coordinates[:, 0]
     force = contact.normal_force @ contact.normal

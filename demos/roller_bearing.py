@@ -168,7 +168,7 @@ report = problem.report
 
 # ## Loads of the rollers
 
-raceways = {contact.name: contact.gather() for contact in problem.contact}
+raceways = {contact.name: contact.gather() for contact in problem.results}
 loads = {}
 for contact_name, contact in raceways.items():
     force = contact.normal_force[:, None] * contact.normal

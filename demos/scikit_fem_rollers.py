@@ -146,7 +146,7 @@ pressure = solution.normal_force / weights[surface]
 inner = x < 0.9 * a
 slope, p_fit2 = np.polyfit(x[inner] ** 2, pressure[inner] ** 2, 1)
 a_fit, p_fit = np.sqrt(-p_fit2 / slope), np.sqrt(p_fit2)
-print(f"force {2 * report.contact_force[0]:.6g} N/m of {force:.6g} N/m")
+print(f"force {2 * report.contacts[0].normal_force:.6g} N/m of {force:.6g} N/m")
 print(f"half-width {1e3 * a_fit:.1f} mm, by Hertz {1e3 * a:.1f} mm")
 print(f"largest pressure {1e-6 * p_fit:.1f} MPa, by Hertz {1e-6 * p_0:.1f} MPa")
 print(f"{report.subdomains} subdomains, {report.products['total']} products with F")

@@ -101,7 +101,7 @@ for sign, body, inner, outer in ((-1, "shaft", bore, radius), (1, "hub", radius,
     flexibility += (C + sign * nu / (1 - nu)) * (1 - nu**2) / E
 lame = interference / radius / flexibility
 
-nodes = problem.contact[0].gather()
+nodes = problem.results[0].gather()
 pressure = nodes.normal_force.sum() / nodes.area.sum()
 spread = np.abs(nodes.pressure / lame - 1).max()
 if mesh.comm.rank == 0:

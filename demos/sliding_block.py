@@ -144,7 +144,7 @@ table = ["position   H [N/m]  F [N/m]  products  linearised  penetration or gap 
 for step, s in enumerate(steps):
     shift.value = s
     uh = problem.solve()
-    found = problem.contact[0].gather()
+    found = problem.results[0].gather()
     push = found.normal_force @ found.normal
     H.append(push[0])
     F.append(-push[1])

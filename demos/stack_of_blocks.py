@@ -108,7 +108,13 @@ uh = problem.solve()
 # Each horizontal face below the top carries the load of its column and the weight above it.
 
 report = problem.report
-carried = dict(zip([contact.name for contact in contacts], report.contact_force, strict=True))
+carried = dict(
+    zip(
+        [contact.name for contact in contacts],
+        [c.normal_force for c in report.contacts],
+        strict=True,
+    )
+)
 worst = 0.0
 for i, j, k in cubes:
     below = f"{i} {j} {k} on {i} {j} {k - 1}" if k > 1 else f"{i} {j} {k} -z"

@@ -92,7 +92,7 @@ tied = [
     TiedPair(facet_tags, slave=tags[f"coarse {side}"], master=tags[f"fine {side}"], name=side)
     for side in ("right", "top")
 ]
-problem = ContactProblem(a_form, L_form, bcs=bcs, tied=tied)
+problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=tied)
 uh = problem.solve()
 
 # ## Comparison with the exact solution

@@ -104,15 +104,15 @@ uh = problem.solve()
 # By the equilibrium of the upper beam, the contact force is 20 MPa x 3 m^2 = 60 MN.
 
 report = problem.report
-contact = problem.contact[0].gather()
+contact = problem.results[0].gather()
 if mesh.comm.rank == 0:
     print("unknowns    ", report.unknowns, "in", report.subdomains, "subdomains")
     print("products    ", report.products, "in", report.outer_iterations, "outer iterations")
-    print(f"contact force {report.contact_force[0]:.6e} N")
+    print(f"contact force {report.contacts[0].normal_force:.6e} N")
     print("certificate ", {k: f"{v:.1e}" for k, v in report.certificate.numbers().items()})
 
 stress = von_mises(mesh, sigma(uh))
-write_fields(results / "two_beams.pvd", [uh, stress, *contact_fields(V, problem.contact)])
+write_fields(results / "two_beams.pvd", [uh, stress, *contact_fields(V, problem.results)])
 report.to_json(results / "two_beams.json")
 draw_deformed(
     results / "two_beams.png", uh, stress, label="von Mises stress", unit="MPa", title="Two beams"

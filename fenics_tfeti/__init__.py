@@ -32,9 +32,11 @@ _LAZY = {
     "Nearest": "fenics_tfeti.fem.contact.description",
     "Plane": "fenics_tfeti.fem.contact.obstacles",
     "Points": "fenics_tfeti.fem.contact.description",
+    "Results": "fenics_tfeti.fem.contact.result",
     "RigidObstacle": "fenics_tfeti.fem.contact.description",
     "Sphere": "fenics_tfeti.fem.contact.obstacles",
     "TiedPair": "fenics_tfeti.fem.contact.description",
+    "TiedResult": "fenics_tfeti.fem.contact.result",
     "Tresca": "fenics_tfeti.fem.contact.description",
 }
 
@@ -55,9 +57,11 @@ __all__ = [
     "NotConverged",
     "Plane",
     "Points",
+    "Results",
     "RigidObstacle",
     "Sphere",
     "TiedPair",
+    "TiedResult",
     "Tresca",
     "UnresistedMotion",
 ]

@@ -146,7 +146,7 @@ def self_test(comm: MPI.Intracomm) -> tuple[float, int, float]:
         options={"rtol": 1e-9, "subdomain_size": 200},
     )
     problem.solve()
-    error = float(np.abs(problem.contact[0].gather().pressure / pressure - 1.0).max())
+    error = float(np.abs(problem.results[0].gather().pressure / pressure - 1.0).max())
     seconds = comm.allreduce(time.perf_counter() - begin, MPI.MAX)
     return error, problem.report.products["total"], seconds
 

@@ -20,26 +20,19 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import (
     as_conditions,
     as_contacts,
+    as_displacement,
     as_forms,
-    as_tied_pairs,
-    check_function,
 )
 from fenics_tfeti.fem.contact.contact_set import ContactSearch, ContactSet, SolvedContacts
 from fenics_tfeti.fem.contact.deformed import GeometryPass, geometry_pass
-from fenics_tfeti.fem.contact.description import (
-    Contact,
-    ContactPair,
-    TiedPair,
-    contact_name,
-    tied_name,
-)
-from fenics_tfeti.fem.contact.result import ContactResult
+from fenics_tfeti.fem.contact.description import Contact, ContactPair, TiedPair, contact_name
+from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.contact.transfer import check_same_contacts, expected_contact
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
 from fenics_tfeti.fem.displacement import (
-    displacement_function,
+    fill_displacement,
     fill_owned,
     owned_values,
     prescribed_values,
@@ -77,10 +70,8 @@ class ContactProblem:
         weight, as axisymmetric ones do, it is `measure_weight`.
     bcs : sequence of dolfinx.fem.DirichletBC, one of them, or None
         Prescribed displacements, on the space or its components, of any value.
-    contacts : sequence of ContactPair or RigidObstacle, one of them, or None
-        What may touch.
-    tied : sequence of TiedPair, one of them, or None
-        Surfaces that stay together.
+    contacts : sequence of ContactPair, RigidObstacle or TiedPair, one of them, or None
+        What may touch, and what stays together.
     cell_tags : MeshTags, optional
         A tag for every cell, where bodies are to be told apart by tags: each tag is one body, its
         cells connected through facets. Bodies that share facets are glued there. By default the
@@ -97,19 +88,24 @@ class ContactProblem:
         ``-<prefix><name> value`` on the command line, or in PETSc's database, overrides `options`.
         Problems of one script that are to differ need different prefixes.
     u : Function, optional
-        The function on the displacement's space that each solve fills and returns, as for a file
-        that a time loop writes to. By default each solve returns a new one.
+        The function on the displacement's space that each solve fills and returns; by default one
+        is made.
     measure_weight : UFL expression or number, optional
         Factor of ``ds`` in the forms, by which nodal forces become pressures: ``2 * pi * r`` or
         ``r``, with ``r = SpatialCoordinate(mesh)[0]``, in axisymmetric forms, the thickness in
         forms of a thin sheet. By default 1. Mortar conditions integrate with it, linearly
         interpolated between the nodes of a facet. Its values may change between solves.
+    form_compiler_options, jit_options : mapping, optional
+        Options of FFCx and of the just-in-time compiler for `a` and `L`, see `dolfinx.jit`.
 
     Attributes
     ----------
-    contact : list of ContactResult
-        For each contact the nodes with gaps, normals, forces and pressures, and with friction its
-        forces and slips, after `solve`.
+    u : Function
+        The displacement [m], filled by each solve.
+    results : Results
+        For each contact, by number or name, a `ContactResult`: the nodes with gaps, normals, forces
+        and pressures, with friction its forces and slips, and their sums; of tied pairs a
+        `TiedResult`. Empty before the first solve.
     report : ContactReport
         Sizes, iterations, residuals and times, after `solve`.
 
@@ -126,22 +122,25 @@ class ContactProblem:
     >>> uh = problem.solve()  # doctest: +SKIP
     """
 
-    contact: list[ContactResult]
+    u: Function
+    results: Results
     report: ContactReport
 
     def __init__(
         self,
         a: ufl.Form,
         L: ufl.Form | float,
+        *,
         bcs: Sequence[Any] | Any | None = (),
-        contacts: Sequence[Contact] | Contact | None = (),
+        contacts: Sequence[Contact | TiedPair] | Contact | TiedPair | None = (),
         cell_tags: Any | None = None,
+        u: Function | None = None,
         subdomains: Sequence[int] | None = None,
         options: Mapping[str, Any] | None = None,
         options_prefix: str = "tfeti_",
-        tied: Sequence[TiedPair] | TiedPair | None = (),
-        u: Function | None = None,
         measure_weight: Any = None,
+        form_compiler_options: Mapping[str, Any] | None = None,
+        jit_options: Mapping[str, Any] | None = None,
     ) -> None:
         check_real_numbers()
         self.options = contact_options(options, options_prefix)
@@ -149,13 +148,13 @@ class ContactProblem:
         a, L = as_forms(a, L)
         self.space = space_of_forms(a, L)
         self.bcs, self.contacts = as_conditions(bcs), as_contacts(contacts)
-        self.tied = as_tied_pairs(tied)
-        self.u = check_function(u, self.space)
+        self.u = as_displacement(u, self.space)
+        self.results = Results()
         with self._timer.phase("partition"):
             self._bodies = find_bodies(self.space.mesh, cell_tags)
-            check_mesh(self.space.mesh, self._bodies, self.contacts)
+            check_mesh(self.space.mesh, self._bodies, self._touching())
         self._search = ContactSearch(self.space, self._bodies, measure_weight, self._timer)
-        origin = SlipOrigin.undeformed(self.space, len(self.contacts))
+        origin = SlipOrigin.undeformed(self.space, len(self._touching()))
         self._step = Step(origin.displacement, np.zeros((0, 0)), origin)
         self._is_restored = self._has_warned = False
         self._deformed: ContactSet | None = None  # after the last pass
@@ -166,6 +165,7 @@ class ContactProblem:
             self.space,
             a,
             L,
+            _compat.CompilerOptions(form_compiler_options, jit_options),
             self._bodies,
             self._search.boundary.coordinates,
             subdomains,
@@ -227,11 +227,11 @@ class ContactProblem:
             The form is not positive on a subdomain.
         NotConverged
             At a limit on iterations or on geometry passes; its ``solution`` is the last iterate,
-            `contact` and `report` are that one's. With the option ``error_if_not_converged`` false,
+            `results` and `report` are that one's. With the option ``error_if_not_converged`` false,
             it is returned.
         Interrupted
             After Ctrl-C or SIGINT to one rank, on all of them; its ``solution`` is the last iterate
-            if there is one, `contact` and `report` are that one's. Solving again goes on from it.
+            if there is one, `results` and `report` are that one's. Solving again goes on from it.
         OSError
             If the checkpoint cannot be written; an old one is left as it is.
         """
@@ -263,7 +263,7 @@ class ContactProblem:
 
     def reset_slip(self) -> None:
         """Count slip from the undeformed state in the next solve, as in the first one."""
-        origin = SlipOrigin.undeformed(self.space, len(self.contacts))
+        origin = SlipOrigin.undeformed(self.space, len(self._touching()))
         self._step = replace(self._step, origin=origin)
 
     def restore(self, checkpoint: str | os.PathLike[str]) -> int:
@@ -303,7 +303,7 @@ class ContactProblem:
         if self._solver is not None:
             raise InputError("a checkpoint is for a problem that was not solved yet")
         nodes = OwnedNodes.from_space(self.space, self._input_numbers)
-        self._step = read_step(checkpoint, self.system, nodes, len(self.contacts))
+        self._step = read_step(checkpoint, self.system, nodes, len(self._touching()))
         self._is_restored = True
         return self._step.solves
 
@@ -320,14 +320,17 @@ class ContactProblem:
 
     # -- the present data --------------------------------------------------------------------------
 
+    def _touching(self) -> list[Contact]:
+        """Return the contacts without tied pairs."""
+        return [contact for contact in self.contacts if not isinstance(contact, TiedPair)]
+
     def _find_contacts(self) -> ContactSet:
-        prescribed = prescribed_values(self.space, self.bcs)
-        return self._search.find(self.contacts, self.tied, prescribed)
+        return self._search.find(self.contacts, prescribed_values(self.space, self.bcs))
 
     def _assemble(self, found: ContactSet) -> None:
         """Make the torn system from the conditions of contacts, which may exchange roles."""
         torn = self._torn.assemble(self._release)
-        self._undeformed = found = self._search.with_roles(found, torn)
+        self._undeformed = found = self._search.with_roles(found, self.contacts, torn)
         self.system = TornSystem(
             torn,
             found.prescribed,
@@ -345,11 +348,11 @@ class ContactProblem:
         """Update the system by all that changed since the last solve or the set-up."""
         with raise_collectively(self.space.mesh.comm):
             self.bcs, self.contacts = as_conditions(self.bcs), as_contacts(self.contacts)
-            self.tied = as_tied_pairs(self.tied)
-        origin = self._step.origin.resized(len(self.contacts))
+            self.u = as_displacement(self.u, self.space)
+        origin = self._step.origin.resized(len(self._touching()))
         self._step = replace(self._step, origin=origin)
         if self._torn.has_moved():
-            check_mesh(self.space.mesh, self._bodies, self.contacts)
+            check_mesh(self.space.mesh, self._bodies, self._touching())
             self._search.forget()
             self._deformed = None
             self.reset_slip()
@@ -375,9 +378,7 @@ class ContactProblem:
                     f"the coarse problem has {coarse.system.gdim} dimensions, this one has "
                     f"{self.system.gdim}"
                 )
-            names = [contact_name(c, i) for i, c in enumerate(self.contacts)]
-            names += [tied_name(pair, i) for i, pair in enumerate(self.tied)]
-            check_same_contacts(coarse.system.contact_names, names)
+            check_same_contacts(coarse.system.contact_names, self.system.contact_names)
             if self.options.solver.method != "active_set":
                 raise InputError(
                     "a coarse problem is a start for method='active_set'; with "
@@ -394,10 +395,10 @@ class ContactProblem:
         monitor: MonitorFunction | None,
         checkpoint: str | os.PathLike[str] | None,
     ) -> Function:
-        if coarse is not None:
-            self._check_coarse(coarse)
         # also at first: values may have changed since the problem was set up
         self._refresh()
+        if coarse is not None:
+            self._check_coarse(coarse)
         if self.options.non_penetration == "linearised":
             return self._solve_linearised(self._undeformed, coarse, monitor)
         return self._solve_exactly(coarse, monitor, checkpoint)
@@ -452,7 +453,7 @@ class ContactProblem:
                 self._deformed, measured = conditions.deformed(uh)
             assert self._solved is not None
             products = self.report.products["total"]
-            new_pass = geometry_pass(measured, self._solved.results, uh, products)
+            new_pass = geometry_pass(measured, self._solved.contacts, uh, products)
             passes = [*passes, replace(new_pass, seconds=self._timer.lap(comm))]
             seconds = self._timer.slowest(comm)
             self.report = replace(self.report, passes=passes, seconds=seconds)
@@ -504,23 +505,17 @@ class ContactProblem:
 
     def _store_results(self, solution: TornSolution, conditions: ContactSet) -> Function:
         report = solution.report
-        on_slaves, on_masters = conditions.as_given(report.on_slaves, report.on_masters)
+        uh = fill_displacement(self.u, self.system.subdomains, solution.displacements)
+        self._solved = solved = conditions.solved(solution, uh)
+        self.results = solved.as_given()
         self.report = ContactReport(
             **{
                 **vars(report),
-                "on_slaves": on_slaves,
-                "on_masters": on_masters,
-                "contact_forces": [side.force for side in on_slaves],
+                "contacts": [result.entry for result in self.results],
                 "versions": {**report.versions, "dolfinx": _compat.version()},
                 "options": {**report.options, **self.options.as_dict()},
-            },
-            pairing=self._search.pairing_entries(conditions),
+            }
         )
-        uh = displacement_function(
-            self.space, self.system.subdomains, solution.displacements, self.u
-        )
-        self._solved = solved = conditions.solved(solution, uh)
-        self.contact = solved.as_given()
         displacement, force = owned_values(uh), solved.nodal_forces()
         self._step = replace(self._step, displacement=displacement, force=force)
         return uh

@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.deformed import GeometryPass
+from fenics_tfeti.fem.contact.result import ContactEntry
 from fenics_tfeti.fem.io.scene import gather_scene
 from fenics_tfeti.feti import Report
 from fenics_tfeti.feti.files.arrays import write_whole
@@ -28,30 +29,17 @@ class ContactReport(Report):
     passes : list of GeometryPass
         One entry for each solution with exact non-penetration; products and history of the report
         are those of the last one, its seconds those of all passes.
-    pairing : list of dict
-        For each contact its name, its ``discretisation`` ("node_to_node", "mortar" or
-        "obstacle"), the numbers of ``pairs`` (conditions) and ``unmatched`` slave nodes,
-        ``largest_distance`` [m] (what the tolerance limits; None but for pairs of nodes) and
-        ``largest_relative_distance`` (to the size of the facets), ``largest_angle`` between the
-        slave's normal and the opposite of the master's [degrees], ``smallest_gap``,
-        ``largest_gap`` and ``mean_gap`` [m], of mortar conditions those of their means, and the
-        ``covered_area`` of the slave [m^2; m in 2D] (None for obstacles). Nodes at which an
-        obstacle's gap is infinite are unmatched. Of mortar conditions whose gaps are those of the
-        mesh also ``deviation``, the largest distance of the facets of both surfaces from curved
-        surfaces through their nodes [m], and ``blurred``, the share of the area with gaps smaller
-        than it (None for others). Mortar conditions have the tags of ``slave`` and
-        ``master`` as well, and ``roles_ratio``, E / h of the slave over that of the master, which
-        is better below 20 (None for others); ``roles`` says whether they were exchanged, and why,
-        or why not (None where the given ones are good).
+    contacts : sequence of ContactEntry
+        Forces, moments, the work of friction and the pairing of each contact and tied pair.
     """
 
+    contacts: Sequence[ContactEntry]
     passes: list[GeometryPass] = field(default_factory=list)
-    pairing: list[dict[str, Any]] = field(default_factory=list)
 
     def __str__(self) -> str:
         """Return the main figures and the pairing as lines to read."""
-        table = [self.pairing_table()] if self.pairing else []
-        roles = [f"{e['contact']}: {e['roles']}" for e in self.pairing if e.get("roles")]
+        table = [self.pairing_table()] if self.contacts else []
+        roles = [f"{entry.name}: {entry.roles}" for entry in self.contacts if entry.roles]
         return "\n".join([*table, *roles, super().__str__()])
 
     def to_html(
@@ -103,8 +91,8 @@ class ContactReport(Report):
                 write_whole(path, "the page", lambda file: file.write(page.encode()))
 
     def pairing_table(self) -> str:
-        """Return `pairing` as a table to read, a line for each contact."""
-        return pairing_table(self.pairing)
+        """Return the pairing of each contact as a table to read, a line for each."""
+        return pairing_table([entry.pairing for entry in self.contacts])
 
 
 _COLUMNS = {
@@ -124,7 +112,7 @@ _COLUMNS = {
 
 
 def pairing_table(pairing: Sequence[Mapping[str, Any]]) -> str:
-    """Write the pairing of contacts, see `ContactReport.pairing`, as a table, a line for each.
+    """Write the pairing of contacts, see `ContactEntry.pairing`, as a table, a line for each.
 
     >>> entry = {"contact": "joint", "discretisation": "mortar", "pairs": 25, "unmatched": 0}
     >>> entry |= {"largest_distance": None, "largest_relative_distance": None}

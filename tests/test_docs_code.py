@@ -123,7 +123,7 @@ def test_tutorial(after_tutorial):
     report = variables["problem"].report
     wall, ground = (reaction.force[2] for reaction in report.reactions)
     assert wall + ground == pytest.approx(2e4, rel=1e-8)
-    assert ground == pytest.approx(report.contact_force[0], rel=1e-8)
+    assert ground == pytest.approx(report.contacts[0].normal_force, rel=1e-8)
 
 
 CONTINUING = [
@@ -185,8 +185,10 @@ def test_readme(folder):
         "facet_tags": tags,
     }
     report = run_blocks((ROOT / "README.md").read_text(), given)["problem"].report
-    assert report.contact_force[0] > 0.0
-    assert report.contact_force[1] == pytest.approx(report.contact_force[0], rel=1e-8)
+    assert report.contacts[0].normal_force > 0.0
+    assert report.contacts[1].normal_force == pytest.approx(
+        report.contacts[0].normal_force, rel=1e-8
+    )
     assert {"report.json", "report.html"} == {path.name for path in folder.iterdir()}
 
 
@@ -251,20 +253,22 @@ def test_axisymmetry(folder):
     given |= {"on_the_axis": fem.dirichletbc(0.0, on_axis, V.sub(0))}
     problem = run_blocks((DOCS / "axisymmetry.rst").read_text(), given)["problem"]
     problem.solve()
-    assert problem.report.contact_force == pytest.approx([1e-3 * np.pi], rel=1e-6)
-    assert problem.contact[0].pressure == pytest.approx(1e-3, rel=1e-4)
+    assert [c.normal_force for c in problem.report.contacts] == pytest.approx(
+        [1e-3 * np.pi], rel=1e-6
+    )
+    assert problem.results[0].pressure == pytest.approx(1e-3, rel=1e-4)
 
 
 def test_friction(tutorial):
     """Contacts with friction; a load step and back, with the tutorial's block of rubber."""
     given = dict(tutorial) | {name: getattr(fenics_tfeti, name) for name in fenics_tfeti.__all__}
     contact = replace(given["pair"], friction=fenics_tfeti.Tresca(1e3))
-    problem = ContactProblem(given["a"], given["L"], given["bcs"], contacts=[contact])
+    problem = ContactProblem(given["a"], given["L"], bcs=given["bcs"], contacts=[contact])
     given |= {"problem": problem, "load": given["force"], "full_load": np.array([0, 0, -2e6])}
     given |= {"plane": fenics_tfeti.Plane((0, 0, 0), (0, 0, 1)), "travel": 1.0, "along": np.copy}
     run_blocks((DOCS / "friction.rst").read_text(), given)
     assert problem.report.converged
-    assert np.abs(problem.contact[0].friction.slip).max() > 0.0
+    assert np.abs(problem.results[0].friction.slip).max() > 0.0
 
 
 def draw_bolt_in_block(path: Path) -> None:

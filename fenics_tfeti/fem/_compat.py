@@ -9,8 +9,9 @@ from __future__ import annotations
 import inspect
 import logging
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -327,6 +328,14 @@ def is_linear_in_arguments(form: ufl.Form) -> bool:
     return True
 
 
+@dataclass(frozen=True)
+class CompilerOptions:
+    """Options of FFCx and of the just-in-time compiler, as dolfinx takes them."""
+
+    form_compiler_options: Mapping[str, Any] | None = None
+    jit_options: Mapping[str, Any] | None = None
+
+
 class CompiledForm:
     """A form compiled once, to be bound to spaces with other degrees of freedom and to some cells.
 
@@ -338,12 +347,20 @@ class CompiledForm:
     compiles, then the others load.
     """
 
-    def __init__(self, form: ufl.Form, comm: MPI.Comm) -> None:
+    def __init__(
+        self, form: ufl.Form, comm: MPI.Comm, compiler: CompilerOptions | None = None
+    ) -> None:
         self._form = form
         self._new = hasattr(fem, "create_form")
         compile_form = fem.compile_form if self._new else dolfinx.jit.ffcx_jit
+        compiler = compiler or CompilerOptions()
+        form_options = dict(compiler.form_compiler_options or {})
+        if self._new:
+            form_options = {"scalar_type": dolfinx.default_scalar_type, **form_options}
         with quiet_compiler(), identifiers_as_names(form.coefficients()):
-            self._compiled = compile_form(comm, form)
+            self._compiled = compile_form(
+                comm, form, form_options, dict(compiler.jit_options or {})
+            )
 
     def bind(
         self,

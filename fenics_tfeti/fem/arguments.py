@@ -27,14 +27,16 @@ def as_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
     return a, L
 
 
-def check_function(u: Any, space: FunctionSpace) -> Function | None:
-    """Return the function that solves fill, if there is one."""
-    if u is not None and not isinstance(u, Function):
+def as_displacement(u: Any, space: FunctionSpace) -> Function:
+    """Return the function that solves fill, by default a new one."""
+    if u is None:
+        return Function(space, name="displacement")
+    if not isinstance(u, Function):
         raise InputError(
             f"u is a {type(u).__name__}; a dolfinx.fem.Function on the space of the forms is "
             "expected"
         )
-    if u is not None and u.function_space != space:
+    if u.function_space != space:
         raise InputError("u is not on the function space of the forms; make it by Function(V)")
     return u
 
@@ -45,16 +47,11 @@ def as_conditions(bcs: Any) -> list[Any]:
     return _listed(bcs, _is_condition, names, "a condition as returned by dolfinx.fem.dirichletbc")
 
 
-def as_contacts(contacts: Any) -> list[Contact]:
-    """Return the contacts as a list: none for None, one for a single contact."""
-    names = ("contacts", "ContactPair or RigidObstacle", "contact")
-    return _listed(contacts, _is_contact, names, "a ContactPair or a RigidObstacle")
-
-
-def as_tied_pairs(pairs: Any) -> list[TiedPair]:
-    """Return the tied pairs as a list: none for None, one for a single pair."""
-    names = ("tied", "TiedPair", "tied pair")
-    return _listed(pairs, lambda thing: isinstance(thing, TiedPair), names, "a TiedPair")
+def as_contacts(contacts: Any) -> list[Contact | TiedPair]:
+    """Return the contacts and tied pairs as a list: none for None, one for a single one."""
+    names = ("contacts", "ContactPair, RigidObstacle or TiedPair", "contact")
+    expected = "a ContactPair, a RigidObstacle or a TiedPair"
+    return _listed(contacts, _is_contact, names, expected)
 
 
 def _is_condition(thing: Any) -> bool:
@@ -62,7 +59,7 @@ def _is_condition(thing: Any) -> bool:
 
 
 def _is_contact(thing: Any) -> bool:
-    return isinstance(thing, ContactPair | RigidObstacle)
+    return isinstance(thing, ContactPair | RigidObstacle | TiedPair)
 
 
 def _listed(

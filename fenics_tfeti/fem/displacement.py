@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ufl
-from dolfinx import fem
 from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError, format_point
@@ -157,19 +156,16 @@ def _check_values(
         )
 
 
-def displacement_function(
-    space: FunctionSpace,
-    subdomains: Sequence[Subdomain],
-    displacements: Sequence[Vector],
-    function: Function | None = None,
+def fill_displacement(
+    uh: Function, subdomains: Sequence[Subdomain], displacements: Sequence[Vector]
 ) -> Function:
-    """Return a function, by default a new one, filled with the displacements of subdomains.
+    """Fill a function with the displacements of subdomains, and return it.
 
     The displacements (n_i,) of this rank's subdomains [m] are equal at all copies of a node; the
     function's ghosts are up to date.
     """
+    space = uh.function_space
     block = space.dofmap.index_map_bs
-    uh = fem.Function(space, name="displacement") if function is None else function
     values = uh.x.array.reshape(-1, block)
     for subdomain, displacement in zip(subdomains, displacements, strict=True):
         values[_local_nodes(space, subdomain.nodes)] = displacement.reshape(-1, block)

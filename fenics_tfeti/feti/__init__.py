@@ -15,7 +15,7 @@ from fenics_tfeti.feti.files.checkpoint import (
 from fenics_tfeti.feti.files.system import load_system, save_system
 from fenics_tfeti.feti.options import Options, parse_options
 from fenics_tfeti.feti.report.report import Report
-from fenics_tfeti.feti.report.resultants import Resultant
+from fenics_tfeti.feti.report.resultants import ContactForces, Resultant
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.monitor import MonitorFunction
 from fenics_tfeti.feti.solution.states import SlipBoundStep
@@ -34,6 +34,7 @@ __all__ = [
     "ActiveSetStep",
     "Certificate",
     "Checkpoint",
+    "ContactForces",
     "ContactGuess",
     "ContactRows",
     "Friction",

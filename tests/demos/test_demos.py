@@ -16,7 +16,7 @@ def demo(request, tmp_path):
 
 def test_two_beams(demo):
     """Equilibrium of the upper beam: 20 MPa on 3 m^2."""
-    assert demo["report"].contact_force == pytest.approx([60e6], rel=1e-6)
+    assert demo["report"].contacts[0].normal_force == pytest.approx(60e6, rel=1e-6)
 
 
 def test_hertz_ball(demo):
@@ -141,7 +141,7 @@ def test_shrink_fit(demo):
     """The pressure by Lamé's formulas, in the mean and at each node."""
     assert demo["pressure"] == pytest.approx(demo["lame"], rel=0.002)
     assert demo["spread"] < 0.015
-    assert demo["problem"].report.pairing[0]["discretisation"] == "mortar"
+    assert demo["problem"].report.contacts[0].pairing["discretisation"] == "mortar"
 
 
 def test_gear_teeth(demo):
@@ -155,7 +155,9 @@ def test_tied_block(demo):
     """The displacement by Kirsch's solution."""
     assert demo["errors"]["fine part"] < 0.003
     assert demo["errors"]["coarse part"] < 0.0006
-    assert [entry["discretisation"] for entry in demo["problem"].report.pairing] == ["tied"] * 2
+    assert [
+        entry["discretisation"] for entry in [c.pairing for c in demo["problem"].report.contacts]
+    ] == ["tied"] * 2
 
 
 def test_ball_in_socket(demo):
@@ -188,7 +190,7 @@ def test_plank(demo):
 
 def test_scikit_fem_rollers(demo):
     """Half-width and largest pressure by Hertz's formulas, the force by statics."""
-    assert 2 * demo["report"].contact_force[0] == pytest.approx(demo["force"], rel=1e-8)
+    assert 2 * demo["report"].contacts[0].normal_force == pytest.approx(demo["force"], rel=1e-8)
     assert demo["a_fit"] == pytest.approx(demo["a"], rel=0.005)
     assert demo["p_fit"] == pytest.approx(demo["p_0"], rel=0.005)
 
@@ -230,4 +232,4 @@ def test_fibre_block(demo):
     energies = demo["energies"]
     plain = energies["steel cords, no deflation"]
     assert energies["steel cords, deflation"] == pytest.approx(plain, rel=1e-9)
-    assert demo["report"].contact_force == pytest.approx([30e3], rel=1e-6)
+    assert demo["report"].contacts[0].normal_force == pytest.approx(30e3, rel=1e-6)

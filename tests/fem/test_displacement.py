@@ -19,7 +19,7 @@ from dolfinx.mesh import create_interval
 
 from fenics_tfeti import InputError
 from fenics_tfeti.fem.displacement import (
-    displacement_function,
+    fill_displacement,
     prescribed_values,
     space_of_forms,
 )
@@ -113,7 +113,8 @@ def test_function_has_the_displacements_of_the_subdomains():
     halves = [np.flatnonzero(x[:, 0] < 1.1), np.flatnonzero(x[:, 0] > 0.9)]
     none = np.zeros(0)
     subdomains = [Subdomain(None, none, x[nodes], nodes, 0) for nodes in halves]
-    uh = displacement_function(scene.V, subdomains, [3.0 * x[nodes].ravel() for nodes in halves])
+    parts = [3.0 * x[nodes].ravel() for nodes in halves]
+    uh = fill_displacement(fem.Function(scene.V), subdomains, parts)
     np.testing.assert_array_equal(uh.x.array, 3.0 * x.ravel())
 
 

@@ -44,7 +44,10 @@ def told(cell, form, degree=1, comm=MPI.COMM_SELF, distort=0.03):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         ContactProblem(
-            form(u, v), 0, [fixed(V, tags, TOP, None, -1e-3)], RigidObstacle(tags, GROUND, plane)
+            form(u, v),
+            0,
+            bcs=[fixed(V, tags, TOP, None, -1e-3)],
+            contacts=RigidObstacle(tags, GROUND, plane),
         )
     return [str(warning.message) for warning in caught if warning.category is UserWarning]
 

@@ -175,7 +175,7 @@ def test_certificate_and_report(name):
     assert report.unknowns["friction"] == friction.size
     assert report.unknowns["sticking"] == np.count_nonzero(found.sticking)
     work = float(np.sum(found.slip * found.tangential_force))
-    assert report.friction_work == [pytest.approx(work, rel=1e-12, abs=1e-15)]
+    assert [c.friction_work for c in report.contacts] == [pytest.approx(work, rel=1e-12, abs=1e-15)]
     assert report.equilibrium < 1e-8
 
 
@@ -257,10 +257,10 @@ def test_bound_of_the_error_is_one(name, rtol):
 
 def test_forces_on_both_sides_are_opposite_and_balance_the_load():
     report = solved("pushed").report
-    np.testing.assert_allclose(report.on_slaves[0].force, [-0.15, -0.05, 1.0], atol=1e-9)
-    np.testing.assert_allclose(report.on_masters[0].force, [0.15, 0.05, -1.0], atol=1e-9)
+    np.testing.assert_allclose(report.contacts[0].force, [-0.15, -0.05, 1.0], atol=1e-9)
+    np.testing.assert_allclose(report.contacts[0].force_on_master, [0.15, 0.05, -1.0], atol=1e-9)
     np.testing.assert_allclose(report.reactions[0].force, [-0.15, -0.05, 1.0], atol=1e-9)
-    assert report.contact_force == [pytest.approx(1.0, rel=1e-9)]
+    assert [c.normal_force for c in report.contacts] == [pytest.approx(1.0, rel=1e-9)]
 
 
 @every_system
@@ -299,7 +299,7 @@ def test_no_bound_is_no_friction():
     for u, v in zip(found.displacements, other.displacements, strict=True):
         np.testing.assert_allclose(u, v, atol=1e-8)
     assert not found.tangential_force.any()
-    assert found.report.friction_work == [0.0]
+    assert [c.friction_work for c in found.report.contacts] == [0.0]
     assert not found.sticking.any()
 
 
@@ -406,7 +406,7 @@ def test_twist_is_held_by_friction_too():
     system = dataclasses.replace(system, subdomains=[*system.subdomains[:-1], twisted])
     found, exact = TornSolver(system, Options(rtol=1e-8)).solve(), solve_by_cones(system)
     assert found.report.energy == pytest.approx(exact.energy, rel=1e-8)
-    assert abs(found.report.on_slaves[0].moment[2]) > 1e-3
+    assert abs(found.report.contacts[0].moment[2]) > 1e-3
 
 
 # -- Coulomb's law --------------------------------------------------------------------------------

@@ -37,7 +37,7 @@ def test_command(system, tmp_path):
         assert words in answer.stdout
     written = json.loads(report.read_text())
     assert written["converged"] and written["options"]["rtol"] == 1e-9
-    assert written["contact_force"] == pytest.approx([3.0], rel=1e-8)
+    assert written["contacts"][0]["normal_force"] == pytest.approx(3.0, rel=1e-8)
     arrays = dict(np.load(solution))
     assert arrays.keys() == {
         *("format", "nodes", "displacement", "normal_force", "active", "tied_force")

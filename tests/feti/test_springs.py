@@ -114,7 +114,7 @@ def test_springs_along_one_component(stiffness, method):
     foot = block.coordinates[:, 2] == 0.0
     assert len(solution.report.free_motions) == 3
     assert solution.report.certificate.worst <= 1e-6
-    force = solution.report.contact_force[0]
+    force = solution.report.contacts[0].normal_force
     # the whole foot stands on the floor, and the springs are strained by about the gap and more
     np.testing.assert_allclose(u[foot, 2], -0.01, atol=1e-6 * np.abs(u).max())
     top = np.isclose(block.coordinates[:, 2], 1.0)

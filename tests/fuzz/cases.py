@@ -150,7 +150,7 @@ def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
     for nodes, values in parts:
         u[nodes] = values
     force, tangential = [np.zeros(0)], [np.zeros((0, gdim - 1))]
-    contacts = contact_problem.contact
+    contacts = contact_problem.results
     exchanged = [contact.on_master for contact in contacts]
     check_roles(problem, exchanged)
     places = zip(contact_places(problem, exchanged), contacts, strict=True)
@@ -178,7 +178,8 @@ def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
 def _found(
     u: Vector, jump: Vector, force: Vector, report: Any, tied: Vector, tangential: Vector
 ) -> Found:
-    normal, products = report.contact_force, report.products["total"]
+    normal = [entry.normal_force for entry in report.contacts]
+    products = report.products["total"]
     return Found(u, jump, force, tied, tangential, normal, report.energy, products)
 
 

@@ -605,7 +605,12 @@ def pose(problem: MeshProblem, comm: MPI.Comm) -> tuple[ContactProblem, _Posed]:
         )
     a = sum(posed.springs, posed.elastic)
     problem_ = ContactProblem(
-        a, posed.load, posed.bcs, contacts, posed.cell_tags, options=problem.options
+        a,
+        posed.load,
+        bcs=posed.bcs,
+        contacts=contacts,
+        cell_tags=posed.cell_tags,
+        options=problem.options,
     )
     return problem_, posed
 

@@ -28,7 +28,7 @@ def steps(case, comm, law):
     for part in (1.0, 0.5):
         scene.traction.value[0] = 0.03 * part
         scene.problem.solve()
-        contact = scene.problem.contact[0].gather()
+        contact = scene.problem.results[0].gather()
         order = np.lexsort(np.round(contact.coordinates, 9).T)
         friction = contact.friction
         found.append(
@@ -38,7 +38,7 @@ def steps(case, comm, law):
                 "slip": friction.slip[order],
                 "bound": friction.bound[order],
                 "state": friction.state[order],
-                "work": np.array(scene.problem.report.friction_work),
+                "work": np.array([c.friction_work for c in scene.problem.report.contacts]),
             }
         )
     return found
@@ -86,7 +86,7 @@ def test_ground_carries_a_block_that_slips_everywhere():
         (given,) = scene.problem.contacts
         scene.problem.contacts = [replace(given, displacement=[0.3, 0.0])]
         scene.problem.solve()
-        friction = scene.problem.contact[0].gather().friction
+        friction = scene.problem.results[0].gather().friction
         assert np.all(np.sum(friction.force * friction.slip, axis=1) <= 0.0)
         moved.append(np.sort(friction.slip[:, 0]))
     np.testing.assert_allclose(moved[0], moved[1], rtol=0.0, atol=1e-8)

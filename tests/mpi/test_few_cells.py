@@ -35,4 +35,4 @@ def test_two_cells_on_all_ranks(divisions):
         contacts=[RigidObstacle(facet_tags, slave=1, obstacle=ground)],
     )
     problem.solve()
-    assert problem.report.contact_force[0] == pytest.approx(TRACTION, rel=1e-6)
+    assert problem.report.contacts[0].normal_force == pytest.approx(TRACTION, rel=1e-6)

@@ -86,7 +86,7 @@ def test_contact_after_the_split(cell):
     contact = ContactPair(parts.facet_tags, 5, 6)
     problem = ContactProblem(*elasticity(parts, 1e-3), [contact], options={"rtol": 1e-10})
     problem.solve()
-    assert problem.contact[0].gather().pressure == pytest.approx(1e-3, rel=1e-8)
+    assert problem.results[0].gather().pressure == pytest.approx(1e-3, rel=1e-8)
 
 
 @pytest.mark.parametrize("order", [1, 2])

@@ -31,7 +31,7 @@ def told(comm):
     a = elasticity(u, v, young) + bulk * ufl.div(u) * ufl.div(v) * dx(2)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        ContactProblem(a, 0, [fixed(V, tags, 1, None)], cell_tags=parts.cell_tags)
+        ContactProblem(a, 0, bcs=[fixed(V, tags, 1, None)], cell_tags=parts.cell_tags)
     return [str(warning.message) for warning in caught if warning.category is UserWarning]
 
 

@@ -38,7 +38,7 @@ def test_patch(cell, slave):
 
 def by_place(problem):
     """Return the contact's fields, in the order of places, on every rank."""
-    contact = problem.contact[0].gather()
+    contact = problem.results[0].gather()
     order = np.lexsort(np.round(contact.coordinates, 9).T)
     names = ("coordinates", "gap", "normal", "normal_force", "pressure", "area", "coverage")
     return {name: getattr(contact, name)[order] for name in names}
@@ -53,7 +53,10 @@ def test_uneven_load(cell):
     for name, values in expected.items():
         scale = np.abs(values).max()
         np.testing.assert_allclose(found[name], values, rtol=0.0, atol=1e-8 * scale, err_msg=name)
-    (entry,), (other,) = here.report.pairing, alone.report.pairing
+    (entry,), (other,) = (
+        [c.pairing for c in here.report.contacts],
+        [c.pairing for c in alone.report.contacts],
+    )
     assert entry["discretisation"] == other["discretisation"] == "mortar"
     numbers = {key for key, value in other.items() if isinstance(value, int | float)}
     assert {key: entry[key] for key in numbers} == pytest.approx(
@@ -66,11 +69,11 @@ def test_roles_are_those_of_one_rank(roles):
     """The fine upper surface, given as slave, has the larger E / h."""
     blocks, pair = Blocks("quadrilateral", 4, 24), {"roles": roles}
     problems = [uneven(blocks, comm, UPPER, pair) for comm in (COMM, MPI.COMM_SELF)]
-    found, alone = (problem.report.pairing[0] for problem in problems)
+    found, alone = (problem.report.contacts[0].pairing for problem in problems)
     assert found["roles"] == alone["roles"]
     assert ("are exchanged" in found["roles"]) == (roles == "auto")
     assert found["slave"] == alone["slave"] == (LOWER if roles == "auto" else UPPER)
-    sides = [problem.report.on_slaves[0].force for problem in problems]
+    sides = [problem.report.contacts[0].force for problem in problems]
     np.testing.assert_allclose(*sides, rtol=1e-5, atol=1e-6 * np.abs(sides).max())
     assert sides[0][1] > 0.0
 
@@ -78,7 +81,7 @@ def test_roles_are_those_of_one_rank(roles):
 def test_rows_are_at_the_owners_of_slave_nodes():
     problem = uneven(CASES["triangle"], COMM)
     first, last = problem.space.dofmap.index_map.local_range
-    nodes = problem.contact[0].nodes
+    nodes = problem.results[0].nodes
     assert ((nodes >= first) & (nodes < last)).all()
     every = concatenate_ranks(COMM, nodes)
     assert np.unique(every).size == every.size
@@ -97,12 +100,12 @@ def pulled(comm):
         elasticity(u, v, young),
         load * ufl.SpatialCoordinate(beams.mesh)[0] * v[2] * ds(LOADED),
         bcs=[fixed(V, tags, SUPPORTED[2], None), fixed(V, tags, SUPPORTED[0], 0)],
-        tied=TiedPair(tags, LOWER, UPPER),
+        contacts=TiedPair(tags, LOWER, UPPER),
         options={"rtol": 1e-11, "subdomain_size": 150},
     )
     x = problem.solve().x.array.reshape(-1, 3)[: V.dofmap.index_map.size_local]
     place = V.tabulate_dof_coordinates()[: len(x)]
-    body = np.round(problem.report.contact_forces[0], 3)
+    body = np.round(problem.report.contacts[0].force, 3)
     return concatenate_ranks(comm, np.column_stack([place, x])), body
 
 

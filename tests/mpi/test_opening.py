@@ -18,7 +18,7 @@ def test_openings_are_those_of_one_rank(upper):
     ]
     scale = max(COMM.allgather(np.abs(problems[0].solve().x.array).max()))
     problems[1].solve()
-    found, expected = (problem.contact[0].gather() for problem in problems)
+    found, expected = (problem.results[0].gather() for problem in problems)
     order, expected_order = (np.argsort(c.coordinates[:, 0]) for c in (found, expected))
     opening = expected.opening[expected_order]
     assert opening.max() > 1e-3 * scale

@@ -20,7 +20,7 @@ def test_motions_and_pressures_are_those_of_one_rank(exchange, degree):
         problem = joint_problem(meshes, degree, exchange, initial_gap=0.02)
         motion = axial_motion(meshes, problem.solve())
         assert max(map(abs, motion.values())) < 0.1
-        report, contacts = problem.report, [contact.gather() for contact in problem.contact]
+        report, contacts = problem.report, [contact.gather() for contact in problem.results]
         assert len(report.free_motions) == 2
         assert all("translation along (0, 0, 1)" in motion for motion in report.free_motions)
         outcomes.append(

@@ -29,7 +29,7 @@ def solved(scene):
 def obstacle_forces(scene, problem):
     """Return the sums of the forces and moments of obstacles, from the nodal forces."""
     gdim, force, moment = scene.mesh.geometry.dim, 0.0, 0.0
-    for contact, result in zip(problem.contacts, problem.contact, strict=True):
+    for contact, result in zip(problem.contacts, problem.results, strict=True):
         if hasattr(contact, "obstacle"):
             nodal = -result.normal_force[:, None] * result.normal
             lever = np.cross(result.coordinates, np.pad(nodal, ((0, 0), (0, 3 - gdim))))
@@ -67,12 +67,16 @@ def test_each_condition_has_its_reaction():
     np.testing.assert_allclose(top.moment, (-0.5 * force, 0.5 * force, 0.0), atol=1e-8 * force)
     for side in sides:
         np.testing.assert_allclose(side.force, 0.0, atol=1e-8 * force)
-    np.testing.assert_allclose(report.contact_forces, [(0.0, 0.0, force)], atol=1e-8 * force)
+    np.testing.assert_allclose(
+        [c.force for c in report.contacts], [(0.0, 0.0, force)], atol=1e-8 * force
+    )
 
 
 def test_contact_force_on_the_slave():
     scene = scenes.two_beams(comm, "quadrilateral")
     report = solved(scene).report
     (force,) = scene.total_forces
-    np.testing.assert_allclose(report.contact_forces, [(0.0, force)], atol=1e-8 * force)
+    np.testing.assert_allclose(
+        [c.force for c in report.contacts], [(0.0, force)], atol=1e-8 * force
+    )
     np.testing.assert_allclose(report.load.force, (0.0, -force), atol=1e-8 * force)

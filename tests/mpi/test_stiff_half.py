@@ -62,4 +62,4 @@ def test_energy_of_the_clamped_block(jump):
 
 @each_jump
 def test_forces_of_the_pressed_block_balance_the_load(jump):
-    assert solution(jump, True).report.contact_force[0] == pytest.approx(16.0, rel=1e-9)
+    assert solution(jump, True).report.contacts[0].normal_force == pytest.approx(16.0, rel=1e-9)

@@ -79,9 +79,9 @@ def pushed_cube(
     problem = ContactProblem(
         elasticity(u, v, young),
         ufl.inner(traction, v) * ds(LOADED),
-        supports,
-        [contact],
-        tagged.cell_tags,
+        bcs=supports,
+        contacts=[contact],
+        cell_tags=tagged.cell_tags,
         **{"options": {"rtol": 1e-8}, **arguments},
     )
     return Rubbing(problem, traction, tags)
@@ -109,8 +109,8 @@ def pulled_strip(n: int = 50, comm: MPI.Intracomm = MPI.COMM_SELF) -> Rubbing:
     problem = ContactProblem(
         ufl.inner(strain, ufl.grad(v)) * ufl.dx,
         ufl.inner(traction, v) * ds(LOADED),
-        [fixed(V, tags, TOP, 1)],
-        [ground],
+        bcs=[fixed(V, tags, TOP, 1)],
+        contacts=[ground],
         options={"rtol": 1e-6, "subdomain_size": 60},
     )
     return Rubbing(problem, traction, tags)
@@ -131,8 +131,8 @@ def pulled_plate(friction: Any, n: int = 4) -> ContactProblem:
     return ContactProblem(
         elasticity(u, v, 1.0),
         ufl.inner(pressure, v) * ds(TOP),
-        [fem.dirichletbc(moved, end, V)],
-        [ground],
+        bcs=[fem.dirichletbc(moved, end, V)],
+        contacts=[ground],
         options={"subdomain_size": 375},
     )
 
@@ -220,9 +220,9 @@ def _pressed_blocks(
     problem = ContactProblem(
         elasticity(u, v, 1.0),
         0,
-        supports,
-        [pair],
-        tagged.cell_tags,
+        bcs=supports,
+        contacts=[pair],
+        cell_tags=tagged.cell_tags,
         options={"rtol": 1e-5, "subdomain_size": subdomain_size},
     )
     return Rubbing(problem, moved, tags)
@@ -260,8 +260,8 @@ def belt(
     problem = ContactProblem(
         ufl.inner(ufl.sym(ufl.grad(u)), ufl.grad(v)) * ufl.dx,
         ufl.inner(traction, v) * ds(LOADED),
-        [fixed(V, tags, CLAMPED, None)],
-        [drum],
+        bcs=[fixed(V, tags, CLAMPED, None)],
+        contacts=[drum],
         options={"rtol": 1e-5, "subdomain_size": 60},
     )
     return Rubbing(problem, traction, tags)
@@ -287,4 +287,4 @@ def sheared_square(
     moved = Constant(square.mesh, np.array(move))
     top = fem.locate_dofs_topological(V, 1, tags.find(TOP))
     line = RigidObstacle(tags, SLAVE, Plane((0, 0), (0, 1)), friction=friction)
-    return ContactProblem(a, 0, [fem.dirichletbc(moved, top, V)], [line], **arguments)
+    return ContactProblem(a, 0, bcs=[fem.dirichletbc(moved, top, V)], contacts=[line], **arguments)

@@ -79,7 +79,7 @@ def run(mesh, checkpoint: Path, dies_in: tuple[int, int] | None = None):
         yield {
             "step": step,
             "passes": len(report.passes),
-            "force": report.contact_force[0],
+            "force": report.contacts[0].normal_force,
             "energy": report.energy,
             "reused": report.reused,
             "size": size,

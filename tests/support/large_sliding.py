@@ -95,8 +95,8 @@ class Scene:
         return ContactProblem(
             self.a,
             self.L,
-            self.bcs,
-            [self.pair(slave)],
+            bcs=self.bcs,
+            contacts=[self.pair(slave)],
             cell_tags=self.cell_tags,
             options={**OPTIONS, **options},
         )

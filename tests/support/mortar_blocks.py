@@ -177,7 +177,7 @@ def solved(
     exact = exact_strain(d, bool(blocks.slope)) * x
     size = comm.allreduce(float(np.abs(exact).max()), MPI.MAX)
     error = comm.allreduce(float(np.abs(uh[: len(x)] - exact).max()), MPI.MAX)
-    found = problem.contact[0].gather().pressure
+    found = problem.results[0].gather().pressure
     return PatchResult(problem, error / size, float(np.abs(found / PRESSURE - 1.0).max()))
 
 

@@ -95,7 +95,7 @@ def two_blocks_on_a_floor(comm=MPI.COMM_SELF, gap=1e-4, n=8):
 
 def new_problem(scene, **options):
     options = {**OPTIONS, **options}
-    return ContactProblem(scene.a, scene.L, scene.bcs, scene.contacts, options=options)
+    return ContactProblem(scene.a, scene.L, bcs=scene.bcs, contacts=scene.contacts, options=options)
 
 
 # -- changes: each takes the scene and changes it, and says what can be reused ---------------------

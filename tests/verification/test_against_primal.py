@@ -81,8 +81,8 @@ def test_displacement(name):
 def test_contact_forces(name):
     scene, problem, _, reference = solved(name)
     largest = max([contact.forces.max() for contact in reference.contacts] + [1e-3])
-    assert len(problem.contact) == len(scene.contacts)
-    for found, expected in zip(problem.contact, reference.contacts, strict=True):
+    assert len(problem.results) == len(scene.contacts)
+    for found, expected in zip(problem.results, reference.contacts, strict=True):
         order = by_node(found)
         np.testing.assert_array_equal(found.nodes[order], expected.nodes)
         np.testing.assert_allclose(
@@ -94,15 +94,17 @@ def test_contact_forces(name):
 def test_total_contact_force(name):
     scene, problem, _, reference = solved(name)
     exact = scene.total_forces or [contact.forces.sum() for contact in reference.contacts]
-    summed = [contact.normal_force.sum() for contact in problem.contact]
-    np.testing.assert_allclose(problem.report.contact_force, exact, rtol=1e-6, atol=1e-3)
+    summed = [contact.normal_force.sum() for contact in problem.results]
+    np.testing.assert_allclose(
+        [c.normal_force for c in problem.report.contacts], exact, rtol=1e-6, atol=1e-3
+    )
     np.testing.assert_allclose(summed, exact, rtol=1e-6, atol=1e-3)
 
 
 @every_scene
 def test_gaps_and_normals(name):
     _, problem, _, reference = solved(name)
-    for found, expected in zip(problem.contact, reference.contacts, strict=True):
+    for found, expected in zip(problem.results, reference.contacts, strict=True):
         order = by_node(found)
         np.testing.assert_allclose(found.coordinates[order], expected.coordinates, atol=1e-12)
         np.testing.assert_allclose(found.gap[order], expected.gap, atol=1e-12)
@@ -112,7 +114,7 @@ def test_gaps_and_normals(name):
 @every_scene
 def test_active_nodes_are_those_that_press(name):
     _, problem, _, _ = solved(name)
-    for contact in problem.contact:
+    for contact in problem.results:
         np.testing.assert_array_equal(contact.active, contact.normal_force > 0.0)
 
 
@@ -152,7 +154,7 @@ def test_uniform_pressure_is_exact(name):
     """The area of the tagged surface is 1, so the total force is the pressure."""
     scene, problem, _, _ = solved(name)
     (total,) = scene.total_forces
-    np.testing.assert_allclose(problem.contact[0].pressure, total, rtol=1e-5, atol=1e-3)
+    np.testing.assert_allclose(problem.results[0].pressure, total, rtol=1e-5, atol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -200,8 +202,8 @@ def test_active_nodes_of_the_benchmark():
     scene = two_beams(MPI.COMM_SELF, "hexahedron", 20)
     problem = scene.problem(options={"rtol": 1e-6})
     problem.solve()
-    assert problem.contact[0].nodes.size == 441
-    assert np.count_nonzero(problem.contact[0].active) == 300
+    assert problem.results[0].nodes.size == 441
+    assert np.count_nonzero(problem.results[0].active) == 300
 
 
 # -- what is easily got wrong ----------------------------------------------------------------------
@@ -220,7 +222,7 @@ def test_no_load_is_no_displacement():
     problem = scene.problem(options=OPTIONS)
     assert np.abs(problem.solve().x.array).max() <= 1e-12
     assert problem.report.converged
-    np.testing.assert_allclose(problem.report.contact_force, 0.0, atol=1e-3)
+    np.testing.assert_allclose([c.normal_force for c in problem.report.contacts], 0.0, atol=1e-3)
 
 
 def test_node_that_is_prescribed_where_it_touches():
@@ -247,7 +249,9 @@ def test_body_that_may_slide_is_solved_and_reported():
     problem.solve()
     (motion,) = problem.report.free_motions
     assert "translation along (1, 0)" in motion
-    np.testing.assert_allclose(problem.report.contact_force, scene.total_forces, rtol=1e-6)
+    np.testing.assert_allclose(
+        [c.normal_force for c in problem.report.contacts], scene.total_forces, rtol=1e-6
+    )
 
 
 def test_slave_and_master_may_be_exchanged():

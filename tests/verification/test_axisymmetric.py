@@ -53,7 +53,12 @@ def pressed_cylinder(cell, weight):
     ground = RigidObstacle(tags, GROUND, Plane((0, 0), (0, 1)))
     options = {"rtol": 1e-10}
     problem = ContactProblem(
-        elasticity(u, v, YOUNG, factor), 0, bcs, ground, options=options, measure_weight=factor
+        elasticity(u, v, YOUNG, factor),
+        0,
+        bcs=bcs,
+        contacts=ground,
+        options=options,
+        measure_weight=factor,
     )
     problem.solve()
     return problem
@@ -63,7 +68,7 @@ def pressed_cylinder(cell, weight):
 @pytest.mark.parametrize("weight", [whole, radius])
 def test_uniform_pressure_on_the_end_of_a_cylinder(cell, weight):
     """The stress is uniaxial and the displacement linear: exact on any mesh."""
-    pressure = pressed_cylinder(cell, weight).contact[0].pressure
+    pressure = pressed_cylinder(cell, weight).results[0].pressure
     np.testing.assert_allclose(pressure, YOUNG * 1e-3, rtol=1e-9)
 
 
@@ -71,7 +76,7 @@ def test_uniform_pressure_on_the_end_of_a_cylinder(cell, weight):
 def test_forces_are_of_the_whole_body_or_per_radian(weight, angle):
     report = pressed_cylinder("quadrilateral", weight).report
     exact = angle * 0.5 * 0.5**2 * YOUNG * 1e-3
-    assert report.contact_force == pytest.approx([exact], rel=1e-9)
+    assert [c.normal_force for c in report.contacts] == pytest.approx([exact], rel=1e-9)
     assert report.reactions[1].force[1] == pytest.approx(-exact, rel=1e-9)
 
 
@@ -115,7 +120,12 @@ def tubes(cell, n, weight=whole, outer_is_slave=False):
     pair = ContactPair(tags, SLAVE, MASTER)
     bcs = [scenes.fixed(V, tags, SIDE_Y, 1)]
     problem = ContactProblem(
-        elasticity(u, v, young, factor), L, bcs, pair, tagged.cell_tags, measure_weight=factor
+        elasticity(u, v, young, factor),
+        L,
+        bcs=bcs,
+        contacts=pair,
+        cell_tags=tagged.cell_tags,
+        measure_weight=factor,
     )
     problem.solve()
     return problem
@@ -124,7 +134,7 @@ def tubes(cell, n, weight=whole, outer_is_slave=False):
 @pytest.mark.parametrize("outer_is_slave", [False, True], ids=["inner slave", "outer slave"])
 @pytest.mark.parametrize("weight", [whole, radius])
 def test_tubes_by_lame(weight, outer_is_slave):
-    pressure = tubes("quadrilateral", 16, weight, outer_is_slave).contact[0].pressure
+    pressure = tubes("quadrilateral", 16, weight, outer_is_slave).results[0].pressure
     np.testing.assert_allclose(pressure, pressure_between_tubes(), rtol=1e-3)
 
 
@@ -132,7 +142,7 @@ def test_tubes_by_lame(weight, outer_is_slave):
 def test_pressure_between_tubes_converges(cell, ratio):
     """With the order 1 of the stress; on rectangles, which lie symmetrically, with the order 2."""
     exact = pressure_between_tubes()
-    solved = (tubes(cell, n).contact[0].pressure for n in (8, 16))
+    solved = (tubes(cell, n).results[0].pressure for n in (8, 16))
     coarse, fine = (np.abs(pressure - exact).max() for pressure in solved)
     assert fine <= 1.1 * ratio * coarse
 

@@ -53,7 +53,7 @@ def block_over_bump(options, moves=(0.25, -0.03), n=16, bump=BUMP):
 
 def distance_to_bump(problem, uh):
     """Return the distances of the deformed slave nodes to the disc, from the displacement alone."""
-    contact = problem.contact[0]
+    contact = problem.results[0]
     x = contact.coordinates[:, :2] + uh.x.array.reshape(-1, 2)[contact.nodes]
     return np.linalg.norm(x - np.array(BUMP.centre[:2]), axis=1) - BUMP.radius
 
@@ -61,7 +61,7 @@ def distance_to_bump(problem, uh):
 def test_deformed_nodes_are_on_the_obstacle_where_they_press():
     problem = block_over_bump(OPTIONS)
     uh = problem.solve()
-    distance, pressing = distance_to_bump(problem, uh), problem.contact[0].active
+    distance, pressing = distance_to_bump(problem, uh), problem.results[0].active
     assert pressing.any() and not pressing.all()
     assert np.abs(distance[pressing]).max() <= 1e-7 * 0.3
     assert distance.min() >= -1e-7 * 0.3
@@ -71,13 +71,13 @@ def test_linearised_conditions_leave_an_error():
     """Otherwise the test above would show nothing."""
     problem = block_over_bump({"rtol": 1e-8})
     distance = distance_to_bump(problem, problem.solve())
-    assert np.abs(distance[problem.contact[0].active]).max() > 1e-3
+    assert np.abs(distance[problem.results[0].active]).max() > 1e-3
 
 
 def test_forces_are_along_the_deformed_normals():
     problem = block_over_bump(OPTIONS)
     uh = problem.solve()
-    contact = problem.contact[0]
+    contact = problem.results[0]
     x = contact.coordinates[:, :2] + uh.x.array.reshape(-1, 2)[contact.nodes]
     inward = np.array(BUMP.centre[:2]) - x
     inward /= np.linalg.norm(inward, axis=1)[:, None]

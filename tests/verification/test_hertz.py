@@ -133,9 +133,9 @@ def pressed(
 
 
 def compare(problem: Any, gdim: int, R: float, reduced: float, load: float) -> Solved:
-    contact = problem.contact[0]
+    contact = problem.results[0]
     r, p = np.linalg.norm(contact.coordinates[:, : gdim - 1], axis=1), contact.pressure
-    F = 2 ** (gdim - 1) * problem.report.contact_force[0]
+    F = 2 ** (gdim - 1) * problem.report.contacts[0].normal_force
     if gdim == 3:
         a = (3.0 * F * R / (4.0 * reduced)) ** (1.0 / 3.0)
         p0 = 3.0 * F / (2.0 * np.pi * a**2)
@@ -169,7 +169,9 @@ def test_radius_of_contact(cell):
 @every_cell
 def test_contact_carries_the_load(cell):
     solved = pressed(cell, COARSE)
-    np.testing.assert_allclose(solved.problem.report.contact_force, solved.load, rtol=1e-6)
+    np.testing.assert_allclose(
+        [c.normal_force for c in solved.problem.report.contacts], solved.load, rtol=1e-6
+    )
 
 
 @every_cell
@@ -188,7 +190,7 @@ def test_pressure_converges(cell):
 def test_nothing_touches_beyond_the_radius(cell):
     """But for the last element."""
     solved = pressed(cell, FINE)
-    contact = solved.problem.contact[0]
+    contact = solved.problem.results[0]
     r = np.linalg.norm(contact.coordinates[:, : contact.normal.shape[1] - 1], axis=1)
     assert r[contact.active].max() <= solved.a + FINE
     assert r[~contact.active].min() >= solved.a - FINE
@@ -227,6 +229,8 @@ TWO = {
 def test_two_bodies_of_different_materials(name, upper_is_slave):
     cell, size, radii = TWO[name]
     solved = pressed(cell, size, radii=radii, upper_is_slave=upper_is_slave)
-    np.testing.assert_allclose(solved.problem.report.contact_force, solved.load, rtol=1e-6)
+    np.testing.assert_allclose(
+        [c.normal_force for c in solved.problem.report.contacts], solved.load, rtol=1e-6
+    )
     assert solved.errors[0] <= LIMITS[cell][0]
     assert solved.errors[1] <= LIMITS[cell][1]

@@ -34,8 +34,8 @@ def assert_same(problem, uh, other, expected):
     np.testing.assert_allclose(
         uh.x.array, expected.x.array, atol=1e-7 * np.abs(expected.x.array).max()
     )
-    assert len(problem.contact) == len(other.contact)
-    for mine, theirs in zip(problem.contact, other.contact, strict=True):
+    assert len(problem.results) == len(other.results)
+    for mine, theirs in zip(problem.results, other.results, strict=True):
         assert mine.name == theirs.name
         for name in ("nodes", "gap", "normal"):
             np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
@@ -43,9 +43,14 @@ def assert_same(problem, uh, other, expected):
             mine.normal_force, theirs.normal_force, atol=1e-6 * theirs.normal_force.max()
         )
     np.testing.assert_allclose(
-        problem.report.contact_force, other.report.contact_force, rtol=1e-7, atol=1e-3
+        [c.normal_force for c in problem.report.contacts],
+        [c.normal_force for c in other.report.contacts],
+        rtol=1e-7,
+        atol=1e-3,
     )
-    assert problem.report.pairing == other.report.pairing
+    assert [c.pairing for c in problem.report.contacts] == [
+        c.pairing for c in other.report.contacts
+    ]
 
 
 @every_change
@@ -89,7 +94,7 @@ def test_there_and_back():
 def test_results_of_earlier_steps_stay():
     scene = two_blocks_on_a_floor()
     problem = new_problem(scene)
-    first, contact, report = problem.solve(), problem.contact, problem.report
+    first, contact, report = problem.solve(), problem.results, problem.report
     u, force = first.x.array.copy(), contact[0].normal_force.copy()
     scene.load.value *= 2.0
     problem.solve()
@@ -127,7 +132,7 @@ def test_start_that_is_nearly_right(method):
         load.value = first * (1.0 + 0.01 * step)
         problem.solve()
         assert problem.report.converged
-        force = sum(problem.report.contact_force)
+        force = sum(c.normal_force for c in problem.report.contacts)
         assert force == pytest.approx(scene.total_forces[0] * (1.0 + 0.01 * step), rel=1e-6)
 
 
@@ -219,9 +224,11 @@ def test_contacts_joined():
     floor = Plane((0, 0), (0, 1))
     contacts = [RigidObstacle(apart, tag, floor) for tag in (SLAVE, GROUND)]
     a, L = elasticity(u, v, YOUNG), none * v[0] * ufl.dx
-    problem = ContactProblem(a, L, bcs, contacts, options=OPTIONS)
+    problem = ContactProblem(a, L, bcs=bcs, contacts=contacts, options=OPTIONS)
     problem.solve()
-    two = problem.report.contact_force
+    two = [c.normal_force for c in problem.report.contacts]
     problem.contacts = [RigidObstacle(whole, SLAVE, floor)]
     problem.solve()
-    np.testing.assert_allclose(problem.report.contact_force, [sum(two)], rtol=1e-7)
+    np.testing.assert_allclose(
+        [c.normal_force for c in problem.report.contacts], [sum(two)], rtol=1e-7
+    )

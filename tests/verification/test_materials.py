@@ -223,7 +223,7 @@ def test_units_do_not_change_the_displacement(units, gap):
 @every_unit
 def test_units_do_not_change_the_forces(units, gap):
     found, expected = (
-        in_units(name, gap)[1].contact[0].normal_force / in_units(name, gap)[0].total_forces[0]
+        in_units(name, gap)[1].results[0].normal_force / in_units(name, gap)[0].total_forces[0]
         for name in (units, "m, Pa")
     )
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-6)

@@ -71,15 +71,15 @@ def report(lower, upper, ratio, exchanged=False):
 @pytest.mark.parametrize("upper", [14, 30])
 def test_meshes_in_the_ratios_of_7_to_5_and_3_to_1(upper, ratio, exchanged):
     found, equal = report(10, upper, ratio, exchanged), report(10, 10, ratio)
-    assert found.pairing[0]["discretisation"] == "mortar"
-    assert equal.pairing[0]["discretisation"] == "node_to_node"
-    force = found.contact_forces[0][1] * (-1.0 if exchanged else 1.0)
+    assert found.contacts[0].pairing["discretisation"] == "mortar"
+    assert equal.contacts[0].pairing["discretisation"] == "node_to_node"
+    force = found.contacts[0].force[1] * (-1.0 if exchanged else 1.0)
     assert force == pytest.approx(2.0 * TRACTION, rel=1e-8)
     # the finer beam is softer
     assert 0.999 < found.energy / equal.energy < 1.05
     # of meshes that match, the finer one has smaller subdomains
     products = [r.products["total"] for r in (equal, report(upper, upper, ratio))]
-    if found.pairing[0]["roles_ratio"] < 20.0:
+    if found.contacts[0].roles_ratio < 20.0:
         assert found.products["total"] <= 1.3 * max(products)
 
 

@@ -100,8 +100,8 @@ def solved(path, gdim, sizes, slave, degree=1):
 
 def errors(problem):
     """Return the relative errors of peak, radius, pressure in L2, and a / h of the contact."""
-    gdim, contact = problem.system.gdim, problem.contact[0]
-    force = abs(problem.report.contact_forces[0][-1])
+    gdim, contact = problem.system.gdim, problem.results[0]
+    force = abs(problem.report.contacts[0].force[-1])
     modulus = 1.0 / (2.0 * (1.0 - POISSON**2))
     if gdim == 3:
         force *= 4.0
@@ -141,8 +141,8 @@ def test_cylinder_with_degree_2(tmp_path, slave):
     """Of curved cells; the force is twice the energy over the depth."""
     names = [tmp_path / name for name in ("a.msh", "b.msh", "c.msh")]
     linear, quadratic = (solved(names[d - 1], 2, (0.1, 0.14), slave, d) for d in (1, 2))
-    exact = solved(names[2], 2, (0.025, 0.035), slave, 2).report.contact_force[0]
-    off = [abs(p.report.contact_force[0] / exact - 1.0) for p in (linear, quadratic)]
+    exact = solved(names[2], 2, (0.025, 0.035), slave, 2).report.contacts[0].normal_force
+    off = [abs(p.report.contacts[0].normal_force / exact - 1.0) for p in (linear, quadratic)]
     assert off[1] < off[0] / 3.0
     peak, radius, square, _ = errors(quadratic)
     assert abs(peak) < 0.01

@@ -46,9 +46,9 @@ def check_resultants(problem, width):
     """Forces on the two surfaces, and what supports bear, are equal to rounding."""
     report = problem.report
     gdim = problem.system.gdim
-    on_slave = np.array(report.contact_forces[0])
+    on_slave = np.array(report.contacts[0].force)
     force = abs(on_slave[-1])
-    contact = problem.contact[0]
+    contact = problem.results[0]
     sums = contact.normal_force @ contact.normal
     np.testing.assert_allclose(-sums, on_slave, atol=1e-12 * force)
     rows = problem.system.contacts
@@ -75,12 +75,12 @@ def test_border_beyond_a_line_of_nodes_by_a_sliver(cell, degree, exponent):
 
 def test_pairing_is_in_the_report():
     problem = solved(Blocks("triangle", width=0.63), LOWER).problem
-    (entry,) = problem.report.pairing
+    (entry,) = [c.pairing for c in problem.report.contacts]
     assert entry["discretisation"] == "mortar"
     assert entry["pairs"] + entry["unmatched"] == 6
     assert entry["covered_area"] == pytest.approx(0.63)
     assert entry["smallest_gap"] == entry["largest_gap"] == entry["mean_gap"] == 0.0
-    assert problem.contact[0].area.sum() == pytest.approx(0.63)
+    assert problem.results[0].area.sum() == pytest.approx(0.63)
     assert "mortar" in problem.report.pairing_table()
 
 
@@ -114,8 +114,8 @@ def test_axisymmetric(slave):
     uh = problem.solve().x.array.reshape(-1, 2)
     exact = PRESSURE / YOUNG * np.array([POISSON, -1.0]) * V.tabulate_dof_coordinates()[:, :2]
     assert np.abs(uh - exact).max() < 1e-10 * np.abs(exact).max()
-    np.testing.assert_allclose(problem.contact[0].pressure, PRESSURE, rtol=1e-8)
-    assert problem.contact[0].normal_force.sum() == pytest.approx(0.5 * PRESSURE)
+    np.testing.assert_allclose(problem.results[0].pressure, PRESSURE, rtol=1e-8)
+    assert problem.results[0].normal_force.sum() == pytest.approx(0.5 * PRESSURE)
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.015, 0.03], ids=["middle", "15 mm", "30 mm"])
@@ -125,12 +125,16 @@ def test_largest_pressure_with_either_side_as_slave(cell, grid, offset):
     """Beside a foot, nodes of the table are covered by any small part."""
     table, foot = (foot_on_table(cell, grid, offset, slave) for slave in (TABLE, FOOT))
     for problem in (table, foot):
-        contact = problem.contact[0]
-        assert contact.pressure @ contact.area == pytest.approx(problem.report.contact_force[0])
-        assert contact.area.sum() == pytest.approx(problem.report.pairing[0]["covered_area"])
-    largest = [problem.contact[0].pressure.max() for problem in (table, foot)]
+        contact = problem.results[0]
+        assert contact.pressure @ contact.area == pytest.approx(
+            problem.report.contacts[0].normal_force
+        )
+        assert contact.area.sum() == pytest.approx(
+            problem.report.contacts[0].pairing["covered_area"]
+        )
+    largest = [problem.results[0].pressure.max() for problem in (table, foot)]
     assert 1.0 / 1.5 < largest[0] / largest[1] < 1.5
-    assert table.contact[0].coverage.min() >= 0.4 and np.allclose(foot.contact[0].coverage, 1.0)
+    assert table.results[0].coverage.min() >= 0.4 and np.allclose(foot.results[0].coverage, 1.0)
 
 
 def mean_around_corner(contact, low, area):
@@ -150,7 +154,7 @@ def test_pressure_at_sharp_corners_is_the_same_over_equal_areas(cell, grid):
     """It is singular there: the finer surface as slave shows up to 2.6 times as much at a node."""
     offset = 0.03
     table, foot = (
-        foot_on_table(cell, grid, offset, slave, roles="given").contact[0]
+        foot_on_table(cell, grid, offset, slave, roles="given").results[0]
         for slave in (TABLE, FOOT)
     )
     at = table.pressure.argmax()
@@ -169,7 +173,7 @@ def test_largest_pressure_of_a_rounded_foot_with_either_side_as_slave(cell, grid
         return np.sum((x[:across] - middle) ** 2, axis=0) / (2.0 * 5e3)
 
     table, foot = (
-        foot_on_table(cell, grid, offset, slave, roles="given", initial_gap=gap).contact[0]
+        foot_on_table(cell, grid, offset, slave, roles="given", initial_gap=gap).results[0]
         for slave in (TABLE, FOOT)
     )
     assert 1.0 / 1.5 < table.pressure.max() / foot.pressure.max() < 1.5

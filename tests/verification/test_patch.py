@@ -168,7 +168,7 @@ def test_displacement_is_linear_in_each_block(cell, contact):
 
 @every_patch
 def test_pressure_is_uniform(cell, contact):
-    for face in solved(cell, contact).problem.contact:
+    for face in solved(cell, contact).problem.results:
         np.testing.assert_allclose(face.pressure, PRESSURE, rtol=1e-10)
 
 
@@ -177,14 +177,14 @@ def test_force_is_pressure_times_area(cell, contact):
     slopes = SLOPES[contact]
     dim = solved(cell, contact).displacement.shape[1] - 1
     areas = [np.sqrt(1.0 + np.sum(np.square(slope[:dim]))) for slope in slopes]
-    forces = solved(cell, contact).problem.report.contact_force
+    forces = [c.normal_force for c in solved(cell, contact).problem.report.contacts]
     np.testing.assert_allclose(forces, PRESSURE * np.array(areas), rtol=1e-10)
 
 
 @every_patch
 def test_normals_are_those_of_the_planes(cell, contact):
     gdim = solved(cell, contact).displacement.shape[1]
-    for face, slope in zip(solved(cell, contact).problem.contact, SLOPES[contact], strict=True):
+    for face, slope in zip(solved(cell, contact).problem.results, SLOPES[contact], strict=True):
         downwards = np.array([*slope[: gdim - 1], -1.0])
         downwards /= np.linalg.norm(downwards)
         np.testing.assert_allclose(face.normal - downwards, 0.0, atol=1e-14)
@@ -223,4 +223,4 @@ def test_closed_crack_is_as_if_it_were_not_there():
     exact = V.tabulate_dof_coordinates()[:, :2] * unit * [-(1 - nu**2), nu * (1 + nu)]
     np.testing.assert_allclose(uh, exact, rtol=0.0, atol=1e-10 * np.abs(exact).max())
     # the last pair of nodes also carries half of the facet at the tip
-    assert problem.report.contact_force[0] == pytest.approx(2.5 * PRESSURE, rel=1e-10)
+    assert problem.report.contacts[0].normal_force == pytest.approx(2.5 * PRESSURE, rel=1e-10)

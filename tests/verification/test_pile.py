@@ -91,7 +91,7 @@ def solved(dim, elements, young=YOUNG):
 
 def resultants(problem):
     """Return the force on the slave of each contact, by name."""
-    return {c.name: -c.normal_force @ c.normal for c in problem.contact}
+    return {c.name: -c.normal_force @ c.normal for c in problem.results}
 
 
 def meshed_weight(dim, elements, body):
@@ -154,7 +154,7 @@ def test_each_body_is_in_equilibrium(dim, elements, body):
 @every_mesh
 def test_contact_of_round_bodies_has_no_moment_about_the_axis(dim, elements):
     """All normals of the upper body meet in its axis."""
-    for contact in solved(dim, elements).contact:
+    for contact in solved(dim, elements).results:
         if contact.name.startswith("top"):
             arm = contact.coordinates[:, :2] - [0.0, 2.6 * RADIUS]
             n = contact.normal
@@ -176,5 +176,5 @@ def test_cylinders_are_free_to_slide_along_their_axes():
 
 def test_places_of_contact_are_some_elements_wide():
     """Not a single node, and not the whole tagged arc."""
-    for contact in solved(2, 16).contact:
+    for contact in solved(2, 16).results:
         assert 3 <= np.count_nonzero(contact.active) <= contact.active.size / 2

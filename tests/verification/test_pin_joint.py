@@ -78,7 +78,7 @@ def test_a_load_along_the_pin_is_an_error_that_names_the_motion(bodies):
 
 
 def test_pressure_is_that_of_the_force(solved):
-    for contact in solved[1].contact:
+    for contact in solved[1].results:
         along = contact.pressure * contact.area @ contact.normal[:, 0]
         assert abs(along) == pytest.approx(PULL, rel=1e-3)
 
@@ -94,7 +94,7 @@ def test_prescribed_clearance_gives_about_the_pressure_of_curved_cells(exchange)
     for degree, options in STRAIGHT_AND_CURVED:
         problem = joint_problem(read_joint(1.5, degree), degree, exchange, **options)
         problem.solve()
-        lug, fork = problem.contact
+        lug, fork = problem.results
         means.append([largest_mean_pressure(lug, 0.0, 4.9), largest_mean_pressure(fork, 5.0, 12.0)])
         largest.append([lug.pressure.max(), fork.pressure.max()])
     mean, at_nodes = np.divide(*means), np.divide(*largest)
@@ -110,7 +110,7 @@ def test_largest_pressure_of_a_prescribed_clearance_in_the_plane(size, exchange)
     for degree, options in STRAIGHT_AND_CURVED:
         problem = plane_joint(size, degree, exchange, **options)
         problem.solve()
-        largest.append(problem.contact[0].pressure.max())
+        largest.append(problem.results[0].pressure.max())
     straight, curved = largest
     assert curved == pytest.approx(86.0, rel=0.01)
     assert straight == pytest.approx(curved, rel=0.2)

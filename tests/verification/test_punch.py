@@ -77,9 +77,9 @@ def pushed(gdim: int, divisions: int) -> Solved:
         options={"rtol": 1e-6, "preconditioner": "lumped", "subdomain_size": 6000},
     )
     problem.solve()
-    contact = problem.contact[0]
+    contact = problem.results[0]
     r = np.linalg.norm(contact.coordinates[:, : gdim - 1], axis=1) / RADIUS
-    force = 2 ** (gdim - 1) * problem.report.contact_force[0]
+    force = 2 ** (gdim - 1) * problem.report.contacts[0].normal_force
     scale = force / (np.pi * RADIUS) if gdim == 2 else force / (2.0 * np.pi * RADIUS**2)
     root = np.sqrt(np.maximum(0.0, 1.0 - r**2))
     return Solved(problem, force, r, contact.pressure * root / scale)
@@ -105,7 +105,7 @@ def test_pressure_converges(gdim):
 @every_dimension
 def test_the_whole_punch_touches_and_nothing_else(gdim):
     solved = pushed(gdim, GRIDS[gdim][1][0])
-    np.testing.assert_array_equal(solved.problem.contact[0].active, solved.radii < 1.0 + 1e-6)
+    np.testing.assert_array_equal(solved.problem.results[0].active, solved.radii < 1.0 + 1e-6)
 
 
 @pytest.mark.parametrize(("divisions", "limit"), [(3, 0.07), (6, 0.025)])

@@ -61,7 +61,9 @@ def problem(elements, slave, force=(0.0, 0.0)):
         one, other = surfaces if round_ else surfaces[::-1]
         normal = (lambda x: x[:2]) if round_ else None
         contacts.append(ContactPair(facet_tags, one, other, partners=Along((0, 1)), normal=normal))
-    return ContactProblem(a, L, bcs, contacts, cell_tags=bodies.cell_tags, options={"rtol": 1e-9})
+    return ContactProblem(
+        a, L, bcs=bcs, contacts=contacts, cell_tags=bodies.cell_tags, options={"rtol": 1e-9}
+    )
 
 
 @lru_cache(maxsize=None)
@@ -79,18 +81,18 @@ def resultant(contact):
 @pytest.mark.parametrize("slave", SLAVES)
 def test_each_contact_carries_the_load(slave):
     up = 1.0 if slave == "roller" else -1.0
-    lower, upper = solved(slave).contact
+    lower, upper = solved(slave).results
     assert resultant(lower)[1] == pytest.approx(up * LOAD, rel=1e-8)
     assert resultant(upper)[1] == pytest.approx(-up * LOAD, rel=1e-8)
 
 
 @pytest.mark.parametrize("slave", SLAVES)
 def test_the_roller_is_in_equilibrium(slave):
-    np.testing.assert_allclose(sum(map(resultant, solved(slave).contact)), 0.0, atol=1e-8 * LOAD)
+    np.testing.assert_allclose(sum(map(resultant, solved(slave).results)), 0.0, atol=1e-8 * LOAD)
 
 
 def test_the_pressure_has_no_moment_about_the_axis():
-    for contact in solved("roller").contact:
+    for contact in solved("roller").results:
         arm, n = contact.coordinates, contact.normal
         moment = contact.normal_force @ (arm[:, 0] * n[:, 1] - arm[:, 1] * n[:, 0])
         assert abs(moment) <= 1e-12 * LOAD * RADIUS
@@ -99,7 +101,7 @@ def test_the_pressure_has_no_moment_about_the_axis():
 @pytest.mark.parametrize("slave", SLAVES)
 def test_pressure_and_width_by_hertz(slave):
     """For half spaces; the bodies are 48 and 70 half-widths thick, a half-width 10 elements."""
-    for contact in solved(slave).contact:
+    for contact in solved(slave).results:
         x, force = contact.coordinates[:, 0], contact.normal_force
         width = 2.0 * np.sqrt(force @ x**2 / force.sum())
         assert width == pytest.approx(HALF_WIDTH, rel=0.01)
@@ -108,7 +110,7 @@ def test_pressure_and_width_by_hertz(slave):
 
 @pytest.mark.parametrize("slave", SLAVES)
 def test_pressure_along_the_surface(slave):
-    for contact in solved(slave).contact:
+    for contact in solved(slave).results:
         square = 1.0 - (contact.coordinates[:, 0] / HALF_WIDTH) ** 2
         inner = square > 0.2
         hertz = PEAK * np.sqrt(square[inner])
@@ -138,7 +140,7 @@ def test_force_across_the_plates_is_carried():
     """The weight of the roller adds to the lower contact."""
     found = problem(6, "plates", force=(0.0, -1e5))
     found.solve()
-    lower, upper = (contact.normal_force.sum() for contact in found.contact)
+    lower, upper = (contact.normal_force.sum() for contact in found.results)
     assert upper == pytest.approx(LOAD, rel=1e-8)
     weight = 1e5 * meshed_area(6) / (np.pi * RADIUS**2)
     assert lower == pytest.approx(LOAD + weight, rel=1e-8)

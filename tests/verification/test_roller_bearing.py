@@ -100,8 +100,8 @@ class Loaded:
             options={"rtol": 1e-4, "preconditioner": "dirichlet", "deflation": "on"},
         )
         self.problem.solve()
-        self.forces = [c.normal_force @ c.normal for c in self.problem.contact]
-        by_outer = self.problem.contact[: 2 * bearing.rows : 2]
+        self.forces = [c.normal_force @ c.normal for c in self.problem.results]
+        by_outer = self.problem.results[: 2 * bearing.rows : 2]
         self.loads = np.array([self.of_rollers(c) for c in by_outer])
 
     def of_rollers(self, contact):
@@ -210,7 +210,7 @@ def single_roller(meshes, path, bearing, approach):
         options={"rtol": 1e-5},
     )
     problem.solve()
-    outer, inner = problem.contact
+    outer, inner = problem.results
     assert outer.normal_force.sum() == pytest.approx(inner.normal_force.sum(), rel=1e-6)
     along = ((outer.coordinates - centre) @ axis).round(9)
     stations = np.unique(along)
@@ -238,7 +238,7 @@ def test_edge_pressure(meshes, tmp_path):
         bearing = coarse(meshes, rows=1, layers=10, shortest=0.3, crowning=crowning)
         name = tmp_path / f"{crowning}.msh"
         found = Loaded(meshes, name, bearing, np.array([0.0, 0.0, -400e3]))
-        contact = found.problem.contact[1]
+        contact = found.problem.results[1]
         first = bearing.roller_of(contact.coordinates.T) == 0
         centres, axes, _ = bearing.lines(1)
         x = ((contact.coordinates[first] - centres[0]) @ axes[0]).round(9)

@@ -59,17 +59,17 @@ def rings(inner, outer, roles, **pair):
 @pytest.mark.parametrize("roles", [(SLAVE, MASTER), (MASTER, SLAVE)])
 def test_prescribed_interference(roles):
     problem = rings((30, 14), (42, 18), roles, initial_gap=-INTERFERENCE)
-    contact = problem.contact[0]
+    contact = problem.results[0]
     mean = contact.pressure @ contact.area / contact.area.sum()
     assert mean == pytest.approx(lame_pressure(), rel=0.01)
     assert contact.pressure.std() < 0.02 * mean
-    assert problem.report.pairing[0]["discretisation"] == "mortar"
+    assert problem.report.contacts[0].pairing["discretisation"] == "mortar"
 
 
 def test_touching_rings_have_no_pressure():
     roles = (SLAVE, MASTER)
-    geometric = rings((42, 4), (30, 4), roles).contact[0]
-    touching = rings((42, 4), (30, 4), roles, initial_gap="touching").contact[0]
+    geometric = rings((42, 4), (30, 4), roles).results[0]
+    touching = rings((42, 4), (30, 4), roles, initial_gap="touching").results[0]
     assert geometric.pressure.max() > 0.1 * lame_pressure()
     assert (touching.gap == 0.0).all()
     assert touching.pressure.max() < 1e-6 * lame_pressure()

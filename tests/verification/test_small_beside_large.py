@@ -72,7 +72,14 @@ def pad_and_bar():
 def test_rubber_beside_steel_that_moves(rtol, method):
     V, a, bcs, tags, cell_tags, dx, exact = pad_and_bar()
     options = {"method": method} | ({} if rtol is None else {"rtol": rtol})
-    problem = ContactProblem(a, 0, bcs, ContactPair(tags, UPPER, LOWER), cell_tags, options=options)
+    problem = ContactProblem(
+        a,
+        0,
+        bcs=bcs,
+        contacts=ContactPair(tags, UPPER, LOWER),
+        cell_tags=cell_tags,
+        options=options,
+    )
     uh = problem.solve()
 
     def at_facets(tag):
@@ -115,11 +122,13 @@ def pressed_in(domain, tags, contact, depth, options=None):
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     a = elasticity(u, v, YOUNG, POISSON, ufl.dx)
     bcs = [scenes.fixed(V, tags, TOP, 1, -depth), scenes.fixed(V, tags, SIDE, 0)]
-    problem = ContactProblem(a, 0, bcs, contact, options=options)
+    problem = ContactProblem(a, 0, bcs=bcs, contacts=contact, options=options)
     problem.solve()
     assert problem.report.converged
-    assert problem.report.reactions[0].force[1] == pytest.approx(-problem.report.contact_force[0])
-    return problem.report.contact_force[0]
+    assert problem.report.reactions[0].force[1] == pytest.approx(
+        -problem.report.contacts[0].normal_force
+    )
+    return problem.report.contacts[0].normal_force
 
 
 @pytest.mark.parametrize("method", ["active_set", "smalbe"])
@@ -178,12 +187,14 @@ def test_first_steps_of_a_rigid_ball(method):
     top = fem.locate_dofs_topological(V.sub(1), 1, tags.find(TOP))
     bcs = [fem.dirichletbc(depth, top, V.sub(1)), scenes.fixed(V, tags, SIDE, 0)]
     ball = RigidObstacle(tags, BOTTOM, Sphere((0.0, -BALL), BALL))
-    problem = ContactProblem(a, 0, bcs, ball, options={"method": method}, measure_weight=weight)
+    problem = ContactProblem(
+        a, 0, bcs=bcs, contacts=ball, options={"method": method}, measure_weight=weight
+    )
     for d in DEPTHS:
         depth.value = -d
         problem.solve()
         hertz = 4 / 3 * YOUNG / (1 - POISSON**2) * np.sqrt(BALL) * d**1.5
-        assert problem.report.contact_force[0] == pytest.approx(hertz, rel=0.02)
+        assert problem.report.contacts[0].normal_force == pytest.approx(hertz, rel=0.02)
 
 
 @pytest.mark.parametrize("method", ["active_set", "smalbe"])
@@ -198,11 +209,13 @@ def test_first_step_of_a_rigid_ball_on_a_coarse_mesh(method):
     centre = (0.0, 0.0, -BALL)
     ball = RigidObstacle(tags, BOTTOM, Sphere(centre, BALL))
     options = {"method": method, "subdomain_size": 500}
-    problem = ContactProblem(a, 0, bcs, ball, options=options)
+    problem = ContactProblem(a, 0, bcs=bcs, contacts=ball, options=options)
     problem.solve()
     zero = fem.Constant(tagged.mesh, 0.0)
     obstacle = Obstacle(BOTTOM, scenes.Ball(centre, BALL))
     exact = reference_solution(V, a, zero * v[0] * ufl.dx, bcs, tags, [obstacle])
     force = exact.contacts[0].forces
-    assert np.count_nonzero(force) == np.count_nonzero(problem.contact[0].active) == 1
-    assert problem.report.contact_force == pytest.approx([force.sum()], rel=1e-6)
+    assert np.count_nonzero(force) == np.count_nonzero(problem.results[0].active) == 1
+    assert [c.normal_force for c in problem.report.contacts] == pytest.approx(
+        [force.sum()], rel=1e-6
+    )

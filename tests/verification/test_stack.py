@@ -122,7 +122,7 @@ def forces_on_blocks(scene, problem):
         cells = scene.cell_tags.find(body_of(cube))
         nodes = fem.locate_dofs_topological(scene.V, 3, cells)
         add(cube, x[nodes], f[nodes])
-    for found, (_, cubes) in zip(problem.contact, contacts_of_stack(), strict=True):
+    for found, (_, cubes) in zip(problem.results, contacts_of_stack(), strict=True):
         for cube, sign in zip(cubes, (-1, 1), strict=False):
             add(cube, found.coordinates, sign * found.normal_force[:, None] * found.normal)
     return left.reshape(27, 6)
@@ -138,7 +138,7 @@ def test_each_face_between_two_blocks_is_a_pair():
 def test_each_face_carries_the_load_of_its_column(cell):
     """Without friction the neighbours and the walls push sideways only."""
     _, problem, _ = solved(cell)
-    for found, (_, cubes) in zip(problem.contact, contacts_of_stack(), strict=True):
+    for found, (_, cubes) in zip(problem.results, contacts_of_stack(), strict=True):
         i, j, k = cubes[0]
         if abs(found.normal[0, 2]) > 0.5:
             expected = load_of_column(i, j) + WEIGHT * (3 - k)
@@ -152,7 +152,7 @@ def test_each_layer_carries_the_whole_load(cell, layer):
     _, problem, _ = solved(cell)
     carried = sum(
         found.normal_force.sum()
-        for found in problem.contact
+        for found in problem.results
         if abs(found.normal[0, 2]) > 0.5 and np.isclose(found.coordinates[0, 2], layer)
     )
     expected = PRESSURE * 9 / 25 + 9 * WEIGHT * (3 - layer)
@@ -177,7 +177,7 @@ def test_contact_forces(cell):
     _, problem, _ = solved(cell)
     expected = as_a_whole(cell).contacts
     largest = max(contact.forces.max() for contact in expected)
-    for found, contact in zip(problem.contact, expected, strict=True):
+    for found, contact in zip(problem.results, expected, strict=True):
         order = np.argsort(found.nodes)
         np.testing.assert_allclose(
             found.normal_force[order], contact.forces, rtol=0.0, atol=1e-7 * largest
@@ -196,7 +196,7 @@ def test_uniform_pressure_is_exact(cell):
     """The walls hold the sides: s_zz = -p and s_xx = s_yy = -nu / (1 - nu) p everywhere."""
     _, problem, uh = solved(cell, power=0, weight=0.0)
     sideways = POISSON / (1.0 - POISSON) * PRESSURE
-    for found in problem.contact:
+    for found in problem.results:
         expected = PRESSURE if abs(found.normal[0, 2]) > 0.5 else sideways
         np.testing.assert_allclose(found.pressure, expected, rtol=1e-7)
     stiffness = YOUNG * (1 - POISSON) / ((1 + POISSON) * (1 - 2 * POISSON))
@@ -220,7 +220,7 @@ def without_walls(cell):
 def test_free_columns_stand_alone(cell):
     """Where nothing holds the sides, neighbours cannot press each other."""
     problem = without_walls(cell)
-    contacts = zip(problem.contact, contacts_of_stack(False), strict=True)
+    contacts = zip(problem.results, contacts_of_stack(False), strict=True)
     for found, (_, cubes) in contacts:
         i, j, k = cubes[0]
         vertical = abs(found.normal[0, 2]) > 0.5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from fenics_tfeti.fem.contact.description import Contact, ContactPair, TiedPair
 from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
 from fenics_tfeti.fem.contact.opening import openings
 from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
-from fenics_tfeti.fem.contact.result import ContactResult
+from fenics_tfeti.fem.contact.result import ContactEntry, ContactResult, Results, TiedResult
 from fenics_tfeti.fem.contact.roles import (
     Roles,
     describe_roles,
@@ -40,29 +40,28 @@ from fenics_tfeti.fem.contact.tied import TiedPairing, tie_pairs, tied_rows
 from fenics_tfeti.fem.contact.transfer import SolvedContact, gather_solved
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.displacement import owned_values
+from fenics_tfeti.feti.report.resultants import ContactForces
 from fenics_tfeti.feti.solver import TornSolution
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed, Subdomain
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Vector
-
-T = TypeVar("T")
+from fenics_tfeti.typing import Numbers, Vector
 
 
 @dataclass(frozen=True)
 class FoundContact:
     """A contact with its conditions, of the undeformed or of the deformed surfaces."""
 
-    given: Contact  # as the user gave it
-    contact: Contact  # the same object, or the pair with exchanged roles
+    number: int  # among all contacts and tied pairs
+    roles: Roles  # the contact as the user gave it and as it is used
     pairing: ContactPairing
     undeformed: ContactPairing
     friction: NodalFriction | None = None  # at `pairing`
 
     @property
-    def is_exchanged(self) -> bool:
-        """Whether slave and master are not as the user gave them."""
-        return self.contact is not self.given
+    def contact(self) -> Contact:
+        """The contact in the roles that are used."""
+        return self.roles.used
 
     @property
     def gap(self) -> Vector:
@@ -73,6 +72,26 @@ class FoundContact:
         gap[rows] = gaps[rows_of_gaps]
         return gap
 
+    def measured(self, boundary: MeshBoundary, uh: Function) -> DeformedContact:
+        """Measure normals, gaps and penetration in the deformed state. Collective."""
+        contact = self.contact
+        keep_normal = isinstance(contact, ContactPair) and contact.normal is not None
+        return deformed_contact(boundary, contact, self.pairing, uh, keep_normal)
+
+    def with_friction(self, space: FunctionSpace, prescribed: Prescribed) -> FoundContact:
+        """Return the contact with friction evaluated at its conditions. Collective."""
+        friction = nodal_friction(space, self.contact, self.pairing, prescribed)
+        return replace(self, friction=friction)
+
+
+@dataclass(frozen=True)
+class FoundTie:
+    """A tied pair with its conditions."""
+
+    number: int  # among all contacts and tied pairs
+    pair: TiedPair
+    pairing: TiedPairing
+
 
 @dataclass(frozen=True)
 class ContactSet:
@@ -80,7 +99,7 @@ class ContactSet:
 
     boundary: MeshBoundary
     contacts: list[FoundContact]
-    ties: list[tuple[TiedPair, TiedPairing]]
+    ties: list[FoundTie]
     prescribed: Prescribed  # the supports that they were found with
 
     @property
@@ -95,17 +114,19 @@ class ContactSet:
 
     @property
     def names(self) -> list[str]:
-        """Names of the contacts, then of the tied pairs."""
-        return [*(p.name for p in self.pairings), *(pairing.name for _, pairing in self.ties)]
+        """Names of all contacts and tied pairs, by number."""
+        entries: list[FoundContact | FoundTie] = [*self.contacts, *self.ties]
+        return [found.pairing.name for found in sorted(entries, key=lambda found: found.number)]
 
     def rows(self) -> ContactRows:
         """Return the conditions of all contacts, one contact after the other."""
-        return contact_rows(self.pairings, self.boundary.space.mesh.geometry.dim)
+        rows = contact_rows(self.pairings, self.boundary.space.mesh.geometry.dim)
+        return _numbered(rows, self.contacts)
 
     def tied_rows(self) -> ContactRows:
-        """Return the conditions of all tied pairs, which are numbered after the contacts."""
+        """Return the conditions of all tied pairs, the components of a pair one after the other."""
         gdim = self.boundary.space.mesh.geometry.dim
-        return tied_rows([pairing for _, pairing in self.ties], gdim, len(self.contacts))
+        return _numbered(tied_rows([tie.pairing for tie in self.ties], gdim), self.ties)
 
     def friction_rows(self, origin: SlipOrigin) -> Friction:
         """Return where `rows` have friction, and from where slip is counted. Collective."""
@@ -119,12 +140,7 @@ class ContactSet:
     def with_friction(self) -> ContactSet:
         """Return the set with friction evaluated at its conditions. Collective."""
         space = self.boundary.space
-        contacts = [
-            replace(
-                found, friction=nodal_friction(space, found.contact, found.pairing, self.prescribed)
-            )
-            for found in self.contacts
-        ]
+        contacts = [found.with_friction(space, self.prescribed) for found in self.contacts]
         return replace(self, contacts=contacts)
 
     def deformed(self, uh: Function) -> tuple[ContactSet, list[DeformedContact]]:
@@ -132,12 +148,7 @@ class ContactSet:
 
         Friction is still that at the conditions before, see `with_friction`.
         """
-        measured = [
-            deformed_contact(
-                self.boundary, found.contact, found.pairing, uh, _gives_normals(found.contact)
-            )
-            for found in self.contacts
-        ]
+        measured = [found.measured(self.boundary, uh) for found in self.contacts]
         contacts = [
             replace(found, pairing=new.pairing(found.pairing))
             for found, new in zip(self.contacts, measured, strict=True)
@@ -159,72 +170,113 @@ class ContactSet:
         return replace(self, contacts=contacts).with_friction()
 
     def solved(self, solution: TornSolution, uh: Function) -> SolvedContacts:
-        """Return the solution at each contact. Collective."""
-        space = self.boundary.space
-        opening = openings(space, self.pairings, owned_values(uh))
-        results, row, site = [], 0, 0
+        """Return the solution at each contact and tied pair. Collective."""
+        opening = openings(self.boundary.space, self.pairings, owned_values(uh))
+        contacts, ties, row, site = [], [], 0, 0
         for found, gap_after in zip(self.contacts, opening, strict=True):
-            pairing, friction = found.pairing, found.friction
-            rows = slice(row, row + pairing.slave.size)
-            sites = slice(site, site + (0 if friction is None else friction.bound.size))
+            rows = slice(row, row + found.pairing.slave.size)
+            sites = slice(site, site + (0 if found.friction is None else rows.stop - row))
             row, site = rows.stop, sites.stop
-            force = solution.normal_force[rows]
-            result = ContactResult(
-                pairing.name,
-                pairing.slave,
-                pairing.coordinates,
-                found.gap,
-                gap_after,
-                pairing.normal,
-                normal_force=force,
-                pressure=force / pairing.area,
-                active=force > 0.0,
-                area=pairing.area,
-                coverage=np.ones_like(force) if pairing.coverage is None else pairing.coverage,
-                friction=friction_result(
-                    friction,
-                    pairing,
-                    solution.tangential_force[sites],
-                    solution.slip[sites],
-                    solution.sticking[sites],
-                    solution.slip_bound[sites],
-                ),
-                comm=space.mesh.comm,
-            )
-            results.append(result)
-        return SolvedContacts(self, results, uh)
+            contacts.append(self._result(found, gap_after, solution, rows, sites))
+        row = 0
+        for tie in self.ties:
+            rows = slice(row, row + sum(terms.slaves.size for terms in tie.pairing.terms))
+            row = rows.stop
+            forces = solution.report.contacts[tie.number]
+            ties.append(self._tied_result(tie.pairing, forces, solution.tied_force[rows]))
+        return SolvedContacts(self, contacts, ties, uh)
 
-    def as_given(self, slaves: Sequence[T], masters: Sequence[T]) -> tuple[list[T], list[T]]:
-        """Return something of slaves and of masters in the roles that the user gave.
+    def _result(
+        self,
+        found: FoundContact,
+        opening: Vector,
+        solution: TornSolution,
+        rows: slice,
+        sites: slice,
+    ) -> ContactResult:
+        pairing, force = found.pairing, solution.normal_force[rows]
+        forces, roles = vars(solution.report.contacts[found.number]), found.roles
+        return ContactResult(
+            pairing.name,
+            ContactEntry(**forces, pairing=found.undeformed.summary, **roles.entries()),
+            pairing.slave,
+            self._dofs(pairing.slave),
+            pairing.coordinates,
+            found.gap,
+            opening,
+            pairing.normal,
+            normal_force=force,
+            pressure=force / pairing.area,
+            active=force > 0.0,
+            area=pairing.area,
+            coverage=np.ones_like(force) if pairing.coverage is None else pairing.coverage,
+            friction=friction_result(
+                found.friction,
+                pairing,
+                solution.tangential_force[sites],
+                solution.slip[sites],
+                solution.sticking[sites],
+                solution.slip_bound[sites],
+            ),
+            comm=self.boundary.space.mesh.comm,
+        )
 
-        There is one entry for each contact, then one for each tied pair.
-        """
-        turned = [found.is_exchanged for found in self.contacts] + [False] * len(self.ties)
-        pairs = list(zip(turned, slaves, masters, strict=True))
-        return [m if t else s for t, s, m in pairs], [s if t else m for t, s, m in pairs]
+    def _tied_result(self, tie: TiedPairing, forces: ContactForces, rows: Vector) -> TiedResult:
+        """Return the result of a tied pair from the forces of its rows, component by component."""
+        slaves = [terms.nodes[terms.offsets[:-1]] for terms in tie.terms]
+        nodes = np.unique(np.concatenate(slaves))
+        force, area = np.zeros((nodes.size, len(slaves))), np.zeros(nodes.size)
+        begin = 0
+        for component, (terms, slave) in enumerate(zip(tie.terms, slaves, strict=True)):
+            position = np.searchsorted(nodes, slave)
+            # the force of a row acts on the slave against its direction
+            force[position, component] = -rows[begin : begin + slave.size]
+            area[position] = terms.area
+            begin += slave.size
+        surface = tie.surface
+        return TiedResult(
+            tie.name,
+            ContactEntry(**vars(forces), pairing=tie.summary),
+            nodes,
+            self._dofs(nodes),
+            surface.coordinates[np.searchsorted(surface.nodes, nodes)],
+            force,
+            force / area[:, None],
+            area,
+            self.boundary.space.mesh.comm,
+        )
+
+    def _dofs(self, nodes: Numbers) -> Numbers:
+        """Return the numbers on this rank of nodes that it owns."""
+        dofs: Numbers = nodes - self.boundary.space.dofmap.index_map.local_range[0]
+        return dofs
 
 
 @dataclass(frozen=True)
 class SolvedContacts:
-    """A solution at the contacts, with the conditions that it fulfils."""
+    """A solution at contacts and tied pairs, with the conditions that it fulfils."""
 
     conditions: ContactSet
-    results: list[ContactResult]  # in the roles that are used
+    contacts: list[ContactResult]  # in the roles that are used
+    ties: list[TiedResult]
     displacement: Function
 
-    def as_given(self) -> list[ContactResult]:
-        """Return the results in the roles that the user gave."""
-        return [
-            result.seen_from_master() if found.is_exchanged else result
-            for found, result in zip(self.conditions.contacts, self.results, strict=True)
-        ]
+    def as_given(self) -> Results:
+        """Return the results by number, in the roles that the user gave."""
+        numbered: dict[int, ContactResult | TiedResult] = {}
+        for found, result in zip(self.conditions.contacts, self.contacts, strict=True):
+            is_exchanged = found.roles.used is not found.roles.given
+            numbered[found.number] = result.seen_from_master() if is_exchanged else result
+        for tie, tied_result in zip(self.conditions.ties, self.ties, strict=True):
+            numbered[tie.number] = tied_result
+        return Results([numbered[number] for number in sorted(numbered)])
 
     def nodal_forces(self) -> Vector:
         """Return the normal forces (contacts, nodes) at the nodes that this rank owns [N]."""
-        index_map = self.displacement.function_space.dofmap.index_map
-        force = np.zeros((len(self.results), index_map.size_local))
-        for values, result in zip(force, self.results, strict=True):
-            values[result.nodes - index_map.local_range[0]] = result.normal_force
+        size = self.displacement.function_space.dofmap.index_map.size_local
+        force = np.zeros((len(self.contacts), size))
+        for values, result in zip(force, self.contacts, strict=True):
+            values[result.dofs] = result.normal_force
         return force
 
     def gathered(self) -> list[SolvedContact]:
@@ -232,12 +284,12 @@ class SolvedContacts:
         conditions = self.conditions
         contacts = [found.contact for found in conditions.contacts]
         return gather_solved(
-            conditions.boundary, contacts, conditions.pairings, self.results, self.displacement
+            conditions.boundary, contacts, conditions.pairings, self.contacts, self.displacement
         )
 
 
 class ContactSearch:
-    """The search for the conditions of a problem's contacts.
+    """The search for the conditions of a problem's contacts and tied pairs.
 
     What was found is used again as long as the user's contacts and the nodes of the mesh are the
     same. It also decides, once for each pair, whether slave and master are exchanged.
@@ -257,60 +309,67 @@ class ContactSearch:
         with self._timer.phase("contact search"):
             self.boundary = MeshBoundary.of(self._space, self._measure_weight)
 
-    def find(
-        self, contacts: Sequence[Contact], tied: Sequence[TiedPair], prescribed: Prescribed
-    ) -> ContactSet:
+    def find(self, contacts: Sequence[Contact | TiedPair], prescribed: Prescribed) -> ContactSet:
         """Return the undeformed conditions; only what changed is searched again. Collective."""
+        touching, tied = dict[int, Roles](), dict[int, TiedPair]()
+        for number, contact in enumerate(contacts):
+            if isinstance(contact, TiedPair):
+                tied[number] = contact
+            else:
+                touching[number] = self._roles_of(contact) or Roles(contact, contact)
         with self._timer.phase("contact search"):
-            used = [self._used(contact) for contact in contacts]
             last = self._last or ContactSet(self.boundary, [], [], prescribed)
-            known = [(found.contact, found.undeformed) for found in last.contacts]
-            pairings = match_contacts(self.boundary, used, known, prescribed)
+            pairings = match_contacts(
+                self.boundary,
+                [roles.used for roles in touching.values()],
+                [(found.contact, found.undeformed) for found in last.contacts],
+                prescribed,
+                list(touching),
+            )
             check_depth(self._space, self._bodies, pairings)
             found_contacts = [
-                FoundContact(given, contact, pairing, pairing)
-                for given, contact, pairing in zip(contacts, used, pairings, strict=True)
+                FoundContact(number, roles, pairing, pairing)
+                for (number, roles), pairing in zip(touching.items(), pairings, strict=True)
             ]
-            ties = tie_pairs(self.boundary, tied, last.ties, prescribed)
-            found = ContactSet(self.boundary, found_contacts, ties, prescribed).with_friction()
+            ties = tie_pairs(
+                self.boundary, tied, [(tie.pair, tie.pairing) for tie in last.ties], prescribed
+            )
+            found_ties = [FoundTie(number, tied[number], ties[number]) for number in tied]
+            found = ContactSet(self.boundary, found_contacts, found_ties, prescribed)
+            found = found.with_friction()
         self._last = found
         return found
 
-    def with_roles(self, found: ContactSet, torn: Sequence[Subdomain]) -> ContactSet:
+    def with_roles(
+        self, found: ContactSet, contacts: Sequence[Contact | TiedPair], torn: Sequence[Subdomain]
+    ) -> ContactSet:
         """Exchange slave and master of new pairs where that is better and wanted, or warn."""
-        comm, new = self._space.mesh.comm, []
-        for number, entry in enumerate(found.contacts):
-            if isinstance(entry.given, ContactPair) and self._roles_of(entry.given) is None:
-                found = self._decide_roles(found, number, torn)
-                new.append(number)
+        comm = self._space.mesh.comm
+        new = [
+            index
+            for index, entry in enumerate(found.contacts)
+            if isinstance(entry.contact, ContactPair) and self._roles_of(entry.roles.given) is None
+        ]
+        for index in new:
+            found = self._decide_roles(found, index, contacts, torn)
         with raise_collectively(comm):
-            for number in new if comm.rank == 0 else ():
-                warn_of_deviation(found.contacts[number].undeformed.summary)
+            for index in new if comm.rank == 0 else ():
+                warn_of_deviation(found.contacts[index].undeformed.summary)
         return found
-
-    def pairing_entries(self, found: ContactSet) -> list[dict[str, Any]]:
-        """Return the pairing of each contact and tied pair in numbers, for the report."""
-        undecided = {"roles_ratio": None, "roles": None}
-        entries = []
-        for entry in found.contacts:
-            roles = self._roles_of(entry.given)
-            decision = undecided if roles is None else roles.entries()
-            entries.append({**entry.undeformed.summary, **decision})
-        return entries + [pairing.summary for _, pairing in found.ties]
 
     def _roles_of(self, contact: Contact) -> Roles | None:
         return next((roles for roles in self._roles if roles.given is contact), None)
 
-    def _used(self, contact: Contact) -> Contact:
-        roles = self._roles_of(contact)
-        return contact if roles is None else roles.used
-
     def _decide_roles(
-        self, found: ContactSet, number: int, torn: Sequence[Subdomain]
+        self,
+        found: ContactSet,
+        index: int,
+        contacts: Sequence[Contact | TiedPair],
+        torn: Sequence[Subdomain],
     ) -> ContactSet:
         """Decide the roles of one pair, and find all conditions anew if they are exchanged."""
-        comm, entry = self._space.mesh.comm, found.contacts[number]
-        pair, pairing = entry.given, entry.undeformed
+        comm, entry = self._space.mesh.comm, found.contacts[index]
+        pair, pairing = entry.roles.given, entry.undeformed
         assert isinstance(pair, ContactPair)
         ratio = roles_ratio(comm, pairing, torn)
         roles = Roles(pair, pair, ratio, describe_roles(pair, ratio, False, None))
@@ -318,11 +377,7 @@ class ContactSearch:
             reason = describe_roles(pair, ratio, True, None)
             self._roles.append(Roles(pair, exchanged(pair), 1.0 / ratio, reason))
             try:
-                found = self.find(
-                    [c.given for c in found.contacts],
-                    [tied for tied, _ in found.ties],
-                    found.prescribed,
-                )
+                found = self.find(contacts, found.prescribed)
                 roles = self._roles[-1]
             except InputError as error:
                 # surfaces that can be masters only, such as folded ones, or masters of other pairs
@@ -333,8 +388,12 @@ class ContactSearch:
         with raise_collectively(comm):
             if roles.ratio is not None and comm.rank == 0:
                 warn_of_roles(pairing.name, roles.ratio)
-        return found
+        found_contacts = list(found.contacts)
+        found_contacts[index] = replace(found_contacts[index], roles=roles)
+        return replace(found, contacts=found_contacts)
 
 
-def _gives_normals(contact: Contact) -> bool:
-    return isinstance(contact, ContactPair) and contact.normal is not None
+def _numbered(rows: ContactRows, found: Sequence[FoundContact | FoundTie]) -> ContactRows:
+    """Return rows, counted contact by contact, with the numbers of the contacts."""
+    numbers = np.array([entry.number for entry in found], dtype=np.int64)
+    return replace(rows, contact=numbers[rows.contact])

@@ -57,18 +57,20 @@ def match_contacts(
     contacts: Sequence[Contact],
     known: Sequence[tuple[Contact, ContactPairing]] = (),
     prescribed: Prescribed | None = None,
+    numbers: Sequence[int] | None = None,
 ) -> list[ContactPairing]:
     """Match the surfaces of all contacts, and check that no two contacts overlap. Collective.
 
     Of the known results, pairs are not searched again, obstacles are evaluated again. Prescribed
-    displacements of this rank's nodes tell planes of symmetry.
+    displacements of this rank's nodes tell planes of symmetry. The numbers are those of contacts
+    without a name.
     """
     comm = boundary.space.mesh.comm
     check_different_surfaces(contacts, comm)
     earlier = {id(contact): pairing for contact, pairing in known}
     pairings = [
         match_contact(boundary, contact, i, earlier.get(id(contact)), prescribed)
-        for i, contact in enumerate(contacts)
+        for i, contact in zip(numbers or range(len(contacts)), contacts, strict=True)
     ]
     check_different_nodes(contacts, pairings, comm)
     return pairings

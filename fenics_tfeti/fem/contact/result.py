@@ -1,17 +1,81 @@
-"""Contact forces, gaps and slips of a solution at the slave nodes."""
+"""Forces, gaps and slips of a solution at contacts: at the slave nodes, and summed up."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, overload
 
 from mpi4py import MPI
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.feti.report.resultants import ContactForces
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Numbers, Vector
+
+
+@dataclass(frozen=True)
+class ContactEntry(ContactForces):
+    """A contact or tied pair in the report; slave and master are those that the user gave.
+
+    Attributes
+    ----------
+    pairing : dict
+        The ``discretisation`` ("node_to_node", "mortar", "obstacle" or "tied"), the numbers of
+        ``pairs`` (conditions) and ``unmatched`` slave nodes, ``largest_distance`` [m] (what the
+        tolerance limits; None but for pairs of nodes) and ``largest_relative_distance`` (to the
+        size of the facets), ``largest_angle`` between the slave's normal and the opposite of the
+        master's [degrees], ``smallest_gap``, ``largest_gap`` and ``mean_gap`` [m], of mortar
+        conditions those of their means, and the ``covered_area`` of the slave [m^2; m in 2D] (None
+        for obstacles). Nodes at which an obstacle's gap is infinite are unmatched. Of mortar
+        conditions whose gaps are those of the mesh also ``deviation``, the largest distance of the
+        facets of both surfaces from curved surfaces through their nodes [m], and ``blurred``, the
+        share of the area with gaps smaller than it (None for others). Mortar conditions have the
+        tags of ``slave`` and ``master`` as well.
+    roles_ratio : float or None
+        Of mortar conditions E / h of the slave over that of the master, which is better below 20.
+    roles : str or None
+        Whether slave and master were exchanged, and why, or why not; None where the given ones are
+        good.
+    """
+
+    pairing: dict[str, Any]
+    roles_ratio: float | None = None
+    roles: str | None = None
+
+    def seen_from_master(self) -> ContactEntry:
+        """Return the entry with the forces on slave and master exchanged."""
+        return replace(
+            self,
+            force=self.force_on_master,
+            moment=self.moment_on_master,
+            force_on_master=self.force,
+            moment_on_master=self.moment,
+        )
+
+
+class _Summed:
+    """The sums over a surface; see `ContactEntry`."""
+
+    entry: ContactEntry
+
+    @property
+    def force(self) -> Vector:
+        """Sum of the forces on the slave, (gdim,) [N]."""
+        return np.array(self.entry.force)
+
+    @property
+    def moment(self) -> Vector:
+        """Moment of the forces on the slave about the origin, (3,) [N m], in 2D (1,) [N]."""
+        return np.array(self.entry.moment)
+
+    @property
+    def friction_work(self) -> float:
+        """Work that friction dissipates [J]."""
+        return self.entry.friction_work
 
 
 @dataclass(frozen=True)
@@ -51,15 +115,19 @@ class FrictionResult:
 
 
 @dataclass(frozen=True)
-class ContactResult:
-    """The solution at the slave nodes that this rank owns.
+class ContactResult(_Summed):
+    """The solution at the slave nodes that this rank owns, and its sums over the surface.
 
     Attributes
     ----------
     name : str
         Name of the contact.
-    nodes : (k,) integer array
-        Global nodes of the displacement's space.
+    entry : ContactEntry
+        The contact's sums and pairing in the report; `force` and `moment` on the slave and
+        `friction_work` are properties too.
+    nodes, dofs : (k,) integer array
+        Global nodes of the displacement's space, and their numbers on this rank: the blocks of
+        degrees of freedom.
     coordinates : (k, 3) array
         [m].
     gap : (k,) array
@@ -98,7 +166,9 @@ class ContactResult:
     """
 
     name: str
+    entry: ContactEntry
     nodes: Numbers
+    dofs: Numbers
     coordinates: Vector
     gap: Vector
     opening: Vector
@@ -119,7 +189,13 @@ class ContactResult:
             friction = replace(
                 friction, force=-friction.force, traction=-friction.traction, slip=-friction.slip
             )
-        return replace(self, normal=-self.normal, friction=friction, on_master=not self.on_master)
+        return replace(
+            self,
+            entry=self.entry.seen_from_master(),
+            normal=-self.normal,
+            friction=friction,
+            on_master=not self.on_master,
+        )
 
     def gather(self) -> ContactResult:
         """Return the nodes of all ranks, by node number, on every rank. Collective."""
@@ -131,8 +207,105 @@ class ContactResult:
         return replace(self, comm=MPI.COMM_SELF, **arrays)
 
 
+@dataclass(frozen=True)
+class TiedResult(_Summed):
+    """The solution of a tied pair at the slave nodes that this rank owns.
+
+    Attributes
+    ----------
+    name : str
+        Name of the pair.
+    entry : ContactEntry
+        The pair's sums and pairing in the report; `force` and `moment` on the slave are properties
+        too.
+    nodes, dofs : (k,) integer array
+        Global nodes of the displacement's space, and their numbers on this rank.
+    coordinates : (k, 3) array
+        [m].
+    nodal_force : (k, gdim) array
+        Force of the master on the slave [N]; zero for components that are prescribed.
+    traction : (k, gdim) array
+        The force over the area that belongs to the node [Pa].
+    area : (k,) array
+        The area around the node that the master covers [m^2; m in 2D].
+    comm : MPI.Intracomm
+        The ranks.
+    """
+
+    name: str
+    entry: ContactEntry
+    nodes: Numbers
+    dofs: Numbers
+    coordinates: Vector
+    nodal_force: Vector
+    traction: Vector
+    area: Vector
+    comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF, repr=False)
+
+    def gather(self) -> TiedResult:
+        """Return the nodes of all ranks, by node number, on every rank. Collective."""
+        order = np.argsort(concatenate_ranks(self.comm, self.nodes))
+        return replace(self, comm=MPI.COMM_SELF, **_gathered(self, self.comm, order))
+
+
+class Results(Sequence[Any]):
+    """The results of all contacts, by number or by name; they cannot be changed.
+
+    Parameters
+    ----------
+    results : sequence of ContactResult or TiedResult
+        In the order in which the contacts were given.
+
+    Examples
+    --------
+    >>> problem.results["joint"].force  # doctest: +SKIP
+    >>> [result.name for result in problem.results]  # doctest: +SKIP
+    """
+
+    def __init__(self, results: Sequence[ContactResult | TiedResult] = ()) -> None:
+        self._results = tuple(results)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the contacts."""
+        return tuple(result.name for result in self._results)
+
+    @overload
+    def __getitem__(self, key: int | str) -> Any: ...
+
+    @overload
+    def __getitem__(self, key: slice) -> Sequence[Any]: ...
+
+    def __getitem__(self, key: int | str | slice) -> Any:
+        """Return the result of a contact, by number or name, or those of some numbers."""
+        if not isinstance(key, str):
+            return self._results[key]
+        named = [result for result in self._results if result.name == key]
+        if not named:
+            raise InputError(f"no contact has the name {key!r}; the names are {list(self.names)}")
+        if len(named) > 1:
+            raise InputError(f"more than one contact has the name {key!r}: take their numbers")
+        return named[0]
+
+    def __iter__(self) -> Iterator[Any]:
+        """Go through the results in the order of the contacts."""
+        return iter(self._results)
+
+    def __len__(self) -> int:
+        """Return the number of contacts."""
+        return len(self._results)
+
+    def __contains__(self, key: object) -> bool:
+        """Tell whether a contact has a name, or whether a result is one of these."""
+        return key in self.names or any(key is result for result in self._results)
+
+    def __repr__(self) -> str:
+        """Return the names."""
+        return f"Results({', '.join(map(repr, self.names))})"
+
+
 def _gathered(
-    result: ContactResult | FrictionResult, comm: MPI.Intracomm, order: Numbers
+    result: ContactResult | TiedResult | FrictionResult, comm: MPI.Intracomm, order: Numbers
 ) -> dict[str, Any]:
     """Return the arrays of all ranks, in an order. Collective."""
     arrays = {f.name: getattr(result, f.name) for f in fields(result)}

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.fem.contact.contact import ContactPairing
-from fenics_tfeti.fem.contact.description import ContactPair
+from fenics_tfeti.fem.contact.description import Contact, ContactPair
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.parallel import concatenate_ranks
@@ -33,10 +33,10 @@ _LARGE_CONDITION = 20.0
 
 @dataclass(frozen=True)
 class Roles:
-    """The slave and the master of a pair as they are used."""
+    """The slave and the master of a contact as they are used."""
 
-    given: ContactPair  # as the user gave it
-    used: ContactPair  # the same object, or the one with slave and master exchanged
+    given: Contact  # as the user gave it
+    used: Contact  # the same object, or the pair with slave and master exchanged
     ratio: float | None = None  # E / h of the slave over that of the master, as they are used
     reason: str | None = None  # for the report, see `describe_roles`
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,18 +78,18 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
 
 def tie_pairs(
     boundary: MeshBoundary,
-    pairs: Sequence[TiedPair],
+    pairs: Mapping[int, TiedPair],
     known: Sequence[tuple[TiedPair, TiedPairing]],
     prescribed: Prescribed,
-) -> list[tuple[TiedPair, TiedPairing]]:
-    """Find the conditions of all tied pairs. Collective.
+) -> dict[int, TiedPairing]:
+    """Find the conditions of all tied pairs, by number. Collective.
 
     Known results hold as long as the same components are prescribed.
     """
     comm = boundary.space.mesh.comm
     earlier = {id(pair): pairing for pair, pairing in known}
-    pairings = []
-    for number, pair in enumerate(pairs):
+    pairings = {}
+    for number, pair in pairs.items():
         pairing = earlier.get(id(pair))
         if (
             pairing is None
@@ -97,15 +97,12 @@ def tie_pairs(
             or not same_supports(comm, pairing.surface, prescribed, pairing.prescribed)
         ):
             pairing = tie(boundary, pair, number, prescribed)
-        pairings.append((pair, pairing))
+        pairings[number] = pairing
     return pairings
 
 
-def tied_rows(pairings: Sequence[TiedPairing], gdim: int, first: int) -> ContactRows:
-    """Return the conditions of all tied pairs, the components of a pair one after the other.
-
-    `first` is the number of the first pair among contacts and tied pairs.
-    """
+def tied_rows(pairings: Sequence[TiedPairing], gdim: int) -> ContactRows:
+    """Return the conditions of all tied pairs, the components of a pair one after the other."""
     if not pairings:
         return ContactRows.none(gdim)
     return ContactRows.concatenate(
@@ -115,7 +112,7 @@ def tied_rows(pairings: Sequence[TiedPairing], gdim: int, first: int) -> Contact
                 terms.nodes,
                 terms.weights[:, None] * np.eye(gdim)[axis],
                 np.zeros(terms.slaves.size),
-                np.full(terms.slaves.size, first + number),
+                np.full(terms.slaves.size, number),
                 terms.slaves,
             )
             for number, pairing in enumerate(pairings)

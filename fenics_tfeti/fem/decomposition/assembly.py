@@ -166,13 +166,18 @@ class PreparedForms:
         return _compat.space_with_dofs(self.space, dofs, int(ends[-1]) + 1), list(block * ends)
 
 
-def prepare_forms(space: FunctionSpace, a: ufl.Form, L: ufl.Form) -> PreparedForms:
+def prepare_forms(
+    space: FunctionSpace,
+    a: ufl.Form,
+    L: ufl.Form,
+    compiler: _compat.CompilerOptions | None = None,
+) -> PreparedForms:
     """Check and compile the user's forms on the displacement's space. Collective."""
     exterior = exterior_cell_facets(space.mesh)
     return PreparedForms(
         space,
-        prepare_form(space, a, "bilinear form a (the stiffness)", exterior),
-        prepare_form(space, L, "linear form L (the load)", exterior),
+        prepare_form(space, a, "bilinear form a (the stiffness)", exterior, compiler),
+        prepare_form(space, L, "linear form L (the load)", exterior, compiler),
     )
 
 

@@ -83,7 +83,11 @@ class PreparedForm:
 
 
 def prepare_form(
-    space: FunctionSpace, form: ufl.Form, name: str, exterior: NDArray[np.bool_]
+    space: FunctionSpace,
+    form: ufl.Form,
+    name: str,
+    exterior: NDArray[np.bool_],
+    compiler: _compat.CompilerOptions | None = None,
 ) -> PreparedForm:
     """Check and compile a form, and look up the tags of its measures. Collective.
 
@@ -116,7 +120,7 @@ def prepare_form(
         facet_tag = np.where(exterior, tags[facet_of[:owned]], _NO_TAG)
     return PreparedForm(
         name,
-        _compat.CompiledForm(form, domain.comm),
+        _compat.CompiledForm(form, domain.comm, compiler),
         list(form.coefficients()),
         list(form.constants()),
         cell_tag,

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import ufl
 from dolfinx.fem import FunctionSpace
 
+from fenics_tfeti.fem._compat import CompilerOptions
 from fenics_tfeti.fem.decomposition.assembly import FormValues, prepare_forms, same_values
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.decomposition.partition import (
@@ -32,6 +33,7 @@ class TornMesh:
         space: FunctionSpace,
         a: ufl.Form,
         L: ufl.Form,
+        compiler: CompilerOptions,
         bodies: Bodies,
         x: Vector,
         labels: Sequence[int] | None,
@@ -41,7 +43,7 @@ class TornMesh:
     ) -> None:
         self._space, self._bodies, self._timer = space, bodies, timer
         with timer.phase("compilation"):
-            self.forms = prepare_forms(space, a, L)
+            self.forms = prepare_forms(space, a, L, compiler)
         with timer.phase("partition"):
             self._cells = (
                 split_into_subdomains(space, bodies, size, partitioner)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -285,16 +285,16 @@ def piecewise_constant(mesh: Mesh, cell_tags: Any, values: Mapping[int, float]) 
     return result
 
 
-def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> list[Function]:
+def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> list[Function]:
     """Return the contact results as fields, zero where there is no contact. Collective.
 
     Parameters
     ----------
     space : FunctionSpace
         The displacement's space.
-    contacts : sequence of ContactResult
-        Results of `ContactProblem`. Where a node is in several contacts, their values are added;
-        of gaps and openings it is the smallest.
+    results : sequence of ContactResult
+        ``results`` of a `ContactProblem`; those of tied pairs are left out. Where a node is in
+        several contacts, their values are added; of gaps and openings it is the smallest.
 
     Returns
     -------
@@ -309,6 +309,7 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
         has friction also "friction_traction" [Pa], on the slave, and "slip" [m], vectors, and
         "friction_state": 1 where a node sticks, 2 where it slips, 0 where friction has no force.
     """
+    contacts = [result for result in results if isinstance(result, ContactResult)]
     scalar = _compat.lagrange_space(space.mesh, 1)
     names = ("contact_pressure", "initial_gap", "opening", "friction_state")
     pressure, gap, opening, state = (Function(scalar, name=name) for name in names)
@@ -320,14 +321,13 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
     to_scalar, to_vector = np.zeros((2, size), dtype=np.int64)
     to_scalar[vertex_nodes(space)] = vertex_nodes(scalar)
     to_vector[vertex_nodes(space)] = vertex_nodes(vector)
-    first = space.dofmap.index_map.local_range[0]
     in_contact = np.zeros(len(gap.x.array), dtype=bool)
     gap.x.array[:] = opening.x.array[:] = np.inf
     traction, slip = (Function(vector, name=name) for name in ("friction_traction", "slip"))
     for contact in contacts:
         # forces are drawn on the body that has the nodes
         contact = contact.seen_from_master() if contact.on_master else contact
-        nodes = contact.nodes - first
+        nodes = contact.dofs
         scalar_dofs = to_scalar[nodes]
         pressure.x.array[scalar_dofs] += contact.pressure
         in_contact[scalar_dofs] = True
@@ -344,9 +344,9 @@ def contact_fields(space: FunctionSpace, contacts: Sequence[ContactResult]) -> l
     for field in (gap, opening):
         infinite = np.isinf(field.x.array)
         field.x.array[infinite] = np.where(in_contact[infinite], np.nan, 0.0)
-    results = [pressure, force, gap, opening]
+    fields = [pressure, force, gap, opening]
     if any(contact.friction is not None for contact in contacts):
-        results += [traction, slip, state]
-    for field in results:
+        fields += [traction, slip, state]
+    for field in fields:
         field.x.scatter_forward()
-    return results
+    return fields

@@ -73,18 +73,16 @@ def _verdict(report: Mapping[str, Any], title: str) -> str:
 
 
 def _contacts(report: Mapping[str, Any]) -> list[str]:
-    names = [side["name"] for side in report["on_slaves"]]
-    if not names:
+    contacts, has_friction = report["contacts"], bool(report["unknowns"]["friction"])
+    if not contacts:
         return []
     rows: list[Sequence[Any]] = [("contact", "normal force [N]", "force on the slave [N]", "pairs")]
-    pairs = [entry["pairs"] for entry in report["pairing"]] or [""] * len(names)
-    work: list[tuple[str, ...]] = [()] * len(names)
-    if report["unknowns"]["friction"]:
+    if has_friction:
         rows = [(*rows[0], "work of friction [J]")]
-        work = [(_number(value),) for value in report["friction_work"]]
-    columns = (names, report["contact_force"], report["contact_forces"], pairs, work)
-    for name, force, vector, count, dissipated in zip(*columns, strict=False):
-        rows.append((name, _number(force), ", ".join(map(_number, vector)), count, *dissipated))
+    for contact in contacts:
+        force, vector = contact["normal_force"], ", ".join(map(_number, contact["force"]))
+        row = (contact["name"], _number(force), vector, contact["pairing"]["pairs"])
+        rows.append((*row, _number(contact["friction_work"])) if has_friction else row)
     return ["<h2>Contact</h2>", f'<div class="wide">{_table(rows, head=True)}</div>']
 
 

@@ -6,6 +6,7 @@ import json
 import os
 import resource
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -19,10 +20,9 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
-from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep
 from fenics_tfeti.feti.files.arrays import write_whole
-from fenics_tfeti.feti.report.resultants import Resultant, resultants
+from fenics_tfeti.feti.report.resultants import ContactForces, Resultant, resultants
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.setup import DualSetup, SolveContext
 from fenics_tfeti.feti.solution.states import (
@@ -79,17 +79,8 @@ class Report:
         Peak resident memory, summed over the ranks.
     energy : float
         1/2 u'Ku - f'u, with friction and the work of the slip bounds on the slips [J].
-    friction_work : list of float
-        For each contact the work that friction dissipates: tangential forces times slips [J].
-    contact_force : list of float
-        Sum of the normal forces for each contact [N]; [N/m] in plane problems; zero for tied pairs.
-        In axisymmetric ones all forces are those of the whole body if the forms have the factor
-        2 pi r, and those of one radian if they have r.
-    contact_forces : list of list of float
-        For each contact and tied pair the sum of the forces on the slave as a vector [N].
-    on_slaves, on_masters : list of Resultant
-        For each contact and tied pair force and moment on the slave, and on the master, which for
-        rigid obstacles is not counted.
+    contacts : list of ContactForces
+        Forces, moments and the work of friction for each contact and tied pair.
     load : Resultant
         Force and moment of the load.
     reactions : list of Resultant
@@ -141,11 +132,7 @@ class Report:
     seconds: dict[str, float]
     peak_memory_bytes: int
     energy: float
-    friction_work: list[float]
-    contact_force: list[float]
-    contact_forces: list[list[float]]
-    on_slaves: list[Resultant]
-    on_masters: list[Resultant]
+    contacts: Sequence[ContactForces]
     load: Resultant
     reactions: list[Resultant]
     springs: Resultant
@@ -188,7 +175,7 @@ class Report:
             del lines["friction"]
         rows = list(lines.items())
         rows += [
-            ("force on slave", f"{format_point(r.force)} of {r.name!r}") for r in self.on_slaves
+            ("force on slave", f"{format_point(c.force)} of {c.name!r}") for c in self.contacts
         ]
         rows += [("free motion", motion) for motion in self.free_motions]
         rows += [("weak motion", motion) for motion in self.weak_motions]
@@ -243,7 +230,13 @@ def build_report(
     subdomains = comm.allreduce(len(system.subdomains))
     products = history.products
     sums = resultants(
-        system, setup.F, local.kernels, local.unknowns, data.load, candidate.multipliers
+        system,
+        setup.F,
+        local.kernels,
+        local.unknowns,
+        data.load,
+        candidate.multipliers,
+        candidate.slips,
     )
     return Report(
         unknowns=_unknowns(system, setup, data, candidate),
@@ -268,11 +261,7 @@ def build_report(
         seconds=context.timer.slowest(comm),
         peak_memory_bytes=peak_memory(comm),
         energy=candidate.energy,
-        friction_work=_friction_work(setup.constraints, candidate, len(sums.normal_forces)),
-        contact_force=sums.normal_forces,
-        contact_forces=[side.force for side in sums.on_slaves],
-        on_slaves=sums.on_slaves,
-        on_masters=sums.on_masters,
+        contacts=sums.contacts,
         load=sums.load,
         reactions=sums.reactions,
         springs=sums.springs,
@@ -359,16 +348,6 @@ def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) ->
         ]
         descriptions.append(f"{words}; closes only {', '.join(names)} of the motion")
     return descriptions
-
-
-def _friction_work(constraints: Constraints, candidate: Candidate, contacts: int) -> list[float]:
-    """Return the work of tangential forces on slips for each contact [J]. Collective."""
-    friction = constraints.friction
-    owned = friction.owned(constraints.layout.owned)
-    work = np.sum(candidate.slips * friction.at_sites(candidate.multipliers), axis=1)[owned]
-    sums = np.bincount(friction.contact[owned], weights=work, minlength=contacts)
-    total: list[float] = constraints.layout.comm.allreduce(sums).tolist()
-    return total
 
 
 def versions() -> dict[str, str]:

@@ -46,6 +46,35 @@ class Resultant:
 
 
 @dataclass(frozen=True)
+class ContactForces:
+    """The forces of a contact or of a tied pair, summed over its surface.
+
+    Attributes
+    ----------
+    name : str
+        Name of the contact.
+    normal_force : float
+        Sum of the normal forces [N]; [N/m] in plane problems; zero for tied pairs. In axisymmetric
+        ones all forces are those of the whole body if the forms have the factor 2 pi r, and those
+        of one radian if they have r.
+    force, moment : list of float
+        Sums on the slave, see `Resultant`.
+    force_on_master, moment_on_master : list of float
+        The same on the master; zero for rigid obstacles, on which nothing is counted.
+    friction_work : float
+        Work that friction dissipates: tangential forces times slips [J].
+    """
+
+    name: str
+    normal_force: float
+    force: list[float]
+    moment: list[float]
+    force_on_master: list[float]
+    moment_on_master: list[float]
+    friction_work: float
+
+
+@dataclass(frozen=True)
 class Resultants:
     """The resultants of a solution; equal on all ranks.
 
@@ -57,9 +86,7 @@ class Resultants:
     # of several Dirichlet conditions for one displacement the last one counts
     reactions: list[Resultant]  # forces of the support, for each condition
     springs: Resultant  # forces of elastic supports in the stiffness
-    normal_forces: list[float]  # sum for each contact [N]; zero for tied pairs
-    on_slaves: list[Resultant]  # forces on the slave's nodes, for each contact and tied pair
-    on_masters: list[Resultant]  # the same on the master's nodes; none on rigid obstacles
+    contacts: list[ContactForces]  # for each contact and tied pair
     equilibrium: float
 
 
@@ -124,11 +151,13 @@ def resultants(
     unknowns: TornUnknowns,
     load: Vector,
     multipliers: Vector,
+    slips: Vector,
 ) -> Resultants:
     """Sum up the forces of a solution over all ranks. Collective.
 
     `kernels` has R_i (n_i, k_i) of this rank's subdomains: one that cannot move rigidly has
-    springs. `load` is f (n,) of these subdomains [N].
+    springs. `load` is f (n,) of these subdomains [N], `slips` are those at the sites of friction,
+    scaled as the rows.
     """
     gdim, comm = system.gdim, system.comm
     forces = _contact_forces(system, F.constraints, multipliers)
@@ -149,6 +178,7 @@ def resultants(
         len(system.contact_names), comm.allreduce(int(rows.contact.max(initial=-1)), MPI.MAX) + 1
     )
     normal_sums = comm.allreduce(forces.normal_sums(system.contacts, contacts))
+    work = comm.allreduce(_friction_work(F.constraints, multipliers, slips, contacts))
     points = _points(system, x, F, unknowns, rows.nodes)
     sides = comm.allreduce(forces.sums_of_sides(points, contacts))
     # what a row exerts in all is a force from outside: that of an obstacle
@@ -163,22 +193,36 @@ def resultants(
         Resultant(name, row[:gdim].tolist(), row[gdim:-1].tolist())
         for name, row in zip(names, sums, strict=True)
     )
-    slaves, masters = (
-        [
-            Resultant(system.contact_name(i), row[:gdim].tolist(), row[gdim:].tolist())
-            for i, row in enumerate(side)
-        ]
-        for side in sides
-    )
+    contact_forces = [
+        ContactForces(
+            system.contact_name(i),
+            float(normal_sums[i]),
+            force=slave[:gdim],
+            moment=slave[gdim:],
+            force_on_master=master[:gdim],
+            moment_on_master=master[gdim:],
+            friction_work=float(work[i]),
+        )
+        for i, (slave, master) in enumerate(sides.transpose(1, 0, 2).tolist())
+    ]
     return Resultants(
         load_sum,
         support_sums,
         spring_sum,
-        normal_sums.tolist(),
-        slaves,
-        masters,
+        contact_forces,
         missing / largest if largest > 0.0 else 0.0,
     )
+
+
+def _friction_work(
+    constraints: Constraints, multipliers: Vector, slips: Vector, contacts: int
+) -> Vector:
+    """Return this rank's part of the work of tangential forces on slips, (contacts,) [J]."""
+    friction = constraints.friction
+    owned = friction.owned(constraints.layout.owned)
+    work = np.sum(slips * friction.at_sites(multipliers), axis=1)[owned]
+    sums = np.bincount(friction.contact[owned], weights=work, minlength=contacts)
+    return sums.astype(np.float64)
 
 
 @dataclass(frozen=True)

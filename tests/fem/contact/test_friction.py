@@ -21,14 +21,14 @@ def test_number_callable_and_function_are_the_same():
     field = Function(scalar_space(problem.space.mesh))
     field.interpolate(lambda x: 0.05 + 0.01 * x[0])
     problem.solve()
-    contact, (given,) = problem.contact[0], problem.contacts
+    contact, (given,) = problem.results[0], problem.contacts
     np.testing.assert_allclose(contact.friction.bound, 0.05 * contact.area, rtol=1e-14)
     assert contact.area.sum() == pytest.approx(1.0)
     for law in (Tresca(lambda x: 0.05 + 0.01 * x[0]), Tresca(field)):
         problem.contacts = [replace(given, friction=law)]
         problem.solve()
         expected = contact.area * (0.05 + 0.01 * contact.coordinates[:, 0])
-        np.testing.assert_allclose(problem.contact[0].friction.bound, expected, rtol=1e-12)
+        np.testing.assert_allclose(problem.results[0].friction.bound, expected, rtol=1e-12)
 
 
 def test_bound_may_change_between_solves():
@@ -37,7 +37,7 @@ def test_bound_may_change_between_solves():
     scene.problem.solve()
     scale[0] = 0.04
     scene.problem.solve()
-    assert scene.problem.contact[0].friction.bound.sum() == pytest.approx(0.04)
+    assert scene.problem.results[0].friction.bound.sum() == pytest.approx(0.04)
 
 
 def on_other_mesh(scene):

@@ -103,15 +103,20 @@ def test_slab_over_two_bodies():
     problem = ContactProblem(
         scenes.elasticity(u, v, young),
         load * v[1] * ds(LOADED),
-        bcs,
-        both(tags),
-        tagged.cell_tags,
+        bcs=bcs,
+        contacts=both(tags),
+        cell_tags=tagged.cell_tags,
         options={"rtol": 1e-10},
     )
     problem.solve()
-    assert sum(problem.report.contact_force) == pytest.approx(3.0 * TRACTION, rel=1e-8)
-    assert [entry["contact"] for entry in problem.report.pairing] == ["left", "right"]
-    assert all(force > TRACTION for force in problem.report.contact_force)
+    assert sum(c.normal_force for c in problem.report.contacts) == pytest.approx(
+        3.0 * TRACTION, rel=1e-8
+    )
+    assert [entry["contact"] for entry in [c.pairing for c in problem.report.contacts]] == [
+        "left",
+        "right",
+    ]
+    assert all(force > TRACTION for force in [c.normal_force for c in problem.report.contacts])
 
 
 def test_body_that_is_slave_of_one_and_master_of_another():
@@ -142,13 +147,15 @@ def test_body_that_is_slave_of_one_and_master_of_another():
     problem = ContactProblem(
         scenes.elasticity(u, v, young),
         load * v[1] * ds(LOADED),
-        bcs,
-        contacts,
-        tagged.cell_tags,
+        bcs=bcs,
+        contacts=contacts,
+        cell_tags=tagged.cell_tags,
         options={"rtol": 1e-10},
     )
     problem.solve()
-    assert problem.report.contact_force == pytest.approx([TRACTION, TRACTION], rel=1e-8)
+    assert [c.normal_force for c in problem.report.contacts] == pytest.approx(
+        [TRACTION, TRACTION], rel=1e-8
+    )
 
 
 def test_shared_nodes_of_a_partial_contact_stay_free():

@@ -146,7 +146,7 @@ def test_nodes_without_obstacle_bear_no_force():
         contact = RigidObstacle(scene.facet_tags, GROUND, ledge(far))
         problem = scene.problem(contacts=[contact])
         problem.solve()
-        forces.append(problem.contact[0].normal_force)
+        forces.append(problem.results[0].normal_force)
     np.testing.assert_allclose(forces[0], forces[1], rtol=1e-8, atol=1e-10 * forces[1].max())
     assert np.count_nonzero(forces[0]) == 3
 
@@ -203,16 +203,16 @@ def test_far_away_is_no_obstacle(far, method):
     options = {"rtol": 1e-8, "method": method}
     exact, u = pressed_on_a_punch(Plane((0, 0), (0, 1)), HALF, options=options)
     problem, uh = pressed_on_a_punch(punch(far), WHOLE, options=options)
-    force = exact.report.contact_force[0]
+    force = exact.report.contacts[0].normal_force
     assert force > 0.5e-5 * 2.1e11 / 2
-    np.testing.assert_allclose(problem.report.contact_force, force, rtol=1e-7)
+    np.testing.assert_allclose([c.normal_force for c in problem.report.contacts], force, rtol=1e-7)
     np.testing.assert_allclose(uh.x.array, u.x.array, atol=1e-7 * 1e-5)
     assert problem.report.converged
 
 
 def test_report_of_an_obstacle_that_is_not_everywhere(tmp_path):
     problem, _ = pressed_on_a_punch(punch(np.inf), WHOLE)
-    (entry,) = problem.report.pairing
+    (entry,) = [c.pairing for c in problem.report.contacts]
     assert (entry["pairs"], entry["unmatched"]) == (5, 4)
     assert (entry["smallest_gap"], entry["largest_gap"]) == (0.0, 0.0)
     assert problem.report.unknowns["infinite_gaps"] == 4
@@ -224,7 +224,7 @@ def test_report_of_an_obstacle_that_is_not_everywhere(tmp_path):
 def test_files_of_an_obstacle_that_is_not_everywhere(tmp_path):
     """NaN in the gap where there is none: ParaView draws nothing there; never infinity."""
     problem, _ = pressed_on_a_punch(punch(np.inf), WHOLE)
-    fields = contact_fields(problem.space, problem.contact)
+    fields = contact_fields(problem.space, problem.results)
     gap = fields[2]
     x = gap.function_space.tabulate_dof_coordinates()
     nowhere = np.isclose(x[:, 1], 0.0) & (x[:, 0] > 0.5 + 1e-9)
@@ -245,7 +245,7 @@ def test_gap_of_a_node_with_two_obstacles_is_that_of_the_finite_one():
     for contacts in ([nowhere, plane], [plane, nowhere]):
         problem = scene.problem(contacts=contacts)
         problem.solve()
-        gap = contact_fields(problem.space, problem.contact)[2]
+        gap = contact_fields(problem.space, problem.results)[2]
         height = gap.function_space.tabulate_dof_coordinates()[:, 1]
         np.testing.assert_allclose(gap.x.array, np.where(height < 1e-9, 0.25, 0.0), rtol=1e-14)
 
@@ -255,8 +255,8 @@ def test_obstacle_that_is_nowhere():
     contact = RigidObstacle(scene.facet_tags, GROUND, lambda x: np.full(x.shape[1], np.inf))
     problem = scene.problem(contacts=[contact])
     problem.solve()
-    assert problem.report.contact_force == [0.0]
-    assert problem.report.pairing[0]["largest_gap"] is None
+    assert [c.normal_force for c in problem.report.contacts] == [0.0]
+    assert problem.report.contacts[0].pairing["largest_gap"] is None
     assert "-" in problem.report.pairing_table()
 
 

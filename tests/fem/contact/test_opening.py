@@ -26,7 +26,7 @@ def test_bodies_that_do_not_touch(cell, partners):
     pair = ContactPair(scene.facet_tags, SLAVE, MASTER, partners=partners)
     problem = scene.problem(bcs=[scene.bcs[0], *moved], contacts=pair)
     problem.solve()
-    (contact,) = problem.contact
+    (contact,) = problem.results
     np.testing.assert_allclose(contact.gap, 0.1, rtol=1e-12)
     np.testing.assert_allclose(contact.opening, 0.07, rtol=1e-8)
     assert not contact.active.any()
@@ -37,7 +37,7 @@ def test_closed_contact_of_matching_meshes():
     scene = two_beams(COMM, "quadrilateral", 6)
     problem = scene.problem(options={"rtol": 1e-9})
     uh = problem.solve()
-    (contact,), scale = problem.contact, np.abs(uh.x.array).max()
+    (contact,), scale = problem.results, np.abs(uh.x.array).max()
     down = uh.x.array.reshape(-1, 2)[:, 1]
     x = scene.V.tabulate_dof_coordinates()
     for node, opening in zip(contact.nodes, contact.opening, strict=True):
@@ -54,7 +54,7 @@ def test_obstacle(approach):
     scene = pressed_block(COMM, "quadrilateral", approach=approach, gap=4e-3)
     problem = scene.problem(options={"rtol": 1e-9})
     problem.solve()
-    np.testing.assert_allclose(problem.contact[0].opening, max(4e-3 - approach, 0.0), atol=1e-12)
+    np.testing.assert_allclose(problem.results[0].opening, max(4e-3 - approach, 0.0), atol=1e-12)
 
 
 @pytest.mark.parametrize("upper", [12, 9], ids=["node_to_node", "mortar"])
@@ -62,7 +62,7 @@ def test_exact_contact_is_closed_in_the_last_pass(upper):
     options = {"rtol": 1e-8, "non_penetration": "exact", "non_penetration_max_it": 40}
     problem = two_blocks(0.3, options, upper=upper)
     scale = np.abs(problem.solve().x.array).max()
-    (contact,) = problem.contact
+    (contact,) = problem.results
     assert contact.active.any()
     np.testing.assert_allclose(contact.opening[contact.active], 0.0, atol=1e-10 * scale)
 
@@ -71,7 +71,7 @@ def test_field_is_that_of_the_nearest_contact():
     scene = two_beams(COMM, "quadrilateral", 4)
     problem = scene.problem()
     problem.solve()
-    (contact,) = problem.contact
+    (contact,) = problem.results
     field = contact_fields(scene.V, [contact, contact])[3]
     np.testing.assert_array_equal(field.x.array[contact.nodes], contact.opening)
     elsewhere = np.setdiff1d(np.arange(field.x.array.size), contact.nodes)

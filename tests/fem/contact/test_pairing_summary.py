@@ -44,8 +44,9 @@ def test_report_has_the_summary(tmp_path):
     problem = scene.problem()
     problem.solve()
     problem.report.to_json(tmp_path / "report.json")
-    written = json.loads((tmp_path / "report.json").read_text())["pairing"]
-    assert written == problem.report.pairing
+    written = json.loads((tmp_path / "report.json").read_text())["contacts"]
+    found = problem.report.contacts
+    assert [entry["pairing"] for entry in written] == [entry.pairing for entry in found]
     head, line = problem.report.pairing_table().splitlines()
     assert head.split()[:3] == ["contact", "discretisation", "pairs"]
     assert line == "contact 0 (pair)    node_to_node      4" + line[39:]

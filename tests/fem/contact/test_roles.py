@@ -79,17 +79,17 @@ def test_good_choice_is_none():
 def test_automatic_roles(upper_young, slave):
     problem = posed(upper_young=upper_young, upper=5)
     uh = problem.solve()
-    entry = problem.report.pairing[0]
+    entry = problem.report.contacts[0].pairing
     assert (entry["slave"], entry["master"]) == (slave, LOWER + UPPER - slave)
-    assert problem.contact[0].on_master == (slave == LOWER)
-    assert entry["roles_ratio"] < 1.0
+    assert problem.results[0].on_master == (slave == LOWER)
+    assert problem.report.contacts[0].roles_ratio < 1.0
     assert ("slave and master are exchanged" in str(problem.report)) == (slave == LOWER)
-    np.testing.assert_allclose(problem.contact[0].normal[:, 1], -1.0, rtol=1e-12)
+    np.testing.assert_allclose(problem.results[0].normal[:, 1], -1.0, rtol=1e-12)
     other = posed(upper_young=upper_young, slave=slave, master=LOWER + UPPER - slave, upper=5)
     np.testing.assert_allclose(uh.x.array, other.solve().x.array, atol=1e-9)
     # again, with the same roles
     problem.solve()
-    assert problem.report.pairing[0]["slave"] == slave
+    assert problem.report.contacts[0].pairing["slave"] == slave
 
 
 def test_exact_passes_of_exchanged_roles():
@@ -104,13 +104,13 @@ def test_exact_passes_of_exchanged_roles():
 def test_forces_are_those_on_the_given_slave(roles):
     problem = posed(upper_young=50 * YOUNG, upper=5, roles=roles, friction=Coulomb(0.3))
     problem.solve()
-    contact, report = problem.contact[0], problem.report
+    contact, report = problem.results[0], problem.report
     assert contact.on_master == (roles == "auto")
-    force = report.on_slaves[0].force
+    force = report.contacts[0].force
     assert force[1] > 0.0
     scale = 1e-9 * force[1]
-    np.testing.assert_allclose(report.on_masters[0].force, -np.array(force), atol=scale)
-    assert report.contact_forces[0] == force
+    np.testing.assert_allclose(report.contacts[0].force_on_master, -np.array(force), atol=scale)
+    assert report.contacts[0].force == force
     at_nodes = contact.friction.force.sum(axis=0) - contact.normal_force @ contact.normal
     np.testing.assert_allclose(at_nodes, force, atol=scale)
     # the field is the force on the body that has the nodes
@@ -121,8 +121,8 @@ def test_forces_are_those_on_the_given_slave(roles):
 def test_roles_that_are_a_little_worse_stay():
     problem = posed(upper_young=3 * YOUNG)
     problem.solve()
-    assert not problem.contact[0].on_master
-    assert problem.report.pairing[0]["roles"] is None
+    assert not problem.results[0].on_master
+    assert problem.report.contacts[0].roles is None
 
 
 def values(domain):
@@ -144,7 +144,7 @@ def values(domain):
 def test_roles_stay_where_data_belong_to_the_slave(name, data):
     problem = posed(upper_young=50 * YOUNG, **data)
     problem.solve()
-    assert not problem.contact[0].on_master
+    assert not problem.results[0].on_master
     assert f"'{name}' belongs to the given slave" in str(problem.report)
 
 
@@ -161,7 +161,7 @@ def test_roles_stay_where_data_belong_to_the_slave(name, data):
 def test_data_of_both_sides_do_not_keep_the_roles(data):
     problem = posed(upper_young=50 * YOUNG, **data)
     problem.solve()
-    assert problem.contact[0].on_master
+    assert problem.results[0].on_master
 
 
 @pytest.mark.filterwarnings("ignore:joint")
@@ -186,7 +186,7 @@ def test_roles_stay_where_the_master_can_be_no_slave():
         cell_tags=beams.cell_tags,
     )
     problem.solve()
-    assert not problem.contact[0].on_master
+    assert not problem.results[0].on_master
     assert "joint: slave and master are as given, though E / h" in str(problem.report)
 
 

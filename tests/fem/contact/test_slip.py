@@ -56,17 +56,17 @@ def test_slip_is_counted_from_the_last_solve(pushed):
     """The same load again slips nothing; after a reset it is the first step once more."""
     scene, first = pushed
     problem = scene.problem
-    u, slip = first.x.array.copy(), problem.contact[0].friction.slip
+    u, slip = first.x.array.copy(), problem.results[0].friction.slip
     assert np.abs(slip).max() > 0.0
     again = problem.solve()
     np.testing.assert_allclose(again.x.array, u, atol=1e-6 * np.abs(u).max())
-    assert np.abs(problem.contact[0].friction.slip).max() <= 1e-6 * np.abs(slip).max()
-    assert problem.report.friction_work[0] <= 1e-6 * np.abs(slip).max()
+    assert np.abs(problem.results[0].friction.slip).max() <= 1e-6 * np.abs(slip).max()
+    assert problem.report.contacts[0].friction_work <= 1e-6 * np.abs(slip).max()
     problem.reset_slip()
     anew = problem.solve()
     np.testing.assert_allclose(anew.x.array, u, atol=1e-6 * np.abs(u).max())
     np.testing.assert_allclose(
-        problem.contact[0].friction.slip, slip, atol=1e-6 * np.abs(slip).max()
+        problem.results[0].friction.slip, slip, atol=1e-6 * np.abs(slip).max()
     )
 
 
@@ -76,7 +76,7 @@ def test_friction_keeps_what_has_slipped(pushed):
     scene.traction.value[0] = 0.0
     back = scene.problem.solve()
     assert np.abs(back.x.array).max() > 1e-3 * np.abs(first.x.array).max()
-    force = scene.problem.contact[0].friction.force
+    force = scene.problem.results[0].friction.force
     assert force[:, 0].sum() == pytest.approx(0.0, abs=1e-9)
     assert force[:, 0].max() > 1e-3
     assert force[:, 0].min() < -1e-3
@@ -99,7 +99,7 @@ def test_moved_mesh_counts_slip_anew(pushed):
     mesh = scene.problem.space.mesh
     mesh.geometry.x[:, 0] *= 1.0 + 1e-9
     scene.problem.solve()
-    assert np.abs(scene.problem.contact[0].friction.slip).max() > 0.0
+    assert np.abs(scene.problem.results[0].friction.slip).max() > 0.0
 
 
 def test_checkpoint_has_the_origin_of_slip(tmp_path, pushed):
@@ -115,7 +115,7 @@ def test_checkpoint_has_the_origin_of_slip(tmp_path, pushed):
     found = other.problem.solve().x.array
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
     np.testing.assert_allclose(
-        other.problem.contact[0].friction.slip, scene.problem.contact[0].friction.slip, atol=1e-7
+        other.problem.results[0].friction.slip, scene.problem.results[0].friction.slip, atol=1e-7
     )
 
 
@@ -134,7 +134,9 @@ def held_square(displacement, held: float = 0.0):
     )
     supports = [fem.dirichletbc(top, dofs, V)]
     options = {"rtol": 1e-9}
-    return ContactProblem(elasticity(u, v, 1.0), 0, supports, [plane], options=options), top
+    return ContactProblem(
+        elasticity(u, v, 1.0), 0, bcs=supports, contacts=[plane], options=options
+    ), top
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +154,7 @@ def conveyor():
         problem.solve()
         top.value[0] = -moved
         other.solve()
-        steps.append((problem.contact[0].friction, other.contact[0].friction))
+        steps.append((problem.results[0].friction, other.results[0].friction))
     return steps
 
 
@@ -176,7 +178,7 @@ def test_obstacle_drags_the_body_along(conveyor):
 def test_displacement_may_be_a_vector():
     problem, _ = held_square((0.04, 0.0))
     problem.solve()
-    assert problem.contact[0].friction.force[:, 0].sum() == pytest.approx(0.003, rel=1e-6)
+    assert problem.results[0].friction.force[:, 0].sum() == pytest.approx(0.003, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -207,17 +209,17 @@ def solved():
 def test_fields(solved):
     """Friction traction on a surface covered wholly integrates to the force."""
     problem, uh = solved
-    fields = {field.name: field for field in contact_fields(uh.function_space, problem.contact)}
+    fields = {field.name: field for field in contact_fields(uh.function_space, problem.results)}
     assert {"friction_traction", "slip", "friction_state"} < set(fields)
     tags, comm = problem.contacts[0].facet_tags, uh.function_space.mesh.comm
     ds = ufl.Measure("ds", domain=uh.function_space.mesh, subdomain_data=tags)
     for k in range(3):
         form = fem.form(fields["friction_traction"][k] * ds(SLAVE))
         total = comm.allreduce(fem.assemble_scalar(form))
-        expected = problem.contact[0].friction.force[:, k].sum()
+        expected = problem.results[0].friction.force[:, k].sum()
         assert total == pytest.approx(expected, rel=1e-9, abs=1e-12)
     assert set(np.unique(fields["friction_state"].x.array)) == {0.0, 1.0, 2.0}
-    size = np.linalg.norm(problem.contact[0].friction.slip, axis=1).max()
+    size = np.linalg.norm(problem.results[0].friction.slip, axis=1).max()
     found = np.linalg.norm(fields["slip"].x.array.reshape(-1, 3), axis=1).max()
     assert found == pytest.approx(size, rel=1e-12)
 
@@ -228,15 +230,15 @@ def test_contact_without_friction_has_none():
     scene.problem.contacts = [replace(contact, friction=None)]
     scene.traction.value[0] = 0.0
     uh = scene.problem.solve()
-    assert scene.problem.contact[0].friction is None
-    assert scene.problem.contact[0].gather().friction is None
-    names = {field.name for field in contact_fields(uh.function_space, scene.problem.contact)}
+    assert scene.problem.results[0].friction is None
+    assert scene.problem.results[0].gather().friction is None
+    names = {field.name for field in contact_fields(uh.function_space, scene.problem.results)}
     assert "slip" not in names
     assert "stick" not in str(scene.problem.report)
 
 
 def test_gathered_results_are_by_node(solved):
-    contact = solved[0].contact[0]
+    contact = solved[0].results[0]
     whole = contact.gather()
     order = np.argsort(contact.nodes)
     np.testing.assert_array_equal(whole.friction.force, contact.friction.force[order])
@@ -257,14 +259,14 @@ def test_deformed_surfaces_rub(solved):
     scene = pushed_cube("triangle", 4, 3, friction=Tresca(0.04), young=10.0, options=options)
     scene.problem.solve()
     assert scene.problem.report.passes[-1].error <= 1e-3
-    force = scene.problem.report.on_slaves[0].force
+    force = scene.problem.report.contacts[0].force
     np.testing.assert_allclose(force, [-0.03, 0.1], rtol=1e-6)
 
 
 def test_displacements_of_degree_2():
     scene = pushed_cube("triangle", 3, 2, friction=Tresca(0.04), degree=2)
     scene.problem.solve()
-    found = scene.problem.contact[0].friction
+    found = scene.problem.results[0].friction
     assert found.force[:, 0].sum() == pytest.approx(-0.03, rel=1e-8)
     assert 0 < np.count_nonzero(found.sticking) < found.sticking.size
 
@@ -275,7 +277,7 @@ def test_plane_of_symmetry(lower):
     law = Tresca(0.034)
     scene = pushed_cube("hexahedron", 3, lower, friction=law, push=(0.03, 0.0), symmetry=True)
     scene.problem.solve()
-    contact = scene.problem.contact[0]
+    contact = scene.problem.results[0]
     assert contact.friction.force[:, 0].sum() == pytest.approx(-0.03, rel=1e-8)
     inside = contact.coordinates[:, 1] < 1e-9
     assert np.count_nonzero(inside) == 4

@@ -14,7 +14,7 @@ from scenes import POISSON, YOUNG, elasticity, fixed, vector_space
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, InputError, Plane, RigidObstacle, TiedPair
+from fenics_tfeti import ContactProblem, InputError, Plane, RigidObstacle, TiedPair
 from fenics_tfeti.fem.topology import cell_vertices, vertex_nodes
 from fenics_tfeti.io import tag_facets
 
@@ -38,7 +38,10 @@ def solved(V, tags, L, bcs, slave=LOWER, **arguments):
         a,
         L,
         bcs=bcs,
-        tied=arguments.pop("tied", TiedPair(tags, slave, LOWER + UPPER - slave)),
+        contacts=[
+            *arguments.pop("contacts", []),
+            arguments.pop("tied", TiedPair(tags, slave, LOWER + UPPER - slave)),
+        ],
         options={"rtol": 1e-12, "subdomain_size": 150},
         **arguments,
     )
@@ -76,7 +79,7 @@ def test_any_linear_displacement(cell, slave):
     dofs = np.union1d(sides[rim[sides]], np.flatnonzero(ends)).astype(np.int32)
     problem, uh = solved(V, tags, 0, [fem.dirichletbc(function, dofs)], slave)
     assert relative_error(V, uh, exact) < 1e-10
-    assert problem.report.pairing[0]["discretisation"] == "tied"
+    assert problem.report.contacts[0].pairing["discretisation"] == "tied"
 
 
 @pytest.mark.parametrize("cell", CELLS)
@@ -92,11 +95,17 @@ def test_tension(cell):
     nu, unit = POISSON, PRESSURE / YOUNG
     along = [-nu, -nu, 1.0] if d == 3 else [-nu * (1 + nu), 1 - nu**2]
     assert relative_error(V, uh, lambda x: unit * np.array(along) * x) < 1e-10
-    (force,) = problem.report.contact_forces
+    (force,) = [c.force for c in problem.report.contacts]
     np.testing.assert_allclose(force, [*[0.0] * (d - 1), PRESSURE], atol=1e-8 * PRESSURE)
-    assert problem.contact == []
+    (tie,) = problem.results
+    np.testing.assert_allclose(tie.force, force, rtol=0.0, atol=0.0)
+    np.testing.assert_allclose(tie.nodal_force.sum(axis=0), force, atol=1e-8 * PRESSURE)
+    assert tie.area.sum() == pytest.approx(1.0)
+    traction = np.broadcast_to(force, tie.traction.shape)
+    np.testing.assert_allclose(tie.traction, traction, atol=1e-7 * PRESSURE)
+    assert tie.gather().nodes.tolist() == tie.nodes.tolist()
     # nodes on planes of symmetry have conditions in the other components
-    assert problem.report.pairing[0]["unmatched"] == 0
+    assert problem.report.contacts[0].pairing["unmatched"] == 0
 
 
 def test_tied_block_with_a_floor():
@@ -108,11 +117,14 @@ def test_tied_block_with_a_floor():
     floor = RigidObstacle(tags, SUPPORTED[1], Plane((0.0, 0.0), (0.0, 1.0)))
     bcs = [fixed(V, tags, SUPPORTED[0], 0)]
     problem, _ = solved(V, tags, L, bcs, contacts=[floor])
-    assert problem.contact[0].normal_force.sum() == pytest.approx(PRESSURE)
+    assert problem.results[0].normal_force.sum() == pytest.approx(PRESSURE)
     push.value = 2.0 * PRESSURE
     problem.solve()
-    assert problem.contact[0].normal_force.sum() == pytest.approx(2.0 * PRESSURE)
-    assert [entry["discretisation"] for entry in problem.report.pairing] == ["obstacle", "tied"]
+    assert problem.results[0].normal_force.sum() == pytest.approx(2.0 * PRESSURE)
+    assert [entry["discretisation"] for entry in [c.pairing for c in problem.report.contacts]] == [
+        "obstacle",
+        "tied",
+    ]
 
 
 def test_moved_mesh_and_other_supports():
@@ -143,7 +155,7 @@ def test_mistakes(change, message):
     V, tags = pose(blocks("triangle"))
     pair = replace(TiedPair(tags, LOWER, UPPER), **change)
     with pytest.raises(InputError, match=message):
-        solved(V, tags, 0, [fixed(V, tags, SUPPORTED[1], None)], tied=[pair])
+        solved(V, tags, 0, [fixed(V, tags, SUPPORTED[1], None)], tied=pair)
 
 
 def test_surfaces_that_are_apart():
@@ -157,5 +169,5 @@ def test_surfaces_that_are_apart():
 
 def test_what_is_no_tied_pair():
     V, tags = pose(blocks("triangle"))
-    with pytest.raises(InputError, match=r"tied pair 0 is a ContactPair; a TiedPair"):
-        solved(V, tags, 0, [], tied=[ContactPair(tags, LOWER, UPPER)])
+    with pytest.raises(InputError, match=r"contact 0 is a str; .* or a TiedPair"):
+        solved(V, tags, 0, [], tied="upper")

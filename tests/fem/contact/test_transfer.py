@@ -13,7 +13,7 @@ from moved_blocks import CELLS, blocks, lifted
 
 from fenics_tfeti import Plane
 from fenics_tfeti.fem.contact.matching import match_contact
-from fenics_tfeti.fem.contact.result import ContactResult
+from fenics_tfeti.fem.contact.result import ContactEntry, ContactResult
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.contact.transfer import expected_contact, gather_solved
 
@@ -29,6 +29,8 @@ def linear(x):
 def result_of(matched, pressure):
     return ContactResult(
         matched.name,
+        ContactEntry(matched.name, 0.0, [], [], [], [], 0.0, {}),
+        matched.slave,
         matched.slave,
         matched.coordinates,
         matched.gap,
@@ -153,5 +155,7 @@ def test_load_steps_on_both_meshes():
         problems[1].solve(coarse=problems[0])
     assert problems[1].report.reused[-2:] == ["multipliers", "contact guess"]
     np.testing.assert_allclose(
-        problems[1].report.contact_force, [0.1 * force for force in fine.total_forces], rtol=1e-5
+        [c.normal_force for c in problems[1].report.contacts],
+        [0.1 * force for force in fine.total_forces],
+        rtol=1e-5,
     )

@@ -232,7 +232,7 @@ def test_fields_may_be_used_in_forms():
     problem.solve()
     mesh = scene.mesh
     stress = von_mises(mesh, fem.Constant(mesh, np.diag([3.0, 0.0, 0.0])))
-    pressure, force, gap, opening = contact_fields(scene.V, problem.contact)
+    pressure, force, gap, opening = contact_fields(scene.V, problem.results)
     for field in (stress, pressure, force[1], gap, opening):
         assert np.isfinite(fem.assemble_scalar(fem.form(field * ufl.ds(domain=mesh))))
     assert [w.name for w in (stress, pressure, force, gap, opening)] == [
@@ -252,11 +252,11 @@ def test_integral_of_the_pressure_is_the_contact_force(cell, partners):
     pair = ContactPair(scene.facet_tags, SLAVE, MASTER, partners=partners)
     problem = scene.problem(contacts=[pair], options={"rtol": 1e-9})
     problem.solve()
-    pressure = contact_fields(scene.V, problem.contact)[0]
-    assert np.ptp(problem.contact[0].pressure) > 0.1 * problem.contact[0].pressure.max()
+    pressure = contact_fields(scene.V, problem.results)[0]
+    assert np.ptp(problem.results[0].pressure) > 0.1 * problem.results[0].pressure.max()
     ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
     force = fem.assemble_scalar(fem.form(pressure * ds(SLAVE)))
-    assert force == pytest.approx(problem.report.contact_force[0], rel=1e-10)
+    assert force == pytest.approx(problem.report.contacts[0].normal_force, rel=1e-10)
     assert force == pytest.approx(scene.total_forces[0], rel=1e-6)
 
 
@@ -264,8 +264,8 @@ def test_integral_of_the_pressure_is_the_contact_force(cell, partners):
 def test_integral_of_the_pressure_of_meshes_that_do_not_match(slave):
     """Where the slave sticks out the areas are those of its covered part."""
     problem = solved(Blocks("quadrilateral", 5, 7, width=0.7), slave).problem
-    contact, V = problem.contact[0], problem.space
-    force = problem.report.contact_force[0]
+    contact, V = problem.results[0], problem.space
+    force = problem.report.contacts[0].normal_force
     assert contact.pressure @ contact.area == pytest.approx(force, rel=1e-12)
     if slave == UPPER:
         pressure = contact_fields(V, [contact])[0]
@@ -283,6 +283,8 @@ def test_fields_of_the_user_may_have_spaces_in_their_names():
     scene.a = elasticity(u, v, young)
     problem = scene.problem()
     problem.solve()
-    np.testing.assert_allclose(problem.report.contact_force, scene.total_forces, rtol=1e-8)
+    np.testing.assert_allclose(
+        [c.normal_force for c in problem.report.contacts], scene.total_forces, rtol=1e-8
+    )
     assert von_mises(scene.mesh, young * ufl.Identity(3)).x.array == pytest.approx(0.0, abs=1e-3)
     assert young.name == "Young's modulus"

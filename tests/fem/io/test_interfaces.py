@@ -126,9 +126,9 @@ def test_contact_after_the_split(cell):
     parts = split_interfaces(block(cell, halves), [Interface(1, 2, 5, 6)])
     a, L, bcs = elasticity(parts, 1e-3)
     contact = ContactPair(parts.facet_tags, 5, 6)
-    problem = ContactProblem(a, L, bcs, [contact], options={"rtol": 1e-10})
+    problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], options={"rtol": 1e-10})
     uh = problem.solve()
-    assert problem.contact[0].pressure == pytest.approx(1e-3, rel=1e-8)
+    assert problem.results[0].pressure == pytest.approx(1e-3, rel=1e-8)
     gdim = GDIM[cell]
     x = uh.function_space.tabulate_dof_coordinates()
     assert uh.x.array.reshape(-1, gdim)[:, 0] == pytest.approx(-1e-3 * x[:, 0], abs=1e-11)
@@ -142,7 +142,7 @@ def test_interior_facets_are_named_with_place_and_remedy(kind):
     given = {"contacts": pairs} if kind is ContactPair else {"tied": pairs}
     message = r"slave of joint: 4 of the 4 .* around \(0.5, 0.125\).*split_interfaces"
     with pytest.raises(InputError, match=message):
-        ContactProblem(a, L, bcs, **given).solve()
+        ContactProblem(a, L, bcs=bcs, **given).solve()
 
 
 @pytest.mark.parametrize("kind", [ContactPair, TiedPair])
@@ -154,7 +154,7 @@ def test_shared_nodes_are_named_with_place_and_remedy(kind):
     given = {"contacts": pairs} if kind is ContactPair else {"tied": pairs}
     message = r"joint: slave and master share 1 nodes, the first at \(0.5, 0.5\).*split_interfaces"
     with pytest.raises(InputError, match=message):
-        ContactProblem(a, L, bcs, cell_tags=parts.cell_tags, **given).solve()
+        ContactProblem(a, L, bcs=bcs, cell_tags=parts.cell_tags, **given).solve()
 
 
 @pytest.mark.parametrize("kind", [ContactPair, TiedPair])
@@ -163,7 +163,7 @@ def test_one_tag_for_both_surfaces_is_an_error_with_the_remedy(kind):
     a, L, bcs = elasticity(whole, 1.0)
     given = {"contacts" if kind is ContactPair else "tied": [kind(whole.facet_tags, 9, 9, "joint")]}
     with pytest.raises(InputError, match="joint: slave and master have the same tag 9; each"):
-        ContactProblem(a, L, bcs, **given).solve()
+        ContactProblem(a, L, bcs=bcs, **given).solve()
 
 
 # -- meshes of Gmsh ----------------------------------------------------------------------------

@@ -38,7 +38,7 @@ def solved(cell: str):
     problem = scene.problem(options={"non_penetration": "exact"})
     uh = problem.solve()
     stress = von_mises(scene.mesh, scenes.stress(uh, scenes.YOUNG), scenes.POISSON)
-    return problem, uh, [contact_fields(scene.V, problem.contact)[0], stress]
+    return problem, uh, [contact_fields(scene.V, problem.results)[0], stress]
 
 
 @pytest.fixture(scope="module")

@@ -229,7 +229,7 @@ def test_light_body_beside_a_heavy_one_closes_its_gaps():
         body_names=(),
         contact_names=("heavy", "light"),
     )
-    forces = TornSolver(both).solve().report.contact_force
+    forces = [c.normal_force for c in TornSolver(both).solve().report.contacts]
     assert forces == pytest.approx([1.0, 1e-12], rel=1e-6)
 
 

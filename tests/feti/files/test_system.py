@@ -80,7 +80,9 @@ def test_solution_is_the_same_to_the_last_bit(path):
     save_system(path, system)
     one, other = (TornSolver(s, Options(rtol=1e-8)).solve() for s in (system, load_system(path)))
     np.testing.assert_array_equal(one.multipliers, other.multipliers)
-    assert one.report.contact_force == other.report.contact_force
+    assert [c.normal_force for c in one.report.contacts] == [
+        c.normal_force for c in other.report.contacts
+    ]
 
 
 def test_shared_matrices_stay_shared(path):

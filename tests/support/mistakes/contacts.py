@@ -160,7 +160,9 @@ def plates(comm, slave, master):
     a = scenes.elasticity(u, v, fem.Constant(tagged.mesh, scenes.YOUNG))
     bcs = [scenes.fixed(V, tags, scenes.CLAMPED, None)]
     contacts = [ContactPair(tags, slave=LOWER_FACE, master=UPPER_FACE)]
-    ContactProblem(a, load * v[1] * ufl.dx, bcs, contacts, tagged.cell_tags).solve()
+    ContactProblem(
+        a, load * v[1] * ufl.dx, bcs=bcs, contacts=contacts, cell_tags=tagged.cell_tags
+    ).solve()
 
 
 @mistake("contact 0", "same way", "9 nodes", "far side")

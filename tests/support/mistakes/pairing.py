@@ -309,7 +309,7 @@ def surface_inside_the_other_body(comm):
     young = fem.Constant(tagged.mesh, YOUNG)
     pair = ContactPair(tags, SLAVE, MASTER, name="joint")
     bcs = [scenes.fixed(V, tags, CLAMPED, None)]
-    ContactProblem(scenes.elasticity(u, v, young), 0, bcs, pair).solve()
+    ContactProblem(scenes.elasticity(u, v, young), 0, bcs=bcs, contacts=pair).solve()
 
 
 @mistake("joint", "folded by more than 90 degrees", r"\(0\.5, 1\)", "two contacts")
@@ -336,4 +336,4 @@ def slave_folded_by_more_than_a_right_angle(comm):
     young = fem.Constant(tagged.mesh, YOUNG)
     bcs = [scenes.fixed(V, tags, tag, None) for tag in (CLAMPED, ROLLER)]
     pair = ContactPair(tags, SLAVE, MASTER, name="joint")
-    ContactProblem(scenes.elasticity(u, v, young), 0, bcs, pair).solve()
+    ContactProblem(scenes.elasticity(u, v, young), 0, bcs=bcs, contacts=pair).solve()

@@ -87,21 +87,21 @@ def test_exact_passes_close_the_deformed_surfaces():
 def test_start_from_a_coarse_mesh():
     coarse = uneven(Blocks("triangle", 5, 6, width=0.63))
     fine = uneven(Blocks("triangle", 15, 18, width=0.63))
-    expected = fine.contact[0]
+    expected = fine.results[0]
     faces = len(fine.report.faces)
     fine.solve(coarse=coarse)
     np.testing.assert_allclose(
-        fine.contact[0].pressure, expected.pressure, atol=1e-7 * expected.pressure.max()
+        fine.results[0].pressure, expected.pressure, atol=1e-7 * expected.pressure.max()
     )
     assert len(fine.report.faces) <= faces
 
 
 def test_moved_mesh_is_integrated_again():
     problem = uneven(Blocks("triangle", 6, 8))
-    first = problem.contact[0]
+    first = problem.results[0]
     problem.space.mesh.geometry.x[:, 0] *= 2.0
     problem.solve()
-    assert problem.contact[0].area.sum() == pytest.approx(2.0 * first.area.sum(), rel=1e-3)
+    assert problem.results[0].area.sum() == pytest.approx(2.0 * first.area.sum(), rel=1e-3)
 
 
 def test_same_conditions_where_nothing_changed():
