@@ -3,16 +3,11 @@
 # Gear teeth
 
 A pinion of 20 teeth drives a wheel of 28; both are of a plastic, with involute teeth of module 4 mm
-and pressure angle 20 degrees. One pair of teeth is in contact, at the pitch point. The normal of
-both flanks there is the line of action, which touches the base circle of the pinion, of radius
-r_b = r_1 cos(20°), r_1 = 40 mm being the pitch radius. By the equilibrium of moments the contact
-force is
-
-    F = T / r_b,
-
-where T is the torque, both per width of the gears. The flanks have the radii of curvature
-r_1 sin(20°) and r_2 sin(20°). By Hertz's formulas the half-width a of the contact, much smaller
-than the teeth, and its pressure p are
+and pressure angle 20 degrees. One pair of teeth is in contact, at the pitch point. The normal there
+touches the base circle of the pinion, of radius r_b = r_1 cos(20°), r_1 = 40 mm being the pitch
+radius. By the equilibrium of moments the contact force is F = T / r_b, where T is the torque, both
+per width of the gears. The flanks have the radii of curvature r_1 sin(20°) and r_2 sin(20°). By
+Hertz's formulas the half-width a of the contact and its pressure p are
 
     a^2 = 4 F R / (pi E*),   p(s) = p0 sqrt(1 - s^2 / a^2),   p0 = 2 F / (pi a),
 
