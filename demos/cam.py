@@ -27,8 +27,6 @@ draws pictures into `results/`. The mesh comes from `meshes/cam.py`. All units a
 per metre of depth.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI

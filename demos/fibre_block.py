@@ -20,8 +20,6 @@ Run it by `python demos/fibre_block.py`, or on several processes by
 `mpirun -n 2 python demos/fibre_block.py`; it draws pictures into `results/`. All units are SI.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI

@@ -24,8 +24,6 @@ Run it by `python demos/gear_teeth.py`, or on several processes by
 from `meshes/gear_teeth.py`. All units are SI.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI
@@ -87,8 +85,7 @@ bcs += [symmetry_plane(V, facet_tags, tags[name], axis) for name, axis in cuts]
 
 # ## Contact
 #
-# The two materials are the same, and the pinion's elements are larger: it is the slave. Other pairs
-# of teeth are not tagged and carry no load.
+# The pinion's elements are larger: it is the slave. Other pairs of teeth carry no load.
 
 flanks = ContactPair(facet_tags, slave=tags["pinion flank"], master=tags["wheel flank"])
 problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=[flanks])
@@ -96,8 +93,7 @@ uh = problem.solve()
 
 # ## Comparison with Hertz
 #
-# By Hertz's formula, p^2 is a quadratic function of the distance s along the flank. A parabola
-# through the nodes with more than 30 % of the largest pressure gives a and p0.
+# A parabola through p^2 over the distance s along the flank gives a and p0.
 
 nodes = problem.contact[0].gather()
 p = nodes.pressure

@@ -33,8 +33,6 @@ sec. 11.11.2, 73 bodies with a cage and 2.8 million unknowns, some minutes and 5
 mesh, made by `meshes/roller_bearing.py`, and pictures into `results/`. All units are SI.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

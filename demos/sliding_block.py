@@ -27,8 +27,6 @@ Run it by `python demos/sliding_block.py`, or on several processes by
 `meshes/sliding_block.py`. All units are SI, forces are per metre of depth.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI
