@@ -23,8 +23,6 @@ Run it by `python demos/axisymmetric_ball.py`, or on several processes by
 same as that of `demos/hertz_cylinder.py`, comes from `meshes/half_balls.py`. All units are SI.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI

@@ -26,8 +26,6 @@ Run it by `python demos/ball_in_socket.py`, or on several processes by
 from `meshes/ball_in_socket.py`. All units are SI.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI

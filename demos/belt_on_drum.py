@@ -18,8 +18,6 @@ Run it by `python demos/belt_on_drum.py`; it draws pictures into `results/`.
 All units are SI.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI

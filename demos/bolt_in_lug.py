@@ -7,9 +7,8 @@ holds it; outside the lug the bolt is clamped. The hole is wider than the bolt b
 radius, and at first they touch on the line x = -10 mm, y = 0 only. The gap at the angle t from that
 line is c (1 - cos t).
 
-Both bodies are made by constructive geometry and meshed apart. The clearance is as small as the
-distances of the facets from the cylinders: hole and bolt are drawn with the same radius, and the
-gap is prescribed. The same mesh then serves for any clearance.
+The bodies are meshed apart. The clearance is as small as the distances of the facets from the
+cylinders: hole and bolt are drawn with the same radius, and the gap is prescribed.
 
 This demo illustrates how to
 
@@ -21,8 +20,6 @@ Run it by `python demos/bolt_in_lug.py`, or on several processes by
 `mpirun -n 2 python demos/bolt_in_lug.py`; it draws pictures into `results/`. The mesh comes
 from `meshes/bolt_in_lug.py`. All units are SI.
 """
-
-from __future__ import annotations
 
 from pathlib import Path
 
@@ -87,12 +84,9 @@ def bolt_in_hole(clearance):
 # ## Three clearances
 #
 # The contact force equals the pull. The mean square of the angle t, weighted by the normal forces,
-# shows how the contact area shrinks with the clearance; the mean displacement of the pulled end
-# shows how the joint softens. At the edge of the hole the bolt, which bends, presses most: the
-# pressure there grows with each refinement.
-#
-# For each clearance, the angle and the displacement with elements of 5/9 the size
-# (`meshes/bolt_in_lug.py --element-size 5e-4`):
+# shows how the contact area shrinks with the clearance, the displacement of the pulled end how the
+# joint softens. For each clearance, the angle and the displacement with elements of 5/9 the
+# size (`meshes/bolt_in_lug.py --element-size 5e-4`):
 
 finer = {0.0: (48.31, 34.81e-6), 2e-5: (32.25, 42.61e-6), 1e-4: (14.87, 54.77e-6)}
 

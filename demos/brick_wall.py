@@ -20,8 +20,6 @@ Run it by `python demos/brick_wall.py`; it draws pictures into `results/`.
 All units are SI; forces are per metre of the wall's thickness.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI

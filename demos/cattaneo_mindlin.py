@@ -10,9 +10,6 @@ contact only. In the middle, |x| < c, it sticks (Cattaneo 1938, Mindlin 1949):
     c / a = sqrt(1 - Q' / (mu P')),
     q(x) = mu p0 [ sqrt(1 - x^2 / a^2) - c / a sqrt(1 - x^2 / c^2) ].
 
-Bodies of the same material are equally displaced along the surface by the pressure, so that it
-makes no slip.
-
 This demo illustrates how to
 
 - give a contact Coulomb's law of friction;
@@ -22,8 +19,6 @@ This demo illustrates how to
 
 Run it by `python demos/cattaneo_mindlin.py`; it draws a picture into `results/`. All units are SI.
 """
-
-from __future__ import annotations
 
 from pathlib import Path
 

@@ -6,11 +6,9 @@ A block of rubber, 80 mm x 40 mm, is reinforced by six layers of steel cords and
 base. A steel punch of 30 mm presses it, in plane strain. Steel is ten thousand times as stiff as
 rubber. The subdomains are cut without regard to the cords: pieces of steel end at their boundaries,
 embedded in rubber. Such a piece moves as a rigid body at the cost of rubber, and with it the jump
-at its end, which gluing has to close, at the weight of steel.
-
-These motions are isolated large eigenvalues of the subdomains' dual operators. They are found, and
-deflated, where the stiffness jumps on an interface; nothing has to be asked for. The option
-`deflation="off"` leaves them to the conjugate gradients.
+at its end, which gluing has to close, at the weight of steel. These motions are isolated large
+eigenvalues of the dual operators. They are found, and deflated, where the stiffness jumps on an
+interface. The option `deflation="off"` leaves them to the conjugate gradients.
 
 This demo illustrates how to
 
@@ -19,11 +17,8 @@ This demo illustrates how to
 - read from the report what deflation costs and saves.
 
 Run it by `python demos/fibre_block.py`, or on several processes by
-`mpirun -n 2 python demos/fibre_block.py`; it writes pictures and fields into `results/`. All units
-are SI.
+`mpirun -n 2 python demos/fibre_block.py`; it draws pictures into `results/`. All units are SI.
 """
-
-from __future__ import annotations
 
 from pathlib import Path
 
@@ -44,8 +39,8 @@ from fenics_tfeti.io import (
     draw_profile,
     tag_facets,
     von_mises,
-    write_fields,
 )
+from fenics_tfeti.models import isotropic, symmetry_plane
 
 results = Path("results")
 comm = MPI.COMM_WORLD
@@ -91,18 +86,7 @@ in_cord = sum(
 of_cords = fem.Constant(mesh, steel)
 in_punch = ufl.conditional(ufl.gt(x[1], 40 * mm), 1.0, 0.0)
 E = rubber + in_cord * (of_cords - rubber) + in_punch * (steel - rubber)
-mu, lmbda = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
-
-
-def epsilon(u):
-    """Return the small strain."""
-    return ufl.sym(ufl.grad(u))
-
-
-def sigma(u):
-    """Return the stress in the plane [Pa]."""
-    return lmbda * ufl.tr(epsilon(u)) * ufl.Identity(2) + 2 * mu * epsilon(u)
-
+sigma = isotropic(E, nu)
 
 # ## Forms and supports
 #
@@ -112,11 +96,10 @@ V = displacement_space(mesh)
 u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
 ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
 pressure = 1e6
-a_form = ufl.inner(sigma(u), epsilon(v)) * ufl.dx
+a_form = ufl.inner(sigma(u), ufl.grad(v)) * ufl.dx
 L_form = -fem.Constant(mesh, pressure) * v[1] * ds(LOADED)
 base = fem.locate_dofs_topological(V, 1, facet_tags.find(BASE))
-guided = fem.locate_dofs_topological(V.sub(0), 1, facet_tags.find(LOADED))
-bcs = [fem.dirichletbc(np.zeros(2), base, V), fem.dirichletbc(0.0, guided, V.sub(0))]
+bcs = [fem.dirichletbc(np.zeros(2), base, V), symmetry_plane(V, facet_tags, LOADED, axis=0)]
 
 # ## Subdomains
 #
@@ -125,9 +108,8 @@ bcs = [fem.dirichletbc(np.zeros(2), base, V), fem.dirichletbc(0.0, guided, V.sub
 
 def subdomain(x):
     """Return the number of the subdomain at points (3, n)."""
-    return 20 * np.floor((x[1] - 0.3 * x[0]) / (10 * mm)) + np.floor(
-        (x[0] + 0.3 * x[1]) / (10 * mm)
-    )
+    up, along = (x[1] - 0.3 * x[0]) / (10 * mm), (x[0] + 0.3 * x[1]) / (10 * mm)
+    return 20 * np.floor(up) + np.floor(along)
 
 
 owned = mesh.topology.index_map(2).size_local
@@ -136,13 +118,9 @@ labels = subdomain(compute_midpoints(mesh, 2, np.arange(owned, dtype=np.int32)).
 
 def solve(**options):
     """Return the solved problem and the displacement."""
+    pair = ContactPair(facet_tags, slave=FACE, master=TOP)
     problem = ContactProblem(
-        a_form,
-        L_form,
-        bcs=bcs,
-        contacts=[ContactPair(facet_tags, slave=FACE, master=TOP)],
-        subdomains=labels.astype(int),
-        options=options,
+        a_form, L_form, bcs=bcs, contacts=[pair], subdomains=labels.astype(int), options=options
     )
     return problem, problem.solve()
 
@@ -172,11 +150,9 @@ problem, uh = solve()
 report = problem.report
 if comm.rank == 0:
     vectors, memory = report.deflation["vectors"], report.deflation["bytes"]
-    print(f"{report.unknowns['primal']} unknowns, {report.subdomains} subdomains")
     for name, counts in products.items():
-        print(f"{name}: {counts[-1]} products at rtol {tolerances[-1]:.0e}")
+        print(f"{name}: {counts[-1]} products with F at rtol {tolerances[-1]:.0e}")
     print(f"deflation: {vectors} vectors, {memory / 1e6:.1f} MB")
-    print(f"force on the block {report.contacts[0].normal_force:.1f} N/m")
 
 # ## Pictures
 #
@@ -189,8 +165,6 @@ midpoints = pieces.function_space.tabulate_dof_coordinates().T
 cords = (midpoints[1] % (6 * mm) > 3 * mm) & (midpoints[1] % (6 * mm) < 5 * mm)
 colour = 2 + (3 * subdomain(midpoints) + 7 * np.floor(subdomain(midpoints) / 20)) % 8
 pieces.x.array[:] = np.where(cords & (midpoints[1] < 39 * mm), 0.15 * colour, colour)
-write_fields(results / "fibre_block.pvd", [uh, stress])
-report.to_json(results / "fibre_block.json")
 draw_deformed(
     results / "fibre_block.png",
     uh,

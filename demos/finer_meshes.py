@@ -24,8 +24,6 @@ Run it by `python demos/finer_meshes.py`, or on several processes by
 `mpirun -n 2 python demos/finer_meshes.py`; it draws a picture into `results/`. All units are SI.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI

@@ -3,8 +3,7 @@
 # Flat punch
 
 A rigid punch with a flat end of radius a = 10 mm is pushed by delta = 0.1 mm into a half space. The
-contact area is known in advance, but the pressure is singular at its edge. The force and the
-pressure under a circular punch are
+pressure is singular at the edge. Under a circular punch force and pressure are
 
     F = 2 a E* delta,   p(r) = F / (2 pi a sqrt(a^2 - r^2)),   E* = E / (1 - nu^2).
 
@@ -22,8 +21,6 @@ Run it by `python demos/flat_punch.py`, or on several processes by
 `mpirun -n 2 python demos/flat_punch.py`; it draws pictures into `results/`. The meshes come
 from `meshes/half_space.py`. All units are SI.
 """
-
-from __future__ import annotations
 
 from pathlib import Path
 
@@ -83,11 +80,9 @@ def solve(path, gdim):
 
 # ## Comparison with the formulas
 #
-# All pressures are relative to the mean pressure, F / (pi a^2) and F' / (2 a).
-#
-# Linear elements do not resolve the singularity: the contact force of the node at the edge is too
-# large, that of the next node too small. F is too large, since the discrete body is too stiff,
-# mostly at the edge. With elements of half the size both errors are three times smaller.
+# All pressures are relative to the mean pressure, F / (pi a^2) and F' / (2 a). Linear elements
+# do not resolve the singularity: the force of the node at the edge is too large, that of the next
+# node too small. With elements of half the size the errors are three times smaller.
 
 curves, errors = {}, {}
 s = np.linspace(0, 0.995, 400)

@@ -3,16 +3,11 @@
 # Gear teeth
 
 A pinion of 20 teeth drives a wheel of 28; both are of a plastic, with involute teeth of module 4 mm
-and pressure angle 20 degrees. One pair of teeth is in contact, at the pitch point. The normal of
-both flanks there is the line of action, which touches the base circle of the pinion, of radius
-r_b = r_1 cos(20°), r_1 = 40 mm being the pitch radius. By the equilibrium of moments the contact
-force is
-
-    F = T / r_b,
-
-where T is the torque, both per width of the gears. The flanks have the radii of curvature
-r_1 sin(20°) and r_2 sin(20°). By Hertz's formulas the half-width a of the contact, much smaller
-than the teeth, and its pressure p are
+and pressure angle 20 degrees. One pair of teeth is in contact, at the pitch point. The normal there
+touches the base circle of the pinion, of radius r_b = r_1 cos(20°), r_1 = 40 mm being the pitch
+radius. By the equilibrium of moments the contact force is F = T / r_b, where T is the torque, both
+per width of the gears. The flanks have the radii of curvature r_1 sin(20°) and r_2 sin(20°). By
+Hertz's formulas the half-width a of the contact and its pressure p are
 
     a^2 = 4 F R / (pi E*),   p(s) = p0 sqrt(1 - s^2 / a^2),   p0 = 2 F / (pi a),
 
@@ -28,8 +23,6 @@ Run it by `python demos/gear_teeth.py`, or on several processes by
 `mpirun -n 2 python demos/gear_teeth.py`; it draws pictures into `results/`. The mesh comes
 from `meshes/gear_teeth.py`. All units are SI.
 """
-
-from __future__ import annotations
 
 from pathlib import Path
 
@@ -92,8 +85,7 @@ bcs += [symmetry_plane(V, facet_tags, tags[name], axis) for name, axis in cuts]
 
 # ## Contact
 #
-# The two materials are the same, and the pinion's elements are larger: it is the slave. Other pairs
-# of teeth are not tagged and carry no load.
+# The pinion's elements are larger: it is the slave. Other pairs of teeth carry no load.
 
 flanks = ContactPair(facet_tags, slave=tags["pinion flank"], master=tags["wheel flank"])
 problem = ContactProblem(a_form, L_form, bcs=bcs, contacts=[flanks])
@@ -101,8 +93,7 @@ uh = problem.solve()
 
 # ## Comparison with Hertz
 #
-# By Hertz's formula, p^2 is a quadratic function of the distance s along the flank. A parabola
-# through the nodes with more than 30 % of the largest pressure gives a and p0.
+# A parabola through p^2 over the distance s along the flank gives a and p0.
 
 nodes = problem.results[0].gather()
 p = nodes.pressure

@@ -14,15 +14,12 @@ This demo illustrates how to
 - define contact with a rigid obstacle, which needs no mesh;
 - use symmetry: only a quarter of the lower half of the ball is meshed;
 - solve a *semicoercive* problem: a force presses the ball, and contact alone supports it;
-- compare the contact pressure with a formula, on hexahedra and on tetrahedra;
-- take stresses and planes of symmetry from `fenics_tfeti.models`.
+- compare the contact pressure with a formula, on hexahedra and on tetrahedra.
 
 Run it by `python demos/hertz_ball.py`, or on several processes by
 `mpirun -n 2 python demos/hertz_ball.py`; it draws pictures into `results/`. The meshes come from
 `meshes/half_balls.py`. All units are SI.
 """
-
-from __future__ import annotations
 
 from pathlib import Path
 
@@ -52,8 +49,7 @@ force = 4 / 3 * E_star * 4e-3**3 / R
 
 # ## One solution
 #
-# Everything up to `ContactProblem` is plain dolfinx. The ball touches the plane at the origin. A
-# uniform traction on the flat face at z = R makes the force.
+# The ball touches the plane at the origin. A traction on the flat face at z = R makes the force.
 
 
 def solve(path):

@@ -20,8 +20,6 @@ Run it by `python demos/hertz_cylinder.py`; it draws pictures into `results/`. T
 `meshes/half_balls.py`. All units are SI.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI

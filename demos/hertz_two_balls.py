@@ -20,8 +20,6 @@ Run it by `python demos/hertz_two_balls.py`, or on several processes by
 comes from `meshes/half_balls.py`. All units are SI.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI
@@ -50,8 +48,7 @@ force = 4 / 3 * E_star * 4e-3**3 / R
 
 # ## Mesh
 #
-# A quarter of the lower half of the upper ball and of the upper half of the lower one. They touch
-# at the origin. The grids match there: projected along z, their nodes nearly coincide.
+# A quarter of the halves that touch, at the origin. Projected along z, their nodes nearly coincide.
 
 balls = read_msh(here.parent / "meshes" / "hertz_two_balls.msh", MPI.COMM_WORLD)
 mesh, facet_tags, tags = balls.mesh, balls.facet_tags, balls.names

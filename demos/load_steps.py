@@ -21,8 +21,6 @@ Run it by `python demos/load_steps.py`, or on several processes by
 `mpirun -n 2 python demos/load_steps.py`; it draws a picture into `results/`. All units are SI.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI

@@ -5,11 +5,10 @@
 Two plastic cylinders, 0.5 m in diameter, lie on the floor between two rigid walls, and a third one
 lies on both. Contact alone supports them.
 
-They are stiff (0.5 GPa) and light: the contact areas are only 0.01 radii wide, and the
-displacements are 0.0002 radii. The contact forces therefore differ by less than 0.1 % from those of
-rigid discs. With the slope 4/3 of the line of centres and the weight W, the upper disc presses on
-each of the lower ones with 5/8 W, and these press on the walls with 3/8 W and on the floor with
-3/2 W.
+They are stiff and light: the contact areas are only 0.01 radii wide, and the contact forces differ
+by less than 0.1 % from those of rigid discs. With the slope 4/3 of the line of centres and the
+weight W, the upper disc presses on each of the lower ones with 5/8 W, and these press on the walls
+with 3/8 W and on the floor with 3/2 W.
 
 This demo illustrates how to
 
@@ -20,18 +19,14 @@ This demo illustrates how to
   about its axis. Forces and stresses are unique, and the smallest displacement is returned;
 - check a solution by statics.
 
-The lower discs cannot rotate, since the contact conditions are linearised about the undeformed
-surfaces: where several nodes touch the rigid floor, a rotation would move those on one side of the
-centre into it. All normals of the upper disc, which is the slave, meet in its axis: a rotation
-about it changes no gap.
+The lower discs cannot rotate: where several nodes touch the floor, a rotation would move those on
+one side of the centre into it. All normals of the upper disc, the slave, meet in its axis.
 
 Run it by `python demos/pile_of_cylinders.py`, or in three dimensions by
 `python demos/pile_of_cylinders.py 3`, where all three cylinders are also free to slide along their
 axes; it draws a picture into `results/`. The mesh in three dimensions is coarse: the
 weight of the polygons is half a per cent smaller than that of the circles.
 """
-
-from __future__ import annotations
 
 import sys
 from pathlib import Path
@@ -121,8 +116,7 @@ for contact in problem.results:
 if mesh.comm.rank == 0:
     print("free motions:", *report.free_motions, sep="\n  ")
 
-# The stress at the contacts is a thousand times that elsewhere. The picture is capped at 20 kPa, to
-# show how the forces are transmitted.
+# The picture is capped at 20 kPa, to show how the forces are transmitted.
 
 stress = von_mises(mesh, sigma(uh), poisson_ratio=nu if dim == 2 else None)
 stress.x.array[:] = np.minimum(stress.x.array, 20e3)

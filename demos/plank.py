@@ -23,8 +23,6 @@ Of the Python packages only NumPy, SciPy, petsc4py, mpi4py and Matplotlib are us
 SI.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import matplotlib

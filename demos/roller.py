@@ -27,8 +27,6 @@ free to slide, but cannot rotate.
 Run it by `python demos/roller.py`; it draws pictures into `results/`.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI

@@ -20,8 +20,6 @@ Run it by `python demos/scikit_fem_rollers.py`; it writes a report and a picture
 It needs scikit-fem, and no dolfinx. All units are SI.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import matplotlib

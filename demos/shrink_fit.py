@@ -27,8 +27,6 @@ Run it by `python demos/shrink_fit.py`, or on several processes by
 from `meshes/shrink_fit.py`. All units are SI.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI

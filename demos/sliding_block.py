@@ -12,13 +12,9 @@ a straight line, whether there is a bump or not. With the option `non_penetratio
 solver measures normals and gaps on the deformed surfaces, pairs the nodes anew, and solves again,
 until no node penetrates and each contact force acts at a closed gap.
 
-Two properties of H are known:
-
-- The bump is symmetric, so H is antisymmetric about its top.
-- Without friction no energy is lost: the work of H over the whole bump is zero.
-
-For rigid bodies H would be the load times the slope of the path of the block. Elastic bodies differ
-little from that, since the contact area is narrow.
+The bump is symmetric, so H is antisymmetric about its top. Without friction no energy is lost: the
+work of H over the whole bump is zero. For rigid bodies H would be the load times the slope of the
+path of the block; elastic bodies differ little, since the contact area is narrow.
 
 This demo illustrates how to
 
@@ -31,8 +27,6 @@ Run it by `python demos/sliding_block.py`, or on several processes by
 `meshes/sliding_block.py`. All units are SI, forces are per metre of depth.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI
@@ -43,13 +37,8 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import Along, ContactPair, ContactProblem
-from fenics_tfeti.io import (
-    displacement_space,
-    draw_deformed,
-    draw_profile,
-    read_msh,
-    von_mises,
-)
+from fenics_tfeti.io import displacement_space, draw_deformed, draw_profile, read_msh, von_mises
+from fenics_tfeti.models import isotropic
 
 here = Path(__file__).parent
 results = Path("results")
@@ -67,38 +56,23 @@ steps = np.linspace(0, -2 * start, 23)
 
 bodies = read_msh(here.parent / "meshes" / "sliding_block.msh", comm, gdim=2)
 mesh, facet_tags, tags = bodies.mesh, bodies.facet_tags, bodies.names
-mu = fem.Constant(mesh, E / (2 * (1 + nu)))
-lmbda = fem.Constant(mesh, E * nu / ((1 + nu) * (1 - 2 * nu)))
+sigma = isotropic(E, nu)
 load = fem.Constant(mesh, -pressure)
 shift, zero = fem.Constant(mesh, 0.0), fem.Constant(mesh, 0.0)
-
-
-def epsilon(u):
-    """Return the small strain."""
-    return ufl.sym(ufl.grad(u))
-
-
-def sigma(u):
-    """Return the stress [Pa]."""
-    return lmbda * ufl.tr(epsilon(u)) * ufl.Identity(2) + 2 * mu * epsilon(u)
 
 
 V = displacement_space(mesh)
 u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
 ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
-a = ufl.inner(sigma(u), epsilon(v)) * ufl.dx
+a = ufl.inner(sigma(u), ufl.grad(v)) * ufl.dx
 L = load * v[1] * ds(tags["top"])
 
 # The base is fixed at its bottom. The horizontal displacement is prescribed on the top of the block
 # and on the upper part of its sides.
 
 bcs = []
-for name, component, value in (
-    ("ground", 0, zero),
-    ("ground", 1, zero),
-    ("top", 0, shift),
-    ("guide", 0, shift),
-):
+prescribed = ("ground", 0, zero), ("ground", 1, zero), ("top", 0, shift), ("guide", 0, shift)
+for name, component, value in prescribed:
     Vi = V.sub(component)
     dofs = fem.locate_dofs_topological(Vi, 1, facet_tags.find(tags[name]))
     bcs.append(fem.dirichletbc(value, dofs, Vi))
@@ -115,9 +89,9 @@ exact = {
 }
 problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], options=exact)
 
-# A single geometry pass gives the linearised solution, for comparison.
+# For comparison, a problem whose only geometry pass gives the linearised solution.
 
-linearised = {**exact, "non_penetration_max_it": 1, "error_if_not_converged": False}
+once = {**exact, "non_penetration_max_it": 1, "error_if_not_converged": False}
 
 
 def tell(line):
@@ -135,27 +109,25 @@ drawn = {0: "start", 7: "up", 11: "top", 15: "down"}
 H, F = [], []
 
 
-def error(one):
+def error(geometry_pass):
     """Return the largest penetration of a node, or gap at a node with a contact force [mm]."""
-    return 1e3 * max(one.penetration, one.separation)
+    return 1e3 * max(geometry_pass.penetration, geometry_pass.separation)
 
 
-table = ["position   H [N/m]  F [N/m]  products  linearised  penetration or gap of each pass [mm]"]
 for step, s in enumerate(steps):
     shift.value = s
     uh = problem.solve()
-    found = problem.results[0].gather()
-    push = found.normal_force @ found.normal
+    nodes = problem.results[0].gather()
+    push = nodes.normal_force @ nodes.normal
     H.append(push[0])
     F.append(-push[1])
 
-    other = ContactProblem(a, L, bcs=bcs, contacts=[contact], options=linearised)
-    other.solve()
+    linearised = ContactProblem(a, L, bcs=bcs, contacts=[contact], options=once)
+    linearised.solve()
     passes = problem.report.passes
-    table.append(
-        f"{s + start:+8.3f} {H[-1]:9.1f} {F[-1]:8.1f} {sum(one.products for one in passes):9d}"
-        f" {error(other.report.passes[0]):11.3f}  "
-        + " ".join(f"{error(one):.4f}" for one in passes)
+    tell(
+        f"at {s + start:+.3f} m: H = {H[-1]:7.1f} N/m, {len(passes)} passes; penetration or gap "
+        f"{error(passes[-1]):.4f} mm, linearised {error(linearised.report.passes[0]):.1f} mm"
     )
     if step in drawn:
         draw_deformed(
@@ -184,13 +156,10 @@ rigid = pressure * width * np.gradient(rise, fine)
 top = len(H) // 2
 rigid_work = pressure * width * height
 parts = 0.5 * (H[1:] + H[:-1]) * np.diff(position)
-tell("\n".join(table))
-tell(f"largest force              {np.abs(H).max():9.1f} N/m  rigid {np.abs(rigid).max():.1f}")
-tell(f"force at the top           {H[top]:9.1f} N/m")
-tell(f"force on the flats         {np.abs(H[[0, 1, -2, -1]]).max():9.1f} N/m")
-tell(f"largest H(-x) + H(x)       {np.abs(H + H[::-1]).max():9.1f} N/m")
-tell(f"work up to the top         {parts[:top].sum():9.1f} J/m  rigid {rigid_work:.1f}")
-tell(f"work over the whole bump   {parts.sum():9.1f} J/m")
+asymmetry = np.abs(H + H[::-1]).max()
+tell(f"largest force {np.abs(H).max():.1f} N/m, of rigid bodies {np.abs(rigid).max():.1f} N/m")
+tell(f"work up to the top {parts[:top].sum():.1f} J/m, of rigid bodies {rigid_work:.1f} J/m")
+tell(f"work over the whole bump {parts.sum():.1f} J/m; largest H(-x) + H(x) {asymmetry:.1f} N/m")
 
 draw_profile(
     results / "sliding_block_force.png",

@@ -21,8 +21,6 @@ Run it by `python demos/stack_of_blocks.py`, or on several processes by
 `mpirun -n 2 python demos/stack_of_blocks.py`; it draws a picture into `results/`.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI

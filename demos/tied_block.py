@@ -27,8 +27,6 @@ Run it by `python demos/tied_block.py`, or on several processes by
 from `meshes/tied_block.py`. All units are SI.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI

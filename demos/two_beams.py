@@ -17,8 +17,6 @@ Run it by `python demos/two_beams.py`, or on several processes by
 `mpirun -n 2 python demos/two_beams.py`; it writes pictures and fields into `results/`.
 """
 
-from __future__ import annotations
-
 import logging
 import sys
 from pathlib import Path

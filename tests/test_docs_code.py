@@ -245,7 +245,7 @@ def test_axisymmetry(folder):
     V = displacement_space(body.mesh)
     on_axis = fem.locate_dofs_topological(V.sub(0), 1, tags.find(AXIS))
     given = {name: getattr(fenics_tfeti, name) for name in fenics_tfeti.__all__}
-    given |= {"ufl": ufl, "mesh": body.mesh, "lmbda": 1.0, "mu": 1.0, "facet_tags": tags}
+    given |= {"ufl": ufl, "mesh": body.mesh, "E": 2.5, "nu": 0.25, "facet_tags": tags}
     given |= {"u": ufl.TrialFunction(V), "v": ufl.TestFunction(V), "top": TOP, "bottom": BOTTOM}
     given |= {"traction": fem.Constant(body.mesh, -1e-3)}
     given |= {"ds": ufl.Measure("ds", domain=body.mesh, subdomain_data=tags)}

@@ -15,7 +15,7 @@ from fenics_tfeti.fem.io.scene import Scene
 
 _STYLE = Path(__file__).with_name("page.css")
 _UNITS = {"displacement": "m", "contact_pressure": "Pa", "von_mises_stress": "Pa"}
-_MAGNIFICATIONS = np.linspace(0.0, 2.0, 9)  # relative to that which makes displacements visible
+_MAGNIFICATIONS = np.linspace(0.0, 2.0, 5)  # relative to that which makes displacements visible
 
 
 def report_page(report: Mapping[str, Any], title: str, scene: Scene | None = None) -> str:
