@@ -83,8 +83,8 @@ class ContactPair:
         forms of a thin sheet. By default 1. Mortar conditions integrate with it, linearly
         interpolated between the nodes of a facet.
     friction : Tresca or Coulomb, optional
-        The law of friction; by default there is none. In load steps slip is counted from the end of
-        the last solve.
+        The law of friction; by default there is none. In load steps slip is counted from the last
+        step that `ContactProblem.advance` has accepted.
     """
 
     facet_tags: Any
