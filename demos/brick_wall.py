@@ -132,7 +132,8 @@ moved, limit = [], None
 for push in (0.0, 0.1, 0.2, 0.25, 0.3, 0.33, 0.36, 0.4):
     traction.value[0] = push * pressure
     try:
-        solution = problem.solve()
+        solution = problem.solve().copy()
+        problem.advance()
     except UnresistedMotion as error:
         limit = push
         if mesh.comm.rank == 0:

@@ -98,6 +98,7 @@ curves, sticking = {}, []
 for push, style in ((0.0, ""), (8e-6, "o"), (16e-6, "s"), (24e-6, "^")):
     move.value[:] = push, -60e-6
     problem.solve()
+    problem.advance()
     contact = problem.results[0].gather()
     x, p, q = contact.coordinates[:, 0], contact.pressure, -contact.friction.traction[:, 0]
     inner = p > 0.3 * p.max()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import ufl
 from dolfinx.fem import Function
 
-from fenics_tfeti.continuation import Step, read_step, write_step
+from fenics_tfeti.checkpoint import Step, read_step, write_step
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import (
@@ -156,7 +156,7 @@ class ContactProblem:
         self._search = ContactSearch(self.space, self._bodies, measure_weight, self._timer)
         origin = SlipOrigin.undeformed(self.space, len(self._touching()))
         self._step = Step(origin.displacement, np.zeros((0, 0)), origin)
-        self._is_restored = self._has_warned = False
+        self._is_restored = self._is_solved = self._has_warned = False
         self._deformed: ContactSet | None = None  # after the last pass
         self._solved: SolvedContacts | None = None
         self._solver: TornSolver | None = None
@@ -191,8 +191,8 @@ class ContactProblem:
         forces. Changed data of `a` and moved nodes (``mesh.geometry.x``) are noticed too, and cost
         a new assembly and factorisation.
 
-        With friction each solve that converges is a load step: the next one counts slip from its
-        end. `reset_slip` and moved nodes make the undeformed state the origin again.
+        A repeated solve gives the same answer. With friction slip is counted from the last step
+        that `advance` has accepted; moved nodes make the undeformed state the origin again.
 
         Parameters
         ----------
@@ -209,7 +209,8 @@ class ContactProblem:
             ``monitor`` prints them.
         checkpoint : path-like, optional
             File to write or replace at the end of the solve and of each pass with exact
-            non-penetration, and after an interruption, see `restore`.
+            non-penetration, and after an interruption: `restore` goes on with this solve. `save`
+            is for steps that were accepted.
 
         Returns
         -------
@@ -244,14 +245,11 @@ class ContactProblem:
                 raise
             finally:
                 self._timer.restart()
+            self._is_solved = True
             if not self._has_warned:
                 energy = [body.energy_norm**2 for body in self.report.certificate.bodies]
                 self._has_warned = warn_of_large_gradients(uh, self._bodies, energy)
-            step = replace(self._step, solves=self._step.solves + 1, passes=())
-            if self.report.converged:
-                displacements = self._undeformed.obstacle_displacements()
-                step = replace(step, origin=SlipOrigin(step.displacement, displacements))
-            self._step = step
+            self._step = replace(self._step, passes=())
             self._save(checkpoint)
             try:
                 interruption.check(self.space.mesh.comm)
@@ -261,29 +259,66 @@ class ContactProblem:
             print(self.report, flush=True)
         return uh
 
+    def advance(self) -> None:
+        """Accept the last solve as a load step: friction counts slip from its end.
+
+        Raises
+        ------
+        InputError
+            If nothing was solved since the last step.
+
+        Examples
+        --------
+        >>> for load.value in loads:  # doctest: +SKIP
+        ...     problem.solve()
+        ...     problem.advance()
+        """
+        if not self._is_solved:
+            raise InputError("there is no step to accept; call solve() before advance()")
+        displacements = self._undeformed.obstacle_displacements()
+        origin = SlipOrigin(self._step.displacement, displacements)
+        self._step = replace(self._step, origin=origin, number=self._step.number + 1)
+        self._is_solved = False
+
     def reset_slip(self) -> None:
         """Count slip from the undeformed state in the next solve, as in the first one."""
         origin = SlipOrigin.undeformed(self.space, len(self._touching()))
         self._step = replace(self._step, origin=origin)
 
-    def restore(self, checkpoint: str | os.PathLike[str]) -> int:
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a checkpoint for `restore`, or leave an old one as it is. Collective.
+
+        It has the displacement, the contact forces at the nodes, from where slip is counted, and
+        the number of steps that were accepted.
+
+        Raises
+        ------
+        InputError
+            If nothing was solved.
+        OSError
+            On all ranks, if rank 0 cannot write the file.
+        """
+        if self._solved is None:
+            raise InputError("there is nothing to save; call solve() first")
+        self._save(path)
+
+    def restore(self, path: str | os.PathLike[str]) -> int:
         """Go on from a checkpoint that an earlier run of the same problem has written. Collective.
 
         The next solve starts from the saved contact forces and, with exact non-penetration, from
-        the saved pass. A checkpoint changes where iterations start, not what they end with: loads,
-        prescribed values, obstacles and materials are those that the problem has now.
+        the saved pass. A checkpoint changes where iterations start and from where slip is counted,
+        no more: loads, supports, obstacles and materials are those that the problem has now.
 
         Parameters
         ----------
-        checkpoint : path-like
-            The file. A run on as many ranks, whose mesh dolfinx distributes alike, starts from
-            all multipliers, any other one from the contact forces. The cells of the mesh have to
-            be given in the same order.
+        path : path-like
+            A file of `save` or ``solve(checkpoint=...)``, of a run on any number of ranks. The
+            cells of the mesh have to be given in the same order.
 
         Returns
         -------
         int
-            How many calls of `solve` were finished: the load step to go on with.
+            How many steps `advance` has accepted: the load step to go on with.
 
         Raises
         ------
@@ -299,20 +334,22 @@ class ContactProblem:
         >>> for step in range(begin, len(loads)):  # doctest: +SKIP
         ...     load.value = loads[step]
         ...     uh = problem.solve(checkpoint=file)
+        ...     problem.advance()
+        ...     problem.save(file)
         """
         if self._solver is not None:
             raise InputError("a checkpoint is for a problem that was not solved yet")
         nodes = OwnedNodes.from_space(self.space, self._input_numbers)
-        self._step = read_step(checkpoint, self.system, nodes, len(self._touching()))
+        self._step = read_step(path, self.space.mesh.comm, nodes, self._touching_names())
         self._is_restored = True
-        return self._step.solves
+        return self._step.number
 
     def _save(self, checkpoint: str | os.PathLike[str] | None) -> None:
         """Write the checkpoint, if there is to be one."""
-        if checkpoint is not None and self._solver is not None:
+        if checkpoint is not None:
             nodes = OwnedNodes.from_space(self.space, self._input_numbers)
-            step = replace(self._step, state=self._solver.state)
-            write_step(checkpoint, self.system, nodes, step)
+            comm, names = self.space.mesh.comm, self._touching_names()
+            write_step(checkpoint, comm, nodes, names, self._step)
 
     @cached_property
     def _input_numbers(self) -> NDArray[np.int64] | None:
@@ -323,6 +360,9 @@ class ContactProblem:
     def _touching(self) -> list[Contact]:
         """Return the contacts without tied pairs."""
         return [contact for contact in self.contacts if not isinstance(contact, TiedPair)]
+
+    def _touching_names(self) -> list[str]:
+        return [pairing.name for pairing in self._undeformed.pairings]
 
     def _find_contacts(self) -> ContactSet:
         return self._search.find(self.contacts, prescribed_values(self.space, self.bcs))
@@ -395,6 +435,7 @@ class ContactProblem:
         monitor: MonitorFunction | None,
         checkpoint: str | os.PathLike[str] | None,
     ) -> Function:
+        self._is_solved = False
         # also at first: values may have changed since the problem was set up
         self._refresh()
         if coarse is not None:
@@ -412,8 +453,8 @@ class ContactProblem:
         friction = conditions.friction_rows(self._step.origin)
         system = replace(self.system, contacts=conditions.rows(), friction=friction)
         guess = self._guess(coarse, conditions)
-        solver, start = self.options.solver, self._step.state
-        self._solver = TornSolver(system, solver, self._timer, self._solver, guess, start)
+        options = self.options.solver
+        self._solver = TornSolver(system, options, self._timer, self._solver, guess)
         self._is_restored = False
         try:
             solution = self._solver.solve(monitor)
@@ -426,12 +467,11 @@ class ContactProblem:
         return self._store_results(solution, conditions)
 
     def _guess(self, coarse: ContactProblem | None, conditions: ContactSet) -> ContactGuess | None:
-        """Return the contact of a coarse problem, or that of a checkpoint of other subdomains."""
+        """Return the contact of a coarse problem, or that of a checkpoint."""
         if coarse is not None and coarse._solved is not None:
             with self._timer.phase("coarse contact"):
                 return expected_contact(coarse._solved.gathered(), conditions.pairings)
-        has_state = self._step.state is not None
-        if not self._is_restored or has_state or self.options.solver.method != "active_set":
+        if not self._is_restored or self.options.solver.method != "active_set":
             return None
         first_node = self.space.dofmap.index_map.local_range[0]
         return self._step.guess(conditions.pairings, first_node)

@@ -20,16 +20,18 @@ from fenics_tfeti.typing import Numbers
 class OwnedNodes:
     """The n nodes that this rank owns."""
 
-    first: int  # global number of the first one
+    total: int  # the number of nodes over all ranks
     coordinates: NDArray[np.float64]  # (n, gdim) [m]
-    numbers: Numbers | None  # see `input_numbers`
+    numbers: Numbers  # see `input_numbers`; of a mesh without input their global numbers
 
     @staticmethod
     def from_space(space: FunctionSpace, numbers: Numbers | None) -> OwnedNodes:
         """Return the nodes of a space, where they are now, with their numbers."""
-        first, end = space.dofmap.index_map.local_range
+        index_map = space.dofmap.index_map
+        first, end = index_map.local_range
         x = space.tabulate_dof_coordinates()[: end - first, : space.mesh.geometry.dim]
-        return OwnedNodes(first, x, numbers)
+        numbers = np.arange(first, end) if numbers is None else numbers
+        return OwnedNodes(index_map.size_global, x, numbers)
 
 
 def input_numbers(space: FunctionSpace) -> Numbers | None:

@@ -7,7 +7,6 @@ A researcher with K_i, f_i and node numbers from any code fills a `TornSystem` a
 from fenics_tfeti.feti.checks.system import check_system
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep
 from fenics_tfeti.feti.files.checkpoint import (
-    Checkpoint,
     SavedState,
     load_checkpoint,
     save_checkpoint,
@@ -33,7 +32,6 @@ from fenics_tfeti.feti.timer import Timer
 __all__ = [
     "ActiveSetStep",
     "Certificate",
-    "Checkpoint",
     "ContactForces",
     "ContactGuess",
     "ContactRows",

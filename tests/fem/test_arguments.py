@@ -92,7 +92,7 @@ def test_function_is_filled_by_each_solve():
     first = u.x.array.copy()
     assert first.any()
     u.x.array[:] = 7.0
-    assert problem.solve() is u
+    assert problem.solve() is problem.u is u
     np.testing.assert_allclose(u.x.array, first, atol=1e-9 * np.abs(first).max())
     new = scene.problem().solve()
     assert new is not u and new.name == "displacement"

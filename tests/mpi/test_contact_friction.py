@@ -28,6 +28,7 @@ def steps(case, comm, law):
     for part in (1.0, 0.5):
         scene.traction.value[0] = 0.03 * part
         scene.problem.solve()
+        scene.problem.advance()
         contact = scene.problem.results[0].gather()
         order = np.lexsort(np.round(contact.coordinates, 9).T)
         friction = contact.friction

@@ -84,7 +84,8 @@ def test_nodes_are_joined_alike():
 def test_contact_after_the_split(cell):
     parts = split_interfaces(block(cell, halves, COMM), [Interface(1, 2, 5, 6)])
     contact = ContactPair(parts.facet_tags, 5, 6)
-    problem = ContactProblem(*elasticity(parts, 1e-3), [contact], options={"rtol": 1e-10})
+    a, L, bcs = elasticity(parts, 1e-3)
+    problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], options={"rtol": 1e-10})
     problem.solve()
     assert problem.results[0].gather().pressure == pytest.approx(1e-3, rel=1e-8)
 

@@ -69,10 +69,10 @@ def test_roles_are_those_of_one_rank(roles):
     """The fine upper surface, given as slave, has the larger E / h."""
     blocks, pair = Blocks("quadrilateral", 4, 24), {"roles": roles}
     problems = [uneven(blocks, comm, UPPER, pair) for comm in (COMM, MPI.COMM_SELF)]
-    found, alone = (problem.report.contacts[0].pairing for problem in problems)
-    assert found["roles"] == alone["roles"]
-    assert ("are exchanged" in found["roles"]) == (roles == "auto")
-    assert found["slave"] == alone["slave"] == (LOWER if roles == "auto" else UPPER)
+    found, alone = (problem.report.contacts[0] for problem in problems)
+    assert found.roles == alone.roles
+    assert ("are exchanged" in found.roles) == (roles == "auto")
+    assert found.pairing["slave"] == alone.pairing["slave"] == (LOWER if roles == "auto" else UPPER)
     sides = [problem.report.contacts[0].force for problem in problems]
     np.testing.assert_allclose(*sides, rtol=1e-5, atol=1e-6 * np.abs(sides).max())
     assert sides[0][1] > 0.0

@@ -73,6 +73,8 @@ def run(mesh, checkpoint: Path, dies_in: tuple[int, int] | None = None):
     for step in range(begin, len(HEIGHTS)):
         disc.height = HEIGHTS[step]
         uh = problem.solve(monitor=die, checkpoint=checkpoint)
+        problem.advance()
+        problem.save(checkpoint)
         reports.append(step)
         size = comm.allreduce(float(np.abs(uh.x.array).max(initial=0.0)), MPI.MAX)
         report = problem.report

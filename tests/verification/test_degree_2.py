@@ -42,7 +42,7 @@ def two_blocks(cell, lower, upper):
 def joined(kind, tags, slave, d):
     """Return what holds the upper block on the lower one, or the lower one on the ground."""
     if kind == "tied":
-        return {"tied": TiedPair(tags, slave, LOWER + UPPER - slave)}
+        return {"contacts": TiedPair(tags, slave, LOWER + UPPER - slave)}
     pair = ContactPair(tags, slave, LOWER + UPPER - slave)
     if kind == "contact":
         return {"contacts": pair}
@@ -80,6 +80,12 @@ def test_blocks_under_their_own_weight(cell, kind, slave):
     assert np.abs(uh[:, : d - 1]).max() < 1e-10 * np.abs(exact).max()
     pressures = [load + weight * (1.0 - HALF), load + weight]
     for contact, pressure in zip(problem.results, pressures, strict=False):
+        if kind == "tied":
+            pushed = [*[0.0] * (d - 1), pressure if slave == UPPER else -pressure]
+            traction = np.broadcast_to(pushed, contact.traction.shape)
+            np.testing.assert_allclose(contact.traction, traction, atol=1e-7 * pressure)
+            assert contact.area.sum() == pytest.approx(1.0)
+            continue
         np.testing.assert_allclose(contact.pressure, pressure, rtol=1e-8)
         assert contact.area.sum() == pytest.approx(1.0)
 

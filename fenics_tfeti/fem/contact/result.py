@@ -92,11 +92,11 @@ class FrictionResult:
         Slip bound: the force at which the node slips [N].
     slip : (k, gdim) array
         Tangential displacement of the slave relative to the master or obstacle since the last
-        solve, in the direction opposite to the force [m]; zero where it sticks.
+        step, in the direction opposite to the force [m]; zero where it sticks.
     sticking : (k,) bool array
         Whether the force is below its bound.
     work : (k,) array
-        Work that friction dissipates since the last solve: force times slip [J].
+        Work that friction dissipates since the last step: force times slip [J].
     """
 
     force: Vector

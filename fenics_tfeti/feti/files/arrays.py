@@ -114,11 +114,6 @@ class ArrayFile:
         array = self._read(name) if name in self.names else np.zeros(0)
         return [] if array.size == 0 else self.read(name, "strings", (None,)).tolist()
 
-    def read_all(self, prefix: str) -> dict[str, Array]:
-        """Return all arrays under a prefix, by the rest of their names; of any kind and shape."""
-        names = sorted(name for name in self.names if name.startswith(prefix))
-        return {name.removeprefix(prefix): self._read(name) for name in names}
-
     def _read(self, name: str) -> Array:
         # the check sum is that of all bytes, so they are read before they are interpreted
         with _damaged(self.path, name):

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -20,16 +18,12 @@ import numpy as np
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.iterate import Iterate
-from fenics_tfeti.feti.files.arrays import ArrayFile, open_arrays, write_arrays
+from fenics_tfeti.feti.files.arrays import open_arrays, write_arrays
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Array, Numbers, Vector
+from fenics_tfeti.typing import Numbers, Vector
 
-_FORMAT = "fenics_tfeti checkpoint 2"
-
-
-class OtherSystem(InputError):
-    """A checkpoint of another system: other ranks, subdomains, supports or contacts."""
+_FORMAT = "fenics_tfeti checkpoint 3"
 
 
 @dataclass(frozen=True)
@@ -74,25 +68,6 @@ class SavedState:
         return Iterate(self.multipliers.copy())
 
 
-@dataclass(frozen=True)
-class Checkpoint:
-    """The part of a checkpoint that belongs to this rank.
-
-    Attributes
-    ----------
-    state : SavedState
-        Where the iterations start.
-    own : dict
-        Further arrays of this rank, by name.
-    common : dict
-        Further arrays of all ranks together, by name.
-    """
-
-    state: SavedState
-    own: dict[str, Array]
-    common: dict[str, Array]
-
-
 def fingerprint(system: TornSystem) -> dict[str, str]:
     """Return what a checkpoint has to agree in with a problem, as check sums. Collective.
 
@@ -128,13 +103,7 @@ def _check_sum(parts: list[Any]) -> str:
     return digest.hexdigest()
 
 
-def save_checkpoint(
-    path: str | os.PathLike[str],
-    system: TornSystem,
-    state: SavedState,
-    own: Mapping[str, Array] | None = None,
-    common: Mapping[str, Array] | None = None,
-) -> None:
+def save_checkpoint(path: str | os.PathLike[str], system: TornSystem, state: SavedState) -> None:
     """Write a checkpoint, or leave the old one as it is. Collective; rank 0 writes.
 
     Parameters
@@ -145,8 +114,6 @@ def save_checkpoint(
         The problem.
     state : SavedState
         Where a later run starts.
-    own, common : mapping, optional
-        Further arrays of each rank, and of all ranks together.
 
     Raises
     ------
@@ -154,30 +121,17 @@ def save_checkpoint(
         On all ranks, if rank 0 cannot write the file.
     """
     comm, sums = system.comm, fingerprint(system)
-    arrays_of_rank = {
-        **vars(state),
-        **{f"own/{name}": array for name, array in (own or {}).items()},
-    }
-    parts = comm.gather(arrays_of_rank)
+    parts = comm.gather(vars(state))
     with raise_collectively(comm):
         if parts is not None:
             arrays = {"ranks": np.array(comm.size)}
             arrays |= {f"fingerprint/{name}": np.array(text) for name, text in sums.items()}
-            arrays |= {f"common/{name}": array for name, array in (common or {}).items()}
             for rank, part in enumerate(parts):
                 arrays |= {f"{rank}/{name}": array for name, array in part.items()}
             write_arrays(path, "the checkpoint", _FORMAT, arrays)
 
 
-def open_checkpoint(path: str | os.PathLike[str]) -> AbstractContextManager[ArrayFile]:
-    """Open a checkpoint for reading; errors as those of `open_arrays`.
-
-    Its further arrays have the names ``own/...`` under the number of each rank, ``common/...``.
-    """
-    return open_arrays(path, _FORMAT)
-
-
-def load_checkpoint(path: str | os.PathLike[str], system: TornSystem) -> Checkpoint:
+def load_checkpoint(path: str | os.PathLike[str], system: TornSystem) -> SavedState:
     """Read the part of this rank from a checkpoint. Collective.
 
     Parameters
@@ -189,35 +143,30 @@ def load_checkpoint(path: str | os.PathLike[str], system: TornSystem) -> Checkpo
 
     Raises
     ------
-    OtherSystem
-        On all ranks, if it is that of another problem, or of another distribution of its mesh.
     InputError
-        On all ranks, if the file is no checkpoint, or damaged.
+        On all ranks, if the file is no checkpoint, damaged, or that of another problem or of
+        another distribution of its mesh.
     OSError
         On all ranks, if the file cannot be read.
     """
     comm, sums = system.comm, fingerprint(system)
-    checkpoint: Checkpoint | None = None
-    with raise_collectively(comm), open_checkpoint(path) as file:
+    with raise_collectively(comm), open_arrays(path, _FORMAT) as file:
         ranks = file.integer("ranks")
         if ranks != comm.size:
-            raise OtherSystem(
+            raise InputError(
                 f"{path}: the checkpoint is of a run on {ranks} ranks, this one has {comm.size}. "
                 "Continue on as many ranks, or start anew"
             )
         for name, text in sums.items():
             if str(file.read(f"fingerprint/{name}", "strings", ())) != text:
-                raise OtherSystem(
+                raise InputError(
                     f"{path}: the checkpoint is that of another problem, or of another "
                     f"distribution of its mesh: the {name} differ"
                 )
         prefix = f"{comm.rank}/"
         kinds = {f.name: "integers" for f in fields(SavedState)} | {"multipliers": "numbers"}
-        state = {name: file.read(prefix + name, kind, (None,)) for name, kind in kinds.items()}
-        if state["multipliers"].size != state["numbers"].size:
+        arrays = {name: file.read(prefix + name, kind, (None,)) for name, kind in kinds.items()}
+        if arrays["multipliers"].size != arrays["numbers"].size:
             raise InputError(f"{path}: the multipliers and the numbers of their rows do not fit")
-        checkpoint = Checkpoint(
-            SavedState(**state), file.read_all(f"{prefix}own/"), file.read_all("common/")
-        )
-    assert checkpoint is not None
-    return checkpoint
+        state = SavedState(**arrays)
+    return state

@@ -139,10 +139,9 @@ def test_interior_facets_are_named_with_place_and_remedy(kind):
     whole = block("triangle", halves, tagged=middle)
     a, L, bcs = elasticity(whole, 1.0)
     pairs = [kind(whole.facet_tags, 9, 7, name="joint")]
-    given = {"contacts": pairs} if kind is ContactPair else {"tied": pairs}
     message = r"slave of joint: 4 of the 4 .* around \(0.5, 0.125\).*split_interfaces"
     with pytest.raises(InputError, match=message):
-        ContactProblem(a, L, bcs=bcs, **given).solve()
+        ContactProblem(a, L, bcs=bcs, contacts=pairs).solve()
 
 
 @pytest.mark.parametrize("kind", [ContactPair, TiedPair])
@@ -151,19 +150,18 @@ def test_shared_nodes_are_named_with_place_and_remedy(kind):
     parts = split_interfaces(before, [Interface(1, 2, 5, 6, facets=9)])
     a, L, bcs = elasticity(parts, 1.0)
     pairs = [kind(parts.facet_tags, 5, 6, name="joint")]
-    given = {"contacts": pairs} if kind is ContactPair else {"tied": pairs}
     message = r"joint: slave and master share 1 nodes, the first at \(0.5, 0.5\).*split_interfaces"
     with pytest.raises(InputError, match=message):
-        ContactProblem(a, L, bcs=bcs, cell_tags=parts.cell_tags, **given).solve()
+        ContactProblem(a, L, bcs=bcs, contacts=pairs, cell_tags=parts.cell_tags).solve()
 
 
 @pytest.mark.parametrize("kind", [ContactPair, TiedPair])
 def test_one_tag_for_both_surfaces_is_an_error_with_the_remedy(kind):
     whole = block("triangle", halves, tagged=middle)
     a, L, bcs = elasticity(whole, 1.0)
-    given = {"contacts" if kind is ContactPair else "tied": [kind(whole.facet_tags, 9, 9, "joint")]}
+    pairs = [kind(whole.facet_tags, 9, 9, "joint")]
     with pytest.raises(InputError, match="joint: slave and master have the same tag 9; each"):
-        ContactProblem(a, L, bcs=bcs, **given).solve()
+        ContactProblem(a, L, bcs=bcs, contacts=pairs).solve()
 
 
 # -- meshes of Gmsh ----------------------------------------------------------------------------

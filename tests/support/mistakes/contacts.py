@@ -193,7 +193,7 @@ def facet_tags_that_are_an_array(comm):
     scene.problem(contacts=[ContactPair(np.zeros(3), slave=SLAVE, master=MASTER)])
 
 
-@mistake("contact 0", "tuple", "ContactPair or a RigidObstacle")
+@mistake("contact 0", "tuple", "ContactPair, a RigidObstacle or a TiedPair")
 def contact_of_a_wrong_type(comm):
     beams(comm).problem(contacts=[(SLAVE, MASTER)])
 

@@ -1,0 +1,155 @@
+"""The checkpoint of a contact problem: a load step at the nodes, by their numbers in the input.
+
+Any number of ranks may read it, whatever subdomains they have.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, fields, replace
+
+from mpi4py import MPI
+
+import numpy as np
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.contact import ContactPairing
+from fenics_tfeti.fem.contact.deformed import GeometryPass
+from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.input_numbers import OwnedNodes
+from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
+from fenics_tfeti.feti import ContactGuess
+from fenics_tfeti.feti.files.arrays import ArrayFile, open_arrays, write_arrays
+from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.typing import Array, Numbers, Vector
+
+_FORMAT = "fenics_tfeti step 1"
+
+
+@dataclass(frozen=True)
+class Step:
+    """A load step as far as it was solved: where later solves start, saved and restored."""
+
+    displacement: Vector  # the last one, at owned degrees of freedom [m]
+    force: Vector  # (contacts, nodes), the last normal forces at owned nodes [N]
+    origin: SlipOrigin  # from where friction counts slip
+    number: int = 0  # of accepted steps
+    passes: Sequence[GeometryPass] = ()  # finished passes of a solve that was not
+
+    def guess(self, pairings: Sequence[ContactPairing], first_node: int) -> ContactGuess:
+        """Return the last forces, as those of closed gaps, at the conditions of this rank."""
+        forces = [np.zeros(0)]
+        forces += [
+            nodal[pairing.slave - first_node]
+            for nodal, pairing in zip(self.force, pairings, strict=True)
+        ]
+        force = np.concatenate(forces)
+        return ContactGuess(force, np.where(force > 0.0, 0.0, np.inf))
+
+
+def write_step(
+    path: str | os.PathLike[str],
+    comm: MPI.Intracomm,
+    nodes: OwnedNodes,
+    contacts: Sequence[str],
+    step: Step,
+) -> None:
+    """Write a checkpoint, or leave the old one as it is. Collective; rank 0 writes.
+
+    `contacts` are the names of the contacts. If rank 0 cannot write the file, all ranks raise.
+    """
+    parts = comm.gather(_arrays(step, nodes))
+    with raise_collectively(comm):
+        if parts is not None:
+            arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+            order = np.argsort(arrays["numbers"])
+            nodal = ("numbers", "coordinates", "displacement", "slip_origin")
+            arrays |= {name: arrays[name][order] for name in nodal}
+            passes = np.array([astuple(p) for p in step.passes])
+            arrays |= {
+                "contacts": np.array(contacts, dtype=np.str_),
+                "number": np.array(step.number),
+                "passes": passes.reshape(-1, len(fields(GeometryPass))),
+            }
+            write_arrays(path, "the checkpoint", _FORMAT, arrays)
+
+
+def _arrays(step: Step, nodes: OwnedNodes) -> dict[str, Array]:
+    """Return this rank's part of a file: values at all nodes, and at some of each contact."""
+    n, gdim = nodes.coordinates.shape
+    obstacles = step.origin.obstacles.reshape(len(step.origin.obstacles), n, gdim)
+    pressed, displaced = np.nonzero(step.force), np.nonzero(obstacles.any(axis=2))
+    return {
+        "numbers": nodes.numbers,
+        "coordinates": nodes.coordinates,
+        "displacement": step.displacement.reshape(n, gdim),
+        "slip_origin": step.origin.displacement.reshape(n, gdim),
+        "force": step.force[pressed],
+        "force_contact": pressed[0],
+        "force_node": nodes.numbers[pressed[1]],
+        "obstacle": obstacles[displaced],
+        "obstacle_contact": displaced[0],
+        "obstacle_node": nodes.numbers[displaced[1]],
+    }
+
+
+def read_step(
+    path: str | os.PathLike[str], comm: MPI.Intracomm, nodes: OwnedNodes, contacts: Sequence[str]
+) -> Step:
+    """Read the part of this rank from a checkpoint of the same mesh and contacts. Collective."""
+    with raise_collectively(comm), open_arrays(path, _FORMAT) as file:
+        step = _read(file, nodes, contacts)
+    return step
+
+
+def _read(file: ArrayFile, nodes: OwnedNodes, contacts: Sequence[str]) -> Step:
+    n, gdim = nodes.coordinates.shape
+    numbers = file.read("numbers", "integers", (None,))
+    rows = _positions(numbers, nodes.numbers)
+    if file.strings("contacts") != list(contacts):
+        raise _of_another_problem(file, "contacts")
+    if np.any(rows < 0) or numbers.size != nodes.total:
+        raise _of_another_problem(file, "nodes")
+
+    def nodal(name: str) -> Vector:
+        return file.read(name, "numbers", (numbers.size, gdim))[rows]
+
+    distance = np.abs(nodal("coordinates") - nodes.coordinates).max(initial=0.0)
+    if not distance <= RELATIVE_ROUNDING * np.abs(nodes.coordinates).max(initial=0.0):
+        raise _of_another_problem(file, "coordinates")
+    order = np.argsort(nodes.numbers)
+
+    def of_contacts(name: str, shape: tuple[int, ...]) -> Vector:
+        node = file.read(f"{name}_node", "integers", (None,))
+        contact = file.read(f"{name}_contact", "integers", (node.size,))
+        entries = file.read(name, "numbers", (node.size, *shape))
+        if np.any((contact < 0) | (contact >= len(contacts))):
+            raise InputError(f"{file.path}: the array '{name}_contact' has numbers of no contact")
+        values = np.zeros((len(contacts), n, *shape))
+        row = _positions(nodes.numbers[order], node)
+        values[contact[row >= 0], order[row[row >= 0]]] = entries[row >= 0]
+        return values
+
+    obstacles = of_contacts("obstacle", (gdim,)).reshape(len(contacts), n * gdim)
+    passes = file.read("passes", "numbers", (None, len(fields(GeometryPass)))).tolist()
+    finished = [GeometryPass(*row) for row in passes]
+    return Step(
+        nodal("displacement").ravel(),
+        of_contacts("force", ()),
+        SlipOrigin(nodal("slip_origin").ravel(), obstacles),
+        file.integer("number"),
+        [replace(entry, products=int(entry.products)) for entry in finished],
+    )
+
+
+def _of_another_problem(file: ArrayFile, name: str) -> InputError:
+    return InputError(f"{file.path}: the checkpoint is that of another problem: the {name} differ")
+
+
+def _positions(ascending: Numbers, values: Numbers) -> Numbers:
+    """Return the positions of values among ascending numbers, -1 for others."""
+    if ascending.size == 0:
+        return np.full(values.size, -1, dtype=np.int64)
+    position = np.minimum(np.searchsorted(ascending, values), ascending.size - 1)
+    return np.where(ascending[position] == values, position, -1)
