@@ -211,15 +211,23 @@ def at_most(comm: MPI.Intracomm, vectors: LocalVectors, most: int = _MOST) -> Lo
 
     Warns on all ranks if some are left out. Collective.
     """
-    excess = np.sort(concatenate_ranks(comm, vectors.excess))[::-1]
-    if excess.size <= most:
+    size = int(comm.allreduce(vectors.excess.size))
+    if size <= most:
         return vectors
     warnings.warn(
-        f"deflation: {excess.size} directions in which the dual operator is large, more than the "
+        f"deflation: {size} directions in which the dual operator is large, more than the "
         f"{most} that a dense matrix is made for; the others may cost many iterations. Larger "
         "subdomains (option 'subdomain_size') cut fewer stiff parts of the material",
         stacklevel=2,
     )
+    return largest(comm, vectors, most)
+
+
+def largest(comm: MPI.Intracomm, vectors: LocalVectors, most: int) -> LocalVectors:
+    """Return the vectors with the largest values of all ranks, `most` at most. Collective."""
+    excess = np.sort(concatenate_ranks(comm, vectors.excess))[::-1]
+    if excess.size <= most:
+        return vectors
     return vectors.chosen(vectors.excess > excess[most])
 
 
