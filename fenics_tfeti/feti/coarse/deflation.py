@@ -135,9 +135,9 @@ class Deflation:
         """
         interface = self.coarse_space.interface
         displacements = operator(interface.transposed @ x)
-        # the second time for what rounding leaves, which F multiplies: in a direction without
-        # curvature the residual has to be zero, or conjugate gradients diverge
-        for _ in range(2):
+        # the second time for what rounding leaves, which a large F multiplies: in a direction
+        # without curvature the residual has to be zero, or conjugate gradients diverge
+        for _ in range(2 if self.vectors.twice else 1):
             work = self._combined(self.pieces @ displacements)
             displacements = displacements - self._response(self._solve(work))
         part: Vector = interface.matrix @ displacements
@@ -211,23 +211,15 @@ def at_most(comm: MPI.Intracomm, vectors: LocalVectors, most: int = _MOST) -> Lo
 
     Warns on all ranks if some are left out. Collective.
     """
-    size = int(comm.allreduce(vectors.excess.size))
-    if size <= most:
+    excess = np.sort(concatenate_ranks(comm, vectors.excess))[::-1]
+    if excess.size <= most:
         return vectors
     warnings.warn(
-        f"deflation: {size} directions in which the dual operator is large, more than the "
+        f"deflation: {excess.size} directions in which the dual operator is large, more than the "
         f"{most} that a dense matrix is made for; the others may cost many iterations. Larger "
         "subdomains (option 'subdomain_size') cut fewer stiff parts of the material",
         stacklevel=2,
     )
-    return largest(comm, vectors, most)
-
-
-def largest(comm: MPI.Intracomm, vectors: LocalVectors, most: int) -> LocalVectors:
-    """Return the vectors with the largest values of all ranks, `most` at most. Collective."""
-    excess = np.sort(concatenate_ranks(comm, vectors.excess))[::-1]
-    if excess.size <= most:
-        return vectors
     return vectors.chosen(vectors.excess > excess[most])
 
 

@@ -83,6 +83,7 @@ class LocalVectors:
     values: list[Vector]  # (r,) each, of length 1, on these rows
     excess: Vector  # (k,): their eigenvalue relative to the threshold
     solves: int  # with K_s^+, for all vectors
+    twice: bool = True  # whether rounding makes it necessary to remove them twice; on all ranks
 
     def chosen(self, kept: Mask) -> LocalVectors:
         """Return some of the vectors."""
@@ -92,6 +93,7 @@ class LocalVectors:
             [self.values[i] for i in at],
             self.excess[at],
             self.solves,
+            self.twice,
         )
 
     def with_others(self, others: LocalVectors) -> LocalVectors:
@@ -101,6 +103,7 @@ class LocalVectors:
             self.values + others.values,
             np.append(self.excess, others.excess),
             self.solves + others.solves,
+            self.twice or others.twice,
         )
 
 

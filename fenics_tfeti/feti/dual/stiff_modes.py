@@ -7,9 +7,9 @@ Dirichlet preconditioner is as large, since B_D'r has such parts, while F is mod
 
 So theta is replaced by a moderate number in the preconditioner, which then is too small for forces
 that act on these modes: pressures. The one that matters most, the constant pressure in a subdomain,
-is deflated, and so are modes with theta so large that the cap leaves too little of them. With
-f = D v, deflating B D^{-1} f leaves f'D^{-1} B'r = o on the equality rows. Contact rows have bounds
-and cannot be deflated, but are few: for them the cap is enough.
+is deflated: with the force f of a dilatation, deflating B D^{-1} f leaves f'D^{-1} B'r = o on the
+equality rows. To deflate all large modes takes fewer products, but more time, and the modes of
+neighbours depend on each other so nearly that accuracy is lost.
 """
 
 from __future__ import annotations
@@ -25,15 +25,14 @@ from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.tolerances import ZERO
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Numbers, Vector
 
 Operator = Callable[[Vector], Vector]
 
 # the largest theta in the preconditioner: 30 to 100 take about as many products
 CAP = 50.0
-# ratio of theta and the cap from which on a mode is deflated; how many of a subdomain, and of all
-# subdomains: more make products dearer than they save
-DEFLATED, MOST, MOST_OF_ALL = 20.0, 15, 600
+# vectors of all subdomains that are deflated at most
+MOST = 600
 # columns of a block of the Lanczos method, products with it, and those after which a subdomain
 # without stiff modes is given up
 _BLOCK, _STEPS, _TRIAL = 10, 12, 3
@@ -95,13 +94,11 @@ class StiffModes:
 
         return apply
 
-    def deflated(self) -> tuple[Vector, Vector]:
-        """Return columns D^{-1/2} v (b, j) to be deflated, and theta; the dilatation first."""
-        if not self.values.size:
-            return np.zeros((self.root.size, 0)), np.zeros(0)
-        large = np.flatnonzero(self.values > DEFLATED * CAP)[:MOST]
-        columns = np.column_stack([self.vectors @ self.dilatation, self.vectors[:, large]])
-        return columns / self.root[:, None], np.append(np.inf, self.values[large])
+    @property
+    def deflated(self) -> Vector:
+        """The part D^{-1/2} v (b,) of a dilatation in the modes, zero if there are none."""
+        vector: Vector = self.vectors @ self.dilatation / self.root
+        return vector
 
 
 def _new_directions(basis: Vector, x: Vector) -> Vector:
@@ -118,25 +115,21 @@ def _new_directions(basis: Vector, x: Vector) -> Vector:
 def deflated_vectors(
     constraints: Constraints, interface: Interface, modes: Sequence[StiffModes | None]
 ) -> LocalVectors:
-    """Return B D^{-1} f on the equality rows for the modes of all subdomains, class by class."""
-    blocks, values = [sp.csr_matrix((0, 0))], [np.zeros(0)]
+    """Return B D^{-1} f on the equality rows, f of the dilatations of all subdomains."""
+    blocks = [sp.csr_matrix((0, 0))]
     for congruent, unknowns, stiff in zip(
         interface.classes, interface.unknowns, modes, strict=True
     ):
-        columns, theta = np.zeros((unknowns.size, 0)), np.zeros(0)
-        if stiff is not None:
-            columns, theta = stiff.deflated()
-        blocks += [sp.csr_matrix(columns)] * congruent.members.size
-        values += [theta] * congruent.members.size
+        column = np.zeros((unknowns.size, 0)) if stiff is None else stiff.deflated[:, None]
+        blocks += [sp.csr_matrix(column)] * congruent.members.size
     equality = np.flatnonzero(constraints.equality)
     C = (interface.matrix[equality] @ sp.block_diag(blocks, format="csr")).tocsc()
     numbers = constraints.layout.numbers[equality]
-    rows, entries, sizes = [], [], list[float]()
-    for begin, end, size in zip(C.indptr[:-1], C.indptr[1:], np.concatenate(values), strict=True):
+    rows, entries = list[Numbers](), list[Vector]()
+    for begin, end in zip(C.indptr[:-1], C.indptr[1:], strict=True):
         column, places = C.data[begin:end], C.indices[begin:end]
         kept = np.abs(column) > _SMALL * np.abs(column).max(initial=0.0)
         if kept.any():
             rows.append(numbers[places[kept]])
             entries.append(column[kept] / np.linalg.norm(column[kept]))
-            sizes.append(size / CAP)
-    return LocalVectors(rows, entries, np.array(sizes), 0)
+    return LocalVectors(rows, entries, np.ones(len(rows)), 0, twice=False)

@@ -14,12 +14,7 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.feti.coarse.deflation import (
-    Deflation,
-    at_most,
-    largest,
-    same_equality_rows,
-)
+from fenics_tfeti.feti.coarse.deflation import Deflation, at_most, same_equality_rows
 from fenics_tfeti.feti.coarse.local_spectra import (
     LocalVectors,
     TornRows,
@@ -43,7 +38,7 @@ from fenics_tfeti.feti.dual.preconditioner import (
     interface_reactions,
 )
 from fenics_tfeti.feti.dual.problem import DualProblem
-from fenics_tfeti.feti.dual.stiff_modes import CAP, MOST_OF_ALL, StiffModes, deflated_vectors
+from fenics_tfeti.feti.dual.stiff_modes import CAP, MOST, StiffModes, deflated_vectors
 from fenics_tfeti.feti.local.cholesky import choose_package
 from fenics_tfeti.feti.local.congruence import CongruenceClass, find_congruence_classes
 from fenics_tfeti.feti.local.elastic_supports import set_free
@@ -231,7 +226,9 @@ class DualSetup:
             return vectors
         modes = self.stiff_modes or [None] * len(self.local.classes)
         stiff = deflated_vectors(self.constraints, self.F.interface, modes)
-        stiff = largest(system.comm, stiff, MOST_OF_ALL)
+        if system.comm.allreduce(stiff.excess.size) > MOST:
+            # the cap alone
+            return vectors
         return stiff if vectors is None else vectors.with_others(stiff)
 
     def _local_vectors(self, system: TornSystem, options: Options) -> LocalVectors | None:
