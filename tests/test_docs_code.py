@@ -136,7 +136,7 @@ CONTINUING = [
     "convergence",
     "errors",
 ]
-ALONE = ["cad_mesh", "many_bodies"]
+ALONE = ["cad_mesh", "many_bodies", "rubber"]
 
 
 @pytest.mark.parametrize("page", CONTINUING)

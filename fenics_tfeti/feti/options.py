@@ -12,6 +12,7 @@ from fenics_tfeti.feti.coarse.deflation import DeflationKind
 from fenics_tfeti.feti.coarse.factor import CoarseSolverKind
 from fenics_tfeti.feti.constraints.scaling import Scaling
 from fenics_tfeti.feti.dual.operator import DualOperatorKind
+from fenics_tfeti.feti.dual.preconditioner import PreconditionerKind
 from fenics_tfeti.feti.local.cholesky import Package
 from fenics_tfeti.qp.proportioning import Expansion
 
@@ -31,8 +32,8 @@ class Options:
         The primal-dual active set method first, continued by SMALBE-M where it cycles; or SMALBE-M
         first, continued by the active set method where it is slow. SMALBE-M is over MPRGP, for
         friction in three dimensions over MPGP.
-    preconditioner : {"lumped", "dirichlet", "none"}
-        Preconditioner in the face.
+    preconditioner : {"auto", "lumped", "dirichlet", "none"}
+        Preconditioner in the face; auto takes Dirichlet for nearly incompressible materials.
     scaling : {"stiffness", "multiplicity"}
         D in B D^{-1} B' = I: the diagonal of the stiffness, or the identity as in (11.22).
     dual_operator : {"auto", "implicit", "explicit"}
@@ -70,7 +71,7 @@ class Options:
 
     rtol: float = 1e-6
     method: Literal["active_set", "smalbe"] = "active_set"
-    preconditioner: Literal["lumped", "dirichlet", "none"] = "lumped"
+    preconditioner: PreconditionerKind = "auto"
     scaling: Scaling = "stiffness"
     dual_operator: DualOperatorKind = "auto"
     factor: Package = "auto"

@@ -44,6 +44,12 @@ def test_axisymmetric_ball(demo):
     assert demo["p0_fit"] == pytest.approx(demo["p0"], rel=0.01)
 
 
+def test_rubber_seal(demo):
+    """Hooke's law in the full groove, in the meridian's plane and in space."""
+    assert demo["p"] == pytest.approx(demo["exact"], rel=0.001)
+    assert demo["force_3d"] == pytest.approx(demo["forces"][-1], rel=0.001)
+
+
 def test_flat_punch(demo):
     """The pressure up to 3/4 of the radius, and the force of the circular punch."""
     assert demo["errors"]["strip"] < 0.006

@@ -64,7 +64,7 @@ def coupled_system(ranks: MPI.Comm) -> TornSystem:
 def weights(torn: TornSystem, way: str) -> np.ndarray:
     """Return weights of the copies, the same for each cube wherever it is."""
     if way != "random":
-        return node_weights(torn, way)
+        return node_weights(torn, way).values
     parts = []
     for subdomain in torn.subdomains:
         generator = np.random.default_rng(int(subdomain.nodes[0]))

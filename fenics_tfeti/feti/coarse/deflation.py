@@ -135,9 +135,9 @@ class Deflation:
         """
         interface = self.coarse_space.interface
         displacements = operator(interface.transposed @ x)
-        # the second time for what rounding leaves, which F multiplies: in a direction without
-        # curvature the residual has to be zero, or conjugate gradients diverge
-        for _ in range(2):
+        # the second time for what rounding leaves, which a large F multiplies: in a direction
+        # without curvature the residual has to be zero, or conjugate gradients diverge
+        for _ in range(2 if self.vectors.twice else 1):
             work = self._combined(self.pieces @ displacements)
             displacements = displacements - self._response(self._solve(work))
         part: Vector = interface.matrix @ displacements

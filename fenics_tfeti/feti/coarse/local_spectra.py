@@ -77,12 +77,13 @@ class TornRows:
 
 @dataclass(frozen=True)
 class LocalVectors:
-    """Ritz vectors of the subdomains' dual operators."""
+    """Multipliers to be deflated, such as Ritz vectors of the subdomains' dual operators."""
 
     rows: list[Numbers]  # (r,) each: global numbers of rows
     values: list[Vector]  # (r,) each, of length 1, on these rows
-    excess: Vector  # (k,): Ritz value relative to the threshold
+    excess: Vector  # (k,): their eigenvalue relative to the threshold
     solves: int  # with K_s^+, for all vectors
+    twice: bool = True  # whether rounding makes it necessary to remove them twice; on all ranks
 
     def chosen(self, kept: Mask) -> LocalVectors:
         """Return some of the vectors."""
@@ -92,6 +93,17 @@ class LocalVectors:
             [self.values[i] for i in at],
             self.excess[at],
             self.solves,
+            self.twice,
+        )
+
+    def with_others(self, others: LocalVectors) -> LocalVectors:
+        """Return these and other vectors."""
+        return LocalVectors(
+            self.rows + others.rows,
+            self.values + others.values,
+            np.append(self.excess, others.excess),
+            self.solves + others.solves,
+            self.twice or others.twice,
         )
 
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Literal
 
+from mpi4py import MPI
+
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
@@ -24,7 +26,14 @@ from fenics_tfeti.feti.local.cholesky import SparseCholesky
 from fenics_tfeti.feti.local.congruence import times_rows
 from fenics_tfeti.feti.local.generalized_inverse import regularized_stiffness
 from fenics_tfeti.feti.tolerances import ZERO
-from fenics_tfeti.typing import Mask, Vector
+from fenics_tfeti.typing import Mask, Numbers, Vector
+
+Operator = Callable[[Vector], Vector]
+PreconditionerKind = Literal["auto", "lumped", "dirichlet", "none"]
+
+# bulk over shear modulus from which on the Dirichlet preconditioner takes less time: Poisson's
+# ratio 0.48
+_INCOMPRESSIBLE = 25.0
 
 
 @dataclass
@@ -137,24 +146,26 @@ class Preconditioner:
         return self._inverse
 
 
-def interface_operator(
-    kind: Literal["lumped", "dirichlet"],
-    F: DualOperator,
-    stiffness: Sequence[sp.csr_matrix],
-    kernels: Sequence[Vector],
-    package: str,
-) -> Callable[[Vector], Vector]:
+def choose_preconditioner(
+    kind: PreconditionerKind, comm: MPI.Intracomm, ratios: Sequence[float]
+) -> PreconditionerKind:
+    """Return the kind that "auto" stands for. Collective.
+
+    The ratios are bulk over shear modulus of the classes of congruent subdomains.
+    """
+    if kind != "auto":
+        return kind
+    largest = comm.allreduce(max(ratios, default=0.0), MPI.MAX)
+    return "dirichlet" if largest > _INCOMPRESSIBLE else "lumped"
+
+
+def interface_operator(F: DualOperator, reactions: Sequence[Operator]) -> Operator:
     """Return this rank's part of x -> B D^{-1} S D^{-1} B'x, S the stiffness of interfaces.
 
-    Lumped takes K_bb, the interior held still; Dirichlet the Schur complement
-    K_bb - K_bi K_ii^{-1} K_ib, the interior free to follow. The interface is what B has entries on.
-    For each class of congruent subdomains K_i is (n, n), its kernel R_i (n, k).
+    The interface is what B has entries on; the reactions are S of each class of congruent
+    subdomains, for rows (k, b).
     """
     interface = F.interface
-    reactions = [
-        _reaction(kind, K, R, local, package)
-        for K, R, local in zip(stiffness, kernels, interface.unknowns, strict=True)
-    ]
     flexibility = 1.0 / F.constraints.weights[interface.columns]
 
     def apply(x: Vector) -> Vector:
@@ -168,9 +179,27 @@ def interface_operator(
     return apply
 
 
+def interface_reactions(
+    kind: PreconditionerKind,
+    unknowns: Sequence[Numbers],
+    stiffness: Sequence[sp.csr_matrix],
+    kernels: Sequence[Vector],
+    package: str,
+) -> list[Operator]:
+    """Return the forces on the interface as a function of its displacements, for each class.
+
+    Lumped takes K_bb, the interior held still; Dirichlet the Schur complement
+    K_bb - K_bi K_ii^{-1} K_ib, the interior free to follow. K_i is (n, n), its kernel R_i (n, k).
+    """
+    return [
+        _reaction(kind, K, R, local, package)
+        for K, R, local in zip(stiffness, kernels, unknowns, strict=True)
+    ]
+
+
 def _reaction(
     kind: str, K: sp.csr_matrix, R: Vector, local: NDArray[np.int64], package: str
-) -> Callable[[Vector], Vector]:
+) -> Operator:
     """Return the forces on a subdomain's interface as a function of its displacements there."""
     interior = np.setdiff1d(np.arange(K.shape[0]), local)
     rows = K[local]

@@ -64,6 +64,8 @@ class Report:
     dual_operator : dict
         How many of them have solves (``implicit``) or a dense matrix (``explicit``) for their part
         of F.
+    preconditioner : str
+        The one that the option, or the material, has chosen.
     outer_iterations : int
         Outer iterations of SMALBE-M.
     products : dict
@@ -126,6 +128,7 @@ class Report:
     subdomains: int
     classes: int
     dual_operator: dict[str, int]
+    preconditioner: str
     outer_iterations: int
     products: dict[str, int]
     deflation: dict[str, int]
@@ -244,6 +247,7 @@ def build_report(
         subdomains=subdomains,
         classes=classes,
         dual_operator={"implicit": classes - explicit, "explicit": explicit},
+        preconditioner=local.preconditioner,
         outer_iterations=len(history.outer),
         products={
             "total": products.total,

@@ -27,10 +27,18 @@ from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.ground import TornUnknowns
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
-from fenics_tfeti.feti.constraints.scaling import node_weights, stiffness_of_weight
+from fenics_tfeti.feti.constraints.scaling import node_weights
 from fenics_tfeti.feti.dual.operator import DualOperator, ProjectedNorm
-from fenics_tfeti.feti.dual.preconditioner import Preconditioner, interface_operator
+from fenics_tfeti.feti.dual.preconditioner import (
+    Operator,
+    Preconditioner,
+    PreconditionerKind,
+    choose_preconditioner,
+    interface_operator,
+    interface_reactions,
+)
 from fenics_tfeti.feti.dual.problem import DualProblem
+from fenics_tfeti.feti.dual.stiff_modes import CAP, MOST, StiffModes, deflated_vectors
 from fenics_tfeti.feti.local.cholesky import choose_package
 from fenics_tfeti.feti.local.congruence import CongruenceClass, find_congruence_classes
 from fenics_tfeti.feti.local.elastic_supports import set_free
@@ -56,6 +64,8 @@ class LocalSetup:
     kernels: list[Vector]  # (n_i, k_i) R_i of each subdomain in its frame; congruent ones share it
     stiffness: list[sp.csr_matrix]  # (n_i, n_i) K_i of each class in its frame [N/m]
     unit: float  # the stiffness that a weight of 1 stands for [N/m]
+    ratios: list[float]  # bulk over shear modulus of each class
+    preconditioner: PreconditionerKind  # the one that is chosen
 
     @staticmethod
     def build(system: TornSystem, options: Options) -> LocalSetup:
@@ -78,9 +88,12 @@ class LocalSetup:
                 replace(c, starts=ends[c.members], size=f.kernel.shape[0])
                 for c, f in zip(classes, floating, strict=True)
             ]
-        unit = stiffness_of_weight(system, options.scaling)
         stiffness = [free.stiffness for free in floating]
-        return LocalSetup(weights, unknowns, classes, kernels, stiffness, unit)
+        ratios = [weights.bulk_over_shear[congruent.first] for congruent in classes]
+        kind = choose_preconditioner(options.preconditioner, system.comm, ratios)
+        return LocalSetup(
+            weights.values, unknowns, classes, kernels, stiffness, weights.unit, ratios, kind
+        )
 
 
 def factor_subdomains(
@@ -124,7 +137,9 @@ class DualSetup:
     preconditioner: Preconditioner | None  # B_D S B_D' on faces
     norm: ProjectedNorm  # ||PFP||
     row_bodies: RowBodies
-    deflation: Deflation | None = None  # what F and d are replaced by where the material jumps
+    # of each class, None where there are none; empty if they are not looked for
+    stiff_modes: Sequence[StiffModes | None]
+    deflation: Deflation | None = None  # what F and d are replaced by, if anything
     deflation_solves: int = 0  # solves with K_i^+ of this rank for deflation or its vectors
 
     @staticmethod
@@ -141,15 +156,24 @@ class DualSetup:
         F = DualOperator.build(
             coarse_space.constraints, coarse_space.interface, inverses, options.dual_operator
         )
-        preconditioner = None
-        if options.preconditioner != "none":
-            with raise_collectively(system.comm):
-                kernels = [local.kernels[congruent.first] for congruent in local.classes]
-                apply = interface_operator(
-                    options.preconditioner, F, local.stiffness, kernels, package
-                )
-                preconditioner = Preconditioner(apply, coarse_space.constraints)
         constraints = coarse_space.constraints
+        preconditioner, modes = None, list[StiffModes | None]()
+        if local.preconditioner != "none":
+            with raise_collectively(system.comm):
+                reactions = interface_reactions(
+                    local.preconditioner,
+                    F.interface.unknowns,
+                    local.stiffness,
+                    [local.kernels[congruent.first] for congruent in local.classes],
+                    package,
+                )
+            if local.preconditioner == "dirichlet" and options.deflation != "off":
+                modes = _stiff_modes(system, local, F, reactions)
+                reactions = [
+                    reaction if stiff is None else stiff.capped(reaction)
+                    for stiff, reaction in zip(modes, reactions, strict=True)
+                ]
+            preconditioner = Preconditioner(interface_operator(F, reactions), constraints)
         return DualSetup(
             local,
             constraints,
@@ -158,6 +182,7 @@ class DualSetup:
             preconditioner,
             ProjectedNorm(F.part, projector, 1.0 / local.unit),
             RowBodies.build(system, constraints, local.unknowns.ends),
+            modes,
         )
 
     def deflated(
@@ -173,7 +198,7 @@ class DualSetup:
         if known is not None and same_equality_rows(self.constraints, known.constraints):
             solves, vectors = 0, None if known.deflation is None else known.deflation.vectors
         else:
-            vectors = self._local_vectors(system, options)
+            vectors = self._vectors(system, options)
             solves = 0 if vectors is None else vectors.solves
         if vectors is None:
             return self
@@ -193,6 +218,18 @@ class DualSetup:
 
     def _norm_of(self, part: Callable[[Vector], Vector]) -> ProjectedNorm:
         return ProjectedNorm(part, self.projector, 1.0 / self.local.unit)
+
+    def _vectors(self, system: TornSystem, options: Options) -> LocalVectors | None:
+        """Return the vectors to be deflated; None, on all ranks, if there are none. Collective."""
+        vectors = self._local_vectors(system, options)
+        if not system.comm.allreduce(any(self.stiff_modes), MPI.LOR):
+            return vectors
+        modes = self.stiff_modes or [None] * len(self.local.classes)
+        stiff = deflated_vectors(self.constraints, self.F.interface, modes)
+        if system.comm.allreduce(stiff.excess.size) > MOST:
+            # the cap alone
+            return vectors
+        return stiff if vectors is None else vectors.with_others(stiff)
 
     def _local_vectors(self, system: TornSystem, options: Options) -> LocalVectors | None:
         """Return the vectors of this rank's subdomains; None if no rank's have jumps."""
@@ -234,6 +271,28 @@ class DualSetup:
     def load(self, data: ContactData) -> Vector:
         """Return d, or d_c, by one application of K^+. Collective."""
         return self.reduced(self.F.load(data.load, data.c))
+
+
+def _stiff_modes(
+    system: TornSystem, local: LocalSetup, F: DualOperator, reactions: Sequence[Operator]
+) -> list[StiffModes | None]:
+    """Return the stiff modes of each class; None where the material is not that incompressible."""
+    interface, modes, end = F.interface, list[StiffModes | None](), 0
+    for congruent, unknowns, reaction, ratio in zip(
+        interface.classes, interface.unknowns, reactions, local.ratios, strict=True
+    ):
+        begin, end = end, end + unknowns.size * congruent.members.size
+        # theta is less than the ratio
+        stiff = None
+        if ratio > CAP and unknowns.size:
+            columns = interface.columns[begin : begin + unknowns.size]
+            x = system.subdomains[congruent.first].coordinates_in_frame
+            dilatation = np.zeros(congruent.size)
+            dilatation[: x.size] = (x - x.mean(axis=0)).ravel()
+            weights = local.unit * F.constraints.weights[columns]
+            stiff = StiffModes.build(reaction, weights, dilatation[unknowns])
+        modes.append(stiff if stiff is not None and stiff.values.size else None)
+    return modes
 
 
 @dataclass(frozen=True)

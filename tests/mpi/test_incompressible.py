@@ -1,0 +1,32 @@
+"""Nearly incompressible materials on several ranks: the same counts and solution as on one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import pytest
+from pressed_blocks import pressed_blocks
+
+from fenics_tfeti.feti import ContactRows, Options, TornSolver
+
+COMM = MPI.COMM_WORLD
+
+
+@pytest.mark.parametrize("nu", [0.499, 0.49999])
+def test_as_on_one_rank(nu):
+    # the communicator of the system is that of the problem's mesh
+    problem = pressed_blocks(MPI.COMM_SELF, 3, nu, subdomain_size=400)
+    system = problem.system
+    contacts = system.contacts if COMM.rank == 0 else ContactRows.none(system.gdim)
+    share = system.subdomains[COMM.rank :: COMM.size]
+    dealt = replace(system, subdomains=share, contacts=contacts, comm=COMM)
+    reports = [TornSolver(s, Options()).solve().report for s in (dealt, system)]
+    vectors = [report.deflation["vectors"] for report in reports]
+    assert min(vectors) > 1
+    assert abs(vectors[0] - vectors[1]) <= 1
+    counts = [report.products["total"] for report in reports]
+    assert abs(counts[0] - counts[1]) <= 2
+    forces = [report.contacts[0].normal_force for report in reports]
+    assert forces[0] == pytest.approx(forces[1], rel=1e-6)
