@@ -12,6 +12,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from mistakes import MISTAKES
+from mistakes.page import PAGE, page
 from scenes import two_beams
 
 import fenics_tfeti
@@ -49,6 +50,12 @@ def test_mistake(mistake, factored):
     assert "\n\n" not in message
     assert "Traceback" not in message
     assert COMM.allgather(message) == COMM.size * [message]
+
+
+@pytest.mark.once
+def test_messages_are_on_the_page():
+    """After a change of messages run python tests/support/mistakes/page.py."""
+    assert PAGE.read_text() == page()
 
 
 @pytest.mark.ranks
