@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import threading
-from dataclasses import replace
 
 from mpi4py import MPI
 
@@ -15,10 +14,11 @@ import numpy as np
 import pytest
 import scenes
 from interruptions import InterruptedTimer, interrupt_after
+from sparse_rows import distributed
 from torn import column
 
 from fenics_tfeti import Interrupted, Plane, RigidObstacle
-from fenics_tfeti.feti import ContactRows, Options, TornSolver, interruption, save_system
+from fenics_tfeti.feti import Options, TornSolver, interruption, save_system
 
 COMM = MPI.COMM_WORLD
 
@@ -166,23 +166,15 @@ def test_command_writes_the_last_iterate(tmp_path):
     assert np.load(tmp_path / "s.npz")["displacement"].shape[1] == 3
 
 
-def distributed():
-    """Return the column with its subdomains on the ranks in turn."""
-    whole = column(height=3)
-    return replace(
-        whole,
-        subdomains=whole.subdomains[COMM.rank :: COMM.size],
-        contacts=whole.contacts if COMM.rank == 0 else ContactRows.none(3),
-        comm=COMM,
-    )
+COLUMN = distributed(column(height=3), COMM)
 
 
 @pytest.mark.ranks(2)
 @pytest.mark.parametrize("method", ["active_set", "smalbe"])
 def test_one_rank_is_interrupted(monkeypatch, method):
     options = Options(rtol=1e-8, method=method)
-    exact = TornSolver(distributed(), options).solve().report
-    torn = TornSolver(distributed(), options)
+    exact = TornSolver(COLUMN, options).solve().report
+    torn = TornSolver(COLUMN, options)
     with monkeypatch.context() as patch:
         interrupt_after(patch, torn.setup.norm.products + 5, interrupt)
         with pytest.raises(Interrupted) as caught:
@@ -198,7 +190,7 @@ def test_one_rank_is_interrupted(monkeypatch, method):
 @pytest.mark.ranks(2)
 def test_set_up_of_one_rank_is_interrupted():
     with pytest.raises(Interrupted) as caught:
-        TornSolver(distributed(), timer=InterruptedTimer("factorisation", interrupt))
+        TornSolver(COLUMN, timer=InterruptedTimer("factorisation", interrupt))
     assert caught.value.solution is None
 
 

@@ -19,10 +19,11 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import scipy.linalg
+from sparse_rows import distributed
 from springs import glued_column, pressed_column, standing_cube
 from torn import glued
 
-from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver
+from fenics_tfeti.feti import Options, TornSolver
 
 COMM = MPI.COMM_WORLD
 
@@ -147,18 +148,6 @@ def test_products_do_not_grow(problem, stiffness, method):
     assert products(problem(stiffness), method) <= factor * enough
 
 
-def distribute(system):
-    """Return a system with the subdomains dealt out to the ranks, contacts on the first."""
-    contacts = system.contacts if COMM.rank == 0 else ContactRows.none(3)
-    return dataclasses.replace(
-        system,
-        subdomains=system.subdomains[COMM.rank :: COMM.size],
-        prescribed=system.prescribed if COMM.rank == 0 else Prescribed(),
-        contacts=contacts,
-        comm=COMM,
-    )
-
-
 @pytest.mark.ranks(2)
 @pytest.mark.parametrize("method", ["active_set", "smalbe"])
 @pytest.mark.parametrize("stiffness", [1e-13, 1e-10, 1e-6, 1e-3])
@@ -168,7 +157,7 @@ def test_same_as_on_one_rank(problem, stiffness, method):
     system = dataclasses.replace(problem(stiffness), comm=MPI.COMM_SELF)
     options = Options(rtol=1e-8, method=method)
     alone = TornSolver(system, options).solve()
-    found = TornSolver(distribute(system), options).solve()
+    found = TornSolver(distributed(system, COMM), options).solve()
     assert found.report.certificate.worst <= 1e-8
     largest = max(np.abs(u).max() for u in alone.displacements)
     mine = alone.displacements[COMM.rank :: COMM.size]

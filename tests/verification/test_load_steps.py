@@ -25,6 +25,8 @@ from dolfinx import fem
 from fenics_tfeti import ContactProblem, InputError, NotConverged, Plane, RigidObstacle
 from fenics_tfeti.io import Box, boxes, tag_facets
 
+COMM = MPI.COMM_WORLD
+
 pytestmark = pytest.mark.once
 
 every_change = pytest.mark.parametrize("change", CHANGES)
@@ -225,3 +227,48 @@ def test_contacts_joined():
     problem.contacts = [RigidObstacle(whole, SLAVE, floor)]
     problem.solve()
     np.testing.assert_allclose(problem.report.contact_force, [sum(two)], rtol=1e-7)
+
+
+def by_place(problem, uh):
+    """Return the displacements of this rank's nodes by place; the bodies are apart."""
+    places = np.round(problem.space.tabulate_dof_coordinates()[:, :2], 7) + 0.0
+    return dict(zip(map(tuple, places), uh.x.array.reshape(-1, 2), strict=True))
+
+
+def stepped(comm, change):
+    scene = two_blocks_on_a_floor(comm)
+    problem = new_problem(scene)
+    problem.solve()
+    reused = change(scene)
+    problem.contacts = list(scene.contacts)
+    return problem, problem.solve(), reused
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("change", CHANGES)
+def test_second_step_is_that_of_one_rank(change):
+    problem, uh, reused = stepped(COMM, change)
+    alone, expected, _ = stepped(MPI.COMM_SELF, change)
+    assert problem.report.reused == reused
+    largest = np.abs(expected.x.array).max()
+    values = by_place(alone, expected)
+    for place, value in by_place(problem, uh).items():
+        np.testing.assert_allclose(value, values[place], atol=1e-7 * largest)
+    np.testing.assert_allclose(
+        problem.report.contact_force, alone.report.contact_force, rtol=1e-6, atol=1e-3
+    )
+
+
+@pytest.mark.ranks(2)
+def test_nan_on_one_rank_is_raised_on_all():
+    scene = two_blocks_on_a_floor(COMM)
+    problem = new_problem(scene)
+    problem.solve()
+    right = float(scene.load.value)
+    if COMM.rank == COMM.size - 1:
+        scene.load.value = np.nan
+    with pytest.raises(InputError, match="NaN"):
+        problem.solve()
+    scene.load.value = right
+    problem.solve()
+    assert problem.report.converged
