@@ -32,9 +32,9 @@ def test_number_is_the_place_in_the_first_cell():
     numbers = input_numbers(space)
     (corner,) = np.flatnonzero(np.hypot(*x[:, :2].T) < 1e-12)
     assert numbers[corner] == 0
-    # the upper row of cells begins with cell 6, whose new nodes are its third and fourth
+    # the uppermost row of cells begins with cell 18, whose new nodes are its third and fourth
     (left,) = np.flatnonzero(np.hypot(x[:, 0], x[:, 1] - 1.0) < 1e-12)
-    assert numbers[left] == 6 * 4 + 2
+    assert numbers[left] == 18 * 4 + 2
 
 
 def test_submesh_has_none():
