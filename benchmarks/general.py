@@ -29,7 +29,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from run import separately
+from runner import separately
 
 import ufl
 from dolfinx import fem

@@ -18,7 +18,7 @@ from mpi4py import MPI
 
 import numpy as np
 from numpy.typing import NDArray
-from run import separately
+from runner import separately
 
 import ufl
 from dolfinx import fem

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from peers_scene import SCENES, Answer, Scene, nodal_load, sort_key
-from run import separately
+from runner import separately
 
 TWO, *_APART, RIGID = SCENES
 APART = tuple(_APART)

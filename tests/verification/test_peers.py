@@ -26,7 +26,7 @@ LIMITS = {
 def peers(monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
     yield pytest.importorskip("peers")
-    for name in ("peers", "peers_scene", "run"):
+    for name in ("peers", "peers_scene", "runner"):
         sys.modules.pop(name, None)
 
 
@@ -53,7 +53,7 @@ def test_codes_agree(peers, scene, codes):
 def test_friction_agrees_with_getfem(monkeypatch):
     """In a process of its own: GetFEM brings another MUMPS than PETSc's."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
-    (found,) = importlib.import_module("run").separately("peers_friction", divisions=5)
+    (found,) = importlib.import_module("runner").separately("peers_friction", divisions=5)
     assert (found["sticking"], found["nodes"]) == (4, 21)
     assert found["displacement"] < 1e-7
     assert found["normal"] < 1e-6

@@ -15,8 +15,8 @@ pytestmark = pytest.mark.once
 @pytest.fixture
 def benchmark(monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
-    yield importlib.import_module("run")
-    for name in ("run", "qp_solvers"):
+    yield importlib.import_module("runner")
+    for name in ("runner", "qp_solvers"):
         sys.modules.pop(name, None)
 
 
