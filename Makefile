@@ -4,7 +4,7 @@ SPHINXOPTS ?= -W --keep-going
 N ?= 1000
 RANKS ?= 1
 FIRST ?= 0
-# Which tests run, and on how many ranks those of tests/mpi. What no other environment can change,
+# Which tests run, and on how many ranks those for several. What no other environment can change,
 # and three ranks, run with Debian's dolfinx alone, unless one says otherwise:
 # make test-wheel OTHERS='not heavy' OTHER_RANKS='2 3'
 MARKS ?= not heavy
@@ -57,7 +57,7 @@ fuzz: env  ## N random problems on RANKS ranks, from seed FIRST, against an inde
 doctest: env  ## the examples in the docstrings
 	$(PY) -m pytest -q --doctest-modules fenics_tfeti/qp fenics_tfeti/feti
 
-verify: env  ## the tests marked heavy, those of tests/mpi on several ranks
+verify: env  ## the tests marked heavy, on several ranks those for them
 	@MARKS=heavy MPI_RANKS="$(MPI_RANKS)" tools/test.sh .venv
 
 check: env  ## ruff, mypy and codespell

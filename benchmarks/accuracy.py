@@ -1,6 +1,6 @@
 """The bound of the certificate against the true error in the energy norm, and the products spent.
 
-    python benchmarks/accuracy.py [--problems beams stack] [--rtol 1e-2 1e-6] [--json out.json]
+    python benchmarks/run.py accuracy [--problems beams stack] [--rtol 1e-2 1e-6]
 
 The problems of `products.py`, the first rung of the ladder (`beams.py`, 108 cubes of 8^3 elements)
 and two beams of unstructured tetrahedra (`general.py`, 12 elements per metre), on one rank. The
@@ -11,8 +11,6 @@ Needs Gmsh with its Python module.
 
 from __future__ import annotations
 
-import argparse
-import json
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,10 +27,7 @@ from fenics_tfeti.io import read_msh
 
 def ladder() -> ContactProblem:
     """Return the two beams in cubes of 1/3 m."""
-    arguments = argparse.Namespace(
-        subdomains_per_metre=3, elements_per_subdomain=8, rtol=1e-6, plain=False
-    )
-    return beams.build(arguments)
+    return beams.build(3, 8, 1e-6)
 
 
 def tetrahedra() -> ContactProblem:
@@ -72,41 +67,27 @@ def measure(name: str, exact: np.ndarray, preconditioner: str, rtol: float) -> d
     problem = with_options(name, rtol=rtol, preconditioner=preconditioner)
     u = problem.solve().x.array
     report = problem.report
+    true = energy_norm(problem, u - exact) / energy_norm(problem, exact)
     return {
         "problem": name,
         "preconditioner": preconditioner,
         "rtol": rtol,
         "products": report.products["total"],
         "applications": report.products["preconditioner"],
-        "true": energy_norm(problem, u - exact) / energy_norm(problem, exact),
+        "true": true,
         "bound": report.certificate.error,
+        "bound / true": report.certificate.error / true,
         "largest": report.certificate.worst,
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--problems", nargs="+", choices=PROBLEMS, default=list(PROBLEMS))
-    parser.add_argument("--rtol", type=float, nargs="+", default=[1e-2, 1e-4, 1e-6, 1e-8])
-    parser.add_argument("--json", metavar="FILE")
-    arguments = parser.parse_args()
-    table = []
-    print(f"{'problem':<17}{'precond.':<11}rtol    F + M    true  bound / true  largest")
-    for name in arguments.problems:
+CHOICES = {"problems": list(PROBLEMS)}
+
+
+def run(problems=tuple(PROBLEMS), rtol=(1e-2, 1e-4, 1e-6, 1e-8)):
+    """Solve each problem with both preconditioners to each tolerance."""
+    for name in problems:
         exact = with_options(name, rtol=1e-9).solve().x.array.copy()
         for preconditioner in ("lumped", "dirichlet"):
-            for rtol in arguments.rtol:
-                row = measure(name, exact, preconditioner, rtol)
-                table.append(row)
-                print(
-                    f"{name:<17}{preconditioner:<11}{rtol:.0e} {row['products']:3} + "
-                    f"{row['applications']:<3} {row['true']:.1e} {row['bound'] / row['true']:8.2f}"
-                    f"     {row['largest']:.1e}",
-                    flush=True,
-                )
-    if arguments.json:
-        Path(arguments.json).write_text(json.dumps(table, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+            for tolerance in rtol:
+                yield measure(name, exact, preconditioner, tolerance)

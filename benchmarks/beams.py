@@ -1,7 +1,6 @@
 """The two beams of sec. 11.11.1 from structured hexahedra at any size, in box subdomains.
 
-    python benchmarks/beams.py --subdomains-per-metre 2 --elements-per-subdomain 8 --rtol 1e-4 \
-        --json out.json
+    python benchmarks/run.py beams --subdomains-per-metre 2 --elements-per-subdomain 8 --rtol 1e-4
 
 The subdomains are cubes of 1 / (subdomains per metre). The mesh does not depend on the number of
 processes, but a cube whose cells are on two processes becomes two subdomains.
@@ -9,9 +8,6 @@ processes, but a cube whose cells are on two processes becomes two subdomains.
 
 from __future__ import annotations
 
-import argparse
-import logging
-import sys
 import time
 
 from mpi4py import MPI
@@ -35,19 +31,6 @@ PLAIN = {
 }
 
 
-def parse_arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--subdomains-per-metre", type=int, default=2, metavar="m")
-    parser.add_argument("--elements-per-subdomain", type=int, default=8, metavar="H/h")
-    parser.add_argument("--rtol", type=float, default=1e-4)
-    parser.add_argument("--json", metavar="FILE", help="write the report")
-    parser.add_argument(
-        "--plain", action="store_true", help="SMALBE-M with plain MPRGP, no preconditioner"
-    )
-    parser.add_argument("--verbose", action="store_true", help="a line for each outer iteration")
-    return parser.parse_known_args()[0]
-
-
 def cube_of_cells(mesh: Mesh, cell_tags, per_metre: int) -> np.ndarray:
     """Number the cube that holds each cell of this rank."""
     owned = mesh.topology.index_map(3).size_local
@@ -57,9 +40,11 @@ def cube_of_cells(mesh: Mesh, cell_tags, per_metre: int) -> np.ndarray:
     return ((cell_tags.values[:owned] * size + x) * size + y) * size + z
 
 
-def build(arguments: argparse.Namespace) -> ContactProblem:
+def build(
+    subdomains_per_metre: int, elements_per_subdomain: int, rtol: float, plain: bool = False
+) -> ContactProblem:
     """Return the problem of demos/two_beams.py, with the cubes as subdomains."""
-    n = arguments.subdomains_per_metre * arguments.elements_per_subdomain
+    n = subdomains_per_metre * elements_per_subdomain
     lower = Box((0, 0, 0), (2, 1, 1), (2 * n, n, n))
     upper = Box((1, 0, 1), (3, 1, 2), (2 * n, n, n))
     tagged = boxes(MPI.COMM_WORLD, [lower, upper])
@@ -97,51 +82,28 @@ def build(arguments: argparse.Namespace) -> ContactProblem:
         ufl.inner(traction, v) * ds(LOADED),
         bcs=bcs,
         contacts=[ContactPair(facet_tags, slave=SLAVE, master=MASTER)],
-        subdomains=cube_of_cells(mesh, cell_tags, arguments.subdomains_per_metre),
-        options={"rtol": arguments.rtol, **(PLAIN if arguments.plain else {})},
+        subdomains=cube_of_cells(mesh, cell_tags, subdomains_per_metre),
+        options={"rtol": rtol, **(PLAIN if plain else {})},
     )
 
 
-def print_table(report, wall: float) -> None:
-    """Print the report as a table, with the wall time of set-up and solution."""
-    groups = {
+def run(subdomains_per_metre=2, elements_per_subdomain=8, rtol=1e-4, plain=False):
+    """Solve once; `plain` is SMALBE-M with plain MPRGP and no preconditioner."""
+    start = time.perf_counter()
+    problem = build(subdomains_per_metre, elements_per_subdomain, rtol, plain)
+    problem.solve()
+    wall, report = time.perf_counter() - start, problem.report
+    yield {
+        "ranks": report.ranks,
+        "subdomains": report.subdomains,
+        "classes": report.classes,
+        "outer": report.outer_iterations,
+        "force [N]": report.contacts[0].normal_force,
+        "energy [J]": report.energy,
+        "peak [MB]": report.peak_memory_bytes // 10**6,
+        "seconds with mesh": wall,
         "unknowns": report.unknowns,
         "products": report.products,
-        "seconds": {name: f"{time:.2f}" for name, time in report.seconds.items()},
-        "certificate": {
-            name: f"{value:.1e}" for name, value in report.certificate.numbers().items()
-        },
-        "solve": {
-            "subdomains": report.subdomains,
-            "classes": report.classes,
-            "outer iterations": report.outer_iterations,
-            "contact force [N]": f"{report.contacts[0].normal_force:.6e}",
-            "energy [J]": f"{report.energy:.6e}",
-            "peak memory [MB]": report.peak_memory_bytes // 10**6,
-            "seconds with mesh": f"{wall:.1f}",
-            "converged": report.converged,
-            "ranks": report.ranks,
-        },
+        "seconds": report.seconds,
+        "certificate": report.certificate.numbers(),
     }
-    for group, entries in groups.items():
-        print(group)
-        for name, value in entries.items():
-            print(f"  {name:<20} {value!s:>14}")
-
-
-def main() -> None:
-    arguments = parse_arguments()
-    if arguments.verbose:
-        logging.basicConfig(stream=sys.stdout, format="%(message)s", force=True)
-        logging.getLogger("fenics_tfeti").setLevel(logging.INFO)
-    start = time.perf_counter()
-    problem = build(arguments)
-    problem.solve()
-    if MPI.COMM_WORLD.rank == 0:
-        print_table(problem.report, time.perf_counter() - start)
-    if arguments.json:
-        problem.report.to_json(arguments.json)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,14 +1,14 @@
 """Roller bearings of up to 73 bodies: products with F, time and memory by phase.
 
-Run it by ``python benchmarks/bearing.py [8 20 35 73 full]``, one process for each size, or on
-several ranks. The sizes are two rows of 8 rollers, of 20 rollers in a cage, of 35 rollers without
-cage (each of coarse elements), 73 bodies of elements half as large as in the full size, and this.
+    python benchmarks/run.py bearing --sizes 8 [20 35 73 full] --verbose
+
+One process for each size, or on several ranks. The sizes are two rows of 8 rollers, of 20 rollers
+in a cage, of 35 rollers without cage (each of coarse elements), 73 bodies of elements half as large
+as in the full size, and this.
 """
 
 from __future__ import annotations
 
-import argparse
-import logging
 import sys
 import tempfile
 import time
@@ -99,37 +99,31 @@ def problem_of(bearing, slices, tolerance, load=LOAD):
     )
 
 
-def main():
-    """Solve and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("sizes", nargs="*", choices=[*SIZES, []], default=["8"])
-    parser.add_argument("--tolerance", type=float, default=3e-2, help="of the non-penetration")
-    parser.add_argument("--changed", type=int, metavar="SEED", help="load changed by a thousandth")
-    given = parser.parse_args()
+CHOICES = {"sizes": list(SIZES)}
+
+
+def run(sizes=("8",), tolerance=3e-2, changed=-1):
+    """Solve each size; `changed` is the seed of a load that differs by a thousandth."""
     load = LOAD
-    if given.changed is not None:
-        load = LOAD * (1 + 1e-3 * np.random.default_rng(given.changed).standard_normal(3))
-    logging.basicConfig(stream=sys.stdout, format="%(message)s", force=True)
-    logging.getLogger("fenics_tfeti").setLevel(logging.INFO)
-    for size in given.sizes:
+    if changed >= 0:
+        load = LOAD * (1 + 1e-3 * np.random.default_rng(changed).standard_normal(3))
+    for size in sizes:
         bearing, slices = SIZES[size]
         start = time.perf_counter()
-        problem = problem_of(bearing, slices, given.tolerance, load)
+        problem = problem_of(bearing, slices, tolerance, load)
         problem.solve()
-        report = problem.report
-        seconds = time.perf_counter() - start
-        if comm.rank == 0:
-            unknowns = report.unknowns
-            print(
-                f"{size}: {bearing.bodies} bodies, {unknowns['primal']} unknowns, "
-                f"{unknowns['dual']} dual, {unknowns['inequalities']} contact rows, "
-                f"{report.subdomains} subdomains of {report.classes} shapes, "
-                f"{[p.products for p in report.passes]} products, {seconds:.1f} s with the mesh, "
-                f"{report.peak_memory_bytes / 1e6:.0f} MB"
-            )
-            print({phase: round(s, 1) for phase, s in report.seconds.items() if s >= 0.05})
-            print({name: f"{x:.1e}" for name, x in report.certificate.numbers().items() if x})
-
-
-if __name__ == "__main__":
-    main()
+        report, unknowns = problem.report, problem.report.unknowns
+        yield {
+            "size": size,
+            "bodies": bearing.bodies,
+            "unknowns": unknowns["primal"],
+            "dual": unknowns["dual"],
+            "contact rows": unknowns["inequalities"],
+            "subdomains": report.subdomains,
+            "shapes": report.classes,
+            "products": " ".join(str(one.products) for one in report.passes),
+            "seconds with mesh": time.perf_counter() - start,
+            "peak [MB]": report.peak_memory_bytes // 10**6,
+            "seconds": report.seconds,
+            "certificate": report.certificate.numbers(),
+        }

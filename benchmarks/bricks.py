@@ -1,6 +1,6 @@
 """Seconds of each phase for a wall of loose bricks: many bodies, each held by contact alone.
 
-    python benchmarks/bricks.py [--bricks 100 1000] [--dimensions 2 3] [--json out.json]
+    python benchmarks/run.py bricks [--bricks 100 1000] [--dimensions 2 3]
 
 Bricks in running bond stand on rigid ground under their own weight, a body and a subdomain each.
 Bed joints are closed, head joints are open, and the meshes of neighbouring courses do not match.
@@ -11,11 +11,8 @@ is printed, when the forms are compiled. The ground carries the weight: the erro
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -123,27 +120,11 @@ def measure(bricks: int, gdim: int) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--bricks", type=int, nargs="+", default=[100, 1000])
-    parser.add_argument("--dimensions", type=int, nargs="+", choices=(2, 3), default=[2, 3])
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    arguments = parser.parse_args()
-    rows = [measure(n, gdim) for gdim in arguments.dimensions for n in arguments.bricks]
-    if MPI.COMM_WORLD.rank > 0:
-        return
-    for row in rows:
-        seconds = row["seconds"]
-        print(
-            f"{row['dimensions']}D  {row['bricks']:5} bricks  {row['unknowns']:8,} unknowns  "
-            f"{row['faces']:3} faces  {row['products']:4} products  {row['free motions']:5} free "
-            f"motions  weight {row['weight error']:.0e}  {row['bytes'] / 1e6:6.0f} MB"
-        )
-        shares = (f"{name} {t:.2f} s {t / seconds['total']:.0%}" for name, t in seconds.items())
-        print("   ", ", ".join(shares), flush=True)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
+CHOICES = {"dimensions": [2, 3]}
 
 
-if __name__ == "__main__":
-    main()
+def run(bricks=(100, 1000), dimensions=(2, 3)):
+    """Solve walls of all sizes in each dimension."""
+    for gdim in dimensions:
+        for number in bricks:
+            yield measure(number, gdim)

@@ -1,8 +1,8 @@
 """Products with and without deflation where subdomains cut stiff fibres and inclusions.
 
-    python benchmarks/deflation.py [--json FILE]
-    mpirun -n 2 python benchmarks/deflation.py
-    python benchmarks/deflation.py --plot out.png
+    python benchmarks/run.py deflation
+    mpirun -n 2 python benchmarks/run.py deflation
+    python benchmarks/run.py deflation --plot out.png
 
 The problems are the two beams of benchmarks/materials.py in tetrahedra (3D) and two sheets of the
 same outline in triangles (2D), cut by SCOTCH. On several ranks the subdomains of one rank are dealt
@@ -12,12 +12,9 @@ deflation, in units of the stiffness that the weights stand for.
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -45,18 +42,6 @@ WAYS = {
     "smalbe dirichlet": {"preconditioner": "dirichlet", "method": "smalbe", **PATIENT},
     "smalbe none": {"preconditioner": "none", "method": "smalbe", **PATIENT},
 }
-
-
-def parse_arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--elements-per-metre", type=int, nargs=2, default=[32, 8], help="2D, 3D")
-    parser.add_argument("--subdomain-size", type=int, nargs=2, default=[450, 450], help="2D, 3D")
-    parser.add_argument("--ratios", type=float, nargs="+", default=[1e4, 1e6])
-    parser.add_argument("--max-products", type=int, default=1000)
-    parser.add_argument("--plain", action="store_true", help="without deflation as well")
-    parser.add_argument("--json", metavar="FILE", help="write the table")
-    parser.add_argument("--plot", metavar="FILE", help="draw the spectrum instead")
-    return parser.parse_known_args()[0]
 
 
 # -- problems ------------------------------------------------------------------------------------
@@ -186,37 +171,31 @@ def measure(system: TornSystem, **options: Any) -> dict[str, Any]:
     }
 
 
-def table(arguments: argparse.Namespace) -> None:
-    columns = " ".join(f"{way:>17}" for way in WAYS)
-    tell(f"{'problem':<22} {'vectors':>8} {'solves':>6} {'price':>6} {columns}")
-    runs = []
+def run(
+    elements_per_metre=(32, 8),
+    subdomain_size=(450, 450),
+    ratios=(1e4, 1e6),
+    max_products=1000,
+    plain=False,
+    plot="",
+):
+    """Solve by all ways, `plain` also without deflation; sizes are those in 2D and 3D.
+
+    With `plot`, a file, draw the spectrum instead.
+    """
+    if plot:
+        draw(plot)
+        return
     for gdim, make in ((2, sheets), (3, beams)):
-        n, size = arguments.elements_per_metre[gdim - 2], arguments.subdomain_size[gdim - 2]
-        system = make(n, size)
-        cases = [
-            ("uniform", 1.0),
-            *((n, r) for n in ("fibres", "inclusions") for r in arguments.ratios),
-        ]
-        for name, ratio in cases:
+        system = make(elements_per_metre[gdim - 2], subdomain_size[gdim - 2])
+        jumps = [(name, ratio) for name in ("fibres", "inclusions") for ratio in ratios]
+        for name, ratio in [("uniform", 1.0), *jumps]:
             share = dealt(system(name, ratio))
-            for kind in ("off", "auto") if arguments.plain else ("auto",):
-                limits = {"max_products": arguments.max_products, "deflation": kind}
-                row = {way: measure(share, **options, **limits) for way, options in WAYS.items()}
-                first = row["lumped"]
-                counts = " ".join(f"{run['products'] or '-':>17}" for run in row.values())
-                title = f"{gdim}D {name} {ratio:.0e}" + (" plain" if kind == "off" else "")
-                tell(
-                    f"{title:<22} {first['vectors']:>8} {first['solves']:>6} "
-                    f"{min(run['price'] for run in row.values()):>6.1f} {counts}"
-                )
-                runs.append({"gdim": gdim, "case": name, "ratio": ratio, "kind": kind, **row})
-    if arguments.json and comm.rank == 0:
-        Path(arguments.json).write_text(json.dumps(runs, indent=2) + "\n")
-
-
-def tell(line: str) -> None:
-    if comm.rank == 0:
-        print(line, flush=True)
+            for kind in ("off", "auto") if plain else ("auto",):
+                case = {"gdim": gdim, "case": name, "ratio": ratio, "kind": kind}
+                for way, options in WAYS.items():
+                    limits = {"max_products": max_products, "deflation": kind}
+                    yield {**case, "way": way, **measure(share, **options, **limits)}
 
 
 # -- picture -------------------------------------------------------------------------------------
@@ -231,7 +210,7 @@ def spectrum(system: TornSystem, **options: Any) -> np.ndarray:
     return values[values > 1e-9 * values[0]]
 
 
-def plot(path: str, arguments: argparse.Namespace) -> None:
+def draw(path: str) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -253,15 +232,3 @@ def plot(path: str, arguments: argparse.Namespace) -> None:
     axes.grid(color="#d5d8dc", linewidth=0.6)
     axes.legend(frameon=False)
     figure.savefig(path)
-
-
-def main() -> None:
-    arguments = parse_arguments()
-    if arguments.plot:
-        plot(arguments.plot, arguments)
-    else:
-        table(arguments)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,14 +1,14 @@
 """Products with F that friction takes, beside the same problem without friction.
 
-Run it by ``python benchmarks/friction.py [--scene cubes|plate|belt] [--divisions 4 8 12]``. A cube
-is pressed and pushed on another one by moving its top; each is cut into blocks of equal size, so
-that H/h stays while h falls. A plate on a rigid plane is pulled at one end. A belt, divided once
-across, is pulled over a drum.
+    python benchmarks/run.py friction [--scene cubes|plate|belt] [--divisions 4 8 12]
+
+A cube is pressed and pushed on another one by moving its top; each is cut into blocks of equal
+size, so that H/h stays while h falls. A plate on a rigid plane is pulled at one end. A belt,
+divided once across, is pulled over a drum.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
@@ -86,34 +86,27 @@ def cubes(n, friction, move):
     )
 
 
-def main():
-    """Print a table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scene", choices=SCENES, default="cubes")
-    parser.add_argument("--divisions", type=int, nargs="+")
-    given, rest = parser.parse_known_args()
-    # options of the solver, such as -tfeti_preconditioner dirichlet, are read from the command line
-    sys.argv[1:] = rest
-    laws, divisions = SCENES[given.scene]
-    print("law                  n   subdomains  products  of none   stick        steps  outer")
-    for n in given.divisions or divisions:
+CHOICES = {"scene": list(SCENES)}
+
+
+def run(scene="cubes", divisions=(0,)):
+    """Solve a scene with each law; 0 divisions are those of the scene."""
+    laws, usual = SCENES[scene]
+    for n in usual if divisions == (0,) else divisions:
         without = 0
         for name, law in laws.items():
-            problem = problem_of(given.scene, n, law)
+            problem = problem_of(scene, n, law)
             problem.solve()
-            report = problem.report
+            report, unknowns = problem.report, problem.report.unknowns
             products = report.products["total"]
             without = without or products
-            unknowns = report.unknowns
-            if MPI.COMM_WORLD.rank == 0:
-                stick = f"{unknowns['sticking']} of {unknowns['friction']}"
-                print(
-                    f"{name:19}{n:3}  {report.subdomains:10}  {products:8}  "
-                    f"{products / without:7.2f}   {stick:11}  {len(report.slip_bounds):5}  "
-                    f"{report.outer_iterations:5}",
-                    flush=True,
-                )
-
-
-if __name__ == "__main__":
-    main()
+            yield {
+                "law": name,
+                "n": n,
+                "subdomains": report.subdomains,
+                "products": products,
+                "of none": products / without,
+                "stick": f"{unknowns['sticking']} of {unknowns['friction']}",
+                "steps": len(report.slip_bounds),
+                "outer": report.outer_iterations,
+            }

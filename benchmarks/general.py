@@ -1,7 +1,7 @@
 """Contact of unstructured tetrahedra compared with a linear solve of the same mesh, glued.
 
-    python benchmarks/general.py [--elements-per-metre 21 35] [--residual 1e-4 1e-6] [--ranks 1 2]
-        [--option subdomain_size=6000 ...] [--json out.json]
+    python benchmarks/run.py general [--elements-per-metre 21 35] [--residual 1e-4 1e-6]
+        [--ranks 1 2] [--option subdomain_size=6000 ...]
 
 The two beams of demos/two_beams.py by ContactProblem with its default subdomains, and the same mesh
 with coincident nodes merged (a linear problem) by dolfinx's assembly and PETSc's CG with GAMG. Each
@@ -17,10 +17,7 @@ after the solve, and printed.
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
-import subprocess
+import itertools
 import sys
 import tempfile
 import time
@@ -32,6 +29,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+from runner import separately
 
 import ufl
 from dolfinx import fem
@@ -43,6 +41,7 @@ from fenics_tfeti.feti.report.report import peak_memory
 from fenics_tfeti.io import TaggedMesh, displacement_space, read_msh
 
 MESHES = Path(__file__).parents[1] / "meshes"
+CHOICES = {"only": ["contact", "glued"]}
 CONTACT = ("contact_upper", "contact_lower")
 # At 0.1 million unknowns no combination of thresholds from 0 to 0.05, 0 to 2 aggressive levels and
 # 1 to 4 smoothing steps is more than 6 % faster. Without an aggressive level the solve takes four
@@ -241,89 +240,42 @@ def glue(source: Path, target: Path) -> None:
         gmsh.finalize()
 
 
-def run(kind: str, path: Path, wanted: float, ranks: int, options: list[str]) -> dict[str, Any]:
-    """Solve in separate processes."""
-    command = [sys.executable, __file__, "--single", kind, "--mesh", str(path)]
-    command += ["--residual", str(wanted), *(f"--option={option}" for option in options)]
-    if ranks > 1:
-        command = ["mpirun", "--oversubscribe", "-n", str(ranks), *command]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    for name in ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM"):
-        environment[name] = "1"
-    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=environment)
-    row: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return {"kind": kind, "wanted": wanted, "ranks": ranks, "options": options, **row}
+def run(
+    elements_per_metre=(21, 35),
+    residual=(1e-4, 1e-6),
+    ranks=(1, 2),
+    option=(),
+    only="",
+    meshes="",
+    mesh="",
+):
+    """Solve on each mesh, to each residual, on each number of ranks.
 
-
-def single(arguments: argparse.Namespace) -> None:
-    """Solve once, in this process, and print a row as JSON."""
-    (wanted,) = arguments.residual
-    if arguments.single == "contact":
-        options = dict(option.split("=", 1) for option in arguments.option)
-        row = solve_contact(arguments.mesh, RTOL_FACTOR * wanted, options)
-    else:
-        row = solve_glued(arguments.mesh, wanted)
-    if MPI.COMM_WORLD.rank == 0:
-        print(json.dumps(row))
-
-
-def print_row(row: dict[str, Any], linear: dict[str, Any] | None = None) -> None:
-    """Print a solve in two lines."""
-    if row["kind"] == "contact":
-        products = row["products"]
-        work = f"{row['subdomains']:4} sub. F+M {products['total']}+{products['preconditioner']}"
-    else:
-        work = f"{row['iterations']} iterations"
-    ratio = ""
-    if linear:
-        ratios = (row[name] / linear[name] for name in ("seconds", "processor seconds"))
-        ratio = "  ratios {:.2f} {:.2f}".format(*ratios)
-    print(
-        f"{row['kind']:7} {row['unknowns']:9,} unknowns  {row['ranks']} ranks  to {row['wanted']:g}"
-        f"  {work:26} {row['seconds']:7.1f} s "
-        f"{row['processor seconds']:7.1f} processor s {row['bytes'] / 1e6:6.0f} MB "
-        f"{row['bytes'] / row['unknowns']:6.0f} B/unknown  residual {row['residual']:.1e}{ratio}"
-    )
-    print(
-        "   ", ", ".join(f"{name} {time:.2f}" for name, time in row["phases"].items()), flush=True
-    )
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--elements-per-metre", type=int, nargs="+", default=[21, 35])
-    parser.add_argument("--residual", type=float, nargs="+", default=[1e-4, 1e-6])
-    parser.add_argument("--ranks", type=int, nargs="+", default=[1, 2])
-    parser.add_argument("--option", action="append", default=[], metavar="NAME=VALUE")
-    parser.add_argument("--only", choices=("contact", "glued"))
-    parser.add_argument("--meshes", type=Path, help="folder to keep the meshes in")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--single", help=argparse.SUPPRESS)
-    parser.add_argument("--mesh", help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
-    if arguments.single:
-        single(arguments)
+    `only` one of the problems; `meshes` is a folder to keep the meshes in. With `mesh`, a file, one
+    problem is solved in this process.
+    """
+    if mesh:
+        (wanted,) = residual
+        options = dict(one.split("=", 1) for one in option)
+        contact = only == "contact"
+        limit = RTOL_FACTOR * wanted
+        yield solve_contact(mesh, limit, options) if contact else solve_glued(mesh, wanted)
         return
-    rows = []
+    kinds = [only] if only else ["glued", "contact"]
     with tempfile.TemporaryDirectory() as temporary:
-        folder = arguments.meshes or Path(temporary)
-        kinds = [arguments.only] if arguments.only else ["glued", "contact"]
+        folder = Path(meshes or temporary)
         for kind, path in make_meshes(WARM_UP, folder).items():
-            run(kind, path, 1e-4, 1, [])
-        for n in arguments.elements_per_metre:
-            paths = make_meshes(n, folder)
-            for ranks in arguments.ranks:
-                for wanted in arguments.residual:
-                    linear = None
-                    for kind in kinds:
-                        options = arguments.option if kind == "contact" else []
-                        row = run(kind, paths[kind], wanted, ranks, options)
-                        print_row(row, linear)
-                        linear = row
-                        rows.append(row)
-                        if arguments.json:
-                            arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+            separately("general", only=kind, mesh=path, residual=1e-4)
+        cases = itertools.product(elements_per_metre, ranks, residual)
+        for n, processes, wanted in cases:
+            paths, linear = make_meshes(n, folder), None
+            for kind in kinds:
+                options = option if kind == "contact" else ()
+                case = {"only": kind, "mesh": paths[kind], "residual": wanted, "option": options}
+                (row,) = separately("general", processes, **case)
+                linear = linear or row
+                ratios = {
+                    f"{name} of the first": row[name] / linear[name]
+                    for name in ("seconds", "processor seconds")
+                }
+                yield {"kind": kind, "wanted": wanted, "ranks": processes, **row, **ratios}

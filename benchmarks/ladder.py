@@ -1,6 +1,6 @@
 """The benchmark of sec. 11.11.1 up to its largest problem: two beams of congruent cubes.
 
-    python benchmarks/ladder.py [--subdomains-per-metre 3 5 7 9] [--elements-per-subdomain 10]
+    python benchmarks/run.py ladder [--subdomains-per-metre 3 5 7 9] [--elements-per-subdomain 10]
 
 There is no mesh of the beams. dolfinx assembles one cube, with the loads of a cube at the top and
 at the left face; the other cubes differ by their position in the lattice. The solver detects from
@@ -10,19 +10,15 @@ Each size runs in a separate process, so that its peak of memory is measured.
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
-import subprocess
-import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 
 from mpi4py import MPI
 
 import numpy as np
 from numpy.typing import NDArray
+from runner import separately
 
 import ufl
 from dolfinx import fem
@@ -161,44 +157,12 @@ def solve(m: int, n: int, options: Options, softer: bool) -> dict[str, object]:
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--subdomains-per-metre", type=int, nargs="+", default=[3, 5, 7, 9])
-    parser.add_argument("--elements-per-subdomain", type=int, default=10, metavar="H/h")
-    parser.add_argument("--rtol", type=float, default=1e-4)
-    parser.add_argument("--softer", action="store_true", help="one subdomain of half the stiffness")
-    parser.add_argument("--json", metavar="FILE")
-    parser.add_argument("--single", action="store_true", help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
-    n = arguments.elements_per_subdomain
-    if arguments.single:
-        (m,) = arguments.subdomains_per_metre
-        options = Options(rtol=arguments.rtol)
-        print(json.dumps(solve(m, n, options, arguments.softer)))
+def run(subdomains_per_metre=(3, 5, 7, 9), elements_per_subdomain=10, rtol=1e-4, softer=False):
+    """Solve each size; with `softer` one subdomain has half the stiffness."""
+    if len(subdomains_per_metre) == 1:
+        (m,) = subdomains_per_metre
+        yield solve(m, elements_per_subdomain, Options(rtol=rtol), softer)
         return
-    table = []
-    print(
-        " m subdomains classes torn unknowns      dual    F  M  seconds     MB  us/unknown  B/unk."
-    )
-    for m in arguments.subdomains_per_metre:
-        command = [sys.executable, __file__, "--single", "--subdomains-per-metre", str(m)]
-        command += ["--elements-per-subdomain", str(n), "--rtol", str(arguments.rtol)]
-        command += ["--softer"] if arguments.softer else []
-        answer = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
-        row = json.loads(answer.splitlines()[-1])
-        table.append(row)
-        print(
-            f"{m:2} {row['subdomains']:10} {row['classes']:7} {row['torn']:13,} {row['dual']:9,} "
-            f"{row['F']:4} {row['preconditioner']:2} {row['seconds']:8.1f} "
-            f"{row['bytes'] / 1e6:6.0f} {row['microseconds an unknown']:11.1f} "
-            f"{row['bytes an unknown']:7.0f}   force {row['force']:.6e} N, "
-            f"certificate {row['certificate']:.1e}",
-            flush=True,
-        )
-        print("  ", ", ".join(f"{k} {v:.1f}" for k, v in row["phases"].items()), flush=True)
-    if arguments.json:
-        Path(arguments.json).write_text(json.dumps(table, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+    more = {"elements_per_subdomain": elements_per_subdomain, "rtol": rtol, "softer": softer}
+    for m in subdomains_per_metre:
+        yield from separately("ladder", subdomains_per_metre=m, **more)

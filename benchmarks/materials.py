@@ -1,6 +1,6 @@
 """Products with F for jumps of Young's modulus, by preconditioner and scaling.
 
-    python benchmarks/materials.py --blocks-per-metre 2 --elements-per-metre 10 --json out.json
+    python benchmarks/run.py materials --blocks-per-metre 2 --elements-per-metre 10
 
 The two beams of sec. 11.11.1 consist of cubic blocks that are resolved by an unstructured mesh of
 tetrahedra. The modulus jumps between bodies or blocks. The subdomains are either the blocks
@@ -9,11 +9,9 @@ tetrahedra. The modulus jumps between bodies or blocks. The subdomains are eithe
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -114,20 +112,6 @@ CASES = [
 
 # the cases without --all
 SHORT = (uniform, upper, lower, layers, slices, fibres, inclusions)
-
-
-def parse_arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--blocks-per-metre", type=int, default=2, help="a multiple of 2")
-    parser.add_argument("--elements-per-metre", type=int, default=8)
-    parser.add_argument("--subdomain-size", type=int, default=450, help="of those that SCOTCH cuts")
-    parser.add_argument("--jump", type=float, default=1e4, help="stiff modulus / soft modulus")
-    parser.add_argument("--rtol", type=float, default=1e-6)
-    parser.add_argument("--deflation", default="off", help="off shows what scaling alone does")
-    parser.add_argument("--max-products", type=int, default=300)
-    parser.add_argument("--all", action="store_true", help="all cases; takes twice as long")
-    parser.add_argument("--json", metavar="FILE", help="write the table")
-    return parser.parse_known_args()[0]
 
 
 # -- mesh ----------------------------------------------------------------------------------------
@@ -284,64 +268,33 @@ def measure(system: TornSystem, **options: Any) -> dict[str, Any]:
 # -- table ---------------------------------------------------------------------------------------
 
 
-def print_row(name: str, entries: Sequence[str]) -> None:
-    if MPI.COMM_WORLD.rank == 0:
-        print(f"{name:<28}", *(f"{entry:>17}" for entry in entries), flush=True)
+def run(
+    blocks_per_metre=2,
+    elements_per_metre=8,
+    subdomain_size=450,
+    jump=1e4,
+    rtol=1e-6,
+    max_products=300,
+    deflation="off",
+    all=False,
+):
+    """Solve all cases, or the short list, with each preconditioner and scaling.
 
-
-def entry(run: dict[str, Any]) -> str:
-    """Return products with F + applications of the preconditioner, and seconds of the solver."""
-    count = f"{run['products']}+{run['preconditioned']}" if run["converged"] else "-"
-    return f"{count} {run['seconds']['total']:7.2f}"
-
-
-def print_worst(runs: Sequence[dict[str, Any]], ways: Sequence[tuple[str, str]]) -> None:
-    """Print the largest number of products relative to the uniform material, per column."""
-    for aligned in (True, False):
-        row = []
-        for way in ways:
-            counts = [
-                run["products"] if run["converged"] else np.inf
-                for run in runs
-                if (run["preconditioner"], run["scaling"], run["aligned"]) == (*way, aligned)
-            ]
-            ratio = max(counts) / counts[0]
-            row.append(f"{ratio:.1f}" if np.isfinite(ratio) else "-")
-        print_row(f"worst / uniform, {'aligned' if aligned else 'cut'}", row)
-
-
-def main() -> None:
-    arguments = parse_arguments()
-    beams = Beams(read_mesh(arguments.blocks_per_metre, arguments.elements_per_metre))
-    cut = beams.cut(arguments.subdomain_size)
-    ways = list(itertools.product(PRECONDITIONERS, SCALINGS))
-    print_row("", [preconditioner for preconditioner, _ in ways])
-    print_row("", [scaling for _, scaling in ways])
-    runs = []
-    for case in CASES if arguments.all else [case for case in CASES if case.stiff in SHORT]:
-        problem = beams.problem(case, arguments.jump, beams.blocks if case.aligned else cut)
-        row = [
-            measure(
+    Blocks per metre are a multiple of 2; SCOTCH cuts subdomains of `subdomain_size` unknowns; the
+    modulus jumps by `jump`. Without deflation, the rows show what scaling alone does.
+    """
+    beams = Beams(read_mesh(blocks_per_metre, elements_per_metre))
+    cut, uniform_products = beams.cut(subdomain_size), {}
+    for case in CASES if all else [case for case in CASES if case.stiff in SHORT]:
+        problem = beams.problem(case, jump, beams.blocks if case.aligned else cut)
+        for way in itertools.product(PRECONDITIONERS, SCALINGS):
+            row = measure(
                 problem.system,
-                preconditioner=preconditioner,
-                scaling=scaling,
-                rtol=arguments.rtol,
-                max_products=arguments.max_products,
-                deflation=arguments.deflation,
+                preconditioner=way[0],
+                scaling=way[1],
+                rtol=rtol,
+                max_products=max_products,
+                deflation=deflation,
             )
-            for preconditioner, scaling in ways
-        ]
-        print_row(case.name, [entry(run) for run in row])
-        runs += [{"case": case.name, "aligned": case.aligned, **run} for run in row]
-    print_worst(runs, ways)
-    if MPI.COMM_WORLD.rank == 0:
-        sizes = runs[-1]["unknowns"]["primal"], runs[0]["subdomains"], runs[-1]["subdomains"]
-        print("{} unknowns; {} subdomains aligned, {} cut".format(*sizes))
-        print("products with F + applications of the preconditioner, seconds of the solver")
-        print(f"-: more than {arguments.max_products} products")
-        if arguments.json:
-            Path(arguments.json).write_text(json.dumps(runs, indent=2) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+            first = uniform_products.setdefault(way, row["products"])
+            yield {"case": case.name, **row, "of uniform": row["products"] / first}

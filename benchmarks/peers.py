@@ -1,8 +1,8 @@
 """Comparison of fenics_tfeti with other codes on the same mesh.
 
-    python benchmarks/peers.py --divisions 8 16 --json out.json
-    python benchmarks/peers.py --divisions 8 --codes getfem snesvi-icc
-    python benchmarks/peers.py --divisions 10 --scenes "two beams, meshes 1:1.4"
+    python benchmarks/run.py peers --divisions 8 16
+    python benchmarks/run.py peers --divisions 8 --codes getfem snesvi-icc
+    python benchmarks/run.py peers --divisions 10 --scenes "two beams, meshes 1:1.4"
 
 Each code runs in its own process, on one thread. Seconds are from the arrays of the mesh to the
 displacement at the nodes, without imports and just-in-time compilation. On a shared machine,
@@ -11,24 +11,21 @@ compare processor seconds and not wall time.
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import importlib.util
-import json
-import os
 import resource
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from peers_scene import SCENES, Answer, Scene, nodal_load, sort_key
+from runner import separately
 
 TWO, *_APART, RIGID = SCENES
 APART = tuple(_APART)
@@ -82,83 +79,44 @@ CODES = {
     "snesvi-mumps": Code((RIGID,), "peers_fenics", "solve_by_snesvi", (RTOL, "mumps")),
 }
 REFERENCE = {TWO: "tfeti", **dict.fromkeys(APART, "tfeti-apart"), RIGID: "tfeti-rigid"}
-COLUMNS = (
-    ("code", "{:<21}"),
-    ("seconds", "{:>8.2f}"),
-    ("processor_seconds", "{:>8.2f}"),
-    ("ratio", "{:>6.1f}"),
-    ("peak_memory_mb", "{:>6.0f}"),
-    ("iterations", "{:>6d}"),
-    ("difference", "{:>8.1e}"),
-    ("work_difference", "{:>8.1e}"),
-    ("force_difference", "{:>8.1e}"),
-    ("pressure_difference", "{:>8.1e}"),
-)
-HEADER = """\
-                         clock process.  ratio         iter-        u     work    force pressure
-code                         s        s            MB ations   differ   differ   differ   differ"""
+CHOICES = {"codes": ["all", *CODES], "scenes": list(SCENES)}
 
 
-def main() -> None:
-    arguments = parse_arguments()
-    if arguments.child:
-        run_child(*arguments.child)
+def run(divisions=(8,), codes=("all",), scenes=tuple(SCENES), answer=""):
+    """Solve the scenes by the codes and by the reference; `answer` is where one child writes."""
+    if answer:
+        yield solve_alone(codes[0], scenes[0], divisions[0], answer)
         return
-    chosen = list(CODES) if "all" in arguments.codes else arguments.codes
+    chosen = list(CODES) if "all" in codes else codes
     # the reference runs in any case
     wanted = {REFERENCE[s] for name in chosen for s in CODES[name].scenes}.union(chosen)
-    rows: list[dict[str, Any]] = []
-    scenes = arguments.scenes or SCENES
     for scene in (s for s in SCENES if s in scenes and REFERENCE[s] in wanted):
         names = [n for n in CODES if n in wanted and scene in CODES[n].scenes]
-        for divisions in arguments.divisions:
-            rows += compare(scene, names, divisions)
-    if arguments.json:
-        Path(arguments.json).write_text(json.dumps({"rtol": RTOL, "rows": rows}, indent=1))
+        for n in divisions:
+            yield from compare(scene, names, n)
 
 
-def parse_arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument(
-        "--divisions", type=int, nargs="+", default=[8], metavar="1/h", help="elements per metre"
-    )
-    parser.add_argument("--codes", nargs="+", default=["all"], choices=["all", *CODES])
-    parser.add_argument("--scenes", nargs="+", choices=list(SCENES), help="by default all")
-    parser.add_argument("--json", metavar="FILE", help="write the table")
-    parser.add_argument("--child", nargs=4, help=argparse.SUPPRESS)
-    return parser.parse_args()
-
-
-def compare(scene: str, names: list[str], divisions: int) -> list[dict[str, Any]]:
-    """Run the codes on one mesh, print the table, and return its rows."""
+def compare(scene: str, names: list[str], divisions: int) -> Iterator[dict[str, Any]]:
+    """Run the codes on one mesh, and compare them with the first one."""
     mesh = SCENES[scene](divisions)
-    unknowns = 3 * len(mesh.points)
-    print(f"{scene}, h = 1/{divisions}, {unknowns} unknowns")
-    print(HEADER)
-    rows: list[dict[str, Any]] = []
     reference: tuple[dict[str, Any], Answer] | None = None
     for name in names:
-        row: dict[str, Any] = {"scene": scene, "divisions": divisions, "unknowns": unknowns}
+        row: dict[str, Any] = {"scene": scene, "1/h": divisions, "unknowns": 3 * len(mesh.points)}
         row["code"] = name
-        rows.append(row)
         if not CODES[name].find():
-            row["skipped"] = f"{name} needs the Debian package {CODES[name].package}"
-            print(f"{name:<21} skipped: {sys.executable} does not find {CODES[name].package}")
+            package = CODES[name].package
+            yield {**row, "skipped": f"{sys.executable} does not find the Debian package {package}"}
             continue
         try:
-            figures, answer = run(name, scene, divisions)
+            figures, answer = in_its_process(name, scene, divisions)
         except RuntimeError as error:
             if reference is None:
                 raise
-            row["failed"] = str(error)
-            print(f"{name:<21} failed: {error}")
+            yield {**row, "failed": str(error)}
             continue
         row.update(figures)
         reference = reference or (row, answer)
-        row.update(differences(mesh, row, answer, *reference))
-        print(*(form.format(row[key]) for key, form in COLUMNS), flush=True)
-    print()
-    return rows
+        yield {**row, **differences(mesh, row, answer, *reference)}
 
 
 def differences(
@@ -191,38 +149,24 @@ def differences(
     }
 
 
-def run(name: str, scene: str, divisions: int) -> tuple[dict[str, Any], Answer]:
+def in_its_process(name: str, scene: str, divisions: int) -> tuple[dict[str, Any], Answer]:
     """Run a code in its own process; raise RuntimeError with its last output if it fails."""
-    one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "answer.npz"
-        child = ["--child", name, scene, str(divisions), str(output)]
-        command = [sys.executable, __file__, *child]
-        done = subprocess.run(
-            command, env={**os.environ, **one_thread}, capture_output=True, text=True
+        (figures,) = separately(
+            "peers", codes=name, scenes=scene, divisions=divisions, answer=output
         )
-        if done.returncode:
-            words = (done.stderr or done.stdout).strip().splitlines()
-            raise RuntimeError("\n".join(words[-5:]) or f"exit code {done.returncode}")
         with np.load(output) as arrays:
-            figures = json.loads(str(arrays["figures"]))
-            answer = Answer(
-                arrays["coordinates"],
-                arrays["displacement"],
-                arrays["body"],
-                figures["force"],
-                pressure=arrays["pressure"],
-            )
-    return figures, answer
+            return figures, Answer(force=figures["force"], **arrays)
 
 
-def run_child(name: str, scene_name: str, divisions: str, output: str) -> None:
-    """Solve, and write the answer with the figures of this process and its children."""
+def solve_alone(name: str, scene_name: str, divisions: int, output: str) -> dict[str, Any]:
+    """Solve, write the answer, and return the figures of this process and its children."""
     code = CODES[name]
     solve = getattr(importlib.import_module(code.module), code.function)
     if code.module == "peers_fenics":
         solve(SCENES[scene_name](2), *code.arguments)  # compiles the forms
-    scene = SCENES[scene_name](int(divisions))
+    scene = SCENES[scene_name](divisions)
     clock, processor = time.perf_counter(), _processor_seconds()
     answer: Answer = solve(scene, *code.arguments)
     figures = {
@@ -232,14 +176,9 @@ def run_child(name: str, scene_name: str, divisions: str, output: str) -> None:
         "force": answer.force,
         **answer.facts,
     }
-    np.savez(
-        output,
-        coordinates=answer.coordinates,
-        displacement=answer.displacement,
-        body=answer.body,
-        pressure=answer.pressure,
-        figures=json.dumps(figures),
-    )
+    names = ("coordinates", "displacement", "body", "pressure")
+    np.savez(output, **{name: getattr(answer, name) for name in names})
+    return figures
 
 
 def _processor_seconds() -> float:
@@ -252,7 +191,3 @@ def _peak_memory() -> int:
     """Return the largest resident set [B] of this process or a child of it."""
     who = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     return 1024 * max(resource.getrusage(w).ru_maxrss for w in who)
-
-
-if __name__ == "__main__":
-    main()

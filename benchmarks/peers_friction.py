@@ -1,6 +1,6 @@
 """A block with Coulomb friction on rigid ground, by fenics_tfeti and by GetFEM's nodal brick.
 
-    python benchmarks/peers_friction.py --divisions 10 20
+    python benchmarks/run.py peers_friction --divisions 10 20
 
 A plane block of 4 x 1 m is pressed on the ground and pulled at its right end; the left one is held
 along x above the ground. Its lower nodes slip on the right and stick on the left. Needs GetFEM, see
@@ -9,7 +9,6 @@ along x above the ground. Its lower nodes slip on the right and stick on the lef
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
 from mpi4py import MPI
@@ -29,16 +28,11 @@ BOTTOM, TOP, RIGHT, LEFT = 1, 2, 3, 4
 Vector = NDArray[np.float64]
 
 
-def main() -> None:
-    """Print the differences."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--divisions", type=int, nargs="+", default=[10], metavar="1/h")
-    for n in parser.parse_args().divisions:
+def run(divisions=(10,)):
+    """Solve by both codes on each mesh."""
+    for n in divisions:
         products, figures = compare(n)
-        print(f"h = 1/{n}: {products} products; GetFEM {figures['steps']} Newton steps")
-        print(f"  {figures['sticking']} of {figures['nodes']} nodes stick")
-        for name in ("displacement", "normal", "tangential"):
-            print(f"  difference of {name}: {figures[name]:.1e}")
+        yield {"1/h": n, "products": products, **figures}
 
 
 def compare(n: int) -> tuple[int, dict[str, Any]]:
@@ -152,7 +146,3 @@ def solve_by_getfem(n: int) -> tuple[Vector, Vector, Vector, Vector, int]:
         raise RuntimeError(f"GetFEM did not converge in {steps} steps")
     forces = -model.variable("normal"), model.variable("tangential")
     return place[:, ::2].T, model.variable("u").reshape(-1, 2), *forces, int(steps)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
 """Products with F of each method compared with a linear problem, for four contact problems.
 
-    python benchmarks/products.py [--problems beams stack] [--rtol 1e-4 1e-8] [--json out.json]
+    python benchmarks/run.py products [--problems beams stack] [--rtol 1e-4 1e-8]
 
 Each contact problem is solved by SMALBE-M (with the standard and the projected expansion step) and
 by the active set method, from zero multipliers and from the solution on a mesh with elements twice
@@ -16,9 +16,7 @@ Needs Gmsh with its Python module, for the meshes with larger elements.
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
 import runpy
 import tempfile
 import time
@@ -79,10 +77,7 @@ def mesh_file(script: str, function: str, name: str, **arguments) -> TaggedMesh:
 
 def two_beams(coarse: bool) -> ContactProblem:
     """Return the two beams, 32 cubes of 8^3 elements, or of 4^3."""
-    arguments = argparse.Namespace(
-        subdomains_per_metre=2, elements_per_subdomain=4 if coarse else 8, rtol=1e-6, plain=False
-    )
-    return beams.build(arguments)
+    return beams.build(2, 4 if coarse else 8, 1e-6)
 
 
 def hertz(cell: str, coarse: bool) -> ContactProblem:
@@ -215,38 +210,13 @@ def measure(name: str, system: TornSystem, preconditioner: str, rtol: float) -> 
     return rows
 
 
-def printed(name: str, entry: dict) -> str:
-    """Return a row as text."""
-    line = (
-        f"{name:<17} {entry['rtol']:.0e}  {entry['preconditioner']:<9}  {entry['method']:<20} "
-        f"{entry['F']:>4} {entry['M']:>4} {entry['linear F']:>3} {entry['linear M']:>3} "
-        f"{entry['ratio']:6.2f}  faces {entry['faces']} outer {entry['outer']}"
-    )
-    if entry["method"] != WARM:
-        return line
-    times = entry["seconds"] / entry["seconds of active_set"]
-    return f"{line} coarse {entry['coarse F']} {entry['coarse M']} seconds {times:.2f}"
+CHOICES = {"problems": list(PROBLEMS)}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--problems", nargs="+", choices=PROBLEMS, default=list(PROBLEMS))
-    parser.add_argument("--rtol", nargs="+", type=float, default=[1e-4, 1e-8])
-    parser.add_argument("--json", metavar="FILE")
-    arguments = parser.parse_args()
-    table = []
-    if MPI.COMM_WORLD.rank == 0:
-        print("problem            rtol  prec.      method                  F    M  linear  ratio")
-    for name in arguments.problems:
+def run(problems=tuple(PROBLEMS), rtol=(1e-4, 1e-8)):
+    """Solve each problem by each method, with each preconditioner, to each tolerance."""
+    for name in problems:
         problem = PROBLEMS[name](False)  # owns the communicator of its torn system
-        for rtol, preconditioner in itertools.product(arguments.rtol, PRECONDITIONERS):
-            for entry in measure(name, problem.system, preconditioner, rtol):
-                table.append({"problem": name, **entry})
-                if MPI.COMM_WORLD.rank == 0:
-                    print(printed(name, entry), flush=True)
-    if arguments.json and MPI.COMM_WORLD.rank == 0:
-        Path(arguments.json).write_text(json.dumps(table, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+        for tolerance, preconditioner in itertools.product(rtol, PRECONDITIONERS):
+            for entry in measure(name, problem.system, preconditioner, tolerance):
+                yield {"problem": name, **entry}

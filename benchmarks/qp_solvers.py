@@ -1,6 +1,6 @@
 """The `qp` layer alone beside general QP solvers: time and accuracy.
 
-    python benchmarks/qp_solvers.py [--sizes 200 1000] [--grids 50 100 200] [--json FILE]
+    python benchmarks/run.py qp_solvers [--sizes 200 1000] [--grids 50 100 200]
 
 - membranes: the dual of a contact problem of membranes (tests/data), dense, with equalities and
   bounds, singular;
@@ -16,8 +16,6 @@ are the best of three runs, with set-up, without imports.
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 import time
 from collections.abc import Callable
@@ -224,28 +222,8 @@ def compare(problem: Problem, runs: int = 3) -> list[Row]:
     return table
 
 
-def main(arguments: list[str] | None = None) -> list[Row]:
-    """Print the table; return its rows."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--sizes", type=int, nargs="*", default=[200, 1000])
-    parser.add_argument("--grids", type=int, nargs="*", default=[50, 100, 200])
-    parser.add_argument("--json", type=Path)
-    given = parser.parse_args(arguments)
-    problems = [membranes(), *map(random, given.sizes), *map(obstacle, given.grids)]
-    print(f"{'problem':14} {'solver':16} {'seconds':>8} {'error':>8} {'violation':>9} iterations")
-    table = []
-    for problem in problems:
+def run(sizes=(200, 1000), grids=(50, 100, 200)):
+    """Solve all problems by all solvers."""
+    for problem in [membranes(), *map(random, sizes), *map(obstacle, grids)]:
         for row in compare(problem):
-            print(
-                f"{row.problem:14} {row.solver:16} {row.seconds:8.3f} {row.error:8.0e} "
-                f"{row.violation:9.0e} {row.iterations:10}",
-                flush=True,
-            )
-            table.append(row)
-    if given.json:
-        given.json.write_text(json.dumps([asdict(row) for row in table], indent=2) + "\n")
-    return table
-
-
-if __name__ == "__main__":
-    main()
+            yield asdict(row)

@@ -1,6 +1,6 @@
 """The spectrum of PFP on Ker G as a function of H/h and of 1/h, compared with theorem 11.1.
 
-    python benchmarks/theory.py [--ratios 4 8 16] [--metres 1 2 3] [--json FILE] [--plot FILE]
+    python benchmarks/run.py theory [--ratios 4 8 16] [--metres 1 2 3] [--plot FILE]
 
 By (11.42) the eigenvalues of PFP + rho Q lie between c and C H/h, with F in units of 1 / (E h), in
 two dimensions of 1 / E: the smallest one is bounded from below, the largest one grows at most like
@@ -11,10 +11,6 @@ SMALBE-M and of the default method.
 """
 
 from __future__ import annotations
-
-import argparse
-import json
-from pathlib import Path
 
 from mpi4py import MPI
 
@@ -64,11 +60,7 @@ def extreme_eigenvalues(solver: TornSolver, rtol: float = 1e-4) -> tuple[float, 
 
 def two_beams(metres: int, ratio: int) -> ContactProblem:
     """Return the two beams, with `metres` cubes of `ratio`^3 elements per metre."""
-    return beams.build(
-        argparse.Namespace(
-            subdomains_per_metre=metres, elements_per_subdomain=ratio, rtol=1e-4, plain=True
-        )
-    )
+    return beams.build(metres, ratio, 1e-4, plain=True)
 
 
 def two_sheets(metres: int, ratio: int) -> ContactProblem:
@@ -149,26 +141,6 @@ def slope(rows: list[dict[str, float]], x: str, y: str) -> float:
     return float(np.polyfit(np.log([r[x] for r in rows]), np.log([r[y] for r in rows]), 1)[0])
 
 
-def sweep(name: str, build, pairs: list[tuple[int, int]], x: str) -> list[dict[str, float]]:
-    """Measure and print one table, with slopes against `x`."""
-    print(f"\n{name}\n  m  H/h  1/h  subd.    dual  smallest  largest  cond.  plain  default")
-    rows = []
-    for metres, ratio in pairs:
-        problem = build(metres, ratio)  # owns the communicator of its torn system
-        row = measure(problem.system, metres, ratio)
-        rows.append(row)
-        print(
-            f"{metres:>3} {ratio:>4} {row['1/h']:>4} {row['subdomains']:>6} {row['dual']:>7} "
-            f"{row['smallest']:>9.4f} {row['largest']:>8.3f} {row['condition']:>6.1f} "
-            f"{row['plain products']:>6} {row['default products']:>8}",
-            flush=True,
-        )
-    if len(rows) > 2:
-        slopes = {y: round(slope(rows, x, y), 2) for y in ("smallest", "largest", "condition")}
-        print(f"slopes against {x}: {slopes}")
-    return rows
-
-
 def draw(tables: dict[str, list[dict[str, float]]], path: str) -> None:
     """Draw the eigenvalues of all tables, log-log."""
     import matplotlib
@@ -196,27 +168,23 @@ def draw(tables: dict[str, list[dict[str, float]]], path: str) -> None:
     figure.savefig(path, dpi=110)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--ratios", nargs="+", type=int, default=[4, 8, 16], help="H/h in 3D")
-    parser.add_argument("--per-metre", type=int, default=2, help="cubes, where H/h varies in 3D")
-    parser.add_argument("--ratios-2d", nargs="+", type=int, default=[4, 8, 16, 32, 64])
-    parser.add_argument("--metres", nargs="+", type=int, default=[1, 2, 3, 4], help="at fixed H/h")
-    parser.add_argument("--json", metavar="FILE")
-    parser.add_argument("--plot", metavar="FILE")
-    arguments = parser.parse_args()
+def run(ratios=(4, 8, 16), per_metre=2, ratios_2d=(4, 8, 16, 32, 64), metres=(1, 2, 3, 4), plot=""):
+    """Sweep H/h (`ratios`, in 3D with `per_metre` cubes) and 1/h (`metres`); draw to `plot`."""
     sweeps = {
-        "2D, against H/h": (two_sheets, [(2, r) for r in arguments.ratios_2d], "H/h"),
-        "2D, against 1/h": (two_sheets, [(m, 16) for m in arguments.metres], "1/h"),
-        "3D, against 1/h": (two_beams, [(m, 4) for m in arguments.metres], "1/h"),
-        "3D, against H/h": (two_beams, [(arguments.per_metre, r) for r in arguments.ratios], "H/h"),
+        "2D, against H/h": (two_sheets, [(2, r) for r in ratios_2d], "H/h"),
+        "2D, against 1/h": (two_sheets, [(m, 16) for m in metres], "1/h"),
+        "3D, against 1/h": (two_beams, [(m, 4) for m in metres], "1/h"),
+        "3D, against H/h": (two_beams, [(per_metre, r) for r in ratios], "H/h"),
     }
-    tables = {name: sweep(name, *rest) for name, rest in sweeps.items()}
-    if arguments.json:
-        Path(arguments.json).write_text(json.dumps(tables, indent=1) + "\n")
-    if arguments.plot:
-        draw(tables, arguments.plot)
-
-
-if __name__ == "__main__":
-    main()
+    tables = {}
+    for name, (build, pairs, x) in sweeps.items():
+        tables[name] = rows = []
+        for m, ratio in pairs:
+            problem = build(m, ratio)  # owns the communicator of its torn system
+            rows.append({"sweep": name, **measure(problem.system, m, ratio)})
+            yield rows[-1]
+        if len(rows) > 2:
+            slopes = {f"slope of {y}": slope(rows, x, y) for y in ("smallest", "largest")}
+            yield {"sweep": name, **slopes, "slope of condition": slope(rows, x, "condition")}
+    if plot:
+        draw(tables, plot)

@@ -1,7 +1,7 @@
 """Products with F for nearly incompressible materials: the blocks of MFEM's contact miniapp.
 
-    python benchmarks/two_block.py [-r 0 1 2] [--nu 0.3 0.499 0.49999] [--json FILE]
-    mpirun -n 2 python benchmarks/two_block.py -r 1
+    python benchmarks/run.py two_block [--refinements 0 1 2] [--nu 0.3 0.499 0.49999]
+    mpirun -n 2 python benchmarks/run.py two_block --refinements 1
 
 A stiff unit cube (E = 1000, nu = 0) is pressed by 0.25 / 1.4 into a block of 9 x 4 x 2.5 (E = 1) of
 24 x 12 x 6 hexahedra, refined r times; --scene ironing bends a stiff shell over the block instead.
@@ -11,11 +11,8 @@ takes quadratic displacements. Seconds are processor time of set-up and solve on
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 import warnings
-from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -33,20 +30,7 @@ comm = MPI.COMM_WORLD
 LENGTHS = np.array([9.0, 4.0, 2.5])
 BOTTOM, BLOCK, TOOL, PRESSED = 1, 2, 3, 4
 DESCENT = 0.25 / 1.4
-
-
-def parse_arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("-r", type=int, nargs="+", default=[0, 1], help="refinements")
-    parser.add_argument("--nu", type=float, nargs="+", default=[0.3, 0.45, 0.49, 0.499, 0.49999])
-    parser.add_argument("--scene", choices=("two-block", "ironing"), default="two-block")
-    parser.add_argument("--slave", choices=("tool", "block"), default="tool")
-    parser.add_argument("--full", action="store_true", help="full integration, which locks")
-    parser.add_argument("--degree", type=int, default=1)
-    parser.add_argument("--cell", default="hexahedron")
-    parser.add_argument("--option", nargs="*", default=[], metavar="NAME=VALUE")
-    parser.add_argument("--json", metavar="FILE", help="write the table")
-    return parser.parse_known_args()[0]
+CHOICES = {"scene": ["two-block", "ironing"], "slave": ["tool", "block"], "degree": [1, 2]}
 
 
 def bent(x: np.ndarray) -> np.ndarray:
@@ -97,19 +81,27 @@ def bodies_of(scene: str, refinements: int, cell: str) -> tuple[Any, Any]:
     return bodies, facet_tags
 
 
-def problem_of(arguments: argparse.Namespace, refinements: int, nu_of_block: float) -> Any:
+def problem_of(
+    refinements: int,
+    nu_of_block: float,
+    scene: str,
+    slave: str,
+    full: bool,
+    degree: int,
+    cell: str,
+) -> Any:
     """Return the problem of one row of the table."""
-    bodies, facet_tags = bodies_of(arguments.scene, refinements, arguments.cell)
+    bodies, facet_tags = bodies_of(scene, refinements, cell)
     mesh = bodies.mesh
     constant = _compat.lagrange_space(mesh, 0, discontinuous=True)
     young, nu = fem.Function(constant), fem.Function(constant)
     young.x.array[:], nu.x.array[:] = 1.0, nu_of_block
     of_tool = _compat.cell_dofs(constant).ravel()[bodies.cell_tags.find(bodies.names["tool"])]
     young.x.array[of_tool], nu.x.array[of_tool] = 1e3, 0.0
-    V = displacement_space(mesh, degree=arguments.degree)
+    V = displacement_space(mesh, degree=degree)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     mu, lmbda = 0.5 * young / (1 + nu), young * nu / ((1 + nu) * (1 - 2 * nu))
-    one_point = {} if arguments.full else {"metadata": {"quadrature_degree": 0}}
+    one_point = {} if full else {"metadata": {"quadrature_degree": 0}}
     a = 2 * mu * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
     a += lmbda * ufl.div(u) * ufl.div(v) * ufl.dx(**one_point)
     L = ufl.inner(fem.Constant(mesh, np.zeros(3)), v) * ufl.dx
@@ -121,53 +113,36 @@ def problem_of(arguments: argparse.Namespace, refinements: int, nu_of_block: flo
         )
         for tag, height in ((BOTTOM, 0.0), (PRESSED, -DESCENT))
     ]
-    slave, master = (TOOL, BLOCK) if arguments.slave == "tool" else (BLOCK, TOOL)
-    options = dict(option.split("=") for option in arguments.option)
-    contacts = [ContactPair(facet_tags, slave=slave, master=master)]
-    return ContactProblem(a, L, bcs=bcs, contacts=contacts, options=options)
+    surfaces = (TOOL, BLOCK) if slave == "tool" else (BLOCK, TOOL)
+    return ContactProblem(a, L, bcs=bcs, contacts=[ContactPair(facet_tags, *surfaces)])
 
 
-def measure(arguments: argparse.Namespace, refinements: int, nu: float) -> dict[str, Any]:
-    """Solve the problem of one row."""
-    problem = problem_of(arguments, refinements, nu)
-    start = time.process_time()
-    problem.solve()
-    report = problem.report
-    return {
-        "r": refinements,
-        "nu": nu,
-        "unknowns": report.unknowns["primal"],
-        "subdomains": report.subdomains,
-        "products": report.products["total"],
-        "preconditioned": report.products["preconditioner"],
-        "vectors": report.deflation["vectors"],
-        "seconds": time.process_time() - start,
-        "solver": report.seconds["total"],
-        "force": report.contacts[0].normal_force,
-        "certificate": report.certificate.worst,
-        "converged": report.converged,
-    }
-
-
-def main() -> None:
-    arguments = parse_arguments()
+def run(
+    refinements=(0, 1),
+    nu=(0.3, 0.45, 0.49, 0.499, 0.49999),
+    scene="two-block",
+    slave="tool",
+    full=False,
+    degree=1,
+    cell="hexahedron",
+):
+    """Solve for each refinement and each Poisson's ratio of the block."""
     for message in (".*lock at a Poisson.s ratio", ".*grad u. is as large"):
         warnings.filterwarnings("ignore", message=message)
-    columns = ("r", "nu", "unknowns", "subdomains", "products", "vectors", "seconds")
-    if comm.rank == 0:
-        print(*(f"{column:>10}" for column in (*columns, "force", "certificate")))
-    runs = []
-    for refinements in arguments.r:
-        for nu in arguments.nu:
-            run = measure(arguments, refinements, nu)
-            runs.append(run)
-            if comm.rank == 0:
-                row = [f"{run[column]:>10.7g}" for column in columns[:-1]]
-                row += [f"{run['seconds']:>10.2f}", f"{run['force']:>10.7f}"]
-                print(*row, f"{run['certificate']:>10.1e}", flush=True)
-    if arguments.json and comm.rank == 0:
-        Path(arguments.json).write_text(json.dumps(runs, indent=2) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+    for r in refinements:
+        for poisson in nu:
+            problem = problem_of(r, poisson, scene, slave, full, degree, cell)
+            start = time.process_time()
+            problem.solve()
+            report = problem.report
+            yield {
+                "r": r,
+                "nu": poisson,
+                "unknowns": report.unknowns["primal"],
+                "subdomains": report.subdomains,
+                "products": report.products["total"],
+                "vectors": report.deflation["vectors"],
+                "seconds": time.process_time() - start,
+                "force": report.contacts[0].normal_force,
+                "certificate": report.certificate.worst,
+            }

@@ -1,4 +1,7 @@
-"""Each mistake of a user is one clear error, raised before any stiffness matrix is factored."""
+"""Each mistake of a user is one clear error, raised before any stiffness matrix is factored.
+
+It is the same on all ranks: none is left waiting.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,14 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from mistakes import MISTAKES
+from mistakes.page import PAGE, page
 from scenes import two_beams
 
 import fenics_tfeti
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
+
+COMM = MPI.COMM_WORLD
 
 
 @pytest.fixture
@@ -29,10 +35,11 @@ def factored(monkeypatch):
     return begun
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.name)
 def test_mistake(mistake, factored):
     with pytest.raises(fenics_tfeti.ContactError) as raised:
-        mistake.pose(MPI.COMM_SELF)
+        mistake.pose(COMM)
     assert type(raised.value) is mistake.error
     # Only the factorisation itself can find that a matrix is not positive semidefinite.
     assert not factored or mistake.error is fenics_tfeti.FactorizationError
@@ -42,19 +49,28 @@ def test_mistake(mistake, factored):
     assert 20 <= len(message) <= 900
     assert "\n\n" not in message
     assert "Traceback" not in message
+    assert COMM.allgather(message) == COMM.size * [message]
 
 
+@pytest.mark.once
+def test_messages_are_on_the_page():
+    """After a change of messages run python tests/support/mistakes/page.py."""
+    assert PAGE.read_text() == page()
+
+
+@pytest.mark.ranks
 def test_problem_without_a_mistake_is_solved(factored):
     """Otherwise the mistakes may fail for another reason, and the fixture count nothing."""
-    problem = two_beams(MPI.COMM_SELF, "quadrilateral", 4).problem()
+    problem = two_beams(COMM, "quadrilateral", 4).problem()
     problem.solve()
     assert problem.report.converged
     assert factored
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("limit", ["smalbe_max_it", "max_products"])
 def test_not_converged_raises_with_the_last_iterate(limit):
-    problem = two_beams(MPI.COMM_SELF, "quadrilateral", 6).problem(
+    problem = two_beams(COMM, "quadrilateral", 6).problem(
         options={limit: 1, "method": "smalbe", "rtol": 1e-10, "subdomain_size": 100}
     )
     with pytest.raises(fenics_tfeti.NotConverged, match=limit) as raised:
@@ -66,7 +82,7 @@ def test_not_converged_raises_with_the_last_iterate(limit):
 
 @pytest.mark.parametrize("limit", ["smalbe_max_it", "max_products"])
 def test_not_converged_returns_the_last_iterate_if_asked(limit):
-    problem = two_beams(MPI.COMM_SELF, "quadrilateral", 6).problem(
+    problem = two_beams(COMM, "quadrilateral", 6).problem(
         options={
             limit: 1,
             "method": "smalbe",
@@ -83,7 +99,7 @@ def test_not_converged_returns_the_last_iterate_if_asked(limit):
 
 def test_not_converged_gets_better_with_the_limit():
     """The last iterate is worth having: it comes nearer to the solution."""
-    scene = two_beams(MPI.COMM_SELF, "quadrilateral", 6)
+    scene = two_beams(COMM, "quadrilateral", 6)
     exact = scene.reference().displacement
     errors = []
     for limit in (2, 8, 400):

@@ -17,7 +17,7 @@ from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.reference_cells import reference_cell
 from fenics_tfeti.fem.strains import cell_gradients, warn_of_large_gradients
 
-COMM = MPI.COMM_SELF
+COMM = MPI.COMM_WORLD
 
 
 @pytest.mark.parametrize("cell", CELLS)
@@ -92,3 +92,21 @@ def test_strains_of_few_cells_do_not_count(columns, told):
         return np.stack([0.09 * x[0] + 0.03 * np.minimum(x[0], columns / 8), 0.0 * x[1]])
 
     assert is_told(displace, (1.0, 1.0)) == told
+
+
+def told(comm):
+    """Return the messages of a problem with E in MPa, lengths in metres and loads in N."""
+    scene = two_beams(comm, "quadrilateral", 6)
+    scene.kept[0].value = 1e-6 * YOUNG
+    problem = scene.problem(options={"rtol": 1e-8})
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        problem.solve()
+    return [str(warning.message) for warning in caught]
+
+
+@pytest.mark.ranks(2)
+def test_rank_0_warns_as_one_rank_alone_does():
+    alone, together = told(MPI.COMM_SELF), told(COMM)
+    assert len(alone) == 1
+    assert together == (alone if COMM.rank == 0 else [])

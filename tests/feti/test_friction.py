@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from functools import cache
+
+from mpi4py import MPI
 
 import numpy as np
 import pytest
@@ -19,7 +22,7 @@ from friction_problems import (
     pushed_block,
     solve_by_cones,
 )
-from sparse_rows import clamped, random_rows, two_blocks
+from sparse_rows import clamped, distributed, random_rows, two_blocks
 
 from fenics_tfeti import InputError, UnresistedMotion
 from fenics_tfeti.feti import (
@@ -33,7 +36,10 @@ from fenics_tfeti.feti import (
     load_system,
     save_system,
 )
+from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.feti.solution.monitor import describe_step
+
+COMM = MPI.COMM_WORLD
 
 
 def slave_held_across() -> TornSystem:
@@ -119,6 +125,7 @@ SYSTEMS = {
     "one side, turned": one_side_held_across_tangents,
     "half": half_held,
 }
+USUAL, *OTHER_WAYS = itertools.product(("lumped", "dirichlet", "none"), ("active_set", "smalbe"))
 every_system = pytest.mark.parametrize("name", SYSTEMS)
 
 
@@ -133,50 +140,56 @@ def solved(name: str, preconditioner: str = "lumped", method: str = "active_set"
     return TornSolver(SYSTEMS[name](), options).solve()
 
 
-@pytest.mark.parametrize("method", ["active_set", "smalbe"])
-@pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet", "none"])
-@every_system
-def test_energy_and_forces_are_those_of_the_conic_solver(name, preconditioner, method):
-    found, exact = solved(name, preconditioner, method), expected(name)
-    assert found.report.energy == pytest.approx(exact.energy, rel=1e-8)
-    for force, other in (
-        (found.normal_force, exact.normal_force),
-        (found.tangential_force, exact.tangential_force),
-    ):
-        np.testing.assert_allclose(force, other, rtol=0.0, atol=1e-6 * np.abs(other).max())
-    size = np.abs(np.concatenate(found.displacements)).max()
-    np.testing.assert_allclose(found.slip, exact.slip, rtol=0.0, atol=1e-6 * size)
-
-
-@every_system
-def test_friction_conditions(name):
+def assert_friction_conditions(found, friction):
     """At most the bound; below it no slip; at it the slip is along the force."""
-    found, friction = solved(name), SYSTEMS[name]().friction
     force = np.linalg.norm(found.tangential_force, axis=1)
     slip = np.linalg.norm(found.slip, axis=1)
     assert np.all(force <= friction.bound * (1.0 + 1e-12))
     assert not slip[found.sticking].any()
     np.testing.assert_allclose(force[slip > 0.0], friction.bound[slip > 0.0], rtol=1e-12)
-    clear = (slip > 1e-4 * slip.max()) & (friction.bound > 0.0)
+    clear = (slip > 1e-4 * slip.max(initial=0.0)) & (friction.bound > 0.0)
     cosine = np.sum(found.slip * found.tangential_force, axis=1)[clear] / (force * slip)[clear]
     np.testing.assert_allclose(cosine, 1.0, atol=1e-6)
 
 
-@every_system
-def test_certificate_and_report(name):
-    report, friction = solved(name).report, SYSTEMS[name]().friction
-    found = solved(name)
-    numbers = report.certificate.numbers()
+def assert_report(found, friction):
+    """Certificate, numbers of sites and the work of friction."""
+    report, numbers = found.report, found.report.certificate.numbers()
     assert report.converged
     assert max(numbers.values()) <= 1e-8
     assert {"friction above its bound", "slip below the bound", "slip across the force"} <= set(
         numbers
     )
-    assert report.unknowns["friction"] == friction.size
-    assert report.unknowns["sticking"] == np.count_nonzero(found.sticking)
-    work = float(np.sum(found.slip * found.tangential_force))
+    assert report.unknowns["friction"] == COMM.allreduce(friction.size)
+    assert report.unknowns["sticking"] == COMM.allreduce(np.count_nonzero(found.sticking))
+    work = COMM.allreduce(float(np.sum(found.slip * found.tangential_force)))
     assert [c.friction_work for c in report.contacts] == [pytest.approx(work, rel=1e-12, abs=1e-15)]
     assert report.equilibrium < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("preconditioner", "method"),
+    [pytest.param(*USUAL, marks=pytest.mark.ranks), *OTHER_WAYS],
+)
+@every_system
+def test_solution(name, preconditioner, method):
+    """By the conic solver, and by the conditions of friction; on any number of ranks."""
+    options = Options(rtol=1e-8, preconditioner=preconditioner, method=method)
+    system = distributed(SYSTEMS[name](), COMM)
+    found, exact = TornSolver(system, options).solve(), expected(name)
+    assert found.report.energy == pytest.approx(exact.energy, rel=1e-8)
+    mine = slice(COMM.rank, None, COMM.size)
+    of_site = np.isin(SYSTEMS[name]().friction.row, np.arange(exact.normal_force.size)[mine])
+    for force, other, own in (
+        (found.normal_force, exact.normal_force, mine),
+        (found.tangential_force, exact.tangential_force, of_site),
+    ):
+        np.testing.assert_allclose(force, other[own], rtol=0.0, atol=1e-6 * np.abs(other).max())
+    size = np.abs(exact.displacement).max()
+    np.testing.assert_allclose(found.slip, exact.slip[of_site], rtol=0.0, atol=1e-6 * size)
+    if (preconditioner, method) == USUAL:
+        assert_friction_conditions(found, system.friction)
+        assert_report(found, system.friction)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -522,3 +535,108 @@ def test_prescribed_slip_in_one_direction_is_an_error():
     system = prescribed_too(prescribed_too(pushed_block(), 0, 1, 0.0), 1, 1, 0.1)
     with pytest.raises(InputError, match="slide 16 contact rows in one tangential direction"):
         TornSolver(system)
+
+
+ON_RANKS = ["pushed", "do not match", "ground", "strip"]
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("name", ON_RANKS)
+def test_solution_does_not_depend_on_ranks(name):
+    system, options = SYSTEMS[name](), Options(rtol=1e-9, error_if_not_converged=False)
+    alone = TornSolver(system, options).solve()
+    found = TornSolver(distributed(system, COMM), options).solve()
+    size = max(np.abs(u).max() for u in alone.displacements)
+    own = alone.displacements[COMM.rank :: COMM.size]
+    for u, expected in zip(found.displacements, own, strict=True):
+        np.testing.assert_allclose(u, expected, rtol=0.0, atol=1e-8 * size)
+    mine = slice(COMM.rank, None, COMM.size)
+    largest = np.abs(alone.normal_force).max()
+    for force, expected in (
+        (found.normal_force, alone.normal_force),
+        (found.tangential_force, alone.tangential_force),
+    ):
+        np.testing.assert_allclose(force, expected[mine], rtol=0.0, atol=1e-6 * largest)
+    np.testing.assert_allclose(found.slip, alone.slip[mine], rtol=0.0, atol=1e-8 * size)
+    assert found.sticking.tolist() == alone.sticking[mine].tolist()
+    for name in ("friction", "sticking", "dual", "inequalities"):
+        assert found.report.unknowns[name] == alone.report.unknowns[name]
+    np.testing.assert_allclose(
+        [c.friction_work for c in found.report.contacts],
+        [c.friction_work for c in alone.report.contacts],
+        rtol=1e-6,
+    )
+    np.testing.assert_allclose(found.report.energy, alone.report.energy, rtol=1e-12)
+
+
+SLOW = {"friction_50076", "friction_50136", "friction_50140", "friction_50220"}
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, id=path.stem, marks=[pytest.mark.heavy] * (path.stem in SLOW))
+        for path in STORED
+    ],
+)
+def test_dependent_rows_that_stick(path):
+    found = TornSolver(load_system(path, COMM)).solve().report
+    alone = TornSolver(load_system(path, MPI.COMM_SELF)).solve().report
+    assert found.converged
+    assert found.energy == pytest.approx(alone.energy, rel=1e-5)
+
+
+@pytest.mark.ranks(2)
+def test_nodes_between_two_planes_on_all_ranks():
+    system = in_a_groove()
+    found = TornSolver(distributed(system, COMM), Options(rtol=1e-8)).solve().report
+    alone = TornSolver(system, Options(rtol=1e-8)).solve().report
+    assert found.energy == pytest.approx(alone.energy, rel=1e-12)
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("name", ON_RANKS)
+def test_all_rows_of_a_site_are_on_the_same_ranks(name):
+    constraints = build_constraints(distributed(SYSTEMS[name](), COMM))[0]
+    friction, owned = constraints.friction, constraints.layout.owned
+    assert friction.present.all()
+    assert np.all((friction.rows < owned).all(axis=1) == (friction.rows < owned).any(axis=1))
+    total = COMM.allreduce(int(np.count_nonzero(friction.owned(owned))))
+    assert total == SYSTEMS[name]().friction.size
+
+
+@pytest.mark.ranks(2)
+def test_ranks_without_subdomains_or_rows():
+    system = on_the_ground()
+    here = COMM.rank == COMM.size - 1
+    alone = TornSolver(system, Options(rtol=1e-8)).solve()
+    empty = dataclasses.replace(
+        system,
+        subdomains=system.subdomains if here else [],
+        contacts=system.contacts if here else system.contacts.chosen(np.zeros(0, int)),
+        friction=system.friction if here else type(system.friction).none(3),
+        comm=COMM,
+    )
+    found = TornSolver(empty, Options(rtol=1e-8)).solve()
+    assert found.report.energy == pytest.approx(alone.report.energy, rel=1e-12)
+
+
+@pytest.mark.ranks(2)
+def test_load_that_friction_cannot_hold_is_an_error_on_all_ranks():
+    system = distributed(on_the_ground(bound=0.003), COMM)
+    with pytest.raises(UnresistedMotion, match=r"It would take 1\.333 times the slip bounds"):
+        TornSolver(system)
+
+
+@pytest.mark.ranks(2)
+def test_friction_in_a_file(tmp_path):
+    """Rows are written in the order of ranks, and dealt out to them in blocks."""
+    path = COMM.bcast(tmp_path / "system.npz")
+    system = blocks_that_do_not_match()
+    save_system(path, distributed(system, COMM))
+    read = load_system(path, COMM)
+    assert COMM.allreduce(read.friction.size) == system.friction.size
+    found, exact = (TornSolver(s, Options(rtol=1e-8)).solve().report for s in (read, system))
+    assert found.energy == pytest.approx(exact.energy, rel=1e-12)
+    assert found.unknowns["sticking"] == exact.unknowns["sticking"]

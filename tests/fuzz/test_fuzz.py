@@ -13,6 +13,7 @@ from mpi4py import MPI
 import pytest
 from cases import solve_case
 from mesh_options import draw_mesh_case
+from outcome import FINE
 
 RUN = Path(__file__).with_name("run.py")
 
@@ -71,3 +72,20 @@ def test_options_are_drawn():
     assert {problem.degree for problem in problems} == {1, 2}
     assert any(problem.slider is not None for problem in problems)
     assert any("non_penetration" in problem.options for problem in problems)
+
+
+@pytest.fixture(scope="module")
+def notes():
+    """The communicator on which the ranks compare what they found."""
+    comm = MPI.COMM_WORLD.Dup()
+    yield comm
+    comm.Free()
+
+
+# beside some that are drawn, those with friction that failed once
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("seed", [*range(0, 40, 2), 318, 430, 864, 1760, 7884])
+def test_random_problem(seed, notes):
+    comm = MPI.COMM_WORLD
+    outcome = notes.bcast(solve_case("feti", seed, comm, notes))
+    assert outcome.kind in FINE, f"seed {seed}: {outcome.kind}: {outcome.detail}"

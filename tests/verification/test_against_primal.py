@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 from mpi4py import MPI
 
 import numpy as np
 import pytest
-from primal_reference import Pair
+from primal_reference import Pair, nodes_of
 from scenes import (
     GROUND,
     MASTER,
@@ -22,6 +20,7 @@ from scenes import (
     two_materials,
 )
 
+COMM = MPI.COMM_WORLD
 OPTIONS = {"rtol": 1e-8, "subdomain_size": 60, "partitioner": "scotch"}
 
 SMALL = {
@@ -44,6 +43,15 @@ SMALL = {
     "stack, quadrilaterals": lambda comm: stack_on_ground(comm, "quadrilateral", 8),
     "stack, tetrahedra": lambda comm: stack_on_ground(comm, "tetrahedron", 4),
 }
+ON_RANKS = {
+    "beams, quadrilaterals",
+    "beams, hexahedra",
+    "beams, tetrahedra",
+    "block, tetrahedra, gap",
+    "materials, triangles",
+    "materials, hexahedra",
+    "stack, quadrilaterals",
+}
 LARGE = {
     "beams, hexahedra, h = 1/12": lambda comm: two_beams(comm, "hexahedron", 12),
     "beams, tetrahedra, h = 1/8": lambda comm: two_beams(comm, "tetrahedron", 8),
@@ -56,103 +64,138 @@ every_scene = pytest.mark.parametrize(
 )
 
 
-@lru_cache(maxsize=None)
-def solved(name: str):
-    """Return scene, solved problem, displacement and reference of a scene."""
-    scene = {**SMALL, **LARGE}[name](MPI.COMM_SELF)
+def solved(name, comm=MPI.COMM_SELF):
+    """Return the solved problem of a scene, and the displacement."""
+    scene = {**SMALL, **LARGE}[name](comm)
     size = 1000 if name in LARGE else 60 if scene.mesh.topology.dim == 2 else 200
     problem = scene.problem(options={**OPTIONS, "subdomain_size": size})
-    return scene, problem, problem.solve(), scene.reference()
+    return scene, problem, problem.solve()
 
 
-def by_node(contact):
-    """Return the places that put a contact's nodes in ascending order."""
-    return np.argsort(contact.nodes)
+def local_nodes(scene):
+    index_map = scene.V.dofmap.index_map
+    return np.arange(index_map.size_local + index_map.num_ghosts)
 
 
-@every_scene
-def test_displacement(name):
-    _, _, uh, reference = solved(name)
-    error = np.linalg.norm(uh.x.array - reference.displacement)
-    assert error <= 1e-6 * np.linalg.norm(reference.displacement)
+def keys(scene, nodes):
+    """Return place and body of nodes of this rank, which tell them apart where bodies touch."""
+    body = np.zeros(local_nodes(scene).size, dtype=int)
+    if scene.cell_tags is not None:  # bodies share no node
+        for cell, tag in zip(scene.cell_tags.indices, scene.cell_tags.values, strict=True):
+            body[scene.V.dofmap.cell_dofs(int(cell))] = tag
+    places = np.round(scene.V.tabulate_dof_coordinates()[nodes], 6) + 0.0
+    return [(*place, tag) for place, tag in zip(places, body[nodes], strict=True)]
 
 
-@every_scene
-def test_contact_forces(name):
-    scene, problem, _, reference = solved(name)
+def assert_displacement(scene, uh, alone, reference):
+    """Compare the displacement of all nodes, with ghosts, with that of one rank."""
+    expected = reference.displacement.reshape(-1, scene.mesh.geometry.dim)
+    row = {key: k for k, key in enumerate(keys(alone, local_nodes(alone)))}
+    rows = [row[key] for key in keys(scene, local_nodes(scene))]
+    error = uh.x.array.reshape(expected[rows].shape) - expected[rows]
+    squares = COMM.allreduce(np.sum(error**2))
+    assert np.sqrt(squares) <= 1e-6 * np.linalg.norm(expected), "displacement"
+
+
+def assert_contacts(scene, problem, alone, serial, reference):
+    """Compare gaps, normals, forces and pressures at each node, and the total forces."""
+    first, last = scene.V.dofmap.index_map.local_range
     largest = max([contact.forces.max() for contact in reference.contacts] + [1e-3])
     assert len(problem.results) == len(scene.contacts)
-    for found, expected in zip(problem.results, reference.contacts, strict=True):
-        order = by_node(found)
-        np.testing.assert_array_equal(found.nodes[order], expected.nodes)
-        np.testing.assert_allclose(
-            found.normal_force[order], expected.forces, rtol=0.0, atol=1e-5 * largest
-        )
-
-
-@every_scene
-def test_total_contact_force(name):
-    scene, problem, _, reference = solved(name)
+    for found, expected, one in zip(
+        problem.results, reference.contacts, serial.contact, strict=True
+    ):
+        # each node is on the rank that owns it
+        assert np.all((found.nodes >= first) & (found.nodes < last))
+        everywhere = np.concatenate(COMM.allgather(found.nodes))
+        assert np.unique(everywhere).size == everywhere.size == expected.nodes.size
+        row = {key: k for k, key in enumerate(keys(alone, expected.nodes))}
+        rows = [row[key] for key in keys(scene, found.nodes - first)]
+        for name in ("coordinates", "gap", "normal"):
+            values = getattr(expected, name)[rows]
+            assert getattr(found, name).shape == values.shape
+            np.testing.assert_allclose(getattr(found, name), values, atol=1e-12, err_msg=name)
+        pressure = one.pressure[np.argsort(one.nodes)]
+        for name, values, scale in (
+            ("normal_force", expected.forces, largest),
+            ("pressure", pressure, pressure.max() + 1e-3),
+        ):
+            np.testing.assert_allclose(
+                getattr(found, name), values[rows], rtol=0.0, atol=1e-5 * scale, err_msg=name
+            )
+        np.testing.assert_array_equal(found.active, found.normal_force > 0.0)
     exact = scene.total_forces or [contact.forces.sum() for contact in reference.contacts]
-    summed = [contact.normal_force.sum() for contact in problem.results]
-    np.testing.assert_allclose(
-        [c.normal_force for c in problem.report.contacts], exact, rtol=1e-6, atol=1e-3
-    )
-    np.testing.assert_allclose(summed, exact, rtol=1e-6, atol=1e-3)
+    summed = [COMM.allreduce(contact.normal_force.sum()) for contact in problem.results]
+    for name, total in (
+        ("report", [c.normal_force for c in problem.report.contacts]),
+        ("sum over nodes", summed),
+    ):
+        np.testing.assert_allclose(total, exact, rtol=1e-6, atol=1e-3, err_msg=name)
 
 
-@every_scene
-def test_gaps_and_normals(name):
-    _, problem, _, reference = solved(name)
-    for found, expected in zip(problem.results, reference.contacts, strict=True):
-        order = by_node(found)
-        np.testing.assert_allclose(found.coordinates[order], expected.coordinates, atol=1e-12)
-        np.testing.assert_allclose(found.gap[order], expected.gap, atol=1e-12)
-        np.testing.assert_allclose(found.normal[order], expected.normal, atol=1e-12)
-
-
-@every_scene
-def test_active_nodes_are_those_that_press(name):
-    _, problem, _, _ = solved(name)
-    for contact in problem.results:
-        np.testing.assert_array_equal(contact.active, contact.normal_force > 0.0)
-
-
-@every_scene
-def test_energy(name):
-    _, problem, _, reference = solved(name)
-    # abs: rounding of the reference, where a block is moved without strains
-    assert problem.report.energy == pytest.approx(reference.energy, rel=1e-8, abs=1e-8)
-
-
-@every_scene
-def test_certificate(name):
-    _, problem, _, _ = solved(name)
-    certificate = problem.report.certificate
-    assert problem.report.converged
-    for quantity, number in certificate.numbers().items():
+def assert_report(report, reference):
+    """Sizes, energy and certificate, the same on all ranks."""
+    assert report.converged and report.ranks == COMM.size
+    for quantity, number in report.certificate.numbers().items():
         assert 0.0 <= number <= 1e-8, quantity
+    assert report.subdomains >= 2
+    assert report.unknowns["torn"] > report.unknowns["primal"] == reference.displacement.size
+    # abs: rounding of the reference, where a block is moved without strains
+    assert report.energy == pytest.approx(reference.energy, rel=1e-8, abs=1e-8)
+    mine = (
+        report.converged,
+        report.reason,
+        report.energy,
+        tuple([c.normal_force for c in report.contacts]),
+    )
+    assert len(set(COMM.allgather(mine))) == 1
 
 
-@every_scene
-def test_there_is_something_to_tear(name):
-    scene, problem, _, reference = solved(name)
-    assert problem.report.subdomains >= 2
-    assert problem.report.unknowns["primal"] == reference.displacement.size
-    assert problem.report.unknowns["torn"] > problem.report.unknowns["primal"]
+def assert_near(uh, displacement, factor=1e-6):
+    error = np.linalg.norm(uh.x.array - displacement)
+    assert error <= factor * np.linalg.norm(displacement), "displacement"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(pytest.param(n, marks=[pytest.mark.ranks] if n in ON_RANKS else []) for n in SMALL),
+        *(pytest.param(n, marks=pytest.mark.heavy) for n in LARGE),
+    ],
+)
+def test_scene(name):
+    scene, problem, uh = solved(name, COMM)
+    alone, serial = (scene, problem) if COMM.size == 1 else solved(name)[:2]
+    reference = alone.reference()
+    assert_displacement(scene, uh, alone, reference)
+    assert_contacts(scene, problem, alone, serial, reference)
+    assert_report(problem.report, reference)
+    if name in ("beams, hexahedra", "ball, hexahedra", "materials, triangles"):
+        # otherwise the inequalities might as well be equations
+        forces = reference.contacts[0].forces
+        assert 0 < np.count_nonzero(forces) < forces.size
+
+
+@pytest.mark.ranks(2)
+def test_some_pairs_are_of_nodes_on_different_ranks():
+    """Otherwise the test above tests less than it says."""
+    scene = SMALL["beams, quadrilaterals"](COMM)
+    owner = {}
+    for tag in (SLAVE, MASTER):
+        nodes = nodes_of(scene.V, scene.facet_tags.find(tag))
+        owned = nodes[nodes < scene.V.dofmap.index_map.size_local]
+        for rank, part in enumerate(COMM.allgather(keys(scene, owned))):
+            for key in part:
+                owner.setdefault(key[:3], {})[tag] = rank
+    assert any(len(set(ranks.values())) == 2 for ranks in owner.values())
 
 
 @pytest.mark.parametrize("name", [name for name in SMALL if name.startswith("block")])
 def test_uniform_stress_is_exact(name):
-    scene, _, uh, _ = solved(name)
+    """The area of the tagged surface is 1, so the total force is the pressure."""
+    scene, problem, uh = solved(name)
     exact = scene.exact(scene.V.tabulate_dof_coordinates().T).T.ravel()
     np.testing.assert_allclose(uh.x.array, exact, rtol=0.0, atol=1e-6 * np.abs(exact).max())
-
-
-@pytest.mark.parametrize("name", [name for name in SMALL if name.startswith("block")])
-def test_uniform_pressure_is_exact(name):
-    """The area of the tagged surface is 1, so the total force is the pressure."""
-    scene, problem, _, _ = solved(name)
     (total,) = scene.total_forces
     np.testing.assert_allclose(problem.results[0].pressure, total, rtol=1e-5, atol=1e-3)
 
@@ -174,26 +217,17 @@ def test_uniform_pressure_is_exact(name):
 )
 @pytest.mark.parametrize("name", ["beams, quadrilaterals", "materials, triangles"])
 def test_options_change_the_way_but_not_the_solution(name, options):
-    scene, _, _, reference = solved(name)
+    scene = SMALL[name](MPI.COMM_SELF)
     uh = scene.problem(options={**OPTIONS, **options}).solve()
-    error = np.linalg.norm(uh.x.array - reference.displacement)
-    assert error <= 1e-6 * np.linalg.norm(reference.displacement)
+    assert_near(uh, scene.reference().displacement)
 
 
 @pytest.mark.parametrize("rtol", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10])
 def test_tolerance_means_what_it_says(rtol):
     """The error follows rtol, with the condition of the problem for a factor."""
-    scene, _, _, reference = solved("beams, quadrilaterals")
+    scene = two_beams(MPI.COMM_SELF, "quadrilateral", 6)
     uh = scene.problem(options={**OPTIONS, "rtol": rtol}).solve()
-    error = np.linalg.norm(uh.x.array - reference.displacement)
-    assert error <= 30.0 * rtol * np.linalg.norm(reference.displacement)
-
-
-def test_the_scenes_have_nodes_that_press_and_nodes_that_do_not():
-    """Otherwise the inequalities might as well be equations."""
-    for name in ("beams, hexahedra", "ball, hexahedra", "materials, triangles"):
-        (contact,) = solved(name)[3].contacts
-        assert 0 < np.count_nonzero(contact.forces) < contact.forces.size, name
+    assert_near(uh, scene.reference().displacement, 30.0 * rtol)
 
 
 @pytest.mark.heavy
@@ -238,8 +272,7 @@ def test_node_that_sticks():
     """A prescribed tangential component leaves the normal one to the contact."""
     scene = pressed_block(MPI.COMM_SELF, "quadrilateral", 6)
     scene.bcs.append(fixed(scene.V, scene.facet_tags, GROUND, 0))
-    uh, expected = scene.problem(options=OPTIONS).solve(), scene.reference().displacement
-    assert np.linalg.norm(uh.x.array - expected) <= 1e-6 * np.linalg.norm(expected)
+    assert_near(scene.problem(options=OPTIONS).solve(), scene.reference().displacement)
 
 
 def test_body_that_may_slide_is_solved_and_reported():
@@ -258,8 +291,7 @@ def test_slave_and_master_may_be_exchanged():
     scene = two_beams(MPI.COMM_SELF, "triangle", 6)
     expected = scene.reference().displacement
     scene.contacts = [Pair(slave=MASTER, master=SLAVE)]
-    uh = scene.problem(options=OPTIONS).solve()
-    assert np.linalg.norm(uh.x.array - expected) <= 1e-6 * np.linalg.norm(expected)
+    assert_near(scene.problem(options=OPTIONS).solve(), expected)
 
 
 @pytest.mark.parametrize(
@@ -272,10 +304,9 @@ def test_slave_and_master_may_be_exchanged():
     ids=["bodies found", "given subdomains", "one label for two bodies"],
 )
 def test_how_it_is_torn_does_not_matter(arguments):
-    scene, _, _, reference = solved("beams, quadrilaterals")
+    scene = two_beams(MPI.COMM_SELF, "quadrilateral", 6)
     uh = scene.problem(options=OPTIONS, **arguments).solve()
-    error = np.linalg.norm(uh.x.array - reference.displacement)
-    assert error <= 1e-6 * np.linalg.norm(reference.displacement)
+    assert_near(uh, scene.reference().displacement)
 
 
 def test_solving_twice_gives_the_same():
@@ -289,7 +320,7 @@ def test_solving_twice_gives_the_same():
 @pytest.mark.parametrize("metre", [1e3, 1e-3])
 def test_the_unit_of_length_does_not_matter(metre):
     """No absolute tolerance hides in the package."""
-    _, _, uh, _ = solved("beams, quadrilaterals")
+    uh = two_beams(MPI.COMM_SELF, "quadrilateral", 6).problem(options=OPTIONS).solve()
     scaled = two_beams(MPI.COMM_SELF, "quadrilateral", 6, metre=metre).problem(options=OPTIONS)
     np.testing.assert_allclose(
         np.linalg.norm(scaled.solve().x.array), metre * np.linalg.norm(uh.x.array), rtol=1e-6

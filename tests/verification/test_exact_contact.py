@@ -15,10 +15,13 @@ from dolfinx import fem
 from fenics_tfeti import ContactProblem, NotConverged, Plane, RigidObstacle, Sphere
 from fenics_tfeti.io import Box, boxes, tag_facets
 
+COMM = MPI.COMM_WORLD
+
 pytestmark = pytest.mark.once
 
 YOUNG = 1e6
 OPTIONS = {"rtol": 1e-8, "non_penetration": "exact", "non_penetration_tolerance": 1e-7}
+SLIDING = {**OPTIONS, "non_penetration_tolerance": 1e-4, "non_penetration_max_it": 40}
 BUMP = Sphere(centre=(0.75, -1.0, 0.0), radius=1.0)
 
 
@@ -129,8 +132,7 @@ def test_limit_of_passes():
 
 @pytest.mark.parametrize("slide", [0.01, 0.3])
 def test_bodies_that_slide(slide):
-    options = {**OPTIONS, "non_penetration_tolerance": 1e-4, "non_penetration_max_it": 40}
-    problem = two_blocks(slide, options)
+    problem = two_blocks(slide, SLIDING)
     problem.solve()
     assert problem.report.passes[-1].error <= 1e-4
 
@@ -164,3 +166,37 @@ def test_obstacle_moved():
     uh = steps.solve()
     at_once = block_over_bump(OPTIONS, bump=Sphere(bump.centre, 1.0)).solve()
     np.testing.assert_allclose(uh.x.array, at_once.x.array, atol=SAME)
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize(
+    ("slide", "upper"),
+    [(0.01, 12), (0.01, 9), (0.3, 9), pytest.param(0.3, 12, marks=pytest.mark.heavy)],
+)
+def test_bodies_that_slide_on_all_ranks(slide, upper):
+    """On matching meshes, and with mortars."""
+    problem = two_blocks(slide, {**SLIDING, "subdomain_size": 200}, comm=COMM, upper=upper)
+    alone = two_blocks(slide, {**SLIDING, "subdomain_size": 200}, comm=MPI.COMM_SELF, upper=upper)
+    problem.solve()
+    alone.solve()
+    mine, theirs = problem.report.passes, alone.report.passes
+    assert len(mine) == len(theirs)
+    for one, other in zip(mine, theirs, strict=True):
+        np.testing.assert_allclose(
+            [one.penetration, one.separation, one.slip, one.tilt],
+            [other.penetration, other.separation, other.slip, other.tilt],
+            rtol=1e-3,
+            atol=1e-7,
+        )
+    np.testing.assert_allclose(
+        [c.normal_force for c in problem.report.contacts],
+        [c.normal_force for c in alone.report.contacts],
+        rtol=1e-5,
+    )
+    found, expected = (p.results[0].gather() for p in (problem, alone))
+    order, expected_order = (np.argsort(c.coordinates[:, 0]) for c in (found, expected))
+    np.testing.assert_allclose(
+        found.normal_force[order],
+        expected.normal_force[expected_order],
+        atol=1e-4 * expected.normal_force.max(),
+    )

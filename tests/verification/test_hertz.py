@@ -13,7 +13,6 @@ import runpy
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +43,6 @@ LIMITS = {
     "tetrahedron": (0.01, 0.05),
     "hexahedron": (0.01, 0.02),
 }
-every_cell = pytest.mark.parametrize("cell", LIMITS)
 
 
 @dataclass
@@ -69,7 +67,6 @@ def effective_radius(radii: Sequence[float]) -> float:
     return 1.0 / sum(1.0 / radius for radius in radii)
 
 
-@lru_cache(maxsize=None)
 def pressed(
     cell: str,
     size: float,
@@ -156,59 +153,41 @@ def compare(problem: Any, gdim: int, R: float, reduced: float, load: float) -> S
     )
 
 
-@every_cell
-def test_largest_pressure(cell):
-    assert pressed(cell, FINE).errors[0] <= LIMITS[cell][0]
+def assert_hertz(solved, pressure, radius):
+    """Compare p0 and a with the formulas."""
+    errors = solved.errors
+    assert errors[0] <= pressure, "largest pressure"
+    assert errors[1] <= radius, "radius of contact"
 
 
-@every_cell
-def test_radius_of_contact(cell):
-    assert pressed(cell, FINE).errors[1] <= LIMITS[cell][1]
-
-
-@every_cell
-def test_contact_carries_the_load(cell):
-    solved = pressed(cell, COARSE)
-    np.testing.assert_allclose(
-        [c.normal_force for c in solved.problem.report.contacts], solved.load, rtol=1e-6
-    )
-
-
-@every_cell
-def test_radius_converges(cell):
-    assert pressed(cell, FINE).errors[1] <= 0.7 * pressed(cell, COARSE).errors[1]
-
-
-@every_cell
-def test_pressure_converges(cell):
-    """Nearly with the order 1; not faster, since the tangent at the edge is vertical."""
+@pytest.mark.parametrize("cell", LIMITS)
+def test_pressed_by_a_force(cell):
+    """Pressures converge nearly with the order 1: the tangent at the edge is vertical."""
     coarse, fine = pressed(cell, COARSE), pressed(cell, FINE)
+    assert_hertz(fine, *LIMITS[cell])
+    np.testing.assert_allclose(
+        [c.normal_force for c in coarse.problem.report.contacts], coarse.load, rtol=1e-6
+    )
+    assert fine.errors[1] <= 0.7 * coarse.errors[1]
     assert fine.pressure_error <= 0.65 * coarse.pressure_error
-
-
-@every_cell
-def test_nothing_touches_beyond_the_radius(cell):
-    """But for the last element."""
-    solved = pressed(cell, FINE)
-    contact = solved.problem.results[0]
+    # nothing touches beyond the radius, but for the last element
+    contact = fine.problem.results[0]
     r = np.linalg.norm(contact.coordinates[:, : contact.normal.shape[1] - 1], axis=1)
-    assert r[contact.active].max() <= solved.a + FINE
-    assert r[~contact.active].min() >= solved.a - FINE
+    assert r[contact.active].max() <= fine.a + FINE
+    assert r[~contact.active].min() >= fine.a - FINE
 
 
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral", "tetrahedron"])
 def test_pressed_by_a_distance(cell):
     """The same formulas hold, with whatever force it takes."""
     solved = pressed(cell, FINE, approach=CONTACT_RADIUS**2 / RADIUS)
-    assert solved.errors[0] <= LIMITS[cell][0]
-    assert solved.errors[1] <= LIMITS[cell][1]
+    assert_hertz(solved, *LIMITS[cell])
 
 
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 def test_roller_in_a_groove(cell):
     solved = pressed(cell, FINE, obstacle="groove")
-    assert solved.errors[0] <= 0.01
-    assert solved.errors[1] <= 0.02
+    assert_hertz(solved, 0.01, 0.02)
 
 
 # name: cell, size of elements, radii
@@ -232,5 +211,4 @@ def test_two_bodies_of_different_materials(name, upper_is_slave):
     np.testing.assert_allclose(
         [c.normal_force for c in solved.problem.report.contacts], solved.load, rtol=1e-6
     )
-    assert solved.errors[0] <= LIMITS[cell][0]
-    assert solved.errors[1] <= LIMITS[cell][1]
+    assert_hertz(solved, *LIMITS[cell])

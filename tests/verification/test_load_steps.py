@@ -25,6 +25,8 @@ from dolfinx import fem
 from fenics_tfeti import ContactProblem, InputError, NotConverged, Plane, RigidObstacle
 from fenics_tfeti.io import Box, boxes, tag_facets
 
+COMM = MPI.COMM_WORLD
+
 pytestmark = pytest.mark.once
 
 every_change = pytest.mark.parametrize("change", CHANGES)
@@ -57,7 +59,7 @@ def assert_same(problem, uh, other, expected):
 def test_solved_again_is_solved_anew(change):
     scene = two_blocks_on_a_floor()
     problem = new_problem(scene)
-    before = problem.solve().copy()
+    before = problem.solve()
     reused = change(scene)
     problem.contacts = list(scene.contacts)
     uh = problem.solve()
@@ -84,7 +86,7 @@ def test_there_and_back():
     """Without friction there is no history."""
     scene = two_blocks_on_a_floor()
     problem = new_problem(scene)
-    first = problem.solve().copy()
+    first = problem.solve()
     for factor in (1.5, 0.2, 1.0):
         scene.load.value = factor * -2e7
         last = problem.solve()
@@ -94,11 +96,11 @@ def test_there_and_back():
 def test_results_of_earlier_steps_stay():
     scene = two_blocks_on_a_floor()
     problem = new_problem(scene)
-    problem.solve()
-    contact, report = problem.results, problem.report
-    force = contact[0].normal_force.copy()
+    first, contact, report = problem.solve(), problem.results, problem.report
+    u, force = first.x.array.copy(), contact[0].normal_force.copy()
     scene.load.value *= 2.0
     problem.solve()
+    np.testing.assert_array_equal(first.x.array, u)
     np.testing.assert_array_equal(contact[0].normal_force, force)
     assert report.reused == []
 
@@ -152,7 +154,7 @@ def test_seconds_and_products_are_those_of_the_step():
 def test_nan_is_noticed_and_forgiven(what):
     scene = two_blocks_on_a_floor()
     problem = new_problem(scene)
-    before = problem.solve().x.array.copy()
+    before = problem.solve().x.array
     constant = getattr(scene, what)
     right = float(constant.value)
     constant.value = np.nan
@@ -178,7 +180,7 @@ def test_wrong_contact_added():
     """The error leaves the problem as it was."""
     scene = two_blocks_on_a_floor()
     problem = new_problem(scene)
-    before = problem.solve().x.array.copy()
+    before = problem.solve().x.array
     problem.contacts.append(RigidObstacle(scene.tags, 99, Plane((0, 0), (0, 1)), name="wrong"))
     with pytest.raises(InputError, match="wrong"):
         problem.solve()
@@ -232,3 +234,51 @@ def test_contacts_joined():
     np.testing.assert_allclose(
         [c.normal_force for c in problem.report.contacts], [sum(two)], rtol=1e-7
     )
+
+
+def by_place(problem, uh):
+    """Return the displacements of this rank's nodes by place; the bodies are apart."""
+    places = np.round(problem.space.tabulate_dof_coordinates()[:, :2], 7) + 0.0
+    return dict(zip(map(tuple, places), uh.x.array.reshape(-1, 2), strict=True))
+
+
+def stepped(comm, change):
+    scene = two_blocks_on_a_floor(comm)
+    problem = new_problem(scene)
+    problem.solve()
+    reused = change(scene)
+    problem.contacts = list(scene.contacts)
+    return problem, problem.solve(), reused
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("change", CHANGES)
+def test_second_step_is_that_of_one_rank(change):
+    problem, uh, reused = stepped(COMM, change)
+    alone, expected, _ = stepped(MPI.COMM_SELF, change)
+    assert problem.report.reused == reused
+    largest = np.abs(expected.x.array).max()
+    values = by_place(alone, expected)
+    for place, value in by_place(problem, uh).items():
+        np.testing.assert_allclose(value, values[place], atol=1e-7 * largest)
+    np.testing.assert_allclose(
+        [c.normal_force for c in problem.report.contacts],
+        [c.normal_force for c in alone.report.contacts],
+        rtol=1e-6,
+        atol=1e-3,
+    )
+
+
+@pytest.mark.ranks(2)
+def test_nan_on_one_rank_is_raised_on_all():
+    scene = two_blocks_on_a_floor(COMM)
+    problem = new_problem(scene)
+    problem.solve()
+    right = float(scene.load.value)
+    if COMM.rank == COMM.size - 1:
+        scene.load.value = np.nan
+    with pytest.raises(InputError, match="NaN"):
+        problem.solve()
+    scene.load.value = right
+    problem.solve()
+    assert problem.report.converged

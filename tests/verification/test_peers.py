@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -28,7 +26,7 @@ LIMITS = {
 def peers(monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
     yield pytest.importorskip("peers")
-    for name in ("peers", "peers_scene"):
+    for name in ("peers", "peers_scene", "runner"):
         sys.modules.pop(name, None)
 
 
@@ -52,13 +50,11 @@ def test_codes_agree(peers, scene, codes):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("getfem") is None, reason="needs GetFEM")
-def test_friction_agrees_with_getfem():
+def test_friction_agrees_with_getfem(monkeypatch):
     """In a process of its own: GetFEM brings another MUMPS than PETSc's."""
-    script = Path(__file__).parents[2] / "benchmarks" / "peers_friction.py"
-    command = [sys.executable, str(script), "--divisions", "5"]
-    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    found = {name: float(value) for name, value in re.findall(r"of (\w+): (\S+)", printed)}
-    assert re.search(r"4 of 21 nodes stick", printed)
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    (found,) = importlib.import_module("runner").separately("peers_friction", divisions=5)
+    assert (found["sticking"], found["nodes"]) == (4, 21)
     assert found["displacement"] < 1e-7
     assert found["normal"] < 1e-6
     assert found["tangential"] < 1e-6

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from functools import lru_cache
 
 from mpi4py import MPI
 
@@ -24,8 +23,7 @@ PRESSURE, WEIGHT = 20e6, 24e4
 CUBES = [(i, j, k) for k, j, i in itertools.product(range(3), repeat=3)]
 TOTAL = 1e8  # the scale of the loads [N]
 
-CASES = ["hexahedron", "tetrahedron"]
-every_case = pytest.mark.parametrize("cell", CASES)
+every_case = pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
 
 
 def body_of(cube):
@@ -87,17 +85,11 @@ def stack(cell, n, power, weight=WEIGHT, walls=True):
     )
 
 
-@lru_cache(maxsize=None)
 def solved(cell, power=4, weight=WEIGHT):
     """Return scene, solved problem and displacement."""
     scene = stack(cell, 2, power, weight)
     problem = scene.problem(options={"rtol": 1e-9})
     return scene, problem, problem.solve()
-
-
-@lru_cache(maxsize=None)
-def as_a_whole(cell):
-    return solved(cell)[0].reference()
 
 
 def load_of_column(i, j, power=4):
@@ -134,60 +126,37 @@ def test_each_face_between_two_blocks_is_a_pair():
     assert sum((1, 1, 1) in cubes for cubes in neighbours) == 6
 
 
-@every_case
-def test_each_face_carries_the_load_of_its_column(cell):
+def assert_statics(scene, problem):
     """Without friction the neighbours and the walls push sideways only."""
-    _, problem, _ = solved(cell)
+    layers = np.zeros(3)
     for found, (_, cubes) in zip(problem.results, contacts_of_stack(), strict=True):
         i, j, k = cubes[0]
         if abs(found.normal[0, 2]) > 0.5:
             expected = load_of_column(i, j) + WEIGHT * (3 - k)
             assert found.normal_force.sum() == pytest.approx(expected, abs=1e-8 * TOTAL)
+            layers[round(found.coordinates[0, 2])] += found.normal_force.sum()
+    # three faces to a column have vertical normals, and each layer carries the whole load
+    expected = PRESSURE * 9 / 25 + 9 * WEIGHT * (3 - np.arange(3))
+    assert layers == pytest.approx(expected, abs=1e-8 * TOTAL)
+    assert np.abs(forces_on_blocks(scene, problem)).max() <= 1e-8 * TOTAL, "equilibrium"
 
 
 @every_case
-@pytest.mark.parametrize("layer", [0, 1, 2])
-def test_each_layer_carries_the_whole_load(cell, layer):
-    """The faces whose normal is vertical: three to a column."""
-    _, problem, _ = solved(cell)
-    carried = sum(
-        found.normal_force.sum()
-        for found in problem.results
-        if abs(found.normal[0, 2]) > 0.5 and np.isclose(found.coordinates[0, 2], layer)
-    )
-    expected = PRESSURE * 9 / 25 + 9 * WEIGHT * (3 - layer)
-    assert carried == pytest.approx(expected, abs=1e-8 * TOTAL)
-
-
-@every_case
-def test_each_block_is_in_equilibrium(cell):
-    scene, problem, _ = solved(cell)
-    assert np.abs(forces_on_blocks(scene, problem)).max() <= 1e-8 * TOTAL
-
-
-@every_case
-def test_displacement(cell):
-    _, _, uh = solved(cell)
-    expected = as_a_whole(cell).displacement
-    assert np.linalg.norm(uh.x.array - expected) <= 1e-7 * np.linalg.norm(expected)
-
-
-@every_case
-def test_contact_forces(cell):
-    _, problem, _ = solved(cell)
-    expected = as_a_whole(cell).contacts
-    largest = max(contact.forces.max() for contact in expected)
-    for found, contact in zip(problem.results, expected, strict=True):
+def test_stack(cell):
+    """By the statics of the blocks, and by the problem solved as a whole."""
+    scene, problem, uh = solved(cell)
+    assert_statics(scene, problem)
+    expected = scene.reference()
+    error = np.linalg.norm(uh.x.array - expected.displacement)
+    assert error <= 1e-7 * np.linalg.norm(expected.displacement)
+    largest = max(contact.forces.max() for contact in expected.contacts)
+    for found, contact in zip(problem.results, expected.contacts, strict=True):
         order = np.argsort(found.nodes)
         np.testing.assert_allclose(
             found.normal_force[order], contact.forces, rtol=0.0, atol=1e-7 * largest
         )
-
-
-@every_case
-def test_some_nodes_lift_off(cell):
-    """Otherwise the inequalities might as well be equations."""
-    forces = np.concatenate([contact.forces for contact in as_a_whole(cell).contacts])
+    # some nodes lift off: otherwise the inequalities might as well be equations
+    forces = np.concatenate([contact.forces for contact in expected.contacts])
     assert 0 < np.count_nonzero(forces) < forces.size
 
 
@@ -205,32 +174,18 @@ def test_uniform_pressure_is_exact(cell):
     np.testing.assert_allclose(uh.x.array, exact.ravel(), atol=1e-8 * np.abs(exact).max())
 
 
-@lru_cache(maxsize=None)
-def without_walls(cell):
-    """Return the solved problem of the stack with free sides.
+@every_case
+def test_free_columns(cell):
+    """Where nothing holds the sides, neighbours cannot press each other, and columns part.
 
     Few rows press and many do not, so a larger penalty than usual spares outer iterations.
     """
     problem = stack(cell, 2, 4, walls=False).problem(options={"rtol": 1e-8, "smalbe_rho": 10.0})
     problem.solve()
-    return problem
-
-
-@every_case
-def test_free_columns_stand_alone(cell):
-    """Where nothing holds the sides, neighbours cannot press each other."""
-    problem = without_walls(cell)
-    contacts = zip(problem.results, contacts_of_stack(False), strict=True)
-    for found, (_, cubes) in contacts:
+    for found, (_, cubes) in zip(problem.results, contacts_of_stack(False), strict=True):
         i, j, k = cubes[0]
         vertical = abs(found.normal[0, 2]) > 0.5
         expected = load_of_column(i, j) + WEIGHT * (3 - k) if vertical else 0.0
         assert found.normal_force.sum() == pytest.approx(expected, abs=1e-8 * TOTAL)
-
-
-@every_case
-def test_free_blocks_part_but_do_not_overlap(cell):
-    """What expands under the load pushes its neighbours aside, where nothing resists."""
-    report = without_walls(cell).report
-    assert report.free_motions
-    assert report.certificate.penetration <= 1e-8
+    assert problem.report.free_motions
+    assert problem.report.certificate.penetration <= 1e-8

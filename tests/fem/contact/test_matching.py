@@ -7,17 +7,20 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import scenes
-from scenes import CLAMPED, LOADED, MASTER, ROLLER, SIDE_X, SLAVE, TRACTION, YOUNG, at
+from scenes import CLAMPED, GROUND, LOADED, MASTER, ROLLER, SIDE_X, SLAVE, TRACTION, YOUNG, at
 from strips import matched, partners, strips
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Mapped, Nearest, Plane, RigidObstacle
+from fenics_tfeti import ContactPair, ContactProblem, Mapped, Nearest, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
+from fenics_tfeti.fem.contact.matching import contact_rows, match_contact, match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti.parallel import concatenate_ranks
+
+COMM = MPI.COMM_WORLD
 
 CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
 
@@ -222,3 +225,84 @@ def test_gaps_of_touching_surfaces_are_zero_exactly():
     x = V.mesh.geometry.x
     x[np.isclose(x[:, 1], 1 / 3), 1] += 1e-16 * np.random.default_rng(0).integers(-2, 3, 10)
     assert not matched(V, ContactPair(tags, SLAVE, MASTER)).gap.any()
+
+
+X = np.array([[x, y, 1.1] for x in (1.0, 1.25, 1.5, 1.75, 2.0) for y in (0, 0.25, 0.5, 0.75, 1)])
+UP = np.array([0.0, 0.0, 1.0])
+
+ARGUMENTS = {
+    "nearest": {},
+    "direction": {"direction": UP},
+    "direction at points": {"direction": lambda x: np.tile(UP[:, None], x.shape[1])},
+    "mapping": {"mapping": lambda x: x - 0.1 * UP[:, None]},
+    "pairs": {"pairs": (X[::-1], X[::-1] - 0.1 * UP)},
+    "partial": {"pairs": (X[::2], X[::2] - 0.1 * UP), "partial": True},
+    "normal": {"normal": lambda x: np.array([0 * x[0], 0.1 * x[1], -x[0]])},
+    "moved": {"mapping": lambda x: x - 0.1 * UP[:, None] + 0.01 * np.sin(9 * x)},
+}
+
+
+def gathered(on, arguments):
+    """Match; return the pairs by the slave's coordinates, and the entry of the pairing table."""
+    scene = scenes.two_beams(on, "hexahedron", 4, gap=0.1)
+    pairing = match_contact(
+        MeshBoundary.of(scene.V), ContactPair(scene.facet_tags, SLAVE, MASTER, **arguments), 0
+    )
+    points = scene.V.tabulate_dof_coordinates()
+    own = scene.V.dofmap.index_map.size_local
+    node = concatenate_ranks(
+        on, scene.V.dofmap.index_map.local_to_global(np.arange(own, dtype="i"))
+    )
+    place = np.empty((node.size, 3))
+    place[node] = concatenate_ranks(on, points[:own])
+    columns = [pairing.coordinates, pairing.normal, pairing.gap, pairing.area]
+    columns = [concatenate_ranks(on, column) for column in columns]
+    columns.append(place[concatenate_ranks(on, pairing.master)])
+    order = np.lexsort(np.round(columns[0], 9).T)
+    return [column[order] for column in columns], pairing.summary
+
+
+def rounded(entry):
+    return {
+        key: float(f"{value:.9g}") if isinstance(value, float) else value
+        for key, value in entry.items()
+    }
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("way", ARGUMENTS)
+def test_pairs_do_not_depend_on_the_ranks(way):
+    ours, entry = gathered(COMM, ARGUMENTS[way])
+    alone, entry_alone = gathered(MPI.COMM_SELF, ARGUMENTS[way])
+    assert len(ours[0]) == (13 if way == "partial" else 25)
+    for a, b in zip(ours, alone, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-13)
+    assert rounded(entry) == rounded(entry_alone)
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("way", ARGUMENTS)
+def test_pairing_is_the_same_on_all_ranks(way):
+    entry = gathered(COMM, ARGUMENTS[way])[1]
+    assert all(other == entry for other in COMM.allgather(entry))
+
+
+@pytest.mark.ranks(2)
+def test_pairing_of_an_obstacle():
+    def entry(on):
+        scene = scenes.block_on_ball(on, "tetrahedron", 3)
+        ball = Sphere((0.4, 0.5, -10.0), 10.0)
+        return match_contact(
+            MeshBoundary.of(scene.V), RigidObstacle(scene.facet_tags, GROUND, ball), 0
+        ).summary
+
+    assert rounded(entry(COMM)) == rounded(entry(MPI.COMM_SELF))
+
+
+@pytest.mark.ranks(2)
+def test_pairs_that_differ_between_ranks_are_refused():
+    scene = scenes.two_beams(COMM, "hexahedron", 4, gap=0.1)
+    pairs = (X, X - 0.1 * UP - 1e-9 * COMM.rank)
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, pairs=pairs)
+    with pytest.raises(ValueError, match="pairs differ between ranks"):
+        match_contact(MeshBoundary.of(scene.V), pair, 0)

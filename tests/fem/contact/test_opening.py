@@ -12,7 +12,7 @@ from stepped_blocks import two_blocks
 from fenics_tfeti import ContactPair, Nearest
 from fenics_tfeti.io import contact_fields
 
-COMM = MPI.COMM_SELF
+COMM = MPI.COMM_WORLD
 each_kind = pytest.mark.parametrize("partners", [Nearest(), "mortar"], ids=["nodes", "mortar"])
 
 
@@ -76,3 +76,18 @@ def test_field_is_that_of_the_nearest_contact():
     np.testing.assert_array_equal(field.x.array[contact.nodes], contact.opening)
     elsewhere = np.setdiff1d(np.arange(field.x.array.size), contact.nodes)
     np.testing.assert_array_equal(field.x.array[elsewhere], 0.0)
+
+
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("upper", [12, 9], ids=["node_to_node", "mortar"])
+def test_openings_are_those_of_one_rank(upper):
+    problems = [
+        two_blocks(0.3, {"rtol": 1e-9}, comm=comm, upper=upper) for comm in (COMM, MPI.COMM_SELF)
+    ]
+    scale = max(COMM.allgather(np.abs(problems[0].solve().x.array).max()))
+    problems[1].solve()
+    found, expected = (problem.results[0].gather() for problem in problems)
+    order, expected_order = (np.argsort(c.coordinates[:, 0]) for c in (found, expected))
+    opening = expected.opening[expected_order]
+    assert opening.max() > 1e-3 * scale
+    np.testing.assert_allclose(found.opening[order], opening, atol=1e-7 * scale)

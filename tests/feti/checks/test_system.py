@@ -23,22 +23,30 @@ from fenics_tfeti.feti import (
 )
 from fenics_tfeti.feti.checks.system import check_guess, check_system
 
+COMM = MPI.COMM_WORLD
+LAST = COMM.rank == COMM.size - 1
 
+
+@pytest.mark.ranks
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.name)
-def test_mistake_is_named(mistake):
+def test_mistake_of_one_rank_is_named_on_all(mistake):
+    system = column_on(COMM)
     with pytest.raises(InputError) as raised:
-        TornSolver(mistake.make(column_on(MPI.COMM_SELF)))
-    message = str(raised.value)
+        TornSolver(mistake.make(system) if LAST else system)
+    message = str(raised.value).replace(f" of rank {COMM.size - 1}", "")
     assert [word for word in mistake.words if word not in message] == [], message
+    assert len(set(COMM.allgather(message))) == 1
 
 
+@pytest.mark.ranks
 def test_right_system_passes():
-    check_system(column_on(MPI.COMM_SELF))
+    check_system(column_on(COMM))
 
 
+@pytest.mark.ranks
 def test_no_subdomains():
     with pytest.raises(InputError, match="no subdomains.*at least one"):
-        check_system(TornSystem([], Prescribed(), ContactRows.none(3), 3))
+        check_system(TornSystem([], Prescribed(), ContactRows.none(3), 3, comm=COMM))
 
 
 def test_subdomain_in_two_parts_that_elastic_supports_hold():
@@ -90,3 +98,40 @@ def test_arguments_of_wrong_types():
         TornSolver(None)
     with pytest.raises(InputError, match="options: got dict, .* parse_options"):
         TornSolver(column(), {"rtol": 1e-3})
+
+
+@pytest.mark.ranks(2)
+def test_rank_is_named():
+    system = column_on(COMM)
+    if LAST:
+        changed = dataclasses.replace(system.subdomains[0], body=-1)
+        system = dataclasses.replace(system, subdomains=[changed])
+    with pytest.raises(InputError, match=f"body of subdomain 0 of rank {COMM.size - 1} "):
+        check_system(system)
+
+
+@pytest.mark.ranks(2)
+def test_dimensions_of_the_ranks_differ():
+    contacts = ContactRows.none(2 + LAST)
+    with pytest.raises(InputError, match="gdim differs between the ranks: 2,.*3"):
+        check_system(TornSystem([], Prescribed(), contacts, 2 + LAST, comm=COMM))
+
+
+@pytest.mark.ranks(2)
+def test_rank_without_subdomains():
+    system = column_on(MPI.COMM_SELF)
+    if COMM.rank > 0:
+        system = TornSystem([], Prescribed(), ContactRows.none(3), 3)
+    system = dataclasses.replace(system, comm=COMM)
+    check_system(system)
+    solution = TornSolver(system).solve()
+    assert len(solution.displacements) == len(solution.torn_displacements) == len(system.subdomains)
+
+
+@pytest.mark.ranks(2)
+def test_guess_of_one_rank():
+    system = column_on(COMM)
+    rows = system.contacts.size
+    guess = ContactGuess(np.zeros(rows), np.zeros(rows)) if LAST else None
+    with pytest.raises(InputError, match="guess: this rank gives none, others do"):
+        TornSolver(system, guess=guess)
