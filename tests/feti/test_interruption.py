@@ -232,5 +232,5 @@ def test_signal_after_the_solution():
         problem.solve(monitor=solved.append)
     assert caught.value.report is problem.report and problem.report.converged
     assert len(problem.report.passes) == 1
-    uh = caught.value.solution
+    uh = caught.value.solution.copy()
     np.testing.assert_allclose(uh.x.array, problem.solve().x.array, rtol=0.0, atol=1e-12)

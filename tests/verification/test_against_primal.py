@@ -103,14 +103,14 @@ def assert_contacts(scene, problem, alone, serial, reference):
     largest = max([contact.forces.max() for contact in reference.contacts] + [1e-3])
     assert len(problem.results) == len(scene.contacts)
     for found, expected, one in zip(
-        problem.results, reference.contacts, serial.contact, strict=True
+        problem.results, reference.contacts, serial.results, strict=True
     ):
         # each node is on the rank that owns it
         assert np.all((found.nodes >= first) & (found.nodes < last))
         everywhere = np.concatenate(COMM.allgather(found.nodes))
         assert np.unique(everywhere).size == everywhere.size == expected.nodes.size
         row = {key: k for k, key in enumerate(keys(alone, expected.nodes))}
-        rows = [row[key] for key in keys(scene, found.nodes - first)]
+        rows = [row[key] for key in keys(scene, found.dofs)]
         for name in ("coordinates", "gap", "normal"):
             values = getattr(expected, name)[rows]
             assert getattr(found, name).shape == values.shape

@@ -63,10 +63,16 @@ def solved(dim, elements, young=YOUNG):
         wall = Plane(-2.2 * sign * RADIUS * x_axis, sign * x_axis)
         contacts += [
             ContactPair(
-                facet_tags, tags[f"top {side}"], tags[f"{side} top"], f"top {side}", normal=radial
+                facet_tags,
+                tags[f"top {side}"],
+                tags[f"{side} top"],
+                name=f"top {side}",
+                normal=radial,
             ),
-            RigidObstacle(facet_tags, tags[f"{side} floor"], Plane(0 * up, up), f"{side} floor"),
-            RigidObstacle(facet_tags, tags[f"{side} wall"], wall, f"{side} wall"),
+            RigidObstacle(
+                facet_tags, tags[f"{side} floor"], Plane(0 * up, up), name=f"{side} floor"
+            ),
+            RigidObstacle(facet_tags, tags[f"{side} wall"], wall, name=f"{side} wall"),
         ]
     problem = ContactProblem(
         elasticity(u, v, fem.Constant(mesh, young)),

@@ -13,7 +13,17 @@ from strips import matched, partners, strips
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Mapped, Nearest, Plane, RigidObstacle, Sphere
+from fenics_tfeti import (
+    Along,
+    ContactPair,
+    ContactProblem,
+    Mapped,
+    Nearest,
+    Plane,
+    Points,
+    RigidObstacle,
+    Sphere,
+)
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.matching import contact_rows, match_contact, match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
@@ -232,13 +242,13 @@ UP = np.array([0.0, 0.0, 1.0])
 
 ARGUMENTS = {
     "nearest": {},
-    "direction": {"direction": UP},
-    "direction at points": {"direction": lambda x: np.tile(UP[:, None], x.shape[1])},
-    "mapping": {"mapping": lambda x: x - 0.1 * UP[:, None]},
-    "pairs": {"pairs": (X[::-1], X[::-1] - 0.1 * UP)},
-    "partial": {"pairs": (X[::2], X[::2] - 0.1 * UP), "partial": True},
+    "direction": {"partners": Along(UP)},
+    "direction at points": {"partners": Along(lambda x: np.tile(UP[:, None], x.shape[1]))},
+    "mapping": {"partners": Mapped(lambda x: x - 0.1 * UP[:, None])},
+    "points": {"partners": Points(X[::-1], X[::-1] - 0.1 * UP)},
+    "partial": {"partners": Points(X[::2], X[::2] - 0.1 * UP), "partial": True},
     "normal": {"normal": lambda x: np.array([0 * x[0], 0.1 * x[1], -x[0]])},
-    "moved": {"mapping": lambda x: x - 0.1 * UP[:, None] + 0.01 * np.sin(9 * x)},
+    "moved": {"partners": Mapped(lambda x: x - 0.1 * UP[:, None] + 0.01 * np.sin(9 * x))},
 }
 
 
@@ -300,9 +310,9 @@ def test_pairing_of_an_obstacle():
 
 
 @pytest.mark.ranks(2)
-def test_pairs_that_differ_between_ranks_are_refused():
+def test_points_that_differ_between_ranks_are_refused():
     scene = scenes.two_beams(COMM, "hexahedron", 4, gap=0.1)
-    pairs = (X, X - 0.1 * UP - 1e-9 * COMM.rank)
-    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, pairs=pairs)
-    with pytest.raises(ValueError, match="pairs differ between ranks"):
+    points = Points(X, X - 0.1 * UP - 1e-9 * COMM.rank)
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, partners=points)
+    with pytest.raises(ValueError, match="points differ between ranks"):
         match_contact(MeshBoundary.of(scene.V), pair, 0)

@@ -12,7 +12,7 @@ import scenes
 from scenes import MASTER, SLAVE
 from strips import bend, matched, strips
 
-from fenics_tfeti import ContactPair
+from fenics_tfeti import ContactPair, Mapped
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
 
 
@@ -20,8 +20,8 @@ def test_summary_of_a_tilted_slave():
     """The slave is tilted by 45 degrees about (0, 1.1), and turned back by its given normal."""
     V, tags = strips(gap=0.1)
     bend(V, lambda x: x[:, 1] > 1.05, lambda x: x + np.outer(x[:, 0], [0.0, 1.0, 0.0]))
-    mapping = {"mapping": lambda x: np.array([x[0] + 0.01, 1 + 0 * x[1], x[2]])}
-    summary = matched(V, ContactPair(tags, SLAVE, MASTER, name="a", **mapping)).summary
+    partners = Mapped(lambda x: np.array([x[0] + 0.01, 1 + 0 * x[1], x[2]]))
+    summary = matched(V, ContactPair(tags, SLAVE, MASTER, name="a", partners=partners)).summary
     assert summary == {
         "contact": "a",
         "discretisation": "node_to_node",

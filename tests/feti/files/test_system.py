@@ -25,7 +25,7 @@ from fenics_tfeti.feti import (
     load_system,
     save_system,
 )
-from fenics_tfeti.solve import main
+from fenics_tfeti.feti.__main__ import main
 
 COMM = MPI.COMM_WORLD
 
