@@ -19,11 +19,11 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.deformed import GeometryPass
 from fenics_tfeti.fem.contact.slip import SlipOrigin
-from fenics_tfeti.fem.input_numbers import OwnedNodes
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti import ContactGuess, SavedState, TornSystem, save_checkpoint
 from fenics_tfeti.feti.files.checkpoint import OtherSystem, load_checkpoint, open_checkpoint
-from fenics_tfeti.parallel import raise_collectively, values_of_owners
+from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Array, Numbers, Vector
 
 # what a file has of each node, and of some nodes of each contact: one number or a vector
@@ -56,7 +56,7 @@ class Step:
 def write_step(
     path: str | os.PathLike[str],
     system: TornSystem,
-    nodes: OwnedNodes,
+    nodes: NodeMap,
     step: Step,
 ) -> None:
     """Write a checkpoint, or leave the old one as it is. Collective; rank 0 writes.
@@ -71,9 +71,9 @@ def write_step(
         "passes": rows.reshape(-1, len(fields(GeometryPass))),
     }
     arrays = _arrays(step, nodes.coordinates)
-    if nodes.numbers is not None:
-        arrays["numbers"] = nodes.numbers
-        sums = _check_sums(system, nodes.first, nodes.numbers)
+    if nodes.input_numbers is not None:
+        arrays["numbers"] = nodes.input_numbers
+        sums = _check_sums(system, nodes, nodes.input_numbers)
         common |= {f"check sum/{name}": np.array(text) for name, text in sums.items()}
     save_checkpoint(path, system, state, arrays, common)
 
@@ -100,7 +100,7 @@ def _arrays(step: Step, coordinates: Vector) -> dict[str, Array]:
 def read_step(
     path: str | os.PathLike[str],
     system: TornSystem,
-    nodes: OwnedNodes,
+    nodes: NodeMap,
     contacts: int,
 ) -> Step:
     """Read the part of this rank from a checkpoint. Collective.
@@ -110,9 +110,9 @@ def read_step(
     try:
         checkpoint = load_checkpoint(path, system)
     except OtherSystem:
-        if nodes.numbers is None:
+        if nodes.input_numbers is None:
             raise
-        return _redistributed(path, system, nodes, nodes.numbers, contacts)
+        return _redistributed(path, system, nodes, nodes.input_numbers, contacts)
     local = np.arange(len(nodes.coordinates))
     with raise_collectively(system.comm):
         shares = [{**checkpoint.own, "numbers": local}]
@@ -123,12 +123,12 @@ def read_step(
 def _redistributed(
     path: str | os.PathLike[str],
     system: TornSystem,
-    nodes: OwnedNodes,
+    nodes: NodeMap,
     numbers: Numbers,
     contacts: int,
 ) -> Step:
     """Read this rank's part of a checkpoint of the same problem with other subdomains."""
-    sums = _check_sums(system, nodes.first, numbers)
+    sums = _check_sums(system, nodes, numbers)
     with raise_collectively(system.comm), open_checkpoint(path) as file:
         common = file.read_all("common/")
         for name, text in sums.items():
@@ -139,21 +139,20 @@ def _redistributed(
     return step
 
 
-def _check_sums(system: TornSystem, first: int, numbers: Numbers) -> dict[str, str]:
+def _check_sums(system: TornSystem, nodes: NodeMap, numbers: Numbers) -> dict[str, str]:
     """Return the hashes in which checkpoints of a problem agree on any ranks. Collective."""
-    comm, owned = system.comm, (first, first + numbers.size)
-
-    def numbers_of(nodes: Numbers) -> Numbers:
-        distinct, positions = np.unique(nodes, return_inverse=True)
-        owned_numbers: Numbers = values_of_owners(comm, owned, numbers, distinct)[positions]
-        return owned_numbers
-
+    comm = system.comm
     prescribed, names = system.prescribed, len(system.contact_names)
+    supports = nodes.values_at(numbers, prescribed.nodes)
+    contacts, tied = (
+        nodes.values_at(numbers, rows.slave) * names + rows.contact
+        for rows in (system.contacts, system.tied)
+    )
     codes = {
         "nodes": numbers,
-        "supports": numbers_of(prescribed.nodes) * system.gdim + prescribed.components,
-        "contacts": numbers_of(system.contacts.slave) * names + system.contacts.contact,
-        "tied surfaces": numbers_of(system.tied.slave) * names + system.tied.contact,
+        "supports": supports * system.gdim + prescribed.components,
+        "contacts": contacts,
+        "tied surfaces": tied,
     }
     gathered = {name: comm.gather(code) for name, code in codes.items()}
     sums = None

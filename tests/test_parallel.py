@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from mpi4py import MPI
 
-import numpy as np
 import pytest
 
 from fenics_tfeti.errors import NotConverged
-from fenics_tfeti.parallel import raise_collectively, values_of_owners
+from fenics_tfeti.parallel import raise_collectively
 
 
 class OddError(Exception):
@@ -38,9 +37,3 @@ def test_block_without_error_goes_on():
 def test_interrupt_is_not_kept_back():
     with pytest.raises(KeyboardInterrupt), raise_collectively(MPI.COMM_SELF):
         raise KeyboardInterrupt
-
-
-def test_values_of_own_numbers():
-    values = np.arange(8.0).reshape(4, 2)
-    found = values_of_owners(MPI.COMM_SELF, (0, 4), values, np.array([1, 3]))
-    np.testing.assert_array_equal(found, values[[1, 3]])

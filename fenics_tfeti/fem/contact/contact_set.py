@@ -108,12 +108,11 @@ class ContactSet:
 
     def friction_rows(self, origin: SlipOrigin) -> Friction:
         """Return where `rows` have friction, and from where slip is counted. Collective."""
-        space = self.boundary.space
-        return friction_rows(space, self.rows(), self.pairings, self.friction, origin)
+        return friction_rows(self.boundary.nodes, self.rows(), self.pairings, self.friction, origin)
 
     def obstacle_displacements(self) -> Vector:
         """Return each obstacle's displacement at the slave's nodes, as in `SlipOrigin`."""
-        return obstacle_displacements(self.boundary.space, self.pairings, self.friction)
+        return obstacle_displacements(self.boundary.nodes, self.pairings, self.friction)
 
     def with_friction(self) -> ContactSet:
         """Return the set with friction evaluated at its conditions. Collective."""
@@ -160,7 +159,7 @@ class ContactSet:
     def solved(self, solution: TornSolution, uh: Function) -> SolvedContacts:
         """Return the solution at each contact. Collective."""
         space = self.boundary.space
-        opening = openings(space, self.pairings, owned_values(uh))
+        opening = openings(self.boundary.nodes, self.pairings, owned_values(uh))
         results, row, site = [], 0, 0
         for found, gap_after in zip(self.contacts, opening, strict=True):
             pairing, friction = found.pairing, found.friction
@@ -220,10 +219,10 @@ class SolvedContacts:
 
     def nodal_forces(self) -> Vector:
         """Return the normal forces (contacts, nodes) at the nodes that this rank owns [N]."""
-        index_map = self.displacement.function_space.dofmap.index_map
-        force = np.zeros((len(self.results), index_map.size_local))
+        nodes = self.conditions.boundary.nodes
+        force = np.zeros((len(self.results), nodes.owned))
         for values, result in zip(force, self.results, strict=True):
-            values[result.nodes - index_map.local_range[0]] = result.normal_force
+            values[result.nodes - nodes.first] = result.normal_force
         return force
 
     def gathered(self) -> list[SolvedContact]:

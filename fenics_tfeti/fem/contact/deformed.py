@@ -30,6 +30,7 @@ from fenics_tfeti.fem.contact.result import ContactResult
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -140,8 +141,7 @@ def _check_displacement(space: FunctionSpace, displacement: Function) -> None:
                 "the displacement is on another function space than the contact's nodes; use one "
                 "space for both"
             )
-        owned = space.dofmap.index_map.size_local * space.dofmap.index_map_bs
-        if not np.isfinite(displacement.x.array[:owned]).all():
+        if not np.isfinite(owned_values(displacement)).all():
             raise InputError("the displacement is NaN or infinite at some nodes")
 
 

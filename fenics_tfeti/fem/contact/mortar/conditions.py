@@ -28,8 +28,8 @@ from fenics_tfeti.fem.contact.mortar.matrices import (
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, facet_deviations
-from fenics_tfeti.fem.contact.surfaces.oriented import global_nodes
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.parallel import Directory, concatenate_buffers
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -64,7 +64,7 @@ class SlaveFacets:
         normals (k, gdim) those of the surface's nodes that this rank owns.
         """
         local = np.unique(slave.facet_nodes)
-        nodes = global_nodes(space, local)
+        nodes = NodeMap(space).to_global(local)
         order = np.argsort(nodes)
         rows = np.zeros(local.size, dtype=np.int64)
         rows[order] = np.arange(local.size)

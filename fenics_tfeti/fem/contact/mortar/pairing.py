@@ -24,8 +24,9 @@ from fenics_tfeti.fem.contact.surfaces.measure_weight import as_ufl_weight, chec
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import vertex_nodes
-from fenics_tfeti.parallel import raise_collectively, values_of_owners
+from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
@@ -181,14 +182,12 @@ def mean_relative(
     The nodes of the terms may be on any rank. With coordinates (nodes, 3) of this rank's nodes [m],
     the deformed places are taken instead of the displacements.
     """
-    space = displacement.function_space
-    gdim, index_map = space.dofmap.index_map_bs, space.dofmap.index_map
-    values = displacement.x.array.reshape(-1, gdim)[: index_map.size_local]
+    nodes = NodeMap(displacement.function_space)
+    values = nodes.values(displacement)
     if coordinates is not None:
-        values = values + coordinates[: index_map.size_local, :gdim]
-    nodes = np.unique(terms.nodes)
-    nodal = values_of_owners(space.mesh.comm, index_map.local_range, values, nodes)
-    return mean_over_terms(terms, nodes, nodal)
+        values = values + coordinates[:, : nodes.components]
+    distinct = np.unique(terms.nodes)
+    return mean_over_terms(terms, distinct, nodes.values_at(values, distinct))
 
 
 def mean_over_terms(terms: MortarTerms, nodes: Numbers, values: Vector) -> Vector:
@@ -213,8 +212,7 @@ def _nodal_weight(space: FunctionSpace, measure_weight: Any, name: str) -> Vecto
     scalar = Function(_compat.lagrange_space(space.mesh, 1))
     _compat.interpolate_expression(weight, scalar)
     scalar.x.scatter_forward()
-    index_map = space.dofmap.index_map
-    values = np.zeros(index_map.size_local + index_map.num_ghosts)
+    values = np.zeros(NodeMap(space).size)
     # the two spaces may number their nodes differently
     values[vertex_nodes(space)] = scalar.x.array[vertex_nodes(scalar.function_space)]
     return values

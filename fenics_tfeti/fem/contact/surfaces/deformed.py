@@ -15,11 +15,11 @@ from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.fem.contact.surfaces.oriented import (
     corner_normals,
-    global_nodes,
     oriented_facets,
     owned_facets,
 )
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import VANISHING_NORMAL
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Numbers, Vector
@@ -120,7 +120,7 @@ def gather_surface(
     comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
     facets = oriented_facets(space, owned_facets(space.mesh, facet_tags, tag))
     local = np.unique(facets)
-    numbers = global_nodes(space, local)
+    numbers = NodeMap(space).to_global(local)
     points = boundary.coordinates[local, :gdim]
     moves = np.zeros_like(points)
     if displacement is not None:

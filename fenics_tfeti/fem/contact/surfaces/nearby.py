@@ -22,11 +22,11 @@ from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
 from fenics_tfeti.fem.contact.surfaces.oriented import (
-    global_nodes,
     oriented_facets,
     owned_facets,
 )
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.parallel import all_to_all
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -68,7 +68,7 @@ def gather_nearby(
     distance = _distances(comm, points, nodes, rows, tree)
     needed = _needed_boxes(comm, points, nodes, rows, distance)
     parts = _selected(comm, needed, tree)
-    numbers = global_nodes(space, rows)
+    numbers = NodeMap(space).to_global(rows)
     received = all_to_all(
         comm, [_packed(rows[part], numbers[part], points, moves) for part in parts]
     )

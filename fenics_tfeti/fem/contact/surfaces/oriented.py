@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
 from dolfinx.mesh import Mesh
@@ -14,7 +13,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_facets, cell_type, cell_vertices
-from fenics_tfeti.typing import Indices, Numbers, Vector
+from fenics_tfeti.typing import Indices, Vector
 
 
 def owned_facets(domain: Mesh, facet_tags: Any, tag: int) -> Indices:
@@ -22,12 +21,6 @@ def owned_facets(domain: Mesh, facet_tags: Any, tag: int) -> Indices:
     facets = facet_tags.find(tag)
     owned = domain.topology.index_map(domain.topology.dim - 1).size_local
     return np.sort(facets[facets < owned])
-
-
-def global_nodes(space: FunctionSpace, local: NDArray[Any]) -> Numbers:
-    """Return the global numbers of local nodes, in an array of the same shape."""
-    numbers = space.dofmap.index_map.local_to_global(local.ravel().astype(np.int32))
-    return np.asarray(numbers, dtype=np.int64).reshape(local.shape)
 
 
 def oriented_facets(space: FunctionSpace, facets: Indices) -> Indices:

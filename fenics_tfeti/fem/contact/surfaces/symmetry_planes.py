@@ -13,8 +13,8 @@ import numpy as np
 
 from dolfinx.fem import FunctionSpace
 
-from fenics_tfeti.fem.contact.surfaces.oriented import global_nodes
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import Prescribed
 from fenics_tfeti.parallel import Directory
 from fenics_tfeti.typing import Mask, Vector
@@ -55,7 +55,7 @@ def normals_in_symmetry_planes(space: FunctionSpace, surface: Surface, prescribe
     fixed = values_on_facets(space, surface, prescribed.astype(float)) > 0.5
     free_sum = np.where(fixed, 0.0, normal).sum(axis=1)
     free_count = (~fixed).sum(axis=1).astype(float)
-    vertices = global_nodes(space, surface.vertices.ravel())
+    vertices = NodeMap(space).to_global(surface.vertices.ravel())
     v = surface.vertices.shape[1]
     directory = Directory(space.mesh.comm, np.unique(np.concatenate([vertices, surface.nodes])))
     rows = np.repeat(np.hstack([free_sum, free_count]), v, axis=0)

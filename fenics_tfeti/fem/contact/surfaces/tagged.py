@@ -19,11 +19,11 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.surfaces.oriented import (
     corner_normals,
-    global_nodes,
     oriented_facets,
     owned_facets,
 )
 from fenics_tfeti.fem.messages import coordinate_order, raise_where
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, VANISHING_NORMAL
 from fenics_tfeti.fem.topology import (
@@ -45,6 +45,7 @@ class MeshBoundary:
     """Data of the boundary of a mesh that all its tagged surfaces share."""
 
     space: FunctionSpace  # that of the displacement
+    nodes: NodeMap  # its nodes
     linear: FunctionSpace  # of degree 1 on its mesh, which it may be itself
     coordinates: Vector  # (nodes, 3): of this rank's nodes, ghosts last [m]
     is_vertex: NDArray[np.bool_]  # (nodes,): whether a node is a vertex of cells
@@ -69,7 +70,9 @@ class MeshBoundary:
         is_vertex = np.zeros(len(coordinates), dtype=bool)
         is_vertex[vertex_nodes(space)] = True
         form = _normal_form(linear)
-        return MeshBoundary(space, linear, coordinates, is_vertex, exterior, rows, form)
+        return MeshBoundary(
+            space, NodeMap(space), linear, coordinates, is_vertex, exterior, rows, form
+        )
 
     @property
     def degree(self) -> int:
@@ -170,16 +173,16 @@ def tagged_surface(
     _check_facets(boundary, facet_tags, tag, facets, label)
 
     nodes = np.asarray(fem.locate_dofs_topological(space, dim - 1, facets), dtype=np.int32)
-    nodes = np.sort(nodes[(nodes < space.dofmap.index_map.size_local) & boundary.is_vertex[nodes]])
+    nodes = np.sort(nodes[(nodes < boundary.nodes.owned) & boundary.is_vertex[nodes]])
     coordinates = boundary.coordinates[nodes]
     extent = domain.comm.allreduce(float(np.abs(coordinates).max(initial=0.0)), MPI.MAX)
     weighted = boundary.integrate(boundary.normal_form, facets)[nodes]
     facet_nodes, facet_type = oriented_facets(space, facets), cell_type(domain).facet
     vertices = facet_nodes[:, : facet_type.vertices]
-    numbers = global_nodes(space, nodes)
+    numbers = NodeMap(space).to_global(nodes)
     corners = boundary.coordinates[vertices, : domain.geometry.dim]
     size, facet_area = _facets_at_nodes(
-        domain.comm, corners, global_nodes(space, vertices), numbers
+        domain.comm, corners, NodeMap(space).to_global(vertices), numbers
     )
     normal, area = _normals_and_areas(
         domain.comm, weighted, facet_area, coordinates, user_normal, label
@@ -225,7 +228,7 @@ def facet_max_at_nodes(space: FunctionSpace, surface: Surface, values: Vector) -
 
     The values (f,) of this rank's facets are not negative.
     """
-    vertices = global_nodes(space, surface.vertices.ravel())
+    vertices = NodeMap(space).to_global(surface.vertices.ravel())
     owners = Directory(space.mesh.comm, surface.nodes)
     keys, values = owners.forward(vertices, np.repeat(values, surface.vertices.shape[1]))
     largest = np.zeros(surface.nodes.size)
