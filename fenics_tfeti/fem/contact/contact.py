@@ -9,7 +9,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.friction import FrictionLaw
 from fenics_tfeti.fem.contact.obstacles import Obstacle
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, VectorField
@@ -198,8 +197,6 @@ class ContactPairing:
     summary: dict[str, Any]  # the contact's entry of `Report.pairing`
     surface: Surface  # all of the slave's surface
     covered: NDArray[np.bool_]  # (f,): whether the surface's facets have partners at all nodes
-    # the form of the areas with the weight; None without one
-    weighted_form: _compat.CompiledForm | None
     terms: MortarTerms | None = None  # None for pairs of nodes, and for degree 1 at obstacles
     coverage: Vector | None = None  # (k,), see `ContactResult`; 1 by default
     # (s, gdim): components prescribed at the surface's nodes, for mortar conditions

@@ -34,17 +34,14 @@ from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_sum
 from fenics_tfeti.fem.contact.surfaces.cylinders import without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, initial_gap
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
-from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas, weighted_form
+from fenics_tfeti.fem.contact.surfaces.node_areas import nodal_weight, node_areas
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components, same_supports
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MasterNodes,
     MeshBoundary,
     Surface,
-    area_of_facets,
-    facet_max_at_nodes,
     gather_master,
     tagged_surface,
-    values_on_facets,
 )
 from fenics_tfeti.feti.system import ContactRows, Prescribed
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
@@ -95,13 +92,13 @@ def match_contact(
         pairing = _match_pair(boundary, name, contact, supports)
         if contact.normal is not None:
             return pairing
-        normal = without_axial_tilt(boundary, pairing.surface, pairing.slave, pairing.normal)
+        normal = without_axial_tilt(pairing.surface, pairing.slave, pairing.normal)
         return replace(pairing, normal=normal)
     gap = _updated_gap(boundary.space.mesh.comm, contact, earlier)
-    if earlier.weighted_form is None:
+    if contact.measure_weight is None:
         return earlier if gap is earlier.gap else replace(earlier, gap=gap)
-    surface = earlier.surface
-    area = node_areas(boundary, surface, earlier.covered, earlier.weighted_form, name)
+    surface, weight = earlier.surface, nodal_weight(boundary, contact.measure_weight, name)
+    area = node_areas(surface, earlier.covered, weight, name)
     return replace(earlier, gap=gap, area=area[np.searchsorted(surface.nodes, earlier.slave)])
 
 
@@ -165,7 +162,7 @@ def _match_pair(
     with raise_collectively(comm):
         normals = master.normals(name)
     may_pair_nodes = contact.discretisation == "auto" and boundary.degree == 1
-    if may_pair_nodes and meshes_match(boundary.space, slave, master, normals, contact.tolerance):
+    if may_pair_nodes and meshes_match(slave, master, normals, contact.tolerance):
         return _match_nodes(boundary, name, contact, slave, tagged_master)
     fixed = prescribed_components(slave, prescribed)
     pairing = match_by_mortar(boundary, name, contact, slave, master, shared, fixed)
@@ -199,14 +196,14 @@ def _match_nodes(
     angle = angles_between(slave.normal[paired], -master.normal[partner_rows])
     check_facing(comm, slave, paired, angle, name)
     partner = master.points[partner_rows]
-    covered = _covered_facets(boundary, slave, paired, partner, name)
-    form = weighted_form(boundary, contact.measure_weight, name)
-    area = node_areas(boundary, slave, covered, form, name)
+    covered = _covered_facets(slave, paired, partner, name)
+    weight = nodal_weight(boundary, contact.measure_weight, name)
+    area = node_areas(slave, covered, weight, name)
     normal = slave.normal[paired]
     gap = slave.without_rounding(np.sum((partner - slave.points[paired]) * normal, axis=1))
     places = slave.coordinates[paired]
     # the nodes of both surfaces are on it, up to their chords
-    chord = 2.0 * _nodal_chords(boundary, slave)[paired]
+    chord = 2.0 * _nodal_chords(slave)[paired]
     gap = initial_gap(comm, contact.initial_gap, gap, chord, places, name)
     distance = slave.without_rounding(partners.distance[paired])
     relative = distance / slave.size[paired]
@@ -232,16 +229,13 @@ def _match_nodes(
         ),
         slave,
         covered,
-        form,
-        coverage=(area_of_facets(boundary, slave, covered) / slave.area)[paired],
+        coverage=(slave.share_of_area(covered) / slave.area)[paired],
     )
 
 
-def _nodal_chords(boundary: MeshBoundary, slave: Surface) -> Vector:
+def _nodal_chords(slave: Surface) -> Vector:
     """Return at each node the largest chord height of the slave's facets there. Collective."""
-    corners = boundary.coordinates[slave.vertices, : slave.points.shape[1]]
-    heights = chord_heights(corners, values_on_facets(boundary.space, slave, slave.normal))
-    return facet_max_at_nodes(boundary.space, slave, heights)
+    return slave.max_of_facets(chord_heights(slave.corners, slave.at_corners(slave.normal)))
 
 
 def _shared_nodes(
@@ -272,16 +266,11 @@ def _find_partners(
     return search.nearest(slave, master)
 
 
-def _covered_facets(
-    boundary: MeshBoundary, slave: Surface, paired: Mask, partner: Vector, name: str
-) -> Mask:
+def _covered_facets(slave: Surface, paired: Mask, partner: Vector, name: str) -> Mask:
     """Tell which of this rank's facets have partners at all nodes; check that none cross."""
-    space = boundary.space
     images = np.full_like(slave.points, np.nan)
     images[paired] = partner
-    images = values_on_facets(space, slave, images)
-    normals = values_on_facets(space, slave, slave.normal)
-    corners = boundary.coordinates[slave.vertices, : slave.points.shape[1]]
-    check_not_crossed(space.mesh.comm, slave, corners, normals, images, name)
+    images, normals = slave.at_corners(images), slave.at_corners(slave.normal)
+    check_not_crossed(slave.boundary.nodes.comm, slave, slave.corners, normals, images, name)
     covered: Mask = np.isfinite(images).all(axis=(1, 2))
     return covered

@@ -16,7 +16,7 @@ from fenics_tfeti.fem.contact.obstacles import gap_and_normal
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
 from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface
 from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas
-from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas, weighted_form
+from fenics_tfeti.fem.contact.surfaces.node_areas import nodal_weight, node_areas
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.parallel import Directory
 from fenics_tfeti.typing import Numbers, Vector
@@ -33,12 +33,8 @@ def match_obstacle(
     slave = earlier.surface if earlier else tagged_surface(boundary, tags, tag, f"slave of {name}")
     if boundary.degree > 1:
         return _match_means(boundary, name, contact, slave)
-    comm = boundary.space.mesh.comm
-    if earlier:
-        form = earlier.weighted_form
-    else:
-        form = weighted_form(boundary, contact.measure_weight, name)
-    covered = np.ones(slave.facets.size, dtype=bool)
+    comm, weight = boundary.nodes.comm, nodal_weight(boundary, contact.measure_weight, name)
+    covered = np.ones(len(slave.facet_nodes), dtype=bool)
     gap, outward = gap_and_normal(comm, contact.obstacle, slave.coordinates, slave.normal, name)
     gap = slave.without_rounding(gap)
     normal = -outward  # u'n <= gap with n pointing into the obstacle
@@ -50,11 +46,10 @@ def match_obstacle(
         slave.coordinates,
         normal,
         gap,
-        node_areas(boundary, slave, covered, form, name),
+        node_areas(slave, covered, weight, name),
         pairing_summary(comm, name, "obstacle", gap, angle, slave.nodes.size, area=slave.area),
         slave,
         covered,
-        form,
     )
 
 
@@ -62,9 +57,8 @@ def _match_means(
     boundary: MeshBoundary, name: str, contact: RigidObstacle, slave: Surface
 ) -> ContactPairing:
     """Return the conditions for degree 2, on the facets that have an obstacle at all nodes."""
-    space = boundary.space
-    comm, gdim = space.mesh.comm, slave.normal.shape[1]
-    facets = slave_facets(space, contact, slave, boundary.coordinates[:, :gdim], name)
+    comm, gdim = boundary.nodes.comm, slave.normal.shape[1]
+    facets = slave_facets(boundary, contact, slave, boundary.coordinates[:, :gdim], name)
     places, normals = _padded(facets.facets.points), nodal_normals(facets)
     nodal_gap, _ = gap_and_normal(comm, contact.obstacle, places, normals, name)
     covered = np.isfinite(nodal_gap)[facets.facets.nodes].all(axis=1)
@@ -97,7 +91,6 @@ def _match_means(
         summary,
         slave,
         covered,
-        None,
         terms,
     )
 

@@ -23,7 +23,6 @@ from fenics_tfeti.fem.contact.surfaces.tagged import (
     MeshBoundary,
     Surface,
     tagged_surface,
-    values_on_facets,
 )
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.feti.system import ContactRows, Prescribed
@@ -76,8 +75,7 @@ def tied_name(pair: TiedPair, number: int) -> str:
 
 def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescribed) -> TiedPairing:
     """Find the conditions of a tied pair. Collective."""
-    space, name = boundary.space, tied_name(pair, number)
-    comm = space.mesh.comm
+    name, comm = tied_name(pair, number), boundary.nodes.comm
     with raise_collectively(comm):
         if pair.slave == pair.master:
             raise InputError(
@@ -91,9 +89,9 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
         normals = master.normals(name)
     _check_separate(comm, slave, master.nodes, name)
     gdim = slave.normal.shape[1]
-    facets = slave_facets(space, pair, slave, boundary.coordinates[:, :gdim], name)
+    facets = slave_facets(boundary, pair, slave, boundary.coordinates[:, :gdim], name)
     fixed = prescribed_components(slave, prescribed)
-    corner_fixed = values_on_facets(space, slave, fixed.astype(float)) > 0.5
+    corner_fixed = slave.at_corners(fixed)
     conditions = tied_conditions(comm, facets, slave.nodes, master, normals, corner_fixed)
     # nodes where a component is prescribed have no condition for it
     largest = int(np.argmax([comm.allreduce(component.slave.size) for component in conditions]))

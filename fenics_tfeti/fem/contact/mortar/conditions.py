@@ -14,8 +14,6 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 
-from dolfinx.fem import FunctionSpace
-
 from fenics_tfeti.fem.contact.contact import MortarTerms
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import FacetIntegrals, integrate
@@ -28,8 +26,7 @@ from fenics_tfeti.fem.contact.mortar.matrices import (
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, facet_deviations
-from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
-from fenics_tfeti.fem.nodes import NodeMap
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.parallel import Directory, concatenate_buffers
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -51,25 +48,18 @@ class SlaveFacets:
         return normal
 
     @staticmethod
-    def of(
-        space: FunctionSpace,
-        slave: Surface,
-        points: Vector,
-        normal: Vector,
-        weight: Vector | None,
-    ) -> SlaveFacets:
+    def of(slave: Surface, points: Vector, weight: Vector | None) -> SlaveFacets:
         """Return the facets of a surface, their nodes numbered from 0.
 
-        Points (nodes, gdim) [m] and the weight (nodes,) are those of all local nodes of the space,
-        normals (k, gdim) those of the surface's nodes that this rank owns.
+        Points (nodes, gdim) [m] and the weight (nodes,) are those of all local nodes of the space.
         """
         local = np.unique(slave.facet_nodes)
-        nodes = NodeMap(space).to_global(local)
+        nodes = slave.boundary.nodes.to_global(local)
         order = np.argsort(nodes)
         rows = np.zeros(local.size, dtype=np.int64)
         rows[order] = np.arange(local.size)
         facets = Facets(points[local[order]], rows[np.searchsorted(local, slave.facet_nodes)])
-        normals = values_on_facets(space, slave, normal)
+        normals = slave.at_corners(slave.normal)
         corner_weights = None if weight is None else weight[slave.vertices]
         return SlaveFacets(facets, nodes[order], normals, corner_weights)
 

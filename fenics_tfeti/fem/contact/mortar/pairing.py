@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx.fem import Function, FunctionSpace
+from dolfinx.fem import Function
 
-from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import ContactPair, ContactPairing, MortarTerms
 from fenics_tfeti.fem.contact.mortar.checks import check_covered, check_folds
 from fenics_tfeti.fem.contact.mortar.conditions import (
@@ -20,12 +19,12 @@ from fenics_tfeti.fem.contact.mortar.conditions import (
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
 from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
-from fenics_tfeti.fem.contact.surfaces.measure_weight import as_ufl_weight, check_weighted_areas
+from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
+from fenics_tfeti.fem.contact.surfaces.node_areas import nodal_weight
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.topology import vertex_nodes
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -44,11 +43,10 @@ def match_by_mortar(
     The master is what is near this rank's slave facets, not deformed. Nodes of both surfaces,
     `shared`, stay free; `prescribed` (s, gdim) are the components prescribed at the slave's nodes.
     """
-    space = boundary.space
-    comm, gdim = space.mesh.comm, slave.normal.shape[1]
+    comm, gdim = boundary.nodes.comm, slave.normal.shape[1]
     points = boundary.coordinates[:, :gdim]
-    oriented = replace(slave, normal=_normals(space, contact, slave, prescribed))
-    facets = slave_facets(space, contact, oriented, points, name)
+    oriented = replace(slave, normal=_normals(contact, slave, prescribed))
+    facets = slave_facets(boundary, contact, oriented, points, name)
     check_folds(comm, facets, name)
     with raise_collectively(comm):
         normals = master.normals(name)
@@ -89,8 +87,7 @@ def match_deformed(
     The gaps are in terms of the total displacement, whose ghosts are up to date. The second result
     are the mean distances (k,) between the deformed surfaces [m], negative inside.
     """
-    space, name = boundary.space, pairing.name
-    comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
+    name, comm, gdim = pairing.name, boundary.nodes.comm, boundary.nodes.components
     surface, tags = pairing.surface, contact.facet_tags
     slave, master = (
         gather_nearby(boundary, tags, tag, contact.slave, surface.nodes, displacement)
@@ -104,9 +101,9 @@ def match_deformed(
     if prescribed is None:
         prescribed = np.zeros_like(normal, dtype=bool)
     deformed = replace(surface, normal=normal)
-    deformed = replace(deformed, normal=_normals(space, contact, deformed, prescribed))
+    deformed = replace(deformed, normal=_normals(contact, deformed, prescribed))
     points = boundary.coordinates[:, :gdim] + displacement.x.array.reshape(-1, gdim)
-    facets = slave_facets(space, contact, deformed, points, name)
+    facets = slave_facets(boundary, contact, deformed, points, name)
     shared = np.intersect1d(slave.nodes, master.nodes)
     conditions = mortar_conditions(comm, facets, surface.nodes, master, master_normals, shared)
     check_covered(comm, conditions, surface, name)
@@ -137,7 +134,6 @@ def _pairing(
         summary,
         slave,
         conditions.covered,
-        None,
         conditions.terms,
         conditions.coverage,
         prescribed,
@@ -145,23 +141,21 @@ def _pairing(
 
 
 def slave_facets(
-    space: FunctionSpace, contact: Any, slave: Surface, points: Vector, name: str
+    boundary: MeshBoundary, contact: Any, slave: Surface, points: Vector, name: str
 ) -> SlaveFacets:
     """Return this rank's facets of a slave, with normals and weights. Collective.
 
     The points (nodes, gdim) are all local nodes of the space, undeformed or deformed [m].
     """
-    weight = _nodal_weight(space, contact.measure_weight, name)
-    return SlaveFacets.of(space, slave, points, slave.normal, weight)
+    weight = nodal_weight(boundary, contact.measure_weight, name)
+    return SlaveFacets.of(slave, points, weight)
 
 
-def _normals(
-    space: FunctionSpace, contact: ContactPair, slave: Surface, prescribed: Mask
-) -> Vector:
+def _normals(contact: ContactPair, slave: Surface, prescribed: Mask) -> Vector:
     """Return the user's normals, or the surface's with regard to planes of symmetry."""
     if contact.normal is not None:
         return slave.normal
-    return normals_in_symmetry_planes(space, slave, prescribed)
+    return normals_in_symmetry_planes(slave, prescribed)
 
 
 def main_masters(terms: MortarTerms) -> Numbers:
@@ -201,18 +195,3 @@ def mean_over_terms(terms: MortarTerms, nodes: Numbers, values: Vector) -> Vecto
     np.add.at(sums, row, terms.weights[:, None] * values[rows])
     means: Vector = sums / terms.area[:, None]
     return means
-
-
-def _nodal_weight(space: FunctionSpace, measure_weight: Any, name: str) -> Vector | None:
-    """Return the weight of the measure at all local nodes at vertices; None without one."""
-    with raise_collectively(space.mesh.comm):
-        weight = as_ufl_weight(space.mesh, measure_weight, name)
-    if weight is None:
-        return None
-    scalar = Function(_compat.lagrange_space(space.mesh, 1))
-    _compat.interpolate_expression(weight, scalar)
-    scalar.x.scatter_forward()
-    values = np.zeros(NodeMap(space).size)
-    # the two spaces may number their nodes differently
-    values[vertex_nodes(space)] = scalar.x.array[vertex_nodes(scalar.function_space)]
-    return values

@@ -34,7 +34,7 @@ def test_facets_are_oriented_outwards_and_carry_their_normals(cell):
         d = surface.normal.shape[1]
         points = boundary.coordinates[:, :d]
         weight = points[:, 0]
-        facets = SlaveFacets.of(V, surface, points, surface.normal, weight)
+        facets = SlaveFacets.of(surface, points, weight)
         expected = sign * np.array([-0.3, *[0.0] * (d - 2), 1.0]) / np.sqrt(1.09)
         normal = Planes.of(facets.facets.coordinates()).normal
         np.testing.assert_allclose(normal, np.tile(expected, (len(normal), 1)), atol=1e-12)

@@ -25,7 +25,7 @@ def slave_facets(cell, **shape):
     boundary = MeshBoundary.of(vector_space(meshed.mesh, 2))
     surface = tagged_surface(boundary, tags, LOWER, "slave")
     points = boundary.coordinates[:, : blocks.gdim]
-    return surface, SlaveFacets.of(boundary.space, surface, points, surface.normal, None)
+    return surface, SlaveFacets.of(surface, points, None)
 
 
 def conditions(surface, facets, chosen):

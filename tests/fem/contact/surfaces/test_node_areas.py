@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scenes import GROUND, pressed_block, vector_space
 
-from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas, weighted_form
+from fenics_tfeti.fem.contact.surfaces.node_areas import nodal_weight, node_areas
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 
 
@@ -22,16 +22,16 @@ def ground(degree=1):
 @pytest.mark.parametrize("weight", [None, 3.0])
 def test_areas_are_those_of_the_vertices_times_the_weight(weight, degree):
     boundary, surface = ground(degree)
-    form = weighted_form(boundary, weight, "joint")
-    assert (form is None) == (weight is None)
-    areas = node_areas(boundary, surface, np.ones(2, dtype=bool), form, "joint")
+    values = nodal_weight(boundary, weight, "joint")
+    assert (values is None) == (weight is None)
+    areas = node_areas(surface, np.ones(2, dtype=bool), values, "joint")
     order = np.argsort(surface.points[:, 0])
     np.testing.assert_allclose(areas[order], (weight or 1.0) * np.array([0.25, 0.5, 0.25]))
 
 
 def test_nodes_of_covered_facets_have_their_area_there():
-    boundary, surface = ground()
-    middle = boundary.coordinates[surface.vertices][..., 0].mean(axis=1)
-    areas = node_areas(boundary, surface, middle < 0.5, None, "joint")
+    _, surface = ground()
+    middle = surface.corners[..., 0].mean(axis=1)
+    areas = node_areas(surface, middle < 0.5, None, "joint")
     order = np.argsort(surface.points[:, 0])
     np.testing.assert_allclose(areas[order], [0.25, 0.25, 0.25])
