@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -24,6 +25,7 @@ from fenics_tfeti.fem.messages import coordinate_order, raise_where
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, VANISHING_NORMAL
 from fenics_tfeti.fem.topology import (
+    cell_facets,
     cell_type,
     cell_vertices,
     exterior_facets,
@@ -51,9 +53,12 @@ class MeshBoundary:
     def of(space: FunctionSpace) -> MeshBoundary:
         """Find the boundary of a space's mesh. Collective."""
         domain, coordinates = space.mesh, space.tabulate_dof_coordinates()
+        exterior = exterior_facets(domain)
+        cells = np.flatnonzero(exterior[cell_facets(domain)].any(axis=1))
         # dolfinx maps the nodes from the reference cell, with rounding
-        coordinates[vertex_nodes(space)] = domain.geometry.x[cell_vertices(domain)]
-        return MeshBoundary(space, NodeMap(space), coordinates, exterior_facets(domain))
+        vertices = domain.geometry.x[cell_vertices(domain)[cells]]
+        coordinates[vertex_nodes(space)[cells]] = vertices
+        return MeshBoundary(space, NodeMap(space), coordinates, exterior)
 
     @property
     def degree(self) -> int:
@@ -73,13 +78,13 @@ class Surface:
     facet_nodes: Indices  # (f, t): local nodes of the facets that it owns; see `oriented_facets`
     extent: float  # largest coordinate of the surface by magnitude, over all ranks [m]
 
-    @property
+    @cached_property
     def local(self) -> Numbers:
         """Local numbers of the nodes (k,)."""
         local: Numbers = self.nodes - self.boundary.nodes.first
         return local
 
-    @property
+    @cached_property
     def coordinates(self) -> Vector:
         """Coordinates of shape (k, 3) [m]."""
         return self.boundary.coordinates[self.local]
@@ -89,12 +94,12 @@ class Surface:
         """Coordinates of shape (k, gdim) [m]."""
         return self.coordinates[:, : self.normal.shape[1]]
 
-    @property
+    @cached_property
     def vertices(self) -> Indices:
         """Local numbers of the nodes (f, v) at the facets' corners, one after the other."""
         return self.facet_nodes[:, : cell_type(self.boundary.space.mesh).facet.vertices]
 
-    @property
+    @cached_property
     def corners(self) -> Vector:
         """The places (f, v, gdim) of the facets' corners [m]."""
         return self.boundary.coordinates[self.vertices, : self.normal.shape[1]]
