@@ -24,6 +24,7 @@ from fenics_tfeti.fem.contact.contact import (
     ContactPair,
     ContactPairing,
     RigidObstacle,
+    Terms,
     contact_name,
 )
 from fenics_tfeti.fem.contact.mortar.pairing import match_by_mortar
@@ -99,7 +100,7 @@ def match_contact(
         return earlier if gap is earlier.gap else replace(earlier, gap=gap)
     surface, weight = earlier.surface, nodal_weight(boundary, contact.measure_weight, name)
     area = node_areas(surface, earlier.covered, weight, name)
-    return replace(earlier, gap=gap, area=area[np.searchsorted(surface.nodes, earlier.slave)])
+    return replace(earlier, gap=gap, area=area[earlier.on_surface])
 
 
 def _still_holds(
@@ -126,23 +127,7 @@ def contact_rows(pairings: Sequence[ContactPairing], gdim: int) -> ContactRows:
     """Return the contact conditions of all contacts, one contact after the other."""
     if not pairings:
         return ContactRows.none(gdim)
-    return ContactRows.concatenate([_rows(p, number) for number, p in enumerate(pairings)])
-
-
-def _rows(pairing: ContactPairing, number: int) -> ContactRows:
-    terms, numbers = pairing.terms, np.full(pairing.slave.size, number)
-    if terms is None:
-        return ContactRows.node_to_node(
-            pairing.slave, pairing.master, pairing.normal, pairing.gap, numbers
-        )
-    return ContactRows(
-        terms.offsets,
-        terms.nodes,
-        terms.weights[:, None] * pairing.normal[terms.row],
-        pairing.gap * terms.area,
-        numbers,
-        terms.slaves,
-    )
+    return ContactRows.concatenate([p.rows(number) for number, p in enumerate(pairings)])
 
 
 def _match_pair(
@@ -208,13 +193,11 @@ def _match_nodes(
     distance = slave.without_rounding(partners.distance[paired])
     relative = distance / slave.size[paired]
     return ContactPairing(
-        name,
-        slave.nodes[paired],
-        master.nodes[partner_rows],
-        places,
+        Terms.of_nodes(slave.nodes[paired], master.nodes[partner_rows]),
         normal,
         gap,
         area[paired],
+        name,
         pairing_summary(
             comm,
             name,

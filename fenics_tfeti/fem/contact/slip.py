@@ -101,8 +101,7 @@ def nodal_friction(
     law = contact.friction
     values = values_at_nodes(space, law, nodes, points, name)
     is_tresca = isinstance(law, Tresca)
-    rows = np.searchsorted(pairing.surface.nodes, nodes)
-    fixed = prescribed_components(pairing.surface, prescribed)[rows]
+    fixed = prescribed_components(pairing.surface, prescribed)[pairing.on_surface]
     return NodalFriction(
         tangents(pairing.normal, fixed),
         np.where(is_tresca, values * pairing.area, 0.0),

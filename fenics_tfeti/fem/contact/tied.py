@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.contact import MortarTerms
+from fenics_tfeti.fem.contact.contact import Conditions
 from fenics_tfeti.fem.contact.mortar.checks import check_covered
 from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, tied_conditions
 from fenics_tfeti.fem.contact.mortar.pairing import slave_facets
@@ -62,7 +62,7 @@ class TiedPairing:
     """The conditions of a tied pair at the slave nodes that this rank owns."""
 
     name: str
-    terms: list[MortarTerms]  # the conditions of each component
+    components: list[Conditions]  # equalities for each component of the displacement
     summary: dict[str, Any]  # the pair's entry of `Report.pairing`
     surface: Surface  # that of the slave
     prescribed: NDArray[np.bool_]  # (s, gdim): components prescribed at its nodes
@@ -110,7 +110,11 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
         area=fullest.area,
         covered_area=fullest.covered_area,
     )
-    return TiedPairing(name, [component.terms for component in conditions], summary, slave, fixed)
+    components = [
+        Conditions(c.terms, np.tile(axis, (c.slave.size, 1)), np.zeros(c.slave.size), c.area)
+        for c, axis in zip(conditions, np.eye(gdim), strict=True)
+    ]
+    return TiedPairing(name, components, summary, slave, fixed)
 
 
 def tie_pairs(
@@ -147,16 +151,9 @@ def tied_rows(pairings: Sequence[TiedPairing], gdim: int, first: int) -> Contact
         return ContactRows.none(gdim)
     return ContactRows.concatenate(
         [
-            ContactRows(
-                terms.offsets,
-                terms.nodes,
-                terms.weights[:, None] * np.eye(gdim)[axis],
-                np.zeros(terms.slaves.size),
-                np.full(terms.slaves.size, first + number),
-                terms.slaves,
-            )
+            conditions.rows(first + number)
             for number, pairing in enumerate(pairings)
-            for axis, terms in enumerate(pairing.terms)
+            for conditions in pairing.components
         ]
     )
 

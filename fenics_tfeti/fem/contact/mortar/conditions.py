@@ -14,7 +14,7 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.fem.contact.contact import MortarTerms
+from fenics_tfeti.fem.contact.contact import Terms
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import FacetIntegrals, integrate
 from fenics_tfeti.fem.contact.mortar.matrices import (
@@ -69,7 +69,7 @@ class MortarConditions:
     """Mortar conditions at the k slave nodes that this rank owns."""
 
     slave: Numbers  # global nodes (k,), ascending
-    terms: MortarTerms
+    terms: Terms
     # (k, gdim): means of the slave's normals with the dual functions, as unit vectors
     normal: Vector
     gap: Vector  # (k, gdim): mean vectors from the slave to the master [m]
@@ -266,7 +266,7 @@ def _reduce_at_nodes(
 
 def collect_terms(
     owners: Directory, row: Numbers, column: Numbers, value: Vector, on_slave: Mask
-) -> tuple[Numbers, MortarTerms]:
+) -> tuple[Numbers, Terms]:
     """Sum up terms (t,) at the owners of their rows; conditions by ascending node. Collective.
 
     `row` and `column` are global nodes: the slave node of the condition, and the node of the term,
@@ -289,7 +289,7 @@ def collect_terms(
     number = np.bincount(condition, minlength=nodes.size)
     slaves = np.bincount(condition[on_slave[order]], minlength=nodes.size).astype(np.int64)
     offsets = np.append(0, np.cumsum(number)).astype(np.int64)
-    return nodes, MortarTerms(offsets, column[order], value[order], slaves)
+    return nodes, Terms(offsets, column[order], value[order], slaves)
 
 
 def _largest_of_facets(

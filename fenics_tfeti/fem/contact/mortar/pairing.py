@@ -9,7 +9,7 @@ import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.fem.contact.contact import ContactPair, ContactPairing, MortarTerms
+from fenics_tfeti.fem.contact.contact import ContactPair, ContactPairing
 from fenics_tfeti.fem.contact.mortar.checks import check_covered, check_folds
 from fenics_tfeti.fem.contact.mortar.conditions import (
     MortarConditions,
@@ -24,7 +24,6 @@ from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.node_areas import nodal_weight
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
-from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -102,17 +101,16 @@ def match_deformed(
         prescribed = np.zeros_like(normal, dtype=bool)
     deformed = replace(surface, normal=normal)
     deformed = replace(deformed, normal=_normals(contact, deformed, prescribed))
-    points = boundary.coordinates[:, :gdim] + displacement.x.array.reshape(-1, gdim)
+    points = boundary.coordinates[:, :gdim] + boundary.nodes.values(displacement)
     facets = slave_facets(boundary, contact, deformed, points, name)
     shared = np.intersect1d(slave.nodes, master.nodes)
     conditions = mortar_conditions(comm, facets, surface.nodes, master, master_normals, shared)
     check_covered(comm, conditions, surface, name)
     distance = np.sum(conditions.gap * conditions.normal, axis=1)
-    relative = mean_relative(conditions.terms, displacement)
+    new = _pairing(name, conditions, surface, distance, pairing.summary, prescribed)
+    relative = new.relative(boundary.nodes, boundary.nodes.values(displacement))
     gap = distance + np.sum(relative * conditions.normal, axis=1)
-    new = _pairing(name, conditions, surface, gap, pairing.summary, prescribed)
-    new = replace(new, master_surface=pairing.master_surface)
-    return new, distance
+    return replace(new, gap=gap, master_surface=pairing.master_surface), distance
 
 
 def _pairing(
@@ -124,17 +122,14 @@ def _pairing(
     prescribed: Mask,
 ) -> ContactPairing:
     return ContactPairing(
-        name,
-        conditions.slave,
-        main_masters(conditions.terms),
-        slave.coordinates[np.searchsorted(slave.nodes, conditions.slave)],
+        conditions.terms,
         conditions.normal,
         gap,
         conditions.area,
+        name,
         summary,
         slave,
         conditions.covered,
-        conditions.terms,
         conditions.coverage,
         prescribed,
     )
@@ -156,42 +151,3 @@ def _normals(contact: ContactPair, slave: Surface, prescribed: Mask) -> Vector:
     if contact.normal is not None:
         return slave.normal
     return normals_in_symmetry_planes(slave, prescribed)
-
-
-def main_masters(terms: MortarTerms) -> Numbers:
-    """Return the master node with the largest weight in each condition; the lowest of equal ones.
-
-    Weights of the master are negative.
-    """
-    order = np.lexsort((terms.nodes, terms.weights, terms.row))
-    nodes: Numbers = terms.nodes[order[terms.offsets[:-1]]]
-    return nodes
-
-
-def mean_relative(
-    terms: MortarTerms, displacement: Function, coordinates: Vector | None = None
-) -> Vector:
-    """Return mean displacements (k, gdim) of the slave less those of the master [m]. Collective.
-
-    The nodes of the terms may be on any rank. With coordinates (nodes, 3) of this rank's nodes [m],
-    the deformed places are taken instead of the displacements.
-    """
-    nodes = NodeMap(displacement.function_space)
-    values = nodes.values(displacement)
-    if coordinates is not None:
-        values = values + coordinates[:, : nodes.components]
-    distinct = np.unique(terms.nodes)
-    return mean_over_terms(terms, distinct, nodes.values_at(values, distinct))
-
-
-def mean_over_terms(terms: MortarTerms, nodes: Numbers, values: Vector) -> Vector:
-    """Return the weighted sums (k, gdim) of nodal values, negative on the master, over the areas.
-
-    The nodes (n,) are global ones, ascending, and all of the terms'; the values are (n, gdim).
-    """
-    row = terms.row
-    sums = np.zeros((terms.slaves.size, values.shape[1]))
-    rows = np.searchsorted(nodes, terms.nodes)
-    np.add.at(sums, row, terms.weights[:, None] * values[rows])
-    means: Vector = sums / terms.area[:, None]
-    return means

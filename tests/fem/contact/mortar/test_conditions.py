@@ -53,7 +53,7 @@ def test_terms_of_a_condition(cell):
     terms = pairing.terms
     np.testing.assert_array_equal(terms.nodes[terms.offsets[:-1]], pairing.slave)
     assert (pairing.area > 0.0).all()
-    np.testing.assert_allclose(terms.area, pairing.area)
+    np.testing.assert_allclose(terms.scale, pairing.area)
     assert pairing.area.sum() == pytest.approx(0.63 ** (V.mesh.geometry.dim - 1))
     # constants and linear functions
     sums = np.zeros((pairing.slave.size, 4))
