@@ -28,7 +28,7 @@ from fenics_tfeti.fem.contact.contact import (
 from fenics_tfeti.fem.contact.mortar.pairing import match_deformed
 from fenics_tfeti.fem.contact.obstacle_conditions import deformed_gaps
 from fenics_tfeti.fem.contact.result import ContactResult
-from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
+from fenics_tfeti.fem.contact.surfaces.gathered import GatheredSurface, gather_surface
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.displacement import owned_values
@@ -196,7 +196,7 @@ def _deformed_mortar(
     )
 
 
-def _opposite(master: DeformedSurface, partner: Numbers, foot: Vector) -> Numbers:
+def _opposite(master: GatheredSurface, partner: Numbers, foot: Vector) -> Numbers:
     """Return the master nodes nearest to the points where the slave's normals meet the master.
 
     A partner is kept unless its distance is more than 1.5 times that of the nearest node: otherwise

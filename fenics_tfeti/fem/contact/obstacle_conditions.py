@@ -14,7 +14,7 @@ from fenics_tfeti.fem.contact.mortar.one_sided import nodal_normals, one_sided_c
 from fenics_tfeti.fem.contact.mortar.pairing import slave_facets
 from fenics_tfeti.fem.contact.obstacles import gap_and_normal
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
-from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface
+from fenics_tfeti.fem.contact.surfaces.gathered import gather_surface
 from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas
 from fenics_tfeti.fem.contact.surfaces.node_areas import nodal_weight, node_areas
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface

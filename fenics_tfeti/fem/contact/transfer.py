@@ -17,7 +17,7 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import Contact, ContactPairing
 from fenics_tfeti.fem.contact.result import ContactResult
-from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
+from fenics_tfeti.fem.contact.surfaces.gathered import GatheredSurface, gather_surface
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti.system import ContactGuess
@@ -33,7 +33,7 @@ class SolvedContact:
     """
 
     name: str
-    surface: DeformedSurface
+    surface: GatheredSurface
     paired: Vector  # 1 at nodes that have a contact condition, 0 elsewhere
     pressure: Vector  # [Pa]; 0 elsewhere
     approach: Vector  # (u_slave - u_master)'n [m]; 0 elsewhere

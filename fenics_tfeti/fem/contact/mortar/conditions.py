@@ -24,7 +24,7 @@ from fenics_tfeti.fem.contact.mortar.matrices import (
     node_areas,
 )
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
-from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
+from fenics_tfeti.fem.contact.surfaces.gathered import GatheredSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, facet_deviations
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.parallel import Directory, concatenate_buffers
@@ -87,7 +87,7 @@ def mortar_conditions(
     comm: MPI.Intracomm,
     slave: SlaveFacets,
     owned: Numbers,
-    master: DeformedSurface,
+    master: GatheredSurface,
     normals: Vector,
     free: Numbers,
 ) -> MortarConditions:
@@ -105,7 +105,7 @@ def tied_conditions(
     comm: MPI.Intracomm,
     slave: SlaveFacets,
     owned: Numbers,
-    master: DeformedSurface,
+    master: GatheredSurface,
     normals: Vector,
     prescribed: Mask,
 ) -> list[MortarConditions]:
@@ -140,7 +140,7 @@ def _conditions(
     comm: MPI.Intracomm,
     slave: SlaveFacets,
     owned: Numbers,
-    master: DeformedSurface,
+    master: GatheredSurface,
     normals: Vector,
     integrals: FacetIntegrals,
     free: Mask,

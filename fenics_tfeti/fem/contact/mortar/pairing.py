@@ -17,7 +17,7 @@ from fenics_tfeti.fem.contact.mortar.conditions import (
     mortar_conditions,
 )
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
-from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
+from fenics_tfeti.fem.contact.surfaces.gathered import GatheredSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
 from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
@@ -33,7 +33,7 @@ def match_by_mortar(
     name: str,
     contact: ContactPair,
     slave: Surface,
-    master: DeformedSurface,
+    master: GatheredSurface,
     shared: Numbers,
     prescribed: Mask,
 ) -> ContactPairing:

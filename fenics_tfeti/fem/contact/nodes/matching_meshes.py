@@ -7,7 +7,7 @@ from mpi4py import MPI
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
+from fenics_tfeti.fem.contact.surfaces.gathered import GatheredSurface
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.tolerances import SAME_PLACE
@@ -16,7 +16,7 @@ from fenics_tfeti.typing import Vector
 
 def meshes_match(
     slave: Surface,
-    master: DeformedSurface,
+    master: GatheredSurface,
     normals: Vector,
     tolerance: float,
 ) -> bool:

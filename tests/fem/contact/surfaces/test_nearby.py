@@ -6,7 +6,7 @@ import numpy as np
 from mortar_blocks import LOWER, UPPER, Blocks
 from scenes import vector_space
 
-from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface
+from fenics_tfeti.fem.contact.surfaces.gathered import gather_surface
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import tag_facets
