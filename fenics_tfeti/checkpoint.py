@@ -9,15 +9,13 @@ import os
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields, replace
 
-from mpi4py import MPI
-
 import numpy as np
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.deformed import GeometryPass
 from fenics_tfeti.fem.contact.slip import SlipOrigin
-from fenics_tfeti.fem.input_numbers import OwnedNodes
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti import ContactGuess
 from fenics_tfeti.feti.files.arrays import ArrayFile, open_arrays, write_arrays
@@ -50,8 +48,7 @@ class Step:
 
 def write_step(
     path: str | os.PathLike[str],
-    comm: MPI.Intracomm,
-    nodes: OwnedNodes,
+    nodes: NodeMap,
     contacts: Sequence[str],
     step: Step,
 ) -> None:
@@ -59,8 +56,8 @@ def write_step(
 
     `contacts` are the names of the contacts. If rank 0 cannot write the file, all ranks raise.
     """
-    parts = comm.gather(_arrays(step, nodes))
-    with raise_collectively(comm):
+    parts = nodes.comm.gather(_arrays(step, nodes))
+    with raise_collectively(nodes.comm):
         if parts is not None:
             arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
             order = np.argsort(arrays["numbers"])
@@ -75,38 +72,38 @@ def write_step(
             write_arrays(path, "the checkpoint", _FORMAT, arrays)
 
 
-def _arrays(step: Step, nodes: OwnedNodes) -> dict[str, Array]:
+def _arrays(step: Step, nodes: NodeMap) -> dict[str, Array]:
     """Return this rank's part of a file: values at all nodes, and at some of each contact."""
-    n, gdim = nodes.coordinates.shape
+    numbers, n, gdim = nodes.input_numbers, nodes.owned, nodes.components
     obstacles = step.origin.obstacles.reshape(len(step.origin.obstacles), n, gdim)
     pressed, displaced = np.nonzero(step.force), np.nonzero(obstacles.any(axis=2))
     return {
-        "numbers": nodes.numbers,
+        "numbers": numbers,
         "coordinates": nodes.coordinates,
         "displacement": step.displacement.reshape(n, gdim),
         "slip_origin": step.origin.displacement.reshape(n, gdim),
         "force": step.force[pressed],
         "force_contact": pressed[0],
-        "force_node": nodes.numbers[pressed[1]],
+        "force_node": numbers[pressed[1]],
         "obstacle": obstacles[displaced],
         "obstacle_contact": displaced[0],
-        "obstacle_node": nodes.numbers[displaced[1]],
+        "obstacle_node": numbers[displaced[1]],
     }
 
 
-def read_step(
-    path: str | os.PathLike[str], comm: MPI.Intracomm, nodes: OwnedNodes, contacts: Sequence[str]
-) -> Step:
+def read_step(path: str | os.PathLike[str], nodes: NodeMap, contacts: Sequence[str]) -> Step:
     """Read the part of this rank from a checkpoint of the same mesh and contacts. Collective."""
-    with raise_collectively(comm), open_arrays(path, _FORMAT) as file:
-        step = _read(file, nodes, contacts)
+    own = nodes.input_numbers
+    with raise_collectively(nodes.comm), open_arrays(path, _FORMAT) as file:
+        step = _read(file, nodes, own, contacts)
     return step
 
 
-def _read(file: ArrayFile, nodes: OwnedNodes, contacts: Sequence[str]) -> Step:
-    n, gdim = nodes.coordinates.shape
+def _read(file: ArrayFile, nodes: NodeMap, own: Numbers, contacts: Sequence[str]) -> Step:
+    """Read this rank's part; `own` are the numbers of its nodes in the input."""
+    coordinates, gdim = nodes.coordinates, nodes.components
     numbers = file.read("numbers", "integers", (None,))
-    rows = _positions(numbers, nodes.numbers)
+    rows = _positions(numbers, own)
     if file.strings("contacts") != list(contacts):
         raise _of_another_problem(file, "contacts")
     if np.any(rows < 0) or numbers.size != nodes.total:
@@ -115,10 +112,10 @@ def _read(file: ArrayFile, nodes: OwnedNodes, contacts: Sequence[str]) -> Step:
     def nodal(name: str) -> Vector:
         return file.read(name, "numbers", (numbers.size, gdim))[rows]
 
-    distance = np.abs(nodal("coordinates") - nodes.coordinates).max(initial=0.0)
-    if not distance <= RELATIVE_ROUNDING * np.abs(nodes.coordinates).max(initial=0.0):
+    distance = np.abs(nodal("coordinates") - coordinates).max(initial=0.0)
+    if not distance <= RELATIVE_ROUNDING * np.abs(coordinates).max(initial=0.0):
         raise _of_another_problem(file, "coordinates")
-    order = np.argsort(nodes.numbers)
+    order = np.argsort(own)
 
     def of_contacts(name: str, shape: tuple[int, ...]) -> Vector:
         node = file.read(f"{name}_node", "integers", (None,))
@@ -126,12 +123,12 @@ def _read(file: ArrayFile, nodes: OwnedNodes, contacts: Sequence[str]) -> Step:
         entries = file.read(name, "numbers", (node.size, *shape))
         if np.any((contact < 0) | (contact >= len(contacts))):
             raise InputError(f"{file.path}: the array '{name}_contact' has numbers of no contact")
-        values = np.zeros((len(contacts), n, *shape))
-        row = _positions(nodes.numbers[order], node)
+        values = np.zeros((len(contacts), own.size, *shape))
+        row = _positions(own[order], node)
         values[contact[row >= 0], order[row[row >= 0]]] = entries[row >= 0]
         return values
 
-    obstacles = of_contacts("obstacle", (gdim,)).reshape(len(contacts), n * gdim)
+    obstacles = of_contacts("obstacle", (gdim,)).reshape(len(contacts), own.size * gdim)
     passes = file.read("passes", "numbers", (None, len(fields(GeometryPass)))).tolist()
     finished = [GeometryPass(*row) for row in passes]
     return Step(

@@ -91,20 +91,6 @@ def all_to_all(comm: MPI.Intracomm, messages: Sequence[T]) -> list[T]:
     return [messages[rank] if rank == comm.rank else m for rank, m in enumerate(received)]
 
 
-def values_of_owners(
-    comm: MPI.Intracomm, owned: tuple[int, int], values: Array, numbers: Numbers
-) -> Array:
-    """Return rows of a distributed array whose ranks own consecutive numbers. Collective.
-
-    This rank owns the numbers from owned[0] to before owned[1]; its rows `values` are in their
-    order, and more rows do not matter. `numbers` (k,), ascending, are of any ranks.
-    """
-    ends = np.array(comm.allgather(owned[1]))
-    queries = all_to_all(comm, np.split(numbers, np.searchsorted(numbers, ends[:-1])))
-    rows = all_to_all(comm, [values[part - owned[0]] for part in queries])
-    return np.concatenate(rows)
-
-
 class Directory:
     """A distributed directory of integer keys, such as global node numbers.
 

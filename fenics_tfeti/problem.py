@@ -5,11 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import ufl
 from dolfinx.fem import Function
@@ -38,9 +36,9 @@ from fenics_tfeti.fem.displacement import (
     prescribed_values,
     space_of_forms,
 )
-from fenics_tfeti.fem.input_numbers import OwnedNodes, input_numbers
 from fenics_tfeti.fem.locking import warn_of_locking
 from fenics_tfeti.fem.mesh_checks import check_mesh
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.strains import warn_of_large_gradients
 from fenics_tfeti.feti import (
     ContactGuess,
@@ -147,6 +145,7 @@ class ContactProblem:
         self._timer = Timer()
         a, L = as_forms(a, L)
         self.space = space_of_forms(a, L)
+        self._nodes = NodeMap(self.space)
         self.bcs, self.contacts = as_conditions(bcs), as_contacts(contacts)
         self.u = as_displacement(u, self.space)
         self.results = Results()
@@ -339,21 +338,14 @@ class ContactProblem:
         """
         if self._solver is not None:
             raise InputError("a checkpoint is for a problem that was not solved yet")
-        nodes = OwnedNodes.from_space(self.space, self._input_numbers)
-        self._step = read_step(path, self.space.mesh.comm, nodes, self._touching_names())
+        self._step = read_step(path, self._nodes, self._touching_names())
         self._is_restored = True
         return self._step.number
 
     def _save(self, checkpoint: str | os.PathLike[str] | None) -> None:
         """Write the checkpoint, if there is to be one."""
         if checkpoint is not None:
-            nodes = OwnedNodes.from_space(self.space, self._input_numbers)
-            comm, names = self.space.mesh.comm, self._touching_names()
-            write_step(checkpoint, comm, nodes, names, self._step)
-
-    @cached_property
-    def _input_numbers(self) -> NDArray[np.int64] | None:
-        return input_numbers(self.space)
+            write_step(checkpoint, self._nodes, self._touching_names(), self._step)
 
     # -- the present data --------------------------------------------------------------------------
 
@@ -473,8 +465,7 @@ class ContactProblem:
                 return expected_contact(coarse._solved.gathered(), conditions.pairings)
         if not self._is_restored or self.options.solver.method != "active_set":
             return None
-        first_node = self.space.dofmap.index_map.local_range[0]
-        return self._step.guess(conditions.pairings, first_node)
+        return self._step.guess(conditions.pairings, self._nodes.first)
 
     def _solve_exactly(
         self,

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from mpi4py import MPI
 
-import numpy as np
 import pytest
 
 from fenics_tfeti.errors import NotConverged
-from fenics_tfeti.parallel import raise_collectively, values_of_owners
+from fenics_tfeti.parallel import raise_collectively
 
 COMM = MPI.COMM_WORLD
 
@@ -42,12 +41,6 @@ def test_interrupt_is_not_kept_back():
         raise KeyboardInterrupt
 
 
-def test_values_of_own_numbers():
-    values = np.arange(8.0).reshape(4, 2)
-    found = values_of_owners(MPI.COMM_SELF, (0, 4), values, np.array([1, 3]))
-    np.testing.assert_array_equal(found, values[[1, 3]])
-
-
 @pytest.mark.ranks(2)
 @pytest.mark.parametrize("rank", [0, COMM.size - 1])
 def test_error_of_one_rank_is_raised_on_all(rank):
@@ -69,16 +62,3 @@ def test_error_that_cannot_be_sent_is_raised_on_all():
     with pytest.raises(expected, match="odd"), raise_collectively(COMM):
         if COMM.rank == last:
             raise OddError("odd", "error")
-
-
-@pytest.mark.ranks(2)
-def test_values_of_numbers_of_all_ranks():
-    """Rank r owns r + 1 numbers and asks for every third one, the last rank for none."""
-    first = COMM.rank * (COMM.rank + 1) // 2
-    own = np.arange(first, first + COMM.rank + 1)
-    asked = np.arange(COMM.rank, COMM.size * (COMM.size + 1) // 2, 3)
-    if COMM.rank == COMM.size - 1:
-        asked = asked[:0]
-    values = np.column_stack([own, own**2])
-    found = values_of_owners(COMM, (own[0], own[-1] + 1), values, asked)
-    np.testing.assert_array_equal(found, np.column_stack([asked, asked**2]))

@@ -452,20 +452,6 @@ def assemble_load(form: Any) -> NDArray[np.float64]:
     return np.array(fem.assemble_vector(form).array)
 
 
-def assemble_distributed(form: Any) -> NDArray[np.float64]:
-    """Assemble a bound linear form on a distributed mesh; return the owned entries. Collective.
-
-    - ``dolfinx.fem.petsc`` is an attribute of ``dolfinx.fem`` only after its own import in 0.11.
-    """
-    from petsc4py import PETSc
-
-    b = fem.petsc.assemble_vector(form)
-    b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-    values: NDArray[np.float64] = b.array_r.copy()
-    b.destroy()
-    return values
-
-
 # -- meshes, files and pictures ----------------------------------------------------------------
 
 

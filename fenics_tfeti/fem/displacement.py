@@ -13,6 +13,7 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.reference_cells import MESH_CELLS
 from fenics_tfeti.fem.tolerances import SAME_VALUE
 from fenics_tfeti.feti.system import Prescribed, Subdomain
@@ -101,9 +102,8 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
 
     Each has the number of its last condition. Contradictory values are errors.
     """
-    block = space.dofmap.index_map_bs
-    index_map = space.dofmap.index_map
-    size = block * (index_map.size_local + index_map.num_ghosts)
+    nodes = NodeMap(space)
+    block, size = nodes.components, nodes.components * nodes.size
     prescribed = np.zeros(size, dtype=bool)
     values = np.zeros(size)
     condition = np.zeros(size, dtype=np.int64)
@@ -120,9 +120,8 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
             values[dofs] = new
             condition[dofs] = number
     unrolled = np.flatnonzero(prescribed)
-    nodes = index_map.local_to_global((unrolled // block).astype(np.int32))
     return Prescribed(
-        np.asarray(nodes, dtype=np.int64),
+        nodes.to_global(unrolled // block),
         (unrolled % block).astype(np.int64),
         values[unrolled],
         condition[unrolled],
@@ -164,20 +163,18 @@ def fill_displacement(
     The displacements (n_i,) of this rank's subdomains [m] are equal at all copies of a node; the
     function's ghosts are up to date.
     """
-    space = uh.function_space
-    block = space.dofmap.index_map_bs
-    values = uh.x.array.reshape(-1, block)
+    nodes = NodeMap(uh.function_space)
+    values = nodes.values(uh)
     for subdomain, displacement in zip(subdomains, displacements, strict=True):
-        values[_local_nodes(space, subdomain.nodes)] = displacement.reshape(-1, block)
+        values[nodes.to_local(subdomain.nodes)] = displacement.reshape(-1, nodes.components)
     uh.x.scatter_forward()
     return uh
 
 
 def owned_values(uh: Function) -> Vector:
     """Return the values of a function at the degrees of freedom that this rank owns."""
-    space = uh.function_space
-    owned = space.dofmap.index_map_bs * space.dofmap.index_map.size_local
-    values: Vector = uh.x.array[:owned].copy()
+    nodes = NodeMap(uh.function_space)
+    values: Vector = uh.x.array[: nodes.owned * nodes.components].copy()
     return values
 
 
@@ -186,16 +183,3 @@ def fill_owned(uh: Function, values: Vector) -> Function:
     uh.x.array[: values.size] = values
     uh.x.scatter_forward()
     return uh
-
-
-def _local_nodes(space: FunctionSpace, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the local numbers of global nodes on this rank."""
-    index_map = space.dofmap.index_map
-    first, last = index_map.local_range
-    ghosts = np.asarray(index_map.ghosts, dtype=np.int64)
-    order = np.argsort(ghosts)
-    owned = (nodes >= first) & (nodes < last)
-    local: NDArray[np.int64] = nodes - first
-    position = np.searchsorted(ghosts[order], nodes[~owned])
-    local[~owned] = index_map.size_local + order[position]
-    return local

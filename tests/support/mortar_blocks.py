@@ -23,7 +23,7 @@ from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.mortar.facets import shape_functions
 from fenics_tfeti.fem.contact.mortar.integrals import integrate, integrate_alone
-from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface
+from fenics_tfeti.fem.contact.surfaces.gathered import gather_surface
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import Box, boxes, tag_facets
 

@@ -73,7 +73,7 @@ class Blocks:
         pairing, uh = self.pairing(self.pair), self.displacement(lower, upper)
         result = deformed_contact(MeshBoundary.of(self.space), self.pair, pairing, uh, **arguments)
         u = uh.x.array.reshape(-1, self.mesh.geometry.dim)
-        return pairing, result, u[pairing.slave], u[result.master]
+        return pairing, result, u[pairing.slave], u[result.terms.master]
 
 
 def blocks(

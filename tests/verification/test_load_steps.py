@@ -59,7 +59,7 @@ def assert_same(problem, uh, other, expected):
 def test_solved_again_is_solved_anew(change):
     scene = two_blocks_on_a_floor()
     problem = new_problem(scene)
-    before = problem.solve()
+    before = problem.solve().copy()
     reused = change(scene)
     problem.contacts = list(scene.contacts)
     uh = problem.solve()
@@ -97,10 +97,10 @@ def test_results_of_earlier_steps_stay():
     scene = two_blocks_on_a_floor()
     problem = new_problem(scene)
     first, contact, report = problem.solve(), problem.results, problem.report
-    u, force = first.x.array.copy(), contact[0].normal_force.copy()
+    force = contact[0].normal_force.copy()
     scene.load.value *= 2.0
-    problem.solve()
-    np.testing.assert_array_equal(first.x.array, u)
+    assert problem.solve() is first
+    assert problem.results is not contact
     np.testing.assert_array_equal(contact[0].normal_force, force)
     assert report.reused == []
 

@@ -21,13 +21,14 @@ from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.nodes.search import Partners
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
-from fenics_tfeti.fem.contact.surfaces.oriented import global_nodes, tangential_part
+from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MasterNodes, Surface
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, first_distances, raise_where
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.topology import cell_vertices
-from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
+from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Mask, Vector
 
 # -- the pairs of one contact ------------------------------------------------------------------
@@ -224,21 +225,17 @@ def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[Contact
     if not comm.allreduce(sum(int(mask.sum()) for mask in inside)):
         return
     size = _sizes_of_bodies(space, bodies)
-    index_map = space.dofmap.index_map
     cells = _compat.cell_dofs(space)[: bodies.of_cell.size]
-    body = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int64)
+    nodes = NodeMap(space)
+    body = np.zeros(nodes.size, dtype=np.int64)
     body[cells] = bodies.of_cell[:, None]
-    nodes = np.unique(cells)
-    numbers = global_nodes(space, nodes)
-    directory = Directory(comm, numbers)
-    body_of_node = np.zeros(directory.keys.size, dtype=np.int64)
-    keys, values = directory.collect(numbers, body[nodes])
-    body_of_node[directory.position(keys)] = values
+    in_cells = np.unique(cells)
+    body_of_node = nodes.sum_at_owners(nodes.to_global(in_cells), body[in_cells], np.maximum)
     for pairing, mask in zip(pairings, inside, strict=True):
         normal = np.abs(pairing.normal[mask])
         ends = (pairing.slave[mask], pairing.master[mask])
         thickness = [
-            np.sum(normal * size[directory.lookup(end, body_of_node)[1]], axis=1) for end in ends
+            np.sum(normal * size[nodes.values_at(body_of_node, end)], axis=1) for end in ends
         ]
         _raise_too_deep(comm, pairing, mask, np.minimum(*thickness))
 

@@ -3,47 +3,81 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
+from fenics_tfeti.fem.nodes import NodeMap
+from fenics_tfeti.feti.system import ContactRows
 from fenics_tfeti.typing import Numbers, Vector
 
 
 @dataclass(frozen=True)
-class MortarTerms:
-    """The terms of mortar conditions: sums of displacements with scalar weights.
+class Terms:
+    """Sums of displacements with scalar weights: k sparse rows of t terms (node, weight).
 
-    There are k conditions and t terms: those of condition i from offsets[i] up to offsets[i + 1],
-    first its slave node, then further slave nodes, then master nodes.
+    The terms of row i are those from offsets[i] up to offsets[i + 1]: first its slave node, then
+    further slave nodes, then master nodes.
     """
 
     offsets: Numbers  # (k + 1,)
     nodes: Numbers  # global nodes of the displacement's space (t,)
-    # (t,): integrals of dual times shape functions, negative on the master [m^2 or m]
+    # (t,), negative on the master: 1 for single nodes, of mortar conditions integrals of dual times
+    # shape functions [m^2 or m]
     weights: Vector
     slaves: Numbers  # numbers of terms of slave nodes (k,)
 
-    @property
+    @staticmethod
+    def of_nodes(slave: Numbers, master: Numbers | None = None) -> Terms:
+        """Return rows (1,) of slave nodes (k,), or (1, -1) of pairs of nodes."""
+        ends = [slave] if master is None else [slave, master]
+        weights = np.tile([1.0, -1.0][: len(ends)], slave.size)
+        offsets = len(ends) * np.arange(slave.size + 1)
+        nodes = np.stack(ends, axis=1).ravel()
+        return Terms(offsets, nodes, weights, np.ones(slave.size, dtype=np.int64))
+
+    @cached_property
     def row(self) -> Numbers:
-        """The condition of each term, (t,)."""
+        """The row of each term, (t,)."""
         return np.repeat(np.arange(self.slaves.size), np.diff(self.offsets))
 
-    @property
-    def area(self) -> Vector:
-        """The sum of the slave's weights of each condition, (k,)."""
+    @cached_property
+    def scale(self) -> Vector:
+        """The sum of the slave's weights of each row, (k,)."""
         position = np.arange(self.nodes.size) - self.offsets[:-1][self.row]
         weights = np.where(position < self.slaves[self.row], self.weights, 0.0)
-        area = np.zeros(self.slaves.size)
-        np.add.at(area, self.row, weights)
-        return area
+        return self._sums(weights[:, None])[:, 0]
+
+    @cached_property
+    def slave(self) -> Numbers:
+        """The slave node of each row, (k,)."""
+        slave: Numbers = self.nodes[self.offsets[:-1]]
+        return slave
+
+    @cached_property
+    def master(self) -> Numbers:
+        """The master node with the largest weight, the lowest of equal ones; -1 for none, (k,)."""
+        order = np.lexsort((self.nodes, self.weights, self.row))
+        nodes = self.nodes[order[self.offsets[:-1]]]
+        return np.where(np.diff(self.offsets) > self.slaves, nodes, -1)
+
+    def means(self, values: Vector) -> Vector:
+        """Return the weighted sums (k, q) of values (t, q) at the terms' nodes, over the scale."""
+        means: Vector = self._sums(self.weights[:, None] * values) / self.scale[:, None]
+        return means
+
+    def _sums(self, values: Vector) -> Vector:
+        sums = np.zeros((self.slaves.size, values.shape[1]))
+        np.add.at(sums, self.row, values)
+        return sums
 
 
 @dataclass(frozen=True)
-class ContactPairing:
-    """The k slave nodes that this rank owns and that have a contact condition.
+class Conditions:
+    """Conditions sum_k w_k u(node_k)'n <= gap times the scale; of ties equalities.
 
     The gap is (chi(x) - x)'n (11.7), of a mortar condition the mean with its dual function. The
     area belongs to the node: in a partial contact that of the facets whose nodes all have partners,
@@ -51,18 +85,65 @@ class ContactPairing:
     covered part. It has the weight of the measure.
     """
 
-    name: str
-    slave: Numbers  # global nodes of the displacement's space (k,)
-    master: Numbers  # (k,): partners, or the masters with the largest weights; -1 for an obstacle
-    coordinates: Vector  # slave nodes (k, 3) [m]
+    terms: Terms
     normal: Vector  # outward unit normals of the slave (k, gdim)
     gap: Vector  # (k,) [m]; infinite where there is no obstacle
     area: Vector  # (k,) [m^2 or m]
+
+    @property
+    def slave(self) -> Numbers:
+        """Global nodes of the displacement's space, which this rank owns (k,)."""
+        return self.terms.slave
+
+    @property
+    def master(self) -> Numbers:
+        """Partners, or the masters with the largest weights; -1 for an obstacle (k,)."""
+        return self.terms.master
+
+    def rows(self, number: int) -> ContactRows:
+        """Return them as those of the contact with a number."""
+        terms = self.terms
+        return ContactRows(
+            terms.offsets,
+            terms.nodes,
+            terms.weights[:, None] * self.normal[terms.row],
+            self.gap * terms.scale,
+            np.full(terms.slaves.size, number),
+            terms.slaves,
+        )
+
+    def relative(self, nodes: NodeMap, values: Vector) -> Vector:
+        """Return mean values (k, q) of the slave less those of the master. Collective.
+
+        The values (n, q) are at this rank's nodes, such as displacements or places [m].
+        """
+        return self.terms.means(nodes.values_at(values, self.terms.nodes))
+
+
+@dataclass(frozen=True)
+class ContactPairing(Conditions):
+    """The conditions of a contact at the slave nodes that this rank owns."""
+
+    name: str
     summary: dict[str, Any]  # the contact's entry of `Report.pairing`
     surface: Surface  # all of the slave's surface
     covered: NDArray[np.bool_]  # (f,): whether the surface's facets have partners at all nodes
-    terms: MortarTerms | None = None  # None for pairs of nodes, and for degree 1 at obstacles
     coverage: Vector | None = None  # (k,), see `ContactResult`; 1 by default
     # (s, gdim): components prescribed at the surface's nodes, for mortar conditions
     prescribed: NDArray[np.bool_] | None = None
     master_surface: Surface | None = None  # for mortar conditions
+
+    @property
+    def is_mortar(self) -> bool:
+        """Whether the conditions are mortar conditions of two surfaces."""
+        return self.prescribed is not None
+
+    @cached_property
+    def on_surface(self) -> Numbers:
+        """The positions of the slave's nodes among those of the surface, (k,)."""
+        return np.searchsorted(self.surface.nodes, self.slave)
+
+    @property
+    def coordinates(self) -> Vector:
+        """The undeformed slave nodes (k, 3) [m]."""
+        return self.surface.coordinates[self.on_surface]

@@ -130,12 +130,11 @@ class ContactSet:
 
     def friction_rows(self, origin: SlipOrigin) -> Friction:
         """Return where `rows` have friction, and from where slip is counted. Collective."""
-        space = self.boundary.space
-        return friction_rows(space, self.rows(), self.pairings, self.friction, origin)
+        return friction_rows(self.boundary.nodes, self.rows(), self.pairings, self.friction, origin)
 
     def obstacle_displacements(self) -> Vector:
         """Return each obstacle's displacement at the slave's nodes, as in `SlipOrigin`."""
-        return obstacle_displacements(self.boundary.space, self.pairings, self.friction)
+        return obstacle_displacements(self.boundary.nodes, self.pairings, self.friction)
 
     def with_friction(self) -> ContactSet:
         """Return the set with friction evaluated at its conditions. Collective."""
@@ -171,7 +170,7 @@ class ContactSet:
 
     def solved(self, solution: TornSolution, uh: Function) -> SolvedContacts:
         """Return the solution at each contact and tied pair. Collective."""
-        opening = openings(self.boundary.space, self.pairings, owned_values(uh))
+        opening = openings(self.boundary.nodes, self.pairings, owned_values(uh))
         contacts, ties, row, site = [], [], 0, 0
         for found, gap_after in zip(self.contacts, opening, strict=True):
             rows = slice(row, row + found.pairing.slave.size)
@@ -180,7 +179,7 @@ class ContactSet:
             contacts.append(self._result(found, gap_after, solution, rows, sites))
         row = 0
         for tie in self.ties:
-            rows = slice(row, row + sum(terms.slaves.size for terms in tie.pairing.terms))
+            rows = slice(row, row + sum(part.slave.size for part in tie.pairing.components))
             row = rows.stop
             forces = solution.report.contacts[tie.number]
             ties.append(self._tied_result(tie.pairing, forces, solution.tied_force[rows]))
@@ -223,16 +222,15 @@ class ContactSet:
 
     def _tied_result(self, tie: TiedPairing, forces: ContactForces, rows: Vector) -> TiedResult:
         """Return the result of a tied pair from the forces of its rows, component by component."""
-        slaves = [terms.nodes[terms.offsets[:-1]] for terms in tie.terms]
-        nodes = np.unique(np.concatenate(slaves))
-        force, area = np.zeros((nodes.size, len(slaves))), np.zeros(nodes.size)
+        nodes = np.unique(np.concatenate([part.slave for part in tie.components]))
+        force, area = np.zeros((nodes.size, len(tie.components))), np.zeros(nodes.size)
         begin = 0
-        for component, (terms, slave) in enumerate(zip(tie.terms, slaves, strict=True)):
-            position = np.searchsorted(nodes, slave)
+        for component, part in enumerate(tie.components):
+            position = np.searchsorted(nodes, part.slave)
             # the force of a row acts on the slave against its direction
-            force[position, component] = -rows[begin : begin + slave.size]
-            area[position] = terms.area
-            begin += slave.size
+            force[position, component] = -rows[begin : begin + part.slave.size]
+            area[position] = part.area
+            begin += part.slave.size
         surface = tie.surface
         return TiedResult(
             tie.name,
@@ -248,7 +246,7 @@ class ContactSet:
 
     def _dofs(self, nodes: Numbers) -> Numbers:
         """Return the numbers on this rank of nodes that it owns."""
-        dofs: Numbers = nodes - self.boundary.space.dofmap.index_map.local_range[0]
+        dofs: Numbers = nodes - self.boundary.nodes.first
         return dofs
 
 
@@ -273,7 +271,7 @@ class SolvedContacts:
 
     def nodal_forces(self) -> Vector:
         """Return the normal forces (contacts, nodes) at the nodes that this rank owns [N]."""
-        size = self.displacement.function_space.dofmap.index_map.size_local
+        size = self.conditions.boundary.nodes.owned
         force = np.zeros((len(self.contacts), size))
         for values, result in zip(force, self.contacts, strict=True):
             values[result.dofs] = result.normal_force

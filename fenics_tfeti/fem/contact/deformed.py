@@ -18,14 +18,15 @@ from scipy.spatial import cKDTree
 from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.contact import ContactPairing
+from fenics_tfeti.fem.contact.contact import ContactPairing, Terms
 from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObstacle
-from fenics_tfeti.fem.contact.mortar.pairing import match_deformed, mean_relative
+from fenics_tfeti.fem.contact.mortar.pairing import match_deformed
 from fenics_tfeti.fem.contact.obstacle_conditions import deformed_gaps
 from fenics_tfeti.fem.contact.result import ContactResult
-from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
+from fenics_tfeti.fem.contact.surfaces.gathered import GatheredSurface, gather_surface
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -34,7 +35,7 @@ from fenics_tfeti.typing import Numbers, Vector
 class DeformedContact:
     """A contact in the deformed state, at the k slave nodes that this rank owns."""
 
-    master: Numbers  # (k,): partners, after sliding those opposite now; -1 for an obstacle
+    terms: Terms  # those before; of pairs of nodes with the partners that are opposite now
     normal: Vector  # (k, gdim): deformed outward unit normals; those before without new condition
     # (k,): bound of (u_slave - u_partner)'n, of the total displacement, may be infinite [m]
     gap: Vector
@@ -50,7 +51,7 @@ class DeformedContact:
         """Return the conditions in the deformed state."""
         if self.mortar is not None:
             return self.mortar
-        return replace(earlier, master=self.master, normal=self.normal, gap=self.gap)
+        return replace(earlier, terms=self.terms, normal=self.normal, gap=self.gap)
 
 
 def deformed_contact(
@@ -74,7 +75,7 @@ def deformed_contact(
     displacement.x.scatter_forward()
     if isinstance(contact, RigidObstacle):
         return _deformed_obstacle(boundary, contact, pairing, displacement)
-    if pairing.terms is not None:
+    if pairing.is_mortar:
         return _deformed_mortar(boundary, contact, pairing, displacement)
     return _deformed_pairs(boundary, contact, pairing, displacement, keep_normal)
 
@@ -136,8 +137,7 @@ def _check_displacement(space: FunctionSpace, displacement: Function) -> None:
                 "the displacement is on another function space than the contact's nodes; use one "
                 "space for both"
             )
-        owned = space.dofmap.index_map.size_local * space.dofmap.index_map_bs
-        if not np.isfinite(displacement.x.array[:owned]).all():
+        if not np.isfinite(owned_values(displacement)).all():
             raise InputError("the displacement is NaN or infinite at some nodes")
 
 
@@ -157,7 +157,7 @@ def _deformed_pairs(
     partner = _opposite(master, partner, slave.points[rows] + distance[:, None] * normal)
     relative = slave.displacement[rows] - master.displacement[partner]
     return DeformedContact(
-        master.nodes[partner],
+        Terms.of_nodes(pairing.slave, master.nodes[partner]),
         normal,
         distance + np.sum(relative * normal, axis=1),
         distance,
@@ -168,22 +168,20 @@ def _deformed_pairs(
 def _deformed_mortar(
     boundary: MeshBoundary, contact: ContactPair, pairing: ContactPairing, displacement: Function
 ) -> DeformedContact:
-    assert pairing.terms is not None
     new, mean_distance = match_deformed(boundary, contact, pairing, displacement)
-    assert new.terms is not None
-    surface = pairing.surface
     # a node that slid off the master is as far from it as its facets are large
-    size = surface.size[np.searchsorted(surface.nodes, pairing.slave)]
+    size = pairing.surface.size[pairing.on_surface]
     distance, slip, normal = size.copy(), np.ones_like(size), pairing.normal.copy()
     _, old_rows, new_rows = np.intersect1d(pairing.slave, new.slave, return_indices=True)
     distance[old_rows], normal[old_rows] = mean_distance[new_rows], new.normal[new_rows]
     # mean places on the slave, less those on the master
-    offset = mean_relative(pairing.terms, displacement, boundary.coordinates)[old_rows]
-    offset -= mean_relative(new.terms, displacement, boundary.coordinates)[new_rows]
+    nodes = boundary.nodes
+    x = boundary.coordinates[:, : nodes.components] + nodes.values(displacement)
+    offset = pairing.relative(nodes, x)[old_rows] - new.relative(nodes, x)[new_rows]
     offset = tangential_part(offset, normal[old_rows])
     slip[old_rows] = np.linalg.norm(offset, axis=1) / size[old_rows]
     return DeformedContact(
-        pairing.master,
+        pairing.terms,
         normal,
         pairing.gap,
         distance,
@@ -193,7 +191,7 @@ def _deformed_mortar(
     )
 
 
-def _opposite(master: DeformedSurface, partner: Numbers, foot: Vector) -> Numbers:
+def _opposite(master: GatheredSurface, partner: Numbers, foot: Vector) -> Numbers:
     """Return the master nodes nearest to the points where the slave's normals meet the master.
 
     A partner is kept unless its distance is more than 1.5 times that of the nearest node: otherwise
@@ -211,4 +209,4 @@ def _deformed_obstacle(
     displacement: Function,
 ) -> DeformedContact:
     normal, gap, distance = deformed_gaps(boundary, contact, pairing, displacement)
-    return DeformedContact(pairing.master, normal, gap, distance, np.maximum(-distance, 0.0))
+    return DeformedContact(pairing.terms, normal, gap, distance, np.maximum(-distance, 0.0))

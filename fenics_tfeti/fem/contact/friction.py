@@ -10,6 +10,7 @@ from dolfinx.fem import Function, FunctionSpace
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.description import FrictionLaw
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import vertex_nodes
 from fenics_tfeti.fem.user_data import scalars_at
 from fenics_tfeti.parallel import raise_collectively
@@ -47,5 +48,5 @@ def _nodal_values(
     # the two spaces may number their nodes differently
     dofs = np.zeros(int(_compat.cell_dofs(space).max(initial=-1)) + 1, dtype=np.int64)
     dofs[vertex_nodes(space)] = vertex_nodes(source)
-    values: Vector = function.x.array[dofs[nodes - space.dofmap.index_map.local_range[0]]]
+    values: Vector = function.x.array[dofs[nodes - NodeMap(space).first]]
     return values

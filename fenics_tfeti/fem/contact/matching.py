@@ -19,7 +19,7 @@ from fenics_tfeti.fem.contact.checks import (
     check_partners,
     check_shared_nodes,
 )
-from fenics_tfeti.fem.contact.contact import ContactPairing
+from fenics_tfeti.fem.contact.contact import ContactPairing, Terms
 from fenics_tfeti.fem.contact.description import (
     Contact,
     ContactPair,
@@ -41,11 +41,8 @@ from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_compone
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MeshBoundary,
     Surface,
-    area_of_facets,
-    facet_max_at_nodes,
     gather_master,
     tagged_surface,
-    values_on_facets,
 )
 from fenics_tfeti.feti.system import ContactRows, Prescribed
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
@@ -98,14 +95,14 @@ def match_contact(
         pairing = _match_pair(boundary, name, contact, supports)
         if contact.normal is not None:
             return pairing
-        normal = without_axial_tilt(boundary, pairing.surface, pairing.slave, pairing.normal)
+        normal = without_axial_tilt(pairing.surface, pairing.slave, pairing.normal)
         return replace(pairing, normal=normal)
     gap = _updated_gap(boundary.space.mesh.comm, contact, earlier)
     if boundary.weight is None:
         return earlier if gap is earlier.gap else replace(earlier, gap=gap)
     surface = earlier.surface
-    area = node_areas(boundary, surface, earlier.covered, name)
-    return replace(earlier, gap=gap, area=area[np.searchsorted(surface.nodes, earlier.slave)])
+    area = node_areas(surface, earlier.covered, name)
+    return replace(earlier, gap=gap, area=area[earlier.on_surface])
 
 
 def _still_holds(boundary: MeshBoundary, earlier: ContactPairing, prescribed: Prescribed) -> bool:
@@ -130,23 +127,7 @@ def contact_rows(pairings: Sequence[ContactPairing], gdim: int) -> ContactRows:
     """Return the contact conditions of all contacts, one contact after the other."""
     if not pairings:
         return ContactRows.none(gdim)
-    return ContactRows.concatenate([_rows(p, number) for number, p in enumerate(pairings)])
-
-
-def _rows(pairing: ContactPairing, number: int) -> ContactRows:
-    terms, numbers = pairing.terms, np.full(pairing.slave.size, number)
-    if terms is None:
-        return ContactRows.node_to_node(
-            pairing.slave, pairing.master, pairing.normal, pairing.gap, numbers
-        )
-    return ContactRows(
-        terms.offsets,
-        terms.nodes,
-        terms.weights[:, None] * pairing.normal[terms.row],
-        pairing.gap * terms.area,
-        numbers,
-        terms.slaves,
-    )
+    return ContactRows.concatenate([p.rows(number) for number, p in enumerate(pairings)])
 
 
 def _match_pair(
@@ -168,7 +149,7 @@ def _match_pair(
         normals = master.normals(name)
     near = Nearest()
     may_pair_nodes = partners is None and boundary.degree == 1
-    if may_pair_nodes and meshes_match(boundary.space, slave, master, normals, near.tolerance):
+    if may_pair_nodes and meshes_match(slave, master, normals, near.tolerance):
         return _match_nodes(boundary, name, contact, near, slave, tagged_master)
     fixed = prescribed_components(slave, prescribed)
     pairing = match_by_mortar(boundary, name, contact, slave, master, shared, fixed)
@@ -211,24 +192,22 @@ def _match_nodes(
     angle = angles_between(slave.normal[paired], -master.normal[partner_rows])
     check_facing(comm, slave, paired, angle, name)
     partner = master.points[partner_rows]
-    covered = _covered_facets(boundary, slave, paired, partner, name)
-    area = node_areas(boundary, slave, covered, name)
+    covered = _covered_facets(slave, paired, partner, name)
+    area = node_areas(slave, covered, name)
     normal = slave.normal[paired]
     gap = slave.without_rounding(np.sum((partner - slave.points[paired]) * normal, axis=1))
     places = slave.coordinates[paired]
     # the nodes of both surfaces are on it, up to their chords
-    chord = 2.0 * _nodal_chords(boundary, slave)[paired]
+    chord = 2.0 * _nodal_chords(slave)[paired]
     gap = initial_gap(comm, contact.initial_gap, gap, chord, places, name)
     distance = slave.without_rounding(partners.distance[paired])
     relative = distance / slave.size[paired]
     return ContactPairing(
-        name,
-        slave.nodes[paired],
-        master.nodes[partner_rows],
-        places,
+        Terms.of_nodes(slave.nodes[paired], master.nodes[partner_rows]),
         normal,
         gap,
         area[paired],
+        name,
         pairing_summary(
             comm,
             name,
@@ -243,15 +222,13 @@ def _match_nodes(
         ),
         slave,
         covered,
-        coverage=(area_of_facets(boundary, slave, covered) / slave.area)[paired],
+        coverage=(slave.share_of_area(covered) / slave.area)[paired],
     )
 
 
-def _nodal_chords(boundary: MeshBoundary, slave: Surface) -> Vector:
+def _nodal_chords(slave: Surface) -> Vector:
     """Return at each node the largest chord height of the slave's facets there. Collective."""
-    corners = boundary.coordinates[slave.vertices, : slave.points.shape[1]]
-    heights = chord_heights(corners, values_on_facets(boundary.space, slave, slave.normal))
-    return facet_max_at_nodes(boundary.space, slave, heights)
+    return slave.max_of_facets(chord_heights(slave.corners, slave.at_corners(slave.normal)))
 
 
 def _shared_nodes(
@@ -268,16 +245,11 @@ def _shared_nodes(
     return shared
 
 
-def _covered_facets(
-    boundary: MeshBoundary, slave: Surface, paired: Mask, partner: Vector, name: str
-) -> Mask:
+def _covered_facets(slave: Surface, paired: Mask, partner: Vector, name: str) -> Mask:
     """Tell which of this rank's facets have partners at all nodes; check that none cross."""
-    space = boundary.space
     images = np.full_like(slave.points, np.nan)
     images[paired] = partner
-    images = values_on_facets(space, slave, images)
-    normals = values_on_facets(space, slave, slave.normal)
-    corners = boundary.coordinates[slave.vertices, : slave.points.shape[1]]
-    check_not_crossed(space.mesh.comm, slave, corners, normals, images, name)
+    images, normals = slave.at_corners(images), slave.at_corners(slave.normal)
+    check_not_crossed(slave.boundary.nodes.comm, slave, slave.corners, normals, images, name)
     covered: Mask = np.isfinite(images).all(axis=(1, 2))
     return covered

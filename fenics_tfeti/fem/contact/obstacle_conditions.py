@@ -9,18 +9,17 @@ import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.fem.contact.contact import ContactPairing, MortarTerms
+from fenics_tfeti.fem.contact.contact import ContactPairing, Terms
 from fenics_tfeti.fem.contact.description import RigidObstacle
 from fenics_tfeti.fem.contact.mortar.one_sided import nodal_normals, one_sided_conditions
-from fenics_tfeti.fem.contact.mortar.pairing import mean_over_terms, slave_facets
+from fenics_tfeti.fem.contact.mortar.pairing import slave_facets
 from fenics_tfeti.fem.contact.obstacles import gap_and_normal
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
-from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface
+from fenics_tfeti.fem.contact.surfaces.gathered import gather_surface
 from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas
 from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
-from fenics_tfeti.parallel import Directory
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Vector
 
 
 def match_obstacle(
@@ -34,20 +33,17 @@ def match_obstacle(
     slave = earlier.surface if earlier else tagged_surface(boundary, tags, tag, f"slave of {name}")
     if boundary.degree > 1:
         return _match_means(boundary, name, contact, slave)
-    comm = boundary.space.mesh.comm
-    covered = np.ones(slave.facets.size, dtype=bool)
+    comm, covered = boundary.nodes.comm, np.ones(len(slave.facet_nodes), dtype=bool)
     gap, outward = gap_and_normal(comm, contact.obstacle, slave.coordinates, slave.normal, name)
     gap = slave.without_rounding(gap)
     normal = -outward  # u'n <= gap with n pointing into the obstacle
     angle = angles_between(slave.normal, normal)
     return ContactPairing(
-        name,
-        slave.nodes,
-        np.full(slave.nodes.size, -1, dtype=np.int64),
-        slave.coordinates,
+        Terms.of_nodes(slave.nodes),
         normal,
         gap,
-        node_areas(boundary, slave, covered, name),
+        node_areas(slave, covered, name),
+        name,
         pairing_summary(comm, name, "obstacle", gap, angle, slave.nodes.size, area=slave.area),
         slave,
         covered,
@@ -58,9 +54,8 @@ def _match_means(
     boundary: MeshBoundary, name: str, contact: RigidObstacle, slave: Surface
 ) -> ContactPairing:
     """Return the conditions for degree 2, on the facets that have an obstacle at all nodes."""
-    space = boundary.space
-    comm, gdim = space.mesh.comm, slave.normal.shape[1]
-    facets = slave_facets(boundary, slave, boundary.coordinates[:, :gdim])
+    comm, gdim = boundary.nodes.comm, slave.normal.shape[1]
+    facets = slave_facets(slave, boundary.coordinates[:, :gdim])
     places, normals = _padded(facets.facets.points), nodal_normals(facets)
     nodal_gap, _ = gap_and_normal(comm, contact.obstacle, places, normals, name)
     covered = np.isfinite(nodal_gap)[facets.facets.nodes].all(axis=1)
@@ -68,44 +63,27 @@ def _match_means(
     rows = np.searchsorted(slave.nodes, nodes)
     if facets.weight is not None:
         label = f"slave of {name}"
-        check_weighted_areas(comm, terms.area, slave.area[rows], slave.points[rows], label)
+        check_weighted_areas(comm, terms.scale, slave.area[rows], slave.points[rows], label)
     # the nodes of a condition may be on facets of several ranks
-    directory = Directory(comm, facets.nodes)
-    keys, values = directory.collect(facets.nodes, nodal_gap)
-    table = np.zeros(directory.keys.size)
-    table[directory.position(keys)] = values
-    term_nodes = np.unique(terms.nodes)
-    mean = _mean_gap(terms, term_nodes, directory.lookup(term_nodes, table)[1])
+    at_owners = boundary.nodes.sum_at_owners(facets.nodes, nodal_gap, np.maximum)
+    mean = _mean_gap(terms, boundary.nodes.values_at(at_owners, terms.nodes))
     gap = slave.without_rounding(mean)
     _, outward = gap_and_normal(
         comm, contact.obstacle, slave.coordinates[rows], slave.normal[rows], name
     )
     angle = angles_between(slave.normal[rows], -outward)
-    summary = pairing_summary(comm, name, "obstacle", gap, angle, slave.nodes.size, area=terms.area)
-    return ContactPairing(
-        name,
-        nodes,
-        np.full(nodes.size, -1, dtype=np.int64),
-        slave.coordinates[rows],
-        -outward,
-        gap,
-        terms.area,
-        summary,
-        slave,
-        covered,
-        terms,
+    summary = pairing_summary(
+        comm, name, "obstacle", gap, angle, slave.nodes.size, area=terms.scale
     )
+    return ContactPairing(terms, -outward, gap, terms.scale, name, summary, slave, covered)
 
 
-def _mean_gap(terms: MortarTerms, nodes: Numbers, gap: Vector) -> Vector:
-    """Return the mean gaps (k,) of conditions; infinite where a node of theirs has no obstacle.
-
-    `nodes`, ascending, are those of the terms, `gap` are the gaps there.
-    """
+def _mean_gap(terms: Terms, gap: Vector) -> Vector:
+    """Return the mean gaps (k,) of conditions; infinite where a node (t,) has no obstacle."""
     finite = np.isfinite(gap)
-    mean = mean_over_terms(terms, nodes, np.where(finite, gap, 0.0)[:, None])[:, 0]
+    mean = terms.means(np.where(finite, gap, 0.0)[:, None])[:, 0]
     is_open = np.zeros(mean.size, dtype=bool)
-    is_open[terms.row[~finite[np.searchsorted(nodes, terms.nodes)]]] = True
+    is_open[terms.row[~finite]] = True
     return np.where(is_open, np.inf, mean)
 
 
@@ -121,16 +99,15 @@ def deformed_gaps(
     and distances (k,) from the obstacle [m], for degree 2 the means around the nodes. The ghosts of
     the displacement are up to date.
     """
-    comm, name, terms = boundary.space.mesh.comm, pairing.name, pairing.terms
+    comm, name, terms = boundary.nodes.comm, pairing.name, pairing.terms
     slave = gather_surface(boundary, contact.facet_tags, contact.slave, displacement)
-    nodes = pairing.slave if terms is None else np.unique(terms.nodes)
+    nodes, inverse = np.unique(terms.nodes, return_inverse=True)
     rows = np.searchsorted(slave.nodes, nodes)
     places, normals = _padded(slave.points[rows]), slave.normals(name)[rows]
-    distance, outward = gap_and_normal(comm, contact.obstacle, places, normals, name)
-    motion = slave.displacement[rows]
-    if terms is not None:
-        distance, motion = _mean_gap(terms, nodes, distance), mean_over_terms(terms, nodes, motion)
-        outward = outward[np.searchsorted(nodes, pairing.slave)]
+    nodal, outward = gap_and_normal(comm, contact.obstacle, places, normals, name)
+    distance = _mean_gap(terms, nodal[inverse])
+    motion = terms.means(slave.displacement[rows[inverse]])
+    outward = outward[np.searchsorted(nodes, pairing.slave)]
     return -outward, distance - np.sum(motion * outward, axis=1), distance
 
 

@@ -6,17 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dolfinx.fem import FunctionSpace
-
 from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.matching import contact_rows
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import ContactRows
-from fenics_tfeti.parallel import values_of_owners
 from fenics_tfeti.typing import Vector
 
 
 def openings(
-    space: FunctionSpace, pairings: Sequence[ContactPairing], displacement: Vector
+    nodes: NodeMap, pairings: Sequence[ContactPairing], displacement: Vector
 ) -> list[Vector]:
     """Return the openings (k,) of each contact's conditions, in order [m]. Collective.
 
@@ -24,22 +22,19 @@ def openings(
     there is no obstacle. The displacement (n,) is at the degrees of freedom that this rank owns
     [m].
     """
-    rows = contact_rows(pairings, space.mesh.geometry.dim)
-    opening = (rows.gap - row_values(space, rows, displacement)) / rows.length
+    rows = contact_rows(pairings, nodes.components)
+    opening = (rows.gap - row_values(nodes, rows, displacement)) / rows.length
     ends = np.cumsum([pairing.slave.size for pairing in pairings])
     return np.split(opening, ends[:-1]) if len(pairings) else []
 
 
-def row_values(space: FunctionSpace, rows: ContactRows, displacement: Vector) -> Vector:
+def row_values(nodes: NodeMap, rows: ContactRows, displacement: Vector) -> Vector:
     """Return sum_k c_k'u(node_k) of rows (k,) whose nodes may be on any rank. Collective.
 
     The displacement (n,) is at the degrees of freedom that this rank owns [m].
     """
-    index_map, gdim = space.dofmap.index_map, space.dofmap.index_map_bs
-    nodes = np.unique(rows.nodes)
-    values = displacement.reshape(-1, gdim)
-    nodal = values_of_owners(space.mesh.comm, index_map.local_range, values, nodes)
-    terms = np.sum(rows.coefficients * nodal[np.searchsorted(nodes, rows.nodes)], axis=1)
+    nodal = nodes.values_at(displacement.reshape(-1, nodes.components), rows.nodes)
+    terms = np.sum(rows.coefficients * nodal, axis=1)
     sums = np.zeros(rows.size)
     np.add.at(sums, rows.row, terms)
     return sums

@@ -20,6 +20,7 @@ from fenics_tfeti.fem.contact.friction import values_at_nodes
 from fenics_tfeti.fem.contact.opening import row_values
 from fenics_tfeti.fem.contact.result import FrictionResult
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.user_data import vectors_at
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed
 from fenics_tfeti.typing import Mask, Vector
@@ -38,7 +39,8 @@ class SlipOrigin:
     @staticmethod
     def undeformed(space: FunctionSpace, contacts: int) -> SlipOrigin:
         """Return the state without displacements."""
-        size = space.dofmap.index_map_bs * space.dofmap.index_map.size_local
+        nodes = NodeMap(space)
+        size = nodes.components * nodes.owned
         return SlipOrigin(np.zeros(size), np.zeros((contacts, size)))
 
     def resized(self, contacts: int) -> SlipOrigin:
@@ -93,8 +95,7 @@ def nodal_friction(
     law = contact.friction
     values = values_at_nodes(space, law, nodes, points, name)
     is_tresca = isinstance(law, Tresca)
-    rows = np.searchsorted(pairing.surface.nodes, nodes)
-    fixed = prescribed_components(pairing.surface, prescribed)[rows]
+    fixed = prescribed_components(pairing.surface, prescribed)[pairing.on_surface]
     return NodalFriction(
         tangents(pairing.normal, fixed),
         np.where(is_tresca, values * pairing.area, 0.0),
@@ -114,7 +115,7 @@ def obstacle_motion(space: FunctionSpace, contact: Contact, points: Vector, name
 
 
 def friction_rows(
-    space: FunctionSpace,
+    nodes: NodeMap,
     rows: ContactRows,
     pairings: Sequence[ContactPairing],
     friction: Sequence[NodalFriction | None],
@@ -124,7 +125,7 @@ def friction_rows(
 
     The rows are the conditions of all contacts, one contact after the other.
     """
-    gdim = space.dofmap.index_map_bs
+    gdim = nodes.components
     first = np.cumsum([0, *(pairing.slave.size for pairing in pairings)])
     parts = [
         (start + np.arange(pairing.slave.size), nodal, pairing, earlier)
@@ -142,12 +143,11 @@ def friction_rows(
         coefficient=np.concatenate([nodal.coefficient for _, nodal, *_ in parts]),
     )
     tangential = new.tangential_rows(rows)
-    slip = row_values(space, tangential, origin.displacement).reshape(-1, gdim - 1)
+    slip = row_values(nodes, tangential, origin.displacement).reshape(-1, gdim - 1)
     slip /= tangential.length.reshape(-1, gdim - 1)
-    first_node = space.dofmap.index_map.local_range[0]
     motion = np.concatenate(
         [
-            nodal.obstacle_displacement - earlier.reshape(-1, gdim)[pairing.slave - first_node]
+            nodal.obstacle_displacement - earlier.reshape(-1, gdim)[pairing.slave - nodes.first]
             for _, nodal, pairing, earlier in parts
         ]
     )
@@ -155,17 +155,16 @@ def friction_rows(
 
 
 def obstacle_displacements(
-    space: FunctionSpace,
+    nodes: NodeMap,
     pairings: Sequence[ContactPairing],
     friction: Sequence[NodalFriction | None],
 ) -> Vector:
     """Return each obstacle's displacement at the slave's nodes, as in `SlipOrigin`."""
-    gdim, index_map = space.dofmap.index_map_bs, space.dofmap.index_map
-    displacements = np.zeros((len(pairings), index_map.size_local, gdim))
+    displacements = np.zeros((len(pairings), nodes.owned, nodes.components))
     for values, pairing, nodal in zip(displacements, pairings, friction, strict=True):
         if nodal is not None:
-            values[pairing.slave - index_map.local_range[0]] = nodal.obstacle_displacement
-    return displacements.reshape(len(pairings), index_map.size_local * gdim)
+            values[pairing.slave - nodes.first] = nodal.obstacle_displacement
+    return displacements.reshape(len(pairings), nodes.owned * nodes.components)
 
 
 def friction_result(

@@ -11,7 +11,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from fenics_tfeti.fem.contact.contact import MortarTerms
+from fenics_tfeti.fem.contact.contact import Conditions
 from fenics_tfeti.fem.contact.description import TiedPair, tied_name
 from fenics_tfeti.fem.contact.mortar.checks import check_covered
 from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, tied_conditions
@@ -23,7 +23,6 @@ from fenics_tfeti.fem.contact.surfaces.tagged import (
     MeshBoundary,
     Surface,
     tagged_surface,
-    values_on_facets,
 )
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.feti.system import ContactRows, Prescribed
@@ -35,7 +34,7 @@ class TiedPairing:
     """The conditions of a tied pair at the slave nodes that this rank owns."""
 
     name: str
-    terms: list[MortarTerms]  # the conditions of each component
+    components: list[Conditions]  # equalities for each component of the displacement
     summary: dict[str, Any]  # the pair's entry of `Report.pairing`
     surface: Surface  # that of the slave
     prescribed: NDArray[np.bool_]  # (s, gdim): components prescribed at its nodes
@@ -43,8 +42,7 @@ class TiedPairing:
 
 def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescribed) -> TiedPairing:
     """Find the conditions of a tied pair. Collective."""
-    space, name = boundary.space, tied_name(pair, number)
-    comm = space.mesh.comm
+    name, comm = tied_name(pair, number), boundary.nodes.comm
     slave = tagged_surface(boundary, pair.facet_tags, pair.slave, f"slave of {name}")
     tagged_surface(boundary, pair.facet_tags, pair.master, f"master of {name}")
     master = gather_nearby(boundary, pair.facet_tags, pair.master, pair.slave, slave.nodes)
@@ -52,9 +50,9 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
         normals = master.normals(name)
     _check_separate(comm, slave, master.nodes, name)
     gdim = slave.normal.shape[1]
-    facets = slave_facets(boundary, slave, boundary.coordinates[:, :gdim])
+    facets = slave_facets(slave, boundary.coordinates[:, :gdim])
     fixed = prescribed_components(slave, prescribed)
-    corner_fixed = values_on_facets(space, slave, fixed.astype(float)) > 0.5
+    corner_fixed = slave.at_corners(fixed)
     conditions = tied_conditions(comm, facets, slave.nodes, master, normals, corner_fixed)
     # nodes where a component is prescribed have no condition for it
     largest = int(np.argmax([comm.allreduce(component.slave.size) for component in conditions]))
@@ -73,7 +71,11 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
         area=fullest.area,
         covered_area=fullest.covered_area,
     )
-    return TiedPairing(name, [component.terms for component in conditions], summary, slave, fixed)
+    components = [
+        Conditions(c.terms, np.tile(axis, (c.slave.size, 1)), np.zeros(c.slave.size), c.area)
+        for c, axis in zip(conditions, np.eye(gdim), strict=True)
+    ]
+    return TiedPairing(name, components, summary, slave, fixed)
 
 
 def tie_pairs(
@@ -107,16 +109,9 @@ def tied_rows(pairings: Sequence[TiedPairing], gdim: int) -> ContactRows:
         return ContactRows.none(gdim)
     return ContactRows.concatenate(
         [
-            ContactRows(
-                terms.offsets,
-                terms.nodes,
-                terms.weights[:, None] * np.eye(gdim)[axis],
-                np.zeros(terms.slaves.size),
-                np.full(terms.slaves.size, number),
-                terms.slaves,
-            )
+            conditions.rows(number)
             for number, pairing in enumerate(pairings)
-            for axis, terms in enumerate(pairing.terms)
+            for conditions in pairing.components
         ]
     )
 

@@ -16,10 +16,9 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import ContactPairing
-from fenics_tfeti.fem.contact.description import Contact, RigidObstacle
-from fenics_tfeti.fem.contact.mortar.pairing import mean_relative
+from fenics_tfeti.fem.contact.description import Contact
 from fenics_tfeti.fem.contact.result import ContactResult
-from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
+from fenics_tfeti.fem.contact.surfaces.gathered import GatheredSurface, gather_surface
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti.system import ContactGuess
@@ -35,7 +34,7 @@ class SolvedContact:
     """
 
     name: str
-    surface: DeformedSurface
+    surface: GatheredSurface
     paired: Vector  # 1 at nodes that have a contact condition, 0 elsewhere
     pressure: Vector  # [Pa]; 0 elsewhere
     approach: Vector  # (u_slave - u_master)'n [m]; 0 elsewhere
@@ -68,13 +67,7 @@ def _gather_solved(
 ) -> SolvedContact:
     comm = boundary.space.mesh.comm
     slave = gather_surface(boundary, contact.facet_tags, contact.slave, displacement)
-    if pairing.terms is not None:
-        relative = mean_relative(pairing.terms, displacement)
-    else:
-        master = None
-        if not isinstance(contact, RigidObstacle):
-            master = gather_surface(boundary, contact.facet_tags, contact.master, displacement)
-        relative = _relative_displacement(pairing, slave, master)
+    relative = pairing.relative(boundary.nodes, boundary.nodes.values(displacement))
     nodal_approach = np.sum(relative * pairing.normal, axis=1)
     columns = (pairing.slave, result.pressure, nodal_approach)
     nodes, pressures, approaches = (concatenate_ranks(comm, column) for column in columns)
@@ -85,18 +78,6 @@ def _gather_solved(
     approach[rows] = approaches
     values = slave.from_corners(np.column_stack([paired, pressure, approach]))
     return SolvedContact(pairing.name, slave, *values.T)
-
-
-def _relative_displacement(
-    pairing: ContactPairing, slave: DeformedSurface, master: DeformedSurface | None
-) -> Vector:
-    """Return u_slave - u_master (k, gdim) at this rank's pairs of nodes."""
-    rows = np.searchsorted(slave.nodes, pairing.slave)
-    if master is None:
-        return slave.displacement[rows]
-    partner = np.searchsorted(master.nodes, pairing.master)
-    relative: Vector = slave.displacement[rows] - master.displacement[partner]
-    return relative
 
 
 def expected_contact(

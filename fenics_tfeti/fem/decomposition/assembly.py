@@ -25,6 +25,7 @@ from dolfinx.fem import FunctionSpace
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.forms import PreparedForm, prepare_form
 from fenics_tfeti.fem.decomposition.parts import Part, find_equal, samples
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import exterior_cell_facets
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.parallel import raise_collectively
@@ -66,14 +67,14 @@ class PreparedForms:
             return [replace(old, load=load) for old, load in zip(known, loads, strict=True)]
         x = self.space.tabulate_dof_coordinates() if x is None else x
         x = x[:, : self.space.mesh.geometry.dim]
-        to_global = self.space.dofmap.index_map.local_to_global
+        to_global = NodeMap(self.space).to_global
         first, stiffness = self._stiffnesses(parts, x)
         return [
             Subdomain(
                 stiffness[j],
                 load,
                 np.ascontiguousarray(x[part.nodes]),
-                np.asarray(to_global(part.nodes), dtype=np.int64),
+                to_global(part.nodes),
                 part.body,
                 _frame(part, parts[j]),
             )

@@ -14,6 +14,7 @@ from moved_blocks import CELLS, blocks, lifted
 from scenes import block_on_ball, two_beams
 
 from fenics_tfeti import Plane
+from fenics_tfeti.fem.contact.contact import Terms
 from fenics_tfeti.fem.contact.matching import match_contact
 from fenics_tfeti.fem.contact.result import ContactEntry, ContactResult
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
@@ -97,10 +98,8 @@ def test_nodes_without_partner_say_nothing(cell):
     some = matched.coordinates[:, 0] < 1.8
     part = replace(
         matched,
-        slave=matched.slave[some],
-        master=matched.master[some],
+        terms=Terms.of_nodes(matched.slave[some], matched.master[some]),
         normal=matched.normal[some],
-        coordinates=matched.coordinates[some],
         gap=matched.gap[some],
         area=matched.area[some],
     )

@@ -14,9 +14,7 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 
-from dolfinx.fem import FunctionSpace
-
-from fenics_tfeti.fem.contact.contact import MortarTerms
+from fenics_tfeti.fem.contact.contact import Terms
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import FacetIntegrals, integrate
 from fenics_tfeti.fem.contact.mortar.matrices import (
@@ -26,10 +24,9 @@ from fenics_tfeti.fem.contact.mortar.matrices import (
     node_areas,
 )
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
-from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
+from fenics_tfeti.fem.contact.surfaces.gathered import GatheredSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, facet_deviations
-from fenics_tfeti.fem.contact.surfaces.oriented import global_nodes
-from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.parallel import Directory, concatenate_buffers
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -51,25 +48,18 @@ class SlaveFacets:
         return normal
 
     @staticmethod
-    def of(
-        space: FunctionSpace,
-        slave: Surface,
-        points: Vector,
-        normal: Vector,
-        weight: Vector | None,
-    ) -> SlaveFacets:
+    def of(slave: Surface, points: Vector, weight: Vector | None) -> SlaveFacets:
         """Return the facets of a surface, their nodes numbered from 0.
 
-        Points (nodes, gdim) [m] and the weight (nodes,) are those of all local nodes of the space,
-        normals (k, gdim) those of the surface's nodes that this rank owns.
+        Points (nodes, gdim) [m] and the weight (nodes,) are those of all local nodes of the space.
         """
         local = np.unique(slave.facet_nodes)
-        nodes = global_nodes(space, local)
+        nodes = slave.boundary.nodes.to_global(local)
         order = np.argsort(nodes)
         rows = np.zeros(local.size, dtype=np.int64)
         rows[order] = np.arange(local.size)
         facets = Facets(points[local[order]], rows[np.searchsorted(local, slave.facet_nodes)])
-        normals = values_on_facets(space, slave, normal)
+        normals = slave.at_corners(slave.normal)
         corner_weights = None if weight is None else weight[slave.vertices]
         return SlaveFacets(facets, nodes[order], normals, corner_weights)
 
@@ -79,7 +69,7 @@ class MortarConditions:
     """Mortar conditions at the k slave nodes that this rank owns."""
 
     slave: Numbers  # global nodes (k,), ascending
-    terms: MortarTerms
+    terms: Terms
     # (k, gdim): means of the slave's normals with the dual functions, as unit vectors
     normal: Vector
     gap: Vector  # (k, gdim): mean vectors from the slave to the master [m]
@@ -97,7 +87,7 @@ def mortar_conditions(
     comm: MPI.Intracomm,
     slave: SlaveFacets,
     owned: Numbers,
-    master: DeformedSurface,
+    master: GatheredSurface,
     normals: Vector,
     free: Numbers,
 ) -> MortarConditions:
@@ -115,7 +105,7 @@ def tied_conditions(
     comm: MPI.Intracomm,
     slave: SlaveFacets,
     owned: Numbers,
-    master: DeformedSurface,
+    master: GatheredSurface,
     normals: Vector,
     prescribed: Mask,
 ) -> list[MortarConditions]:
@@ -150,7 +140,7 @@ def _conditions(
     comm: MPI.Intracomm,
     slave: SlaveFacets,
     owned: Numbers,
-    master: DeformedSurface,
+    master: GatheredSurface,
     normals: Vector,
     integrals: FacetIntegrals,
     free: Mask,
@@ -276,7 +266,7 @@ def _reduce_at_nodes(
 
 def collect_terms(
     owners: Directory, row: Numbers, column: Numbers, value: Vector, on_slave: Mask
-) -> tuple[Numbers, MortarTerms]:
+) -> tuple[Numbers, Terms]:
     """Sum up terms (t,) at the owners of their rows; conditions by ascending node. Collective.
 
     `row` and `column` are global nodes: the slave node of the condition, and the node of the term,
@@ -299,7 +289,7 @@ def collect_terms(
     number = np.bincount(condition, minlength=nodes.size)
     slaves = np.bincount(condition[on_slave[order]], minlength=nodes.size).astype(np.int64)
     offsets = np.append(0, np.cumsum(number)).astype(np.int64)
-    return nodes, MortarTerms(offsets, column[order], value[order], slaves)
+    return nodes, Terms(offsets, column[order], value[order], slaves)
 
 
 def _largest_of_facets(

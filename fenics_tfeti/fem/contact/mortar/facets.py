@@ -22,7 +22,7 @@ _PIECES = {
     9: ((0, 4, 8, 7), (4, 1, 5, 8), (8, 5, 2, 6), (7, 8, 6, 3)),
 }
 
-# The nodes' reference coordinates.
+# The reference coordinates of its nodes, those of degree 1 first.
 _PLACES = {
     3: ((0.0,), (1.0,), (0.5,)),
     6: ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.5, 0.0), (0.5, 0.5), (0.0, 0.5)),
@@ -183,6 +183,12 @@ def shape_functions(xi: Vector, t: int) -> Vector:
     ends = [(0, 1)] if dim == 1 else [(0, 1), (1, 2), (2, 0)]
     middle = [4.0 * linear[..., i] * linear[..., j] for i, j in ends]
     return np.concatenate([linear * (2.0 * linear - 1.0), np.stack(middle, axis=-1)], axis=-1)
+
+
+def reference_nodes(t: int, dim: int) -> Vector:
+    """Return the reference coordinates (t, dim) of the nodes of facets with t nodes."""
+    of_degree_2 = 3 if dim == 1 else 6 if t in (3, 6) else 9
+    return np.array(_PLACES[of_degree_2])[:t]
 
 
 def corner_functions(xi: Vector, t: int) -> Vector:

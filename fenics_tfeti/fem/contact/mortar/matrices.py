@@ -37,6 +37,10 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 # it has none in any case: its force is negligible.
 BARELY_COVERED, SLIVER_COVERED = 0.4, 1e-2
 
+# Entries of a matrix that are rounding, relative to the largest of their row. Without them, a node
+# of flat surfaces with matching meshes is coupled with the one opposite alone.
+_ZERO = 1e-13
+
 # Covered part of a facet, relative to its area, below which its dual functions are replaced by the
 # shape functions: a narrow strip may cross the facet anywhere.
 _NARROW = 1e-4
@@ -149,10 +153,15 @@ def _areas(slave: Facets) -> Vector:
 def _assemble(
     values: Vector, rows: Numbers, columns: Numbers, shape: tuple[int, int]
 ) -> sp.csr_matrix:
-    """Sum blocks (c, v, w) of rows (c, v) and columns (c, w); without zeros."""
+    """Sum blocks (c, v, w) of rows (c, v) and columns (c, w); without what is rounding of zeros."""
     # the type of SciPy's indices, of which there are many more than rows and columns
     row = np.repeat(rows.astype(np.int32), columns.shape[1])
     column = np.tile(columns.astype(np.int32), rows.shape[1]).ravel()
     matrix = sp.coo_matrix((values.ravel(), (row, column)), shape=shape).tocsr()
+    filled = np.flatnonzero(np.diff(matrix.indptr))
+    if filled.size:
+        size = np.abs(matrix.data)
+        largest = np.maximum.reduceat(size, matrix.indptr[filled])
+        matrix.data[size <= _ZERO * np.repeat(largest, np.diff(matrix.indptr)[filled])] = 0.0
     matrix.eliminate_zeros()
     return matrix

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from fenics_tfeti.fem.contact.contact import MortarTerms
+from fenics_tfeti.fem.contact.contact import Terms
 from fenics_tfeti.fem.contact.mortar.conditions import SlaveFacets, collect_terms
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.mortar.integrals import integrate_alone
@@ -22,7 +22,7 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 
 def one_sided_conditions(
     comm: MPI.Intracomm, slave: SlaveFacets, owned: Numbers, chosen: Mask
-) -> tuple[Numbers, MortarTerms]:
+) -> tuple[Numbers, Terms]:
     """Integrate over chosen facets of the slave, and sum up at the owners of its nodes. Collective.
 
     The facets (f,) chosen are those that have an obstacle, `owned` the slave's nodes of this rank,

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx.fem import Function, FunctionSpace
+from dolfinx.fem import Function
 
-from fenics_tfeti.fem.contact.contact import ContactPairing, MortarTerms
+from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.description import ContactPair
 from fenics_tfeti.fem.contact.mortar.checks import check_covered, check_folds
 from fenics_tfeti.fem.contact.mortar.conditions import (
@@ -18,13 +18,13 @@ from fenics_tfeti.fem.contact.mortar.conditions import (
     mortar_conditions,
 )
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
-from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
+from fenics_tfeti.fem.contact.surfaces.gathered import GatheredSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
 from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
-from fenics_tfeti.parallel import raise_collectively, values_of_owners
+from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
@@ -33,7 +33,7 @@ def match_by_mortar(
     name: str,
     contact: ContactPair,
     slave: Surface,
-    master: DeformedSurface,
+    master: GatheredSurface,
     shared: Numbers,
     prescribed: Mask,
 ) -> ContactPairing:
@@ -42,11 +42,10 @@ def match_by_mortar(
     The master is what is near this rank's slave facets, not deformed. Nodes of both surfaces,
     `shared`, stay free; `prescribed` (s, gdim) are the components prescribed at the slave's nodes.
     """
-    space = boundary.space
-    comm, gdim = space.mesh.comm, slave.normal.shape[1]
+    comm, gdim = boundary.nodes.comm, slave.normal.shape[1]
     points = boundary.coordinates[:, :gdim]
-    oriented = replace(slave, normal=_normals(space, contact, slave, prescribed))
-    facets = slave_facets(boundary, oriented, points)
+    oriented = replace(slave, normal=_normals(contact, slave, prescribed))
+    facets = slave_facets(oriented, points)
     check_folds(comm, facets, name)
     with raise_collectively(comm):
         normals = master.normals(name)
@@ -87,8 +86,7 @@ def match_deformed(
     The gaps are in terms of the total displacement, whose ghosts are up to date. The second result
     are the mean distances (k,) between the deformed surfaces [m], negative inside.
     """
-    space, name = boundary.space, pairing.name
-    comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
+    name, comm, gdim = pairing.name, boundary.nodes.comm, boundary.nodes.components
     surface, tags = pairing.surface, contact.facet_tags
     slave, master = (
         gather_nearby(boundary, tags, tag, contact.slave, surface.nodes, displacement)
@@ -102,18 +100,17 @@ def match_deformed(
     if prescribed is None:
         prescribed = np.zeros_like(normal, dtype=bool)
     deformed = replace(surface, normal=normal)
-    deformed = replace(deformed, normal=_normals(space, contact, deformed, prescribed))
-    points = boundary.coordinates[:, :gdim] + displacement.x.array.reshape(-1, gdim)
-    facets = slave_facets(boundary, deformed, points)
+    deformed = replace(deformed, normal=_normals(contact, deformed, prescribed))
+    points = boundary.coordinates[:, :gdim] + boundary.nodes.values(displacement)
+    facets = slave_facets(deformed, points)
     shared = np.intersect1d(slave.nodes, master.nodes)
     conditions = mortar_conditions(comm, facets, surface.nodes, master, master_normals, shared)
     check_covered(comm, conditions, surface, name)
     distance = np.sum(conditions.gap * conditions.normal, axis=1)
-    relative = mean_relative(conditions.terms, displacement)
+    new = _pairing(name, conditions, surface, distance, pairing.summary, prescribed)
+    relative = new.relative(boundary.nodes, boundary.nodes.values(displacement))
     gap = distance + np.sum(relative * conditions.normal, axis=1)
-    new = _pairing(name, conditions, surface, gap, pairing.summary, prescribed)
-    new = replace(new, master_surface=pairing.master_surface)
-    return new, distance
+    return replace(new, gap=gap, master_surface=pairing.master_surface), distance
 
 
 def _pairing(
@@ -125,76 +122,29 @@ def _pairing(
     prescribed: Mask,
 ) -> ContactPairing:
     return ContactPairing(
-        name,
-        conditions.slave,
-        main_masters(conditions.terms),
-        slave.coordinates[np.searchsorted(slave.nodes, conditions.slave)],
+        conditions.terms,
         conditions.normal,
         gap,
         conditions.area,
+        name,
         summary,
         slave,
         conditions.covered,
-        conditions.terms,
         conditions.coverage,
         prescribed,
     )
 
 
-def slave_facets(boundary: MeshBoundary, slave: Surface, points: Vector) -> SlaveFacets:
+def slave_facets(slave: Surface, points: Vector) -> SlaveFacets:
     """Return this rank's facets of a slave, with normals and weights. Collective.
 
     The points (nodes, gdim) are all local nodes of the space, undeformed or deformed [m].
     """
-    weight = boundary.nodal_weight()
-    return SlaveFacets.of(boundary.space, slave, points, slave.normal, weight)
+    return SlaveFacets.of(slave, points, slave.boundary.nodal_weight())
 
 
-def _normals(
-    space: FunctionSpace, contact: ContactPair, slave: Surface, prescribed: Mask
-) -> Vector:
+def _normals(contact: ContactPair, slave: Surface, prescribed: Mask) -> Vector:
     """Return the user's normals, or the surface's with regard to planes of symmetry."""
     if contact.normal is not None:
         return slave.normal
-    return normals_in_symmetry_planes(space, slave, prescribed)
-
-
-def main_masters(terms: MortarTerms) -> Numbers:
-    """Return the master node with the largest weight in each condition; the lowest of equal ones.
-
-    Weights of the master are negative.
-    """
-    order = np.lexsort((terms.nodes, terms.weights, terms.row))
-    nodes: Numbers = terms.nodes[order[terms.offsets[:-1]]]
-    return nodes
-
-
-def mean_relative(
-    terms: MortarTerms, displacement: Function, coordinates: Vector | None = None
-) -> Vector:
-    """Return mean displacements (k, gdim) of the slave less those of the master [m]. Collective.
-
-    The nodes of the terms may be on any rank. With coordinates (nodes, 3) of this rank's nodes [m],
-    the deformed places are taken instead of the displacements.
-    """
-    space = displacement.function_space
-    gdim, index_map = space.dofmap.index_map_bs, space.dofmap.index_map
-    values = displacement.x.array.reshape(-1, gdim)[: index_map.size_local]
-    if coordinates is not None:
-        values = values + coordinates[: index_map.size_local, :gdim]
-    nodes = np.unique(terms.nodes)
-    nodal = values_of_owners(space.mesh.comm, index_map.local_range, values, nodes)
-    return mean_over_terms(terms, nodes, nodal)
-
-
-def mean_over_terms(terms: MortarTerms, nodes: Numbers, values: Vector) -> Vector:
-    """Return the weighted sums (k, gdim) of nodal values, negative on the master, over the areas.
-
-    The nodes (n,) are global ones, ascending, and all of the terms'; the values are (n, gdim).
-    """
-    row = terms.row
-    sums = np.zeros((terms.slaves.size, values.shape[1]))
-    rows = np.searchsorted(nodes, terms.nodes)
-    np.add.at(sums, row, terms.weights[:, None] * values[rows])
-    means: Vector = sums / terms.area[:, None]
-    return means
+    return normals_in_symmetry_planes(slave, prescribed)

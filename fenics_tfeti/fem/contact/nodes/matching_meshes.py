@@ -7,19 +7,16 @@ from mpi4py import MPI
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx.fem import FunctionSpace
-
-from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface
+from fenics_tfeti.fem.contact.surfaces.gathered import GatheredSurface
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
-from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.tolerances import SAME_PLACE
 from fenics_tfeti.typing import Vector
 
 
 def meshes_match(
-    space: FunctionSpace,
     slave: Surface,
-    master: DeformedSurface,
+    master: GatheredSurface,
     normals: Vector,
     tolerance: float,
 ) -> bool:
@@ -30,7 +27,7 @@ def meshes_match(
     distance along the slave's surface, relative to the size of its facets, is in the tolerance. The
     master is what is near this rank's slave nodes.
     """
-    comm = space.mesh.comm
+    comm = slave.boundary.nodes.comm
     distance, tangential = np.zeros((2, 0))
     partner = np.zeros(0, dtype=np.int64)
     if slave.nodes.size:
@@ -47,8 +44,7 @@ def meshes_match(
     near = (distance <= SAME_PLACE * slave.size) & (tangential <= tolerance * slave.size)
     if not comm.allreduce(bool(near.all()), MPI.LAND):
         return False
-    images = np.repeat(partner[:, None].astype(float), slave.points.shape[1], axis=1)
-    slave_facets = np.sort(values_on_facets(space, slave, images)[..., 0].astype(np.int64), axis=1)
+    slave_facets = np.sort(slave.at_corners(partner), axis=1)
     facets = np.concatenate([np.sort(master.surface.corners, axis=1), slave_facets])
     number = np.unique(facets, axis=0, return_inverse=True)[1].ravel()
     matching = np.isin(number[len(master.facets) :], number[: len(master.facets)])

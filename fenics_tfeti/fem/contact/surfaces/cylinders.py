@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, facet_max_at_nodes
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, SAME_PLACE
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -28,9 +28,7 @@ _ROUND, _GAUSS_NEWTON_STEPS = 1e-11, 8
 _DISTANCE_FACTOR, _ANGLE_FACTOR = 2.0, 10.0
 
 
-def without_axial_tilt(
-    boundary: MeshBoundary, surface: Surface, nodes: Numbers, normal: Vector
-) -> Vector:
+def without_axial_tilt(surface: Surface, nodes: Numbers, normal: Vector) -> Vector:
     """Return normals across the axis where nodes in contact are on a round cylinder. Collective.
 
     The nodes (k,) with contact conditions have the normals (k, gdim). The slave's surface may have
@@ -39,13 +37,13 @@ def without_axial_tilt(
     """
     if normal.shape[1] != 3:
         return normal
-    comm, rows = boundary.space.mesh.comm, np.searchsorted(surface.nodes, nodes)
+    comm, rows = surface.boundary.nodes.comm, np.searchsorted(surface.nodes, nodes)
     cylinder = Cylinder.of(comm, surface.points[rows], normal)
     if cylinder is None:
         return normal
-    corners = boundary.coordinates[surface.vertices]
+    corners = surface.corners
     distance = np.abs(cylinder.distance(corners.reshape(-1, 3))).reshape(corners.shape[:2])
-    farthest = facet_max_at_nodes(boundary.space, surface, distance.max(axis=1))[rows]
+    farthest = surface.max_of_facets(distance.max(axis=1))[rows]
     tilt = normal @ cylinder.axis
     corrected = (farthest <= cylinder.tolerance) & (np.abs(tilt) > COORDINATE_ROUNDING)
     radial = normal[corrected] - np.outer(tilt[corrected], cylinder.axis)

@@ -15,17 +15,12 @@ from mpi4py import MPI
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx.fem import Function, FunctionSpace
+from dolfinx.fem import Function
 
 from fenics_tfeti.fem.contact.mortar.candidates import REACH
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
-from fenics_tfeti.fem.contact.surfaces.deformed import DeformedSurface, gather_surface
-from fenics_tfeti.fem.contact.surfaces.oriented import (
-    global_nodes,
-    oriented_facets,
-    owned_facets,
-)
+from fenics_tfeti.fem.contact.surfaces.gathered import GatheredSurface, SurfacePart, gather_surface
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.parallel import all_to_all
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -43,7 +38,7 @@ def gather_nearby(
     around: int,
     owned: Numbers,
     displacement: Function | None = None,
-) -> DeformedSurface:
+) -> GatheredSurface:
     """Gather the part of a surface near this rank's facets and nodes of another one. Collective.
 
     All facets are there that may lie over a slave facet of this rank, those closest to it, and the
@@ -51,33 +46,19 @@ def gather_nearby(
     is the tag of the other surface, or the same; `owned` (k,) are the nodes of the other that this
     rank owns, whose facets may be other ranks'. The ghosts of the displacement are up to date.
     """
-    space = boundary.space
-    comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
+    nodes, comm = boundary.nodes, boundary.nodes.comm
     if comm.size == 1:
         return gather_surface(boundary, facet_tags, tag, displacement)
-    undeformed = boundary.coordinates[:, :gdim]
-    moves = np.zeros_like(undeformed)
-    if displacement is not None:
-        moves = displacement.x.array.reshape(-1, gdim)[: len(undeformed)]
-    points = undeformed + moves
-    rows = _facet_nodes(space, facet_tags, tag)
+    part = SurfacePart.of(boundary, facet_tags, tag, displacement)
+    points, rows = part.points, part.facets
     tree = BoxTree(points[rows]) if len(rows) else None
-    nodes = _facet_nodes(space, facet_tags, around)
-    alone = owned - space.dofmap.index_map.local_range[0]
-    nodes = np.concatenate([nodes, np.repeat(alone[:, None], nodes.shape[1], axis=1)])
-    distance = _distances(comm, points, nodes, rows, tree)
-    needed = _needed_boxes(comm, points, nodes, rows, distance)
-    parts = _selected(comm, needed, tree)
-    numbers = global_nodes(space, rows)
-    received = all_to_all(
-        comm, [_packed(rows[part], numbers[part], points, moves) for part in parts]
-    )
-    return _joined(received)
-
-
-def _facet_nodes(space: FunctionSpace, facet_tags: Any, tag: int) -> Numbers:
-    """Return the local nodes (f, t) of the tagged facets that this rank owns."""
-    return oriented_facets(space, owned_facets(space.mesh, facet_tags, tag)).astype(np.int64)
+    other = SurfacePart.of(boundary, facet_tags, around, displacement).facets
+    alone = np.repeat(nodes.to_local(owned)[:, None], other.shape[1], axis=1)
+    other = np.concatenate([other, alone])
+    distance = _distances(comm, points, other, rows, tree)
+    needed = _needed_boxes(comm, points, other, rows, distance)
+    messages = [part.packed(chosen) for chosen in _selected(comm, needed, tree)]
+    return GatheredSurface.of(all_to_all(comm, messages))
 
 
 def _distances(
@@ -139,26 +120,6 @@ def _selected(comm: MPI.Intracomm, needed: list[Boxes], tree: BoxTree | None) ->
 
     query, facet = tree.candidates(len(rank), overlaps)
     return [np.unique(facet[rank[query] == destination]) for destination in range(comm.size)]
-
-
-def _packed(
-    rows: Numbers, numbers: Numbers, points: Vector, moves: Vector
-) -> tuple[Numbers, Vector, Numbers]:
-    """Return nodes, their coordinates and displacements, and facets in terms of these."""
-    nodes, first, inverse = np.unique(numbers, return_index=True, return_inverse=True)
-    local = rows.ravel()[first]
-    values = np.concatenate([points[local], moves[local]], axis=1)
-    return nodes, values, inverse.reshape(rows.shape).astype(np.int32)
-
-
-def _joined(parts: list[tuple[Numbers, Vector, Numbers]]) -> DeformedSurface:
-    """Return the surface of the parts of all ranks."""
-    numbers = np.concatenate([nodes for nodes, _, _ in parts])
-    values = np.concatenate([values for _, values, _ in parts])
-    facets = np.concatenate([nodes.take(facets) for nodes, _, facets in parts])
-    nodes, first = np.unique(numbers, return_index=True)
-    points, moves = np.split(values[first], 2, axis=1)
-    return DeformedSurface(nodes, points, moves, np.searchsorted(nodes, facets))
 
 
 def _no_boxes(gdim: int) -> Boxes:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.mortar.facets import corner_functions, reference_nodes
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_facets, cell_type, cell_vertices
@@ -22,12 +22,6 @@ def owned_facets(domain: Mesh, facet_tags: Any, tag: int) -> Indices:
     facets = facet_tags.find(tag)
     owned = domain.topology.index_map(domain.topology.dim - 1).size_local
     return np.sort(facets[facets < owned])
-
-
-def global_nodes(space: FunctionSpace, local: NDArray[Any]) -> Numbers:
-    """Return the global numbers of local nodes, in an array of the same shape."""
-    numbers = space.dofmap.index_map.local_to_global(local.ravel().astype(np.int32))
-    return np.asarray(numbers, dtype=np.int64).reshape(local.shape)
 
 
 def oriented_facets(space: FunctionSpace, facets: Indices) -> Indices:
@@ -71,20 +65,64 @@ def tangential_part(vectors: Vector, normal: Vector) -> Vector:
     return tangential
 
 
-def corner_normals(corners: Vector) -> Vector:
+def corner_normals(x: Vector, weight: Vector | None = None) -> Vector:
     """Return the integrals over facets of the normal times the shape function of each corner.
 
-    The corners (m, v, gdim) of segments, triangles or bilinear quadrilaterals are one after the
-    other around each. The results (m, v, gdim) [m^2 or m] are exact also for warped quadrilaterals:
-    the cross product of their tangents is linear.
+    The nodes x (m, t, gdim) of facets of degree 1 or 2 are in the order of `Facets`, the shape
+    functions are of degree 1, the weight (m, v) is linear between the corners. The results (m, v,
+    gdim) [m^2 or m] are exact also for warped or curved facets: the cross product of their tangents
+    is a polynomial.
     """
-    v = corners.shape[1]
-    if v < 4:
-        return np.repeat(facet_normals(corners)[:, None, :] / v, v, axis=1)
+    t, dim = x.shape[1], x.shape[2] - 1
+    if t == dim + 1 and weight is None:
+        return np.repeat(facet_normals(x)[:, None, :] / t, t, axis=1)
+    if t == 4 and weight is None:
+        return _of_quadrilaterals(x)
+    xi, factors = _quadrature(t, dim)
+    functions = corner_functions(xi, t)
+    tangents = [np.einsum("qt,mtd->mqd", part, x) for part in _derivatives(xi, t)]
+    if dim == 1:
+        normal = np.stack([tangents[0][..., 1], -tangents[0][..., 0]], axis=2)
+    else:
+        normal = np.cross(*tangents)
+    if weight is not None:
+        normal *= (weight @ functions.T)[:, :, None]
+    weighted: Vector = np.einsum("q,qv,mqd->mvd", factors, functions, normal)
+    return weighted
+
+
+def _of_quadrilaterals(x: Vector) -> Vector:
+    """Return `corner_normals` of bilinear quadrilaterals without weight, in closed form."""
     # in the order of the corners: along the edges from 0 to 1 and from 0 to 3, and opposite ones
-    u = corners[:, [1, 1, 2, 2]] - corners[:, [0, 0, 3, 3]]
-    w = corners[:, [3, 2, 2, 3]] - corners[:, [0, 1, 1, 0]]
+    u = x[:, [1, 1, 2, 2]] - x[:, [0, 0, 3, 3]]
+    w = x[:, [3, 2, 2, 3]] - x[:, [0, 1, 1, 0]]
     # mass matrix of the unit square
     mass = np.array([[4, 2, 1, 2], [2, 4, 2, 1], [1, 2, 4, 2], [2, 1, 2, 4]]) / 36.0
     weighted: Vector = np.einsum("ij,mjk->mik", mass, np.cross(u, w))
     return weighted
+
+
+def _quadrature(t: int, dim: int) -> tuple[Vector, Vector]:
+    """Return points (q, dim) and weights, exact for degree 5 along each axis, 4 on triangles."""
+    root = np.sqrt(0.15)
+    x, w = np.array([0.5 - root, 0.5, 0.5 + root]), np.array([5.0, 8.0, 5.0]) / 18.0
+    if dim == 1:
+        return x[:, None], w
+    (r, s), weights = (part.ravel() for part in np.meshgrid(x, x)), np.outer(w, w).ravel()
+    if t in (3, 6):
+        return np.column_stack([r, s * (1.0 - r)]), weights * (1.0 - r)
+    return 2.0 * np.column_stack([r, s]) - 1.0, 4.0 * weights
+
+
+def _derivatives(xi: Vector, t: int) -> Vector:
+    """Return the derivatives (dim, q, t) of the shape functions of `Facets` at points (q, dim)."""
+    dim = xi.shape[1]
+    degree = 1 if t in (dim + 1, 4) else 2
+    powers = np.array(list(np.ndindex(*(degree + 1,) * dim)))
+    if dim == 2 and t in (3, 6):
+        powers = powers[powers.sum(axis=1) <= degree]
+    coefficients = np.linalg.inv(np.prod(reference_nodes(t, dim)[:, None, :] ** powers, axis=2))
+    lowered: Numbers = powers - np.eye(dim, dtype=int)[:, None] * (powers > 0)
+    monomials = np.prod(xi[:, None, :] ** lowered[:, None], axis=3)
+    derivatives: Vector = (powers.T[:, None] * monomials) @ coefficients
+    return derivatives

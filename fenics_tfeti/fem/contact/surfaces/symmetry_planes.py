@@ -11,12 +11,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx.fem import FunctionSpace
-
-from fenics_tfeti.fem.contact.surfaces.oriented import global_nodes
-from fenics_tfeti.fem.contact.surfaces.tagged import Surface, values_on_facets
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.feti.system import Prescribed
-from fenics_tfeti.parallel import Directory
 from fenics_tfeti.typing import Mask, Vector
 
 # How much larger a component of the normals is at neighbours, if it is that of a curved surface
@@ -45,24 +41,18 @@ def same_supports(
     return bool(comm.allreduce(same, MPI.LAND))
 
 
-def normals_in_symmetry_planes(space: FunctionSpace, surface: Surface, prescribed: Mask) -> Vector:
+def normals_in_symmetry_planes(surface: Surface, prescribed: Mask) -> Vector:
     """Return a surface's unit normals without components that symmetry rules out. Collective.
 
     A prescribed component (k, gdim) is left out if it is larger at the neighbours where it is not
     prescribed, as on a curved surface; on planes it is the same there.
     """
-    normal = np.abs(values_on_facets(space, surface, surface.normal))
-    fixed = values_on_facets(space, surface, prescribed.astype(float)) > 0.5
-    free_sum = np.where(fixed, 0.0, normal).sum(axis=1)
-    free_count = (~fixed).sum(axis=1).astype(float)
-    vertices = global_nodes(space, surface.vertices.ravel())
-    v = surface.vertices.shape[1]
-    directory = Directory(space.mesh.comm, np.unique(np.concatenate([vertices, surface.nodes])))
-    rows = np.repeat(np.hstack([free_sum, free_count]), v, axis=0)
-    keys, rows = directory.collect(vertices, rows)
-    total = np.zeros((directory.keys.size, rows.shape[1]))
-    np.add.at(total, directory.position(keys), rows)
-    total = directory.lookup(surface.nodes, total)[1]
+    normal = np.abs(surface.at_corners(surface.normal))
+    fixed = surface.at_corners(prescribed)
+    values = np.where(fixed, 0.0, normal), (~fixed).astype(float)
+    of_facets = np.concatenate(values, axis=2).sum(axis=1, keepdims=True)
+    v = fixed.shape[1]
+    total = surface.sum_of_corners(np.repeat(of_facets, v, axis=1))
     gdim = surface.normal.shape[1]
     neighbour_mean = total[:, :gdim] / np.maximum(total[:, gdim:], 1.0)
     removed = prescribed & (neighbour_mean > _GROWTH * np.abs(surface.normal))

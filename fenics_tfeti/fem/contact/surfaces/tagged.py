@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -10,21 +11,18 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-import ufl
-from dolfinx import fem
-from dolfinx.fem import FunctionSpace
+from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.surfaces.measure_weight import as_ufl_weight
 from fenics_tfeti.fem.contact.surfaces.oriented import (
     corner_normals,
-    global_nodes,
     oriented_facets,
     owned_facets,
 )
 from fenics_tfeti.fem.messages import coordinate_order, raise_where
-from fenics_tfeti.fem.reference_cells import ReferenceCell
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, VANISHING_NORMAL
 from fenics_tfeti.fem.topology import (
     cell_facets,
@@ -34,8 +32,10 @@ from fenics_tfeti.fem.topology import (
     vertex_nodes,
 )
 from fenics_tfeti.fem.user_data import VectorField, unit_vectors
-from fenics_tfeti.parallel import Directory, concatenate_ranks, raise_collectively
-from fenics_tfeti.typing import Indices, Numbers, Vector
+from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
+from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
+
+Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -43,110 +43,121 @@ class MeshBoundary:
     """Data of the boundary of a mesh that all its tagged surfaces share."""
 
     space: FunctionSpace  # that of the displacement
-    linear: FunctionSpace  # of degree 1 on its mesh, which it may be itself
+    nodes: NodeMap  # its nodes
     coordinates: Vector  # (nodes, 3): of this rank's nodes, ghosts last [m]
-    is_vertex: NDArray[np.bool_]  # (nodes,): whether a node is a vertex of cells
     # whether each facet of this rank is on the boundary; False for ghosts
     exterior: NDArray[np.bool_]
-    rows: Indices  # (facets, 2): a cell of each facet of this rank, and the facet's number in it
-    normal_form: _compat.CompiledForm  # the normal times each vertex' shape function of degree 1
     weight: Any  # factor of ds in the forms, an expression of UFL; None without one
-    weighted_form: _compat.CompiledForm  # `normal_form` with the weight
 
     @staticmethod
     def of(space: FunctionSpace, measure_weight: Any = None) -> MeshBoundary:
         """Find the boundary of a space's mesh. Collective."""
-        domain = space.mesh
+        domain, coordinates = space.mesh, space.tabulate_dof_coordinates()
         with raise_collectively(domain.comm):
             weight = as_ufl_weight(domain, measure_weight)
         exterior = exterior_facets(domain)
-        facet_of = cell_facets(domain)
-        rows = np.zeros((exterior.size, 2), dtype=np.int32)
-        rows[facet_of, 0] = np.arange(len(facet_of))[:, None]
-        rows[facet_of, 1] = np.arange(facet_of.shape[1])
-        linear = space
-        if _compat.element_facts(space)[1] > 1:
-            linear = _compat.lagrange_space(domain, 1, space.dofmap.index_map_bs)
-        coordinates = space.tabulate_dof_coordinates()
-        is_vertex = np.zeros(len(coordinates), dtype=bool)
-        is_vertex[vertex_nodes(space)] = True
-        form = _normal_form(linear)
-        weighted = form if weight is None else _normal_form(linear, weight)
-        return MeshBoundary(
-            space, linear, coordinates, is_vertex, exterior, rows, form, weight, weighted
-        )
+        cells = np.flatnonzero(exterior[cell_facets(domain)].any(axis=1))
+        # dolfinx maps the nodes from the reference cell, with rounding
+        vertices = domain.geometry.x[cell_vertices(domain)[cells]]
+        coordinates[vertex_nodes(space)[cells]] = vertices
+        return MeshBoundary(space, NodeMap(space), coordinates, exterior, weight)
 
     @property
     def degree(self) -> int:
         """Degree of the displacement, 1 or 2."""
-        return 1 if self.linear is self.space else 2
+        return _compat.element_facts(self.space)[1]
 
     def nodal_weight(self) -> Vector | None:
         """Evaluate the weight at all local nodes at vertices; None without one. Collective."""
         if self.weight is None:
             return None
-        scalar = fem.Function(_compat.lagrange_space(self.space.mesh, 1))
+        scalar = Function(_compat.lagrange_space(self.space.mesh, 1))
         _compat.interpolate_expression(self.weight, scalar)
         scalar.x.scatter_forward()
-        values = np.zeros(len(self.coordinates))
+        values = np.zeros(self.nodes.size)
         # the two spaces may number their nodes differently
         values[vertex_nodes(self.space)] = scalar.x.array[vertex_nodes(scalar.function_space)]
         return values
-
-    def integrate(self, form: _compat.CompiledForm, facets: Indices) -> Vector:
-        """Integrate the normal times each vertex' shape function over facets: (nodes, gdim).
-
-        The shape functions are those of degree 1. The length of the integral is the area that turns
-        a uniform pressure into the force of the vertex. It is zero at other nodes.
-        """
-        bound = form.bind([self.linear], {}, {1: self.rows[facets]})
-        values = _compat.assemble_distributed(bound).reshape(-1, self.space.dofmap.index_map_bs)
-        if self.degree == 1:
-            return values
-        integrals = np.zeros((len(self.coordinates), values.shape[1]))
-        nodes, linear_nodes = vertex_nodes(self.space), vertex_nodes(self.linear)
-        # both spaces' nodes at a vertex have the owner of the vertex
-        owned = linear_nodes < len(values)
-        integrals[nodes[owned]] = values[linear_nodes[owned]]
-        return integrals
-
-
-def _normal_form(space: FunctionSpace, weight: Any = 1) -> _compat.CompiledForm:
-    """Compile the normal times each vertex' shape function and a weight. Collective."""
-    domain = space.mesh
-    normal = ufl.inner(ufl.FacetNormal(domain), ufl.TestFunction(space))
-    ds = ufl.Measure("ds", domain=domain)
-    return _compat.CompiledForm(weight * normal * ds(1), domain.comm)
 
 
 @dataclass(frozen=True)
 class Surface:
     """A tagged surface; of the nodes at its vertices, those that this rank owns."""
 
+    boundary: MeshBoundary
     nodes: Numbers  # global nodes of the displacement's space at the vertices of facets (k,)
-    local: Indices  # their local numbers (k,)
-    coordinates: Vector  # (k, 3) [m]
     normal: Vector  # outward unit normals (k, gdim)
     area: Vector  # (k,): turns a uniform pressure into the normal force, without weight [m^2 or m]
     size: Vector  # (k,): mean edge length of the smallest of the facets at the node [m]
-    facets: Indices  # facets that this rank owns (f,)
-    facet_nodes: Indices  # (f, t): their local nodes, also of other ranks; see `oriented_facets`
-    facet_type: ReferenceCell
+    facet_nodes: Indices  # (f, t): local nodes of the facets that it owns; see `oriented_facets`
     extent: float  # largest coordinate of the surface by magnitude, over all ranks [m]
 
-    @property
-    def vertices(self) -> Indices:
-        """Local numbers of the nodes (f, v) at the facets' corners, one after the other."""
-        return self.facet_nodes[:, : self.facet_type.vertices]
+    @cached_property
+    def local(self) -> Numbers:
+        """Local numbers of the nodes (k,)."""
+        local: Numbers = self.nodes - self.boundary.nodes.first
+        return local
+
+    @cached_property
+    def coordinates(self) -> Vector:
+        """Coordinates of shape (k, 3) [m]."""
+        return self.boundary.coordinates[self.local]
 
     @property
     def points(self) -> Vector:
         """Coordinates of shape (k, gdim) [m]."""
         return self.coordinates[:, : self.normal.shape[1]]
 
+    @cached_property
+    def vertices(self) -> Indices:
+        """Local numbers of the nodes (f, v) at the facets' corners, one after the other."""
+        return self.facet_nodes[:, : cell_type(self.boundary.space.mesh).facet.vertices]
+
+    @cached_property
+    def corners(self) -> Vector:
+        """The places (f, v, gdim) of the facets' corners [m]."""
+        return self.boundary.coordinates[self.vertices, : self.normal.shape[1]]
+
     def without_rounding(self, lengths: Vector) -> Vector:
         """Set lengths [m] to zero that are no more than the rounding of coordinates."""
         return np.where(np.abs(lengths) <= COORDINATE_ROUNDING * self.extent, 0.0, lengths)
+
+    def at_corners(self, values: Array) -> Array:
+        """Return values at the corners (f, v, ...) of this rank's facets. Collective.
+
+        The values (k, ...) are those at the nodes that this rank owns.
+        """
+        nodes = self.boundary.nodes
+        table = np.zeros((nodes.owned, *values.shape[1:]), dtype=values.dtype)
+        table[self.local] = values
+        return nodes.values_at(table, nodes.to_global(self.vertices))
+
+    def sum_of_corners(self, values: Array, ufunc: Any = np.add) -> Array:
+        """Sum values (f, v, ...) of the corners of all ranks' facets at the nodes. Collective.
+
+        The sums (k, ...) are at the nodes that this rank owns; see `NodeMap.sum_at_owners`.
+        """
+        nodes, vertices = self.boundary.nodes, self.vertices
+        flat = values.reshape(vertices.size, *values.shape[2:])
+        sums = nodes.sum_at_owners(nodes.to_global(vertices.ravel()), flat, ufunc)
+        found: Array = sums[self.local]
+        return found
+
+    def max_of_facets(self, values: Vector) -> Vector:
+        """Return the largest value (k,) of the facets (f,) around each node, or 0. Collective."""
+        at_corners = np.repeat(values[:, None], self.vertices.shape[1], axis=1)
+        return self.sum_of_corners(at_corners, np.maximum)
+
+    def share_of_area(self, chosen: Mask, weight: Vector | None = None) -> Vector:
+        """Return the share (k,) of each node's area that belongs to chosen facets (f,). Collective.
+
+        The weight (nodes,) of the measure is at this rank's nodes; by default there is none.
+        """
+        x = self.boundary.coordinates[self.facet_nodes, : self.normal.shape[1]]
+        at_corners = None if weight is None else weight[self.vertices]
+        integrals = corner_normals(x, at_corners) * chosen[:, None, None]
+        area: Vector = np.sum(self.sum_of_corners(integrals) * self.normal, axis=1)
+        return area
 
 
 @dataclass(frozen=True)
@@ -175,40 +186,32 @@ def tagged_surface(
 
     `label` is its name in messages. By default normals are area-weighted averages of the facets'.
     """
-    space = boundary.space
-    domain, dim = space.mesh, space.mesh.topology.dim
-    with raise_collectively(domain.comm):
+    space, nodes = boundary.space, boundary.nodes
+    domain = space.mesh
+    comm, gdim = domain.comm, domain.geometry.dim
+    with raise_collectively(comm):
         _check_tags(domain, facet_tags, label)
     facets = owned_facets(domain, facet_tags, tag)
-    _check_facets(boundary, facet_tags, tag, facets, label)
-
-    nodes = np.asarray(fem.locate_dofs_topological(space, dim - 1, facets), dtype=np.int32)
-    nodes = np.sort(nodes[(nodes < space.dofmap.index_map.size_local) & boundary.is_vertex[nodes]])
-    coordinates = boundary.coordinates[nodes]
-    extent = domain.comm.allreduce(float(np.abs(coordinates).max(initial=0.0)), MPI.MAX)
-    weighted = boundary.integrate(boundary.normal_form, facets)[nodes]
-    facet_nodes, facet_type = oriented_facets(space, facets), cell_type(domain).facet
-    vertices = facet_nodes[:, : facet_type.vertices]
-    numbers = global_nodes(space, nodes)
-    corners = boundary.coordinates[vertices, : domain.geometry.dim]
-    size, facet_area = _facets_at_nodes(
-        domain.comm, corners, global_nodes(space, vertices), numbers
-    )
+    facet_nodes = oriented_facets(space, facets)
+    x = boundary.coordinates[facet_nodes, :gdim]
+    vertices = facet_nodes[:, : cell_type(domain).facet.vertices]
+    corners = x[:, : vertices.shape[1]]
+    _check_facets(boundary, facet_tags, tag, facets, corners.mean(axis=1), label)
+    numbers = nodes.to_global(vertices.ravel())
+    local = np.unique(nodes.to_owners(numbers)[0])
+    coordinates = boundary.coordinates[local]
+    extent = comm.allreduce(float(np.abs(coordinates).max(initial=0.0)), MPI.MAX)
+    weighted = corner_normals(x)
+    sizes = np.linalg.norm(weighted, axis=2, keepdims=True)
+    integrals = np.concatenate([weighted, sizes], axis=2).reshape(-1, gdim + 1)
+    sums = nodes.sum_at_owners(numbers, integrals)[local]
+    # of a segment both edges are the segment
+    edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).mean(axis=1)
+    size = nodes.sum_at_owners(numbers, np.repeat(edges, vertices.shape[1]), np.minimum)[local]
     normal, area = _normals_and_areas(
-        domain.comm, weighted, facet_area, coordinates, user_normal, label
+        comm, sums[:, :gdim], sums[:, gdim], coordinates, user_normal, label
     )
-    return Surface(
-        numbers,
-        nodes,
-        coordinates,
-        normal,
-        area,
-        size,
-        facets,
-        facet_nodes,
-        facet_type,
-        extent,
-    )
+    return Surface(boundary, local + nodes.first, normal, area, size, facet_nodes, extent)
 
 
 def gather_master(comm: MPI.Intracomm, master: Surface) -> MasterNodes:
@@ -218,49 +221,6 @@ def gather_master(comm: MPI.Intracomm, master: Surface) -> MasterNodes:
     # of equally near nodes, the same is then chosen however the mesh is distributed
     order = coordinate_order(points)
     return MasterNodes(nodes[order], points[order], normal[order], size[order])
-
-
-def values_on_facets(space: FunctionSpace, surface: Surface, values: Vector) -> Vector:
-    """Return vectors (f, v, gdim) at the corners of this rank's facets. Collective.
-
-    The values (k, gdim) are those at the nodes that this rank owns.
-    """
-    gdim = values.shape[1]
-    carrier = fem.Function(space)
-    carrier.x.array.reshape(-1, gdim)[surface.local] = values
-    carrier.x.scatter_forward()
-    corner_values: Vector = carrier.x.array.reshape(-1, gdim)[surface.vertices]
-    return corner_values
-
-
-def facet_max_at_nodes(space: FunctionSpace, surface: Surface, values: Vector) -> Vector:
-    """Return at the nodes (k,) that this rank owns the largest value of their facets. Collective.
-
-    The values (f,) of this rank's facets are not negative.
-    """
-    vertices = global_nodes(space, surface.vertices.ravel())
-    owners = Directory(space.mesh.comm, surface.nodes)
-    keys, values = owners.forward(vertices, np.repeat(values, surface.vertices.shape[1]))
-    largest = np.zeros(surface.nodes.size)
-    np.maximum.at(largest, np.searchsorted(surface.nodes, keys), values)
-    return largest
-
-
-def area_of_facets(
-    boundary: MeshBoundary,
-    surface: Surface,
-    chosen: NDArray[np.bool_],
-    weighted: bool = False,
-) -> Vector:
-    """Return the share (k,) of each node's area that belongs to chosen facets (f,). Collective.
-
-    It is that with the weight of the measure, or without.
-    """
-    facets = surface.facets[chosen]
-    form = boundary.weighted_form if weighted else boundary.normal_form
-    integrals = boundary.integrate(form, facets)[surface.local]
-    area: Vector = np.sum(integrals * surface.normal, axis=1)
-    return area
 
 
 def _check_tags(domain: Any, facet_tags: Any, label: str) -> None:
@@ -275,21 +235,22 @@ def _check_tags(domain: Any, facet_tags: Any, label: str) -> None:
 
 
 def _check_facets(
-    boundary: MeshBoundary, facet_tags: Any, tag: int, facets: Indices, label: str
+    boundary: MeshBoundary,
+    facet_tags: Any,
+    tag: int,
+    facets: Indices,
+    middles: Vector,
+    label: str,
 ) -> None:
     comm = boundary.space.mesh.comm
     number = comm.allreduce(facets.size)
     if number == 0:
         existing = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
         raise InputError(f"{label}: tag {tag} is on no facet; the tags there are {existing}")
-    domain = boundary.space.mesh
-    cell, facet = boundary.rows[facets].T
-    corners = np.array(cell_type(domain).facets)[facet]
-    vertices = np.take_along_axis(cell_vertices(domain)[cell], corners, axis=1)
     raise_where(
         comm,
         ~boundary.exterior[facets],
-        domain.geometry.x[vertices, : domain.geometry.dim].mean(axis=1),
+        middles,
         lambda interior, place: (
             f"{label}: {interior} of the {number} facets with tag {tag} are inside a body, or "
             f"between bodies that share their nodes, the first around {place}: only facets on the "
@@ -337,25 +298,3 @@ def _normals_and_areas(
         ),
     )
     return normal, area
-
-
-def _facets_at_nodes(
-    comm: MPI.Intracomm, corners: Vector, vertices: Numbers, nodes: Numbers
-) -> tuple[Vector, Vector]:
-    """Return the mean edge length of the smallest facet and the facets' area at each node.
-
-    Collective. The area is the integral of the node's shape function over all ranks' facets.
-    """
-    # of a segment both edges are the segment
-    edges = np.roll(corners, -1, axis=1) - corners
-    mean = np.linalg.norm(edges, axis=2).mean(axis=1)
-    areas = np.linalg.norm(corner_normals(corners), axis=2)
-    directory = Directory(comm, np.unique(vertices))
-    keys, sizes, areas = directory.collect(
-        vertices.ravel(), np.repeat(mean, vertices.shape[1]), areas.ravel()
-    )
-    rows, count = directory.position(keys), directory.keys.size
-    smallest = np.full(count, np.inf)
-    np.minimum.at(smallest, rows, sizes)
-    _, size, area = directory.lookup(nodes, smallest, np.bincount(rows, areas, count))
-    return size, area

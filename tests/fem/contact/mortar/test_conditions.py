@@ -9,11 +9,12 @@ import pytest
 from mortar_blocks import LOWER, UPPER, Blocks
 from scenes import vector_space
 
-from fenics_tfeti import ContactPair
+from fenics_tfeti import ContactPair, Nearest
 from fenics_tfeti.fem.contact.matching import match_contact
 from fenics_tfeti.fem.contact.mortar.conditions import SlaveFacets
 from fenics_tfeti.fem.contact.mortar.facets import Planes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
+from fenics_tfeti.fem.topology import cell_vertices
 from fenics_tfeti.io import tag_facets
 
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
@@ -33,7 +34,7 @@ def test_facets_are_oriented_outwards_and_carry_their_normals(cell):
         d = surface.normal.shape[1]
         points = boundary.coordinates[:, :d]
         weight = points[:, 0]
-        facets = SlaveFacets.of(V, surface, points, surface.normal, weight)
+        facets = SlaveFacets.of(surface, points, weight)
         expected = sign * np.array([-0.3, *[0.0] * (d - 2), 1.0]) / np.sqrt(1.09)
         normal = Planes.of(facets.facets.coordinates()).normal
         np.testing.assert_allclose(normal, np.tile(expected, (len(normal), 1)), atol=1e-12)
@@ -52,7 +53,7 @@ def test_terms_of_a_condition(cell):
     terms = pairing.terms
     np.testing.assert_array_equal(terms.nodes[terms.offsets[:-1]], pairing.slave)
     assert (pairing.area > 0.0).all()
-    np.testing.assert_allclose(terms.area, pairing.area)
+    np.testing.assert_allclose(terms.scale, pairing.area)
     assert pairing.area.sum() == pytest.approx(0.63 ** (V.mesh.geometry.dim - 1))
     # constants and linear functions
     sums = np.zeros((pairing.slave.size, 4))
@@ -63,6 +64,31 @@ def test_terms_of_a_condition(cell):
     # distinct nodes, as the solver wants them
     pairs = terms.row * (terms.nodes.max() + 1) + terms.nodes
     assert np.unique(pairs).size == pairs.size
+
+
+@pytest.mark.parametrize("height", [0.0, 0.2])
+@pytest.mark.parametrize("cell", CELLS)
+def test_flat_matching_surfaces_have_two_terms_a_condition(cell, height):
+    """The conditions are those of pairs of nodes."""
+    blocks = Blocks(cell, 4, 4)
+    beams = blocks.mesh(MPI.COMM_SELF)
+    V, tags = vector_space(beams.mesh), tag_facets(beams.mesh, blocks.markers(), beams.cell_tags)
+    upper = np.unique(cell_vertices(beams.mesh)[beams.cell_tags.find(2)])
+    beams.mesh.geometry.x[upper, beams.mesh.geometry.dim - 1] += height
+    boundary = MeshBoundary.of(V)
+    mortar, pairs = (
+        match_contact(boundary, ContactPair(tags, UPPER, LOWER, partners=kind), 0)
+        for kind in ("mortar", Nearest())
+    )
+    np.testing.assert_array_equal(np.diff(mortar.terms.offsets), 2)
+    for name in ("slave", "master"):
+        np.testing.assert_array_equal(getattr(mortar, name), getattr(pairs, name))
+    np.testing.assert_allclose(mortar.terms.weights[::2], pairs.area, rtol=1e-12)
+    np.testing.assert_allclose(mortar.terms.weights[1::2], -pairs.area, rtol=1e-12)
+    for name in ("normal", "gap", "area"):
+        np.testing.assert_allclose(
+            getattr(mortar, name), getattr(pairs, name), rtol=1e-12, atol=1e-15
+        )
 
 
 def test_normal_of_a_condition_with_the_function_of_a_barely_covered_node():

@@ -11,7 +11,6 @@ from scenes import vector_space
 
 from fenics_tfeti.fem.contact.mortar.conditions import SlaveFacets
 from fenics_tfeti.fem.contact.mortar.one_sided import nodal_normals, one_sided_conditions
-from fenics_tfeti.fem.contact.mortar.pairing import mean_over_terms
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 from fenics_tfeti.io import tag_facets
 
@@ -25,7 +24,7 @@ def slave_facets(cell, **shape):
     boundary = MeshBoundary.of(vector_space(meshed.mesh, 2))
     surface = tagged_surface(boundary, tags, LOWER, "slave")
     points = boundary.coordinates[:, : blocks.gdim]
-    return surface, SlaveFacets.of(boundary.space, surface, points, surface.normal, None)
+    return surface, SlaveFacets.of(surface, points, None)
 
 
 def conditions(surface, facets, chosen):
@@ -38,11 +37,11 @@ def test_means_of_linear_functions_are_their_values_at_the_vertices(cell):
     nodes, terms = conditions(surface, facets, np.ones(len(facets.facets), dtype=bool))
     np.testing.assert_array_equal(nodes, np.sort(surface.nodes))
     values = 0.3 + facets.facets.points @ np.arange(1.0, 1.0 + surface.points.shape[1])
-    mean = mean_over_terms(terms, facets.nodes, values[:, None])[:, 0]
+    mean = terms.means(values[np.searchsorted(facets.nodes, terms.nodes), None])[:, 0]
     np.testing.assert_allclose(mean, values[np.searchsorted(facets.nodes, nodes)], rtol=1e-13)
     area = np.zeros(nodes.size)
     area[np.searchsorted(nodes, surface.nodes)] = surface.area
-    np.testing.assert_allclose(terms.area, area, rtol=1e-13)
+    np.testing.assert_allclose(terms.scale, area, rtol=1e-13)
 
 
 def test_facets_that_are_not_chosen_do_not_count():
@@ -51,7 +50,7 @@ def test_facets_that_are_not_chosen_do_not_count():
     nodes, terms = conditions(surface, facets, middle[:, 0] < 0.6)
     x = facets.facets.points[np.searchsorted(facets.nodes, nodes), 0]
     assert sorted(np.round(x, 9)) == pytest.approx([0.0, 1 / 3, 2 / 3])
-    assert terms.area.sum() == pytest.approx(2 / 3)
+    assert terms.scale.sum() == pytest.approx(2 / 3)
 
 
 @pytest.mark.parametrize("cell", CELLS)

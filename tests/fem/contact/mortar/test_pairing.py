@@ -11,12 +11,11 @@ from strips import matched, strips
 from dolfinx.fem import Function
 
 from fenics_tfeti import ContactPair
-from fenics_tfeti.fem.contact.contact import MortarTerms
+from fenics_tfeti.fem.contact.contact import Terms
 from fenics_tfeti.fem.contact.deformed import deformed_contact
-from fenics_tfeti.fem.contact.mortar.pairing import main_masters, mean_over_terms
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 
-TERMS = MortarTerms(
+TERMS = Terms(
     offsets=np.array([0, 3, 6]),
     nodes=np.array([2, 5, 4, 1, 3, 4]),
     weights=np.array([2.0, -0.5, -1.5, 1.0, 0.5, -1.5]),
@@ -24,19 +23,31 @@ TERMS = MortarTerms(
 )
 
 
-def test_area_is_the_sum_of_the_slave_terms():
-    np.testing.assert_array_equal(TERMS.area, [2.0, 1.5])
+def test_scale_is_the_sum_of_the_slave_terms():
+    np.testing.assert_array_equal(TERMS.scale, [2.0, 1.5])
 
 
 def test_main_master_has_the_largest_weight():
-    assert main_masters(TERMS).tolist() == [4, 4]
+    assert TERMS.master.tolist() == [4, 4]
 
 
-def test_mean_over_terms():
-    nodes, values = np.arange(1, 6), np.arange(1.0, 6.0)[:, None]
+def test_means():
+    values = TERMS.nodes[:, None].astype(float)
     first = (2.0 * 2 - 0.5 * 5 - 1.5 * 4) / 2.0
     second = (1.0 * 1 + 0.5 * 3 - 1.5 * 4) / 1.5
-    np.testing.assert_allclose(mean_over_terms(TERMS, nodes, values)[:, 0], [first, second])
+    np.testing.assert_allclose(TERMS.means(values)[:, 0], [first, second])
+
+
+def test_terms_of_nodes():
+    slave, master = np.array([3, 5, 6]), np.array([7, 1, 4])
+    pairs, single = Terms.of_nodes(slave, master), Terms.of_nodes(slave)
+    values = np.arange(8.0)[:, None] ** 2
+    for terms, expected in ((pairs, master), (single, [-1, -1, -1])):
+        np.testing.assert_array_equal(terms.slave, slave)
+        np.testing.assert_array_equal(terms.master, expected)
+        np.testing.assert_array_equal(terms.scale, 1.0)
+    np.testing.assert_array_equal(pairs.means(values[pairs.nodes]), values[slave] - values[master])
+    np.testing.assert_array_equal(single.means(values[slave]), values[slave])
 
 
 @pytest.mark.parametrize("gap", [0.1, 0.0, 2.0])

@@ -113,7 +113,7 @@ def normals_of(boundary, tags, tag, chosen=lambda x: np.ones(len(x), dtype=bool)
     surface = tagged_surface(boundary, tags, tag, "slave")
     at = chosen(surface.points)
     before = surface.normal[at]
-    after = without_axial_tilt(boundary, surface, surface.nodes[at], before)
+    after = without_axial_tilt(surface, surface.nodes[at], before)
     return surface.points[at], before, after
 
 

@@ -14,7 +14,7 @@ from dolfinx.fem import Function
 from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import integrate
-from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface
+from fenics_tfeti.fem.contact.surfaces.gathered import gather_surface
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface

@@ -22,14 +22,15 @@ def ground(degree=1, weight=None):
 @pytest.mark.parametrize("weight", [None, 3.0])
 def test_areas_are_those_of_the_vertices_times_the_weight(weight, degree):
     boundary, surface = ground(degree, weight)
-    areas = node_areas(boundary, surface, np.ones(2, dtype=bool), "joint")
+    assert (boundary.nodal_weight() is None) == (weight is None)
+    areas = node_areas(surface, np.ones(2, dtype=bool), "joint")
     order = np.argsort(surface.points[:, 0])
     np.testing.assert_allclose(areas[order], (weight or 1.0) * np.array([0.25, 0.5, 0.25]))
 
 
 def test_nodes_of_covered_facets_have_their_area_there():
-    boundary, surface = ground()
-    middle = boundary.coordinates[surface.vertices][..., 0].mean(axis=1)
-    areas = node_areas(boundary, surface, middle < 0.5, "joint")
+    _, surface = ground()
+    middle = surface.corners[..., 0].mean(axis=1)
+    areas = node_areas(surface, middle < 0.5, "joint")
     order = np.argsort(surface.points[:, 0])
     np.testing.assert_allclose(areas[order], [0.25, 0.25, 0.25])

@@ -30,7 +30,7 @@ def held(V, axis, x, component):
 
 def normals(V, tags, prescribed):
     surface = tagged_surface(MeshBoundary.of(V), tags, SLAVE, "slave")
-    corrected = normals_in_symmetry_planes(V, surface, prescribed_components(surface, prescribed))
+    corrected = normals_in_symmetry_planes(surface, prescribed_components(surface, prescribed))
     order = np.argsort(surface.coordinates[:, 0])
     return surface.normal[order], corrected[order]
 

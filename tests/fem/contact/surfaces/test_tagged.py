@@ -7,21 +7,22 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import scenes
+from joined_bodies import block, halves, of_degree_two
 from mesh_arrays import mesh_of
 from scenes import MASTER, SLAVE
 from strips import bend, matched, partners, ring, strips
 
+import ufl
+from dolfinx import fem
 from dolfinx.mesh import meshtags
 
 from fenics_tfeti import ContactPair, InputError, Mapped
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MeshBoundary,
-    area_of_facets,
     gather_master,
     tagged_surface,
-    values_on_facets,
 )
-from fenics_tfeti.fem.topology import exterior_facets
+from fenics_tfeti.fem.topology import exterior_facets, vertex_nodes
 from fenics_tfeti.io import tag_facets
 
 CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
@@ -87,8 +88,8 @@ def test_share_of_chosen_facets():
     V, tags = strips()
     boundary = MeshBoundary.of(V)
     surface = tagged_surface(boundary, tags, SLAVE, "surface")
-    x = boundary.coordinates[surface.vertices][:, :, 0].mean(axis=1)
-    area = area_of_facets(boundary, surface, x < 0.5)
+    x = surface.corners[:, :, 0].mean(axis=1)
+    area = surface.share_of_area(x < 0.5)
     order = np.argsort(surface.points[:, 0])
     np.testing.assert_allclose(area[order], [0.125, 0.25, 0.125, 0.0, 0.0], atol=1e-15)
 
@@ -97,7 +98,7 @@ def test_values_of_nodes_are_those_of_facets():
     V, tags = strips()
     boundary = MeshBoundary.of(V)
     surface = tagged_surface(boundary, tags, SLAVE, "surface")
-    corners = values_on_facets(V, surface, surface.points)
+    corners = surface.at_corners(surface.points)
     np.testing.assert_array_equal(corners, boundary.coordinates[surface.vertices, :2])
 
 
@@ -114,6 +115,38 @@ def test_normals_that_cancel_are_refused():
     tags = tag_facets(domain, {SLAVE: lambda x: x[0] > -1.0})
     with pytest.raises(InputError, match=r"around 1 nodes cancel, the first at \(1, 0\)"):
         surface_of(scenes.vector_space(domain), tags, SLAVE)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("cell", CELLS)
+def test_normals_and_areas_are_those_of_forms(cell, degree):
+    """On a wavy surface of straight or curved cells, without and with a weight."""
+    mesh = of_degree_two(cell, halves, 2).mesh
+    mesh = mesh if degree == 2 else block(cell, halves, n=2).mesh
+    gdim, x = mesh.geometry.dim, mesh.geometry.x
+    tags = tag_facets(mesh, {SLAVE: scenes.at(gdim - 1, 1.0)})
+    x[:, gdim - 1] += 0.1 * x[:, gdim - 1] * np.sin(3.0 * x.sum(axis=1))
+    V, linear = (scenes.vector_space(mesh, k) for k in (degree, 1))
+    weight = fem.Function(scenes.scalar_space(mesh))
+    weight.interpolate(lambda x: 1.0 + x[0] ** 2)
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags, metadata={"quadrature_degree": 8})
+    normal_part = ufl.inner(ufl.FacetNormal(mesh), ufl.TestFunction(linear))
+    plain, weighted = (
+        fem.assemble_vector(fem.form(form * ds(SLAVE))).array.reshape(-1, gdim)
+        for form in (normal_part, weight * normal_part)
+    )
+    boundary = MeshBoundary.of(V, weight)
+    surface = tagged_surface(boundary, tags, SLAVE, "surface")
+    of_linear = np.zeros(boundary.nodes.size, dtype=np.int64)
+    of_linear[vertex_nodes(V)] = vertex_nodes(linear)
+    rows = of_linear[surface.local]
+    length = np.linalg.norm(plain[rows], axis=1)
+    np.testing.assert_allclose(surface.area, length, rtol=1e-13)
+    np.testing.assert_allclose(surface.normal, plain[rows] / length[:, None], atol=2e-15)
+    values = boundary.nodal_weight()
+    every = np.ones(len(surface.facet_nodes), dtype=bool)
+    expected = np.sum(weighted[rows] * surface.normal, axis=1)
+    np.testing.assert_allclose(surface.share_of_area(every, values), expected, rtol=1e-13)
 
 
 @pytest.mark.parametrize("cell", CELLS)

@@ -7,8 +7,8 @@ import pytest
 from moved_blocks import CELLS, blocks, lifted, turned
 from scenes import SLAVE, dimension
 
-from fenics_tfeti.fem.contact.surfaces.deformed import gather_surface
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
+from fenics_tfeti.fem.contact.surfaces.gathered import gather_surface
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 
 every_cell = pytest.mark.parametrize("cell", CELLS)

@@ -1,7 +1,8 @@
-"""Tagged surfaces of a deformed mesh, gathered on every rank: points, facets and normals."""
+"""Tagged surfaces, deformed or not, gathered from all ranks: points, facets and normals."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -15,24 +16,32 @@ from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.fem.contact.surfaces.oriented import (
     corner_normals,
-    global_nodes,
     oriented_facets,
     owned_facets,
 )
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.tolerances import VANISHING_NORMAL
-from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Numbers, Vector
 
 
 @dataclass(frozen=True)
-class DeformedSurface:
-    """A deformed surface of all ranks, on every rank."""
+class GatheredSurface:
+    """Facets of all ranks, or of those near this rank's part of another surface."""
 
     nodes: Numbers  # global nodes of the displacement's space (n,), ascending
     points: Vector  # deformed coordinates (n, gdim) [m]
     displacement: Vector  # (n, gdim) [m]
     facets: Numbers  # (m, t): rows of nodes, in the order of `Facets`
+
+    @staticmethod
+    def of(parts: Sequence[Message]) -> GatheredSurface:
+        """Join parts of several ranks."""
+        numbers = np.concatenate([nodes for nodes, _, _ in parts])
+        values = np.concatenate([values for _, values, _ in parts])
+        facets = np.concatenate([nodes.take(facets) for nodes, _, facets in parts])
+        nodes, first = np.unique(numbers, return_index=True)
+        points, moves = np.split(values[first], 2, axis=1)
+        return GatheredSurface(nodes, points, moves, np.searchsorted(nodes, facets))
 
     @cached_property
     def surface(self) -> Facets:
@@ -111,25 +120,43 @@ class DeformedSurface:
 
 def gather_surface(
     boundary: MeshBoundary, facet_tags: Any, tag: int, displacement: Function | None = None
-) -> DeformedSurface:
+) -> GatheredSurface:
     """Gather a tagged surface from all ranks, deformed by a displacement [m] if given. Collective.
 
     The ghosts of the displacement are up to date.
     """
-    space = boundary.space
-    comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
-    facets = oriented_facets(space, owned_facets(space.mesh, facet_tags, tag))
-    local = np.unique(facets)
-    numbers = global_nodes(space, local)
-    points = boundary.coordinates[local, :gdim]
-    moves = np.zeros_like(points)
-    if displacement is not None:
-        moves = displacement.x.array.reshape(-1, gdim)[local]
-    rows = numbers[np.searchsorted(local, facets)]
-    numbers, points, moves, rows = (
-        concatenate_ranks(comm, column) for column in (numbers, points, moves, rows)
-    )
-    nodes, first = np.unique(numbers, return_index=True)
-    return DeformedSurface(
-        nodes, points[first] + moves[first], moves[first], np.searchsorted(nodes, rows)
-    )
+    part = SurfacePart.of(boundary, facet_tags, tag, displacement)
+    return GatheredSurface.of(boundary.nodes.comm.allgather(part.packed()))
+
+
+Message = tuple[Numbers, Vector, Numbers]
+
+
+@dataclass(frozen=True)
+class SurfacePart:
+    """The facets of a surface that this rank owns."""
+
+    boundary: MeshBoundary
+    facets: Numbers  # (m, t): local nodes, in the order of `Facets`
+    points: Vector  # (nodes, gdim): coordinates of all local nodes, deformed or not [m]
+    displacement: Vector  # (nodes, gdim) [m]
+
+    @staticmethod
+    def of(
+        boundary: MeshBoundary, facet_tags: Any, tag: int, displacement: Function | None
+    ) -> SurfacePart:
+        """Find the facets with a tag."""
+        space = boundary.space
+        facets = oriented_facets(space, owned_facets(space.mesh, facet_tags, tag))
+        points = boundary.coordinates[:, : boundary.nodes.components]
+        moves = np.zeros_like(points)
+        if displacement is not None:
+            moves = boundary.nodes.values(displacement)[: len(points)]
+        return SurfacePart(boundary, facets.astype(np.int64), points + moves, moves)
+
+    def packed(self, chosen: Numbers | slice = slice(None)) -> Message:
+        """Return the nodes of some facets with coordinates and displacements, and the facets."""
+        local, rows = np.unique(self.facets[chosen], return_inverse=True)
+        values = np.concatenate([self.points[local], self.displacement[local]], axis=1)
+        rows = rows.reshape(-1, self.facets.shape[1]).astype(np.int32)
+        return self.boundary.nodes.to_global(local), values, rows

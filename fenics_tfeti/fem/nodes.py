@@ -1,0 +1,133 @@
+"""The nodes of a Lagrange space: local and global numbers, owners, and numbers of the input."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dolfinx.fem import Function, FunctionSpace
+
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.parallel import all_to_all
+from fenics_tfeti.typing import Numbers, Vector
+
+Array = NDArray[Any]
+
+
+class NodeMap:
+    """The nodes of a space on this rank, local numbers first of those that it owns, then ghosts.
+
+    Each rank owns consecutive global numbers. Arrays of nodes have one row for each.
+    """
+
+    def __init__(self, space: FunctionSpace) -> None:
+        self.space, self.comm = space, space.mesh.comm
+        self.components: int = space.dofmap.index_map_bs
+        self._map = space.dofmap.index_map
+        self.first, end = self._map.local_range  # global numbers of the owned nodes
+        self.owned: int = end - self.first  # number of nodes that this rank owns
+        self.size: int = self.owned + self._map.num_ghosts
+        self.total: int = self._map.size_global
+
+    @property
+    def coordinates(self) -> Vector:
+        """The places (owned, gdim) of the owned nodes now [m]."""
+        x = self.space.tabulate_dof_coordinates()
+        coordinates: Vector = x[: self.owned, : self.space.mesh.geometry.dim]
+        return coordinates
+
+    def values(self, uh: Function) -> Vector:
+        """Return the values (size, components) of a function of the space, not copied."""
+        values: Vector = uh.x.array.reshape(-1, self.components)
+        return values
+
+    def to_global(self, local: Array) -> Numbers:
+        """Return the global numbers of local nodes, in an array of the same shape."""
+        numbers = self._map.local_to_global(local.ravel().astype(np.int32))
+        return np.asarray(numbers, dtype=np.int64).reshape(local.shape)
+
+    def to_local(self, nodes: Numbers) -> Numbers:
+        """Return the local numbers of global nodes (k,) on this rank."""
+        ghosts = np.asarray(self._map.ghosts, dtype=np.int64)
+        order = np.argsort(ghosts)
+        local: Numbers = nodes - self.first
+        is_ghost = (local < 0) | (local >= self.owned)
+        position = np.searchsorted(ghosts[order], nodes[is_ghost])
+        local[is_ghost] = self.owned + order[position]
+        return local
+
+    @cached_property
+    def _ends(self) -> Numbers:
+        """The end of the numbers that each rank owns. The first time collective."""
+        return np.array(self.comm.allgather(self.first + self.owned), dtype=np.int64)
+
+    def values_at(self, values: Array, nodes: Numbers) -> Array:
+        """Return the rows of values at nodes of any ranks, in any shape. Collective.
+
+        This rank's values (owned, ...) are of the nodes that it owns; more rows do not matter.
+        """
+        distinct, inverse = np.unique(nodes, return_inverse=True)
+        queries = np.split(distinct, np.searchsorted(distinct, self._ends[:-1]))
+        rows = [values[query - self.first] for query in all_to_all(self.comm, queries)]
+        found: Array = np.concatenate(all_to_all(self.comm, rows))[inverse.reshape(nodes.shape)]
+        return found
+
+    def to_owners(self, nodes: Numbers, *data: Array) -> tuple[Array, ...]:
+        """Send rows (node, data...) to the owners of the nodes. Collective.
+
+        Returned are local numbers and the data that arrive, in the order of ranks.
+        """
+        owner = np.searchsorted(self._ends, nodes, side="right")
+        order = np.argsort(owner, kind="stable")
+        cuts = np.searchsorted(owner[order], np.arange(1, self.comm.size))
+        columns = [np.split(column[order], cuts) for column in (nodes, *data)]
+        received = all_to_all(self.comm, list(zip(*columns, strict=True)))
+        arrived, *rest = (np.concatenate(column) for column in zip(*received, strict=True))
+        return arrived - self.first, *rest
+
+    def sum_at_owners(self, nodes: Numbers, values: Array, ufunc: Any = np.add) -> Array:
+        """Sum rows of values (k, ...) by their nodes: (owned, ...), zero elsewhere. Collective.
+
+        The nodes may be those of any ranks; another ufunc is applied in place of the sum.
+        """
+        local, values = self.to_owners(nodes, values)
+        order = np.argsort(local, kind="stable")
+        local, values = local[order], values[order]
+        first = np.flatnonzero(np.diff(local, prepend=-1))
+        result = np.zeros((self.owned, *values.shape[1:]), dtype=values.dtype)
+        if first.size:
+            result[local[first]] = ufunc.reduceat(values, first, axis=0)
+        return result
+
+    @cached_property
+    def input_numbers(self) -> Numbers:
+        """Numbers (owned,) of the owned nodes by the mesh's input. The first time collective.
+
+        The number of a node is its place in the first cell that it belongs to, in the order in
+        which the cells were given to dolfinx. It is the same for the same input on any ranks.
+        Numbers are distinct, with gaps. A submesh has no input: they are the global numbers.
+        """
+        cells = _compat.input_cells(self.space.mesh)
+        if not self.comm.allreduce(cells is not None, MPI.LAND) or cells is None:
+            return np.arange(self.first, self.first + self.owned, dtype=np.int64)
+        nodes = _compat.cell_dofs(self.space)[: cells.size].astype(np.int64)
+        number = cells[:, np.newaxis] * nodes.shape[1] + np.arange(nodes.shape[1])
+        in_cells = np.zeros(self.size, dtype=bool)
+        in_cells[nodes] = True
+        local = np.flatnonzero(in_cells)
+        lowest = _lowest(nodes, number, self.size)[local]
+        return self.sum_at_owners(self.to_global(local), lowest, np.minimum)
+
+
+def _lowest(positions: Numbers, numbers: Numbers, size: int) -> Numbers:
+    """Return the lowest number at each of so many positions; rows (k, v) of numbers ascend."""
+    order = np.argsort(numbers[:, 0])[::-1]
+    lowest = np.zeros(size, dtype=np.int64)
+    # of several values for one position the last one stays
+    lowest[positions[order]] = numbers[order]
+    return lowest
