@@ -19,6 +19,7 @@ from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.by_rows import AgglomeratedCholesky, MultigridSolver
 from fenics_tfeti.feti.coarse.face_cache import FaceCache
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.local import cholesky
 from fenics_tfeti.report import ContactReport
 
 comm = MPI.COMM_WORLD
@@ -162,6 +163,19 @@ def test_indefinite_matrix_is_an_error_on_all_ranks(groups):
     rows = sp.diags(np.where(np.arange(2 * comm.size) == 1, -1.0, 1.0), format="csr")
     with pytest.raises(FactorizationError, match="not positive definite"):
         AgglomeratedCholesky(comm, own_rows(rows), groups)
+
+
+def test_workspace_of_mumps_is_increased_where_it_is_too_small(monkeypatch):
+    n = 50 * comm.size
+    D = sp.diags([-np.ones(n - 1), np.full(n, 3.0), -np.ones(n - 1)], [-1, 0, 1], format="csr")
+    matrix = sp.csr_matrix(D @ D @ D @ D)
+    own = slice(50 * comm.rank, 50 * comm.rank + 50)
+    monkeypatch.setattr(cholesky, "_WORKSPACES", (-90,))
+    with pytest.raises(FactorizationError, match="useless"):
+        cholesky.DistributedCholesky(comm, matrix[own])
+    monkeypatch.setattr(cholesky, "_WORKSPACES", (-90, 100))
+    x = cholesky.DistributedCholesky(comm, matrix[own]).solve((matrix @ np.ones(n))[own])
+    np.testing.assert_allclose(x, 1.0, atol=1e-12)
 
 
 def test_singular_matrix_is_an_error_of_the_iterations():

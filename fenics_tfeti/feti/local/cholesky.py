@@ -95,6 +95,9 @@ _ORDERINGS = "mat_cholmod_nmethods"
 _COMMUNICATORS = 16
 # numbers of MUMPS' INFOG
 _ERROR, _NEGATIVE_PIVOTS = 1, 12
+# INFOG(1) where the workspace is too small, and what is tried as ICNTL(14), the increase of its
+# estimate in per cent: with the default of 20 definite matrices fail on three ranks
+_TOO_SMALL, _WORKSPACES = (-8, -9), (100, 400, 1600)
 
 
 class _Factor(Protocol):
@@ -304,6 +307,20 @@ def _reject_bad_pivots(factor: PETSc.Mat) -> None:
         raise _Indefinite(f"{negative} negative pivots")
 
 
+def _factored_in_enough_memory(A: PETSc.Mat) -> PETSc.PC:
+    """Return the PC of a matrix factored by MUMPS, whose workspace is increased while it fails."""
+    for workspace in _WORKSPACES:
+        pc = _petsc_cholesky(A, "mumps")
+        pc.setFactorSetUpSolverType()
+        pc.getFactorMatrix().setMumpsIcntl(14, workspace)
+        pc.setUp()
+        if pc.getFactorMatrix().getMumpsInfog(_ERROR) not in _TOO_SMALL:
+            break
+        if workspace != _WORKSPACES[-1]:
+            _destroy(pc)
+    return pc
+
+
 class DistributedCholesky:
     """The factor of a sparse symmetric positive definite matrix over several ranks, by MUMPS.
 
@@ -326,8 +343,7 @@ class DistributedCholesky:
         rows = own_rows.sorted_indices()
         indices = (rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType))
         A = PETSc.Mat().createAIJ((rows.shape, rows.shape), csr=(*indices, rows.data), comm=comm)
-        pc = _petsc_cholesky(A, "mumps")
-        pc.setUp()
+        pc = _factored_in_enough_memory(A)
         self._factor = pc.getFactorMatrix()
         self._x, self._b = A.createVecs()
         try:
