@@ -21,12 +21,6 @@ def bulk_over_shear(stiffness: sp.csr_matrix, coordinates: Vector) -> float:
 
     It is exact for a uniform isotropic material, else a mean. The shear modulus is that of the
     softest shear: in axisymmetry others stretch the circumference.
-
-    Examples
-    --------
-    >>> K = sp.csr_matrix(np.diag([3.0, 0.5, 3.0, 0.5]))
-    >>> bulk_over_shear(K, np.array([[-1.0, 0.0], [1.0, 0.0]]))
-    1.5
     """
     nodes, d = coordinates.shape
     x = coordinates - coordinates.mean(axis=0)
