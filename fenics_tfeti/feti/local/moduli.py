@@ -20,7 +20,8 @@ def bulk_over_shear(stiffness: sp.csr_matrix, coordinates: Vector) -> float:
     """Return kappa / mu of a stiffness matrix (n, n), coordinates (nodes, gdim) [m].
 
     It is exact for a uniform isotropic material, else a mean. The shear modulus is that of the
-    softest shear: in axisymmetry others stretch the circumference.
+    softest shear: in axisymmetry others stretch the circumference. It is 1 where more
+    than half of the bulk modulus may be that of springs of the ground.
     """
     nodes, d = coordinates.shape
     x = coordinates - coordinates.mean(axis=0)
@@ -31,8 +32,12 @@ def bulk_over_shear(stiffness: sp.csr_matrix, coordinates: Vector) -> float:
         field[:, i] = x[:, j]
     u = fields.reshape(len(fields), -1).T
     energies = np.sum(u * (stiffness @ u), axis=0)
-    bulk, shear = float(energies[0]) / d**2, float(energies[1:].min())
-    return bulk / shear if shear > 0.0 else 1.0
+    dilatation, shear = float(energies[0]), float(energies[1:].min())
+    translations = np.tile(np.eye(d), (nodes, 1))
+    springs = np.sum(translations * (stiffness @ translations), axis=0)
+    # a bound of what springs add to the dilatation
+    ground = float(springs @ np.abs(x).max(axis=0) ** 2)
+    return dilatation / d**2 / shear if shear > 0.0 and ground <= dilatation / 2 else 1.0
 
 
 def compressibility(subdomains: Iterable[Subdomain]) -> dict[int, float]:

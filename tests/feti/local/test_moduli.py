@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torn
+from springs import on_springs
 
 from fenics_tfeti.feti.local.moduli import (
     NEARLY_INCOMPRESSIBLE,
@@ -33,6 +34,14 @@ def test_ratio_is_that_of_each_matrix():
 def test_matrix_without_shear_stiffness_is_not_incompressible():
     cube = torn.cube(1)
     assert bulk_over_shear(0.0 * cube.stiffness, cube.coordinates) == 1.0
+
+
+@pytest.mark.parametrize("stiffness", [1e-9, 1e-3, 1.0, 1e3, 1e6])
+@pytest.mark.parametrize("components", [(2,), (0, 1, 2)])
+def test_springs_of_the_ground_are_not_a_bulk_modulus(stiffness, components):
+    cube = on_springs(torn.cube(2), 1.0, stiffness, components)
+    ratio = bulk_over_shear(torn.cube(2).stiffness, cube.coordinates)
+    assert bulk_over_shear(cube.stiffness, cube.coordinates) <= 2.0 * ratio
 
 
 def test_share_of_the_diagonal():
