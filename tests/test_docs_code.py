@@ -189,7 +189,7 @@ def test_readme(folder):
     assert report.contacts[1].normal_force == pytest.approx(
         report.contacts[0].normal_force, rel=1e-8
     )
-    assert ["report.html"] == [path.name for path in folder.iterdir()]
+    assert [path.name for path in folder.iterdir()] == ["report.html"]
 
 
 def test_solver_alone(folder, capsys):
