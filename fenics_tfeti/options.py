@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.decomposition.partition import Partitioner
+from fenics_tfeti.fem.units import UnitSystem
 from fenics_tfeti.feti.options import Options, check_range, convert, refuse_unknown
 
 
@@ -39,6 +40,9 @@ class ContactOptions:
         largest displacement.
     non_penetration_max_it : int
         Limit on the solutions with corrected normals and gaps.
+    units : {"SI", "mm-N-MPa"}
+        Units of the mesh, the loads and the material, which reports and their pages write beside
+        numbers.
     view : bool
         Print a summary of the report at the end of each solve, on rank 0.
     """
@@ -49,6 +53,7 @@ class ContactOptions:
     non_penetration: Literal["linearised", "exact"] = "linearised"
     non_penetration_tolerance: float = 1e-3
     non_penetration_max_it: int = 20
+    units: UnitSystem = "SI"
     view: bool = False
 
     def __post_init__(self) -> None:
