@@ -29,6 +29,7 @@ from fenics_tfeti import (
     ContactPair,
     ContactProblem,
     Coulomb,
+    Exact,
     Plane,
     RigidObstacle,
     Sphere,
@@ -161,6 +162,7 @@ class MeshProblem:
     tractions: list[tuple[int, int, int, Vector]] = field(default_factory=list)
     weights: Vector = field(default_factory=lambda: np.zeros(0))  # (boxes, gdim)
     options: dict[str, Any] = field(default_factory=dict)
+    geometry: Exact | None = None
     story: list[str] = field(default_factory=list)
     friction: dict[int, Rubbing] = field(default_factory=dict)  # by contact
     pairing: dict[int, dict[str, Any]] = field(default_factory=dict)  # arguments, by joint
@@ -543,7 +545,7 @@ def ground_function(problem: MeshProblem, ground: Ground) -> Any:
             gap = np.full(len(place), ground.gap + out @ ground.moved)
         if ground.kind == "patch":
             gap = np.where(place[:, (ground.axis + 1) % gdim] < 0.6, gap, ground.far)
-        if problem.options.get("non_penetration") == "exact":
+        if problem.geometry is not None:
             gap = gap + ground.side * (level - x[ground.axis])
         return gap, _tilted(-out, ground, place).T
 
@@ -610,6 +612,7 @@ def pose(problem: MeshProblem, comm: MPI.Comm) -> tuple[ContactProblem, _Posed]:
         bcs=posed.bcs,
         contacts=contacts,
         cell_tags=posed.cell_tags,
+        geometry=problem.geometry,
         options=problem.options,
     )
     return problem_, posed

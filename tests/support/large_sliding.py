@@ -22,19 +22,14 @@ from scenes import CLAMPED, GROUND, LOADED, MASTER, SIDE_X, SLAVE, elasticity, v
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import ContactPair, ContactProblem, Exact
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.io import tag_facets
 
 Vector = NDArray[np.float64]
 
 YOUNG = 1e7
-OPTIONS = {
-    "rtol": 1e-8,
-    "non_penetration": "exact",
-    "non_penetration_tolerance": 1e-4,
-    "non_penetration_max_it": 40,
-}
+GEOMETRY = Exact(tolerance=1e-4, max_passes=40)
 
 
 @dataclass(frozen=True)
@@ -91,14 +86,15 @@ class Scene:
     def pair(self, slave: int) -> ContactPair:
         return ContactPair(self.facet_tags, slave, SLAVE + MASTER - slave, partners="mortar")
 
-    def problem(self, slave: int, options: dict[str, Any]) -> ContactProblem:
+    def problem(self, slave: int, geometry: Exact) -> ContactProblem:
         return ContactProblem(
             self.a,
             self.L,
             bcs=self.bcs,
             contacts=[self.pair(slave)],
             cell_tags=self.cell_tags,
-            options={**OPTIONS, **options},
+            geometry=geometry,
+            options={"rtol": 1e-8},
         )
 
     def nodes(self, body: int) -> NDArray[np.int64]:
@@ -197,7 +193,11 @@ def track(
 
 
 def pushed_block(
-    steps: int, base: int = 120, foot: int = 23, slave: int = SLAVE, **options: Any
+    steps: int,
+    base: int = 120,
+    foot: int = 23,
+    slave: int = SLAVE,
+    geometry: Exact = GEOMETRY,
 ) -> Way:
     """Push a block with a round foot over a bump by its upper part, under a dead load.
 
@@ -240,7 +240,7 @@ def pushed_block(
     bodies.bcs = [bodies.held(GROUND, 0), bodies.held(GROUND, 1)]
     bodies.bcs += [bodies.held(LOADED, 0, shift), bodies.held(CLAMPED, 0, shift)]
     bodies.kept = load
-    problem = bodies.problem(slave, options)
+    problem = bodies.problem(slave, geometry)
     loads, measure = bodies.measures()
     driven = np.union1d(bodies.dofs(LOADED), bodies.dofs(CLAMPED))
     rows = []
@@ -268,7 +268,6 @@ def turned_with_mesh(
     centre: Vector,
     poses: list[tuple[float, Vector, Vector]],
     slave: int,
-    options: dict[str, Any],
 ) -> Way:
     """Turn body 1, whose hub is held, and record the drive's power per angle.
 
@@ -283,8 +282,6 @@ def turned_with_mesh(
         angle.
     slave : {SLAVE, MASTER}
         The slave's tag.
-    options : dict
-        Of the problem.
     """
     x, own = bodies.mesh.geometry.x, bodies.nodes(1)
     reference = x[own, :2] - centre
@@ -298,7 +295,7 @@ def turned_with_mesh(
         c, s = np.cos(angle), np.sin(angle)
         x[own, :2] = middle + reference @ np.array([[c, s], [-s, c]])
         if problem is None:
-            problem = bodies.problem(slave, options)
+            problem = bodies.problem(slave, GEOMETRY)
         uh = problem.solve()
         force, energy = measure(uh)
         arm = bodies.space.tabulate_dof_coordinates()[:, :2] + uh.x.array.reshape(-1, 2) - middle
@@ -316,7 +313,6 @@ def cam(
     foot: int = 24,
     eccentricity: float = 0.15,
     slave: int = SLAVE,
-    **options: Any,
 ) -> Way:
     """Turn an eccentric disc by half a turn under a guided follower that a spring presses on it.
 
@@ -361,12 +357,10 @@ def cam(
     for angle in np.linspace(0.0, np.pi, steps + 1):
         away = eccentricity * np.array([np.sin(angle), -np.cos(angle)])
         poses.append((angle, away, np.array([-away[1], away[0]])))
-    return turned_with_mesh(bodies, centre, poses, slave, options)
+    return turned_with_mesh(bodies, centre, poses, slave)
 
 
-def rolling(
-    steps: int, around_wheel: int = 160, base: int = 120, slave: int = SLAVE, **options: Any
-) -> Way:
+def rolling(steps: int, around_wheel: int = 160, base: int = 120, slave: int = SLAVE) -> Way:
     """Roll a wheel, whose axle is guided at one height, by half a turn over a bump.
 
     Parameters
@@ -399,4 +393,4 @@ def rolling(
         (-turn, np.array([RADIUS * (turn - 0.5 * np.pi), RADIUS - 0.01]), np.array([-RADIUS, 0.0]))
         for turn in np.linspace(0.0, np.pi, steps + 1)
     ]
-    return turned_with_mesh(bodies, centre, poses, slave, options)
+    return turned_with_mesh(bodies, centre, poses, slave)

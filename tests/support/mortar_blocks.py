@@ -19,7 +19,7 @@ from scenes import POISSON, YOUNG, at, elasticity, fixed, vector_space
 import ufl
 from dolfinx.fem import Constant, Function
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import ContactPair, ContactProblem, Exact
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.mortar.facets import shape_functions
 from fenics_tfeti.fem.contact.mortar.integrals import integrate, integrate_alone
@@ -186,10 +186,10 @@ def uneven(
     comm: MPI.Comm = MPI.COMM_SELF,
     slave: int = LOWER,
     pair: Mapping[str, Any] | None = None,
-    **options: Any,
+    geometry: Exact | None = None,
 ) -> ContactProblem:
     """Solve for a curved upper block, clamped blocks, and a load that grows with x."""
-    problem = uneven_problem(blocks, comm, slave, pair, **options)
+    problem = uneven_problem(blocks, comm, slave, pair, geometry)
     problem.solve()
     return problem
 
@@ -199,7 +199,7 @@ def uneven_problem(
     comm: MPI.Comm = MPI.COMM_SELF,
     slave: int = LOWER,
     pair: Mapping[str, Any] | None = None,
-    **options: Any,
+    geometry: Exact | None = None,
 ) -> ContactProblem:
     """Pose the problem of `uneven`."""
     beams = blocks.mesh(comm)
@@ -226,7 +226,8 @@ def uneven_problem(
         ],
         contacts=[contact],
         cell_tags=beams.cell_tags,
-        options={"rtol": 1e-10, "subdomain_size": 150, **options},
+        geometry=geometry,
+        options={"rtol": 1e-10, "subdomain_size": 150},
     )
     problem.kept = (young, pressure)  # dolfinx 0.5 does not keep constants alive
     return problem

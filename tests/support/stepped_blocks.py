@@ -185,7 +185,16 @@ CHANGES = [
 # -- sliding
 
 
-def two_blocks(slide, options, n=12, comm=MPI.COMM_SELF, upper=None, height=0.3, start=0.0):
+def two_blocks(
+    slide,
+    options,
+    n=12,
+    comm=MPI.COMM_SELF,
+    upper=None,
+    height=0.3,
+    start=0.0,
+    geometry=None,
+):
     """An upper block on the parabolic bump of a lower one, its top moved sideways and down.
 
     The meshes match unless `upper` is another number of facets than n. `start` is where the upper
@@ -215,6 +224,6 @@ def two_blocks(slide, options, n=12, comm=MPI.COMM_SELF, upper=None, height=0.3,
     bcs += [fixed(V, tags, GROUND, i) for i in (0, 1)]
     a, L = elasticity(u, v, 1e6), ufl.inner(zero, v) * ufl.dx
     contact = ContactPair(tags, slave=SLAVE, master=MASTER, partial=True)
-    problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], options=options)
+    problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], geometry=geometry, options=options)
     problem.kept = zero
     return problem

@@ -15,7 +15,7 @@ from scenes import YOUNG, at, elasticity, fixed, vector_space
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Coulomb
+from fenics_tfeti import ContactPair, ContactProblem, Coulomb, Exact
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.roles import roles_ratio
 from fenics_tfeti.io import contact_fields, tag_facets
@@ -94,7 +94,7 @@ def test_automatic_roles(upper_young, slave):
 
 def test_exact_passes_of_exchanged_roles():
     problem = posed(upper_young=50 * YOUNG, upper=5)
-    problem.options = type(problem.options)(problem.options.solver, non_penetration="exact")
+    problem.geometry = Exact()
     problem.solve()
     assert problem.report.converged
 

@@ -11,7 +11,7 @@ from scenes import CLAMPED, LOADED, MASTER, ROLLER, SLAVE, YOUNG
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Along, ContactPair, ContactProblem, Mapped, Nearest, Points
+from fenics_tfeti import Along, ContactPair, ContactProblem, Exact, Mapped, Nearest, Points
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.io import Box, boxes, tag_facets
 from mistakes.catalogue import beams, mistake
@@ -265,11 +265,11 @@ def initial_gap_that_is_nan(comm):
     mortar(comm, initial_gap=lambda x: np.nan * x[0])
 
 
-@mistake("joint", "initial_gap='touching'", "non_penetration='exact'", "one of them")
+@mistake("joint", "initial_gap='touching'", "geometry=Exact()", "one of them")
 def initial_gap_and_exact_passes(comm):
     scene = non_matching(comm)
     pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", initial_gap="touching")
-    scene.problem(contacts=[pair], options={"non_penetration": "exact"}).solve()
+    scene.problem(contacts=[pair], geometry=Exact()).solve()
 
 
 def shifted(comm: MPI.Comm, shift: float) -> None:
