@@ -6,14 +6,10 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import CLAMPED, SLAVE, at, elasticity, fixed, vector_space
+from scenes import CLAMPED, SLAVE, Scene, at, fixed, plane
 from stepped_blocks import two_blocks
 
-import ufl
-from dolfinx import fem
-
-from fenics_tfeti import ContactProblem, NotConverged, Plane, RigidObstacle, Sphere
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti import NotConverged, Sphere
 
 COMM = MPI.COMM_WORLD
 
@@ -25,18 +21,6 @@ SLIDING = {**OPTIONS, "non_penetration_tolerance": 1e-4, "non_penetration_max_it
 BUMP = Sphere(centre=(0.75, -1.0, 0.0), radius=1.0)
 
 
-def problem_on(mesh, tags, moves, contacts, options, n=8):
-    """Prescribe the displacement of the facets tagged CLAMPED, nothing else."""
-    V = vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    zero = fem.Constant(mesh, np.zeros(2))
-    bcs = [fixed(V, tags, CLAMPED, i, value) for i, value in enumerate(moves)]
-    a, L = elasticity(u, v, YOUNG), ufl.inner(zero, v) * ufl.dx
-    problem = ContactProblem(a, L, bcs=bcs, contacts=contacts, options=options)
-    problem.kept = zero
-    return problem
-
-
 class MovingDisc:
     """The bump, whose centre can change."""
 
@@ -46,12 +30,13 @@ class MovingDisc:
         return Sphere(self.centre, BUMP.radius)(x)
 
 
-def block_over_bump(options, moves=(0.25, -0.03), n=16, bump=BUMP):
+def block_over_bump(options, moves=(0.25, -0.03), n=16, obstacle=BUMP):
     """A block whose top is moved sideways and down, over a rigid disc."""
-    mesh = boxes(MPI.COMM_SELF, [Box((0, 0), (1, 0.5), (n, n // 2))], "quadrilateral").mesh
-    tags = tag_facets(mesh, [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))])
-    contact = RigidObstacle(tags, slave=SLAVE, obstacle=bump)
-    return problem_on(mesh, tags, moves, [contact], options)
+    parts, marks = [((0, 0), (1, 0.5), (n, n // 2))], [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))]
+    scene = Scene.of_boxes(MPI.COMM_SELF, "quadrilateral", parts, marks, young=YOUNG)
+    scene.fix(CLAMPED, None, np.array(moves))
+    scene.add_obstacle(SLAVE, obstacle)
+    return scene.problem(options=options)
 
 
 def distance_to_bump(problem, uh):
@@ -116,10 +101,7 @@ def test_passes_converge_and_reuse_what_stays():
 
 def test_flat_contact_needs_no_pass():
     """A plane is the same wherever the body slides along it."""
-    mesh = boxes(MPI.COMM_SELF, [Box((0, 0), (1, 0.5), (8, 4))], "quadrilateral").mesh
-    tags = tag_facets(mesh, [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))])
-    contact = RigidObstacle(tags, slave=SLAVE, obstacle=Plane((0, 0), (0, 1)))
-    problem = problem_on(mesh, tags, (0.3, -0.01), [contact], OPTIONS)
+    problem = block_over_bump(OPTIONS, (0.3, -0.01), 8, plane(1, 2))
     problem.solve()
     assert len(problem.report.passes) == 1
 
@@ -160,11 +142,11 @@ def test_pushed_in_steps():
 
 def test_obstacle_moved():
     bump = MovingDisc()
-    steps = block_over_bump(OPTIONS, bump=bump)
+    steps = block_over_bump(OPTIONS, obstacle=bump)
     steps.solve()
     bump.centre = (0.7, -0.99, 0.0)
     uh = steps.solve()
-    at_once = block_over_bump(OPTIONS, bump=Sphere(bump.centre, 1.0)).solve()
+    at_once = block_over_bump(OPTIONS, obstacle=Sphere(bump.centre, 1.0)).solve()
     np.testing.assert_allclose(uh.x.array, at_once.x.array, atol=SAME)
 
 
