@@ -25,7 +25,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc
 from dolfinx.mesh import Mesh, meshtags
 
-from fenics_tfeti import ContactProblem, Coulomb, Plane, Sphere, Tresca
+from fenics_tfeti import ContactProblem, Coulomb, Exact, Plane, Sphere, Tresca
 from fenics_tfeti.fem import _compat
 
 Vector = NDArray[np.float64]
@@ -153,6 +153,7 @@ class MeshProblem:
     tractions: list[tuple[int, int, int, Vector]] = field(default_factory=list)
     weights: Vector = field(default_factory=lambda: np.zeros(0))  # (boxes, gdim)
     options: dict[str, Any] = field(default_factory=dict)
+    geometry: Exact | None = None
     story: list[str] = field(default_factory=list)
     friction: dict[int, Rubbing] = field(default_factory=dict)  # by contact
     pairing: dict[int, dict[str, Any]] = field(default_factory=dict)  # arguments, by joint
@@ -499,7 +500,7 @@ def ground_function(problem: MeshProblem, ground: Ground) -> Any:
             gap = np.full(len(place), ground.gap + out @ ground.moved)
         if ground.kind == "patch":
             gap = np.where(place[:, (ground.axis + 1) % gdim] < 0.6, gap, ground.far)
-        if problem.options.get("non_penetration") == "exact":
+        if problem.geometry is not None:
             gap = gap + ground.side * (level - x[ground.axis])
         return gap, _tilted(-out, ground, place).T
 
@@ -554,7 +555,7 @@ def pose(problem: MeshProblem, comm: MPI.Comm) -> tuple[ContactProblem, Scene]:
             displacement=None if rubbing is None else rubbing.moved,
         )
     scene.a = sum(_springs(problem, scene), scene.a)
-    return scene.problem(options=problem.options), scene
+    return scene.problem(geometry=problem.geometry, options=problem.options), scene
 
 
 # -- for the oracle --------------------------------------------------------------------------------

@@ -22,19 +22,14 @@ from scenes import CLAMPED, GROUND, LOADED, MASTER, SIDE_X, SLAVE, Scene
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactProblem
+from fenics_tfeti import ContactProblem, Exact
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.io import tag_facets
 
 Vector = NDArray[np.float64]
 
 YOUNG = 1e7
-OPTIONS = {
-    "rtol": 1e-8,
-    "non_penetration": "exact",
-    "non_penetration_tolerance": 1e-4,
-    "non_penetration_max_it": 40,
-}
+GEOMETRY = Exact(tolerance=1e-4, max_passes=40)
 
 
 @dataclass(frozen=True)
@@ -78,9 +73,9 @@ class Way:
 class Bodies(Scene):
     """Two bodies on one mesh and what holds and loads them."""
 
-    def sliding(self, slave: int, options: dict[str, Any]) -> ContactProblem:
+    def sliding(self, slave: int, geometry: Exact = GEOMETRY) -> ContactProblem:
         self.add_pair(slave, SLAVE + MASTER - slave, partners="mortar")
-        return self.problem(options={**OPTIONS, **options})
+        return self.problem(geometry=geometry, options={"rtol": 1e-8})
 
     def dofs(self, tag: int) -> NDArray[np.int64]:
         """Return the nodes of tagged facets."""
@@ -167,7 +162,11 @@ def track(
 
 
 def pushed_block(
-    steps: int, base: int = 120, foot: int = 23, slave: int = SLAVE, **options: Any
+    steps: int,
+    base: int = 120,
+    foot: int = 23,
+    slave: int = SLAVE,
+    geometry: Exact = GEOMETRY,
 ) -> Way:
     """Push a block with a round foot over a bump by its upper part, under a dead load.
 
@@ -208,7 +207,7 @@ def pushed_block(
     bodies.fix(GROUND)
     for tag in (LOADED, CLAMPED):
         bodies.fix(tag, 0, shift)
-    problem = bodies.sliding(slave, options)
+    problem = bodies.sliding(slave, geometry)
     loads, measure = bodies.measures()
     driven = np.union1d(bodies.dofs(LOADED), bodies.dofs(CLAMPED))
     rows = []
@@ -236,7 +235,6 @@ def turned_with_mesh(
     centre: Vector,
     poses: list[tuple[float, Vector, Vector]],
     slave: int,
-    options: dict[str, Any],
 ) -> Way:
     """Turn body 1, whose hub is held, and record the drive's power per angle.
 
@@ -251,8 +249,6 @@ def turned_with_mesh(
         angle.
     slave : {SLAVE, MASTER}
         The slave's tag.
-    options : dict
-        Of the problem.
     """
     x, own = bodies.mesh.geometry.x, bodies.nodes(1)
     reference = x[own, :2] - centre
@@ -266,7 +262,7 @@ def turned_with_mesh(
         c, s = np.cos(angle), np.sin(angle)
         x[own, :2] = middle + reference @ np.array([[c, s], [-s, c]])
         if problem is None:
-            problem = bodies.sliding(slave, options)
+            problem = bodies.sliding(slave)
         uh = problem.solve()
         force, energy = measure(uh)
         arm = bodies.V.tabulate_dof_coordinates()[:, :2] + uh.x.array.reshape(-1, 2) - middle
@@ -284,7 +280,6 @@ def cam(
     foot: int = 24,
     eccentricity: float = 0.15,
     slave: int = SLAVE,
-    **options: Any,
 ) -> Way:
     """Turn an eccentric disc by half a turn under a guided follower that a spring presses on it.
 
@@ -328,12 +323,10 @@ def cam(
     for angle in np.linspace(0.0, np.pi, steps + 1):
         away = eccentricity * np.array([np.sin(angle), -np.cos(angle)])
         poses.append((angle, away, np.array([-away[1], away[0]])))
-    return turned_with_mesh(bodies, centre, poses, slave, options)
+    return turned_with_mesh(bodies, centre, poses, slave)
 
 
-def rolling(
-    steps: int, around_wheel: int = 160, base: int = 120, slave: int = SLAVE, **options: Any
-) -> Way:
+def rolling(steps: int, around_wheel: int = 160, base: int = 120, slave: int = SLAVE) -> Way:
     """Roll a wheel, whose axle is guided at one height, by half a turn over a bump.
 
     Parameters
@@ -365,4 +358,4 @@ def rolling(
         (-turn, np.array([RADIUS * (turn - 0.5 * np.pi), RADIUS - 0.01]), np.array([-RADIUS, 0.0]))
         for turn in np.linspace(0.0, np.pi, steps + 1)
     ]
-    return turned_with_mesh(bodies, centre, poses, slave, options)
+    return turned_with_mesh(bodies, centre, poses, slave)

@@ -169,15 +169,15 @@ def uneven_scene(
     return scene
 
 
-def uneven_problem(blocks: Blocks, *arguments: Any, **options: Any) -> ContactProblem:
+def uneven_problem(blocks: Blocks, *of_scene: Any, geometry: Any = None) -> ContactProblem:
     """Pose the problem of `uneven_scene`."""
-    scene = uneven_scene(blocks, *arguments)
-    return scene.problem(options={"rtol": 1e-10, "subdomain_size": 150, **options})
+    options = {"rtol": 1e-10, "subdomain_size": 150}
+    return uneven_scene(blocks, *of_scene).problem(geometry=geometry, options=options)
 
 
-def uneven(blocks: Blocks, *arguments: Any, **options: Any) -> ContactProblem:
+def uneven(blocks: Blocks, *of_scene: Any, geometry: Any = None) -> ContactProblem:
     """Solve the problem of `uneven_scene`."""
-    problem = uneven_problem(blocks, *arguments, **options)
+    problem = uneven_problem(blocks, *of_scene, geometry=geometry)
     problem.solve()
     return problem
 

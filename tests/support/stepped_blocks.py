@@ -151,7 +151,16 @@ CHANGES = [
 # -- sliding
 
 
-def two_blocks(slide, options, n=12, comm=MPI.COMM_SELF, upper=None, height=0.3, start=0.0):
+def two_blocks(
+    slide,
+    options,
+    n=12,
+    comm=MPI.COMM_SELF,
+    upper=None,
+    height=0.3,
+    start=0.0,
+    geometry=None,
+):
     """An upper block on the parabolic bump of a lower one, its top moved sideways and down.
 
     The meshes match unless `upper` is another number of facets than n. `start` is where the upper
@@ -174,4 +183,4 @@ def two_blocks(slide, options, n=12, comm=MPI.COMM_SELF, upper=None, height=0.3,
     scene.fix(CLAMPED, 1, -0.005)
     scene.fix(GROUND)
     scene.add_pair(partial=True)
-    return scene.problem(cell_tags=None, options=options)
+    return scene.problem(cell_tags=None, geometry=geometry, options=options)

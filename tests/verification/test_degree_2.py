@@ -13,7 +13,7 @@ from scenes import POISSON, Scene, at, dimension, elasticity, fixed
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle, TiedPair
+from fenics_tfeti import ContactPair, ContactProblem, Exact, Plane, RigidObstacle, TiedPair
 from fenics_tfeti.io import displacement_space
 
 COMM = MPI.COMM_SELF
@@ -141,10 +141,10 @@ def test_shrink_fit_with_the_interference_in_the_geometry(tmp_path, recombine, s
 def test_exact_passes(cell):
     """Rows anew on the deformed surfaces, which are cut at the nodes in the middle of edges."""
     shape = Blocks(cell, 6 if cell == "triangle" else 3, 4, degree=2)
-    problem = uneven(shape, non_penetration="exact")
+    problem = uneven(shape, geometry=Exact())
     passes = problem.report.passes
     assert len(passes) > 1
-    assert passes[-1].error <= problem.options.non_penetration_tolerance
+    assert passes[-1].error <= Exact().tolerance
     assert passes[-1].error < 0.1 * passes[0].error
 
 

@@ -9,7 +9,7 @@ import pytest
 from scenes import LOADED, MASTER, SLAVE, dimension, fixed, pressed_block, two_beams
 from stepped_blocks import two_blocks
 
-from fenics_tfeti import ContactPair, Nearest
+from fenics_tfeti import ContactPair, Exact, Nearest
 from fenics_tfeti.io import contact_fields
 
 COMM = MPI.COMM_WORLD
@@ -59,8 +59,8 @@ def test_obstacle(approach):
 
 @pytest.mark.parametrize("upper", [12, 9], ids=["node_to_node", "mortar"])
 def test_exact_contact_is_closed_in_the_last_pass(upper):
-    options = {"rtol": 1e-8, "non_penetration": "exact", "non_penetration_max_it": 40}
-    problem = two_blocks(0.3, options, upper=upper)
+    geometry = Exact(max_passes=40)
+    problem = two_blocks(0.3, {"rtol": 1e-8}, upper=upper, geometry=geometry)
     scale = np.abs(problem.solve().x.array).max()
     (contact,) = problem.results
     assert contact.active.any()

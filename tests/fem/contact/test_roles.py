@@ -15,7 +15,7 @@ from scenes import YOUNG, at
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Coulomb
+from fenics_tfeti import Coulomb, Exact
 from fenics_tfeti.fem.contact.roles import roles_ratio
 from fenics_tfeti.io import contact_fields
 
@@ -80,7 +80,7 @@ def test_automatic_roles(upper_young, slave):
 
 def test_exact_passes_of_exchanged_roles():
     problem = posed(upper_young=50 * YOUNG, upper=5)
-    problem.options = type(problem.options)(problem.options.solver, non_penetration="exact")
+    problem.geometry = Exact()
     problem.solve()
     assert problem.report.converged
 

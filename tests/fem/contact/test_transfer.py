@@ -13,7 +13,7 @@ import scenes
 from moved_blocks import CELLS, blocks, lifted
 from scenes import block_on_ball, two_beams
 
-from fenics_tfeti import Plane
+from fenics_tfeti import Exact, Plane
 from fenics_tfeti.fem.contact.contact import Terms
 from fenics_tfeti.fem.contact.matching import match_contact
 from fenics_tfeti.fem.contact.result import ContactEntry, ContactResult
@@ -135,9 +135,9 @@ def test_own_solution_is_the_first_face():
 
 
 def test_exact_non_penetration_starts_from_it_too():
-    options = {"non_penetration": "exact"}
     coarse, fine, alone = (
-        scenes.block_on_ball(COMM, "quadrilateral", n).problem(options=options) for n in (8, 16, 16)
+        scenes.block_on_ball(COMM, "quadrilateral", n).problem(geometry=Exact())
+        for n in (8, 16, 16)
     )
     coarse.solve()
     uh, expected = fine.solve(coarse=coarse), alone.solve()

@@ -8,7 +8,7 @@ import numpy as np
 import scenes
 from scenes import CLAMPED, LOADED, MASTER, ROLLER, SLAVE, at
 
-from fenics_tfeti import Along, ContactPair, Mapped, Nearest, Points
+from fenics_tfeti import Along, ContactPair, Exact, Mapped, Nearest, Points
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.io import tag_facets
 from mistakes.catalogue import beams, mistake
@@ -38,11 +38,11 @@ def slave_nodes_without_partner(comm):
     mortar(comm, partners=Nearest())
 
 
-def joined(scene: scenes.Scene, options=None, **arguments) -> None:
+def joined(scene: scenes.Scene, geometry=None, **arguments) -> None:
     """Solve with the contact between slave and master as described."""
     scene.contacts = []
     scene.add_pair(name="joint", **arguments)
-    scene.problem(options=options).solve()
+    scene.problem(geometry=geometry).solve()
 
 
 def paired(comm: MPI.Comm, partners=None, normal=None) -> None:
@@ -238,9 +238,9 @@ def initial_gap_that_is_nan(comm):
     mortar(comm, initial_gap=lambda x: np.nan * x[0])
 
 
-@mistake("joint", "initial_gap='touching'", "non_penetration='exact'", "one of them")
+@mistake("joint", "initial_gap='touching'", "geometry=Exact()", "one of them")
 def initial_gap_and_exact_passes(comm):
-    mortar(comm, initial_gap="touching", options={"non_penetration": "exact"})
+    mortar(comm, initial_gap="touching", geometry=Exact())
 
 
 def shifted(comm: MPI.Comm, shift: float) -> None:
