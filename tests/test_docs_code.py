@@ -214,9 +214,9 @@ def test_solver_alone(folder, capsys):
 def test_running(folder, monkeypatch):
     """The code for load steps, with a problem of the tests."""
     scene = scenes.two_beams(MPI.COMM_SELF, "quadrilateral", 4)
-    load = scene.kept[1]
+    load = scene.traction
     loads = [0.5 * load.value, 1.0 * load.value]
-    given = {"a": scene.a, "L": scene.L, "bcs": scene.bcs, "contacts": scene.package_contacts()}
+    given = {"a": scene.a, "L": scene.L, "bcs": scene.bcs, "contacts": scene.contacts}
     given |= {"V": scene.V, "load": load, "loads": loads, "history": []}
     monkeypatch.setattr(logging, "basicConfig", lambda **_: None)
     variables = run_blocks((DOCS / "running.rst").read_text(), given)

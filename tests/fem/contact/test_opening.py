@@ -21,7 +21,7 @@ each_kind = pytest.mark.parametrize("partners", [Nearest(), "mortar"], ids=["nod
 def test_bodies_that_do_not_touch(cell, partners):
     """The upper body is translated down by less than the gap."""
     scene, up = two_beams(COMM, cell, 2, gap=0.1), dimension(cell) - 1
-    scene.kept[1].value = 0.0
+    scene.traction.value = 0.0
     moved = [fixed(scene.V, scene.facet_tags, LOADED, k, -0.03 * (k == up)) for k in range(up + 1)]
     pair = ContactPair(scene.facet_tags, SLAVE, MASTER, partners=partners)
     problem = scene.problem(bcs=[scene.bcs[0], *moved], contacts=pair)

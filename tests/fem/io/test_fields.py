@@ -336,8 +336,7 @@ def test_fields_of_the_user_may_have_spaces_in_their_names():
     scene = pressed_block(MPI.COMM_SELF, "quadrilateral")
     young = fem.Function(space(scene.mesh, "DG", 0), name="Young's modulus")
     young.x.array[:] = 2.1e11
-    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
-    scene.a = elasticity(u, v, young)
+    scene.a = elasticity(scene.u, scene.v, young)
     problem = scene.problem()
     problem.solve()
     np.testing.assert_allclose(
