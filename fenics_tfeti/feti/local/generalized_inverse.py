@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import FactorizationError, format_point
 from fenics_tfeti.feti.local.cholesky import SparseCholesky
-from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes
+from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes, unknowns_of_nodes
 from fenics_tfeti.feti.local.symmetry import SymmetryGroup
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.typing import Vector
@@ -60,10 +60,8 @@ class GeneralizedInverse:
         self.symmetries = symmetries or SymmetryGroup.trivial(self.size)
         images = symmetries.nodes(gdim) if symmetries else None
         try:
-            nodes = fixing_nodes(
-                subdomain.stiffness, subdomain.coordinates_in_frame, number, images
-            )
-            fixed = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
+            nodes = fixing_nodes(subdomain.coordinates_in_frame, R, number, images)
+            fixed = unknowns_of_nodes(nodes, gdim)
             self._factor = SparseCholesky(regularized_stiffness(K, R, fixed), package)
         except FactorizationError as error:
             place = format_point(
