@@ -74,7 +74,8 @@ class Report:
         subdomain, many at once), and those of the ``preconditioner``.
     deflation : dict
         Deflated directions of the dual operator (``vectors``), and their memory over all ranks
-        (``bytes``).
+        (``bytes``); negative eigenvalues of the stiffness matrices (``negative``), which are among
+        them.
     seconds : dict
         Wall time by phase, the slowest rank's, and the ``total`` [s].
     peak_memory_bytes : int
@@ -90,7 +91,8 @@ class Report:
         conditions for one displacement the last one counts.
     springs : Resultant
         Force and moment that elastic supports in the bilinear form exert; in axisymmetric forms
-        the radial force of the hoop stress too.
+        the radial force of the hoop stress too, of exact tangents the moment of stresses that
+        rotate.
     equilibrium : float
         The sum of the forces of load, supports, springs and obstacles, relative to the largest sum
         of magnitudes of nodal forces among them.
@@ -166,12 +168,13 @@ class Report:
     def __str__(self) -> str:
         """Return the main figures as lines to read."""
         unknowns, products = self.unknowns, self.products
+        accuracy = "at most" if self.certificate.guaranteed else "estimated as"
         lines = {
             "unknowns": f"{unknowns['primal']}, in {self.subdomains} subdomains",
             "contact": f"{unknowns['active']} of {unknowns['inequalities']} rows active",
             "friction": f"{unknowns['sticking']} of {unknowns['friction']} nodes stick",
             "products with F": f"{products['total']}, and {products['norm']} for its norm",
-            "error": f"at most {self.certificate.worst:.1e}, relative, in the energy norm",
+            "error": f"{accuracy} {self.certificate.worst:.1e}, relative, in the energy norm",
             "time": f"{self.seconds['total']:.2f} s, MPI ranks: {self.ranks}",
         }
         if not unknowns["friction"]:
@@ -261,6 +264,7 @@ def build_report(
         deflation={
             "vectors": 0 if setup.deflation is None else setup.deflation.size,
             "bytes": comm.allreduce(0 if setup.deflation is None else setup.deflation.bytes),
+            "negative": setup.negative,
         },
         seconds=context.timer.slowest(comm),
         peak_memory_bytes=peak_memory(comm),
