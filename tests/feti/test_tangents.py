@@ -156,6 +156,14 @@ def test_unstable_tangent_is_refused_and_its_projection_is_not():
     assert found.report.deflation["negative"] == 0
 
 
+@pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet"])
+def test_subdomain_that_buckles_with_its_interface_held_is_unstable(preconditioner):
+    """The Dirichlet preconditioner factors its interior."""
+    system = prepare_tangents(pressed_block(2, 0.7), "exact")
+    with pytest.raises(UnstableTangent, match="or a smaller load step"):
+        TornSolver(system, Options(preconditioner=preconditioner, factor="mumps"))
+
+
 def test_body_that_only_contact_holds_is_projected():
     system = pressed_block(clamped=False)
     with pytest.raises(UnstableTangent, match="or where only contact holds a body"):
