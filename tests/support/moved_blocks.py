@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -70,8 +70,9 @@ class Blocks:
         self, lower: Motion | None = None, upper: Motion | None = None, **arguments: Any
     ) -> tuple[ContactPairing, DeformedContact, Vector, Vector]:
         """Return the pair before and after, and the slave's and partners' displacements; serial."""
-        pairing, uh = self.pairing(self.pair), self.displacement(lower, upper)
-        result = deformed_contact(MeshBoundary.of(self.space), self.pair, pairing, uh, **arguments)
+        pair, uh = replace(self.pair, **arguments), self.displacement(lower, upper)
+        pairing = self.pairing(pair)
+        result = deformed_contact(pair, pairing, uh)
         u = uh.x.array.reshape(-1, self.mesh.geometry.dim)
         return pairing, result, u[pairing.slave], u[result.terms.master]
 
