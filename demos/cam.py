@@ -1,4 +1,4 @@
-"""A cam turned by half a turn under a follower: large rotation and sliding, with its energy.
+r"""A cam turned by half a turn under a follower: large rotation and sliding, with its energy.
 
 # Cam
 
@@ -7,7 +7,7 @@ foot, guided at its sides, stands on it; a spring presses it down. In half a tur
 by twice the eccentricity e, and half of the cam's circumference slides along the foot. For rigid
 bodies the moment that turns the cam by the angle t is
 
-    M = k (d + e (1 - cos t)) e sin t,
+$$M = k (d + e (1 - \cos t)) \, e \sin t,$$
 
 where k is the stiffness of the spring and d what it is shortened by at first. Elastic bodies give
 way, so that M is smaller. Its work is the energy that the bodies and the spring store.

@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.decomposition.partition import Partitioner
+from fenics_tfeti.fem.units import UnitSystem
 from fenics_tfeti.feti.options import Options, check_range, convert, refuse_unknown
 
 
@@ -31,6 +32,9 @@ class ContactOptions:
         blocks where the nodes of a body (of the part of it that a rank has) are a grid along the
         axes, since equal ones share their factors, and bisects bodies of 50,000 cells or more,
         unless they are coiled.
+    units : {"SI", "mm-N-MPa"}
+        Units of the mesh, the loads and the material, which reports and their pages write beside
+        numbers.
     view : bool
         Print a summary of the report at the end of each solve, on rank 0.
     """
@@ -38,6 +42,7 @@ class ContactOptions:
     solver: Options = field(default_factory=Options)
     subdomain_size: int = 3000
     partitioner: Partitioner = "auto"
+    units: UnitSystem = "SI"
     view: bool = False
 
     def __post_init__(self) -> None:

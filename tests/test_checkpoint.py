@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from killed_run import HEIGHTS, Disc, block, block_on_disc, run
 
-from fenics_tfeti import Coulomb, InputError, Interrupted, NotConverged
+from fenics_tfeti import Coulomb, InputError, Interrupted, NotConverged, Plane
 from fenics_tfeti.feti import save_checkpoint
 
 pytestmark = pytest.mark.once
@@ -117,6 +117,20 @@ def test_passes_of_both_runs_are_in_the_report(path, whole):
     ]
     errors = [p.error for p in again.report.passes]
     assert errors[-1] <= 1e-8 < min(errors[:-1])
+
+
+def test_forces_of_all_nodes_are_in_the_checkpoint(path):
+    """Also that of the node with the lowest number, at the corner."""
+    problem = block_on_disc(block(COMM), floor := Plane((0.0, 0.0), (0.0, 1.0)))
+    problem.solve()
+    nodes = problem.results[0].nodes
+    assert problem._nodes.input_numbers[nodes].min() == 0
+    problem.save(path)
+    again = block_on_disc(block(COMM), floor)
+    again.restore(path)
+    force = problem._step.force
+    assert (force[0, nodes] > 0.0).all()
+    np.testing.assert_array_equal(again._step.force, force)
 
 
 def test_interruption_writes_the_checkpoint(path):

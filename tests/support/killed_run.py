@@ -17,11 +17,9 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
-from scenes import CLAMPED, SLAVE, at, elasticity, fixed, vector_space
+from scenes import CLAMPED, SLAVE, Scene, at
 
-import ufl
-
-from fenics_tfeti import ContactProblem, Exact, RigidObstacle, Sphere
+from fenics_tfeti import ContactProblem, Exact, Sphere
 from fenics_tfeti.io import Box, boxes, tag_facets
 
 GEOMETRY = Exact(tolerance=1e-8)
@@ -51,15 +49,12 @@ def block_on_disc(
 ) -> ContactProblem:
     """Return a block over a disc; components of its upper face are held, shifted by 0.05 m."""
     tags = tag_facets(mesh, [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))])
-    V = vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    bcs = [fixed(V, tags, CLAMPED, i, value) for i, value in enumerate((0.05, -0.02))]
-    contact = RigidObstacle(tags, slave=SLAVE, obstacle=disc, friction=friction)
+    scene = Scene(mesh, tags, young=1e6)
+    for axis in range(held):
+        scene.fix(CLAMPED, axis, (0.05, -0.02)[axis])
+    scene.add_obstacle(SLAVE, disc, friction=friction)
     options = {"rtol": 1e-9, "subdomain_size": 60, **options}
-    a = elasticity(u, v, 1e6)
-    return ContactProblem(
-        a, 0, bcs=bcs[:held], contacts=[contact], geometry=geometry, options=options
-    )
+    return scene.problem(geometry=geometry, options=options)
 
 
 def run(mesh, checkpoint: Path, dies_in: tuple[int, int] | None = None):

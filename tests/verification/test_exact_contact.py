@@ -8,14 +8,10 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import CLAMPED, SLAVE, at, elasticity, fixed, vector_space
+from scenes import CLAMPED, SLAVE, Scene, at, fixed, plane
 from stepped_blocks import two_blocks
 
-import ufl
-from dolfinx import fem
-
-from fenics_tfeti import ContactProblem, Exact, NotConverged, Plane, RigidObstacle, Sphere
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti import Exact, NotConverged, Sphere
 
 COMM = MPI.COMM_WORLD
 
@@ -28,18 +24,6 @@ OPTIONS = {"rtol": 1e-8}
 BUMP = Sphere(centre=(0.75, -1.0, 0.0), radius=1.0)
 
 
-def problem_on(mesh, tags, moves, contacts, n=8, geometry=GEOMETRY):
-    """Prescribe the displacement of the facets tagged CLAMPED, nothing else."""
-    V = vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    zero = fem.Constant(mesh, np.zeros(2))
-    bcs = [fixed(V, tags, CLAMPED, i, value) for i, value in enumerate(moves)]
-    a, L = elasticity(u, v, YOUNG), ufl.inner(zero, v) * ufl.dx
-    problem = ContactProblem(a, L, bcs=bcs, contacts=contacts, geometry=geometry, options=OPTIONS)
-    problem.kept = zero
-    return problem
-
-
 class MovingDisc:
     """The bump, whose centre can change."""
 
@@ -49,12 +33,13 @@ class MovingDisc:
         return Sphere(self.centre, BUMP.radius)(x)
 
 
-def block_over_bump(moves=(0.25, -0.03), n=16, bump=BUMP, geometry=GEOMETRY):
+def block_over_bump(moves=(0.25, -0.03), n=16, obstacle=BUMP, geometry=GEOMETRY):
     """A block whose top is moved sideways and down, over a rigid disc."""
-    mesh = boxes(MPI.COMM_SELF, [Box((0, 0), (1, 0.5), (n, n // 2))], "quadrilateral").mesh
-    tags = tag_facets(mesh, [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))])
-    contact = RigidObstacle(tags, slave=SLAVE, obstacle=bump)
-    return problem_on(mesh, tags, moves, [contact], geometry=geometry)
+    parts, marks = [((0, 0), (1, 0.5), (n, n // 2))], [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))]
+    scene = Scene.of_boxes(MPI.COMM_SELF, "quadrilateral", parts, marks, young=YOUNG)
+    scene.fix(CLAMPED, None, np.array(moves))
+    scene.add_obstacle(SLAVE, obstacle)
+    return scene.problem(geometry=geometry, options=OPTIONS)
 
 
 def distance_to_bump(problem, uh):
@@ -119,10 +104,7 @@ def test_passes_converge_and_reuse_what_stays():
 
 def test_flat_contact_needs_no_pass():
     """A plane is the same wherever the body slides along it."""
-    mesh = boxes(MPI.COMM_SELF, [Box((0, 0), (1, 0.5), (8, 4))], "quadrilateral").mesh
-    tags = tag_facets(mesh, [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))])
-    contact = RigidObstacle(tags, slave=SLAVE, obstacle=Plane((0, 0), (0, 1)))
-    problem = problem_on(mesh, tags, (0.3, -0.01), [contact])
+    problem = block_over_bump((0.3, -0.01), 8, plane(1, 2))
     problem.solve()
     assert len(problem.report.passes) == 1
 
@@ -163,11 +145,11 @@ def test_pushed_in_steps():
 
 def test_obstacle_moved():
     bump = MovingDisc()
-    steps = block_over_bump(bump=bump)
+    steps = block_over_bump(obstacle=bump)
     steps.solve()
     bump.centre = (0.7, -0.99, 0.0)
     uh = steps.solve()
-    at_once = block_over_bump(bump=Sphere(bump.centre, 1.0)).solve()
+    at_once = block_over_bump(obstacle=Sphere(bump.centre, 1.0)).solve()
     np.testing.assert_allclose(uh.x.array, at_once.x.array, atol=SAME)
 
 

@@ -9,13 +9,14 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from moved_blocks import CELLS, blocks, lifted, shifted, turned
-from scenes import GROUND, Ball, dimension, vector_space
+from scenes import GROUND, dimension
 
 from dolfinx import fem
 
-from fenics_tfeti import Nearest, Plane, RigidObstacle
+from fenics_tfeti import Nearest, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.deformed import deformed_contact
+from fenics_tfeti.io import displacement_space
 
 COMM = MPI.COMM_WORLD
 
@@ -264,7 +265,7 @@ def test_penetration_of_a_plane(cell):
 @every_cell
 def test_ball_is_evaluated_at_the_deformed_place(cell):
     gdim = dimension(cell)
-    ball = Ball((1.2, 0.4, -2.0) if gdim == 3 else (1.2, -2.0, 0.0), 2.1)
+    ball = Sphere((1.2, 0.4, -2.0) if gdim == 3 else (1.2, -2.0), 2.1)
     _, result, y, u = at_obstacle(blocks(cell), ball, turned(0.3, gdim, shift=0.2)[1])
     outwards = y - np.array(ball.centre)[:gdim]
     distance = np.linalg.norm(outwards, axis=1)
@@ -306,7 +307,7 @@ def test_obstacle_that_is_undefined_where_the_body_went(wrong):
 def test_displacement_on_another_space():
     scene = blocks("triangle")
     matched = scene.pairing(scene.pair)
-    other = fem.Function(vector_space(scene.mesh, degree=2))
+    other = fem.Function(displacement_space(scene.mesh, degree=2))
     with pytest.raises(InputError, match="another function space"):
         deformed_contact(scene.pair, matched, other)
 
@@ -340,7 +341,7 @@ def deformed(cell, comm, kind):
     """Return places and results at the slave nodes of this rank."""
     scene = blocks(cell, n=4, comm=comm)
     gdim = dimension(cell)
-    ball = Ball((1.4, 0.4, -2.0) if gdim == 3 else (1.4, -2.0, 0.0), 2.1)
+    ball = Sphere((1.4, 0.4, -2.0) if gdim == 3 else (1.4, -2.0), 2.1)
     contact = {
         "pair": scene.pair,
         "obstacle": scene.obstacle(ball),
@@ -379,7 +380,7 @@ def test_ghosts_of_the_displacement_are_brought_up_to_date():
 @pytest.mark.ranks(2)
 def test_error_of_one_rank_is_raised_on_all():
     scene = blocks("triangle", comm=COMM)
-    pairing, uh = scene.pairing(scene.pair), fem.Function(scene.space)
+    pairing, uh = scene.pairing(scene.pair), fem.Function(scene.V)
     if COMM.rank == COMM.size - 1:
         uh.x.array[0] = np.nan
     with pytest.raises(InputError, match="NaN"):

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from friction_scenes import SLAVE, pushed_cube
-from scenes import elasticity
+from friction_scenes import LOADED, SLAVE, pushed_cube
+from scenes import plane
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactProblem, Exact, InputError, Plane, RigidObstacle, Tresca
+from fenics_tfeti import Exact, InputError, RigidObstacle, Tresca
 from fenics_tfeti.fem.contact.slip import tangents
 from fenics_tfeti.io import contact_fields
 
@@ -138,19 +138,13 @@ def test_checkpoint_has_the_origin_of_slip(tmp_path, pushed):
 
 def held_square(displacement, held: float = 0.0):
     """Return a square that is pressed on a plane, its top held at a displacement sideways."""
-    scene = pushed_cube("quadrilateral", 4)
-    V, tags = scene.problem.space, scene.tags
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    top = fem.Constant(V.mesh, np.array([held, -0.01]))
-    dofs = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 1.0))
-    plane = RigidObstacle(
-        tags, SLAVE, Plane((0, 0), (0, 1)), friction=Tresca(0.003), displacement=displacement
-    )
-    supports = [fem.dirichletbc(top, dofs, V)]
-    options = {"rtol": 1e-9}
-    return ContactProblem(
-        elasticity(u, v, 1.0), 0, bcs=supports, contacts=[plane], options=options
-    ), top
+    scene = pushed_cube("quadrilateral", 4).scene
+    top = scene.constant(np.array([held, -0.01]))
+    scene.fix(LOADED, None, top)
+    scene.L, scene.contacts = 0, []
+    friction = Tresca(0.003)
+    scene.add_obstacle(SLAVE, plane(1, 2), friction=friction, displacement=displacement)
+    return scene.problem(cell_tags=None, options={"rtol": 1e-9}), top
 
 
 @pytest.fixture(scope="module")

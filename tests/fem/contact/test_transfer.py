@@ -49,7 +49,7 @@ def result_of(matched, pressure):
 
 def transferred(coarse, contact, fine_match, displacement, pressure=linear):
     """Return what the fine mesh expects of the solution of a coarse one."""
-    matched = match_contact(MeshBoundary.of(coarse.space), contact, 0)
+    matched = match_contact(MeshBoundary.of(coarse.V), contact, 0)
     result = result_of(matched, pressure(matched.coordinates))
     solved = gather_solved([matched], [result], displacement)
     return expected_contact(solved, fine_match)
@@ -149,7 +149,7 @@ def test_load_steps_on_both_meshes():
     problems = coarse.problem(), fine.problem()
     for load in (1.0, 0.1):
         for scene in (coarse, fine):
-            scene.kept[1].value = -load * scenes.TRACTION
+            scene.traction.value = -load * scenes.TRACTION
         problems[0].solve()
         problems[1].solve(coarse=problems[0])
     assert problems[1].report.reused[-2:] == ["multipliers", "contact guess"]

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 from mortar_blocks import LOWER, UPPER, Blocks
-from scenes import vector_space
 
 import ufl
 
@@ -16,15 +13,13 @@ from fenics_tfeti.fem.contact.matching import match_contact
 from fenics_tfeti.fem.contact.mortar.conditions import one_sided_conditions
 from fenics_tfeti.fem.contact.mortar.facets import Planes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
-from fenics_tfeti.fem.topology import cell_vertices
-from fenics_tfeti.io import tag_facets
 
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 
 
 def scene(blocks):
-    beams = blocks.mesh(MPI.COMM_SELF)
-    return vector_space(beams.mesh), tag_facets(beams.mesh, blocks.markers(), beams.cell_tags)
+    made = blocks.scene()
+    return made.V, made.facet_tags
 
 
 @pytest.mark.parametrize("cell", CELLS)
@@ -72,12 +67,9 @@ def test_terms_of_a_condition(cell):
 @pytest.mark.parametrize("cell", CELLS)
 def test_flat_matching_surfaces_have_two_terms_a_condition(cell, height):
     """The conditions are those of pairs of nodes."""
-    blocks = Blocks(cell, 4, 4)
-    beams = blocks.mesh(MPI.COMM_SELF)
-    V, tags = vector_space(beams.mesh), tag_facets(beams.mesh, blocks.markers(), beams.cell_tags)
-    upper = np.unique(cell_vertices(beams.mesh)[beams.cell_tags.find(2)])
-    beams.mesh.geometry.x[upper, beams.mesh.geometry.dim - 1] += height
-    boundary = MeshBoundary.of(V)
+    beams = Blocks(cell, 4, 4).scene()
+    beams.mesh.geometry.x[beams.nodes(2), beams.gdim - 1] += height
+    boundary, tags = MeshBoundary.of(beams.V), beams.facet_tags
     mortar, pairs = (
         match_contact(boundary, ContactPair(tags, UPPER, LOWER, partners=kind), 0)
         for kind in ("mortar", Nearest())
@@ -123,11 +115,8 @@ def test_linear_weight_of_the_measure():
 
 
 def slave_facets(cell, **shape):
-    blocks = Blocks(cell, 3, 2, **shape)
-    meshed = blocks.mesh()
-    tags = tag_facets(meshed.mesh, blocks.markers(), meshed.cell_tags)
-    boundary = MeshBoundary.of(vector_space(meshed.mesh, 2))
-    surface = tagged_surface(boundary, tags, LOWER, "slave")
+    V, tags = scene(Blocks(cell, 3, 2, degree=2, **shape))
+    surface = tagged_surface(MeshBoundary.of(V), tags, LOWER, "slave")
     return surface, surface.oriented_part()
 
 

@@ -7,7 +7,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from mortar_blocks import Blocks, uneven
-from scenes import MASTER, SLAVE, at, vector_space
+from scenes import MASTER, SLAVE, at
 from strips import bend, matched, strips
 
 from dolfinx.fem import Function
@@ -15,7 +15,7 @@ from dolfinx.fem import Function
 from fenics_tfeti import ContactPair, Exact, InputError
 from fenics_tfeti.fem.contact.contact import Terms
 from fenics_tfeti.fem.contact.deformed import deformed_contact
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 
 TERMS = Terms(
     offsets=np.array([0, 3, 6]),
@@ -142,7 +142,7 @@ def test_surfaces_that_face_away():
         tagged.mesh, [(MASTER, at(1, 1.0), 1), (SLAVE, at(1, 2.0), 2)], tagged.cell_tags
     )
     with pytest.raises(InputError, match="face away .*far side"):
-        matched(vector_space(tagged.mesh), ContactPair(tags, SLAVE, MASTER))
+        matched(displacement_space(tagged.mesh), ContactPair(tags, SLAVE, MASTER))
 
 
 def test_slivers_alone():

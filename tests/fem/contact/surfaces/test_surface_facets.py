@@ -15,7 +15,7 @@ every_cell = pytest.mark.parametrize("cell", CELLS)
 
 def surface(cell, motion=None, n=3):
     scene = blocks(cell, n)
-    found = tagged_surface(MeshBoundary.of(scene.space), scene.facet_tags, SLAVE, "surface")
+    found = tagged_surface(MeshBoundary.of(scene.V), scene.facet_tags, SLAVE, "surface")
     return found.gathered(scene.displacement(upper=motion))
 
 
