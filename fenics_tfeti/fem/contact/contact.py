@@ -131,7 +131,7 @@ class ContactPairing(Conditions):
     coverage: Vector | None = None  # (k,), see `ContactResult`; 1 by default
     # (s, gdim): components prescribed at the surface's nodes, for mortar conditions
     prescribed: NDArray[np.bool_] | None = None
-    master_surface: Surface | None = None  # for mortar conditions
+    master_surface: Surface | None = None  # None for obstacles
 
     @property
     def is_mortar(self) -> bool:

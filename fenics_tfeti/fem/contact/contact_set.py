@@ -72,11 +72,9 @@ class FoundContact:
         gap[rows] = gaps[rows_of_gaps]
         return gap
 
-    def measured(self, boundary: MeshBoundary, uh: Function) -> DeformedContact:
+    def measured(self, uh: Function) -> DeformedContact:
         """Measure normals, gaps and penetration in the deformed state. Collective."""
-        contact = self.contact
-        keep_normal = isinstance(contact, ContactPair) and contact.normal is not None
-        return deformed_contact(boundary, contact, self.pairing, uh, keep_normal)
+        return deformed_contact(self.contact, self.pairing, uh)
 
     def with_friction(self, space: FunctionSpace, prescribed: Prescribed) -> FoundContact:
         """Return the contact with friction evaluated at its conditions. Collective."""
@@ -147,7 +145,7 @@ class ContactSet:
 
         Friction is still that at the conditions before, see `with_friction`.
         """
-        measured = [found.measured(self.boundary, uh) for found in self.contacts]
+        measured = [found.measured(uh) for found in self.contacts]
         contacts = [
             replace(found, pairing=new.pairing(found.pairing))
             for found, new in zip(self.contacts, measured, strict=True)
@@ -279,11 +277,7 @@ class SolvedContacts:
 
     def gathered(self) -> list[SolvedContact]:
         """Gather the solution on the slaves' surfaces on every rank. Collective."""
-        conditions = self.conditions
-        contacts = [found.contact for found in conditions.contacts]
-        return gather_solved(
-            conditions.boundary, contacts, conditions.pairings, self.contacts, self.displacement
-        )
+        return gather_solved(self.conditions.pairings, self.contacts, self.displacement)
 
 
 class ContactSearch:
