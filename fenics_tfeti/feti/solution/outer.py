@@ -112,7 +112,7 @@ def _iterate(loop: _Loop, start: Iterate | None) -> Outcome:
         if certificate.worst <= limit:
             return Outcome(candidate, iterate, SolveStatus.SOLVED, "converged", tolerance)
         best.update(iterate, certificate)
-        if iterate.status is SolveStatus.AT_ROUNDING or not np.isfinite(certificate.worst):
+        if iterate.status is SolveStatus.AT_ROUNDING:
             # not accurate enough: SMALBE-M goes on from the best state
             best.rounded = certificate.worst
             iterate = best.start(loop)
