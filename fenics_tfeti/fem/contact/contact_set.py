@@ -12,11 +12,10 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.checks import check_depth
-from fenics_tfeti.fem.contact.contact import ContactPairing
+from fenics_tfeti.fem.contact.contact import ContactPairing, contact_rows, openings
 from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
 from fenics_tfeti.fem.contact.description import Contact, ContactPair, TiedPair
-from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
-from fenics_tfeti.fem.contact.opening import openings
+from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
 from fenics_tfeti.fem.contact.result import ContactEntry, ContactResult, Results, TiedResult
 from fenics_tfeti.fem.contact.roles import (
@@ -311,14 +310,16 @@ class ContactSearch:
                 touching[number] = self._roles_of(contact) or Roles(contact, contact)
         with self._timer.phase("contact search"):
             last = self._last or ContactSet(self.boundary, [], [], prescribed)
+            known = [(found.contact, found.undeformed) for found in last.contacts]
             pairings = match_contacts(
                 self.boundary,
                 [roles.used for roles in touching.values()],
-                [(found.contact, found.undeformed) for found in last.contacts],
+                known,
                 prescribed,
                 list(touching),
             )
-            check_depth(self._space, self._bodies, pairings)
+            checked = {id(pairing) for _, pairing in known}
+            check_depth(self._space, self._bodies, [p for p in pairings if id(p) not in checked])
             found_contacts = [
                 FoundContact(number, roles, pairing, pairing)
                 for (number, roles), pairing in zip(touching.items(), pairings, strict=True)

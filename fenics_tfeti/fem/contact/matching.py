@@ -28,7 +28,7 @@ from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components, same_supports
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
-from fenics_tfeti.feti.system import ContactRows, Prescribed
+from fenics_tfeti.feti.system import Prescribed
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
@@ -40,20 +40,22 @@ def match_contacts(
     prescribed: Prescribed | None = None,
     numbers: Sequence[int] | None = None,
 ) -> list[ContactPairing]:
-    """Match the surfaces of all contacts, and check that no two contacts overlap. Collective.
+    """Match the surfaces of all contacts, and check that new ones overlap no others. Collective.
 
     Of the known results, pairs are not searched again, obstacles are evaluated again. Prescribed
     displacements of this rank's nodes tell planes of symmetry. The numbers are those of contacts
     without a name.
     """
-    comm = boundary.space.mesh.comm
-    check_different_surfaces(contacts, comm)
-    earlier = {id(contact): pairing for contact, pairing in known}
+    comm, earlier = boundary.nodes.comm, {id(contact): pairing for contact, pairing in known}
+    has_new = any(id(contact) not in earlier for contact in contacts)
+    if has_new:
+        check_different_surfaces(contacts, comm)
     pairings = [
         match_contact(boundary, contact, i, earlier.get(id(contact)), prescribed)
         for i, contact in zip(numbers or range(len(contacts)), contacts, strict=True)
     ]
-    check_different_nodes(contacts, pairings, comm)
+    if has_new:
+        check_different_nodes(contacts, pairings, comm)
     return pairings
 
 
@@ -104,13 +106,6 @@ def _updated_gap(comm: MPI.Intracomm, contact: ContactPair, earlier: ContactPair
     nothing = np.zeros_like(earlier.gap)
     points, name = earlier.coordinates, earlier.name
     return initial_gap(comm, contact.initial_gap, earlier.gap, nothing, points, name)
-
-
-def contact_rows(pairings: Sequence[ContactPairing], gdim: int) -> ContactRows:
-    """Return the contact conditions of all contacts, one contact after the other."""
-    if not pairings:
-        return ContactRows.none(gdim)
-    return ContactRows.concatenate([p.rows(number) for number, p in enumerate(pairings)])
 
 
 def _match_pair(
