@@ -225,7 +225,7 @@ def _on_the_way(
 
 
 def _root(slope: Callable[[float], float]) -> float:
-    """Return a root in (0, 1) of an increasing function, or the end of it that is nearest to one."""
+    """Return where an increasing function is nearest to zero in [0, 1]; 1 up to its accuracy."""
     first = slope(0.0)
     if slope(1.0) <= _SLOPE * abs(first):
         return 1.0
