@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from fibres import glued_contact
 from prestressed import compression, pressed_block, stressed
 from primal_reference import PrimalSolution, primal_active_set
+from torn import Glued
 
 from fenics_tfeti.errors import InputError, UnstableTangent
 from fenics_tfeti.feti import (
@@ -63,12 +63,10 @@ def solved(name: str, kind: str = "exact", **options: Any) -> TornSolution:
 
 def primal(system: TornSystem) -> tuple[PrimalSolution, list[np.ndarray]]:
     """Return the solution of the glued bodies by a primal method, and each subdomain's unknowns."""
-    K, f, fixed, C, gap, places = glued_contact(system)
-    nodes = np.unique(np.concatenate([s.nodes for s in system.subdomains]))
-    given = system.prescribed
-    unknowns = system.gdim * np.searchsorted(nodes, given.nodes) + given.components
-    values = given.values[np.unique(unknowns, return_index=True)[1]]
-    return primal_active_set(K, f, fixed, values, C, gap), places
+    whole, gap = Glued.of(system), system.contacts.gap
+    fixed = np.setdiff1d(np.arange(whole.f.size), whole.free)
+    K, C = sp.csr_matrix(whole.K), sp.csr_matrix(whole.C)
+    return primal_active_set(K, whole.f, fixed, whole.u[fixed], C, gap), whole.places
 
 
 def check_against_primal(found: TornSolution, system: TornSystem) -> None:
@@ -135,7 +133,7 @@ def test_estimate_is_of_the_size_of_the_error():
     system = pressed_block(**BLOCKS["2D"])
     found = TornSolver(prepare_tangents(system, "exact"), Options(rtol=1e-2)).solve()
     expected, places = primal(system)
-    K, *_ = glued_contact(system)
+    K = Glued.of(system).K
     difference = np.zeros_like(expected.displacement)
     for u, at in zip(found.displacements, places, strict=True):
         difference[at] = u - expected.displacement[at]
