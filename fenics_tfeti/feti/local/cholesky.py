@@ -201,9 +201,7 @@ def _petsc_matrix(matrix: sp.csr_matrix) -> PETSc.Mat:
     """Return PETSc's matrix on the same arrays where it can be."""
     rows = matrix if matrix.has_sorted_indices else matrix.sorted_indices()
     indices = (x.astype(PETSc.IntType, copy=False) for x in (rows.indptr, rows.indices))
-    return PETSc.Mat().createAIJWithArrays(
-        rows.shape, (*indices, rows.data), comm=PETSc.COMM_SELF
-    )
+    return PETSc.Mat().createAIJWithArrays(rows.shape, (*indices, rows.data), comm=PETSc.COMM_SELF)
 
 
 def _petsc_cholesky(A: PETSc.Mat, package: str) -> PETSc.PC:
