@@ -17,6 +17,7 @@ from fenics_tfeti.errors import (
     Interrupted,
     NotConverged,
     UnresistedMotion,
+    UnstableTangent,
     needs_fenicsx,
 )
 
@@ -27,6 +28,7 @@ _LAZY = {
     "ContactResult": "fenics_tfeti.fem.contact.result",
     "Coulomb": "fenics_tfeti.fem.contact.description",
     "Cylinder": "fenics_tfeti.fem.contact.obstacles",
+    "Exact": "fenics_tfeti.fem.contact.description",
     "FrictionResult": "fenics_tfeti.fem.contact.result",
     "Mapped": "fenics_tfeti.fem.contact.description",
     "Nearest": "fenics_tfeti.fem.contact.description",
@@ -48,6 +50,7 @@ __all__ = [
     "ContactResult",
     "Coulomb",
     "Cylinder",
+    "Exact",
     "FactorizationError",
     "FrictionResult",
     "InputError",
@@ -64,6 +67,7 @@ __all__ = [
     "TiedResult",
     "Tresca",
     "UnresistedMotion",
+    "UnstableTangent",
 ]
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())

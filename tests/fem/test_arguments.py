@@ -35,22 +35,18 @@ def test_no_load(zero):
     scene.L = zero
     problem = scene.problem()
     problem.solve()
-    np.testing.assert_allclose(
-        [c.normal_force for c in problem.report.contacts], scene.total_forces, rtol=1e-8
-    )
+    np.testing.assert_allclose(scenes.normal_forces(problem), scene.total_forces, rtol=1e-8)
     problem.solve()
     assert "multipliers" in problem.report.reused
 
 
 def test_one_contact_without_a_list():
     scene = block()
-    (contact,) = scene.package_contacts()
+    (contact,) = scene.contacts
     problem = scene.problem(contacts=contact)
     assert problem.contacts == [contact]
     problem.solve()
-    np.testing.assert_allclose(
-        [c.normal_force for c in problem.report.contacts], scene.total_forces, rtol=1e-8
-    )
+    np.testing.assert_allclose(scenes.normal_forces(problem), scene.total_forces, rtol=1e-8)
     problem.contacts = contact
     problem.solve()
     assert problem.contacts == [contact]
@@ -69,19 +65,17 @@ def test_no_conditions_and_no_contacts():
 
 def test_tuples_and_generators():
     scene = block()
-    problem = scene.problem(bcs=tuple(scene.bcs), contacts=(c for c in scene.package_contacts()))
+    problem = scene.problem(bcs=tuple(scene.bcs), contacts=(c for c in scene.contacts))
     assert (len(problem.bcs), len(problem.contacts)) == (2, 1)
 
 
 def test_tags_may_be_numpy_integers():
     scene = block()
-    (contact,) = scene.package_contacts()
+    (contact,) = scene.contacts
     assert isinstance(contact, RigidObstacle)
     problem = scene.problem(contacts=dataclasses.replace(contact, slave=np.int32(contact.slave)))
     problem.solve()
-    np.testing.assert_allclose(
-        [c.normal_force for c in problem.report.contacts], scene.total_forces, rtol=1e-8
-    )
+    np.testing.assert_allclose(scenes.normal_forces(problem), scene.total_forces, rtol=1e-8)
 
 
 def test_function_is_filled_by_each_solve():

@@ -6,13 +6,14 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import GROUND, dimension, pressed_block, vector_space
+from scenes import GROUND, dimension, pressed_block
 
 from dolfinx import fem
 
 from fenics_tfeti import Plane, RigidObstacle, Sphere
 from fenics_tfeti.fem.contact.obstacle_conditions import deformed_gaps, match_obstacle
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+from fenics_tfeti.io import displacement_space
 from fenics_tfeti.parallel import concatenate_ranks
 
 COMM = MPI.COMM_WORLD
@@ -25,7 +26,7 @@ GAP = 0.25
 def matched(cell, degree, obstacle, weight=None):
     scene = pressed_block(MPI.COMM_SELF, cell, 2)
     contact = RigidObstacle(scene.facet_tags, GROUND, obstacle)
-    space = vector_space(scene.mesh, degree)
+    space = displacement_space(scene.mesh, degree)
     return space, contact, match_obstacle(MeshBoundary.of(space, weight), "ground", contact, None)
 
 
@@ -74,7 +75,7 @@ def test_gaps_in_the_deformed_state(cell, degree):
     space, contact, before = matched(cell, degree, tilted(d))
     u = fem.Function(space)
     u.x.array.reshape(-1, d)[:, d - 1] = -0.1
-    normal, gap, distance = deformed_gaps(MeshBoundary.of(space), contact, before, u)
+    normal, gap, distance = deformed_gaps(contact, before, u)
     np.testing.assert_allclose(normal, before.normal)
     np.testing.assert_allclose(gap, before.gap, rtol=1e-12)
     np.testing.assert_allclose(distance, before.gap + 0.1 * before.normal[:, -1], rtol=1e-12)
@@ -83,13 +84,13 @@ def test_gaps_in_the_deformed_state(cell, degree):
 def conditions(comm, cell, degree):
     """Return places, normals, gaps and areas, undeformed and deformed, in the order of places."""
     scene = pressed_block(comm, cell, 4)
-    space, d = vector_space(scene.mesh, degree), scene.mesh.geometry.dim
+    space, d = displacement_space(scene.mesh, degree), scene.mesh.geometry.dim
     ball = Sphere((0.3,) * (d - 1) + (-2.0,), 1.9)
     contact = RigidObstacle(scene.facet_tags, GROUND, lambda x: ball(x[:d])[0])
     found = match_obstacle(MeshBoundary.of(space), "ground", contact, None)
     u = fem.Function(space)
     u.interpolate(lambda x: np.stack([0.05 * x[k] ** 2 - 0.01 for k in range(d)]))
-    normal, gap, distance = deformed_gaps(MeshBoundary.of(space), contact, found, u)
+    normal, gap, distance = deformed_gaps(contact, found, u)
     columns = (found.coordinates, found.normal, found.gap, found.area, normal, gap, distance)
     rows = concatenate_ranks(comm, np.column_stack(columns))
     return rows[np.lexsort(np.round(rows[:, :3], 9).T)]

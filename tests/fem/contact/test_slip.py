@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from friction_scenes import SLAVE, pushed_cube
-from scenes import elasticity
+from friction_scenes import LOADED, SLAVE, pushed_cube
+from scenes import plane
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactProblem, InputError, Plane, RigidObstacle, Tresca
+from fenics_tfeti import Exact, InputError, RigidObstacle, Tresca
 from fenics_tfeti.fem.contact.slip import tangents
 from fenics_tfeti.io import contact_fields
 
@@ -138,19 +138,13 @@ def test_checkpoint_has_the_origin_of_slip(tmp_path, pushed):
 
 def held_square(displacement, held: float = 0.0):
     """Return a square that is pressed on a plane, its top held at a displacement sideways."""
-    scene = pushed_cube("quadrilateral", 4)
-    V, tags = scene.problem.space, scene.tags
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    top = fem.Constant(V.mesh, np.array([held, -0.01]))
-    dofs = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 1.0))
-    plane = RigidObstacle(
-        tags, SLAVE, Plane((0, 0), (0, 1)), friction=Tresca(0.003), displacement=displacement
-    )
-    supports = [fem.dirichletbc(top, dofs, V)]
-    options = {"rtol": 1e-9}
-    return ContactProblem(
-        elasticity(u, v, 1.0), 0, bcs=supports, contacts=[plane], options=options
-    ), top
+    scene = pushed_cube("quadrilateral", 4).scene
+    top = scene.constant(np.array([held, -0.01]))
+    scene.fix(LOADED, None, top)
+    scene.L, scene.contacts = 0, []
+    friction = Tresca(0.003)
+    scene.add_obstacle(SLAVE, plane(1, 2), friction=friction, displacement=displacement)
+    return scene.problem(cell_tags=None, options={"rtol": 1e-9}), top
 
 
 @pytest.fixture(scope="module")
@@ -225,18 +219,21 @@ def solved():
 def test_fields(solved):
     """Friction traction on a surface covered wholly integrates to the force."""
     problem, uh = solved
-    fields = {field.name: field for field in contact_fields(uh.function_space, problem.results)}
-    assert {"friction_traction", "slip", "friction_state"} < set(fields)
+    fields = contact_fields(uh.function_space, problem.results)
+    assert [field.name for field in fields] == [
+        *("contact_pressure", "contact_force", "initial_gap", "opening"),
+        *("friction_traction", "slip", "friction_state"),
+    ]
     tags, comm = problem.contacts[0].facet_tags, uh.function_space.mesh.comm
     ds = ufl.Measure("ds", domain=uh.function_space.mesh, subdomain_data=tags)
     for k in range(3):
-        form = fem.form(fields["friction_traction"][k] * ds(SLAVE))
+        form = fem.form(fields.traction[k] * ds(SLAVE))
         total = comm.allreduce(fem.assemble_scalar(form))
         expected = problem.results[0].friction.force[:, k].sum()
         assert total == pytest.approx(expected, rel=1e-9, abs=1e-12)
-    assert set(np.unique(fields["friction_state"].x.array)) == {0.0, 1.0, 2.0}
+    assert set(np.unique(fields.state.x.array)) == {0.0, 1.0, 2.0}
     size = np.linalg.norm(problem.results[0].friction.slip, axis=1).max()
-    found = np.linalg.norm(fields["slip"].x.array.reshape(-1, 3), axis=1).max()
+    found = np.linalg.norm(fields.slip.x.array.reshape(-1, 3), axis=1).max()
     assert found == pytest.approx(size, rel=1e-12)
 
 
@@ -248,8 +245,8 @@ def test_contact_without_friction_has_none():
     uh = scene.problem.solve()
     assert scene.problem.results[0].friction is None
     assert scene.problem.results[0].gather().friction is None
-    names = {field.name for field in contact_fields(uh.function_space, scene.problem.results)}
-    assert "slip" not in names
+    fields = contact_fields(uh.function_space, scene.problem.results)
+    assert fields._fields == ("pressure", "force", "gap", "opening")
     assert "stick" not in str(scene.problem.report)
 
 
@@ -271,8 +268,7 @@ def test_page_has_friction(tmp_path, solved):
 
 def test_deformed_surfaces_rub(solved):
     """Passes with exact non-penetration balance the load as well, with the deformed normals."""
-    options = {"rtol": 1e-8, "non_penetration": "exact"}
-    scene = pushed_cube("triangle", 4, 3, friction=Tresca(0.04), young=10.0, options=options)
+    scene = pushed_cube("triangle", 4, 3, friction=Tresca(0.04), young=10.0, geometry=Exact())
     scene.problem.solve()
     assert scene.problem.report.passes[-1].error <= 1e-3
     force = scene.problem.report.contacts[0].force
