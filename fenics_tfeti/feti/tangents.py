@@ -27,7 +27,7 @@ from fenics_tfeti.feti.coarse.resistance import weak_motions
 from fenics_tfeti.feti.local.cholesky import SparseLDL
 from fenics_tfeti.feti.local.congruence import find_congruence_classes
 from fenics_tfeti.feti.local.elastic_supports import forces_of_motions
-from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes
+from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes, unknowns_of_nodes
 from fenics_tfeti.feti.local.moduli import bulk_over_shear, share_of_shear
 from fenics_tfeti.feti.local.rigid_body_modes import (
     raw_modes,
@@ -146,9 +146,7 @@ def _projected(
     forces = sp.csr_matrix(forces_of_motions(stiffness, R))
     if not forces.nnz:
         return stiffness, np.zeros(0, dtype=np.int64)
-    gdim = coordinates.shape[1]
-    nodes = fixing_nodes(stiffness, coordinates, number)
-    fixed = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
+    fixed = unknowns_of_nodes(fixing_nodes(coordinates, R, number), coordinates.shape[1])
     weights = R[fixed] @ np.linalg.inv(R[fixed].T @ R[fixed])
     rows = np.repeat(fixed, R.shape[1])
     columns = np.tile(np.arange(R.shape[1]), fixed.size)

@@ -128,6 +128,7 @@ def test_tension_is_not_negative(gdim):
 def test_report_says_that_the_error_is_an_estimate():
     exact, projected = solved("2D").report, solved("2D", "projected").report
     assert not exact.certificate.guaranteed and projected.certificate.guaranteed
+    assert "7 directions, 7 of them negative" in str(exact)
     assert "estimated as" in str(exact) and "at most" in str(projected)
     assert exact.equilibrium <= 1e-8
 
