@@ -9,6 +9,7 @@ against them. It is taken where
 
 - K R is so small that the dual operator would be large: at the start, in thin or hardly stressed
   parts, and for rotations about the axis of a uniaxial stress;
+- the stress of a torn subdomain outweighs the stiffness of a node;
 - only contact holds a body against rotations: multipliers of contact rows have bounds, so no
   deflation can remove negative directions of them;
 - the exact tangent of the glued bodies is unstable.
@@ -101,7 +102,8 @@ def _tangent(subdomain: Subdomain, exact: bool) -> Subdomain:
     _, sizes, motions = np.linalg.svd(K @ rotations, full_matrices=False)
     share = share_of_shear(bulk_over_shear(K, x), x.shape[1])
     free = sizes <= _STRESSED * share * K.diagonal().mean()
-    if not exact or free.all():
+    # weights of the copies of nodes need a positive diagonal
+    if not exact or free.all() or K.diagonal().min() <= 0.0:
         return replace(subdomain, stiffness=projected_tangent(K, x), kernel="rigid")
     R = np.hstack([translations, rotations @ motions[free].T])
     return replace(stressed, stiffness=_projected(K, x, R, _FIXING_NODES)[0])

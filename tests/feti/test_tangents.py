@@ -232,6 +232,13 @@ def test_small_stress_is_projected():
         assert np.sum(np.abs(eigenvalues(part)) < 1e-12) == 3
 
 
+def test_node_without_stiffness_is_projected():
+    system = pressed_block(2, 3.0)
+    assert system.subdomains[0].stiffness.diagonal().min() < 0.0
+    for part in prepare_tangents(system, "exact").subdomains:
+        assert part.kernel == "rigid" and part.stiffness.diagonal().min() > 0.0
+
+
 def test_stress_is_compared_with_shear(monkeypatch):
     """The diagonal of K of a nearly incompressible material is hundreds of times its shear's."""
     monkeypatch.setattr(fibres, "POISSON", 0.499)
