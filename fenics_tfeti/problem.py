@@ -50,7 +50,7 @@ from fenics_tfeti.feti import (
     interruption,
 )
 from fenics_tfeti.feti.local.cholesky import check_real_numbers
-from fenics_tfeti.options import contact_options
+from fenics_tfeti.options import ContactOptions, contact_options
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.report import ContactReport
 
@@ -141,7 +141,7 @@ class ContactProblem:
         jit_options: Mapping[str, Any] | None = None,
     ) -> None:
         check_real_numbers()
-        self.options = contact_options(options, options_prefix)
+        self.options = contact_options(ContactOptions, options, options_prefix)
         self._timer = Timer()
         a, L = as_forms(a, L)
         self.space = space_of_forms(a, L)

@@ -1,0 +1,231 @@
+"""Newton's method for bodies in contact: a contact problem for the increment in each step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx.fem import Function
+
+from fenics_tfeti.errors import InputError, NotConverged
+from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
+from fenics_tfeti.fem.newton.deformation import CellGradients
+from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, Multipliers
+from fenics_tfeti.fem.newton.mixing import AndersonMixing, Iterate
+from fenics_tfeti.fem.torn_problem import TornProblem
+from fenics_tfeti.feti import (
+    MonitorFunction,
+    Prescribed,
+    Timer,
+    TornSolution,
+    TornSolver,
+)
+from fenics_tfeti.options import NewtonOptions
+from fenics_tfeti.tangent import prepare_tangents
+from fenics_tfeti.typing import Mask, Vector
+
+# residual below which steps are mixed: farther off, mixing has led beams astray
+_MIXED_BELOW = 0.05
+# shortest part of a step that is tried
+_SHORTEST = 1e-3
+
+
+@dataclass(frozen=True)
+class NewtonStep:
+    """One step of Newton's method.
+
+    Attributes
+    ----------
+    residual : float
+        Forces at free nodes that are not in equilibrium, after the step, relative to the largest of
+        reactions, contact forces and the first residual; with contact forces along the normals of
+        the surfaces after the step.
+    penetration : float
+        Largest depth of a slave node in its master or obstacle, relative to the displacement.
+    separation : float
+        Largest distance of a pressing node, relative to the displacement.
+    length : float
+        Part of the increment that was taken: 1, or less where deformations would change too much.
+    active : int
+        Pressing conditions.
+    products : int
+        Applications of F.
+    mixed : bool
+        Whether the step was combined with earlier ones.
+    seconds : float
+        Wall time [s].
+    """
+
+    residual: float
+    penetration: float
+    separation: float
+    length: float
+    active: int
+    products: int
+    mixed: bool
+    seconds: float
+
+
+@dataclass(frozen=True)
+class NewtonState:
+    """A displacement with the conditions, multipliers and residual there."""
+
+    displacement: Vector  # at the degrees of freedom that this rank owns [m]
+    rows: DeformedRows
+    multipliers: Multipliers
+    equilibrium: Equilibrium
+
+    def pressing(self) -> Mask:
+        """Tell which slave nodes (contacts, nodes) press."""
+        return self.multipliers.normal > 0.0
+
+
+@dataclass(frozen=True)
+class LoadStep:
+    """A load step: what does not change in its Newton steps."""
+
+    torn: TornProblem
+    u: Function
+    prescribed: Prescribed
+    origin: SlipOrigin
+    gradients: CellGradients
+
+    def state_at(
+        self, displacement: Vector, multipliers: Multipliers | Vector, force: float = 0.0
+    ) -> NewtonState:
+        """Fill u, and measure surfaces and residual there. Collective.
+
+        Multipliers may be normal forces (contacts, nodes) [N]; the residual is relative to forces
+        of at least a size [N].
+        """
+        fill_owned(self.u, displacement)
+        ratio, place = self.gradients.smallest_volume_ratio(self.torn.nodes.values(self.u))
+        if not ratio > 0.0:
+            raise NotConverged(f"the cell at {place} is inverted, with det F = {ratio:.2g}")
+        rows = DeformedRows.of(self.torn.undeformed, self.u, self.origin)
+        if not isinstance(multipliers, Multipliers):
+            multipliers = Multipliers.from_forces(rows, multipliers)
+        internal = self.torn.internal_force()
+        nodes = self.torn.nodes
+        if not nodes.comm.allreduce(bool(np.isfinite(internal).all()), MPI.LAND):
+            raise NotConverged("the residual F is NaN or infinite")
+        equilibrium = Equilibrium.of(
+            internal, rows, multipliers, self.prescribed, displacement, force
+        )
+        return NewtonState(displacement, rows, multipliers, equilibrium)
+
+
+class NewtonIteration:
+    """Newton steps of one load step, from a state to equilibrium."""
+
+    solution: TornSolution  # of the last step
+
+    def __init__(
+        self, load_step: LoadStep, options: NewtonOptions, timer: Timer, last: TornSolver | None
+    ) -> None:
+        self._load_step, self._options, self._timer = load_step, options, timer
+        self.solver = last
+        self.steps: list[NewtonStep] = []
+        self._mixing = AndersonMixing(load_step.torn.nodes.comm, options.newton_anderson)
+        self._increment = Function(load_step.torn.space)
+        self._force = 0.0  # size of the first residual [N]
+
+    def run(self, state: NewtonState, monitor: MonitorFunction | None) -> Iterator[NewtonState]:
+        """Yield the state after each step, the last one in equilibrium."""
+        comm, options = self._load_step.torn.nodes.comm, self._options
+        self._force = state.equilibrium.force
+        while len(self.steps) < options.newton_max_it:
+            state = self._step(state, monitor)
+            self.steps.append(replace(self.steps.pop(), seconds=self._timer.lap(comm)))
+            yield state
+            if self._is_converged(state):
+                return
+        raise NotConverged(self._not_converged(state))
+
+    def _is_converged(self, state: NewtonState) -> bool:
+        is_whole = self.steps[-1].length == 1.0
+        return is_whole and state.equilibrium.error <= self._options.newton_rtol
+
+    def _step(self, state: NewtonState, monitor: MonitorFunction | None) -> NewtonState:
+        """Return the state after one step."""
+        nodes = self._load_step.torn.nodes
+        self.solution = solution = self._solve_linearised(state, monitor)
+        du = self._increment
+        multipliers = Multipliers.of(state.rows, solution)
+        step = Iterate(state.displacement, owned_values(du), multipliers.flat())
+        size = self._load_step.gradients.largest_increment(
+            nodes.values(self._load_step.u), nodes.values(du)
+        )
+        limit = self._options.newton_step_limit
+        length = 1.0 if size <= limit else limit / size
+        mixed = self._mixed(state, multipliers, step) if length == 1.0 else None
+        new, length = self._shortened(mixed or step, multipliers, length)
+        self.steps.append(
+            NewtonStep(
+                new.equilibrium.residual,
+                new.equilibrium.penetration,
+                new.equilibrium.separation,
+                length,
+                solution.report.unknowns["active"],
+                solution.report.products["total"],
+                mixed is not None,
+                0.0,
+            )
+        )
+        return new
+
+    def _solve_linearised(
+        self, state: NewtonState, monitor: MonitorFunction | None
+    ) -> TornSolution:
+        """Solve the contact problem for the increment, which is filled."""
+        load_step, options = self._load_step, self._options
+        if self.solver is not None:
+            self.solver.release()
+        system = load_step.torn.system_at(load_step.u, state.rows, load_step.prescribed)
+        system = prepare_tangents(system, options.tangent)
+        inner = replace(options.solver, error_if_not_converged=False)
+        self.solver = TornSolver(system, inner, self._timer, self.solver)
+        solution = self.solver.solve(monitor)
+        fill_displacement(self._increment, system.subdomains, solution.displacements)
+        return solution
+
+    def _mixed(self, state: NewtonState, multipliers: Multipliers, step: Iterate) -> Iterate | None:
+        """Return the step combined with earlier ones near the end, while the same nodes press."""
+        pressing = multipliers.normal > 0.0
+        same = np.array_equal(pressing, state.pressing())
+        if not self._load_step.torn.nodes.comm.allreduce(same, MPI.LAND):
+            self._mixing.forget()
+        if self._options.newton_anderson == 0 or state.equilibrium.residual >= _MIXED_BELOW:
+            return None
+        return self._mixing.mix(step)
+
+    def _shortened(
+        self, step: Iterate, multipliers: Multipliers, length: float
+    ) -> tuple[NewtonState, float]:
+        """Return the state at the end of a step, halved until that can be evaluated."""
+        while True:
+            try:
+                displacement = step.displacement + length * step.increment
+                new = multipliers.from_flat(step.multipliers)
+                return self._load_step.state_at(displacement, new, self._force), length
+            except (InputError, NotConverged) as error:
+                length *= 0.5
+                if length < _SHORTEST:
+                    raise NotConverged(
+                        f"Newton's method cannot go on: already after {2.0 * length:.1g} of the "
+                        f"step {error}. Halve the load step"
+                    ) from None
+
+    def _not_converged(self, state: NewtonState) -> str:
+        end = state.equilibrium
+        return (
+            f"no equilibrium after {len(self.steps)} steps of Newton's method (newton_max_it): "
+            f"residual {end.residual:.1e}, the largest at {end.place}, penetration "
+            f"{end.penetration:.1e} and separation {end.separation:.1e} of the largest "
+            f"displacement; newton_rtol is {self._options.newton_rtol:g}. Halve the load step"
+        )

@@ -1,0 +1,287 @@
+"""NonlinearContactProblem: contact of bodies with finite strains, rotations and large sliding."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+import ufl
+from dolfinx.fem import Function
+
+from fenics_tfeti.checkpoint import Step, read_step, write_step
+from fenics_tfeti.errors import InputError, Interrupted
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_residual
+from fenics_tfeti.fem.contact.contact_set import SolvedContacts
+from fenics_tfeti.fem.contact.description import Contact, ContactPair, TiedPair, contact_name
+from fenics_tfeti.fem.contact.result import Results
+from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
+from fenics_tfeti.fem.locking import warn_of_locking
+from fenics_tfeti.fem.newton.deformation import CellGradients
+from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
+from fenics_tfeti.feti import MonitorFunction, Timer, TornSolver, interruption
+from fenics_tfeti.feti.local.cholesky import check_real_numbers
+from fenics_tfeti.newton import LoadStep, NewtonIteration, NewtonState, NewtonStep
+from fenics_tfeti.options import NewtonOptions, contact_options
+from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.report import ContactReport
+from fenics_tfeti.typing import Vector
+
+
+@dataclass(frozen=True)
+class NonlinearReport(ContactReport):
+    """The report of the last linearised problem, with the steps of Newton's method.
+
+    Attributes
+    ----------
+    newton : list of NewtonStep
+        One entry for each Newton step; products, history and certificate of the report are those of
+        the last one, its seconds those of all.
+    """
+
+    newton: list[NewtonStep] = field(default_factory=list)
+
+
+class NonlinearContactProblem:
+    """Contact of bodies with finite strains, solved by Newton's method and Total FETI.
+
+    Rotations and sliding may be large: in each step contact conditions are those of the deformed
+    surfaces.
+
+    Parameters
+    ----------
+    F : ufl.Form
+        Residual of the equilibrium, linear in its test function: the derivative of the energy with
+        respect to `u`, less the loads. Integrals are over the undeformed cells and boundary.
+    u : Function
+        The total displacement [m], from which `solve` starts and which it fills. Lagrange elements
+        of degree 1 or 2 with a component for each dimension.
+    bcs : sequence of dolfinx.fem.DirichletBC, one of them, or None
+        Prescribed total displacements, as for `ContactProblem`.
+    contacts : sequence of ContactPair, RigidObstacle or TiedPair, one of them, or None
+        What may touch, and what stays together.
+    J : ufl.Form, optional
+        Symmetric tangent, by default the derivative of `F` with respect to `u`.
+    cell_tags, subdomains, measure_weight, form_compiler_options, jit_options
+        As for `ContactProblem`.
+    options : mapping, optional
+        Names and values, see `fenics_tfeti.options.NewtonOptions`.
+    options_prefix : str
+        ``-<prefix><name> value`` on the command line, or in PETSc's database, overrides `options`.
+
+    Attributes
+    ----------
+    u : Function
+        The displacement [m].
+    results : Results
+        For each contact, by number or name, its result, as of `ContactProblem`.
+    report : NonlinearReport
+        Newton steps, sizes, iterations and times, after `solve`.
+
+    Raises
+    ------
+    InputError
+        On all ranks together, for data that are wrong or contradict each other.
+
+    Examples
+    --------
+    >>> F = ufl.derivative(energy, u, ufl.TestFunction(V))  # doctest: +SKIP
+    >>> problem = NonlinearContactProblem(F, u, bcs=bcs, contacts=contacts)  # doctest: +SKIP
+    >>> for t in problem.steps(set_load, 0.0, 1.0, first=0.25):  # doctest: +SKIP
+    ...     print(t, problem.results[0].force)
+    """
+
+    u: Function
+    results: Results
+    report: NonlinearReport
+
+    def __init__(
+        self,
+        F: ufl.Form,
+        u: Function,
+        *,
+        bcs: Sequence[Any] | Any | None = (),
+        contacts: Sequence[Contact | TiedPair] | Contact | TiedPair | None = (),
+        J: ufl.Form | None = None,
+        cell_tags: Any | None = None,
+        subdomains: Sequence[int] | None = None,
+        options: Mapping[str, Any] | None = None,
+        options_prefix: str = "tfeti_",
+        measure_weight: Any = None,
+        form_compiler_options: Mapping[str, Any] | None = None,
+        jit_options: Mapping[str, Any] | None = None,
+    ) -> None:
+        check_real_numbers()
+        self.options = contact_options(NewtonOptions, options, options_prefix)
+        self._timer = Timer()
+        J, L = as_residual(F, u, J)
+        self.u, self.space = u, space_of_forms(J, L)
+        self.bcs, self.contacts = as_conditions(bcs), as_contacts(contacts)
+        compiler = _compat.CompilerOptions(form_compiler_options, jit_options)
+        data = ProblemData(self.bcs, self.contacts, cell_tags, subdomains, measure_weight, compiler)
+        self._torn = TornProblem(
+            self.space,
+            J,
+            L,
+            data,
+            self.options.subdomain_size,
+            self.options.partitioner,
+            self._timer,
+        )
+        self._gradients = CellGradients(self.space)
+        origin = SlipOrigin(owned_values(u), np.zeros((len(data.touching), owned_values(u).size)))
+        self._step = Step(origin.displacement, self._no_forces(), origin)
+        self._is_solved = False
+        self._solved: SolvedContacts | None = None
+        self._solver: TornSolver | None = None
+        self.results = Results()
+        with self._timer.phase("assembly"):
+            warn_of_locking(self._torn.torn.forms, self._torn.bodies)
+
+    def solve(
+        self,
+        monitor: MonitorFunction | None = None,
+        checkpoint: str | os.PathLike[str] | None = None,
+    ) -> Function:
+        """Find the equilibrium at the present loads and supports, starting from `u`.
+
+        Parameters
+        ----------
+        monitor : callable, optional
+            Called on all ranks as by `ContactProblem.solve`, and with a `NewtonStep` after each.
+        checkpoint : path-like, optional
+            File to write or replace after each Newton step: `restore` goes on with this solve.
+
+        Returns
+        -------
+        Function
+            `u`.
+
+        Raises
+        ------
+        InputError
+            Wrong or contradictory data; a `u` with inverted cells.
+        UnresistedMotion
+            A load pushes a body where nothing holds it.
+        NotConverged
+            Newton's method found no equilibrium; `u` is what it was before.
+        Interrupted
+            After Ctrl-C or SIGINT to one rank, on all of them; `u` is the last iterate, from which
+            solving again goes on.
+        """
+        start = owned_values(self.u)
+        with interruption.deferred():
+            try:
+                self._solve(monitor, checkpoint)
+            except Interrupted:
+                raise
+            except BaseException:
+                fill_owned(self.u, start)
+                raise
+            finally:
+                self._timer.restart()
+        if self.options.view and self.space.mesh.comm.rank == 0:
+            print(self.report, flush=True)
+        return self.u
+
+    def advance(self) -> None:
+        """Accept the last solve as a load step: friction counts slip from its end.
+
+        Raises
+        ------
+        InputError
+            If nothing was solved since the last step.
+        """
+        if not self._is_solved:
+            raise InputError("there is no step to accept; call solve() before advance()")
+        assert self._solved is not None
+        obstacles = self._solved.conditions.obstacle_displacements()
+        origin = SlipOrigin(self._step.displacement, obstacles)
+        self._step = replace(self._step, origin=origin, number=self._step.number + 1)
+        self._is_solved = False
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a checkpoint for `restore`, see `ContactProblem.save`. Collective."""
+        if self._solved is None:
+            raise InputError("there is nothing to save; call solve() first")
+        self._save(path)
+
+    def restore(self, path: str | os.PathLike[str]) -> int:
+        """Go on from a checkpoint, and fill `u`; see `ContactProblem.restore`. Collective."""
+        if self._solved is not None:
+            raise InputError("a checkpoint is for a problem that was not solved yet")
+        self._step = read_step(path, self._torn.nodes, self._names())
+        fill_owned(self.u, self._step.displacement)
+        return self._step.number
+
+    def _save(self, checkpoint: str | os.PathLike[str] | None) -> None:
+        if checkpoint is not None:
+            write_step(checkpoint, self._torn.nodes, self._names(), self._step)
+
+    def _names(self) -> list[str]:
+        return [pairing.name for pairing in self._torn.undeformed.pairings]
+
+    def _no_forces(self) -> Vector:
+        return np.zeros((len(self._torn.data.touching), self._torn.nodes.owned))
+
+    def _solve(
+        self, monitor: MonitorFunction | None, checkpoint: str | os.PathLike[str] | None
+    ) -> None:
+        self._is_solved = False
+        self._refresh()
+        load_step = LoadStep(
+            self._torn,
+            self.u,
+            self._torn.undeformed.prescribed,
+            self._step.origin,
+            self._gradients,
+        )
+        state = load_step.state_at(owned_values(self.u), self._step.force)
+        iteration = NewtonIteration(load_step, self.options, self._timer, self._solver)
+        for state_after in iteration.run(state, monitor):
+            self._store(state, iteration)
+            state = state_after
+            self._step = replace(self._step, displacement=state.displacement)
+            self._save(checkpoint)
+        self._solver = iteration.solver
+        self._is_solved = True
+
+    def _refresh(self) -> None:
+        """Take the present supports and contacts."""
+        with raise_collectively(self.space.mesh.comm):
+            self.bcs, self.contacts = as_conditions(self.bcs), as_contacts(self.contacts)
+            _check_gaps(self.contacts)
+        self._torn.update(self.bcs, self.contacts)
+        origin = self._step.origin.resized(len(self._torn.data.touching))
+        self._step = replace(self._step, origin=origin)
+
+    def _store(self, state: NewtonState, iteration: NewtonIteration) -> None:
+        """Keep the solution that was found with the conditions of a state."""
+        solution = iteration.solution
+        self._solved = state.rows.conditions.solved(solution, self.u)
+        self.results = self._solved.as_given()
+        self.report = NonlinearReport(
+            **{
+                **vars(solution.report),
+                "contacts": [result.entry for result in self.results],
+                "versions": {**solution.report.versions, "dolfinx": _compat.version()},
+                "options": {**solution.report.options, **self.options.as_dict()},
+                "newton": list(iteration.steps),
+            }
+        )
+        self._step = replace(self._step, force=self._solved.nodal_forces())
+
+
+def _check_gaps(contacts: Sequence[Contact | TiedPair]) -> None:
+    for number, contact in enumerate(contacts):
+        if isinstance(contact, ContactPair) and contact.initial_gap != "geometric":
+            raise InputError(
+                f"{contact_name(contact, number)}: initial_gap={contact.initial_gap!r} replaces "
+                "the gap of the mesh, but NonlinearContactProblem measures gaps on the deformed "
+                "mesh. Leave it out"
+            )
