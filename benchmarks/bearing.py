@@ -22,7 +22,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import compute_midpoints
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import ContactPair, ContactProblem, Exact
 from fenics_tfeti.io import displacement_space, read_msh
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "meshes"))
@@ -83,8 +83,6 @@ def problem_of(bearing, slices, tolerance, load=LOAD):
     labels = subdomain_labels(bearing, cells, middles, slices)
     options = {
         "rtol": 1e-4,
-        "non_penetration": "exact",
-        "non_penetration_tolerance": tolerance,
         "preconditioner": "dirichlet",
         "deflation": "on",
     }
@@ -95,6 +93,7 @@ def problem_of(bearing, slices, tolerance, load=LOAD):
         contacts=contacts,
         cell_tags=bodies.cell_tags,
         subdomains=labels,
+        geometry=Exact(tolerance),
         options=options,
     )
 

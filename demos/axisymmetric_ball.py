@@ -1,11 +1,13 @@
-"""Hertz's ball once more, in the plane of its meridian.
+r"""Hertz's ball once more, in the plane of its meridian.
 
 # Axisymmetric ball
 
 The ball of `demos/hertz_ball.py`, and its load, do not change around the axis. The displacement in
 cylindrical coordinates (r, z) is a function of r and z, and the mesh that of a quarter of a circle:
 
-    epsilon = [[u_r,r, (u_r,z + u_z,r) / 2, 0], [.., u_z,z, 0], [0, 0, u_r / r]],
+$$\varepsilon = \begin{pmatrix}
+u_{r,r} & (u_{r,z} + u_{z,r}) / 2 & 0 \\ \cdot & u_{z,z} & 0 \\ 0 & 0 & u_r / r
+\end{pmatrix},$$
 
 and all integrals have the factor 2 pi r. Forces are then those of the whole ball. (With the factor
 r they are forces per radian.)

@@ -1,4 +1,4 @@
-"""A ball in a socket of nearly the same radius, pressed by a growing force.
+r"""A ball in a socket of nearly the same radius, pressed by a growing force.
 
 # Ball in a socket
 
@@ -7,9 +7,10 @@ displacement is axisymmetric, as in `demos/axisymmetric_ball.py`, and the mesh t
 
 Under a small force, Hertz's formulas hold with the difference of the curvatures,
 
-    a^3 = 3 F R / (4 E*),   p(r) = p0 sqrt(1 - r^2 / a^2),   p0 = 3 F / (2 pi a^2),
+$$a^3 = \frac{3 F R}{4 E^*}, \quad p(r) = p_0 \sqrt{1 - r^2 / a^2}, \quad
+p_0 = \frac{3 F}{2 \pi a^2},$$
 
-    1/R = 1/R1 - 1/R2,      E* = E / (2 (1 - nu^2)).
+$$\frac{1}{R} = \frac{1}{R_1} - \frac{1}{R_2}, \quad E^* = \frac{E}{2 (1 - \nu^2)}.$$
 
 Under a large force, the contact area is no longer flat nor small: it stays smaller than by the
 formulas, and the pressure becomes larger. There, a finer mesh is the reference. The meshes do not

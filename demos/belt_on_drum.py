@@ -1,4 +1,4 @@
-"""A belt on a drum: friction holds a large force by a small one.
+r"""A belt on a drum: friction holds a large force by a small one.
 
 # Belt on a drum
 
@@ -6,7 +6,7 @@ A belt lies on half of a rigid drum. One end is held, the other one is pulled by
 reduces the force in the belt along the drum (Euler, Eytelwein): where it slips everywhere, the held
 end has
 
-    T0 = T exp(-mu phi),    phi = pi.
+$$T_0 = T e^{-\mu \varphi}, \quad \varphi = \pi.$$
 
 This demo illustrates how to
 

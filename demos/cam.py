@@ -1,4 +1,4 @@
-"""A cam turned by half a turn under a follower: large rotation and sliding, with its energy.
+r"""A cam turned by half a turn under a follower: large rotation and sliding, with its energy.
 
 # Cam
 
@@ -7,14 +7,14 @@ foot, guided at its sides, stands on it; a spring presses it down. In half a tur
 by twice the eccentricity e, and half of the cam's circumference slides along the foot. For rigid
 bodies the moment that turns the cam by the angle t is
 
-    M = k (d + e (1 - cos t)) e sin t,
+$$M = k (d + e (1 - \cos t)) \, e \sin t,$$
 
 where k is the stiffness of the spring and d what it is shortened by at first. Elastic bodies give
 way, so that M is smaller. Its work is the energy that the bodies and the spring store.
 
 Linear elasticity has no large rotations: the mesh of the cam is turned rigidly between the steps,
 and its displacement counts from there. Contact is exact on the deformed surfaces
-(`non_penetration="exact"`), whose meshes do not match.
+(`geometry=Exact()`), whose meshes do not match.
 
 This demo illustrates how to
 
@@ -36,7 +36,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import ContactPair, ContactProblem, Exact
 from fenics_tfeti.io import displacement_space, draw_deformed, draw_profile, read_msh, von_mises
 from fenics_tfeti.models import isotropic, symmetry_plane
 
@@ -81,11 +81,7 @@ for name, axis in (("bore", 0), ("bore", 1), ("guide", 0)):
     bcs.append(symmetry_plane(V, facet_tags, tags[name], axis))
 
 contact = ContactPair(facet_tags, slave=tags["cam"], master=tags["foot"])
-options = {
-    "non_penetration": "exact",
-    "non_penetration_tolerance": 1e-4,
-    "non_penetration_max_it": 40,
-}
+geometry = Exact(tolerance=1e-4, max_passes=40)
 
 # ## Turning the cam
 #
@@ -117,7 +113,7 @@ def moment_of(problem, uh):
 # The problem is set up at the first angle. Moved nodes are noticed in each solve.
 
 turn(0)
-problem = ContactProblem(a(u, v), 0, bcs=bcs, contacts=[contact], options=options)
+problem = ContactProblem(a(u, v), 0, bcs=bcs, contacts=[contact], geometry=geometry)
 M, energy = [], []
 for step, t in enumerate(angles):
     turn(t)

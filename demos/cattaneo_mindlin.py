@@ -1,4 +1,4 @@
-"""Two half planes pressed and pushed on each other: the stick zone of Cattaneo and Mindlin.
+r"""Two half planes pressed and pushed on each other: the stick zone of Cattaneo and Mindlin.
 
 # Partial slip
 
@@ -7,8 +7,8 @@ length, then pushed sideways by Q'. Where it touches, |x| < a, the pressure is H
 allows a traction of mu p. Before the cylinder slides as a whole it slips at the edges of the
 contact only. In the middle, |x| < c, it sticks (Cattaneo 1938, Mindlin 1949):
 
-    c / a = sqrt(1 - Q' / (mu P')),
-    q(x) = mu p0 [ sqrt(1 - x^2 / a^2) - c / a sqrt(1 - x^2 / c^2) ].
+$$c / a = \sqrt{1 - Q' / (\mu P')},$$
+$$q(x) = \mu p_0 \left[ \sqrt{1 - x^2 / a^2} - \frac{c}{a} \sqrt{1 - x^2 / c^2} \, \right].$$
 
 This demo illustrates how to
 

@@ -1,4 +1,4 @@
-"""A rigid roller pressed into a block, on finer and finer meshes: each starts from the one before.
+r"""A rigid roller pressed into a block, on finer and finer meshes: each starts from the one before.
 
 # Finer meshes
 
@@ -10,9 +10,9 @@ A rigid roller of radius R is pressed into an elastic block, in plane strain; by
 is meshed. Hertz's formulas for a half space give approximately the half-width a of the contact area
 and the largest pressure p0,
 
-    a^2 = 4 F R / (pi E*),   p0 = 2 F / (pi a),
+$$a^2 = \frac{4 F R}{\pi E^*}, \quad p_0 = \frac{2 F}{\pi a},$$
 
-where F is the force per unit length and E* = E / (1 - nu^2).
+where F is the force per unit length and $E^* = E / (1 - \nu^2)$.
 
 This demo illustrates how to
 

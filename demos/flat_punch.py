@@ -1,15 +1,16 @@
-"""A rigid flat punch on an elastic half space: the pressure is singular at the edge.
+r"""A rigid flat punch on an elastic half space: the pressure is singular at the edge.
 
 # Flat punch
 
 A rigid punch with a flat end of radius a = 10 mm is pushed by delta = 0.1 mm into a half space. The
 pressure is singular at the edge. Under a circular punch force and pressure are
 
-    F = 2 a E* delta,   p(r) = F / (2 pi a sqrt(a^2 - r^2)),   E* = E / (1 - nu^2).
+$$F = 2 a E^* \delta, \quad p(r) = \frac{F}{2 \pi a \sqrt{a^2 - r^2}}, \quad
+E^* = \frac{E}{1 - \nu^2}.$$
 
 Under a long punch of width 2a (plane strain) with the force F' per unit of length it is
 
-    p(x) = F' / (pi sqrt(a^2 - x^2)).
+$$p(x) = \frac{F'}{\pi \sqrt{a^2 - x^2}}.$$
 
 This demo illustrates how to
 

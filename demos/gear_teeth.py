@@ -1,4 +1,4 @@
-"""A pair of gear teeth in contact, against the formulas of Hertz for a line contact.
+r"""A pair of gear teeth in contact, against the formulas of Hertz for a line contact.
 
 # Gear teeth
 
@@ -9,9 +9,11 @@ radius. By the equilibrium of moments the contact force is F = T / r_b, where T 
 per width of the gears. The flanks have the radii of curvature r_1 sin(20°) and r_2 sin(20°). By
 Hertz's formulas the half-width a of the contact and its pressure p are
 
-    a^2 = 4 F R / (pi E*),   p(s) = p0 sqrt(1 - s^2 / a^2),   p0 = 2 F / (pi a),
+$$a^2 = \frac{4 F R}{\pi E^*}, \quad p(s) = p_0 \sqrt{1 - s^2 / a^2}, \quad
+p_0 = \frac{2 F}{\pi a},$$
 
-    1/R = (1/r_1 + 1/r_2) / sin(20°),   E* = E / (2 (1 - nu^2)).
+$$\frac{1}{R} = \left(\frac{1}{r_1} + \frac{1}{r_2}\right) \frac{1}{\sin 20^\circ}, \quad
+E^* = \frac{E}{2 (1 - \nu^2)}.$$
 
 This demo illustrates how to
 

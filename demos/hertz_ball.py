@@ -1,13 +1,14 @@
-"""An elastic ball on a rigid plane: the contact problem that Heinrich Hertz solved in 1881.
+r"""An elastic ball on a rigid plane: the contact problem that Heinrich Hertz solved in 1881.
 
 # Hertz's ball
 
 A ball of radius R = 50 mm is pressed onto a rigid plane without friction. The contact area is a
 disc of radius a. Formulas that hold for a much smaller than R are
 
-    a^3 = 3 F R / (4 E*),   p(r) = p0 sqrt(1 - r^2 / a^2),   p0 = 3 F / (2 pi a^2),
+$$a^3 = \frac{3 F R}{4 E^*}, \quad p(r) = p_0 \sqrt{1 - r^2 / a^2}, \quad
+p_0 = \frac{3 F}{2 \pi a^2},$$
 
-where F is the force and E* = E / (1 - nu^2) for a rigid plane.
+where F is the force and $E^* = E / (1 - \nu^2)$ for a rigid plane.
 
 This demo illustrates how to
 

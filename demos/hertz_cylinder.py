@@ -1,4 +1,4 @@
-"""A long elastic roller on a rigid plane, and in a rigid groove (plane strain).
+r"""A long elastic roller on a rigid plane, and in a rigid groove (plane strain).
 
 # Hertz's roller
 
@@ -6,9 +6,10 @@ A roller of radius R1 = 50 mm is pressed by a force F' per unit of length, first
 then into a rigid groove of radius R2 = 100 mm. The contact area is a strip of half-width a.
 Formulas of Hertz that hold for a much smaller than the radii are
 
-    a^2 = 4 F' R / (pi E*),   p(x) = p0 sqrt(1 - x^2 / a^2),   p0 = 2 F' / (pi a),
+$$a^2 = \frac{4 F' R}{\pi E^*}, \quad p(x) = p_0 \sqrt{1 - x^2 / a^2}, \quad
+p_0 = \frac{2 F'}{\pi a},$$
 
-with 1/R = 1/R1 on the plane and 1/R = 1/R1 - 1/R2 in the groove, and E* = E / (1 - nu^2).
+with $1/R = 1/R_1$ on the plane, $1/R = 1/R_1 - 1/R_2$ in the groove, and $E^* = E / (1 - \nu^2)$.
 
 This demo illustrates how to
 

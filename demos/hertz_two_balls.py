@@ -1,13 +1,15 @@
-"""Two elastic balls of different radii and materials, pressed together.
+r"""Two elastic balls of different radii and materials, pressed together.
 
 # Two balls
 
 A ball of radius R1 = 50 mm is pressed onto a stiffer one of radius R2 = 100 mm. Formulas of Hertz
 that hold for a radius a of the contact area much smaller than R1 and R2 are
 
-    a^3 = 3 F R / (4 E*),   p(r) = p0 sqrt(1 - r^2 / a^2),   p0 = 3 F / (2 pi a^2),
+$$a^3 = \frac{3 F R}{4 E^*}, \quad p(r) = p_0 \sqrt{1 - r^2 / a^2}, \quad
+p_0 = \frac{3 F}{2 \pi a^2},$$
 
-    1/R = 1/R1 + 1/R2,      1/E* = (1 - nu1^2) / E1 + (1 - nu2^2) / E2.
+$$\frac{1}{R} = \frac{1}{R_1} + \frac{1}{R_2}, \quad
+\frac{1}{E^*} = \frac{1 - \nu_1^2}{E_1} + \frac{1 - \nu_2^2}{E_2}.$$
 
 This demo illustrates how to
 

@@ -1,11 +1,11 @@
-"""A ball on a plane, loaded and unloaded in steps: one problem, solved for each load.
+r"""A ball on a plane, loaded and unloaded in steps: one problem, solved for each load.
 
 # Load steps
 
 The ball of `demos/hertz_ball.py` is pressed onto the rigid plane by a force F that grows in four
 steps and then decreases in two. By Hertz's formula, the radius a of the contact area is
 
-    a^3 = 3 F R / (4 E*).
+$$a^3 = \frac{3 F R}{4 E^*}.$$
 
 Without friction the solution depends on the present load only: loading and unloading give the same
 contact area for the same force.

@@ -1,4 +1,4 @@
-"""A heavy plank, lifted at one end: Total FETI for matrices that SciPy assembles, without dolfinx.
+r"""A heavy plank, lifted at one end: Total FETI for matrices that SciPy assembles, without dolfinx.
 
 # A plank on the floor
 
@@ -6,7 +6,7 @@ A steel plank, 4 m long and 0.1 m high, lies on a rigid floor. Its left end is l
 1 mm. A part of length s leaves the floor; the rest lies flat. With the weight q per length and the
 bending stiffness EI, beam theory gives
 
-    s = (24 EI delta / q)^(1/4),   V = q s / 2,
+$$s = (24 E I \delta / q)^{1/4}, \quad V = q s / 2,$$
 
 V being the force that lifts the end.
 

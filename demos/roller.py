@@ -1,4 +1,4 @@
-"""A steel roller between two plates: Hertz pressure and unresisted motions.
+r"""A steel roller between two plates: Hertz pressure and unresisted motions.
 
 # A roller between two plates
 
@@ -9,9 +9,10 @@ onto the roller. Contact alone supports the roller and, in the vertical directio
 By Hertz's formulas, each of the two contact areas under the load P = 10 MPa x 0.4 m has the
 half-width b and the pressure p, with
 
-    b^2 = 4 P R / (pi E*),   p(x) = p0 sqrt(1 - x^2 / b^2),   p0 = 2 P / (pi b),
+$$b^2 = \frac{4 P R}{\pi E^*}, \quad p(x) = p_0 \sqrt{1 - x^2 / b^2}, \quad
+p_0 = \frac{2 P}{\pi b},$$
 
-where E* = E / (2 (1 - nu^2)).
+where $E^* = E / (2 (1 - \nu^2))$.
 
 This demo illustrates how to
 

@@ -25,7 +25,7 @@ This demo illustrates how to
 There is no cage in the small bearing. Without it and without friction, a roller between rings that
 are not concentric is pushed slowly towards the wider gap. Each pass of the exact non-penetration
 follows it by some micrometres along the raceway, while penetration and forces have converged.
-`non_penetration_tolerance` is therefore 5e-3.
+The tolerance of `Exact` is therefore 5e-3.
 
 Run it by `python demos/roller_bearing.py`, or on several processes by
 `mpirun -n 2 python demos/roller_bearing.py`. With the argument `full` it takes the full size of
@@ -45,7 +45,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import compute_midpoints
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import ContactPair, ContactProblem, Exact
 from fenics_tfeti.io import displacement_space, draw_deformed, draw_profile, read_msh, von_mises
 from fenics_tfeti.models import isotropic
 
@@ -118,16 +118,16 @@ middles = compute_midpoints(mesh, 3, np.arange(owned, dtype=np.int32))
 cells = {body: bodies.cell_tags.find(tags[body]) for body in bearing.names}
 labels = subdomain_labels(bearing, cells, middles, slices)
 
-options = {
-    "rtol": 1e-4,
-    "non_penetration": "exact",
-    # of the full size the second pass ends at 1.6e-2
-    "non_penetration_tolerance": 3e-2 if full else 5e-3,
-    "preconditioner": "dirichlet",
-    "deflation": "on",
-}
 problem = ContactProblem(
-    a, L, bcs=bcs, contacts=contacts, cell_tags=bodies.cell_tags, subdomains=labels, options=options
+    a,
+    L,
+    bcs=bcs,
+    contacts=contacts,
+    cell_tags=bodies.cell_tags,
+    subdomains=labels,
+    # of the full size the second pass ends at 1.6e-2
+    geometry=Exact(tolerance=3e-2 if full else 5e-3),
+    options={"rtol": 1e-4, "preconditioner": "dirichlet", "deflation": "on"},
 )
 uh = problem.solve()
 report = problem.report

@@ -1,4 +1,4 @@
-"""A rubber ring is squeezed in its groove until it fills it: Poisson's ratio 0.499.
+r"""A rubber ring is squeezed in its groove until it fills it: Poisson's ratio 0.499.
 
 # Rubber seal
 
@@ -7,7 +7,7 @@ volume: the ring widens until it touches both walls. From then on the lid works 
 modulus, a thousand times as large as that of shear. There is no friction, so that the strains are
 nearly the same everywhere, and the mean pressure on the lid is that of Hooke's law,
 
-    p = -(lambda tr(epsilon) + 2 mu epsilon_zz)
+$$p = -(\lambda \operatorname{tr} \varepsilon + 2 \mu \varepsilon_{zz})$$
 
 with epsilon_zz = -squeeze / h and, once the walls are touched, tr(epsilon) by the clearances.
 

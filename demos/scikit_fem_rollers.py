@@ -1,11 +1,12 @@
-"""Two rollers pressed together, assembled by scikit-fem and solved by `fenics_tfeti.feti` alone.
+r"""Two rollers pressed together, assembled by scikit-fem and solved by `fenics_tfeti.feti` alone.
 
 # Rollers with scikit-fem
 
 Two long rollers of radius R = 1 m touch along a line and are pressed together by the force F' per
 length. By Hertz's formulas, half the width a of the contact and the largest pressure are
 
-    a^2 = 8 F' R* (1 - nu^2) / (pi E),   p_0 = 2 F' / (pi a),   1 / R* = 1 / R + 1 / R.
+$$a^2 = \frac{8 F' R^* (1 - \nu^2)}{\pi E}, \quad p_0 = \frac{2 F'}{\pi a}, \quad
+\frac{1}{R^*} = \frac{1}{R} + \frac{1}{R}.$$
 
 As in Hertz's theory only the surroundings of the contact are modelled, each roller by a block: the
 distance of the surfaces is x^2 / (2 R*). The blocks are symmetric about x = 0.

@@ -1,4 +1,4 @@
-"""A hub shrunk onto a hollow shaft: two rings whose meshes do not match.
+r"""A hub shrunk onto a hollow shaft: two rings whose meshes do not match.
 
 # Shrink fit
 
@@ -6,11 +6,11 @@ The bore of an aluminium hub has a radius smaller by d = 0.02 mm than that of th
 onto which the hub is shrunk. By Lamé's formulas for thick rings in plane strain, with
 the radii r_1 of the shaft's bore, r_2 of the fit and r_3 of the hub, the pressure of the fit is
 
-    p = d / r_2 / [(C_shaft - nu'_shaft) / E'_shaft + (C_hub + nu'_hub) / E'_hub],
+$$p = \frac{d}{r_2} \left[ \frac{C_1 - \nu'_1}{E'_1} + \frac{C_2 + \nu'_2}{E'_2} \right]^{-1}, \quad
+C_1 = \frac{r_2^2 + r_1^2}{r_2^2 - r_1^2}, \quad C_2 = \frac{r_3^2 + r_2^2}{r_3^2 - r_2^2},$$
 
-    C_shaft = (r_2^2 + r_1^2) / (r_2^2 - r_1^2),   C_hub = (r_3^2 + r_2^2) / (r_3^2 - r_2^2),
-
-where E' = E / (1 - nu^2) and nu' = nu / (1 - nu).
+where $E' = E / (1 - \nu^2)$ and $\nu' = \nu / (1 - \nu)$, index 1 for the
+shaft and 2 for the hub.
 
 The rings are meshed apart: their surfaces are polygons with other numbers of sides, whose distance
 varies by as much as the interference. Both are therefore drawn with the same radius, and the

@@ -8,7 +8,7 @@ part of the block is prescribed, so that the block does not rotate; its vertical
 free. A traction presses it down. The result is the horizontal force H(s) that the motion needs.
 
 Linearised contact conditions are those of the undeformed surfaces: each node of the foot slides on
-a straight line, whether there is a bump or not. With the option `non_penetration="exact"` the
+a straight line, whether there is a bump or not. With `geometry=Exact()` the
 solver measures normals and gaps on the deformed surfaces, pairs the nodes anew, and solves again,
 until no node penetrates and each contact force acts at a closed gap.
 
@@ -36,7 +36,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Along, ContactPair, ContactProblem
+from fenics_tfeti import Along, ContactPair, ContactProblem, Exact
 from fenics_tfeti.io import displacement_space, draw_deformed, draw_profile, read_msh, von_mises
 from fenics_tfeti.models import isotropic
 
@@ -82,16 +82,12 @@ for name, component, value in prescribed:
 contact = ContactPair(
     facet_tags, slave=tags["block surface"], master=tags["base surface"], partners=Along((0, 1))
 )
-exact = {
-    "non_penetration": "exact",
-    "non_penetration_tolerance": 1e-5,
-    "non_penetration_max_it": 40,
-}
-problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], options=exact)
+exact = Exact(tolerance=1e-5, max_passes=40)
+problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], geometry=exact)
 
 # For comparison, a problem whose only geometry pass gives the linearised solution.
 
-once = {**exact, "non_penetration_max_it": 1, "error_if_not_converged": False}
+once = {"geometry": Exact(max_passes=1), "options": {"error_if_not_converged": False}}
 
 
 def tell(line):
@@ -122,7 +118,7 @@ for step, s in enumerate(steps):
     H.append(push[0])
     F.append(-push[1])
 
-    linearised = ContactProblem(a, L, bcs=bcs, contacts=[contact], options=once)
+    linearised = ContactProblem(a, L, bcs=bcs, contacts=[contact], **once)
     linearised.solve()
     passes = problem.report.passes
     tell(

@@ -1,4 +1,4 @@
-"""A block with a bore, of a fine and a coarse part that are tied together.
+r"""A block with a bore, of a fine and a coarse part that are tied together.
 
 # Tied block
 
@@ -10,10 +10,11 @@ times as large, and the parts have no nodes in common. Two `TiedPair`s hold them
 The displacement of an infinite body is known (Kirsch; plane strain, kappa = 3 - 4 nu, in polar
 coordinates r and t):
 
-    u_x = S R / (8 mu) [(r/R) (kappa + 1) cos t + (2 R/r) ((1 + kappa) cos t + cos 3t)
-                        - (2 R^3/r^3) cos 3t],
-    u_y = S R / (8 mu) [(r/R) (kappa - 3) sin t + (2 R/r) ((1 - kappa) sin t + sin 3t)
-                        - (2 R^3/r^3) sin 3t].
+$$u_x = \frac{S R}{8 \mu} \left[ \frac{r}{R} (\kappa + 1) \cos t
++ \frac{2 R}{r} \big( (1 + \kappa) \cos t + \cos 3 t \big) - \frac{2 R^3}{r^3} \cos 3 t \right],$$
+
+$$u_y = \frac{S R}{8 \mu} \left[ \frac{r}{R} (\kappa - 3) \sin t
++ \frac{2 R}{r} \big( (1 - \kappa) \sin t + \sin 3 t \big) - \frac{2 R^3}{r^3} \sin 3 t \right].$$
 
 Its tractions are applied to the outside of the block, so that it is the exact solution here.
 

@@ -17,7 +17,17 @@ project = "fenics_tfeti"
 author = "the fenics_tfeti authors"
 release = tomllib.loads((here.parent / "pyproject.toml").read_text())["project"]["version"]
 version = release
-extensions = ["sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc", "myst_parser"]
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "numpydoc",
+    "myst_parser",
+    "sphinx_design",
+    "sphinx_copybutton",
+    "gallery",
+]
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
 html_theme = "furo"
 html_show_copyright = False
 html_title = f"fenics_tfeti {release}"

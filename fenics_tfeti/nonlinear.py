@@ -17,7 +17,7 @@ from fenics_tfeti.errors import InputError, Interrupted
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_residual
 from fenics_tfeti.fem.contact.contact_set import SolvedContacts
-from fenics_tfeti.fem.contact.description import Contact, ContactPair, TiedPair, contact_name
+from fenics_tfeti.fem.contact.description import Contact, Exact, TiedPair
 from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
@@ -121,7 +121,7 @@ class NonlinearContactProblem:
         self._timer = Timer()
         J, L = as_residual(F, u, J)
         self.u, self.space = u, space_of_forms(J, L)
-        self.bcs, self.contacts = as_conditions(bcs), as_contacts(contacts)
+        self.bcs, self.contacts = as_conditions(bcs), _as_contacts(contacts)
         compiler = _compat.CompilerOptions(form_compiler_options, jit_options)
         data = ProblemData(self.bcs, self.contacts, cell_tags, subdomains, measure_weight, compiler)
         self._torn = TornProblem(
@@ -254,8 +254,7 @@ class NonlinearContactProblem:
     def _refresh(self) -> None:
         """Take the present supports and contacts."""
         with raise_collectively(self.space.mesh.comm):
-            self.bcs, self.contacts = as_conditions(self.bcs), as_contacts(self.contacts)
-            _check_gaps(self.contacts)
+            self.bcs, self.contacts = as_conditions(self.bcs), _as_contacts(self.contacts)
         self._torn.update(self.bcs, self.contacts)
         origin = self._step.origin.resized(len(self._torn.data.touching))
         self._step = replace(self._step, origin=origin)
@@ -277,11 +276,5 @@ class NonlinearContactProblem:
         self._step = replace(self._step, force=self._solved.nodal_forces())
 
 
-def _check_gaps(contacts: Sequence[Contact | TiedPair]) -> None:
-    for number, contact in enumerate(contacts):
-        if isinstance(contact, ContactPair) and contact.initial_gap != "geometric":
-            raise InputError(
-                f"{contact_name(contact, number)}: initial_gap={contact.initial_gap!r} replaces "
-                "the gap of the mesh, but NonlinearContactProblem measures gaps on the deformed "
-                "mesh. Leave it out"
-            )
+def _as_contacts(contacts: Any) -> list[Contact | TiedPair]:
+    return as_contacts(contacts, Exact(), "NonlinearContactProblem")

@@ -1,4 +1,4 @@
-"""Options of a contact problem: those of the geometry, and those of the solver."""
+"""Options of a contact problem: those of the partition, and those of the solver."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.decomposition.partition import Partitioner
+from fenics_tfeti.fem.units import UnitSystem
 from fenics_tfeti.feti.options import Options, check_range, convert, refuse_unknown
 
 
@@ -31,14 +32,9 @@ class ContactOptions:
         blocks where the nodes of a body (of the part of it that a rank has) are a grid along the
         axes, since equal ones share their factors, and bisects bodies of 50,000 cells or more,
         unless they are coiled.
-    non_penetration : {"linearised", "exact"}
-        Contact conditions with the normals and gaps of the undeformed surfaces, or corrected until
-        the deformed surfaces touch.
-    non_penetration_tolerance : float
-        Penetration and separation of the deformed surfaces that count as none, relative to the
-        largest displacement.
-    non_penetration_max_it : int
-        Limit on the solutions with corrected normals and gaps.
+    units : {"SI", "mm-N-MPa"}
+        Units of the mesh, the loads and the material, which reports and their pages write beside
+        numbers.
     view : bool
         Print a summary of the report at the end of each solve, on rank 0.
     """
@@ -46,15 +42,12 @@ class ContactOptions:
     solver: Options = field(default_factory=Options)
     subdomain_size: int = 3000
     partitioner: Partitioner = "auto"
-    non_penetration: Literal["linearised", "exact"] = "linearised"
-    non_penetration_tolerance: float = 1e-3
-    non_penetration_max_it: int = 20
+    units: UnitSystem = "SI"
     view: bool = False
 
     def __post_init__(self) -> None:
         """Check the ranges of numbers."""
-        for name in ("subdomain_size", "non_penetration_tolerance", "non_penetration_max_it"):
-            check_range(self, name, 0, float("inf"))
+        check_range(self, "subdomain_size", 0, float("inf"))
 
     def as_dict(self) -> dict[str, Any]:
         """Return all options but those of the solver, by name."""
@@ -119,12 +112,12 @@ def contact_options(kind: type[_Kind], options: Mapping[str, Any] | None, prefix
     merged = {**(options or {}), **_command_line(prefix)}
     if kind is NewtonOptions:
         merged = {"rtol": 1e-3, **merged}
-    geometry = [f.name for f in fields(kind) if f.name != "solver"]
+    contact = [f.name for f in fields(kind) if f.name != "solver"]
     solver = [f.name for f in fields(Options)]
-    refuse_unknown(merged, [*solver, *geometry])
+    refuse_unknown(merged, [*solver, *contact])
     solver_options = convert(Options, {k: v for k, v in merged.items() if k in solver})
-    geometry_options = convert(kind, {k: v for k, v in merged.items() if k in geometry})
-    return replace(geometry_options, solver=solver_options)
+    contact_values = convert(kind, {k: v for k, v in merged.items() if k in contact})
+    return replace(contact_values, solver=solver_options)
 
 
 def _command_line(prefix: str) -> dict[str, str]:

@@ -20,10 +20,11 @@ from fenics_tfeti.fem.arguments import (
     as_contacts,
     as_displacement,
     as_forms,
+    as_geometry,
 )
 from fenics_tfeti.fem.contact.contact_set import ContactSearch, ContactSet, SolvedContacts
 from fenics_tfeti.fem.contact.deformed import GeometryPass, geometry_pass
-from fenics_tfeti.fem.contact.description import Contact, ContactPair, TiedPair, contact_name
+from fenics_tfeti.fem.contact.description import Contact, Exact, TiedPair
 from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.contact.transfer import check_same_contacts, expected_contact
@@ -79,6 +80,10 @@ class ContactProblem:
         A label for each cell that this rank owns: cells with the same label make a subdomain. By
         default each rank splits its cells into blocks or by a graph partitioner, see the option
         ``partitioner``.
+    geometry : Exact, optional
+        Whether the normals and gaps of contacts are those of the undeformed surfaces, which is for
+        displacements along them that are small beside the facets, or are corrected until the
+        deformed surfaces touch.
     options : mapping, optional
         Names and values, see `fenics_tfeti.options.ContactOptions` and
         `fenics_tfeti.feti.Options`.
@@ -136,6 +141,7 @@ class ContactProblem:
         subdomains: Sequence[int] | None = None,
         options: Mapping[str, Any] | None = None,
         options_prefix: str = "tfeti_",
+        geometry: Exact | None = None,
         measure_weight: Any = None,
         form_compiler_options: Mapping[str, Any] | None = None,
         jit_options: Mapping[str, Any] | None = None,
@@ -146,7 +152,8 @@ class ContactProblem:
         a, L = as_forms(a, L)
         self.space = space_of_forms(a, L)
         self._nodes = NodeMap(self.space)
-        self.bcs, self.contacts = as_conditions(bcs), as_contacts(contacts)
+        self.geometry = as_geometry(geometry)
+        self.bcs, self.contacts = as_conditions(bcs), as_contacts(contacts, self.geometry)
         self.u = as_displacement(u, self.space)
         self.results = Results()
         with self._timer.phase("partition"):
@@ -379,7 +386,8 @@ class ContactProblem:
     def _refresh(self) -> None:
         """Update the system by all that changed since the last solve or the set-up."""
         with raise_collectively(self.space.mesh.comm):
-            self.bcs, self.contacts = as_conditions(self.bcs), as_contacts(self.contacts)
+            self.bcs = as_conditions(self.bcs)
+            self.contacts = as_contacts(self.contacts, self.geometry)
             self.u = as_displacement(self.u, self.space)
         origin = self._step.origin.resized(len(self._touching()))
         self._step = replace(self._step, origin=origin)
@@ -432,9 +440,9 @@ class ContactProblem:
         self._refresh()
         if coarse is not None:
             self._check_coarse(coarse)
-        if self.options.non_penetration == "linearised":
+        if self.geometry is None:
             return self._solve_linearised(self._undeformed, coarse, monitor)
-        return self._solve_exactly(coarse, monitor, checkpoint)
+        return self._solve_exactly(self.geometry, coarse, monitor, checkpoint)
 
     def _solve_linearised(
         self,
@@ -469,12 +477,12 @@ class ContactProblem:
 
     def _solve_exactly(
         self,
+        geometry: Exact,
         coarse: ContactProblem | None,
         monitor: MonitorFunction | None,
         checkpoint: str | os.PathLike[str] | None,
     ) -> Function:
         """Repeat with normals, gaps and partners of the deformed surfaces, sec. 11.1, 11.11.2."""
-        self._check_initial_gaps()
         conditions, comm = self._first_conditions(), self.space.mesh.comm
         passes = list(self._step.passes) if self._is_restored else []
         while True:
@@ -488,10 +496,10 @@ class ContactProblem:
             passes = [*passes, replace(new_pass, seconds=self._timer.lap(comm))]
             seconds = self._timer.slowest(comm)
             self.report = replace(self.report, passes=passes, seconds=seconds)
-            if passes[-1].error <= self.options.non_penetration_tolerance:
+            if passes[-1].error <= geometry.tolerance:
                 return uh
-            if len(passes) >= self.options.non_penetration_max_it:
-                return self._not_exact(uh, passes[-1])
+            if len(passes) >= geometry.max_passes:
+                return self._not_exact(geometry, uh, passes[-1])
             self._step = replace(self._step, passes=passes)
             self._save(checkpoint)
             conditions = self._deformed.with_friction()
@@ -507,28 +515,16 @@ class ContactProblem:
             return undeformed
         return undeformed.at_conditions_of(self._deformed)
 
-    def _check_initial_gaps(self) -> None:
-        with raise_collectively(self.space.mesh.comm):
-            for number, contact in enumerate(self.contacts):
-                if isinstance(contact, ContactPair) and contact.initial_gap != "geometric":
-                    raise InputError(
-                        f"{contact_name(contact, number)}: initial_gap={contact.initial_gap!r} "
-                        "replaces the gap of the mesh, but non_penetration='exact' measures gaps "
-                        "on the deformed mesh. Leave out one of them"
-                    )
-
-    def _not_exact(self, uh: Function, last: GeometryPass) -> Function:
+    def _not_exact(self, geometry: Exact, uh: Function, last: GeometryPass) -> Function:
         reason = (
-            f"limit of {self.options.non_penetration_max_it} geometry passes "
-            "(non_penetration_max_it): the deformed surfaces penetrate or gape by "
-            f"{last.error:.1e} of the largest displacement"
+            f"limit of {geometry.max_passes} geometry passes (max_passes): the deformed surfaces "
+            f"penetrate or gape by {last.error:.1e} of the largest displacement"
         )
         self.report = replace(self.report, converged=False, reason=reason)
         if self.options.solver.error_if_not_converged:
             raise NotConverged(
-                f"no exact non-penetration to {self.options.non_penetration_tolerance:g}: "
-                f"{reason}. Raise the limit or non_penetration_tolerance, or set "
-                "error_if_not_converged to false",
+                f"no exact non-penetration to {geometry.tolerance:g}: {reason}. Raise "
+                "max_passes or the tolerance of Exact, or set error_if_not_converged to false",
                 uh,
                 self.report,
             )

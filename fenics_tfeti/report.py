@@ -14,6 +14,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.deformed import GeometryPass
 from fenics_tfeti.fem.contact.result import ContactEntry
 from fenics_tfeti.fem.io.scene import gather_scene
+from fenics_tfeti.fem.units import Units, units_of
 from fenics_tfeti.feti import Report
 from fenics_tfeti.feti.files.arrays import write_whole
 from fenics_tfeti.feti.report.report import without_nan
@@ -40,7 +41,7 @@ class ContactReport(Report):
         """Return the main figures and the pairing as lines to read."""
         table = [self.pairing_table()] if self.contacts else []
         roles = [f"{entry.name}: {entry.roles}" for entry in self.contacts if entry.roles]
-        return "\n".join([*table, *roles, super().__str__()])
+        return "\n".join([*table, *roles, self.summary(self._units.force)])
 
     def to_html(
         self,
@@ -92,26 +93,31 @@ class ContactReport(Report):
 
     def pairing_table(self) -> str:
         """Return the pairing of each contact as a table to read, a line for each."""
-        return pairing_table([entry.pairing for entry in self.contacts])
+        return pairing_table([entry.pairing for entry in self.contacts], self._units.length)
+
+    @property
+    def _units(self) -> Units:
+        return units_of(self.options["units"])
 
 
+# with the unit of length in place of L
 _COLUMNS = {
     "contact": "contact",
     "discretisation": "discretisation",
     "pairs": "pairs",
     "unmatched": "unmatched",
-    "largest_distance": "distance [m]",
+    "largest_distance": "distance [L]",
     "largest_relative_distance": "of a facet",
     "largest_angle": "angle [deg]",
-    "smallest_gap": "gap from [m]",
-    "largest_gap": "to [m]",
-    "mean_gap": "mean [m]",
+    "smallest_gap": "gap from [L]",
+    "largest_gap": "to [L]",
+    "mean_gap": "mean [L]",
     "covered_area": "area",
-    "deviation": "deviation [m]",
+    "deviation": "deviation [L]",
 }
 
 
-def pairing_table(pairing: Sequence[Mapping[str, Any]]) -> str:
+def pairing_table(pairing: Sequence[Mapping[str, Any]], length: str = "m") -> str:
     """Write the pairing of contacts, see `ContactEntry.pairing`, as a table, a line for each.
 
     >>> entry = {"contact": "joint", "discretisation": "mortar", "pairs": 25, "unmatched": 0}
@@ -125,7 +131,7 @@ def pairing_table(pairing: Sequence[Mapping[str, Any]]) -> str:
     >>> line.split()[4:]
     ['-', '-', '0', '0', '0.01', '0.002', '0.5', '0.001']
     """
-    rows = [list(_COLUMNS.values())]
+    rows = [[title.replace("[L]", f"[{length}]") for title in _COLUMNS.values()]]
     rows += [[_word(entry[key]) for key in _COLUMNS] for entry in pairing]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join(

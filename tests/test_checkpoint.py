@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from mpi4py import MPI
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 from killed_run import HEIGHTS, Disc, block, block_on_disc, run
 
-from fenics_tfeti import Coulomb, InputError, Interrupted, NotConverged
+from fenics_tfeti import Coulomb, InputError, Interrupted, NotConverged, Plane
 from fenics_tfeti.feti import save_checkpoint
 
 pytestmark = pytest.mark.once
@@ -118,6 +119,20 @@ def test_passes_of_both_runs_are_in_the_report(path, whole):
     assert errors[-1] <= 1e-8 < min(errors[:-1])
 
 
+def test_forces_of_all_nodes_are_in_the_checkpoint(path):
+    """Also that of the node with the lowest number, at the corner."""
+    problem = block_on_disc(block(COMM), floor := Plane((0.0, 0.0), (0.0, 1.0)))
+    problem.solve()
+    nodes = problem.results[0].nodes
+    assert problem._nodes.input_numbers[nodes].min() == 0
+    problem.save(path)
+    again = block_on_disc(block(COMM), floor)
+    again.restore(path)
+    force = problem._step.force
+    assert (force[0, nodes] > 0.0).all()
+    np.testing.assert_array_equal(again._step.force, force)
+
+
 def test_interruption_writes_the_checkpoint(path):
     problem = block_on_disc(block(COMM), disc := Disc())
     disc.height = HEIGHTS[-1]
@@ -145,7 +160,7 @@ def test_last_iterate_of_a_limit_is_no_finished_step(path):
     disc.height = HEIGHTS[-1]
     problem.solve(checkpoint=path)
     kept = path.read_bytes()
-    object.__setattr__(problem.options, "non_penetration_max_it", 1)
+    problem.geometry = replace(problem.geometry, max_passes=1)
     disc.height = HEIGHTS[0]
     with pytest.raises(NotConverged):
         problem.solve(checkpoint=path)
@@ -190,9 +205,9 @@ def test_contacts_of_another_problem(path):
 def test_other_supports_are_another_start(path):
     disc = Disc()
     block_on_disc(block(COMM), disc).solve(checkpoint=path)
-    found = block_on_disc(block(COMM), disc, held=1, non_penetration="linearised")
+    found = block_on_disc(block(COMM), disc, held=1, geometry=None)
     assert found.restore(path) == 0
-    exact = block_on_disc(block(COMM), disc, held=1, non_penetration="linearised").solve()
+    exact = block_on_disc(block(COMM), disc, held=1, geometry=None).solve()
     np.testing.assert_allclose(found.solve().x.array, exact.x.array, atol=1e-8)
 
 
@@ -221,8 +236,7 @@ def test_other_subdomains_start_from_the_contact_forces(path):
     disc = Disc()
     disc.height = HEIGHTS[-1]
     solved, other = (
-        block_on_disc(block(COMM), disc, subdomain_size=size, non_penetration="linearised")
-        for size in (60, 25)
+        block_on_disc(block(COMM), disc, subdomain_size=size, geometry=None) for size in (60, 25)
     )
     exact = solved.solve()
     solved.advance()
@@ -250,7 +264,7 @@ def test_smalbe_starts_from_nothing_on_other_subdomains(path):
 def test_other_subdomains_count_slip_from_the_last_step(path):
     def problem(size):
         disc = Disc()
-        changes = {"friction": Coulomb(0.3), "non_penetration": "linearised"}
+        changes = {"friction": Coulomb(0.3), "geometry": None}
         return disc, block_on_disc(block(COMM), disc, subdomain_size=size, **changes)
 
     disc, whole = problem(60)

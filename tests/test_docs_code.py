@@ -35,6 +35,7 @@ DOCS = ROOT / "docs"
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 # Numbers that differ between versions and machines: products, times, and what rounding leaves.
+PHASES = re.compile(r"\([a-z ,.0-9]*\), (?=MPI)")
 VARYING = ("time", "products", "error")
 ROUNDING = 1e-5
 
@@ -69,7 +70,9 @@ def check_output(shown: str, printed: str) -> None:
     shown_lines, printed_lines = shown.splitlines(), printed.rstrip("\n").splitlines()
     assert len(shown_lines) == len(printed_lines), printed
     for one, other in zip(shown_lines, printed_lines, strict=True):
-        assert NUMBER.sub("#", one).split() == NUMBER.sub("#", other).split()
+        # the slowest phases are others on other machines
+        words = [NUMBER.sub("#", PHASES.sub("", line)).split() for line in (one, other)]
+        assert words[0] == words[1]
         if any(word in one for word in VARYING):
             continue
         numbers = [np.array(NUMBER.findall(line), dtype=float) for line in (one, other)]
@@ -189,7 +192,7 @@ def test_readme(folder):
     assert report.contacts[1].normal_force == pytest.approx(
         report.contacts[0].normal_force, rel=1e-8
     )
-    assert ["report.html"] == [path.name for path in folder.iterdir()]
+    assert [path.name for path in folder.iterdir()] == ["report.html"]
 
 
 def test_solver_alone(folder, capsys):
@@ -211,9 +214,9 @@ def test_solver_alone(folder, capsys):
 def test_running(folder, monkeypatch):
     """The code for load steps, with a problem of the tests."""
     scene = scenes.two_beams(MPI.COMM_SELF, "quadrilateral", 4)
-    load = scene.kept[1]
+    load = scene.traction
     loads = [0.5 * load.value, 1.0 * load.value]
-    given = {"a": scene.a, "L": scene.L, "bcs": scene.bcs, "contacts": scene.package_contacts()}
+    given = {"a": scene.a, "L": scene.L, "bcs": scene.bcs, "contacts": scene.contacts}
     given |= {"V": scene.V, "load": load, "loads": loads, "history": []}
     monkeypatch.setattr(logging, "basicConfig", lambda **_: None)
     variables = run_blocks((DOCS / "running.rst").read_text(), given)

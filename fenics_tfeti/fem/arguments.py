@@ -15,7 +15,14 @@ from dolfinx.fem import Constant, Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObstacle, TiedPair
+from fenics_tfeti.fem.contact.description import (
+    Contact,
+    ContactPair,
+    Exact,
+    RigidObstacle,
+    TiedPair,
+    contact_name,
+)
 
 
 def as_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
@@ -72,11 +79,33 @@ def as_conditions(bcs: Any) -> list[Any]:
     return _listed(bcs, _is_condition, names, "a condition as returned by dolfinx.fem.dirichletbc")
 
 
-def as_contacts(contacts: Any) -> list[Contact | TiedPair]:
-    """Return the contacts and tied pairs as a list: none for None, one for a single one."""
+def as_geometry(geometry: Any) -> Exact | None:
+    """Return how the geometry of contacts is taken; None for that of the undeformed state."""
+    if geometry is None or isinstance(geometry, Exact):
+        return geometry
+    raise InputError(
+        f"geometry is {geometry!r}; Exact() is expected, or None for the undeformed surfaces"
+    )
+
+
+def as_contacts(
+    contacts: Any, geometry: Exact | None, what: str = "geometry=Exact()"
+) -> list[Contact | TiedPair]:
+    """Return the contacts and tied pairs as a list: none for None, one for a single one.
+
+    With a geometry, gaps are measured on the deformed mesh, as messages say by `what` does so.
+    """
     names = ("contacts", "ContactPair, RigidObstacle or TiedPair", "contact")
     expected = "a ContactPair, a RigidObstacle or a TiedPair"
-    return _listed(contacts, _is_contact, names, expected)
+    listed = _listed(contacts, _is_contact, names, expected)
+    for number, contact in enumerate(listed if geometry is not None else []):
+        if isinstance(contact, ContactPair) and contact.initial_gap != "geometric":
+            raise InputError(
+                f"{contact_name(contact, number)}: initial_gap={contact.initial_gap!r} replaces "
+                f"the gap of the mesh, but {what} measures gaps on the deformed mesh. "
+                "Leave out one of them"
+            )
+    return listed
 
 
 def _is_condition(thing: Any) -> bool:

@@ -44,7 +44,7 @@ def test_no_load(zero):
 
 def test_one_contact_without_a_list():
     scene = block()
-    (contact,) = scene.package_contacts()
+    (contact,) = scene.contacts
     problem = scene.problem(contacts=contact)
     assert problem.contacts == [contact]
     problem.solve()
@@ -69,13 +69,13 @@ def test_no_conditions_and_no_contacts():
 
 def test_tuples_and_generators():
     scene = block()
-    problem = scene.problem(bcs=tuple(scene.bcs), contacts=(c for c in scene.package_contacts()))
+    problem = scene.problem(bcs=tuple(scene.bcs), contacts=(c for c in scene.contacts))
     assert (len(problem.bcs), len(problem.contacts)) == (2, 1)
 
 
 def test_tags_may_be_numpy_integers():
     scene = block()
-    (contact,) = scene.package_contacts()
+    (contact,) = scene.contacts
     assert isinstance(contact, RigidObstacle)
     problem = scene.problem(contacts=dataclasses.replace(contact, slave=np.int32(contact.slave)))
     problem.solve()

@@ -18,12 +18,9 @@ from dolfinx import fem
 from dolfinx.mesh import create_interval
 
 from fenics_tfeti import InputError
-from fenics_tfeti.fem.displacement import (
-    fill_displacement,
-    prescribed_values,
-    space_of_forms,
-)
+from fenics_tfeti.fem.displacement import fill_displacement, prescribed_values, space_of_forms
 from fenics_tfeti.feti.system import Subdomain
+from fenics_tfeti.io import displacement_space
 
 COMM = MPI.COMM_SELF
 
@@ -39,7 +36,7 @@ def test_space_is_that_of_the_forms():
 
 def test_cells_of_one_dimension_are_refused():
     domain = create_interval(COMM, 4, [0.0, 1.0])
-    V = scenes.vector_space(domain)
+    V = displacement_space(domain)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     with pytest.raises(InputError, match="cells of the type interval; supported are triangle"):
         space_of_forms(ufl.inner(u, v) * ufl.dx, fem.Constant(domain, 1.0) * v[0] * ufl.dx)
@@ -51,21 +48,21 @@ def forms_on(V):
 
 
 def test_degree_2_is_taken():
-    V = scenes.vector_space(beams().mesh, 2)
+    V = displacement_space(beams().mesh, 2)
     assert space_of_forms(*forms_on(V)) == V
 
 
 def test_degree_3_is_refused():
     with pytest.raises(InputError, match="of degree 3; Lagrange elements of degree 1 or 2"):
-        space_of_forms(*forms_on(scenes.vector_space(beams().mesh, 3)))
+        space_of_forms(*forms_on(displacement_space(beams().mesh, 3)))
 
 
 def test_curved_cells_need_displacements_of_degree_2(tmp_path):
     domain = quarter_rings(tmp_path / "a.msh", (4, 6), ((0.5, 1.0), (1.0, 1.6)), True).mesh
-    V = scenes.vector_space(domain, 2)
+    V = displacement_space(domain, 2)
     assert space_of_forms(*forms_on(V)) == V
     with pytest.raises(InputError, match="curved cells, of degree 2, and the displacement is of"):
-        space_of_forms(*forms_on(scenes.vector_space(domain)))
+        space_of_forms(*forms_on(displacement_space(domain)))
 
 
 def prescribed_at(scene, bcs):

@@ -8,13 +8,10 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import YOUNG, at, dimension, elasticity, fixed, scalar_space, vector_space
+from scenes import YOUNG, Scene, at, dimension, plane, scalar_space
 
 import ufl
 from dolfinx import fem
-
-from fenics_tfeti import ContactProblem, Plane, RigidObstacle
-from fenics_tfeti.io import Box, boxes, tag_facets
 
 COMM = MPI.COMM_WORLD
 
@@ -34,23 +31,25 @@ def hooke(u, v, poisson, young=YOUNG, volumetric=ufl.dx):
 def told(cell, form, degree=1, comm=MPI.COMM_SELF, distort=0.03):
     """Return the warnings of a block on a rigid plane, with distorted cells."""
     d = dimension(cell)
-    block = Box((0.0,) * d, (2.0, 1.0, 1.0)[:d], (6, 3, 3)[:d])
-    domain = boxes(comm, [block], cell).mesh
-    x = domain.geometry.x
-    bubble = np.prod([np.sin(np.pi * x[:, k]) for k in range(d)], axis=0)
-    tags = tag_facets(domain, [(TOP, at(d - 1, 1.0)), (GROUND, at(d - 1, 0.0))])
-    x[:, 0] += 4 * distort * bubble
-    V = vector_space(domain, degree)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    plane = Plane((0.0,) * d, (0.0,) * (d - 1) + (1.0,))
+
+    def distorted(x):
+        x[0] += 4 * distort * np.prod(np.sin(np.pi * x), axis=0)
+        return x
+
+    parts, marks = [((0.0,) * d, (2.0, 1.0, 1.0)[:d], (6, 3, 3)[:d])], [(TOP, at(d - 1, 1.0))]
+    marks += [(GROUND, at(d - 1, 0.0))]
+    scene = Scene.of_boxes(comm, cell, parts, marks, distorted, degree=degree)
+    scene.a = form(scene.u, scene.v)
+    scene.fix(TOP, None, -1e-3)
+    scene.add_obstacle(GROUND, plane(d - 1, d))
+    return warnings_of(scene, cell_tags=None)
+
+
+def warnings_of(scene, **arguments):
+    """Return the warnings when the problem is posed."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        ContactProblem(
-            form(u, v),
-            0,
-            bcs=[fixed(V, tags, TOP, None, -1e-3)],
-            contacts=RigidObstacle(tags, GROUND, plane),
-        )
+        scene.problem(**arguments)
     return [str(warning.message) for warning in caught if warning.category is UserWarning]
 
 
@@ -116,19 +115,12 @@ def test_one_cell_of_another_material(soft):
 
 def told_of_two_blocks(comm):
     """Return the warnings of two blocks, of which the second is nearly incompressible."""
-    pair = [Box((0, 0), (1, 1), (4, 4)), Box((3, 0), (4, 1), (4, 4))]
-    parts = boxes(comm, pair, "quadrilateral")
-    tags = tag_facets(parts.mesh, {1: lambda x: np.isclose(x[1], 0.0)})
-    V = vector_space(parts.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    dx = ufl.Measure("dx", domain=parts.mesh, subdomain_data=parts.cell_tags)
-    young = fem.Constant(parts.mesh, YOUNG)
-    bulk = fem.Constant(parts.mesh, 1e3 * YOUNG)
-    a = elasticity(u, v, young) + bulk * ufl.div(u) * ufl.div(v) * dx(2)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        ContactProblem(a, 0, bcs=[fixed(V, tags, 1, None)], cell_tags=parts.cell_tags)
-    return [str(warning.message) for warning in caught if warning.category is UserWarning]
+    parts = [((0, 0), (1, 1), (4, 4)), ((3, 0), (4, 1), (4, 4))]
+    scene = Scene.of_boxes(comm, "quadrilateral", parts, [(1, at(1, 0.0))])
+    bulk = scene.constant(1e3 * YOUNG)
+    scene.a += bulk * ufl.div(scene.u) * ufl.div(scene.v) * scene.dx(2)
+    scene.fix(1)
+    return warnings_of(scene)
 
 
 @pytest.mark.ranks(2)

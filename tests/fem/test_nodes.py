@@ -6,12 +6,11 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import vector_space
 
 from dolfinx.mesh import create_submesh
 
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.io import Box, boxes
+from fenics_tfeti.io import Box, boxes, displacement_space
 
 COMM = MPI.COMM_WORLD
 
@@ -21,13 +20,13 @@ BODIES = [Box((0, 0), (1, 1), (6, 4)), Box((0, 1), (1, 2), (6, 4))]
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 def test_numbers_are_distinct(cell, degree):
-    space = vector_space(boxes(MPI.COMM_SELF, BODIES, cell).mesh, degree)
+    space = displacement_space(boxes(MPI.COMM_SELF, BODIES, cell).mesh, degree)
     numbers = NodeMap(space).input_numbers
     assert np.unique(numbers).size == numbers.size == space.dofmap.index_map.size_local
 
 
 def test_number_is_the_place_in_the_first_cell():
-    space = vector_space(boxes(MPI.COMM_SELF, BODIES[:1], "quadrilateral").mesh)
+    space = displacement_space(boxes(MPI.COMM_SELF, BODIES[:1], "quadrilateral").mesh)
     x = space.tabulate_dof_coordinates()
     numbers = NodeMap(space).input_numbers
     (corner,) = np.flatnonzero(np.hypot(*x[:, :2].T) < 1e-12)
@@ -40,19 +39,19 @@ def test_number_is_the_place_in_the_first_cell():
 def test_nodes_of_a_submesh_have_their_global_numbers():
     mesh = boxes(MPI.COMM_SELF, BODIES, "quadrilateral").mesh
     part = create_submesh(mesh, 2, np.arange(4, dtype=np.int32))[0]
-    nodes = NodeMap(vector_space(part))
+    nodes = NodeMap(displacement_space(part))
     np.testing.assert_array_equal(nodes.input_numbers, np.arange(nodes.owned))
 
 
 def test_values_at_owners_on_one_process():
-    nodes = NodeMap(vector_space(boxes(MPI.COMM_SELF, BODIES, "triangle").mesh))
+    nodes = NodeMap(displacement_space(boxes(MPI.COMM_SELF, BODIES, "triangle").mesh))
     values = np.arange(2.0 * nodes.size).reshape(-1, 2)
     asked = np.array([[3, 1], [1, 0]])
     np.testing.assert_array_equal(nodes.values_at(values, asked), values[asked])
 
 
 def test_values_are_summed_or_maximised_by_node():
-    nodes = NodeMap(vector_space(boxes(MPI.COMM_SELF, BODIES, "triangle").mesh))
+    nodes = NodeMap(displacement_space(boxes(MPI.COMM_SELF, BODIES, "triangle").mesh))
     rows = np.array([4, 2, 4])
     for ufunc, expected in ((np.add, [0, 0, 2, 0, 4]), (np.maximum, [0, 0, 2, 0, 3])):
         found = nodes.sum_at_owners(rows, np.array([1, 2, 3]), ufunc)
@@ -62,7 +61,7 @@ def test_values_are_summed_or_maximised_by_node():
 
 def places(comm: MPI.Intracomm, cell: str, degree: int) -> dict[int, tuple[float, ...]]:
     """Return the coordinates of all nodes by their numbers."""
-    space = vector_space(boxes(comm, BODIES, cell).mesh, degree)
+    space = displacement_space(boxes(comm, BODIES, cell).mesh, degree)
     x = np.round(space.tabulate_dof_coordinates()[:, :2], 9) + 0.0
     own = zip(NodeMap(space).input_numbers.tolist(), map(tuple, x.tolist()), strict=False)
     parts = comm.allgather(list(own))
@@ -80,7 +79,7 @@ def test_same_numbers_as_on_one_process(cell, degree):
 
 @pytest.fixture(name="nodes")
 def node_map() -> NodeMap:
-    return NodeMap(vector_space(boxes(COMM, BODIES, "triangle").mesh))
+    return NodeMap(displacement_space(boxes(COMM, BODIES, "triangle").mesh))
 
 
 @pytest.mark.ranks(2)

@@ -44,7 +44,7 @@ def test_volume(cell):
 def test_modulus_in_other_units_is_told_once():
     """E in MPa, lengths in metres, pressure in Pa."""
     scene = two_beams(COMM, "quadrilateral", 4)
-    scene.kept[0].value = 1e-6 * YOUNG
+    scene.young.value = 1e-6 * YOUNG
     problem = scene.problem()
     with pytest.warns(UserWarning, match=r"grad u. is as large as .* 100% .* the units") as told:
         problem.solve()
@@ -97,7 +97,7 @@ def test_strains_of_few_cells_do_not_count(columns, told):
 def told(comm):
     """Return the messages of a problem with E in MPa, lengths in metres and loads in N."""
     scene = two_beams(comm, "quadrilateral", 6)
-    scene.kept[0].value = 1e-6 * YOUNG
+    scene.young.value = 1e-6 * YOUNG
     problem = scene.problem(options={"rtol": 1e-8})
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

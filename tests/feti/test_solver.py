@@ -8,7 +8,7 @@ import weakref
 
 import numpy as np
 import pytest
-from torn import column, cube, glued
+from torn import Glued, column, cube, node_rows
 
 from fenics_tfeti import InputError, NotConverged, UnresistedMotion
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, parse_options
@@ -16,12 +16,10 @@ from fenics_tfeti.feti import ContactRows, Options, TornSolver, parse_options
 
 def glued_solution(system):
     """Solve the glued, linear problem by dense algebra; return the torn displacements."""
-    K, f, nodes, places = glued(system)
-    fixed = 3 * np.searchsorted(nodes, system.prescribed.nodes) + system.prescribed.components
-    free = np.setdiff1d(np.arange(f.size), fixed)
-    u = np.zeros_like(f)
-    u[free] = np.linalg.solve(K[np.ix_(free, free)], f[free])
-    return [u[at] for at in places]
+    whole = Glued.of(system)
+    free = whole.free
+    whole.u[free] = np.linalg.solve(whole.K[np.ix_(free, free)], whole.f[free])
+    return whole.torn()
 
 
 @pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
@@ -76,14 +74,7 @@ def test_motion_without_load_is_reported_and_left_small():
     """A cube on a frictionless plane may slide and spin about the vertical."""
     block = cube(2, load=(0, 0, -1.0))
     bottom = block.nodes[block.coordinates[:, 2] == 0]
-    k = bottom.size
-    rows = ContactRows.node_to_node(
-        bottom,
-        np.full(k, -1),
-        np.tile([0.0, 0.0, -1.0], (k, 1)),
-        np.zeros(k),
-        np.zeros(k, dtype=np.int64),
-    )
+    rows = node_rows(bottom, [0.0, 0.0, -1.0])
     system = dataclasses.replace(column(), subdomains=[block], contacts=rows)
     system = dataclasses.replace(system, prescribed=type(system.prescribed)())
     report = TornSolver(system, Options(rtol=1e-8)).solve().report

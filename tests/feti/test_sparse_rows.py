@@ -18,7 +18,7 @@ from sparse_rows import (
     random_rows,
     two_blocks,
 )
-from torn import cube
+from torn import cube, node_rows
 
 from fenics_tfeti import InputError, UnresistedMotion
 from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
@@ -355,10 +355,7 @@ def test_rank_that_gives_far_rows_and_holds_none():
     """One body on the first rank; the last one gives rows with infinite gaps."""
     block = cube(2, load=(0.0, 0.0, -1.0))
     nodes = block.nodes[block.coordinates[:, 2] == 1.0]
-    k = nodes.size
-    rows = ContactRows.node_to_node(
-        nodes, np.full(k, -1), np.tile([0, 0, 1.0], (k, 1)), np.full(k, np.inf), np.zeros(k, int)
-    )
+    rows = node_rows(nodes, [0, 0, 1.0], gap=np.inf)
     last = COMM.rank == COMM.size - 1
     held = clamped([block], (2, 0.0))
     system = TornSystem(

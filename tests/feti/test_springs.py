@@ -21,7 +21,7 @@ import pytest
 import scipy.linalg
 from sparse_rows import distributed
 from springs import glued_column, pressed_column, standing_cube
-from torn import glued
+from torn import Glued
 
 from fenics_tfeti.feti import Options, TornSolver
 
@@ -33,16 +33,6 @@ EPS = float(np.finfo(float).eps)
 
 both_methods = pytest.mark.parametrize("method", ["active_set", "smalbe"])
 all_springs = pytest.mark.parametrize("stiffness", SOFT + STIFF)
-
-
-def assembled(system):
-    """Return dense K, f of the glued bodies, C of the contacts, and where torn unknowns are."""
-    K, f, nodes, places = glued(system)
-    contacts = system.contacts
-    C = np.zeros((contacts.size, f.size))
-    columns = 3 * np.searchsorted(nodes, contacts.nodes)[:, None] + np.arange(3)
-    C[contacts.row[:, None], columns] = contacts.coefficients
-    return K, f, C, np.concatenate(places)
 
 
 def solve_refined(A, b):
@@ -57,7 +47,8 @@ def solve_refined(A, b):
 
 def assert_solves(system, solution, rtol):
     """Compare with the direct solution on the active set, whose signs show that it is the one."""
-    K, f, C, places = assembled(system)
+    whole = Glued.of(system)
+    K, f, C, places = whole.K, whole.f, whole.C, np.concatenate(whole.places)
     closed, gap = solution.active, system.contacts.gap
     active = C[closed]
     zero = np.zeros((len(active), len(active)))

@@ -12,14 +12,7 @@ import scipy.sparse as sp
 from torn import column, cube
 
 from fenics_tfeti import InputError
-from fenics_tfeti.feti import (
-    ContactRows,
-    Options,
-    Prescribed,
-    Subdomain,
-    TornSolver,
-    TornSystem,
-)
+from fenics_tfeti.feti import ContactRows, Options, Prescribed, Subdomain, TornSolver, TornSystem
 from fenics_tfeti.feti.checks.system import check_system
 
 

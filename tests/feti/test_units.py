@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from torn import column, cube
+from torn import column, cube, node_rows
 
-from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti import Options, Prescribed, TornSolver, TornSystem
 
 pytestmark = pytest.mark.once
 
@@ -101,10 +101,7 @@ def test_a_load_that_nodes_on_both_sides_of_glue_share_out_moves_nothing(method)
 def test_a_loose_cube_without_load_stays_where_it_is():
     body = cube(2)
     bottom = body.nodes[body.coordinates[:, 2] == 0]
-    k = bottom.size
-    rows = ContactRows.node_to_node(
-        bottom, np.full(k, -1), np.tile([0.0, 0, -1.0], (k, 1)), np.zeros(k), np.zeros(k, dtype=int)
-    )
+    rows = node_rows(bottom, [0.0, 0, -1.0])
     solution = TornSolver(TornSystem([body], Prescribed(), rows, 3)).solve()
     assert not solution.displacements[0].any()
 

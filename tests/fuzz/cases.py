@@ -103,7 +103,7 @@ def _solve(level: str, seed: int, comm: MPI.Comm) -> _Case:
 
     meshed = draw_mesh_case(seed)
     found = attempt(lambda: _solve_mesh(meshed, comm))
-    exact = meshed if meshed.options.get("non_penetration") == "exact" else None
+    exact = meshed if meshed.geometry is not None else None
     return _Case(found, lambda: glue(meshed), meshed.options["rtol"], meshed.story, exact=exact)
 
 
@@ -162,7 +162,7 @@ def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
         force.append(whole.normal_force[order])
         assert (whole.friction is not None) == (number in problem.friction), "friction"
         # tangents of deformed surfaces are others
-        if whole.friction is not None and "non_penetration" not in problem.options:
+        if whole.friction is not None and problem.geometry is None:
             along = tangents(problem, number, whole.coordinates[order, :gdim])
             on_slave = whole.friction.force[order]
             tangential.append(-np.einsum("kta,ka->kt", along, on_slave))

@@ -7,34 +7,26 @@ without the package.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 from typing import Any
 
 from mpi4py import MPI
-
-from petsc4py import PETSc
 
 import numpy as np
 import scipy.sparse as sp
 from glued import GluedFriction, GluedProblem, Springs
 from numpy.random import Generator
 from numpy.typing import NDArray
+from scenes import Scene, elasticity
 
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 from dolfinx.mesh import Mesh, meshtags
 
-from fenics_tfeti import (
-    ContactPair,
-    ContactProblem,
-    Coulomb,
-    Plane,
-    RigidObstacle,
-    Sphere,
-    Tresca,
-)
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti import ContactProblem, Coulomb, Exact, Plane, Sphere, Tresca
+from fenics_tfeti.fem import _compat
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -161,6 +153,7 @@ class MeshProblem:
     tractions: list[tuple[int, int, int, Vector]] = field(default_factory=list)
     weights: Vector = field(default_factory=lambda: np.zeros(0))  # (boxes, gdim)
     options: dict[str, Any] = field(default_factory=dict)
+    geometry: Exact | None = None
     story: list[str] = field(default_factory=list)
     friction: dict[int, Rubbing] = field(default_factory=dict)  # by contact
     pairing: dict[int, dict[str, Any]] = field(default_factory=dict)  # arguments, by joint
@@ -361,21 +354,6 @@ def _load(problem: MeshProblem, rng: Generator, strain: float) -> None:
 # -- in dolfinx ------------------------------------------------------------------------------------
 
 
-@dataclass
-class _Posed:
-    """A problem on a communicator."""
-
-    mesh: Mesh
-    V: Any
-    cell_tags: Any
-    faces: Any  # facet tags: 1 + number of the box's face
-    elastic: Any
-    springs: list[Any]  # a form for each kind of spring
-    load: Any
-    bcs: list[Any]
-    kept: list[Any]
-
-
 def _face_tag(problem: MeshProblem, box: int, axis: int, side: int) -> int:
     return 1 + 2 * (problem.gdim * box + axis) + (side > 0)
 
@@ -384,74 +362,53 @@ def _level(problem: MeshProblem, box: int, axis: int, side: int) -> float:
     return float(problem.lower[box, axis] + (problem.edges[axis] if side > 0 else 0.0))
 
 
-def _set_up(problem: MeshProblem, comm: MPI.Comm) -> _Posed:
+def _set_up(problem: MeshProblem, comm: MPI.Comm) -> Scene:
+    """Return mesh, elastic form, load and supports on a communicator; faces have tags."""
     gdim, n = problem.gdim, problem.divisions
-    parts = [
-        Box(low, low + problem.edges, (n,) * gdim, f"box {k}")
-        for k, low in enumerate(problem.lower)
-    ]
-    tagged = boxes(comm, parts, problem.cell)
-    mesh = tagged.mesh
+    parts = [(low, low + problem.edges, (n,) * gdim) for low in problem.lower]
     near = 1e-3 * float(problem.edges.min()) / n
-    markers = []
-    for box in range(len(parts)):
-        for axis in range(gdim):
-            for side in (-1, 1):
-                level = _level(problem, box, axis, side)
-                markers.append(
-                    (
-                        _face_tag(problem, box, axis, side),
-                        lambda x, axis=axis, level=level: np.abs(x[axis] - level) < near,
-                        box + 1,
-                    )
-                )
-    faces = tag_facets(mesh, markers, tagged.cell_tags)
-    V = _space(mesh, ("Lagrange", problem.degree), gdim)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young = fem.Function(_space(mesh, ("DG", 0)))
-    weight = fem.Function(_space(mesh, ("DG", 0), gdim))
-    _fill(problem, mesh, tagged.cell_tags, young, weight)
-    poisson = fem.Constant(mesh, PETSc.ScalarType(problem.poisson))
-    mu, lam = young / (2 * (1 + poisson)), young * poisson / ((1 + poisson) * (1 - 2 * poisson))
-    strain = ufl.sym(ufl.grad(u))
-    stress = 2 * mu * strain + lam * ufl.tr(strain) * ufl.Identity(gdim)
-    elastic = ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx
+    marks = []
+    for box, axis, side in itertools.product(range(len(parts)), range(gdim), (-1, 1)):
+        level = _level(problem, box, axis, side)
+        marks.append(
+            (
+                _face_tag(problem, box, axis, side),
+                lambda x, axis=axis, level=level: np.abs(x[axis] - level) < near,
+                box + 1,
+            )
+        )
+    scene = Scene.of_boxes(comm, problem.cell, parts, marks, degree=problem.degree)
+    young, weight = _constant_in_cells(scene), _constant_in_cells(scene, gdim)
+    _fill(problem, scene.mesh, scene.cell_tags, young, weight)
+    poisson = scene.constant(problem.poisson)
+    scene.a = elasticity(scene.u, scene.v, young, poisson=poisson)
+    traction_tags, traction = _tractions(problem, scene)
+    over = ufl.Measure("ds", domain=scene.mesh, subdomain_data=traction_tags)
+    scene.L = ufl.inner(weight, scene.v) * ufl.dx
+    if problem.tractions:
+        scene.L += ufl.inner(traction, scene.v) * over(1)
+    for s in problem.supports:
+        for component, value in s.values.items():
+            scene.fix(_face_tag(problem, s.box, s.axis, s.side), component, value)
+    return scene
 
-    spring_tags, k = _spring_tags(problem, mesh, faces)
-    along = fem.Constant(mesh, problem.direction.astype(PETSc.ScalarType))
-    normal = ufl.FacetNormal(mesh)
-    on = ufl.Measure("ds", domain=mesh, subdomain_data=spring_tags)
+
+def _springs(problem: MeshProblem, scene: Scene) -> list[Any]:
+    """Return a form for each kind of spring."""
+    tags, k = _spring_tags(problem, scene)
+    u, v, normal = scene.u, scene.v, ufl.FacetNormal(scene.mesh)
+    along = scene.constant(problem.direction)
     terms = {
         ALL: k * ufl.inner(u, v),
         NORMAL: k * ufl.inner(u, normal) * ufl.inner(v, normal),
         ALONG: k * ufl.inner(u, along) * ufl.inner(v, along),
     }
-    springs = [terms[kind] * on(kind) for kind in sorted({s.kind for s in problem.springs})]
-    traction_tags, traction = _tractions(problem, mesh, faces)
-    over = ufl.Measure("ds", domain=mesh, subdomain_data=traction_tags)
-    load = ufl.inner(weight, v) * ufl.dx
-    if problem.tractions:
-        load += ufl.inner(traction, v) * over(1)
-    bcs = [
-        _prescribed(V, faces, _face_tag(problem, s.box, s.axis, s.side), component, value)
-        for s in problem.supports
-        for component, value in s.values.items()
-    ]
-    kept = [young, weight, poisson, along, k, traction, spring_tags, traction_tags]
-    return _Posed(mesh, V, tagged.cell_tags, faces, elastic, springs, load, bcs, kept)
+    on = ufl.Measure("ds", domain=scene.mesh, subdomain_data=tags)
+    return [terms[kind] * on(kind) for kind in sorted({s.kind for s in problem.springs})]
 
 
-def _space(mesh: Mesh, element: tuple[str, int], components: int = 0) -> Any:
-    if hasattr(fem, "functionspace"):
-        return fem.functionspace(mesh, (*element, (components,)) if components else element)
-    return (fem.VectorFunctionSpace if components else fem.FunctionSpace)(mesh, element)
-
-
-def _prescribed(V: Any, tags: Any, tag: int, component: int, value: float) -> Any:
-    fdim = V.mesh.topology.dim - 1
-    V.mesh.topology.create_connectivity(fdim, fdim + 1)
-    dofs = fem.locate_dofs_topological(V.sub(component), fdim, tags.find(tag))
-    return fem.dirichletbc(PETSc.ScalarType(value), dofs, V.sub(component))
+def _constant_in_cells(scene: Scene, components: int = 0) -> Any:
+    return fem.Function(_compat.lagrange_space(scene.mesh, 0, components, discontinuous=True))
 
 
 def _fill(problem: MeshProblem, mesh: Mesh, cell_tags: Any, young: Any, weight: Any) -> None:
@@ -487,31 +444,31 @@ def _tags(mesh: Mesh, facets: list[NDArray[np.int32]], values: list[int]) -> Any
     return meshtags(mesh, mesh.topology.dim - 1, every[order], marks[order])
 
 
-def _spring_tags(problem: MeshProblem, mesh: Mesh, faces: Any) -> tuple[Any, Any]:
+def _spring_tags(problem: MeshProblem, scene: Scene) -> tuple[Any, Any]:
     """Return tags of the facets by kind, and the stiffness as a function of cells."""
-    k = fem.Function(_space(mesh, ("DG", 0)))
+    k = _constant_in_cells(scene)
     facets, kinds = [], []
     for spring in problem.springs:
-        found = faces.find(_face_tag(problem, spring.box, spring.axis, spring.side))
-        k.x.array[_cell_of_facets(mesh, found)] = spring.stiffness
+        found = scene.facet_tags.find(_face_tag(problem, spring.box, spring.axis, spring.side))
+        k.x.array[_cell_of_facets(scene.mesh, found)] = spring.stiffness
         facets.append(found)
         kinds.append(spring.kind)
     k.x.scatter_forward()
-    return _tags(mesh, facets, kinds), k
+    return _tags(scene.mesh, facets, kinds), k
 
 
-def _tractions(problem: MeshProblem, mesh: Mesh, faces: Any) -> tuple[Any, Any]:
+def _tractions(problem: MeshProblem, scene: Scene) -> tuple[Any, Any]:
     gdim = problem.gdim
-    traction = fem.Function(_space(mesh, ("DG", 0), gdim))
+    traction = _constant_in_cells(scene, gdim)
     facets = []
     for box, axis, side, value in problem.tractions:
-        found = faces.find(_face_tag(problem, box, axis, side))
-        cells = _cell_of_facets(mesh, found)
+        found = scene.facet_tags.find(_face_tag(problem, box, axis, side))
+        cells = _cell_of_facets(scene.mesh, found)
         for c in range(gdim):
             traction.x.array[gdim * cells + c] = value[c]
         facets.append(found)
     traction.x.scatter_forward()
-    return _tags(mesh, facets, [1] * len(facets)), traction
+    return _tags(scene.mesh, facets, [1] * len(facets)), traction
 
 
 def _outward(problem: MeshProblem, axis: int, side: int) -> Vector:
@@ -543,7 +500,7 @@ def ground_function(problem: MeshProblem, ground: Ground) -> Any:
             gap = np.full(len(place), ground.gap + out @ ground.moved)
         if ground.kind == "patch":
             gap = np.where(place[:, (ground.axis + 1) % gdim] < 0.6, gap, ground.far)
-        if problem.options.get("non_penetration") == "exact":
+        if problem.geometry is not None:
             gap = gap + ground.side * (level - x[ground.axis])
         return gap, _tilted(-out, ground, place).T
 
@@ -579,40 +536,26 @@ def _values(problem: MeshProblem, contact: int, x: Vector) -> Vector:
     return rubbing.value * ((place < rubbing.part) | (rubbing.part == 1.0))
 
 
-def pose(problem: MeshProblem, comm: MPI.Comm) -> tuple[ContactProblem, _Posed]:
+def pose(problem: MeshProblem, comm: MPI.Comm) -> tuple[ContactProblem, Scene]:
     """Return the package's problem on a communicator. Collective."""
-    posed = _set_up(problem, comm)
-    contacts: list[Any] = [
-        ContactPair(
-            posed.faces,
+    scene = _set_up(problem, comm)
+    for number, j in enumerate(problem.joints):
+        scene.add_pair(
             slave=_face_tag(problem, j.slave, j.axis, j.side),
             master=_face_tag(problem, j.master, j.axis, -j.side),
             friction=_law(problem, number),
             **problem.pairing.get(number, {}),
         )
-        for number, j in enumerate(problem.joints)
-    ]
     for number, g in enumerate(problem.grounds, start=len(problem.joints)):
         rubbing = problem.friction.get(number)
-        contacts.append(
-            RigidObstacle(
-                posed.faces,
-                slave=_face_tag(problem, g.box, g.axis, g.side),
-                obstacle=ground_function(problem, g),
-                friction=_law(problem, number),
-                displacement=None if rubbing is None else rubbing.moved,
-            )
+        scene.add_obstacle(
+            _face_tag(problem, g.box, g.axis, g.side),
+            ground_function(problem, g),
+            friction=_law(problem, number),
+            displacement=None if rubbing is None else rubbing.moved,
         )
-    a = sum(posed.springs, posed.elastic)
-    problem_ = ContactProblem(
-        a,
-        posed.load,
-        bcs=posed.bcs,
-        contacts=contacts,
-        cell_tags=posed.cell_tags,
-        options=problem.options,
-    )
-    return problem_, posed
+    scene.a = sum(_springs(problem, scene), scene.a)
+    return scene.problem(geometry=problem.geometry, options=problem.options), scene
 
 
 # -- for the oracle --------------------------------------------------------------------------------
@@ -724,7 +667,7 @@ def glue(problem: MeshProblem) -> GluedProblem:
     node = np.argsort(number)
     order = (gdim * node[:, None] + np.arange(gdim)).ravel()
     coordinates = V.tabulate_dof_coordinates()[node, :gdim]
-    load = petsc.assemble_vector(fem.form(posed.load)).array[order].copy()
+    load = petsc.assemble_vector(fem.form(posed.L)).array[order].copy()
     unknowns = load.size
 
     fixed: dict[int, float] = {}
@@ -743,7 +686,7 @@ def glue(problem: MeshProblem) -> GluedProblem:
     return GluedProblem(
         coordinates,
         np.sort(number) // (problem.intervals + 1) ** gdim,
-        _matrix(posed.elastic, order),
+        _matrix(posed.a, order),
         springs,
         load,
         where,
@@ -782,7 +725,7 @@ _ON_TRIANGLE = np.array([2.0, -1.0, 3.0, -1.0]) / 15.0
 
 
 def _weights(
-    problem: MeshProblem, posed: _Posed, number: Numbers, face: tuple[int, int, int]
+    problem: MeshProblem, posed: Scene, number: Numbers, face: tuple[int, int, int]
 ) -> _Weights:
     """Integrate the multipliers of a face: at nodes, or dual functions at the vertices."""
     gdim, step = problem.gdim, problem.intervals + 1
@@ -790,7 +733,7 @@ def _weights(
     nodes = _face_nodes(problem, box, axis, side)
     rows, columns, values = [], [], []
     others = [k for k in range(gdim) if k != axis]
-    facets = posed.faces.find(_face_tag(problem, box, axis, side))
+    facets = posed.facet_tags.find(_face_tag(problem, box, axis, side))
     size = np.prod(problem.edges[others] / problem.divisions)
     for cell in _cell_of_facets(posed.mesh, facets):
         local = number[posed.V.dofmap.cell_dofs(int(cell))]
@@ -916,9 +859,10 @@ def _condition_rows(
     return rows
 
 
-def _spring_rows(problem: MeshProblem, posed: _Posed, order: Numbers) -> Springs:
+def _spring_rows(problem: MeshProblem, posed: Scene, order: Numbers) -> Springs:
     """Return the springs as rows: the eigenvectors of their matrix, box by box."""
-    K = _matrix(sum(posed.springs[1:], posed.springs[0]), order)
+    first, *others = _springs(problem, posed)
+    K = _matrix(sum(others, first), order)
     per_box = K.shape[0] // len(problem.lower)
     rows, stiffness = [], []
     for box in range(len(problem.lower)):

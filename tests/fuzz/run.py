@@ -20,7 +20,7 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 # the package of this checkout, whatever is installed
-sys.path.insert(0, str(HERE.parents[1]))
+sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent / "support")]
 
 
 def _worker(arguments: argparse.Namespace) -> None:

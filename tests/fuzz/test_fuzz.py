@@ -71,7 +71,7 @@ def test_options_are_drawn():
     )
     assert {problem.degree for problem in problems} == {1, 2}
     assert any(problem.slider is not None for problem in problems)
-    assert any("non_penetration" in problem.options for problem in problems)
+    assert any(problem.geometry is not None for problem in problems)
 
 
 @pytest.fixture(scope="module")

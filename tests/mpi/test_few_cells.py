@@ -6,12 +6,8 @@ from mpi4py import MPI
 
 import pytest
 from mesh_arrays import grid, mesh_of
-from scenes import TRACTION, YOUNG, at, elasticity, fixed, vector_space
+from scenes import TRACTION, Scene, at, plane
 
-import ufl
-from dolfinx import fem
-
-from fenics_tfeti import ContactProblem, Plane, RigidObstacle
 from fenics_tfeti.io import tag_facets
 
 COMM = MPI.COMM_WORLD
@@ -23,16 +19,11 @@ def test_two_cells_on_all_ranks(divisions):
     up = len(divisions) - 1
     domain = mesh_of(COMM, cell, *grid(divisions))
     facet_tags = tag_facets(domain, [(1, at(up, 0.0)), (2, at(up, 2.0))])
-    V = vector_space(domain)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young, traction = fem.Constant(domain, YOUNG), fem.Constant(domain, -TRACTION)
-    ds = ufl.Measure("ds", domain=domain, subdomain_data=facet_tags)
-    ground = Plane(point=(0.0,) * (up + 1), normal=(*(0.0,) * up, 1.0))
-    problem = ContactProblem(
-        elasticity(u, v, young),
-        traction * v[up] * ds(2),
-        bcs=[fixed(V, facet_tags, 1, k) for k in range(up)],
-        contacts=[RigidObstacle(facet_tags, slave=1, obstacle=ground)],
-    )
+    scene = Scene(domain, facet_tags)
+    scene.add_load(2, -TRACTION)
+    for k in range(up):
+        scene.fix(1, k)
+    scene.add_obstacle(1, plane(up, up + 1))
+    problem = scene.problem()
     problem.solve()
     assert problem.report.contacts[0].normal_force == pytest.approx(TRACTION, rel=1e-6)

@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 from mortar_blocks import LOADED, LOWER, PRESSURE, SUPPORTED, UPPER, Blocks, solved, uneven
 from mortar_feet import FOOT, TABLE, foot_on_table
-from scenes import YOUNG, elasticity, fixed, vector_space
 
 import ufl
-from dolfinx.fem import Constant
 
-from fenics_tfeti import ContactProblem, TiedPair
-from fenics_tfeti.io import tag_facets
+from fenics_tfeti import TiedPair
 from fenics_tfeti.parallel import concatenate_ranks
 
 COMM = MPI.COMM_WORLD
@@ -89,20 +86,14 @@ def test_rows_are_at_the_owners_of_slave_nodes():
 
 def pulled(comm):
     """Two tied blocks under a load that grows with x."""
-    shape = CASES["tetrahedron"]
-    beams = shape.mesh(comm)
-    tags = tag_facets(beams.mesh, shape.markers(), beams.cell_tags)
-    V = vector_space(beams.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young, load = Constant(beams.mesh, YOUNG), Constant(beams.mesh, PRESSURE)
-    ds = ufl.Measure("ds", domain=beams.mesh, subdomain_data=tags)
-    problem = ContactProblem(
-        elasticity(u, v, young),
-        load * ufl.SpatialCoordinate(beams.mesh)[0] * v[2] * ds(LOADED),
-        bcs=[fixed(V, tags, SUPPORTED[2], None), fixed(V, tags, SUPPORTED[0], 0)],
-        contacts=TiedPair(tags, LOWER, UPPER),
-        options={"rtol": 1e-11, "subdomain_size": 150},
-    )
+    scene = CASES["tetrahedron"].scene(comm)
+    load = scene.constant(PRESSURE) * ufl.SpatialCoordinate(scene.mesh)[0]
+    scene.L = load * scene.v[2] * scene.ds(LOADED)
+    scene.fix(SUPPORTED[2])
+    scene.fix(SUPPORTED[0], 0)
+    scene.contacts = TiedPair(scene.facet_tags, LOWER, UPPER)
+    options = {"rtol": 1e-11, "subdomain_size": 150}
+    V, problem = scene.V, scene.problem(cell_tags=None, options=options)
     x = problem.solve().x.array.reshape(-1, 3)[: V.dofmap.index_map.size_local]
     place = V.tabulate_dof_coordinates()[: len(x)]
     body = np.round(problem.report.contacts[0].force, 3)

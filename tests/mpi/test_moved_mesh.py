@@ -62,12 +62,12 @@ def test_values_after_an_error_are_noticed():
     scene = scenes.two_beams(comm, "quadrilateral")
     problem = scene.problem(options={"rtol": 1e-9})
     before = problem.solve().copy()
-    young = float(scene.kept[0].value)
-    scene.kept[0].value = -young
+    young = float(scene.young.value)
+    scene.young.value = -young
     for _ in range(2):
         with pytest.raises(ContactError):
             problem.solve()
-    scene.kept[0].value = young
+    scene.young.value = young
     uh = problem.solve()
     size = comm.allreduce(float(np.abs(before.x.array).max(initial=0.0)), MPI.MAX)
     assert largest_difference(uh, before) < 1e-6 * size

@@ -8,7 +8,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from scenes import dimension, vector_space
+from scenes import dimension
 
 import ufl
 from dolfinx import fem
@@ -16,7 +16,7 @@ from dolfinx import fem
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.assembly import prepare_forms
 from fenics_tfeti.fem.decomposition.parts import number_parts
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 
 NUMBER = 4  # boxes in a row, each 1 wide
 BOTTOM, LEFT = 5, 6
@@ -60,7 +60,7 @@ def row_of_boxes(cell: str = "quadrilateral", far: float = 0.1) -> Row:
             LEFT: lambda x: np.isclose(x[0], far),
         },
     )
-    V = vector_space(domain)
+    V = displacement_space(domain)
     cells = [np.flatnonzero(label == i).astype(np.int32) for i in range(NUMBER)]
     return Row(domain, V, number_parts(V, cells, [0] * NUMBER), middle, tags)
 

@@ -125,25 +125,3 @@ def reinforced_block(
     components = np.concatenate([np.tile(c, some.size) for some, c in prescribed])
     fixed = Prescribed(nodes, components, np.zeros(nodes.size))
     return TornSystem([*block, *punch], fixed, rows, gdim, ["block", "punch"], ["joint"])
-
-
-def glued_contact(system: TornSystem) -> tuple:
-    """Return K, f, the fixed unknowns, C and gaps of the glued bodies, and subdomains' unknowns."""
-    gdim = system.gdim
-    nodes = np.unique(np.concatenate([s.nodes for s in system.subdomains]))
-
-    def unknowns(of: np.ndarray) -> np.ndarray:
-        return (gdim * np.searchsorted(nodes, of)[:, None] + np.arange(gdim)).ravel()
-
-    size = gdim * nodes.size
-    K, f = sp.csr_matrix((size, size)), np.zeros(size)
-    places = [unknowns(s.nodes) for s in system.subdomains]
-    for s, at in zip(system.subdomains, places, strict=True):
-        T = sp.csr_matrix((np.ones(at.size), (at, np.arange(at.size))), (size, at.size))
-        K = K + T @ s.stiffness @ T.T
-        f += T @ s.load
-    p, c = system.prescribed, system.contacts
-    fixed = np.unique(gdim * np.searchsorted(nodes, p.nodes) + p.components)
-    rows = np.repeat(np.arange(c.gap.size), np.diff(c.offsets) * gdim)
-    C = sp.csr_matrix((c.coefficients.ravel(), (rows, unknowns(c.nodes))), (c.gap.size, size))
-    return K, f, fixed, C, c.gap, places

@@ -10,7 +10,7 @@ import clarabel
 import numpy as np
 import scipy.sparse as sp
 from sparse_rows import clamped, interpolated, two_blocks
-from torn import column, cube
+from torn import Glued, column, cube, matrix, node_rows
 
 from fenics_tfeti.feti import ContactRows, Friction, Prescribed, Subdomain, TornSystem
 
@@ -70,9 +70,7 @@ def on_the_ground(bound=0.012, load=(0.1, 0.0, -1.0)) -> TornSystem:
     slave = np.unique(nodes[z == 0.0])
     k = slave.size
     none = np.full(k, -1)
-    rows = ContactRows.node_to_node(
-        slave, none, np.tile(DOWN, (k, 1)), np.zeros(k), np.zeros(k, int)
-    )
+    rows = node_rows(slave, DOWN, master=none)
     return TornSystem(
         subdomains, Prescribed(), rows, 3, ["block"], ["ground"], friction=horizontal(rows, bound)
     )
@@ -133,9 +131,7 @@ def pulled_strip(n=6, bound=0.01, pull=0.06) -> TornSystem:
     subdomains = [_strip(n, first=0, load=0.0), _strip(n, first=n, load=pull)]
     bottom = np.unique(np.concatenate([s.nodes[s.coordinates[:, 1] == 0.0] for s in subdomains]))
     k = bottom.size
-    rows = ContactRows.node_to_node(
-        bottom, np.full(k, -1), np.tile([0.0, -1.0], (k, 1)), np.zeros(k), np.zeros(k, int)
-    )
+    rows = node_rows(bottom, [0.0, -1.0])
     friction = Friction(np.arange(k), np.tile([[[1.0, 0.0]]], (k, 1, 1)), np.full(k, bound))
     return TornSystem(subdomains, Prescribed(), rows, 2, ["strip"], ["line"], friction=friction)
 
@@ -168,7 +164,6 @@ class ConicSolution:
     """Minimiser of 1/2 u'Ku - f'u + sum of bounds times slips over the admissible u."""
 
     displacement: np.ndarray  # of the glued nodes
-    nodes: np.ndarray
     energy: float
     normal_force: np.ndarray  # of the contact rows [N]
     tangential_force: np.ndarray  # of the rows with friction, along the tangents [N]
@@ -178,20 +173,10 @@ class ConicSolution:
 def solve_by_cones(system: TornSystem) -> ConicSolution:
     """Solve with a slack variable for the length of each slip, by an interior point method."""
     gdim = system.gdim
-    nodes = np.unique(np.concatenate([s.nodes for s in system.subdomains]))
-    n = gdim * nodes.size
-    K, f = np.zeros((n, n)), np.zeros(n)
-    for s in system.subdomains:
-        at = (gdim * np.searchsorted(nodes, s.nodes)[:, None] + np.arange(gdim)).ravel()
-        K[np.ix_(at, at)] += s.stiffness.toarray()
-        f[at] += s.load
-    given, friction = system.prescribed, system.friction
-    fixed = gdim * np.searchsorted(nodes, given.nodes) + given.components
-    known = np.zeros(n)
-    known[fixed] = given.values
-    free = np.setdiff1d(np.arange(n), fixed)
+    whole, friction = Glued.of(system), system.friction
+    K, f, known, free = whole.K, whole.f, whole.u, whole.free
     tangential = friction.tangential_rows(system.contacts)
-    N, T = _matrix(system.contacts, nodes), _matrix(tangential, nodes)
+    N, T = whole.C, matrix(tangential, whole.nodes)
     m, directions = friction.size, gdim - 1
     # |T u - c| <= slack in units of lengths, so that bounds are forces
     length = tangential.length[::directions]
@@ -234,17 +219,8 @@ def solve_by_cones(system: TornSystem) -> ConicSolution:
     energy = 0.5 * u @ K @ u - f @ u + friction.bound @ np.linalg.norm(slip, axis=1)
     return ConicSolution(
         u,
-        nodes,
         float(energy),
         dual[: len(N)] * system.contacts.length,
         -dual[len(N) :].reshape(m, gdim)[:, 1:],
         slip,
     )
-
-
-def _matrix(rows: ContactRows, nodes: np.ndarray) -> np.ndarray:
-    gdim = rows.coefficients.shape[1]
-    matrix = np.zeros((rows.size, gdim * nodes.size))
-    columns = gdim * np.searchsorted(nodes, rows.nodes)[:, None] + np.arange(gdim)
-    np.add.at(matrix, (rows.row[:, None], columns), rows.coefficients)
-    return matrix

@@ -8,33 +8,22 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from scenes import at, dimension, elasticity, fixed, vector_space
+from scenes import Scene, at, dimension, elasticity, plane
 
 import ufl
-from dolfinx import fem
-from dolfinx.fem import Constant
 
-from fenics_tfeti import (
-    ContactPair,
-    ContactProblem,
-    Coulomb,
-    Plane,
-    RigidObstacle,
-    Sphere,
-    Tresca,
-)
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti import ContactProblem, Coulomb, Sphere, Tresca
 
 CLAMPED, LOADED, SLAVE, MASTER, TOP, SIDE = 1, 3, 5, 6, 4, 7
 
 
 @dataclass
 class Rubbing:
-    """A problem, and the traction [Pa] on its loaded surface."""
+    """A problem, and the traction [Pa] on its loaded surface or the displacement of its top [m]."""
 
     problem: ContactProblem
     traction: Any
-    tags: Any
+    scene: Scene
 
 
 def pushed_cube(
@@ -55,36 +44,25 @@ def pushed_cube(
     Its top is pressed and pushed sideways. With `symmetry` the plane y = 0 is one.
     """
     d = dimension(cell)
-    parts = [Box((0.0,) * d, (1.0,) * d, (n,) * d, "upper")]
-    marks = [(SLAVE, at(d - 1, 0.0), 1), (LOADED, at(d - 1, 1.0), 1)]
+    low, high, e = np.zeros(d), np.ones(d), np.eye(d)[-1]
+    parts = [(low, high, (n,) * d)]
+    marks: list[Any] = [(SLAVE, at(d - 1, 0.0), 1), (LOADED, at(d - 1, 1.0), 1)]
     if lower:
-        parts += [Box((*(0.0,) * (d - 1), -1.0), (*(1.0,) * (d - 1), 0.0), (lower,) * d, "lower")]
+        parts += [(low - e, high - e, (lower,) * d)]
         marks += [(MASTER, at(d - 1, 0.0), 2), (CLAMPED, at(d - 1, -1.0), 2)]
     if symmetry:
         marks += [(SIDE, at(1, 0.0))]
-    tagged = boxes(comm, parts, cell)
-    tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
-    V = vector_space(tagged.mesh, degree)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    traction = Constant(tagged.mesh, np.array([*push[: d - 1], -press]))
-    ds = ufl.Measure("ds", domain=tagged.mesh, subdomain_data=tags)
+    scene = Scene.of_boxes(comm, cell, parts, marks, degree=degree, young=young)
+    traction = scene.add_load(LOADED, np.array([*push[: d - 1], -press]))
     friction = Tresca(0.05) if friction is None else friction
     if lower:
-        contact: Any = ContactPair(tags, SLAVE, MASTER, friction=friction)
+        scene.fix(CLAMPED)
+        scene.add_pair(SLAVE, MASTER, friction=friction)
     else:
-        ground = Plane((0.0,) * d, (*(0.0,) * (d - 1), 1.0))
-        contact = RigidObstacle(tags, SLAVE, ground, friction=friction)
-    supports = [fixed(V, tags, CLAMPED, None)] if lower else []
-    supports += [fixed(V, tags, SIDE, 1)] if symmetry else []
-    problem = ContactProblem(
-        elasticity(u, v, young),
-        ufl.inner(traction, v) * ds(LOADED),
-        bcs=supports,
-        contacts=[contact],
-        cell_tags=tagged.cell_tags,
-        **{"options": {"rtol": 1e-8}, **arguments},
-    )
-    return Rubbing(problem, traction, tags)
+        scene.add_obstacle(SLAVE, plane(d - 1, d), friction=friction)
+    if symmetry:
+        scene.fix(SIDE, 1)
+    return Rubbing(scene.problem(**{"options": {"rtol": 1e-8}, **arguments}), traction, scene)
 
 
 THICKNESS, SHEAR_STRENGTH = 0.02, 1e-4
@@ -95,55 +73,25 @@ def pulled_strip(n: int = 50, comm: MPI.Intracomm = MPI.COMM_SELF) -> Rubbing:
 
     Its top moves along it only, so that it does not bend.
     """
-    strip = boxes(comm, [Box((0, 0), (1, THICKNESS), (n, 2))], "quadrilateral")
     marks = [(SLAVE, at(1, 0.0)), (LOADED, at(0, 1.0)), (TOP, at(1, THICKNESS))]
-    tags = tag_facets(strip.mesh, marks)
-    V = vector_space(strip.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    traction = Constant(strip.mesh, np.zeros(2))
-    ds = ufl.Measure("ds", domain=strip.mesh, subdomain_data=tags)
-    ground = RigidObstacle(
-        tags, SLAVE, Plane((0, 0), (0, 1)), friction=Tresca(SHEAR_STRENGTH), name="ground"
-    )
-    strain = ufl.sym(ufl.grad(u))
-    problem = ContactProblem(
-        ufl.inner(strain, ufl.grad(v)) * ufl.dx,
-        ufl.inner(traction, v) * ds(LOADED),
-        bcs=[fixed(V, tags, TOP, 1)],
-        contacts=[ground],
-        options={"rtol": 1e-6, "subdomain_size": 60},
-    )
-    return Rubbing(problem, traction, tags)
+    parts = [((0, 0), (1, THICKNESS), (n, 2))]
+    scene = Scene.of_boxes(comm, "quadrilateral", parts, marks)
+    scene.a = elasticity(scene.u, scene.v, 1.0, poisson=0.0)
+    traction = scene.add_load(LOADED, np.zeros(2))
+    scene.fix(TOP, 1)
+    scene.add_obstacle(SLAVE, plane(1, 2), friction=Tresca(SHEAR_STRENGTH), name="ground")
+    return Rubbing(scene.problem(options={"rtol": 1e-6, "subdomain_size": 60}), traction, scene)
 
 
 def pulled_plate(friction: Any, n: int = 4) -> ContactProblem:
     """Return a plate of 8 x 1 x 1/4 pressed on a rigid plane, pulled at x = 8."""
-    tagged = boxes(MPI.COMM_SELF, [Box((0, 0, 0), (8, 1, 0.25), (8 * n, n, max(n // 4, 1)))])
-    mesh = tagged.mesh
-    tags = tag_facets(mesh, [(SIDE, at(0, 8.0)), (SLAVE, at(2, 0.0)), (TOP, at(2, 0.25))])
-    V = vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
-    pressure = Constant(mesh, np.array([0.0, 0.0, -1e-3]))
-    end = fem.locate_dofs_topological(V, 2, tags.find(SIDE))
-    moved = Constant(mesh, np.array([0.02, 0.003, 0.0]))
-    ground = RigidObstacle(tags, SLAVE, Plane((0, 0, 0), (0, 0, 1)), friction=friction)
-    return ContactProblem(
-        elasticity(u, v, 1.0),
-        ufl.inner(pressure, v) * ds(TOP),
-        bcs=[fem.dirichletbc(moved, end, V)],
-        contacts=[ground],
-        options={"subdomain_size": 375},
-    )
-
-
-def mapped_boxes(comm: MPI.Intracomm, parts: list[Box], shape: Any) -> Any:
-    """Return boxes of quadrilaterals or hexahedra with nodes moved by x (d, n) -> (d, n)."""
-    d = len(parts[0].divisions)
-    tagged = boxes(comm, parts, "quadrilateral" if d == 2 else "hexahedron")
-    x = tagged.mesh.geometry.x
-    x[:, :d] = shape(x[:, :d].T).T
-    return tagged
+    marks = [(SIDE, at(0, 8.0)), (SLAVE, at(2, 0.0)), (TOP, at(2, 0.25))]
+    parts = [((0, 0, 0), (8, 1, 0.25), (8 * n, n, max(n // 4, 1)))]
+    scene = Scene.of_boxes(MPI.COMM_SELF, "hexahedron", parts, marks, young=1.0)
+    scene.add_load(TOP, np.array([0.0, 0.0, -1e-3]))
+    scene.fix(SIDE, None, np.array([0.02, 0.003, 0.0]))
+    scene.add_obstacle(SLAVE, plane(2, 3), friction=friction)
+    return scene.problem(options={"subdomain_size": 375})
 
 
 RADIUS, BALL_RADIUS, HALF_WIDTH = 40.0, 40.0, 8.0
@@ -159,7 +107,7 @@ def half_planes(n: int = 44, friction: Any = None, comm: MPI.Intracomm = MPI.COM
         return HALF_WIDTH * np.sinh(3.0 * x) / np.sinh(3.0)
 
     layers = n // 2
-    parts = [Box((-1, 0), (1, 1), (n, layers)), Box((-1, -1), (1, 0), (n, layers))]
+    parts = [((-1, 0), (1, 1), (n, layers)), ((-1, -1), (1, 0), (n, layers))]
     return _pressed_blocks(comm, parts, graded, friction, RADIUS, subdomain_size=400)
 
 
@@ -175,16 +123,13 @@ def half_spaces(n: int = 12, friction: Any = None, comm: MPI.Intracomm = MPI.COM
         beyond = np.maximum(np.abs(x) - 0.6, 0.0) / 0.4
         return core + np.sign(x) * (HALF_WIDTH - 1.6 / 0.6) * beyond**3
 
-    parts = [
-        Box((-1, 0, 0), (1, 1, 1), (2 * n, n, n)),
-        Box((-1, 0, -1), (1, 1, 0), (2 * n, n, n)),
-    ]
+    parts = [((-1, 0, z), (1, 1, z + 1), (2 * n, n, n)) for z in (0, -1)]
     return _pressed_blocks(comm, parts, graded, friction, BALL_RADIUS, subdomain_size=1500)
 
 
 def _pressed_blocks(
     comm: MPI.Intracomm,
-    parts: list[Box],
+    parts: list[Any],
     graded: Any,
     friction: Any,
     radius: float,
@@ -195,37 +140,26 @@ def _pressed_blocks(
     def distance(x: Any) -> Any:
         return np.linalg.norm(x[:up], axis=0)
 
-    tagged, up = mapped_boxes(comm, parts, graded), len(parts[0].divisions) - 1
-    marks = [
-        (SLAVE, lambda x: np.isclose(x[up], 0.0) & (distance(x) < 3.0), 1),
-        (MASTER, lambda x: np.isclose(x[up], 0.0) & (distance(x) < 3.0), 2),
-        (TOP, at(up, HALF_WIDTH), 1),
-        (CLAMPED, at(up, -HALF_WIDTH), 2),
+    up = len(parts[0][2]) - 1
+    near = at(up, 0.0)
+    marks: list[Any] = [
+        (SLAVE, lambda x: near(x) & (distance(graded(x)) < 3.0), 1),
+        (MASTER, lambda x: near(x) & (distance(graded(x)) < 3.0), 2),
+        (TOP, at(up, 1.0), 1),
+        (CLAMPED, at(up, -1.0), 2),
     ]
     marks += [(SIDE, at(1, 0.0))] if up == 2 else []
-    tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
-    V = vector_space(tagged.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    moved = Constant(tagged.mesh, np.zeros(up + 1))
-    top = fem.locate_dofs_topological(V, up, tags.find(TOP))
-    pair = ContactPair(
-        tags,
-        SLAVE,
-        MASTER,
-        initial_gap=lambda x: distance(x) ** 2 / (2.0 * radius),
-        friction=friction,
-    )
-    supports = [fixed(V, tags, CLAMPED, None), fem.dirichletbc(moved, top, V)]
-    supports += [fixed(V, tags, SIDE, 1)] if up == 2 else []
-    problem = ContactProblem(
-        elasticity(u, v, 1.0),
-        0,
-        bcs=supports,
-        contacts=[pair],
-        cell_tags=tagged.cell_tags,
-        options={"rtol": 1e-5, "subdomain_size": subdomain_size},
-    )
-    return Rubbing(problem, moved, tags)
+    cell = "quadrilateral" if up == 1 else "hexahedron"
+    scene = Scene.of_boxes(comm, cell, parts, marks, graded, young=1.0)
+    moved = scene.constant(np.zeros(up + 1))
+    scene.fix(CLAMPED)
+    scene.fix(TOP, None, moved)
+    if up == 2:
+        scene.fix(SIDE, 1)
+    gap = {"initial_gap": lambda x: distance(x) ** 2 / (2.0 * radius)}
+    scene.add_pair(SLAVE, MASTER, friction=friction, **gap)
+    options = {"rtol": 1e-5, "subdomain_size": subdomain_size}
+    return Rubbing(scene.problem(options=options), moved, scene)
 
 
 def belt(
@@ -239,32 +173,16 @@ def belt(
     def round_drum(x: Any) -> Any:
         return (1.0 + x[1]) * np.stack([np.cos(x[0]), np.sin(x[0])])
 
-    tagged = mapped_boxes(MPI.COMM_SELF, [Box((0, 0), (angle, thickness), (n, 1))], round_drum)
-
-    def at_angle(phi: float) -> Any:
-        return lambda x: np.isclose(np.arctan2(x[1], x[0]), phi)
-
-    marks = [
-        (SLAVE, lambda x: np.isclose(np.hypot(x[0], x[1]), 1.0)),
-        (CLAMPED, at_angle(0.0)),
-        (LOADED, at_angle(angle)),
-    ]
-    tags = tag_facets(tagged.mesh, marks)
-    V = vector_space(tagged.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    marks = [(SLAVE, at(1, 0.0)), (CLAMPED, at(0, 0.0)), (LOADED, at(0, angle))]
+    parts = [((0, 0), (angle, thickness), (n, 1))]
+    scene = Scene.of_boxes(MPI.COMM_SELF, "quadrilateral", parts, marks, round_drum)
+    scene.a = elasticity(scene.u, scene.v, 1.0, poisson=0.0)
     pull = 1e-4 / thickness * np.array([-np.sin(angle), np.cos(angle)])
-    traction = Constant(tagged.mesh, pull)
-    ds = ufl.Measure("ds", domain=tagged.mesh, subdomain_data=tags)
+    traction = scene.add_load(LOADED, pull)
+    scene.fix(CLAMPED)
     law = None if mu is None else Coulomb(mu)
-    drum = RigidObstacle(tags, SLAVE, Sphere((0.0, 0.0), 1.0), friction=law)
-    problem = ContactProblem(
-        ufl.inner(ufl.sym(ufl.grad(u)), ufl.grad(v)) * ufl.dx,
-        ufl.inner(traction, v) * ds(LOADED),
-        bcs=[fixed(V, tags, CLAMPED, None)],
-        contacts=[drum],
-        options={"rtol": 1e-5, "subdomain_size": 60},
-    )
-    return Rubbing(problem, traction, tags)
+    scene.add_obstacle(SLAVE, Sphere((0.0, 0.0), 1.0), friction=law)
+    return Rubbing(scene.problem(options={"rtol": 1e-5, "subdomain_size": 60}), traction, scene)
 
 
 def sheared_square(
@@ -275,16 +193,13 @@ def sheared_square(
     **arguments: Any,
 ) -> ContactProblem:
     """Return a square on a rigid line whose top is moved; with stiff fibres at an angle."""
-    square = boxes(MPI.COMM_SELF, [Box((0, 0), (1, 1), (n, n))], "quadrilateral")
-    tags = tag_facets(square.mesh, [(SLAVE, at(1, 0.0)), (TOP, at(1, 1.0))])
-    V = vector_space(square.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    a = elasticity(u, v, 1.0)
+    marks = [(SLAVE, at(1, 0.0)), (TOP, at(1, 1.0))]
+    parts = [((0, 0), (1, 1), (n, n))]
+    scene = Scene.of_boxes(MPI.COMM_SELF, "quadrilateral", parts, marks, young=1.0)
     if fibre is not None:
         d = ufl.as_vector([np.cos(fibre), np.sin(fibre)])
-        along, other = (ufl.inner(d, ufl.dot(ufl.sym(ufl.grad(w)), d)) for w in (u, v))
-        a += 100.0 * along * other * ufl.dx
-    moved = Constant(square.mesh, np.array(move))
-    top = fem.locate_dofs_topological(V, 1, tags.find(TOP))
-    line = RigidObstacle(tags, SLAVE, Plane((0, 0), (0, 1)), friction=friction)
-    return ContactProblem(a, 0, bcs=[fem.dirichletbc(moved, top, V)], contacts=[line], **arguments)
+        along = (ufl.inner(d, ufl.dot(ufl.sym(ufl.grad(w)), d)) for w in (scene.u, scene.v))
+        scene.a += 100.0 * next(along) * next(along) * ufl.dx
+    scene.fix(TOP, None, np.array(move))
+    scene.add_obstacle(SLAVE, plane(1, 2), friction=friction)
+    return scene.problem(**arguments)

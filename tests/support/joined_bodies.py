@@ -6,13 +6,14 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from scenes import Scene, at, fixed
 
 import dolfinx
 import ufl
 from dolfinx.mesh import meshtags
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.io import Box, TaggedMesh, boxes, displacement_space, tag_facets
+from fenics_tfeti.io import Box, TaggedMesh, boxes, tag_facets
 
 GDIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
 
@@ -81,21 +82,12 @@ def measure(tagged, kind, tag):
 
 def elasticity(tagged, press):
     """Return forms and supports of a block that is pressed against its other half along x."""
-    space = displacement_space(tagged.mesh)
     gdim = tagged.mesh.geometry.dim
-    u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
-    ds = ufl.Measure("ds", domain=tagged.mesh, subdomain_data=tagged.facet_tags)
-    load = dolfinx.fem.Constant(tagged.mesh, np.eye(gdim)[0] * -press)
-    a = ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
-    bcs = []
-    for axis in range(gdim):
-        part = space.sub(axis)
-        facets = dolfinx.mesh.locate_entities_boundary(
-            tagged.mesh, gdim - 1, lambda x, axis=axis: np.isclose(x[axis], 0.0)
-        )
-        dofs = dolfinx.fem.locate_dofs_topological(part, gdim - 1, facets)
-        bcs.append(dolfinx.fem.dirichletbc(0.0, dofs, part))
-    return a, ufl.inner(load, v) * ds(7), bcs
+    planes = tag_facets(tagged.mesh, {k: at(k, 0.0) for k in range(gdim)})
+    scene = Scene(tagged.mesh, tagged.facet_tags)
+    scene.add_load(7, np.eye(gdim)[0] * -press)
+    a = ufl.inner(ufl.sym(ufl.grad(scene.u)), ufl.sym(ufl.grad(scene.v))) * ufl.dx
+    return a, scene.L, [fixed(scene.V, planes, axis, axis) for axis in range(gdim)]
 
 
 def bolt_in_block(path, gdim, order=1):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import runpy
 import signal
 import tempfile
 from pathlib import Path
@@ -11,27 +10,22 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+from mesh_arrays import of_script
+from scenes import Scene
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, ContactResult
-from fenics_tfeti.io import displacement_space, read_msh
+from fenics_tfeti import ContactProblem, ContactResult
+from fenics_tfeti.io import read_msh
 
-MESHES = Path(__file__).resolve().parents[2] / "meshes"
-PULL, CLEARANCE, RADIUS = 5292.0, 0.02, 5.0  # [N], [mm], of the pin [mm]
+# [N], [mm], of the pin [mm], [MPa]
+PULL, CLEARANCE, RADIUS, YOUNG = 5292.0, 0.02, 5.0, 2.1e5
 
 
 def read_joint(size: float, degree: int, comm: MPI.Intracomm = MPI.COMM_WORLD) -> Any:
     """Mesh the joint on rank 0 and read it on all."""
-    handler = signal.getsignal(signal.SIGINT)  # Gmsh replaces it
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(comm.bcast(folder)) / "joint.msh"
-        if comm.rank == 0:
-            runpy.run_path(str(MESHES / "pin_joint.py"))["pin_joint"](path, size, degree)
-            signal.signal(signal.SIGINT, handler)
-        comm.barrier()
-        return read_msh(path, comm)
+    return of_script("pin_joint", 3, size, degree, comm=comm)
 
 
 def joint_problem(
@@ -41,32 +35,18 @@ def joint_problem(
 
     `along` is the traction along the pin, relative to that across.
     """
-    mesh, tags, names = bodies.mesh, bodies.facet_tags, bodies.names
-    V = displacement_space(mesh, degree=degree)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
-    one = fem.Constant(mesh, 1.0)
-    area = mesh.comm.allreduce(fem.assemble_scalar(fem.form(one * ds(names["lug end"]))))
-    L = fem.Constant(mesh, PULL / area) * (v[0] + along * v[2]) * ds(names["lug end"])
-    held = fem.locate_dofs_topological(V, 2, tags.find(names["fork end"]))
-    pairs = []
+    names = bodies.names
+    scene = Scene.of(bodies, degree=degree, young=YOUNG)
+    v, end = scene.v, scene.ds(names["lug end"])
+    area = scene.mesh.comm.allreduce(fem.assemble_scalar(fem.form(scene.constant(1.0) * end)))
+    scene.L = scene.constant(PULL / area) * (v[0] + along * v[2]) * end
+    scene.fix(names["fork end"])
     for hole in ("lug", "fork"):
         slave, master = names[f"{hole} surface"], names["pin surface"]
         if exchange:
             slave, master = master, slave
-        chosen = {"roles": "given", **of_pair}
-        pairs.append(ContactPair(tags, slave, master, name=f"pin in {hole}", **chosen))
-    return ContactProblem(
-        _elasticity(u, v), L, bcs=[fem.dirichletbc(np.zeros(3), held, V)], contacts=pairs
-    )
-
-
-def _elasticity(u: Any, v: Any) -> Any:
-    """Return the form of steel, in the plane with plane strain."""
-    E, nu = 2.1e5, 0.3
-    mu, lmbda = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
-    eps_u, eps_v = ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))
-    return (lmbda * ufl.tr(eps_u) * ufl.tr(eps_v) + 2 * mu * ufl.inner(eps_u, eps_v)) * ufl.dx
+        scene.add_pair(slave, master, name=f"pin in {hole}", **{"roles": "given", **of_pair})
+    return scene.problem(cell_tags=None)
 
 
 def axial_motion(bodies: Any, uh: fem.Function) -> dict[str, float]:
@@ -111,27 +91,24 @@ def plane_joint(size: float, degree: int, exchange: bool = False, **of_pair: Any
         _plane_mesh(path, size, degree)
         signal.signal(signal.SIGINT, handler)
         bodies = read_msh(path, MPI.COMM_SELF, gdim=2)
-    mesh, tags, names = bodies.mesh, bodies.facet_tags, bodies.names
-    V = displacement_space(mesh, degree=degree)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    dx = ufl.Measure("dx", domain=mesh, subdomain_data=bodies.cell_tags)(names["pin"])
-    area = fem.assemble_scalar(fem.form(fem.Constant(mesh, 1.0) * dx))
-    held = fem.locate_dofs_topological(V, 1, tags.find(names["lug end"]))
+    names = bodies.names
+    scene = Scene.of(bodies, degree=degree, young=YOUNG)
+    dx = scene.dx(names["pin"])
+    area = fem.assemble_scalar(fem.form(scene.constant(1.0) * dx))
+    scene.L = -scene.constant(540.0 / area) * scene.v[0] * dx
+    scene.fix(names["lug end"])
     # nothing but facets resists the pin's rotation
-    along_y, _ = V.sub(1).collapse()
+    part = scene.V.sub(1)
+    along_y, _ = part.collapse()
     point = fem.locate_dofs_geometrical(
-        (V.sub(1), along_y), lambda x: np.hypot(x[0] - RADIUS, x[1]) < 1e-9
+        (part, along_y), lambda x: np.hypot(x[0] - RADIUS, x[1]) < 1e-9
     )
-    bcs = [
-        fem.dirichletbc(np.zeros(2), held, V),
-        fem.dirichletbc(fem.Function(along_y), point, V.sub(1)),
-    ]
+    scene.bcs.append(fem.dirichletbc(fem.Function(along_y), point, part))
     slave, master = names["lug surface"], names["pin surface"]
     if exchange:
         slave, master = master, slave
-    pair = ContactPair(tags, slave, master, partners="mortar", roles="given", **of_pair)
-    load = -fem.Constant(mesh, 540.0 / area) * v[0] * dx
-    return ContactProblem(_elasticity(u, v), load, bcs=bcs, contacts=[pair])
+    scene.add_pair(slave, master, partners="mortar", roles="given", **of_pair)
+    return scene.problem(cell_tags=None)
 
 
 def _plane_mesh(path: Path, size: float, order: int) -> None:

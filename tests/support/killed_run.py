@@ -17,14 +17,12 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
-from scenes import CLAMPED, SLAVE, at, elasticity, fixed, vector_space
+from scenes import CLAMPED, SLAVE, Scene, at
 
-import ufl
-
-from fenics_tfeti import ContactProblem, RigidObstacle, Sphere
+from fenics_tfeti import ContactProblem, Exact, Sphere
 from fenics_tfeti.io import Box, boxes, tag_facets
 
-OPTIONS = {"rtol": 1e-9, "non_penetration": "exact", "non_penetration_tolerance": 1e-8}
+GEOMETRY = Exact(tolerance=1e-8)
 HEIGHTS = [-1.02, -1.01, -1.0]
 
 
@@ -46,16 +44,17 @@ def block(comm, divisions: int = 12):
     return boxes(comm, [Box((0, 0), (1, 0.5), (divisions, divisions // 2))], "quadrilateral").mesh
 
 
-def block_on_disc(mesh, disc, held: int = 2, friction=None, **options) -> ContactProblem:
+def block_on_disc(
+    mesh, disc, held: int = 2, friction=None, geometry=GEOMETRY, **options
+) -> ContactProblem:
     """Return a block over a disc; components of its upper face are held, shifted by 0.05 m."""
     tags = tag_facets(mesh, [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))])
-    V = vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    bcs = [fixed(V, tags, CLAMPED, i, value) for i, value in enumerate((0.05, -0.02))]
-    contact = RigidObstacle(tags, slave=SLAVE, obstacle=disc, friction=friction)
-    options = {**OPTIONS, "subdomain_size": 60, **options}
-    a = elasticity(u, v, 1e6)
-    return ContactProblem(a, 0, bcs=bcs[:held], contacts=[contact], options=options)
+    scene = Scene(mesh, tags, young=1e6)
+    for axis in range(held):
+        scene.fix(CLAMPED, axis, (0.05, -0.02)[axis])
+    scene.add_obstacle(SLAVE, disc, friction=friction)
+    options = {"rtol": 1e-9, "subdomain_size": 60, **options}
+    return scene.problem(geometry=geometry, options=options)
 
 
 def run(mesh, checkpoint: Path, dies_in: tuple[int, int] | None = None):

@@ -17,24 +17,19 @@ from mpi4py import MPI
 import numpy as np
 from mesh_arrays import concatenated, grid, mesh_of, tags_of
 from numpy.typing import NDArray
-from scenes import CLAMPED, GROUND, LOADED, MASTER, SIDE_X, SLAVE, elasticity, vector_space
+from scenes import CLAMPED, GROUND, LOADED, MASTER, SIDE_X, SLAVE, Scene
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import ContactProblem, Exact
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.io import tag_facets
 
 Vector = NDArray[np.float64]
 
 YOUNG = 1e7
-OPTIONS = {
-    "rtol": 1e-8,
-    "non_penetration": "exact",
-    "non_penetration_tolerance": 1e-4,
-    "non_penetration_max_it": 40,
-}
+GEOMETRY = Exact(tolerance=1e-4, max_passes=40)
 
 
 @dataclass(frozen=True)
@@ -75,49 +70,20 @@ class Way:
         return float(np.abs(stored - self.work).max() / np.abs(self.work).max())
 
 
-@dataclass
-class Scene:
+class Bodies(Scene):
     """Two bodies on one mesh and what holds and loads them."""
 
-    mesh: Any
-    cell_tags: Any
-    facet_tags: Any
-    space: Any
-    a: Any = None
-    L: Any = 0
-    bcs: Any = None
-    kept: Any = None
-
-    def pair(self, slave: int) -> ContactPair:
-        return ContactPair(self.facet_tags, slave, SLAVE + MASTER - slave, partners="mortar")
-
-    def problem(self, slave: int, options: dict[str, Any]) -> ContactProblem:
-        return ContactProblem(
-            self.a,
-            self.L,
-            bcs=self.bcs,
-            contacts=[self.pair(slave)],
-            cell_tags=self.cell_tags,
-            options={**OPTIONS, **options},
-        )
-
-    def nodes(self, body: int) -> NDArray[np.int64]:
-        """Return the rows of ``mesh.geometry.x`` of a body."""
-        return np.unique(_compat.geometry_cells(self.mesh)[self.cell_tags.find(body)])
-
-    def held(self, tag: int, component: int, value: Any = 0.0) -> Any:
-        """Prescribe a component on tagged facets."""
-        space = self.space.sub(component)
-        dofs = fem.locate_dofs_topological(space, 1, self.facet_tags.find(tag))
-        return fem.dirichletbc(value, dofs, space)
+    def sliding(self, slave: int, geometry: Exact = GEOMETRY) -> ContactProblem:
+        self.add_pair(slave, SLAVE + MASTER - slave, partners="mortar")
+        return self.problem(geometry=geometry, options={"rtol": 1e-8})
 
     def dofs(self, tag: int) -> NDArray[np.int64]:
         """Return the nodes of tagged facets."""
-        return fem.locate_dofs_topological(self.space, 1, self.facet_tags.find(tag))
+        return fem.locate_dofs_topological(self.V, 1, self.facet_tags.find(tag))
 
     def measures(self) -> tuple[Vector, Vector, Callable[[Any], tuple[Vector, float]]]:
         """Return loads on all nodes, and a function: displacement -> K u and energy."""
-        of = fem.Function(self.space)
+        of = fem.Function(self.V)
         action = fem.form(ufl.action(self.a, of))
         energy = fem.form(ufl.replace(0.5 * self.a, dict.fromkeys(self.a.arguments(), of)))
         load = np.zeros_like(of.x.array)
@@ -153,12 +119,11 @@ def ring(divisions: tuple[int, int], inner: float, outer: float) -> tuple[Any, A
     return points[column < n], number[cells]
 
 
-def scene(parts: list[Any], markers: list[Any]) -> Scene:
+def bodies_of(parts: list[Any], markers: list[Any]) -> Bodies:
     """Make a mesh of two bodies of quadrilaterals."""
     domain = mesh_of(MPI.COMM_SELF, "quadrilateral", *concatenated(*parts))
     cell_tags = tags_of(domain, np.repeat([1, 2], [len(cells) for _, cells in parts]))
-    facet_tags = tag_facets(domain, markers, cell_tags)
-    return Scene(domain, cell_tags, facet_tags, vector_space(domain))
+    return Bodies(domain, tag_facets(domain, markers, cell_tags), cell_tags, young=YOUNG)
 
 
 def on(height: Any) -> Callable[[Vector], Any]:
@@ -197,7 +162,11 @@ def track(
 
 
 def pushed_block(
-    steps: int, base: int = 120, foot: int = 23, slave: int = SLAVE, **options: Any
+    steps: int,
+    base: int = 120,
+    foot: int = 23,
+    slave: int = SLAVE,
+    geometry: Exact = GEOMETRY,
 ) -> Way:
     """Push a block with a round foot over a bump by its upper part, under a dead load.
 
@@ -223,7 +192,7 @@ def pushed_block(
     def guide(x: Vector) -> Any:
         return np.isclose(np.abs(x[0] - start), 0.5 * width) & (x[1] > 0.3)
 
-    bodies = scene(
+    bodies = bodies_of(
         [track((base, base // 8), -2.0, 2.0, profile), patch((foot, foot), upright)],
         [
             (GROUND, on(-0.5), 1),
@@ -233,14 +202,12 @@ def pushed_block(
             (CLAMPED, guide, 2),
         ],
     )
-    u, v = ufl.TrialFunction(bodies.space), ufl.TestFunction(bodies.space)
-    ds = ufl.Measure("ds", domain=bodies.mesh, subdomain_data=bodies.facet_tags)
-    load, shift = fem.Constant(bodies.mesh, -5e4), fem.Constant(bodies.mesh, 0.0)
-    bodies.a, bodies.L = elasticity(u, v, YOUNG), load * v[1] * ds(LOADED)
-    bodies.bcs = [bodies.held(GROUND, 0), bodies.held(GROUND, 1)]
-    bodies.bcs += [bodies.held(LOADED, 0, shift), bodies.held(CLAMPED, 0, shift)]
-    bodies.kept = load
-    problem = bodies.problem(slave, options)
+    shift = bodies.constant(0.0)
+    bodies.add_load(LOADED, np.array([0.0, -5e4]))
+    bodies.fix(GROUND)
+    for tag in (LOADED, CLAMPED):
+        bodies.fix(tag, 0, shift)
+    problem = bodies.sliding(slave, geometry)
     loads, measure = bodies.measures()
     driven = np.union1d(bodies.dofs(LOADED), bodies.dofs(CLAMPED))
     rows = []
@@ -264,17 +231,16 @@ RADIUS, HUB = 0.5, 0.2
 
 
 def turned_with_mesh(
-    bodies: Scene,
+    bodies: Bodies,
     centre: Vector,
     poses: list[tuple[float, Vector, Vector]],
     slave: int,
-    options: dict[str, Any],
 ) -> Way:
     """Turn body 1, whose hub is held, and record the drive's power per angle.
 
     Parameters
     ----------
-    bodies : Scene
+    bodies : Bodies
         The scene; body 1 is a ring with the hub CLAMPED.
     centre : (2,) array
         Of the ring in the mesh.
@@ -283,14 +249,12 @@ def turned_with_mesh(
         angle.
     slave : {SLAVE, MASTER}
         The slave's tag.
-    options : dict
-        Of the problem.
     """
     x, own = bodies.mesh.geometry.x, bodies.nodes(1)
     reference = x[own, :2] - centre
     problem: ContactProblem | None = None
     hub = bodies.dofs(CLAMPED)
-    of_ring = np.unique(_compat.cell_dofs(bodies.space)[bodies.cell_tags.find(1)])
+    of_ring = np.unique(_compat.cell_dofs(bodies.V)[bodies.cell_tags.find(1)])
     outside = np.setdiff1d(of_ring, hub)
     loads, measure = bodies.measures()
     rows = []
@@ -298,10 +262,10 @@ def turned_with_mesh(
         c, s = np.cos(angle), np.sin(angle)
         x[own, :2] = middle + reference @ np.array([[c, s], [-s, c]])
         if problem is None:
-            problem = bodies.problem(slave, options)
+            problem = bodies.sliding(slave)
         uh = problem.solve()
         force, energy = measure(uh)
-        arm = bodies.space.tabulate_dof_coordinates()[:, :2] + uh.x.array.reshape(-1, 2) - middle
+        arm = bodies.V.tabulate_dof_coordinates()[:, :2] + uh.x.array.reshape(-1, 2) - middle
         # the hub carries what acts elsewhere on the ring
         arm, force = arm[outside], force[outside]
         moment = -np.sum(arm[:, 0] * force[:, 1] - arm[:, 1] * force[:, 0])
@@ -316,7 +280,6 @@ def cam(
     foot: int = 24,
     eccentricity: float = 0.15,
     slave: int = SLAVE,
-    **options: Any,
 ) -> Way:
     """Turn an eccentric disc by half a turn under a guided follower that a spring presses on it.
 
@@ -343,7 +306,7 @@ def cam(
     # far below: facets are tagged by place
     centre = np.array([0.0, -5.0])
     points, cells = ring((around_cam, 8), HUB, RADIUS)
-    bodies = scene(
+    bodies = bodies_of(
         [(points + centre, cells), patch((foot, max(2, foot // 2)), follower)],
         [
             (CLAMPED, around((0.0, -5.0), HUB), 1),
@@ -353,20 +316,17 @@ def cam(
             (SIDE_X, sides, 2),
         ],
     )
-    u, v = ufl.TrialFunction(bodies.space), ufl.TestFunction(bodies.space)
-    ds = ufl.Measure("ds", domain=bodies.mesh, subdomain_data=bodies.facet_tags)
-    bodies.a = elasticity(u, v, YOUNG) + 1e5 * u[1] * v[1] * ds(LOADED)
-    bodies.bcs = [bodies.held(CLAMPED, 0), bodies.held(CLAMPED, 1), bodies.held(SIDE_X, 0)]
+    bodies.a += 1e5 * bodies.u[1] * bodies.v[1] * bodies.ds(LOADED)
+    bodies.fix(CLAMPED)
+    bodies.fix(SIDE_X, 0)
     poses = []
     for angle in np.linspace(0.0, np.pi, steps + 1):
         away = eccentricity * np.array([np.sin(angle), -np.cos(angle)])
         poses.append((angle, away, np.array([-away[1], away[0]])))
-    return turned_with_mesh(bodies, centre, poses, slave, options)
+    return turned_with_mesh(bodies, centre, poses, slave)
 
 
-def rolling(
-    steps: int, around_wheel: int = 160, base: int = 120, slave: int = SLAVE, **options: Any
-) -> Way:
+def rolling(steps: int, around_wheel: int = 160, base: int = 120, slave: int = SLAVE) -> Way:
     """Roll a wheel, whose axle is guided at one height, by half a turn over a bump.
 
     Parameters
@@ -382,7 +342,7 @@ def rolling(
     profile = bump(0.03, 0.6, middle=0.25)
     centre = np.array([0.0, 5.0])
     points, cells = ring((around_wheel, 8), HUB, RADIUS)
-    bodies = scene(
+    bodies = bodies_of(
         [(points + centre, cells), track((base, base // 6), -1.2, 1.2, profile)],
         [
             (CLAMPED, around((0.0, 5.0), HUB), 1),
@@ -391,12 +351,11 @@ def rolling(
             (GROUND, on(-0.5), 2),
         ],
     )
-    u, v = ufl.TrialFunction(bodies.space), ufl.TestFunction(bodies.space)
-    bodies.a = elasticity(u, v, YOUNG)
-    bodies.bcs = [bodies.held(tag, axis) for tag in (CLAMPED, GROUND) for axis in (0, 1)]
+    bodies.fix(CLAMPED)
+    bodies.fix(GROUND)
     # to the right: clockwise
     poses = [
         (-turn, np.array([RADIUS * (turn - 0.5 * np.pi), RADIUS - 0.01]), np.array([-RADIUS, 0.0]))
         for turn in np.linspace(0.0, np.pi, steps + 1)
     ]
-    return turned_with_mesh(bodies, centre, poses, slave, options)
+    return turned_with_mesh(bodies, centre, poses, slave)

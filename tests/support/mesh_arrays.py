@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import itertools
+import runpy
+import signal
+import tempfile
+from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
-import scenes
+import pytest
 from numpy.typing import ArrayLike
+from scenes import Scene
 
-import ufl
-from dolfinx import fem, mesh
+from dolfinx import mesh
 
-from fenics_tfeti import ContactProblem
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.mesh_checks import check_mesh
+from fenics_tfeti.io import read_msh
 
+MESHES = Path(__file__).resolve().parents[2] / "meshes"
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 
 
@@ -28,6 +33,21 @@ def mesh_of(comm: MPI.Comm, cell: str, points: ArrayLike, cells: ArrayLike) -> A
     if comm.rank > 0:
         x, nodes = x[:0], nodes[:0]
     return _compat.distributed_mesh(comm, nodes, np.ascontiguousarray(x), cell)
+
+
+def of_script(
+    script: str, gdim: int, *arguments: Any, function: str = "", comm: MPI.Comm = MPI.COMM_SELF
+) -> Any:
+    """Return the bodies that Gmsh meshes on rank 0 by a function of a script in meshes/."""
+    pytest.importorskip("gmsh")
+    handler = signal.getsignal(signal.SIGINT)  # Gmsh replaces it
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(comm.bcast(folder), "mesh.msh")
+        if comm.rank == 0:
+            runpy.run_path(str(MESHES / f"{script}.py"))[function or script](path, *arguments)
+            signal.signal(signal.SIGINT, handler)
+        comm.barrier()
+        return read_msh(path, comm, gdim)
 
 
 def tags_of(domain: Any, values: ArrayLike) -> Any:
@@ -105,11 +125,7 @@ def slit(n: int = 4) -> tuple[Any, Any]:
 
 def problem_on(domain: Any, **arguments: Any) -> Any:
     """Pose a problem with steel, no load and no supports."""
-    V = scenes.vector_space(domain)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    nothing = fem.Constant(domain, 0.0)
-    a = scenes.elasticity(u, v, fem.Constant(domain, scenes.YOUNG))
-    return ContactProblem(a, nothing * v[0] * ufl.dx, **arguments)
+    return Scene(domain, None).problem(**{"cell_tags": None, **arguments})
 
 
 def unstructured_block(cell: str, size: float) -> tuple[Any, Any]:

@@ -14,18 +14,17 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from scenes import POISSON, YOUNG, at, elasticity, fixed, vector_space
+from scenes import POISSON, YOUNG, Scene, at
 
 import ufl
-from dolfinx.fem import Constant, Function
+from dolfinx.fem import Function
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import ContactProblem
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.mortar.facets import shape_functions
 from fenics_tfeti.fem.contact.mortar.integrals import integrate, integrate_alone
 from fenics_tfeti.fem.contact.surfaces.gathered import gather_surface
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.io import Box, boxes, tag_facets
 
 PRESSURE = 2e7
 LOADED, LOWER, UPPER = 1, 10, 11
@@ -49,54 +48,40 @@ class Blocks:
     def gdim(self) -> int:
         return 2 if self.cell in ("triangle", "quadrilateral") else 3
 
-    def mesh(self, comm: MPI.Comm = MPI.COMM_SELF) -> Any:
-        d = self.gdim
+    def scene(self, comm: MPI.Comm = MPI.COMM_SELF, marks: Any = None, **more: Any) -> Scene:
+        """Mesh the blocks; tags are those of the faces before they are inclined."""
+        up = self.gdim - 1
         parts = [
-            Box((0.0,) * d, (1.0,) * d, (self.lower,) * (d - 1) + (2,)),
-            Box(
-                (0.0,) * (d - 1) + (HEIGHT,),
-                (self.width,) * (d - 1) + (2.0,),
-                (self.upper,) * (d - 1) + (2,),
-            ),
+            ((0.0,) * (up + 1), (1.0,) * (up + 1), (self.lower,) * up + (2,)),
+            ((0.0,) * up + (HEIGHT,), (self.width,) * up + (2.0,), (self.upper,) * up + (2,)),
         ]
-        beams = boxes(comm, parts, self.cell)
-        x = beams.mesh.geometry.x
+        if marks is None:
+            marks = [(SUPPORTED[axis], at(axis, 0.0)) for axis in range(up + 1)]
+            marks += [(LOADED, at(up, 2.0))]
+            marks += [(LOADED, at(axis, 1.0)) for axis in range(up) if self.slope]
+            marks += self.contact
+        scene = Scene.of_boxes(comm, self.cell, parts, marks, degree=self.degree, **more)
+        x = scene.mesh.geometry.x
         # inner nodes move across, the same in all layers, so that grids differ along the contact
-        for body, top in ((1, 1.0), (2, 2.0)):
-            nodes = np.unique(_compat.geometry_cells(beams.mesh)[beams.cell_tags.find(body)])
-            span = 1.0 if body == 1 else self.width
-            for axis in range(d - 1):
-                wave = np.prod([np.sin(np.pi * x[nodes, k] / span) for k in range(d - 1)], axis=0)
-                x[nodes, axis] += (
-                    self.jitter
-                    * span
-                    / self.lower
-                    * wave
-                    * (1.5 - axis)
-                    * (1.0 if body == 1 else -1.0)
-                )
-            below = 0.0 if body == 1 else HEIGHT
-            share = (x[nodes, d - 1] - below) if body == 1 else (top - x[nodes, d - 1])
-            x[nodes, d - 1] += share * self.slope * x[nodes, 0]
-        return beams
+        for body, span, sign in ((1, 1.0, 1.0), (2, self.width, -1.0)):
+            nodes = scene.nodes(body)
+            wave = np.prod(np.sin(np.pi * x[nodes, :up] / span), axis=1)
+            size = sign * self.jitter * span / self.lower * (1.5 - np.arange(up))
+            x[nodes, :up] += np.outer(wave, size)
+            share = 1.0 - np.abs(x[nodes, up] - HEIGHT)
+            x[nodes, up] += share * self.slope * x[nodes, 0]
+        return scene
 
-    def markers(self) -> list[Any]:
-        d = self.gdim
-
-        def contact(x: Any) -> Any:
-            return np.isclose(x[d - 1], HEIGHT + self.slope * x[0])
-
-        found: list[Any] = [(SUPPORTED[axis], at(axis, 0.0)) for axis in range(d)]
-        found += [(LOADED, lambda x: np.isclose(x[d - 1], 2.0))]
-        if self.slope:
-            found += [(LOADED, at(axis, 1.0)) for axis in range(d - 1)]
-        return [*found, (LOWER, contact, 1), (UPPER, contact, 2)]
+    @property
+    def contact(self) -> list[Any]:
+        """The marks of the surfaces that touch."""
+        return [(LOWER, at(self.gdim - 1, HEIGHT), 1), (UPPER, at(self.gdim - 1, HEIGHT), 2)]
 
 
-def uncovered_part(V: Any, facet_tags: Any, tag: int, other: int) -> Function:
+def uncovered_part(scene: Scene, tag: int, other: int) -> Function:
     """Return q with int q N_k = int N_k over what `other` leaves uncovered of plane facets."""
-    boundary = MeshBoundary.of(V)
-    surface, master = (gather_surface(boundary, facet_tags, t) for t in (tag, other))
+    V, boundary = scene.V, MeshBoundary.of(scene.V)
+    surface, master = (gather_surface(boundary, scene.facet_tags, t) for t in (tag, other))
     own, over = surface.surface, master.surface
     n = len(own.points)
     mass, load = np.zeros((n, n)), np.zeros(n)
@@ -145,35 +130,17 @@ def solved(
     blocks: Blocks, slave: int = LOWER, comm: MPI.Comm = MPI.COMM_SELF, **options: Any
 ) -> PatchResult:
     """Solve the patch test."""
-    beams = blocks.mesh(comm)
-    domain, d = beams.mesh, blocks.gdim
-    facet_tags = tag_facets(domain, blocks.markers(), beams.cell_tags)
-    V = vector_space(domain, blocks.degree)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    ds = ufl.Measure("ds", domain=domain, subdomain_data=facet_tags)
-    pressure = Constant(domain, PRESSURE)
-    normal = ufl.FacetNormal(domain)
-    L = -pressure * ufl.inner(normal, v) * ds(LOADED)
-    young = Constant(domain, YOUNG)
-    kept = [pressure, young]
-    for tag, other in ((LOWER, UPPER), (UPPER, LOWER)):
-        free = uncovered_part(V, facet_tags, tag, other)
-        kept.append(free)
-        # the two faces of an inclined contact have the same footprint
-        if not blocks.slope:
-            L -= pressure * free * ufl.inner(normal, v) * ds(tag)
-    master = LOWER + UPPER - slave
-    pair = ContactPair(facet_tags, slave, master, partners="mortar", roles="given")
-    problem = ContactProblem(
-        elasticity(u, v, young),
-        L,
-        bcs=[fixed(V, facet_tags, SUPPORTED[axis], axis) for axis in range(d)],
-        contacts=[pair],
-        cell_tags=beams.cell_tags,
-        options={"rtol": 1e-12, "subdomain_size": 150, **options},
-    )
+    scene, d = blocks.scene(comm), blocks.gdim
+    scene.add_load(LOADED, -PRESSURE)
+    # the two faces of an inclined contact have the same footprint
+    for tag, other in [] if blocks.slope else [(LOWER, UPPER), (UPPER, LOWER)]:
+        scene.add_load(tag, -PRESSURE * uncovered_part(scene, tag, other))
+    for axis in range(d):
+        scene.fix(SUPPORTED[axis], axis)
+    scene.add_pair(slave, LOWER + UPPER - slave, partners="mortar", roles="given")
+    problem = scene.problem(options={"rtol": 1e-12, "subdomain_size": 150, **options})
     uh = problem.solve().x.array.reshape(-1, d)
-    x = V.tabulate_dof_coordinates()[:, :d]
+    x = scene.V.tabulate_dof_coordinates()[:, :d]
     exact = exact_strain(d, bool(blocks.slope)) * x
     size = comm.allreduce(float(np.abs(exact).max()), MPI.MAX)
     error = comm.allreduce(float(np.abs(uh[: len(x)] - exact).max()), MPI.MAX)
@@ -181,54 +148,37 @@ def solved(
     return PatchResult(problem, error / size, float(np.abs(found / PRESSURE - 1.0).max()))
 
 
-def uneven(
+def uneven_scene(
     blocks: Blocks,
     comm: MPI.Comm = MPI.COMM_SELF,
     slave: int = LOWER,
     pair: Mapping[str, Any] | None = None,
-    **options: Any,
-) -> ContactProblem:
-    """Solve for a curved upper block, clamped blocks, and a load that grows with x."""
-    problem = uneven_problem(blocks, comm, slave, pair, **options)
-    problem.solve()
-    return problem
-
-
-def uneven_problem(
-    blocks: Blocks,
-    comm: MPI.Comm = MPI.COMM_SELF,
-    slave: int = LOWER,
-    pair: Mapping[str, Any] | None = None,
-    **options: Any,
-) -> ContactProblem:
-    """Pose the problem of `uneven`."""
-    beams = blocks.mesh(comm)
-    domain, d = beams.mesh, blocks.gdim
-    facet_tags = tag_facets(domain, blocks.markers(), beams.cell_tags)
-    x = domain.geometry.x
-    nodes = np.unique(_compat.geometry_cells(domain)[beams.cell_tags.find(2)])
-    middle = 0.4 * blocks.width
-    lift = 0.02 * np.sum((x[nodes, : d - 1] - middle) ** 2, axis=1)
+) -> Scene:
+    """Return a curved upper block on a lower one, clamped both, and a load that grows with x."""
+    scene, d = blocks.scene(comm), blocks.gdim
+    x, nodes = scene.mesh.geometry.x, scene.nodes(2)
+    lift = 0.02 * np.sum((x[nodes, : d - 1] - 0.4 * blocks.width) ** 2, axis=1)
     x[nodes, d - 1] += (2.0 - x[nodes, d - 1]) * lift
-    V = vector_space(domain, blocks.degree)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    ds = ufl.Measure("ds", domain=domain, subdomain_data=facet_tags)
-    young, pressure = Constant(domain, YOUNG), Constant(domain, 20.0 * PRESSURE)
-    load = pressure * (1.0 + ufl.SpatialCoordinate(domain)[0])
-    arguments = {"roles": "given", **(pair or {})}
-    contact = ContactPair(facet_tags, slave, LOWER + UPPER - slave, **arguments)
-    problem = ContactProblem(
-        elasticity(u, v, young),
-        -load * v[d - 1] * ds(LOADED),
-        bcs=[
-            fixed(V, facet_tags, SUPPORTED[d - 1], None),
-            *(fixed(V, facet_tags, LOADED, axis) for axis in range(d - 1)),
-        ],
-        contacts=[contact],
-        cell_tags=beams.cell_tags,
-        options={"rtol": 1e-10, "subdomain_size": 150, **options},
-    )
-    problem.kept = (young, pressure)  # dolfinx 0.5 does not keep constants alive
+    scene.traction = scene.constant(20.0 * PRESSURE)
+    load = scene.traction * (1.0 + ufl.SpatialCoordinate(scene.mesh)[0])
+    scene.L = -load * scene.v[d - 1] * scene.ds(LOADED)
+    scene.fix(SUPPORTED[d - 1])
+    for axis in range(d - 1):
+        scene.fix(LOADED, axis)
+    scene.add_pair(slave, LOWER + UPPER - slave, **{"roles": "given", **(pair or {})})
+    return scene
+
+
+def uneven_problem(blocks: Blocks, *of_scene: Any, geometry: Any = None) -> ContactProblem:
+    """Pose the problem of `uneven_scene`."""
+    options = {"rtol": 1e-10, "subdomain_size": 150}
+    return uneven_scene(blocks, *of_scene).problem(geometry=geometry, options=options)
+
+
+def uneven(blocks: Blocks, *of_scene: Any, geometry: Any = None) -> ContactProblem:
+    """Solve the problem of `uneven_scene`."""
+    problem = uneven_problem(blocks, *of_scene, geometry=geometry)
+    problem.solve()
     return problem
 
 

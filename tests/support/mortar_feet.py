@@ -6,13 +6,9 @@ from typing import Any
 
 from mpi4py import MPI
 
-from scenes import YOUNG, at, elasticity, fixed, vector_space
+from scenes import Scene, at, dimension
 
-import ufl
-from dolfinx.fem import Constant
-
-from fenics_tfeti import ContactPair, ContactProblem
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti import ContactProblem
 
 PRESSURE, LOW, WIDTH = 1e6, 0.2, 0.6
 LOADED, CLAMPED, TABLE, FOOT = 1, 2, 10, 11
@@ -41,33 +37,19 @@ def foot_on_table(
     of_pair
         Further arguments of the pair.
     """
-    across = 1 if cell in ("triangle", "quadrilateral") else 2
+    across = dimension(cell) - 1
     on_table, on_foot = grid
     low = LOW + offset
     parts = [
-        Box((0.0,) * (across + 1), (1.0,) * across + (0.5,), (on_table,) * across + (4,)),
-        Box((low,) * across + (0.5,), (low + WIDTH,) * across + (1.0,), (on_foot,) * across + (3,)),
+        ((0.0,) * (across + 1), (1.0,) * across + (0.5,), (on_table,) * across + (4,)),
+        ((low,) * across + (0.5,), (low + WIDTH,) * across + (1.0,), (on_foot,) * across + (3,)),
     ]
-    blocks = boxes(comm, parts, cell)
-    sides = [
-        (LOADED, at(across, 1.0)),
-        (CLAMPED, at(across, 0.0)),
-        (TABLE, at(across, 0.5), 1),
-        (FOOT, at(across, 0.5), 2),
-    ]
-    tags: Any = tag_facets(blocks.mesh, sides, blocks.cell_tags)
-    V = vector_space(blocks.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    ds = ufl.Measure("ds", domain=blocks.mesh, subdomain_data=tags)
-    pressure = Constant(blocks.mesh, PRESSURE)
-    pair = ContactPair(tags, slave, TABLE + FOOT - slave, partners="mortar", **of_pair)
-    problem = ContactProblem(
-        elasticity(u, v, Constant(blocks.mesh, YOUNG)),
-        -pressure * v[across] * ds(LOADED),
-        bcs=[fixed(V, tags, CLAMPED, None)],
-        contacts=[pair],
-        cell_tags=blocks.cell_tags,
-        options={"rtol": 1e-8},
-    )
+    marks = [(LOADED, at(across, 1.0)), (CLAMPED, at(across, 0.0))]
+    marks += [(TABLE, at(across, 0.5), 1), (FOOT, at(across, 0.5), 2)]
+    scene = Scene.of_boxes(comm, cell, parts, marks)
+    scene.L = -scene.constant(PRESSURE) * scene.v[across] * scene.ds(LOADED)
+    scene.fix(CLAMPED)
+    scene.add_pair(slave, TABLE + FOOT - slave, partners="mortar", **of_pair)
+    problem = scene.problem(options={"rtol": 1e-8})
     problem.solve()
     return problem

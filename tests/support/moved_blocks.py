@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 from numpy.typing import NDArray
-from scenes import GROUND, MASTER, SLAVE, at, dimension, vector_space
+from scenes import GROUND, MASTER, SLAVE, Scene, at, dimension
 
 from dolfinx import fem
 
@@ -20,7 +19,6 @@ from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
 from fenics_tfeti.fem.contact.description import ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.matching import match_contact
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.io import Box, boxes, tag_facets
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 LOWER, UPPER = 1, 2
@@ -28,17 +26,19 @@ Vector = NDArray[np.float64]
 Motion = Callable[[Vector], Vector]
 
 
-@dataclass(frozen=True)
-class Blocks:
+class Blocks(Scene):
     """Slave is the lower face of the upper block, master the upper face of the lower one.
 
     The lower block's is GROUND where it stands.
     """
 
-    mesh: Any
-    space: Any
-    facet_tags: Any
-    body: NDArray[np.int64]  # of each node of this rank
+    @property
+    def body(self) -> NDArray[np.int64]:
+        """The body of each node of this rank."""
+        index_map = self.V.dofmap.index_map
+        body = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int64)
+        body[_compat.cell_dofs(self.V)[self.cell_tags.indices]] = self.cell_tags.values[:, None]
+        return body
 
     @property
     def pair(self) -> ContactPair:
@@ -48,22 +48,22 @@ class Blocks:
         return RigidObstacle(self.facet_tags, slave=GROUND, obstacle=surface)
 
     def pairing(self, contact: Any) -> ContactPairing:
-        return match_contact(MeshBoundary.of(self.space), contact, 0)
+        return match_contact(MeshBoundary.of(self.V), contact, 0)
 
     def displacement(
         self, lower: Motion | None = None, upper: Motion | None = None
     ) -> fem.Function:
         """Move the blocks: each motion maps places (gdim, n) to where they go."""
         gdim = self.mesh.geometry.dim
-        uh = fem.Function(self.space)
-        u = uh.x.array.reshape(-1, gdim)
-        x = self.space.tabulate_dof_coordinates()[:, :gdim]
+        uh = fem.Function(self.V)
+        u, of_node = uh.x.array.reshape(-1, gdim), self.body
+        x = self.V.tabulate_dof_coordinates()[:, :gdim]
         for body, motion in ((LOWER, lower), (UPPER, upper)):
             if motion is not None:
-                own = self.body == body
+                own = of_node == body
                 u[own] = motion(x[own].T).T - x[own]
         # ghosts have to be brought up to date by who needs them
-        u[self.space.dofmap.index_map.size_local :] = np.nan
+        u[self.V.dofmap.index_map.size_local :] = np.nan
         return uh
 
     def deformed(
@@ -71,7 +71,7 @@ class Blocks:
     ) -> tuple[ContactPairing, DeformedContact, Vector, Vector]:
         """Return the pair before and after, and the slave's and partners' displacements; serial."""
         pairing, uh = self.pairing(self.pair), self.displacement(lower, upper)
-        result = deformed_contact(MeshBoundary.of(self.space), self.pair, pairing, uh, **arguments)
+        result = deformed_contact(MeshBoundary.of(self.V), self.pair, pairing, uh, **arguments)
         u = uh.x.array.reshape(-1, self.mesh.geometry.dim)
         return pairing, result, u[pairing.slave], u[result.terms.master]
 
@@ -81,30 +81,15 @@ def blocks(
 ) -> Blocks:
     """Return a unit block, `gap` above the middle of one of a length of 3, n cells a metre."""
     gdim, up = dimension(cell), dimension(cell) - 1
-    low, high = np.zeros(gdim), np.ones(gdim)
-    high[0] = length
-    shift = np.zeros(gdim)
+    low, high, shift = np.zeros(gdim), np.ones(gdim), np.zeros(gdim)
     shift[0], shift[up] = (length - 1) // 2, 1.0 + gap
-    top = high.copy()
-    top[0] = 1.0
-    tagged = boxes(
-        comm,
-        [
-            Box(low, high, (length * n, *(n,) * (gdim - 1)), "lower"),
-            Box(low + shift, top + shift, (n,) * gdim, "upper"),
-        ],
-        cell,
-    )
-    facet_tags = tag_facets(
-        tagged.mesh,
-        [(MASTER, at(up, 1.0), 1), (SLAVE, at(up, 1.0 + gap), 2), (GROUND, at(up, 0.0), 1)],
-        tagged.cell_tags,
-    )
-    space = vector_space(tagged.mesh)
-    index_map = space.dofmap.index_map
-    body = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int64)
-    body[_compat.cell_dofs(space)[tagged.cell_tags.indices]] = tagged.cell_tags.values[:, None]
-    return Blocks(tagged.mesh, space, facet_tags, body)
+    wide = high + (length - 1) * np.eye(gdim)[0]
+    parts = [
+        (low, wide, (length * n, *(n,) * up)),
+        (low + shift, high + shift, (n,) * gdim),
+    ]
+    marks = [(MASTER, at(up, 1.0), 1), (SLAVE, at(up, 1.0 + gap), 2), (GROUND, at(up, 0.0), 1)]
+    return Blocks.of_boxes(comm, cell, parts, marks)
 
 
 def turned(angle: float, gdim: int, shift: float = 0.0) -> tuple[Vector, Motion]:

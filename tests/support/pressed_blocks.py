@@ -7,12 +7,11 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+from scenes import Scene, at
 
 import ufl
-from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Tresca
-from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
+from fenics_tfeti import ContactProblem, Tresca
 
 BOTTOM, BLOCK, TOOL, PRESSED = 1, 2, 3, 4
 
@@ -32,42 +31,28 @@ def pressed_blocks(
         n, lower, upper = 2 * n, (2.0, 1.0), (1.5, 1.5)
     corner = (0.5, *[0.0] * (gdim - 2), 1.0)
     grid = [int(n * (b - a)) for a, b in zip(corner, upper, strict=True)]
-    bodies = boxes(
+    up = gdim - 1
+    scene = Scene.of_boxes(
         comm,
-        [
-            Box([0.0] * gdim, lower, [int(n * x) for x in lower], name="block"),
-            Box(corner, upper, grid, name="tool"),
-        ],
         "hexahedron" if gdim == 3 else "quadrilateral",
-    )
-    up, names, mesh = gdim - 1, bodies.names, bodies.mesh
-    facet_tags = tag_facets(
-        mesh,
+        [([0.0] * gdim, lower, [int(n * x) for x in lower]), (corner, upper, grid)],
         [
-            (BOTTOM, lambda x: np.isclose(x[up], 0.0), names["block"]),
-            (BLOCK, lambda x: np.isclose(x[up], 1.0), names["block"]),
-            (TOOL, lambda x: np.isclose(x[up], 1.0), names["tool"]),
-            (PRESSED, lambda x: np.isclose(x[up], 1.5), names["tool"]),
+            (BOTTOM, at(up, 0.0), 1),
+            (BLOCK, at(up, 1.0), 1),
+            (TOOL, at(up, 1.0), 2),
+            (PRESSED, at(up, 1.5), 2),
         ],
-        bodies.cell_tags,
+        degree=degree,
     )
-    V = displacement_space(mesh, degree=degree)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    dx = ufl.Measure("dx", domain=mesh, subdomain_data=bodies.cell_tags)
-    a = 0
-    for name, young, poisson in (("block", 1.0, nu), ("tool", 100.0, 0.0)):
+    u, v = scene.u, scene.v
+    scene.a = 0
+    for body, young, poisson in ((1, 1.0, nu), (2, 100.0, 0.0)):
         mu = young / (2 * (1 + poisson))
         lmbda = young * poisson / ((1 + poisson) * (1 - 2 * poisson))
         shear = 2 * mu * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v)))
-        a += shear * dx(names[name])
-        a += lmbda * ufl.div(u) * ufl.div(v) * dx(names[name], metadata={"quadrature_degree": 0})
-    L = ufl.inner(fem.Constant(mesh, np.zeros(gdim)), v) * dx
-    bcs = []
-    for tag, height in ((BOTTOM, 0.0), (PRESSED, -0.02)):
-        value = np.zeros(gdim)
-        value[up] = height
-        dofs = fem.locate_dofs_topological(V, up, facet_tags.find(tag))
-        bcs.append(fem.dirichletbc(value, dofs, V))
-    law = {"friction": Tresca(1e-3)} if friction else {}
-    contact = ContactPair(facet_tags, slave=TOOL, master=BLOCK, **law)
-    return ContactProblem(a, L, bcs=bcs, contacts=[contact], options=options)
+        by_one_point = scene.dx(body, metadata={"quadrature_degree": 0})
+        scene.a += shear * scene.dx(body) + lmbda * ufl.div(u) * ufl.div(v) * by_one_point
+    scene.fix(BOTTOM)
+    scene.fix(PRESSED, None, np.array([0.0] * up + [-0.02]))
+    scene.add_pair(TOOL, BLOCK, friction=Tresca(1e-3) if friction else None)
+    return scene.problem(cell_tags=None, options=options)

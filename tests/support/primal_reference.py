@@ -2,12 +2,12 @@
 
 Everything here is deliberately naive: one global matrix, node matching by comparing all distances,
 a primal-dual active set whose every step is one sparse direct solve of the full Karush-Kuhn-Tucker
-system. Nothing is shared with the package, so agreement with it is evidence.
+system. The package gives the description of contacts only, so agreement with it is evidence.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +18,8 @@ from petsc4py import PETSc
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+
+from fenics_tfeti import ContactPair, Plane, RigidObstacle, Sphere
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -164,27 +166,6 @@ def _assert_kkt(
 
 
 @dataclass(frozen=True)
-class Pair:
-    """(u_slave - u_master).n <= (x_master - x_slave).n on the nodes of two facet tags.
-
-    `normal` is the same for all nodes; None takes the area-weighted mean of the outward normals of
-    the tagged slave facets around each node.
-    """
-
-    slave: int
-    master: int
-    normal: tuple[float, ...] | None = None
-
-
-@dataclass(frozen=True)
-class Obstacle:
-    """u.n >= -gap on the nodes of one facet tag; `surface` maps x (3, k) to gap (k,), n (3, k)."""
-
-    slave: int
-    surface: Callable[[Vector], tuple[Vector, Vector]]
-
-
-@dataclass(frozen=True)
 class ContactForces:
     """One contact's nodal forces, by the slave nodes' block dof numbers, ascending."""
 
@@ -206,11 +187,12 @@ class ReferenceSolution:
 
 
 def reference_solution(
-    V: Any, a: Any, L: Any, bcs: Sequence[Any], facet_tags: Any, contacts: Sequence[Pair | Obstacle]
+    V: Any, a: Any, L: Any, bcs: Sequence[Any], contacts: Sequence[ContactPair | RigidObstacle]
 ) -> ReferenceSolution:
     """Assemble the user's problem as a whole and solve it by `primal_active_set`.
 
-    `V` is a vector space of degree 1 on one process, so block dofs are nodes.
+    `V` is a vector space of degree 1 on one process, so block dofs are nodes. Of the contacts' data
+    tags and obstacles are used.
     """
     from dolfinx import fem
     from dolfinx.fem import petsc
@@ -220,11 +202,11 @@ def reference_solution(
     matrix.assemble()
     indptr, indices, data = matrix.getValuesCSR()
     K = sp.csr_matrix((data, indices, indptr), shape=matrix.getSize())
-    f = petsc.assemble_vector(fem.form(L)).array.copy()
+    f = petsc.assemble_vector(fem.form(L)).array.copy() if L != 0 else np.zeros(K.shape[0])
     prescribed = prescribed_values(V, bcs)
     fixed = np.flatnonzero(~np.isnan(prescribed))
 
-    rows = [_rows(V, facet_tags, contact) for contact in contacts]
+    rows = [_rows(V, contact) for contact in contacts]
     C = sp.vstack([row[0] for row in rows], format="csr")
     gap = np.concatenate([row[1].gap for row in rows])
     solution = primal_active_set(K, f, fixed, prescribed[fixed], C, gap)
@@ -257,25 +239,35 @@ def nodes_of(V: Any, facets: NDArray[np.int32]) -> NDArray[np.int32]:
     return np.unique(fem.locate_dofs_topological(V, topology.dim - 1, facets))
 
 
-def _rows(V: Any, tags: Any, contact: Pair | Obstacle) -> tuple[sp.csr_matrix, ContactForces]:
+def _surface(obstacle: Any, x: Vector) -> tuple[Vector, Vector]:
+    """Return gaps (k,) and outward normals (gdim or 3, k) of an obstacle at points x (3, k)."""
+    if isinstance(obstacle, Plane):
+        normal = np.array(obstacle.normal) / np.linalg.norm(obstacle.normal)
+        gap = normal @ (x[: normal.size] - np.array(obstacle.point)[:, None])
+        return gap, np.tile(normal[:, None], x.shape[1])
+    if isinstance(obstacle, Sphere):
+        away = x[: len(obstacle.centre)] - np.array(obstacle.centre)[:, None]
+        distance = np.linalg.norm(away, axis=0)
+        return distance - obstacle.radius, away / distance
+    return obstacle(x)
+
+
+def _rows(V: Any, contact: ContactPair | RigidObstacle) -> tuple[sp.csr_matrix, ContactForces]:
     gdim, x = V.mesh.geometry.dim, V.tabulate_dof_coordinates()
     size = V.dofmap.index_map.size_local * gdim
-    facets = tags.find(contact.slave)
+    facets = contact.facet_tags.find(contact.slave)
     slave = nodes_of(V, facets)
     count = slave.size
-    if isinstance(contact, Obstacle):
-        gap, outward = contact.surface(x[slave].T)
+    if isinstance(contact, RigidObstacle):
+        gap, outward = _surface(contact.obstacle, x[slave].T)
         normal = -np.asarray(outward).T[:, :gdim]  # out of the body, as for pairs
         C = _selection(slave, normal, size)
     else:
-        master = nodes_of(V, tags.find(contact.master))
+        master = nodes_of(V, contact.facet_tags.find(contact.master))
         distances = np.linalg.norm(x[slave][:, None, :] - x[master][None, :, :], axis=2)
         master = master[distances.argmin(axis=1)]
         assert np.unique(master).size == count, "two slave nodes share a master node"
-        if contact.normal is None:
-            normal = nodal_normals(V, facets, slave)
-        else:
-            normal = np.tile(np.asarray(contact.normal, dtype=float)[:gdim], (count, 1))
+        normal = nodal_normals(V, facets, slave)
         gap = np.sum((x[master] - x[slave])[:, :gdim] * normal, axis=1)
         C = _selection(slave, normal, size) - _selection(master, normal, size)
     empty = np.zeros(count)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 from mpi4py import MPI
@@ -17,7 +16,9 @@ from numpy.typing import NDArray
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle, Sphere
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.io import Box, boxes, displacement_space, piecewise_constant, tag_facets
 
 YOUNG, POISSON = 2.1e11, 0.3
 TRACTION = 20e6
@@ -27,101 +28,107 @@ WEIGHT = 1e5
 CLAMPED, ROLLER, LOADED, SLAVE, MASTER, GROUND, SIDE_X, SIDE_Y = 1, 2, 3, 5, 6, 7, 8, 9
 
 
-@dataclass(frozen=True)
-class Plane:
-    """A rigid half space below a plane; as a callable it is the obstacle of the reference."""
-
-    point: tuple[float, ...]
-    normal: tuple[float, ...]
-
-    def __call__(self, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        point, normal = np.zeros(3), np.zeros(3)
-        point[: len(self.point)], normal[: len(self.normal)] = self.point, self.normal
-        normal /= np.linalg.norm(normal)
-        return normal @ (x - point[:, None]), np.tile(normal[:, None], x.shape[1])
-
-
-@dataclass(frozen=True)
-class Ball:
-    """A rigid ball, or disc in two dimensions."""
-
-    centre: tuple[float, float, float]
-    radius: float
-
-    def __call__(self, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        outwards = x - np.array(self.centre)[:, None]
-        distance = np.linalg.norm(outwards, axis=0)
-        return distance - self.radius, outwards / distance
-
-
-@dataclass
 class Scene:
-    """A contact problem and its known totals.
+    """A contact problem on tagged bodies, put together part by part.
 
     Attributes
     ----------
-    contacts : sequence of primal_reference.Pair or primal_reference.Obstacle
-        The contacts, in terms of `facet_tags`; `package_contacts` says them in the package's.
+    u, v, dx, ds
+        Trial and test function, and the measures of tagged cells and facets.
+    young : dolfinx.fem.Constant or Function
+        Young's modulus [Pa] of `a`, by default that of steel; given as a dict by tags of cells.
+    a, L
+        Forms: Hooke's law, and no load.
+    traction : dolfinx.fem.Constant or None
+        That of `L` on the beams [Pa], upwards.
+    bcs, contacts : list
+        Supports, and the package's contacts.
     total_forces : list of float
-        Exact magnitude [N] of the total normal force of each contact.
+        Exact magnitude [N] of the total normal force of each contact, where it is known.
     exact : callable or None
         x (3, n) -> u (gdim, n) where the exact solution is in the discrete space.
     """
 
-    mesh: Any
-    V: Any
-    a: Any
-    L: Any
-    bcs: list[Any]
-    contacts: Sequence[reference.Pair | reference.Obstacle]
-    facet_tags: Any
-    cell_tags: Any
-    total_forces: list[float]
-    exact: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
-    kept: list[Any] = field(default_factory=list)  # dolfinx 0.5 does not keep constants alive
+    def __init__(
+        self, mesh: Any, facet_tags: Any, cell_tags: Any = None, degree: int = 1, young: Any = YOUNG
+    ) -> None:
+        self.mesh, self.facet_tags, self.cell_tags = mesh, facet_tags, cell_tags
+        self.gdim = mesh.geometry.dim
+        self.V = displacement_space(mesh, degree)
+        self.u, self.v = ufl.TrialFunction(self.V), ufl.TestFunction(self.V)
+        self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=cell_tags)
+        self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
+        if isinstance(young, dict):
+            young = piecewise_constant(mesh, cell_tags, young)
+        self.young = self.constant(young)
+        self.a, self.L = elasticity(self.u, self.v, self.young), 0
+        self.bcs: list[Any] = []
+        self.contacts: list[Any] = []
+        self.traction: Any = None
+        self.total_forces: list[float] = []
+        self.exact: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
 
-    def package_contacts(self) -> list[Any]:
-        from fenics_tfeti import ContactPair, RigidObstacle
-        from fenics_tfeti import Plane as RigidPlane
+    @classmethod
+    def of_boxes(
+        cls,
+        comm: MPI.Comm,
+        cell: str,
+        parts: Sequence[Box | tuple[Any, ...]],
+        marks: Sequence[tuple[Any, ...]],
+        shape: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
+        **more: Any,
+    ) -> Scene:
+        """Make boxes, tag their facets where they are, and move the nodes (gdim, n) by `shape`."""
+        tagged = boxes(comm, [p if isinstance(p, Box) else Box(*p) for p in parts], cell)
+        tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
+        if shape is not None:
+            x, gdim = tagged.mesh.geometry.x, tagged.mesh.geometry.dim
+            x[:, :gdim] = shape(x[:, :gdim].T).T
+        return cls(tagged.mesh, tags, tagged.cell_tags, **more)
 
-        def obstacle(surface: Any) -> Any:
-            plane = isinstance(surface, Plane)
-            return RigidPlane(surface.point, surface.normal) if plane else surface
+    @classmethod
+    def of(cls, bodies: Any, **more: Any) -> Scene:
+        """Take mesh and tags from a mesh file."""
+        return cls(bodies.mesh, bodies.facet_tags, bodies.cell_tags, **more)
 
-        return [
-            ContactPair(self.facet_tags, slave=contact.slave, master=contact.master)
-            if isinstance(contact, reference.Pair)
-            else RigidObstacle(
-                self.facet_tags, slave=contact.slave, obstacle=obstacle(contact.surface)
-            )
-            for contact in self.contacts
-        ]
+    def constant(self, value: Any) -> Any:
+        """Return a value, a number or a vector, that can be changed between solves."""
+        return value if hasattr(value, "ufl_shape") else fem.Constant(self.mesh, value)
 
-    def problem(self, **arguments: Any) -> Any:
+    def nodes(self, body: int) -> NDArray[np.int64]:
+        """Return the rows of ``mesh.geometry.x`` of the cells with a tag."""
+        return np.unique(_compat.geometry_cells(self.mesh)[self.cell_tags.find(body)])
+
+    def add_load(self, tag: Any, traction: Any) -> Any:
+        """Add a traction, a vector or along the outward normal, to L; return its value."""
+        value = self.constant(traction)
+        of_facet = value if value.ufl_shape else value * ufl.FacetNormal(self.mesh)
+        self.L += ufl.inner(of_facet, self.v) * self.ds(tag)
+        return value
+
+    def fix(self, tag: int, component: int | None = None, value: Any = 0.0) -> None:
+        """Prescribe one component, or all, on the facets with a tag."""
+        self.bcs.append(fixed(self.V, self.facet_tags, tag, component, value))
+
+    def add_pair(self, slave: int = SLAVE, master: int = MASTER, **more: Any) -> None:
+        """Add a pair of tagged surfaces to the contacts."""
+        self.contacts.append(ContactPair(self.facet_tags, slave, master, **more))
+
+    def add_obstacle(self, slave: int, obstacle: Any, **more: Any) -> None:
+        """Add an obstacle to the contacts."""
+        self.contacts.append(RigidObstacle(self.facet_tags, slave, obstacle, **more))
+
+    def problem(self, **arguments: Any) -> ContactProblem:
         """Return the package's problem; arguments replace those of the scene."""
-        from fenics_tfeti import ContactProblem
-
-        defaults = {
-            "bcs": self.bcs,
-            "contacts": self.package_contacts(),
-            "cell_tags": self.cell_tags,
-        }
-        return ContactProblem(self.a, self.L, **{**defaults, **arguments})
+        given = {"bcs": self.bcs, "contacts": self.contacts, "cell_tags": self.cell_tags}
+        return ContactProblem(self.a, self.L, **{**given, **arguments})
 
     def reference(self) -> reference.ReferenceSolution:
         """Solve by the naive method; serial only."""
-        return reference.reference_solution(
-            self.V, self.a, self.L, self.bcs, self.facet_tags, self.contacts
-        )
+        return reference.reference_solution(self.V, self.a, self.L, self.bcs, self.contacts)
 
 
 # -- what differs between the versions of dolfinx ----------------------------------------------
-
-
-def vector_space(mesh: Any, degree: int = 1) -> Any:
-    if hasattr(fem, "functionspace"):
-        return fem.functionspace(mesh, ("Lagrange", degree, (mesh.geometry.dim,)))
-    return fem.VectorFunctionSpace(mesh, ("Lagrange", degree))
 
 
 def scalar_space(mesh: Any, family: str = "Lagrange", degree: int = 1) -> Any:
@@ -140,28 +147,46 @@ def nothing_but_labels(mesh: Any, labels: NDArray[Any]) -> Any:
 # -- forms and conditions ------------------------------------------------------------------------
 
 
-def stress(u: Any, young: Any, poisson: float = POISSON) -> Any:
+def strain(u: Any) -> Any:
+    return ufl.sym(ufl.grad(u))
+
+
+def axisymmetric_strain(u: Any) -> Any:
+    """Return the strain of a displacement (u_r, u_z) in the plane of a meridian."""
+    r = ufl.SpatialCoordinate(u.ufl_function_space().ufl_domain())[0]
+    e = strain(u)
+    return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, u[0] / r]])
+
+
+def stress(u: Any, young: Any, poisson: float = POISSON, strain: Any = strain) -> Any:
     """Return Hooke's stress, in two dimensions for plane strain."""
-    gdim = u.ufl_shape[0]
+    e = strain(u)
     mu = young / (2.0 * (1.0 + poisson))
     lam = young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
-    strain = ufl.sym(ufl.grad(u))
-    return 2.0 * mu * strain + lam * ufl.tr(strain) * ufl.Identity(gdim)
+    return 2.0 * mu * e + lam * ufl.tr(e) * ufl.Identity(e.ufl_shape[0])
 
 
-def elasticity(u: Any, v: Any, young: Any, measure: Any = ufl.dx) -> Any:
-    return ufl.inner(stress(u, young), ufl.sym(ufl.grad(v))) * measure
+def elasticity(
+    u: Any,
+    v: Any,
+    young: Any,
+    measure: Any = ufl.dx,
+    poisson: float = POISSON,
+    strain: Any = strain,
+) -> Any:
+    return ufl.inner(stress(u, young, poisson, strain), strain(v)) * measure
 
 
-def fixed(V: Any, facet_tags: Any, tag: int, component: int | None, value: float = 0.0) -> Any:
+def fixed(V: Any, facet_tags: Any, tag: int, component: int | None = None, value: Any = 0.0) -> Any:
     """Prescribe one component, or all, on the facets with a tag."""
-    fdim, facets = V.mesh.topology.dim - 1, facet_tags.find(tag)
+    fdim = V.mesh.topology.dim - 1
     V.mesh.topology.create_connectivity(fdim, fdim + 1)
-    if component is None:
-        dofs = fem.locate_dofs_topological(V, fdim, facets)
-        return fem.dirichletbc(np.full(V.mesh.geometry.dim, value, PETSc.ScalarType), dofs, V)
-    dofs = fem.locate_dofs_topological(V.sub(component), fdim, facets)
-    return fem.dirichletbc(PETSc.ScalarType(value), dofs, V.sub(component))
+    space = V if component is None else V.sub(component)
+    if component is None and np.isscalar(value):
+        value = np.full(V.mesh.geometry.dim, value, PETSc.ScalarType)
+    return fem.dirichletbc(
+        value, fem.locate_dofs_topological(space, fdim, facet_tags.find(tag)), space
+    )
 
 
 def at(axis: int, value: float) -> Callable[[NDArray[np.float64]], NDArray[np.bool_]]:
@@ -172,42 +197,34 @@ def dimension(cell: str) -> int:
     return 3 if cell in ("hexahedron", "tetrahedron") else 2
 
 
+def plane(axis: int, gdim: int, level: float = 0.0) -> Plane:
+    """Return the rigid half space below a level of one coordinate."""
+    e = np.eye(gdim)[axis]
+    return Plane(level * e, e)
+
+
 # -- the scenes ----------------------------------------------------------------------------------
 
 
-def beams_mesh(
-    comm: MPI.Comm, cell: str, n: int, gap: float = 0.0, metre: float = 1.0
-) -> tuple[Any, Any, Any]:
-    """Return mesh, cell tags and facet tags of two cantilevers, the second upon the first's end.
+def beams(comm: MPI.Comm, cell: str, n: int, gap: float = 0.0, metre: float = 1.0) -> Scene:
+    """Return two cantilevers, the second upon the first's end, `n` cells a metre.
 
-    Slave is the upper beam's lower face, where it is above the lower beam.
+    Slave is the upper beam's lower face, where it is above the lower beam. The lower beam is
+    clamped, the upper one moves up and down only: semicoercive.
     """
     gdim, up = dimension(cell), dimension(cell) - 1
-    middle, div = ([0.0], [1.0]), [n]
-    start, end = middle if gdim == 3 else ([], [])
-    div = div if gdim == 3 else []
-    corners = metre * np.array(
-        [
-            [0.0, *start, 0.0],
-            [2.0, *end, 1.0],
-            [1.0, *start, 1.0 + gap],
-            [3.0, *end, 2.0 + gap],
-        ]
-    )
-    divisions = (2 * n, *div, n)
-    lower = Box(corners[0], corners[1], divisions, "lower")
-    upper = Box(corners[2], corners[3], divisions, "upper")
-    tagged = boxes(comm, [lower, upper], cell)
+    low = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0 + gap]])[:, [0, 2] if gdim == 2 else [0, 1, 2]]
+    size, divisions = [2.0, *[1.0] * up], (2 * n, *(n,) * up)
 
     def overlap(height: float) -> Callable[[NDArray[np.float64]], NDArray[np.bool_]]:
-        def inside(x: NDArray[np.float64]) -> NDArray[np.bool_]:
-            x = x / metre
-            return np.isclose(x[up], height) & (x[0] > 1.0 - 1e-9) & (x[0] < 2.0 + 1e-9)
+        return lambda x: (
+            np.isclose(x[up], metre * height) & (np.abs(x[0] / metre - 1.5) < 0.5 + 1e-9)
+        )
 
-        return inside
-
-    facet_tags = tag_facets(
-        tagged.mesh,
+    scene = Scene.of_boxes(
+        comm,
+        cell,
+        [(metre * corner, metre * (corner + size), divisions) for corner in low],
         [
             (CLAMPED, at(0, 0.0), 1),
             (ROLLER, at(0, 3.0 * metre), 2),
@@ -216,17 +233,17 @@ def beams_mesh(
             (SLAVE, overlap(1.0 + gap), 2),
             (MASTER, overlap(1.0), 1),
         ],
-        tagged.cell_tags,
+        young=YOUNG / metre**2,
     )
-    return tagged.mesh, tagged.cell_tags, facet_tags
+    support_beams(scene)
+    scene.add_pair()
+    return scene
 
 
-def beams_supports(V: Any, facet_tags: Any) -> list[Any]:
-    """Clamp the lower beam; let the upper one move up and down only: semicoercive."""
-    sideways = range(V.mesh.geometry.dim - 1)
-    return [fixed(V, facet_tags, CLAMPED, None)] + [
-        fixed(V, facet_tags, ROLLER, component) for component in sideways
-    ]
+def support_beams(scene: Scene) -> None:
+    scene.fix(CLAMPED)
+    for sideways in range(scene.gdim - 1):
+        scene.fix(ROLLER, sideways)
 
 
 def two_beams(
@@ -237,24 +254,11 @@ def two_beams(
     20 MPa downwards on 3 m2 (in 2D on 3 m) of the upper beam, which contact alone holds up.
     `n` is per metre, `metre` what a metre is in the unit of length used.
     """
-    mesh, cell_tags, facet_tags = beams_mesh(comm, cell, n, gap, metre)
-    V = vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young = fem.Constant(mesh, YOUNG / metre**2)
-    traction = fem.Constant(mesh, -TRACTION / metre**2)
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
-    return Scene(
-        mesh=mesh,
-        V=V,
-        a=elasticity(u, v, young),
-        L=traction * v[mesh.geometry.dim - 1] * ds(LOADED),
-        bcs=beams_supports(V, facet_tags),
-        contacts=[reference.Pair(SLAVE, MASTER)],
-        facet_tags=facet_tags,
-        cell_tags=cell_tags,
-        total_forces=[3.0 * TRACTION * metre ** (mesh.geometry.dim - 3)],
-        kept=[young, traction],
-    )
+    scene = beams(comm, cell, n, gap, metre)
+    scene.traction = scene.constant(-TRACTION / metre**2)
+    scene.L = scene.traction * scene.v[scene.gdim - 1] * scene.ds(LOADED)
+    scene.total_forces = [3.0 * TRACTION * metre ** (scene.gdim - 3)]
+    return scene
 
 
 def pressed_block(
@@ -269,18 +273,13 @@ def pressed_block(
     The stress is uniaxial and uniform, so the exact displacement is linear in x.
     """
     gdim, up = dimension(cell), dimension(cell) - 1
-    tagged = boxes(comm, [Box((0.0,) * gdim, (1.0,) * gdim, (n,) * gdim)], cell)
-    mesh = tagged.mesh
-    markers = [(GROUND, at(up, 0.0)), (LOADED, at(up, 1.0)), (SIDE_X, at(0, 0.0))]
-    facet_tags = tag_facets(mesh, markers + [(SIDE_Y, at(1, 0.0))] * (gdim == 3))
-    V = vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young, nothing = fem.Constant(mesh, YOUNG), fem.Constant(mesh, 0.0)
-    bcs = [
-        fixed(V, facet_tags, LOADED, up, -approach),
-        fixed(V, facet_tags, SIDE_X, 0),
-    ] + [fixed(V, facet_tags, SIDE_Y, 1) for _ in range(gdim == 3)]
-
+    marks = [(GROUND, at(up, 0.0)), (LOADED, at(up, 1.0))]
+    marks += [(SIDE_X, at(0, 0.0)), (SIDE_Y, at(1, 0.0))][:up]
+    scene = Scene.of_boxes(comm, cell, [((0.0,) * gdim, (1.0,) * gdim, (n,) * gdim)], marks)
+    scene.cell_tags = None
+    scene.fix(LOADED, up, -approach)
+    symmetric(scene)
+    scene.add_obstacle(GROUND, plane(up, gdim, -gap))
     strain = max(approach - gap, 0.0)
     stiffness = YOUNG if gdim == 3 else YOUNG / (1.0 - POISSON**2)
     sideways = POISSON if gdim == 3 else POISSON / (1.0 - POISSON)
@@ -290,29 +289,22 @@ def pressed_block(
         displacement[up] = -approach + strain * (1.0 - x[up])
         return displacement
 
-    below, upwards = np.zeros(gdim), np.zeros(gdim)
-    below[up], upwards[up] = -gap, 1.0
-    return Scene(
-        mesh=mesh,
-        V=V,
-        a=elasticity(u, v, young),
-        L=nothing * v[0] * ufl.dx,
-        bcs=bcs,
-        contacts=[reference.Obstacle(GROUND, Plane(tuple(below), tuple(upwards)))],
-        facet_tags=facet_tags,
-        cell_tags=None,
-        total_forces=[stiffness * strain],
-        exact=exact,
-        kept=[young, nothing],
-    )
+    scene.total_forces, scene.exact = [stiffness * strain], exact
+    return scene
+
+
+def symmetric(scene: Scene) -> None:
+    """Hold SIDE_X and SIDE_Y, in three dimensions, in their planes."""
+    for axis, tag in enumerate((SIDE_X, SIDE_Y)[: scene.gdim - 1]):
+        scene.fix(tag, axis)
 
 
 def block_on_ball(comm: MPI.Comm, cell: str = "hexahedron", n: int = 4) -> Scene:
     """The block pushed onto a rigid ball: all gaps and normals are different. No total is known."""
     scene = pressed_block(comm, cell, n, approach=1e-2)
-    gdim = scene.mesh.geometry.dim
-    centre = (0.4, 0.5, -10.0) if gdim == 3 else (0.4, -10.0, 0.0)
-    scene.contacts = [reference.Obstacle(GROUND, Ball(centre, 10.0))]
+    centre = (0.4, 0.5, -10.0) if scene.gdim == 3 else (0.4, -10.0)
+    scene.contacts = []
+    scene.add_obstacle(GROUND, Sphere(centre, 10.0))
     scene.exact, scene.total_forces = None, []
     return scene
 
@@ -320,19 +312,11 @@ def block_on_ball(comm: MPI.Comm, cell: str = "hexahedron", n: int = 4) -> Scene
 def corner(comm: MPI.Comm, cell: str = "quadrilateral", n: int = 6) -> Scene:
     """The block pushed into a corner: the nodes of the edge are in two contacts."""
     scene = pressed_block(comm, cell, n)
-    mesh, V = scene.mesh, scene.V
-    gdim, up = mesh.geometry.dim, mesh.geometry.dim - 1
-    v, push = ufl.TestFunction(V), fem.Constant(mesh, -TRACTION)
-    dx, ds = ufl.dx(domain=mesh), ufl.Measure("ds", domain=mesh, subdomain_data=scene.facet_tags)
-    scene.L = push * v[up] * ds(LOADED) + 0.5 * push * v[0] * dx
-    scene.bcs = [fixed(V, scene.facet_tags, SIDE_Y, 1) for _ in range(gdim == 3)]
-    axes, origin = np.eye(gdim), (0.0,) * gdim
-    scene.contacts = [
-        reference.Obstacle(GROUND, Plane(origin, tuple(axes[up]))),
-        reference.Obstacle(SIDE_X, Plane(origin, tuple(axes[0]))),
-    ]
+    up, v, push = scene.gdim - 1, scene.v, scene.constant(-TRACTION)
+    scene.L = push * v[up] * scene.ds(LOADED) + 0.5 * push * v[0] * scene.dx
+    scene.bcs, scene.contacts = scene.bcs[2:], scene.contacts[:1]
+    scene.add_obstacle(SIDE_X, plane(0, scene.gdim))
     scene.exact, scene.total_forces = None, [TRACTION, 0.5 * TRACTION]
-    scene.kept.append(push)
     return scene
 
 
@@ -343,34 +327,18 @@ def two_materials(comm: MPI.Comm, cell: str = "hexahedron", n: int = 2) -> Scene
     grows along y or x, a body force on the upper beam by dx(tag), and the stiffness as a sum of
     integrals over tagged cells with two quadrature degrees.
     """
-    mesh, cell_tags, facet_tags = beams_mesh(comm, cell, n)
-    up = mesh.geometry.dim - 1
-    V = vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young = fem.Function(scalar_space(mesh, "DG", 0))
+    scene = beams(comm, cell, n)
+    u, v, dx, up = scene.u, scene.v, scene.dx, scene.gdim - 1
+    young = fem.Function(scalar_space(scene.mesh, "DG", 0))
     young.interpolate(lambda x: YOUNG * np.where(x[up] < 1.0, 0.1 + 0.1 * x[0], 1.0))
-    traction = fem.Function(scalar_space(mesh))
+    traction = fem.Function(scalar_space(scene.mesh))
     traction.interpolate(lambda x: -TRACTION * x[0])
-    weight = fem.Constant(mesh, -WEIGHT)
-    dx = ufl.Measure("dx", domain=mesh, subdomain_data=cell_tags)
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
-    a = elasticity(u, v, young, dx(1)) + elasticity(
-        u, v, young, dx(2, metadata={"quadrature_degree": 3})
-    )
+    finer = dx(2, metadata={"quadrature_degree": 3})
+    scene.a = elasticity(u, v, young, dx(1)) + elasticity(u, v, young, finer)
+    scene.L = traction * v[up] * scene.ds(LOADED) + scene.constant(-WEIGHT) * v[up] * dx(2)
     # The top carries the integral of x over [1, 3], the left face is at x = 1.
-    total = TRACTION * (4.0 + 1.0) + 2.0 * WEIGHT
-    return Scene(
-        mesh=mesh,
-        V=V,
-        a=a,
-        L=traction * v[up] * ds(LOADED) + weight * v[up] * dx(2),
-        bcs=beams_supports(V, facet_tags),
-        contacts=[reference.Pair(SLAVE, MASTER)],
-        facet_tags=facet_tags,
-        cell_tags=cell_tags,
-        total_forces=[total],
-        kept=[weight],
-    )
+    scene.total_forces = [TRACTION * (4.0 + 1.0) + 2.0 * WEIGHT]
+    return scene
 
 
 def stack_on_ground(comm: MPI.Comm, cell: str = "hexahedron", n: int = 4) -> Scene:
@@ -380,48 +348,21 @@ def stack_on_ground(comm: MPI.Comm, cell: str = "hexahedron", n: int = 4) -> Sce
     a quarter of its top, so that they bend and part on the other side. Two contacts, two totals.
     """
     gdim, up = dimension(cell), dimension(cell) - 1
-    zero, one = (0.0,) * (gdim - 1), (1.0,) * (gdim - 1)
-    parts = [
-        Box((*zero, 0.0), (*one, 1.0), (n,) * gdim, "lower"),
-        Box((*zero, 1.0), (*one, 2.0), (n,) * gdim, "upper"),
+    marks = [
+        (GROUND, at(up, 0.0), 1),
+        (MASTER, at(up, 1.0), 1),
+        (SLAVE, at(up, 1.0), 2),
+        (LOADED, lambda x: np.isclose(x[up], 2.0) & (x[0] < 0.25 + 1e-9), 2),
+        *[(SIDE_X, at(0, 0.0)), (SIDE_Y, at(1, 0.0))][:up],
     ]
-    tagged = boxes(comm, parts, cell)
-    mesh = tagged.mesh
-
-    def quarter(x: NDArray[np.float64]) -> NDArray[np.bool_]:
-        return np.isclose(x[up], 2.0) & (x[0] < 0.25 + 1e-9)
-
-    facet_tags = tag_facets(
-        mesh,
-        [
-            (GROUND, at(up, 0.0), 1),
-            (MASTER, at(up, 1.0), 1),
-            (SLAVE, at(up, 1.0), 2),
-            (LOADED, quarter, 2),
-            (SIDE_X, at(0, 0.0)),
-        ]
-        + [(SIDE_Y, at(1, 0.0))] * (gdim == 3),
-        tagged.cell_tags,
-    )
-    V = vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young, traction = fem.Constant(mesh, YOUNG), fem.Constant(mesh, -TRACTION)
-    weight = fem.Constant(mesh, -WEIGHT)
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
-    upwards = tuple(np.eye(gdim)[up])
-    return Scene(
-        mesh=mesh,
-        V=V,
-        a=elasticity(u, v, young),
-        L=traction * v[up] * ds(LOADED) + weight * v[up] * ufl.dx(domain=mesh),
-        bcs=[fixed(V, facet_tags, SIDE_X, 0)]
-        + [fixed(V, facet_tags, SIDE_Y, 1) for _ in range(gdim == 3)],
-        contacts=[
-            reference.Pair(SLAVE, MASTER),
-            reference.Obstacle(GROUND, Plane((0.0,) * gdim, upwards)),
-        ],
-        facet_tags=facet_tags,
-        cell_tags=tagged.cell_tags,
-        total_forces=[0.25 * TRACTION + WEIGHT, 0.25 * TRACTION + 2.0 * WEIGHT],
-        kept=[young, traction, weight],
-    )
+    low, high = np.zeros(gdim), np.ones(gdim)
+    step, divisions = np.eye(gdim)[up], (n,) * gdim
+    parts = [(low, high, divisions), (low + step, high + step, divisions)]
+    scene = Scene.of_boxes(comm, cell, parts, marks)
+    scene.L = -scene.constant(TRACTION) * scene.v[up] * scene.ds(LOADED)
+    scene.L += -scene.constant(WEIGHT) * scene.v[up] * scene.dx
+    symmetric(scene)
+    scene.add_pair()
+    scene.add_obstacle(GROUND, plane(up, gdim))
+    scene.total_forces = [0.25 * TRACTION + WEIGHT, 0.25 * TRACTION + 2.0 * WEIGHT]
+    return scene

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from mpi4py import MPI
 
 import daqp
 import numpy as np
 from numpy.random import Generator
-from torn import cube, glued
+from torn import Glued, cube, fixed_nodes
 
 from fenics_tfeti.feti import ContactRows, Friction, Prescribed, Subdomain, TornSystem
 
@@ -30,7 +30,7 @@ def clamped(subdomains: list[Subdomain], *places: tuple[int, float]) -> Prescrib
     """Prescribe no displacement at x[axis] == value of the places."""
     nodes = [s.nodes[np.isclose(s.coordinates[:, a], v)] for a, v in places for s in subdomains]
     every = np.unique(np.concatenate(nodes))
-    return Prescribed(np.repeat(every, 3), np.tile([0, 1, 2], every.size), np.zeros(3 * every.size))
+    return fixed_nodes(every, [0, 1, 2])
 
 
 def plane(subdomains: list[Subdomain], body: int, z: float) -> tuple[np.ndarray, np.ndarray]:
@@ -122,42 +122,33 @@ def distributed(system: TornSystem, comm: MPI.Comm) -> TornSystem:
     )
 
 
-@dataclass(frozen=True)
-class Dense:
-    """The glued problem, and its solution by a dense active set method for quadratic programmes."""
+@dataclass
+class Dense(Glued):
+    """The glued problem, and its solution by a dense active set method for quadratic programmes.
 
-    K: np.ndarray
-    f: np.ndarray
-    C: np.ndarray
-    T: np.ndarray
-    nodes: np.ndarray
-    places: list[np.ndarray]
-    u: np.ndarray
-    contact: np.ndarray  # multipliers of the rows as given
-    tied: np.ndarray
+    `contact` and `tied` are the multipliers of the rows as given.
+    """
 
-    @staticmethod
-    def solve(system: TornSystem) -> Dense:
+    contact: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    tied: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @classmethod
+    def solve(cls, system: TornSystem) -> Dense:
         """Solve a system on one rank whose Dirichlet conditions and tied rows hold all bodies."""
-        K, f, nodes, places = glued(system)
-        C, T = matrix(system.contacts, nodes), matrix(system.tied, nodes)
-        given = system.prescribed
-        fixed = 3 * np.searchsorted(nodes, given.nodes) + given.components
-        u = np.zeros(f.size)
-        u[fixed] = given.values
-        free = np.setdiff1d(np.arange(f.size), fixed)
-        A = np.vstack([C, T])
+        self = cls.of(system)
+        K, u, free = self.K, self.u, self.free
+        A = np.vstack([self.C, self.T])
         bound = np.append(system.contacts.gap, system.tied.gap) - A @ u
         A = A[:, free]
         lengths = np.linalg.norm(A, axis=1)
         lengths[lengths == 0.0] = 1.0
         A, upper = A / lengths[:, None], bound / lengths
-        is_tied = np.arange(len(A)) >= len(C)
+        is_tied = np.arange(len(A)) >= len(self.C)
         # what the tied rows alone hold has stiffness as well; the solution is the same
         stiff = K.diagonal().max() * A[is_tied].T
         x, _, exitflag, info = daqp.solve(
             np.ascontiguousarray(K[np.ix_(free, free)] + stiff @ A[is_tied]),
-            -(f - K @ u)[free] - stiff @ upper[is_tied],
+            -(self.f - K @ u)[free] - stiff @ upper[is_tied],
             np.ascontiguousarray(A),
             np.minimum(upper, 1e30),
             np.where(is_tied, upper, -1e30),
@@ -169,11 +160,8 @@ class Dense:
         assert exitflag == 1
         u[free] = x
         multipliers = np.asarray(info["lam"]) / lengths
-        return Dense(K, f, C, T, nodes, places, u, multipliers[: len(C)], multipliers[len(C) :])
-
-    def torn(self) -> list[np.ndarray]:
-        """Return the displacements of the subdomains."""
-        return [self.u[at] for at in self.places]
+        self.contact, self.tied = np.split(multipliers, [len(self.C)])
+        return self
 
     def energy_norm(self, displacements: list[np.ndarray]) -> float:
         """Return the energy norm of torn displacements that are glued."""
@@ -181,11 +169,3 @@ class Dense:
         for at, part in zip(self.places, displacements, strict=True):
             u[at] = part
         return float(np.sqrt(max(0.0, u @ self.K @ u)))
-
-
-def matrix(rows: ContactRows, nodes: np.ndarray) -> np.ndarray:
-    """Return rows as a dense matrix of the glued unknowns."""
-    C = np.zeros((rows.size, 3 * nodes.size))
-    columns = 3 * np.searchsorted(nodes, rows.nodes)[:, None] + np.arange(3)
-    C[rows.row[:, None], columns] = rows.coefficients
-    return C

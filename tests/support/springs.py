@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import scipy.sparse as sp
-from torn import column, cube
+from torn import column, cube, node_rows
 
 from fenics_tfeti.feti import ContactRows, Prescribed, Subdomain, TornSystem
 
@@ -42,13 +42,6 @@ def standing_cube(stiffness: float) -> TornSystem:
     """Return a cube that is pressed onto a floor, and held by springs along z alone."""
     block = cube(2, load=(0.0, 0.0, -1.0))
     foot = block.nodes[block.coordinates[:, 2] == 0.0]
-    k = foot.size
-    floor = ContactRows.node_to_node(
-        foot,
-        np.full(k, -1),
-        np.tile([0.0, 0.0, -1.0], (k, 1)),
-        np.full(k, 0.01),
-        np.zeros(k, dtype=np.int64),
-    )
+    floor = node_rows(foot, [0.0, 0.0, -1.0], gap=0.01)
     block = on_springs(block, 1.0, stiffness, components=(2,))
     return TornSystem([block], Prescribed(), floor, 3, ["cube"], ["floor"])

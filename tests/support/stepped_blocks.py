@@ -3,30 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 
 from mpi4py import MPI
 
 import numpy as np
-from scenes import (
-    CLAMPED,
-    GROUND,
-    MASTER,
-    SIDE_X,
-    SIDE_Y,
-    SLAVE,
-    YOUNG,
-    at,
-    elasticity,
-    fixed,
-    vector_space,
-)
+from scenes import CLAMPED, GROUND, MASTER, SIDE_X, SIDE_Y, SLAVE, Scene, at, plane
 
 import ufl
-from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle, Sphere
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti import Plane, Sphere
 
 OPTIONS = {"rtol": 1e-9, "subdomain_size": 60}
 EVERYTHING = ["factors", "coarse problem", "norm", "multipliers"]
@@ -46,69 +31,47 @@ class Floor:
 
 
 def two_blocks_on_a_floor(comm=MPI.COMM_SELF, gap=1e-4, n=8):
-    """Return all that a problem is made of: a block on a block on a rigid floor.
+    """Return a block on a block on a rigid floor.
 
     The upper one's top is moved sideways and pressed by a traction that grows along it; the lower
     one's left face keeps it from moving sideways.
     """
-    parts = [Box((0, 0), (1, 0.5), (n, n // 2)), Box((0, 0.5 + gap), (1, 1 + gap), (n, n // 2))]
-    blocks = boxes(comm, parts, "quadrilateral")
-    mesh = blocks.mesh
-    top = 1.0 + gap
-    markers = [
+    parts = [((0, 0), (1, 0.5), (n, n // 2)), ((0, 0.5 + gap), (1, 1 + gap), (n, n // 2))]
+    marks = [
         (SLAVE, at(1, 0.5 + gap), 2),
         (MASTER, at(1, 0.5), 1),
-        (CLAMPED, at(1, top), 2),
+        (CLAMPED, at(1, 1.0 + gap), 2),
         (GROUND, at(1, 0.0), 1),
         (SIDE_X, at(0, 0.0), 1),
         (SIDE_Y, at(0, 1.0), 1),
     ]
-    tags = tag_facets(mesh, markers, blocks.cell_tags)
-    V = vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young, load, shift = (fem.Constant(mesh, x) for x in (YOUNG, -2e7, 1e-4))
-    zero = fem.Constant(mesh, 0.0)
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
-    x = ufl.SpatialCoordinate(mesh)
-    dofs = [fem.locate_dofs_topological(V.sub(0), 1, tags.find(tag)) for tag in (CLAMPED, SIDE_X)]
-    floor = Floor()
-    return SimpleNamespace(
-        young=young,
-        load=load,
-        shift=shift,
-        zero=zero,
-        tags=tags,
-        floor=floor,
-        V=V,
-        a=elasticity(u, v, young),
-        L=load * x[0] * v[1] * ds(CLAMPED),
-        bcs=[
-            fem.dirichletbc(value, found, V.sub(0))
-            for value, found in zip((shift, zero), dofs, strict=True)
-        ],
-        contacts=[
-            ContactPair(tags, slave=SLAVE, master=MASTER, name="joint"),
-            RigidObstacle(tags, slave=GROUND, obstacle=floor, name="floor"),
-        ],
-    )
+    scene = Scene.of_boxes(comm, "quadrilateral", parts, marks)
+    scene.traction, scene.shift = scene.constant(-2e7), scene.constant(1e-4)
+    x = ufl.SpatialCoordinate(scene.mesh)
+    scene.L = scene.traction * x[0] * scene.v[1] * scene.ds(CLAMPED)
+    scene.fix(CLAMPED, 0, scene.shift)
+    scene.fix(SIDE_X, 0, scene.constant(0.0))
+    scene.floor = Floor()
+    scene.add_pair(name="joint")
+    scene.add_obstacle(GROUND, scene.floor, name="floor")
+    return scene
 
 
 def new_problem(scene, **options):
-    options = {**OPTIONS, **options}
-    return ContactProblem(scene.a, scene.L, bcs=scene.bcs, contacts=scene.contacts, options=options)
+    return scene.problem(cell_tags=None, options={**OPTIONS, **options})
 
 
 # -- changes: each takes the scene and changes it, and says what can be reused ---------------------
 
 
 def larger_load(scene):
-    scene.load.value *= 1.1
+    scene.traction.value *= 1.1
     return EVERYTHING
 
 
 def other_side_unloaded(scene):
     """A smaller load: contacts open."""
-    scene.load.value *= 0.02
+    scene.traction.value *= 0.02
     return EVERYTHING
 
 
@@ -124,7 +87,7 @@ def softer(scene):
 
 def softer_and_larger_load(scene):
     scene.young.value *= 0.5
-    scene.load.value *= 1.1
+    scene.traction.value *= 1.1
     return ["multipliers"]
 
 
@@ -139,15 +102,19 @@ def tilted_floor(scene):
     return ["factors", "multipliers"]
 
 
+def replace_floor(scene, obstacle):
+    scene.contacts.pop()
+    scene.add_obstacle(GROUND, obstacle, name="floor")
+
+
 def other_floor(scene):
     """Another obstacle with the same normals."""
-    scene.contacts[1] = RigidObstacle(scene.tags, GROUND, Plane((0, 1e-4), (0, 1)), name="floor")
+    replace_floor(scene, plane(1, 2, 1e-4))
     return EVERYTHING
 
 
 def round_floor(scene):
-    floor = Sphere((0.5, -10.0), 10.0)
-    scene.contacts[1] = RigidObstacle(scene.tags, GROUND, floor, name="floor")
+    replace_floor(scene, Sphere((0.5, -10.0), 10.0))
     return ["factors", "multipliers"]
 
 
@@ -157,8 +124,7 @@ def given_normals(scene):
 
 
 def added_wall(scene):
-    wall = Plane((1.0, 0.0), (-1.0, 0.0))
-    scene.contacts.append(RigidObstacle(scene.tags, SIDE_Y, wall, name="wall"))
+    scene.add_obstacle(SIDE_Y, Plane((1.0, 0.0), (-1.0, 0.0)), name="wall")
     return ["factors"]
 
 
@@ -185,36 +151,36 @@ CHANGES = [
 # -- sliding
 
 
-def two_blocks(slide, options, n=12, comm=MPI.COMM_SELF, upper=None, height=0.3, start=0.0):
+def two_blocks(
+    slide,
+    options,
+    n=12,
+    comm=MPI.COMM_SELF,
+    upper=None,
+    height=0.3,
+    start=0.0,
+    geometry=None,
+):
     """An upper block on the parabolic bump of a lower one, its top moved sideways and down.
 
     The meshes match unless `upper` is another number of facets than n. `start` is where the upper
     block is meshed, `slide` where it ends.
     """
     parts = [
-        Box((0, 0), (2, 0.5), (2 * n, n // 2)),
-        Box((0.5 + start, 0.5), (1.5 + start, 1.0), (upper or n, n // 2)),
+        ((0, 0), (2, 0.5), (2 * n, n // 2)),
+        ((0.5 + start, 0.5), (1.5 + start, 1.0), (upper or n, n // 2)),
     ]
-    blocks = boxes(comm, parts, "quadrilateral")
-    mesh = blocks.mesh
-    markers = [
-        (SLAVE, at(1, 0.5), 2),
-        (MASTER, at(1, 0.5), 1),
-        (CLAMPED, at(1, 1.0)),
-        (GROUND, at(1, 0.0)),
-    ]
-    tags = tag_facets(mesh, markers, blocks.cell_tags)
-    x = mesh.geometry.x
-    bump = height * (0.25 - (x[:, 0] - 1.0) ** 2)
-    # both surfaces bulge alike, the outer faces stay
-    x[:, 1] += bump * (1.0 - np.abs(x[:, 1] - 0.5) / 0.5)
-    V = vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    zero = fem.Constant(mesh, np.zeros(2))
-    bcs = [fixed(V, tags, CLAMPED, i, value) for i, value in enumerate((slide - start, -0.005))]
-    bcs += [fixed(V, tags, GROUND, i) for i in (0, 1)]
-    a, L = elasticity(u, v, 1e6), ufl.inner(zero, v) * ufl.dx
-    contact = ContactPair(tags, slave=SLAVE, master=MASTER, partial=True)
-    problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], options=options)
-    problem.kept = zero
-    return problem
+    marks = [(SLAVE, at(1, 0.5), 2), (MASTER, at(1, 0.5), 1)]
+    marks += [(CLAMPED, at(1, 1.0)), (GROUND, at(1, 0.0))]
+
+    def bulged(x):
+        # both surfaces alike, the outer faces stay
+        bump = height * (0.25 - (x[0] - 1.0) ** 2)
+        return np.stack([x[0], x[1] + bump * (1.0 - np.abs(x[1] - 0.5) / 0.5)])
+
+    scene = Scene.of_boxes(comm, "quadrilateral", parts, marks, bulged, young=1e6)
+    scene.fix(CLAMPED, 0, slide - start)
+    scene.fix(CLAMPED, 1, -0.005)
+    scene.fix(GROUND)
+    scene.add_pair(partial=True)
+    return scene.problem(cell_tags=None, geometry=geometry, options=options)

@@ -8,9 +8,9 @@ from dataclasses import replace
 from mpi4py import MPI
 
 import numpy as np
-from torn import cube
+from torn import cube, fixed_nodes
 
-from fenics_tfeti.feti import ContactRows, Prescribed, Subdomain, TornSystem
+from fenics_tfeti.feti import ContactRows, Subdomain, TornSystem
 
 SIDE = 2  # cubes
 
@@ -29,10 +29,7 @@ def stiff_half(
     height = 2 * SIDE if pressed else 0
     components = [0, 1] if pressed else [0, 1, 2]
     held = _nodes_at(cubes, height)
-    count = held.size * len(components)
-    fixed = Prescribed(
-        np.repeat(held, len(components)), np.tile(components, held.size), np.zeros(count)
-    )
+    fixed = fixed_nodes(held, components)
     rows = ContactRows.none(3)
     if pressed and comm.rank == 0:
         slaves = _nodes_at(cubes, 0)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from mpi4py import MPI
 
 import numpy as np
-import scenes
-from scenes import MASTER, SLAVE, at
+from scenes import MASTER, SLAVE, Scene, at
 
 from fenics_tfeti.fem.contact.matching import match_contact
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.io import Box, boxes, tag_facets
 
 
 def matched(space, contact, measure_weight=None):
@@ -20,11 +18,10 @@ def matched(space, contact, measure_weight=None):
 
 def strips(lower=(4, 2), upper=(4, 2), gap=0.1, comm=MPI.COMM_SELF):
     """Return space and facet tags of two squares, one above the other with a gap; 2D."""
-    parts = [Box((0, 0), (1, 1), lower), Box((0, 1 + gap), (1, 2 + gap), upper)]
-    tagged = boxes(comm, parts, "triangle")
+    parts = [((0, 0), (1, 1), lower), ((0, 1 + gap), (1, 2 + gap), upper)]
     marks = [(MASTER, at(1, 1.0), 1), (SLAVE, at(1, 1 + gap), 2)]
-    tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
-    return scenes.vector_space(tagged.mesh), tags
+    scene = Scene.of_boxes(comm, "triangle", parts, marks)
+    return scene.V, scene.facet_tags
 
 
 def bend(space, where, move):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -60,6 +61,25 @@ def cube(n: int, corner=(0, 0, 0), body: int = 0, first: int = 0, load=(0, 0, 0)
     return Subdomain(K, force, place * h, nodes.astype(np.int64), body)
 
 
+def node_rows(slave, normal, master=-1, gap=0.0, contact: int = 0) -> ContactRows:
+    """Return rows of one contact between nodes, or of nodes and an obstacle, of one normal."""
+    k = slave.size
+    return ContactRows.node_to_node(
+        slave,
+        np.broadcast_to(master, k),
+        np.tile(np.asarray(normal, float), (k, 1)),
+        np.broadcast_to(np.asarray(gap, float), k),
+        np.full(k, contact),
+    )
+
+
+def fixed_nodes(nodes, components, value: float = 0.0) -> Prescribed:
+    """Prescribe one value of some components of nodes."""
+    size = nodes.size * len(components)
+    every = np.repeat(nodes, len(components))
+    return Prescribed(every, np.tile(components, nodes.size), np.full(size, value))
+
+
 def column(n: int = 3, height: int = 2, contact: bool = True, load=(0, 0, -1.0)) -> TornSystem:
     """Return a lower body of `height` cubes, fixed at its bottom, and a cube on top, free or glued.
 
@@ -78,25 +98,53 @@ def column(n: int = 3, height: int = 2, contact: bool = True, load=(0, 0, -1.0))
     rows = ContactRows.none(3)
     if contact:
         slave = upper.nodes[np.isclose(upper.coordinates[:, 2], height)]
-        k = slave.size
-        rows = ContactRows.node_to_node(
-            slave,
-            slave - second,
-            np.tile([0.0, 0.0, -1.0], (k, 1)),
-            np.zeros(k),
-            np.zeros(k, dtype=np.int64),
-        )
+        rows = node_rows(slave, [0.0, 0.0, -1.0], master=slave - second)
     return TornSystem([*lower, upper], fixed, rows, 3, ["lower", "upper"], ["joint"])
 
 
-def glued(system: TornSystem) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Return dense K and f of the glued bodies, their nodes, and where each torn unknown is."""
-    nodes = np.unique(np.concatenate([s.nodes for s in system.subdomains]))
-    K, f = np.zeros((3 * nodes.size,) * 2), np.zeros(3 * nodes.size)
-    places = []
-    for s in system.subdomains:
-        at = (3 * np.searchsorted(nodes, s.nodes)[:, None] + np.arange(3)).ravel()
-        K[np.ix_(at, at)] += s.stiffness.toarray()
-        f[at] += s.load
-        places.append(at)
-    return K, f, nodes, places
+def matrix(rows: ContactRows, nodes: np.ndarray) -> np.ndarray:
+    """Return rows as a dense matrix of the glued unknowns."""
+    gdim = rows.coefficients.shape[1]
+    C = np.zeros((rows.size, gdim * nodes.size))
+    columns = gdim * np.searchsorted(nodes, rows.nodes)[:, None] + np.arange(gdim)
+    np.add.at(C, (rows.row[:, None], columns), rows.coefficients)
+    return C
+
+
+@dataclass
+class Glued:
+    """A torn system on one rank as a whole, dense: K, f, contact rows C and tied rows T.
+
+    `places` are the unknowns of each subdomain, `u` is the prescribed displacement, zero on the
+    `free` unknowns.
+    """
+
+    K: np.ndarray
+    f: np.ndarray
+    C: np.ndarray
+    T: np.ndarray
+    nodes: np.ndarray
+    places: list[np.ndarray]
+    u: np.ndarray
+    free: np.ndarray
+
+    @classmethod
+    def of(cls, system: TornSystem) -> Glued:
+        gdim, nodes = system.gdim, np.unique(np.concatenate([s.nodes for s in system.subdomains]))
+        size = gdim * nodes.size
+        K, f, u, places = np.zeros((size, size)), np.zeros(size), np.zeros(size), []
+        for s in system.subdomains:
+            at = (gdim * np.searchsorted(nodes, s.nodes)[:, None] + np.arange(gdim)).ravel()
+            K[np.ix_(at, at)] += s.stiffness.toarray()
+            f[at] += s.load
+            places.append(at)
+        given = system.prescribed
+        fixed = gdim * np.searchsorted(nodes, given.nodes) + given.components
+        u[fixed] = given.values
+        free = np.setdiff1d(np.arange(size), fixed)
+        C, T = (matrix(rows, nodes) for rows in (system.contacts, system.tied))
+        return cls(K, f, C, T, nodes, places, u, free)
+
+    def torn(self) -> list[np.ndarray]:
+        """Return the displacements of the subdomains."""
+        return [self.u[at] for at in self.places]

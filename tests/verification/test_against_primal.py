@@ -6,19 +6,20 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from primal_reference import Pair, nodes_of
+from primal_reference import nodes_of
 from scenes import (
     GROUND,
     MASTER,
     SLAVE,
     block_on_ball,
     corner,
-    fixed,
     pressed_block,
     stack_on_ground,
     two_beams,
     two_materials,
 )
+
+from fenics_tfeti import ContactPair
 
 COMM = MPI.COMM_WORLD
 OPTIONS = {"rtol": 1e-8, "subdomain_size": 60, "partitioner": "scotch"}
@@ -252,7 +253,7 @@ def test_no_contact_is_linear_elasticity():
 
 def test_no_load_is_no_displacement():
     scene = two_beams(MPI.COMM_SELF, "quadrilateral", 6)
-    scene.kept[1].value = 0.0
+    scene.traction.value = 0.0
     problem = scene.problem(options=OPTIONS)
     assert np.abs(problem.solve().x.array).max() <= 1e-12
     assert problem.report.converged
@@ -262,7 +263,7 @@ def test_no_load_is_no_displacement():
 def test_node_that_is_prescribed_where_it_touches():
     """The rows say nothing new there, and rounding must not make them a contradiction."""
     scene = pressed_block(MPI.COMM_SELF, "quadrilateral", 6)
-    scene.bcs.append(fixed(scene.V, scene.facet_tags, GROUND, 1))
+    scene.fix(GROUND, 1)
     problem = scene.problem(options=OPTIONS)
     exact = scene.exact(scene.V.tabulate_dof_coordinates().T).T.ravel()
     np.testing.assert_allclose(problem.solve().x.array, exact, rtol=0.0, atol=1e-9)
@@ -271,7 +272,7 @@ def test_node_that_is_prescribed_where_it_touches():
 def test_node_that_sticks():
     """A prescribed tangential component leaves the normal one to the contact."""
     scene = pressed_block(MPI.COMM_SELF, "quadrilateral", 6)
-    scene.bcs.append(fixed(scene.V, scene.facet_tags, GROUND, 0))
+    scene.fix(GROUND, 0)
     assert_near(scene.problem(options=OPTIONS).solve(), scene.reference().displacement)
 
 
@@ -290,7 +291,7 @@ def test_body_that_may_slide_is_solved_and_reported():
 def test_slave_and_master_may_be_exchanged():
     scene = two_beams(MPI.COMM_SELF, "triangle", 6)
     expected = scene.reference().displacement
-    scene.contacts = [Pair(slave=MASTER, master=SLAVE)]
+    scene.contacts = [ContactPair(scene.facet_tags, slave=MASTER, master=SLAVE)]
     assert_near(scene.problem(options=OPTIONS).solve(), expected)
 
 

@@ -6,14 +6,21 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-import scenes
-from scenes import GROUND, LOADED, MASTER, SIDE_X, SIDE_Y, SLAVE, at
+from scenes import (
+    GROUND,
+    LOADED,
+    MASTER,
+    SIDE_X,
+    SIDE_Y,
+    SLAVE,
+    Scene,
+    at,
+    axisymmetric_strain,
+    elasticity,
+    plane,
+)
 
 import ufl
-from dolfinx import fem
-
-from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle
-from fenics_tfeti.io import Box, boxes, tag_facets
 
 CELLS = ["triangle", "quadrilateral"]
 YOUNG, POISSON = 2e9, 0.3
@@ -28,38 +35,20 @@ def whole(mesh):
     return 2 * ufl.pi * radius(mesh)
 
 
-def elasticity(u, v, young, weight):
-    """Return the bilinear form in the plane of a meridian."""
-    r = radius(u.ufl_function_space().mesh)
-    mu, lmbda = young / 2 / (1 + POISSON), young * POISSON / (1 + POISSON) / (1 - 2 * POISSON)
-
-    def epsilon(w):
-        e = ufl.sym(ufl.grad(w))
-        return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, w[0] / r]])
-
-    stress = lmbda * ufl.tr(epsilon(u)) * ufl.Identity(3) + 2 * mu * epsilon(u)
-    return ufl.inner(stress, epsilon(v)) * weight * ufl.dx
-
-
 def pressed_cylinder(cell, weight):
     """Press the end of a full cylinder, R = 0.5 m, H = 1 m, onto a plane by 1 mm."""
-    tagged = boxes(MPI.COMM_SELF, [Box((0, 0), (0.5, 1), (4, 6))], cell)
-    mesh = tagged.mesh
-    tags = tag_facets(mesh, [(GROUND, at(1, 0.0)), (LOADED, at(1, 1.0)), (SIDE_X, at(0, 0.0))])
-    V = scenes.vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    factor = weight(mesh)
-    bcs = [scenes.fixed(V, tags, SIDE_X, 0), scenes.fixed(V, tags, LOADED, 1, -1e-3)]
-    ground = RigidObstacle(tags, GROUND, Plane((0, 0), (0, 1)))
-    options = {"rtol": 1e-10}
-    problem = ContactProblem(
-        elasticity(u, v, YOUNG, factor),
-        0,
-        bcs=bcs,
-        contacts=ground,
-        options=options,
-        measure_weight=factor,
-    )
+    marks = [(GROUND, at(1, 0.0)), (LOADED, at(1, 1.0)), (SIDE_X, at(0, 0.0))]
+    scene = Scene.of_boxes(MPI.COMM_SELF, cell, [((0, 0), (0.5, 1), (4, 6))], marks, young=YOUNG)
+    scene.fix(SIDE_X, 0)
+    scene.fix(LOADED, 1, -1e-3)
+    scene.add_obstacle(GROUND, plane(1, 2))
+    return solved(scene, weight, cell_tags=None, options={"rtol": 1e-10})
+
+
+def solved(scene, weight, **arguments):
+    factor = weight(scene.mesh)
+    scene.a = elasticity(scene.u, scene.v, scene.young * factor, strain=axisymmetric_strain)
+    problem = scene.problem(measure_weight=factor, **arguments)
     problem.solve()
     return problem
 
@@ -104,31 +93,16 @@ def pressure_between_tubes():
 
 def tubes(cell, n, weight=whole, outer_is_slave=False):
     """Two tubes, the inner one under pressure, between planes that keep their length."""
-    parts = [Box((A, 0), (B, 0.1), (n, n)), Box((B, 0), (C, 0.1), (n, n))]
-    tagged = boxes(MPI.COMM_SELF, parts, cell)
-    mesh = tagged.mesh
+    parts = [((A, 0), (B, 0.1), (n, n)), ((B, 0), (C, 0.1), (n, n))]
     roles = (MASTER, SLAVE) if outer_is_slave else (SLAVE, MASTER)
     marks = [(roles[0], at(0, B), 1), (roles[1], at(0, B), 2), (LOADED, at(0, A))]
     marks += [(SIDE_Y, lambda x: np.isclose(x[1], 0.0) | np.isclose(x[1], 0.1))]
-    tags = tag_facets(mesh, marks, tagged.cell_tags)
-    V = scenes.vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young = fem.Function(scenes.scalar_space(mesh, "DG", 0))
-    young.interpolate(lambda x: YOUNG * np.where(x[0] < B, 1.0, STIFFER))
-    factor, inside = weight(mesh), fem.Constant(mesh, INSIDE)
-    L = inside * v[0] * factor * ufl.Measure("ds", domain=mesh, subdomain_data=tags)(LOADED)
-    pair = ContactPair(tags, SLAVE, MASTER)
-    bcs = [scenes.fixed(V, tags, SIDE_Y, 1)]
-    problem = ContactProblem(
-        elasticity(u, v, young, factor),
-        L,
-        bcs=bcs,
-        contacts=pair,
-        cell_tags=tagged.cell_tags,
-        measure_weight=factor,
-    )
-    problem.solve()
-    return problem
+    young = {1: YOUNG, 2: STIFFER * YOUNG}
+    scene = Scene.of_boxes(MPI.COMM_SELF, cell, parts, marks, young=young)
+    scene.L = scene.constant(INSIDE) * scene.v[0] * weight(scene.mesh) * scene.ds(LOADED)
+    scene.fix(SIDE_Y, 1)
+    scene.add_pair()
+    return solved(scene, weight)
 
 
 @pytest.mark.parametrize("outer_is_slave", [False, True], ids=["inner slave", "outer slave"])

@@ -7,14 +7,14 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from curved_rings import quarter_rings
-from mortar_blocks import LOWER, UPPER, Blocks, uneven, uneven_problem
-from scenes import POISSON, at, dimension, elasticity, fixed, scalar_space, vector_space
+from mortar_blocks import LOWER, UPPER, Blocks, uneven, uneven_problem, uneven_scene
+from scenes import POISSON, Scene, at, dimension, elasticity, fixed
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle, TiedPair
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti import ContactPair, ContactProblem, Exact, Plane, RigidObstacle, TiedPair
+from fenics_tfeti.io import displacement_space
 
 COMM = MPI.COMM_SELF
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
@@ -22,21 +22,20 @@ TOP, BOTTOM, SIDES = 1, 2, (3, 4)
 HALF = 0.5
 
 
-def two_blocks(cell, lower, upper):
+def two_blocks(cell, lower, upper, **more):
     """Mesh two blocks on each other, of together a unit square or cube; tag their surfaces."""
     d = dimension(cell)
     grids = [(n,) * (d - 1) + (max(1, n // 2),) for n in (lower, upper)]
     low, middle = (0.0,) * d, (0.0,) * (d - 1) + (HALF,)
-    parts = [Box(low, (1.0,) * (d - 1) + (HALF,), grids[0]), Box(middle, (1.0,) * d, grids[1])]
-    blocks = boxes(COMM, parts, cell)
-    markers = [(TOP, at(d - 1, 1.0)), (BOTTOM, at(d - 1, 0.0))]
-    markers += [
+    parts = [(low, (1.0,) * (d - 1) + (HALF,), grids[0]), (middle, (1.0,) * d, grids[1])]
+    marks = [(TOP, at(d - 1, 1.0)), (BOTTOM, at(d - 1, 0.0))]
+    marks += [
         (SIDES[k], lambda x, k=k: np.isclose(x[k], 0.0) | np.isclose(x[k], 1.0))
         for k in range(d - 1)
     ]
     contact = at(d - 1, HALF)
-    markers += [(LOWER, contact, 1), (UPPER, contact, 2)]
-    return blocks.mesh, blocks.cell_tags, tag_facets(blocks.mesh, markers, blocks.cell_tags)
+    marks += [(LOWER, contact, 1), (UPPER, contact, 2)]
+    return Scene.of_boxes(COMM, cell, parts, marks, **more)
 
 
 def joined(kind, tags, slave, d):
@@ -56,24 +55,20 @@ def joined(kind, tags, slave, d):
 def test_blocks_under_their_own_weight(cell, kind, slave):
     """Between smooth walls the displacement is quadratic in the height, pressures are uniform."""
     d = dimension(cell)
-    domain, _, tags = two_blocks(cell, *((4, 6) if d == 2 else (2, 3)))
-    V = vector_space(domain, 2)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     load, weight, young = 1e-3, 0.4e-3, 1.0
-    values = [fem.Constant(domain, value) for value in (load, weight, young)]
-    ds = ufl.Measure("ds", domain=domain, subdomain_data=tags)
-    bcs = [fixed(V, tags, SIDES[k], k) for k in range(d - 1)]
+    sizes = (4, 6) if d == 2 else (2, 3)
+    scene = two_blocks(cell, *sizes, degree=2, young=young)
+    scene.add_load(TOP, -load)
+    scene.L += -scene.constant(weight) * scene.v[d - 1] * ufl.dx
+    for k in range(d - 1):
+        scene.fix(SIDES[k], k)
     if kind != "on obstacle":
-        bcs.append(fixed(V, tags, BOTTOM, d - 1))
-    problem = ContactProblem(
-        elasticity(u, v, values[2]),
-        -values[0] * v[d - 1] * ds(TOP) - values[1] * v[d - 1] * ufl.dx,
-        bcs=bcs,
-        options={"rtol": 1e-12, "subdomain_size": 150},
-        **joined(kind, tags, slave, d),
-    )
+        scene.fix(BOTTOM, d - 1)
+    options = {"rtol": 1e-12, "subdomain_size": 150}
+    held = joined(kind, scene.facet_tags, slave, d)
+    problem = scene.problem(cell_tags=None, options=options, **held)
     uh = problem.solve().x.array.reshape(-1, d)
-    y = V.tabulate_dof_coordinates()[:, d - 1]
+    y = scene.V.tabulate_dof_coordinates()[:, d - 1]
     modulus = young * (1 - POISSON) / ((1 + POISSON) * (1 - 2 * POISSON))
     exact = -((load + weight) * y - 0.5 * weight * y**2) / modulus
     assert np.abs(uh[:, d - 1] - exact).max() < 1e-10 * np.abs(exact).max()
@@ -92,24 +87,17 @@ def test_blocks_under_their_own_weight(cell, kind, slave):
 
 def smooth_energy(kind, cell, n, degree):
     """Return the energy of blocks under a smooth load; their solution is smooth as well."""
-    domain, cell_tags, tags = two_blocks(cell, n, 3 * n // 2)
-    V = vector_space(domain, degree)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young = fem.Function(scalar_space(domain, "DG", 0))
-    for tag, value in ((1, 1.0), (2, 3.0)):
-        young.x.array[cell_tags.find(tag)] = value
-    ds = ufl.Measure("ds", domain=domain, subdomain_data=tags, metadata={"quadrature_degree": 8})
-    size = fem.Constant(domain, 1e-3)
-    load = size * (2.0 + ufl.cos(np.pi * ufl.SpatialCoordinate(domain)[0]))
-    problem = ContactProblem(
-        elasticity(u, v, young),
-        -load * v[1] * ds(TOP),
-        bcs=[fixed(V, tags, BOTTOM, 1), fixed(V, tags, SIDES[0], 0)],
-        options={"rtol": 1e-10},
-        **joined(kind, tags, LOWER, 2),
-    )
+    scene = two_blocks(cell, n, 3 * n // 2, degree=degree, young={1: 1.0, 2: 3.0})
+    size = scene.constant(1e-3)
+    load = size * (2.0 + ufl.cos(np.pi * ufl.SpatialCoordinate(scene.mesh)[0]))
+    ds = scene.ds(TOP, metadata={"quadrature_degree": 8})
+    scene.L = -load * scene.v[1] * ds
+    scene.fix(BOTTOM, 1)
+    scene.fix(SIDES[0], 0)
+    held = joined(kind, scene.facet_tags, LOWER, 2)
+    problem = scene.problem(cell_tags=None, options={"rtol": 1e-10}, **held)
     uh = problem.solve()
-    return -0.5 * fem.assemble_scalar(fem.form(load * uh[1] * ds(TOP)))
+    return -0.5 * fem.assemble_scalar(fem.form(load * uh[1] * ds))
 
 
 @pytest.mark.parametrize(("kind", "order"), [("contact", 1.5), ("tied", 2.0)])
@@ -130,7 +118,7 @@ def test_shrink_fit_with_the_interference_in_the_geometry(tmp_path, recombine, s
     """Of curved cells; with straight ones of this size the mean pressure is 12 to 62 % off."""
     a, b, c, excess = 0.5, 1.0, 1.6, 1e-3
     rings = quarter_rings(tmp_path / "a.msh", (12, 17), ((a, b + excess), (b, c)), recombine)
-    V = vector_space(rings.mesh, 2)
+    V = displacement_space(rings.mesh, 2)
     young = fem.Constant(rings.mesh, 1.0)
     problem = ContactProblem(
         elasticity(ufl.TrialFunction(V), ufl.TestFunction(V), young),
@@ -153,10 +141,10 @@ def test_shrink_fit_with_the_interference_in_the_geometry(tmp_path, recombine, s
 def test_exact_passes(cell):
     """Rows anew on the deformed surfaces, which are cut at the nodes in the middle of edges."""
     shape = Blocks(cell, 6 if cell == "triangle" else 3, 4, degree=2)
-    problem = uneven(shape, non_penetration="exact")
+    problem = uneven(shape, geometry=Exact())
     passes = problem.report.passes
     assert len(passes) > 1
-    assert passes[-1].error <= problem.options.non_penetration_tolerance
+    assert passes[-1].error <= Exact().tolerance
     assert passes[-1].error < 0.1 * passes[0].error
 
 
@@ -176,10 +164,9 @@ def test_start_from_a_coarse_problem_of_degree_1(cell):
 
 
 def test_load_steps():
-    problem = uneven_problem(Blocks("triangle", 6, 8, degree=2))
-    expected = uneven(Blocks("triangle", 6, 8, degree=2))
-    load = problem.kept[1]
-    whole = load.value.copy()
+    scene = uneven_scene(Blocks("triangle", 6, 8, degree=2))
+    problem, load = scene.problem(options={"rtol": 1e-10, "subdomain_size": 150}), scene.traction
+    expected, whole = uneven(Blocks("triangle", 6, 8, degree=2)), load.value.copy()
     for part in (0.3, 0.7, 1.0):
         load.value = part * whole
         uh = problem.solve()

@@ -2,39 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import CLAMPED, SLAVE, at, elasticity, fixed, vector_space
+from scenes import CLAMPED, SLAVE, Scene, at, fixed, plane
 from stepped_blocks import two_blocks
 
-import ufl
-from dolfinx import fem
-
-from fenics_tfeti import ContactProblem, NotConverged, Plane, RigidObstacle, Sphere
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti import Exact, NotConverged, Sphere
 
 COMM = MPI.COMM_WORLD
 
 pytestmark = pytest.mark.once
 
 YOUNG = 1e6
-OPTIONS = {"rtol": 1e-8, "non_penetration": "exact", "non_penetration_tolerance": 1e-7}
-SLIDING = {**OPTIONS, "non_penetration_tolerance": 1e-4, "non_penetration_max_it": 40}
+GEOMETRY = Exact(tolerance=1e-7)
+SLIDING = Exact(tolerance=1e-4, max_passes=40)
+OPTIONS = {"rtol": 1e-8}
 BUMP = Sphere(centre=(0.75, -1.0, 0.0), radius=1.0)
-
-
-def problem_on(mesh, tags, moves, contacts, options, n=8):
-    """Prescribe the displacement of the facets tagged CLAMPED, nothing else."""
-    V = vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    zero = fem.Constant(mesh, np.zeros(2))
-    bcs = [fixed(V, tags, CLAMPED, i, value) for i, value in enumerate(moves)]
-    a, L = elasticity(u, v, YOUNG), ufl.inner(zero, v) * ufl.dx
-    problem = ContactProblem(a, L, bcs=bcs, contacts=contacts, options=options)
-    problem.kept = zero
-    return problem
 
 
 class MovingDisc:
@@ -46,12 +33,13 @@ class MovingDisc:
         return Sphere(self.centre, BUMP.radius)(x)
 
 
-def block_over_bump(options, moves=(0.25, -0.03), n=16, bump=BUMP):
+def block_over_bump(moves=(0.25, -0.03), n=16, obstacle=BUMP, geometry=GEOMETRY):
     """A block whose top is moved sideways and down, over a rigid disc."""
-    mesh = boxes(MPI.COMM_SELF, [Box((0, 0), (1, 0.5), (n, n // 2))], "quadrilateral").mesh
-    tags = tag_facets(mesh, [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))])
-    contact = RigidObstacle(tags, slave=SLAVE, obstacle=bump)
-    return problem_on(mesh, tags, moves, [contact], options)
+    parts, marks = [((0, 0), (1, 0.5), (n, n // 2))], [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))]
+    scene = Scene.of_boxes(MPI.COMM_SELF, "quadrilateral", parts, marks, young=YOUNG)
+    scene.fix(CLAMPED, None, np.array(moves))
+    scene.add_obstacle(SLAVE, obstacle)
+    return scene.problem(geometry=geometry, options=OPTIONS)
 
 
 def distance_to_bump(problem, uh):
@@ -62,7 +50,7 @@ def distance_to_bump(problem, uh):
 
 
 def test_deformed_nodes_are_on_the_obstacle_where_they_press():
-    problem = block_over_bump(OPTIONS)
+    problem = block_over_bump()
     uh = problem.solve()
     distance, pressing = distance_to_bump(problem, uh), problem.results[0].active
     assert pressing.any() and not pressing.all()
@@ -72,13 +60,13 @@ def test_deformed_nodes_are_on_the_obstacle_where_they_press():
 
 def test_linearised_conditions_leave_an_error():
     """Otherwise the test above would show nothing."""
-    problem = block_over_bump({"rtol": 1e-8})
+    problem = block_over_bump(geometry=None)
     distance = distance_to_bump(problem, problem.solve())
     assert np.abs(distance[problem.results[0].active]).max() > 1e-3
 
 
 def test_forces_are_along_the_deformed_normals():
-    problem = block_over_bump(OPTIONS)
+    problem = block_over_bump()
     uh = problem.solve()
     contact = problem.results[0]
     x = contact.coordinates[:, :2] + uh.x.array.reshape(-1, 2)[contact.nodes]
@@ -93,7 +81,7 @@ def test_forces_are_along_the_deformed_normals():
 
 def test_seconds_of_each_pass_and_of_all():
     """They add up to those of the phases; the first solve has the set-up."""
-    problem = block_over_bump(OPTIONS, n=8)
+    problem = block_over_bump(n=8)
     for step in range(2):
         problem.solve()
         seconds, passes = dict(problem.report.seconds), problem.report.passes
@@ -105,10 +93,10 @@ def test_seconds_of_each_pass_and_of_all():
 
 
 def test_passes_converge_and_reuse_what_stays():
-    problem = block_over_bump(OPTIONS)
+    problem = block_over_bump()
     problem.solve()
     passes = problem.report.passes
-    assert passes[-1].error <= OPTIONS["non_penetration_tolerance"]
+    assert passes[-1].error <= GEOMETRY.tolerance
     assert 2 <= len(passes) <= 8
     assert problem.report.reused == ["factors", "multipliers"]
     assert passes[-1].products < passes[0].products
@@ -116,29 +104,26 @@ def test_passes_converge_and_reuse_what_stays():
 
 def test_flat_contact_needs_no_pass():
     """A plane is the same wherever the body slides along it."""
-    mesh = boxes(MPI.COMM_SELF, [Box((0, 0), (1, 0.5), (8, 4))], "quadrilateral").mesh
-    tags = tag_facets(mesh, [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))])
-    contact = RigidObstacle(tags, slave=SLAVE, obstacle=Plane((0, 0), (0, 1)))
-    problem = problem_on(mesh, tags, (0.3, -0.01), [contact], OPTIONS)
+    problem = block_over_bump((0.3, -0.01), 8, plane(1, 2))
     problem.solve()
     assert len(problem.report.passes) == 1
 
 
 def test_limit_of_passes():
-    with pytest.raises(NotConverged, match="non_penetration_max_it") as caught:
-        block_over_bump({**OPTIONS, "non_penetration_max_it": 1}).solve()
+    with pytest.raises(NotConverged, match="max_passes") as caught:
+        block_over_bump(geometry=replace(GEOMETRY, max_passes=1)).solve()
     assert not caught.value.report.converged
 
 
 @pytest.mark.parametrize("slide", [0.01, 0.3])
 def test_bodies_that_slide(slide):
-    problem = two_blocks(slide, SLIDING)
+    problem = two_blocks(slide, OPTIONS, geometry=SLIDING)
     problem.solve()
     assert problem.report.passes[-1].error <= 1e-4
 
 
 # distances are of second order in what the last pass changed along the surface
-SAME = np.sqrt(2.0 * OPTIONS["non_penetration_tolerance"] * 0.3)
+SAME = np.sqrt(2.0 * GEOMETRY.tolerance * 0.3)
 
 
 def moved(problem, *moves):
@@ -150,21 +135,21 @@ def moved(problem, *moves):
 
 def test_pushed_in_steps():
     """The way does not matter, and the last geometry is nearer than the undeformed one."""
-    steps = block_over_bump(OPTIONS, (0.2, -0.03))
+    steps = block_over_bump((0.2, -0.03))
     steps.solve()
     uh = moved(steps, 0.25, -0.03).solve()
-    at_once = block_over_bump(OPTIONS)
+    at_once = block_over_bump()
     np.testing.assert_allclose(uh.x.array, at_once.solve().x.array, atol=SAME)
     assert len(steps.report.passes) < len(at_once.report.passes)
 
 
 def test_obstacle_moved():
     bump = MovingDisc()
-    steps = block_over_bump(OPTIONS, bump=bump)
+    steps = block_over_bump(obstacle=bump)
     steps.solve()
     bump.centre = (0.7, -0.99, 0.0)
     uh = steps.solve()
-    at_once = block_over_bump(OPTIONS, bump=Sphere(bump.centre, 1.0)).solve()
+    at_once = block_over_bump(obstacle=Sphere(bump.centre, 1.0)).solve()
     np.testing.assert_allclose(uh.x.array, at_once.x.array, atol=SAME)
 
 
@@ -175,8 +160,9 @@ def test_obstacle_moved():
 )
 def test_bodies_that_slide_on_all_ranks(slide, upper):
     """On matching meshes, and with mortars."""
-    problem = two_blocks(slide, {**SLIDING, "subdomain_size": 200}, comm=COMM, upper=upper)
-    alone = two_blocks(slide, {**SLIDING, "subdomain_size": 200}, comm=MPI.COMM_SELF, upper=upper)
+    options = {**OPTIONS, "subdomain_size": 200}
+    problem = two_blocks(slide, options, comm=COMM, upper=upper, geometry=SLIDING)
+    alone = two_blocks(slide, options, comm=MPI.COMM_SELF, upper=upper, geometry=SLIDING)
     problem.solve()
     alone.solve()
     mine, theirs = problem.report.passes, alone.report.passes

@@ -9,28 +9,19 @@ hexahedra and by 2 to 4 % on tetrahedra. The limits leave room for other version
 
 from __future__ import annotations
 
-import runpy
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
-
-from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import POISSON, elasticity, fixed, vector_space
+from mesh_arrays import of_script
+from scenes import POISSON, Scene, dimension, plane
 
-import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Along, ContactPair, ContactProblem, Plane, RigidObstacle, Sphere
-from fenics_tfeti.io import read_msh
+from fenics_tfeti import Along, Sphere
 
-half_balls = runpy.run_path(str(Path(__file__).parents[2] / "meshes" / "half_balls.py"))[
-    "half_balls"
-]
 RADIUS, YOUNG = 0.05, 2e9
 CONTACT_RADIUS = 4e-3
 COARSE, FINE = 1e-3, 5e-4  # a/h = 4, 8
@@ -76,17 +67,10 @@ def pressed(
     upper_is_slave: bool = True,
 ) -> Solved:
     """Press a ball or roller onto an obstacle or a second one, by a force or by a distance."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "mesh.msh")
-        half_balls(path, cell, size, radii)
-        gdim = 2 if cell in ("triangle", "quadrilateral") else 3
-        tagged = read_msh(path, MPI.COMM_SELF, gdim)
-    mesh, facet_tags, tags = tagged.mesh, tagged.facet_tags, tagged.names
+    gdim = dimension(cell)
+    bodies = of_script("half_balls", gdim, cell, size, radii)
+    tags, up = bodies.names, gdim - 1
     flat = tags["flat" if len(radii) == 1 else "flat_upper"]
-    V, up = vector_space(mesh), gdim - 1
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    dx = ufl.Measure("dx", domain=mesh, subdomain_data=tagged.cell_tags)
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
     moduli = (YOUNG, STIFFER * YOUNG)[: len(radii)]
     reduced = 1.0 / sum((1.0 - POISSON**2) / young for young in moduli)
 
@@ -97,35 +81,30 @@ def pressed(
     else:
         force = np.pi / 4.0 * reduced * CONTACT_RADIUS**2 / R
         traction = -force / (2.0 * RADIUS)
-    load = fem.Constant(mesh, traction if approach is None else 0.0)
-    constants = [fem.Constant(mesh, young) for young in moduli]
-    a = sum(elasticity(u, v, young, dx(i)) for i, young in enumerate(constants, start=1))
-
-    bcs = [fixed(V, facet_tags, tags["symmetry_x"], 0)]
-    if gdim == 3:
-        bcs.append(fixed(V, facet_tags, tags["symmetry_y"], 1))
+    scene = Scene.of(bodies, young=dict(enumerate(moduli, start=1)))
+    scene.L = scene.constant(traction if approach is None else 0.0) * scene.v[up] * scene.ds(flat)
+    for component, name in enumerate(("symmetry_x", "symmetry_y")[:up]):
+        scene.fix(tags[name], component)
     if len(radii) == 2:
-        bcs.append(fixed(V, facet_tags, tags["flat_lower"], up))
+        scene.fix(tags["flat_lower"], up)
     if approach is not None:
-        bcs.append(fixed(V, facet_tags, flat, up, -approach))
+        scene.fix(flat, up, -approach)
 
     axis = np.eye(gdim)[up]
     if len(radii) == 2:
         names = ["contact_upper", "contact_lower"][:: 1 if upper_is_slave else -1]
         outward = -axis if upper_is_slave else axis
-        slave, master = (tags[name] for name in names)
-        contact = ContactPair(facet_tags, slave, master, partners=Along(outward), normal=outward)
+        roles = (tags[name] for name in names)
+        scene.add_pair(*roles, partners=Along(outward), normal=outward)
     elif obstacle == "groove":
         rigid = Sphere(centre=2.0 * RADIUS * axis, radius=2.0 * RADIUS, hollow=True)
-        contact = RigidObstacle(facet_tags, tags["contact"], rigid)
+        scene.add_obstacle(tags["contact"], rigid)
     else:
-        contact = RigidObstacle(facet_tags, tags["contact"], Plane(np.zeros(gdim), axis))
+        scene.add_obstacle(tags["contact"], plane(up, gdim))
     options = {"rtol": 1e-6, "preconditioner": "lumped", "subdomain_size": 6000}
-    problem = ContactProblem(
-        a, load * v[up] * ds(flat), bcs=bcs, contacts=[contact], options=options
-    )
+    problem = scene.problem(cell_tags=None, options=options)
     problem.solve()
-    area = float(fem.assemble_scalar(fem.form(fem.Constant(mesh, 1.0) * ds(flat))))
+    area = float(fem.assemble_scalar(fem.form(scene.constant(1.0) * scene.ds(flat))))
     return compare(problem, gdim, R, reduced, -traction * area)
 
 

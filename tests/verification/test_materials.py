@@ -14,7 +14,6 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from mesh_arrays import concatenated, merged, mesh_of, tags_of, unstructured_block
-from primal_reference import Pair
 from scenes import (
     CLAMPED,
     LOADED,
@@ -25,13 +24,11 @@ from scenes import (
     YOUNG,
     Scene,
     at,
-    beams_supports,
     elasticity,
     scalar_space,
-    vector_space,
+    support_beams,
 )
 
-import ufl
 from dolfinx import fem
 
 from fenics_tfeti.fem import _compat
@@ -106,31 +103,23 @@ def scene(
         ],
         tags_of(domain, upper),
     )
-    V, constant = vector_space(domain), scalar_space(domain, "DG", 0)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young = fem.Function(constant)
+    scene = Scene(domain, facet_tags, cube)
+    constant = scalar_space(domain, "DG", 0)
+    scene.young = fem.Function(constant)
     of_cell = _compat.cell_dofs(constant).ravel()[cube.indices]
-    young.x.array[of_cell] = pascal * YOUNG * np.array(moduli)[cube.values]
-    traction = fem.Constant(domain, -TRACTION * pascal)
-    ds = ufl.Measure("ds", domain=domain, subdomain_data=facet_tags)
-    return Scene(
-        mesh=domain,
-        V=V,
-        a=elasticity(u, v, young),
-        L=traction * v[2] * ds(LOADED),
-        bcs=beams_supports(V, facet_tags),
-        contacts=[Pair(SLAVE, MASTER)],
-        facet_tags=facet_tags,
-        cell_tags=cube,
-        total_forces=[3.0 * TRACTION * pascal * metre**2],
-        kept=[young, traction],
-    )
+    scene.young.x.array[of_cell] = pascal * YOUNG * np.array(moduli)[cube.values]
+    scene.a = elasticity(scene.u, scene.v, scene.young)
+    scene.add_load(LOADED, np.array([0.0, 0.0, -TRACTION * pascal]))
+    support_beams(scene)
+    scene.add_pair()
+    scene.total_forces = [3.0 * TRACTION * pascal * metre**2]
+    return scene
 
 
 def with_fibres() -> Scene:
     """Return the uniform beams with a stiff fibre along each axis, which subdomains cut."""
     what = scene()
-    young = what.kept[0]
+    young = what.young
     places = young.function_space.tabulate_dof_coordinates()
     inside = np.hypot(places[:, 1] - 0.5, places[:, 2] % 1.0 - 0.5) < 0.2
     young.x.array[inside] *= JUMP

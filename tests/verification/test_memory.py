@@ -14,7 +14,7 @@ pytestmark = pytest.mark.once
 MEASURE = """
 import ctypes, gc, json, resource, sys
 from mpi4py import MPI
-import scenes, ufl
+import fenics_tfeti, scenes, ufl
 
 def resident_bytes():
     # free memory that the C library keeps would hide small leaks, or look like some
@@ -30,9 +30,9 @@ GROWTH = (
 kind, method, factor = sys.argv[1:4]
 n, warm_up, solves = map(int, sys.argv[4:])
 scene = scenes.two_beams(MPI.COMM_SELF, "hexahedron", n, gap=1e-3)
-young, traction = scene.kept
+young, traction = scene.young, scene.traction
 options = {"method": method, "rtol": 1e-3, "subdomain_size": 100 * n, "factor": factor}
-obstacle = scenes.Ball((2.5, 0.5, -10.0), 10.0)
+obstacle = fenics_tfeti.Sphere((2.5, 0.5, -10.0), 10.0)
 height = [0.0]
 
 def ground(x):
@@ -42,7 +42,7 @@ def ground(x):
 def posed():
     from fenics_tfeti import RigidObstacle
     on_ground = RigidObstacle(scene.facet_tags, scenes.SLAVE, ground)
-    contacts = [*scene.package_contacts(), on_ground]
+    contacts = [*scene.contacts, on_ground]
     return scene.problem(contacts=contacts, options=options)
 
 problem = posed()
@@ -101,7 +101,7 @@ PEAK = (
 scene = scenes.two_beams(MPI.COMM_SELF, "tetrahedron", int(sys.argv[1]))
 u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
 # not translation invariant: no subdomains share their stiffness
-young = scene.kept[0] * (1.0 + 0.01 * ufl.SpatialCoordinate(scene.mesh)[0])
+young = scene.young * (1.0 + 0.01 * ufl.SpatialCoordinate(scene.mesh)[0])
 scene.a = scenes.elasticity(u, v, young)
 
 def peak_of(action):
@@ -120,7 +120,7 @@ def pose():
 
 peaks = [peak_of(pose)]
 for _ in range(2):
-    scene.kept[0].value *= 1.1
+    scene.young.value *= 1.1
     peaks.append(peak_of(problem.solve))
 print(json.dumps(peaks))
 """

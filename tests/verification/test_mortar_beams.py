@@ -8,59 +8,27 @@ from functools import lru_cache
 from mpi4py import MPI
 
 import pytest
-from scenes import (
-    CLAMPED,
-    LOADED,
-    MASTER,
-    ROLLER,
-    SLAVE,
-    TRACTION,
-    YOUNG,
-    at,
-    beams_supports,
-    elasticity,
-    vector_space,
-)
-
-import ufl
-from dolfinx import fem
-
-from fenics_tfeti import ContactPair, ContactProblem
-from fenics_tfeti.io import Box, boxes, tag_facets
+from scenes import CLAMPED, LOADED, MASTER, ROLLER, SLAVE, TRACTION, YOUNG, Scene, at, support_beams
 
 
 @lru_cache(maxsize=None)
 def report(lower, upper, ratio, exchanged=False):
     """Return the report for numbers of elements over the beams' height and a ratio of moduli."""
-    parts = [Box((0, 0), (2, 1), (2 * lower, lower)), Box((1, 1), (3, 2), (2 * upper, upper))]
-    beams = boxes(MPI.COMM_SELF, parts, "quadrilateral")
+    parts = [((0, 0), (2, 1), (2 * lower, lower)), ((1, 1), (3, 2), (2 * upper, upper))]
     over = at(1, 1.0)
-    tags = tag_facets(
-        beams.mesh,
-        [
-            (CLAMPED, at(0, 0.0), 1),
-            (ROLLER, at(0, 3.0), 2),
-            (LOADED, at(1, 2.0), 2),
-            (SLAVE, lambda x: over(x) & (x[0] < 2.0 + 1e-9), 2),
-            (MASTER, over, 1),
-        ],
-        beams.cell_tags,
-    )
-    V = vector_space(beams.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    dx = ufl.Measure("dx", domain=beams.mesh, subdomain_data=beams.cell_tags)
-    ds = ufl.Measure("ds", domain=beams.mesh, subdomain_data=tags)
-    young = [fem.Constant(beams.mesh, YOUNG), fem.Constant(beams.mesh, ratio * YOUNG)]
-    traction = fem.Constant(beams.mesh, TRACTION)
-    roles = (MASTER, SLAVE) if exchanged else (SLAVE, MASTER)
-    problem = ContactProblem(
-        sum(elasticity(u, v, modulus, dx(k + 1)) for k, modulus in enumerate(young)),
-        -traction * v[1] * ds(LOADED),
-        bcs=beams_supports(V, tags),
-        contacts=ContactPair(tags, *roles, roles="given"),
-        cell_tags=beams.cell_tags,
-        options={"rtol": 1e-8, "subdomain_size": 300},
-    )
+    marks = [
+        (CLAMPED, at(0, 0.0), 1),
+        (ROLLER, at(0, 3.0), 2),
+        (LOADED, at(1, 2.0), 2),
+        (SLAVE, lambda x: over(x) & (x[0] < 2.0 + 1e-9), 2),
+        (MASTER, over, 1),
+    ]
+    young = {1: YOUNG, 2: ratio * YOUNG}
+    scene = Scene.of_boxes(MPI.COMM_SELF, "quadrilateral", parts, marks, young=young)
+    scene.add_load(LOADED, -TRACTION)
+    support_beams(scene)
+    scene.add_pair(*((MASTER, SLAVE) if exchanged else (SLAVE, MASTER)), roles="given")
+    problem = scene.problem(options={"rtol": 1e-8, "subdomain_size": 300})
     problem.solve()
     return problem.report
 

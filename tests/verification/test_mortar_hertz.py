@@ -11,12 +11,8 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import POISSON, elasticity, fixed, vector_space
+from scenes import POISSON, Scene
 
-import ufl
-from dolfinx import fem
-
-from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.io import read_msh, tag_facets
 
 gmsh = pytest.importorskip("gmsh")
@@ -80,20 +76,13 @@ def solved(path, gdim, sizes, slave, degree=1):
     markers += [(TOP, lambda x: np.isclose(x[up], R)), (BOTTOM, lambda x: np.isclose(x[up], -R))]
     markers += [(SIDES[k], lambda x, k=k: np.isclose(x[k], 0.0)) for k in range(up)]
     tags = tag_facets(domain, markers, bodies.cell_tags)
-    V = vector_space(domain, degree)
-    young = fem.Constant(domain, 1.0)
-    problem = ContactProblem(
-        elasticity(ufl.TrialFunction(V), ufl.TestFunction(V), young),
-        0,
-        bcs=[
-            fixed(V, tags, TOP, up, -DEPTH),
-            fixed(V, tags, BOTTOM, up),
-            *(fixed(V, tags, SIDES[k], k) for k in range(up)),
-        ],
-        contacts=[ContactPair(tags, slave, BALL + BLOCK - slave)],
-        cell_tags=bodies.cell_tags,
-        options={"rtol": 1e-6},
-    )
+    scene = Scene(domain, tags, bodies.cell_tags, degree, young=1.0)
+    scene.fix(TOP, up, -DEPTH)
+    scene.fix(BOTTOM, up)
+    for k in range(up):
+        scene.fix(SIDES[k], k)
+    scene.add_pair(slave, BALL + BLOCK - slave)
+    problem = scene.problem(options={"rtol": 1e-6})
     problem.solve()
     return problem
 

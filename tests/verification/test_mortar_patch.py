@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 from mortar_blocks import LOADED, LOWER, PRESSURE, SUPPORTED, UPPER, Blocks, solved
 from mortar_feet import FOOT, LOW, TABLE, WIDTH, foot_on_table
-from scenes import POISSON, YOUNG, fixed, vector_space
+from scenes import POISSON, YOUNG, axisymmetric_strain, elasticity
 
 import ufl
-from dolfinx.fem import Constant
-
-from fenics_tfeti import ContactPair, ContactProblem
-from fenics_tfeti.io import tag_facets
 
 CASES = {
     "same footprint, 1:1.4": {"lower": 5, "upper": 7},
@@ -87,32 +83,17 @@ def test_pairing_is_in_the_report():
 @pytest.mark.parametrize("slave", [LOWER, UPPER])
 def test_axisymmetric(slave):
     """With the weight of the measure; stress uniform along the axis, radial expansion linear."""
-    shape = Blocks("triangle", 5, 7)
-    beams = shape.mesh()
-    tags = tag_facets(beams.mesh, shape.markers(), beams.cell_tags)
-    V = vector_space(beams.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    r = ufl.SpatialCoordinate(beams.mesh)[0]
-    young, pressure = Constant(beams.mesh, YOUNG), Constant(beams.mesh, PRESSURE)
-
-    def strain(w):
-        e = ufl.sym(ufl.grad(w))
-        return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, w[0] / r]])
-
-    mu = young / (2 * (1 + POISSON))
-    lam = young * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
-    sigma = 2 * mu * strain(u) + lam * ufl.tr(strain(u)) * ufl.Identity(3)
-    ds = ufl.Measure("ds", domain=beams.mesh, subdomain_data=tags)
-    problem = ContactProblem(
-        ufl.inner(sigma, strain(v)) * r * ufl.dx,
-        -pressure * v[1] * r * ds(LOADED),
-        bcs=[fixed(V, tags, SUPPORTED[axis], axis) for axis in range(2)],
-        contacts=[ContactPair(tags, slave, LOWER + UPPER - slave)],
-        measure_weight=r,
-        options={"rtol": 1e-12, "subdomain_size": 150},
-    )
+    scene = Blocks("triangle", 5, 7).scene()
+    r = ufl.SpatialCoordinate(scene.mesh)[0]
+    scene.a = elasticity(scene.u, scene.v, scene.young * r, strain=axisymmetric_strain)
+    scene.L = -scene.constant(PRESSURE) * scene.v[1] * r * scene.ds(LOADED)
+    for axis in range(2):
+        scene.fix(SUPPORTED[axis], axis)
+    scene.add_pair(slave, LOWER + UPPER - slave)
+    options = {"rtol": 1e-12, "subdomain_size": 150}
+    problem = scene.problem(cell_tags=None, measure_weight=r, options=options)
     uh = problem.solve().x.array.reshape(-1, 2)
-    exact = PRESSURE / YOUNG * np.array([POISSON, -1.0]) * V.tabulate_dof_coordinates()[:, :2]
+    exact = PRESSURE / YOUNG * np.array([POISSON, -1.0]) * scene.V.tabulate_dof_coordinates()[:, :2]
     assert np.abs(uh - exact).max() < 1e-10 * np.abs(exact).max()
     np.testing.assert_allclose(problem.results[0].pressure, PRESSURE, rtol=1e-8)
     assert problem.results[0].normal_force.sum() == pytest.approx(0.5 * PRESSURE)

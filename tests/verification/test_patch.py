@@ -19,14 +19,14 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from mesh_arrays import concatenated, mesh_of, slit, tags_of, unstructured_block
-from scenes import at, elasticity, fixed, stress, vector_space
+from scenes import Scene, at, elasticity, fixed
 
 import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.io import tag_facets
+from fenics_tfeti.io import displacement_space, tag_facets
 
 pytest.importorskip("gmsh")
 
@@ -117,28 +117,19 @@ class Patch:
 
 def solved(cell: str, contact: str) -> Patch:
     domain, cell_tags, facet_tags = stack(cell, contact)
-    gdim = domain.geometry.dim
-    V = vector_space(domain)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    dx = ufl.Measure("dx", domain=domain, subdomain_data=cell_tags)
-    ds = ufl.Measure("ds", domain=domain, subdomain_data=facet_tags)
-    young = [fem.Constant(domain, modulus) for modulus in YOUNG]
-    pressure = fem.Constant(domain, PRESSURE)
-    a = sum(
-        ufl.inner(stress(u, E, nu), ufl.sym(ufl.grad(v))) * dx(k)
-        for k, (E, nu) in enumerate(zip(young, POISSON, strict=True))
+    scene, gdim = Scene(domain, facet_tags, cell_tags), domain.geometry.dim
+    scene.a = sum(
+        elasticity(scene.u, scene.v, scene.constant(young), scene.dx(k), nu)
+        for k, (young, nu) in enumerate(zip(YOUNG, POISSON, strict=True))
     )
-    L = -pressure * ufl.inner(ufl.FacetNormal(domain), v) * ds(LOADED)
-    problem = ContactProblem(
-        a,
-        L,
-        bcs=[fixed(V, facet_tags, SUPPORTED[axis], axis) for axis in range(gdim)],
-        contacts=[ContactPair(facet_tags, slave=LOWER[k], master=UPPER[k]) for k in range(2)],
-        cell_tags=cell_tags,
-        options={"rtol": 1e-12, "subdomain_size": SIZES[cell][1]},
-    )
+    scene.add_load(LOADED, -PRESSURE)
+    for axis in range(gdim):
+        scene.fix(SUPPORTED[axis], axis)
+    for k in range(2):
+        scene.add_pair(LOWER[k], UPPER[k])
+    problem = scene.problem(options={"rtol": 1e-12, "subdomain_size": SIZES[cell][1]})
     uh = problem.solve()
-    exact = exact_displacement(V, contact, cell_tags)
+    exact = exact_displacement(scene.V, contact, cell_tags)
     return Patch(problem, uh.x.array.reshape(-1, gdim), exact)
 
 
@@ -184,7 +175,7 @@ def test_closed_crack_is_as_if_it_were_not_there():
 
     outer = [(SUPPORTED[0], at(0, 0.0)), (SUPPORTED[1], at(1, 0.0)), (LOADED, at(0, 6.0))]
     facet_tags = tag_facets(domain, [*outer, (5, crack, 1), (6, crack, 2)], sides)
-    V = vector_space(domain)
+    V = displacement_space(domain)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     ds = ufl.Measure("ds", domain=domain, subdomain_data=facet_tags)
     young, pressure = fem.Constant(domain, YOUNG[0]), fem.Constant(domain, PRESSURE)

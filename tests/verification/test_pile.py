@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-import importlib.util
 from functools import lru_cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
-
-from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import elasticity, vector_space
+from mesh_arrays import of_script
+from scenes import Scene, plane
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle
-from fenics_tfeti.io import read_msh
+from fenics_tfeti import Plane
 
-pytest.importorskip("gmsh")
-
-SCRIPT = Path(__file__).parents[2] / "meshes" / "pile_of_cylinders.py"
 RADIUS, SPECIFIC_WEIGHT, YOUNG = 0.25, 9810.0, 0.5e9
 CIRCLE = SPECIFIC_WEIGHT * np.pi * RADIUS**2  # [N/m]
 # contact -> its body and the force on it, in units of a disc's weight
@@ -38,49 +30,27 @@ STATICS = {
 @lru_cache(maxsize=None)
 def meshed(dim, elements):
     """Return the bodies, meshed by the script of the demo."""
-    spec = importlib.util.spec_from_file_location("pile_mesh", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    with TemporaryDirectory() as folder:
-        module.pile_of_cylinders(Path(folder, "pile.msh"), dim, elements)
-        return read_msh(Path(folder, "pile.msh"), MPI.COMM_SELF, gdim=dim)
+    return of_script("pile_of_cylinders", dim, dim, elements)
 
 
 def solved(dim, elements, young=YOUNG):
     """Return the solved problem."""
     bodies = meshed(dim, elements)
-    mesh, facet_tags, tags = bodies.mesh, bodies.facet_tags, bodies.names
-    V = vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    weight = fem.Constant(mesh, SPECIFIC_WEIGHT)
-    x_axis, up = np.eye(dim)[:2]
+    scene, tags = Scene.of(bodies, young=young), bodies.names
+    scene.L = -scene.constant(SPECIFIC_WEIGHT) * scene.v[1] * ufl.dx
+    x_axis = np.eye(dim)[0]
 
     def radial(x):
         return np.array([x[0], x[1] - 2.6 * RADIUS, 0.0 * x[2]])[:dim]
 
-    contacts = []
     for side, sign in (("left", 1.0), ("right", -1.0)):
-        wall = Plane(-2.2 * sign * RADIUS * x_axis, sign * x_axis)
-        contacts += [
-            ContactPair(
-                facet_tags,
-                tags[f"top {side}"],
-                tags[f"{side} top"],
-                name=f"top {side}",
-                normal=radial,
-            ),
-            RigidObstacle(
-                facet_tags, tags[f"{side} floor"], Plane(0 * up, up), name=f"{side} floor"
-            ),
-            RigidObstacle(facet_tags, tags[f"{side} wall"], wall, name=f"{side} wall"),
-        ]
-    problem = ContactProblem(
-        elasticity(u, v, fem.Constant(mesh, young)),
-        -weight * v[1] * ufl.dx,
-        contacts=contacts,
-        cell_tags=bodies.cell_tags,
-        options={"rtol": 1e-8},
-    )
+        name = f"top {side}"
+        scene.add_pair(tags[name], tags[f"{side} top"], name=name, normal=radial)
+        name = f"{side} floor"
+        scene.add_obstacle(tags[name], plane(1, dim), name=name)
+        name, wall = f"{side} wall", Plane(-2.2 * sign * RADIUS * x_axis, sign * x_axis)
+        scene.add_obstacle(tags[name], wall, name=name)
+    problem = scene.problem(options={"rtol": 1e-8})
     problem.solve()
     return problem
 

@@ -11,27 +11,14 @@ on the radius of the disc, where the force is 6.5 and 2.2 % too large.
 
 from __future__ import annotations
 
-import runpy
-import tempfile
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
-
-from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import POISSON, elasticity, fixed, vector_space
+from mesh_arrays import of_script
+from scenes import POISSON, Scene
 
-import ufl
-from dolfinx import fem
-
-from fenics_tfeti import ContactProblem, RigidObstacle
-from fenics_tfeti.io import read_msh
-
-half_space = runpy.run_path(str(Path(__file__).parents[2] / "meshes" / "half_space.py"))[
-    "half_space"
-]
 RADIUS, DEPTH, YOUNG = 0.01, 1e-4, 2e9
 REDUCED = YOUNG / (1.0 - POISSON**2)
 
@@ -48,17 +35,12 @@ class Solved:
 
 
 def pushed(gdim: int, divisions: int) -> Solved:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "mesh.msh")
-        half_space(path, "quadrilateral" if gdim == 2 else "hexahedron", divisions, RADIUS)
-        tagged = read_msh(path, MPI.COMM_SELF, gdim)
-    mesh, facet_tags, tags = tagged.mesh, tagged.facet_tags, tagged.names
-    V = vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young, nothing = fem.Constant(mesh, YOUNG), fem.Constant(mesh, 0.0)
-    bcs = [fixed(V, facet_tags, tags["far"], None)]
-    for component, plane in enumerate(("symmetry_x", "symmetry_y")[: gdim - 1]):
-        bcs.append(fixed(V, facet_tags, tags[plane], component))
+    cell = "quadrilateral" if gdim == 2 else "hexahedron"
+    bodies = of_script("half_space", gdim, cell, divisions, RADIUS)
+    scene, tags = Scene.of(bodies, young=YOUNG), bodies.names
+    scene.fix(tags["far"])
+    for component, name in enumerate(("symmetry_x", "symmetry_y")[: gdim - 1]):
+        scene.fix(tags[name], component)
 
     def punch(x: Any) -> tuple[Any, Any]:
         below = np.linalg.norm(x[: gdim - 1], axis=0) < RADIUS * (1.0 + 1e-6)
@@ -66,13 +48,9 @@ def pushed(gdim: int, divisions: int) -> Solved:
         down[-1] = -1.0
         return np.where(below, -DEPTH, RADIUS), down
 
-    problem = ContactProblem(
-        elasticity(u, v, young),
-        nothing * v[0] * ufl.dx,
-        bcs=bcs,
-        contacts=[RigidObstacle(facet_tags, tags["top"], punch)],
-        options={"rtol": 1e-6, "preconditioner": "lumped", "subdomain_size": 6000},
-    )
+    scene.add_obstacle(tags["top"], punch)
+    options = {"rtol": 1e-6, "preconditioner": "lumped", "subdomain_size": 6000}
+    problem = scene.problem(cell_tags=None, options=options)
     problem.solve()
     contact = problem.results[0]
     r = np.linalg.norm(contact.coordinates[:, : gdim - 1], axis=1) / RADIUS

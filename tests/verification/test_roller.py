@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-import importlib.util
 from functools import lru_cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
-
-from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import POISSON, YOUNG, elasticity, fixed, vector_space
+from mesh_arrays import of_script
+from scenes import POISSON, YOUNG, Scene
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Along, ContactPair, ContactProblem, UnresistedMotion
-from fenics_tfeti.io import read_msh
+from fenics_tfeti import Along, UnresistedMotion
 
-pytest.importorskip("gmsh")
-
-SCRIPT = Path(__file__).parents[2] / "meshes" / "roller.py"
 RADIUS, LOAD = 0.1, 4e6  # [m], [N/m]
 HALF_WIDTH = np.sqrt(8 * LOAD * RADIUS * (1 - POISSON**2) / (np.pi * YOUNG))
 PEAK = 2 * LOAD / (np.pi * HALF_WIDTH)
@@ -30,39 +22,26 @@ PEAK = 2 * LOAD / (np.pi * HALF_WIDTH)
 @lru_cache(maxsize=None)
 def meshed(elements):
     """Return the bodies, meshed by the script of the demo."""
-    spec = importlib.util.spec_from_file_location("roller_mesh", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    with TemporaryDirectory() as folder:
-        module.roller_between_plates(Path(folder, "roller.msh"), elements)
-        return read_msh(Path(folder, "roller.msh"), MPI.COMM_SELF, gdim=2)
+    return of_script("roller", 2, elements, function="roller_between_plates")
 
 
 def problem(elements, slave, force=(0.0, 0.0)):
     """Return the problem with a force [N/m] on the roller."""
     bodies = meshed(elements)
-    mesh, facet_tags, tags = bodies.mesh, bodies.facet_tags, bodies.names
-    V = vector_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    dx = ufl.Measure("dx", domain=mesh, subdomain_data=bodies.cell_tags)
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
-    a = elasticity(u, v, fem.Constant(mesh, YOUNG))
-    down = fem.Constant(mesh, np.array([0.0, -LOAD / 0.4]))
-    body_force = fem.Constant(mesh, np.array(force) / (np.pi * RADIUS**2))
-    L = ufl.inner(down, v) * ds(tags["upper outer"])
-    L += ufl.inner(body_force, v) * dx(tags["roller"])
-    bcs = [fixed(V, facet_tags, tags["lower outer"], None)]
-    bcs += [fixed(V, facet_tags, tags[f"upper {side}"], 0) for side in ("left", "right")]
-    contacts = []
+    scene, tags = Scene.of(bodies), bodies.names
+    scene.add_load(tags["upper outer"], np.array([0.0, -LOAD / 0.4]))
+    body_force = scene.constant(np.array(force) / (np.pi * RADIUS**2))
+    scene.L += ufl.inner(body_force, scene.v) * scene.dx(tags["roller"])
+    scene.fix(tags["lower outer"])
+    for side in ("left", "right"):
+        scene.fix(tags[f"upper {side}"], 0)
     for where, plate in (("below", "lower"), ("above", "upper")):
         surfaces = tags[f"roller {where}"], tags[f"{plate} inner"]
         round_ = slave == "roller"
-        one, other = surfaces if round_ else surfaces[::-1]
         normal = (lambda x: x[:2]) if round_ else None
-        contacts.append(ContactPair(facet_tags, one, other, partners=Along((0, 1)), normal=normal))
-    return ContactProblem(
-        a, L, bcs=bcs, contacts=contacts, cell_tags=bodies.cell_tags, options={"rtol": 1e-9}
-    )
+        roles = surfaces if round_ else surfaces[::-1]
+        scene.add_pair(*roles, partners=Along((0, 1)), normal=normal)
+    return scene.problem(options={"rtol": 1e-9})
 
 
 def resultant(contact):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,12 +12,11 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import POISSON, elasticity, scalar_space, vector_space
+from scenes import POISSON, Scene, elasticity, scalar_space
 
-import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle
+from fenics_tfeti import Plane
 from fenics_tfeti.io import read_msh
 
 pytestmark = pytest.mark.once
@@ -66,39 +66,22 @@ class Loaded:
 
     def __init__(self, meshes, path, bearing, load, stiffer=1.0):
         bodies = read(meshes, path, meshes.solids_of(bearing))
-        mesh, tags, names = bodies.mesh, bodies.facet_tags, bodies.names
-        self.bearing = bearing
-        V = vector_space(mesh)
-        bore = ufl.Measure("ds", domain=mesh, subdomain_data=tags)(names["bore"])
-        area = fem.assemble_scalar(fem.form(fem.Constant(mesh, 1.0) * bore))
-        v = ufl.TestFunction(V)
-        outside = fem.locate_dofs_topological(V, 2, tags.find(names["outside"]))
-        pairs = [
-            ContactPair(
-                tags,
-                names[f"rollers {row} {side}"],
-                names[f"{side} raceway {row}"],
-                name=f"{side} {row}",
-                normal=bearing.away_from_axis(row),
-            )
-            for row in range(1, bearing.rows + 1)
-            for side in ("outer", "inner")
-        ]
-        if bearing.cage:
-            pairs += [
-                ContactPair(
-                    tags, names[f"pockets {row}"], names[f"rollers {row} side"], name=f"{row}"
-                )
-                for row in range(1, bearing.rows + 1)
-            ]
-        self.problem = ContactProblem(
-            elasticity(ufl.TrialFunction(V), v, young(bodies, stiffer)),
-            ufl.inner(fem.Constant(mesh, np.asarray(load) / area), v) * bore,
-            bcs=[fem.dirichletbc(np.zeros(3), outside, V)],
-            contacts=pairs,
-            cell_tags=bodies.cell_tags,
-            options={"rtol": 1e-4, "preconditioner": "dirichlet", "deflation": "on"},
-        )
+        names, self.bearing = bodies.names, bearing
+        scene = Scene.of(bodies)
+        scene.a = elasticity(scene.u, scene.v, young(bodies, stiffer))
+        bore = scene.ds(names["bore"])
+        area = fem.assemble_scalar(fem.form(scene.constant(1.0) * bore))
+        scene.add_load(names["bore"], np.asarray(load) / area)
+        scene.fix(names["outside"])
+        rows = range(1, bearing.rows + 1)
+        for row, side in itertools.product(rows, ("outer", "inner")):
+            surfaces = names[f"rollers {row} {side}"], names[f"{side} raceway {row}"]
+            normal = bearing.away_from_axis(row)
+            scene.add_pair(*surfaces, name=f"{side} {row}", normal=normal)
+        for row in rows if bearing.cage else ():
+            scene.add_pair(names[f"pockets {row}"], names[f"rollers {row} side"], name=f"{row}")
+        options = {"rtol": 1e-4, "preconditioner": "dirichlet", "deflation": "on"}
+        self.problem = scene.problem(options=options)
         self.problem.solve()
         self.forces = [c.normal_force @ c.normal for c in self.problem.results]
         by_outer = self.problem.results[: 2 * bearing.rows : 2]
@@ -189,26 +172,16 @@ def single_roller(meshes, path, bearing, approach):
     """Press a roller between rigid planes; return stations, their peaks and nodal forces."""
     solid = meshes.solids_of(replace(bearing, rollers=8, rows=1, cage=False))["roller 1"]
     bodies = read(meshes, path, {"roller": solid})
-    tags, names = bodies.facet_tags, bodies.names
     s, c = np.sin(bearing.alpha), np.cos(bearing.alpha)
     # the first roller is at -y: its axis and the direction outwards
     centre = np.array([0.0, -bearing.centre[0], bearing.centre[1]])
     axis, out = np.array([0.0, -s, c]), np.array([0.0, -c, -s])
     reach = bearing.radius - bearing.clearance / 2 - approach / 2
-    V = vector_space(bodies.mesh)
-    v = ufl.TestFunction(V)
-    planes = [
-        RigidObstacle(
-            tags, names[f"rollers 1 {side}"], Plane(centre + sign * reach * out, -sign * out)
-        )
-        for side, sign in (("outer", 1), ("inner", -1))
-    ]
-    problem = ContactProblem(
-        elasticity(ufl.TrialFunction(V), v, young(bodies)),
-        0,
-        contacts=planes,
-        options={"rtol": 1e-5},
-    )
+    scene = Scene.of(bodies)
+    for side, sign in (("outer", 1), ("inner", -1)):
+        flat = Plane(centre + sign * reach * out, -sign * out)
+        scene.add_obstacle(bodies.names[f"rollers 1 {side}"], flat)
+    problem = scene.problem(cell_tags=None, options={"rtol": 1e-5})
     problem.solve()
     outer, inner = problem.results
     assert outer.normal_force.sum() == pytest.approx(inner.normal_force.sum(), rel=1e-6)

@@ -25,8 +25,7 @@ def ladder(cell="quadrilateral"):
     domain = scene.mesh
     young = fem.Function(scalar_space(domain, "DG", 0))
     young.x.array[:] = YOUNG
-    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
-    scene.a = elasticity(u, v, young)
+    scene.a = elasticity(scene.u, scene.v, young)
     middles = domain.geometry.x[_compat.geometry_cells(domain)].mean(axis=1)
     places = np.column_stack([scene.cell_tags.values, np.floor(PER_METRE * middles)])
     boxes = np.unique(places, axis=0, return_inverse=True)[1].ravel()
@@ -64,9 +63,9 @@ def test_shared_or_not(cell, change, expected):
     problem = problem_of(changed)
     displacement = problem.solve().x.array
     assert matrices(problem) == problem.report.classes == expected
-    V = changed.scene.V
-    product = ufl.inner(ufl.TrialFunction(V), ufl.TestFunction(V))
-    changed.scene.a += nothing_but_labels(changed.scene.mesh, changed.boxes) * product * ufl.dx
+    scene = changed.scene
+    product = ufl.inner(scene.u, scene.v) * ufl.dx
+    scene.a += nothing_but_labels(scene.mesh, changed.boxes) * product
     other = problem_of(changed)
     reference = other.solve().x.array
     assert matrices(other) == other.report.subdomains

@@ -8,13 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import MASTER, POISSON, SIDE_X, SIDE_Y, SLAVE, YOUNG, at, elasticity, fixed
+from scenes import MASTER, POISSON, SIDE_X, SIDE_Y, SLAVE, YOUNG, Scene, at
 from strips import bend, strips
 
-import ufl
-from dolfinx import fem
-
-from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.io import tag_facets
 
 INNER, RADIUS, OUTER = 0.6, 1.0, 1.5
@@ -45,13 +41,11 @@ def rings(inner, outer, roles, **pair):
         return np.stack([radius * np.cos(angle), radius * np.sin(angle), 0 * angle], axis=1)
 
     bend(V, lambda x: np.ones(len(x), dtype=bool), polar)
-    young = fem.Constant(V.mesh, YOUNG)
-    problem = ContactProblem(
-        elasticity(ufl.TrialFunction(V), ufl.TestFunction(V), young),
-        0,
-        bcs=[fixed(V, tags, SIDE_X, 0), fixed(V, tags, SIDE_Y, 1)],
-        contacts=[ContactPair(tags, *roles, **pair)],
-    )
+    scene = Scene(V.mesh, tags)
+    scene.fix(SIDE_X, 0)
+    scene.fix(SIDE_Y, 1)
+    scene.add_pair(*roles, **pair)
+    problem = scene.problem()
     problem.solve()
     return problem
 

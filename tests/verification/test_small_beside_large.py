@@ -11,27 +11,18 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-import scenes
-from primal_reference import Obstacle, Pair, reference_solution
-from scenes import at
+from scenes import POISSON, YOUNG, Scene, at, axisymmetric_strain, elasticity
 
 import ufl
 from dolfinx import fem, mesh
 
-from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle, Sphere
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti import Plane, RigidObstacle, Sphere
+from fenics_tfeti.io import tag_facets
 
 # -- a soft body beside a stiff one that moves far -------------------------------------------------
 
 FIXED, SQUEEZED, LOWER, UPPER, HELD, LIFTED = 1, 2, 3, 4, 5, 6
 SQUEEZE, LIFT = 1e-4, 20e-3  # [m]
-
-
-def elasticity(u, v, young, poisson, dx):
-    mu, lmbda = young / 2 / (1 + poisson), young * poisson / (1 + poisson) / (1 - 2 * poisson)
-    strain = ufl.sym(ufl.grad(u))
-    stress = 2 * mu * strain + lmbda * ufl.tr(strain) * ufl.Identity(len(u))
-    return ufl.inner(stress, ufl.sym(ufl.grad(v))) * dx
 
 
 @lru_cache(maxsize=None)
@@ -41,11 +32,10 @@ def pad_and_bar():
     Beside it the end of a bar of steel, 1 m long, is lifted by 20 mm.
     """
     parts = [
-        Box((0, 0, 0), (0.1, 0.1, 0.05), (4, 4, 2)),
-        Box((0, 0, 0.05), (0.1, 0.1, 0.1), (4, 4, 2)),
-        Box((0.3, 0, 0), (1.3, 0.1, 0.1), (10, 2, 2)),
+        ((0, 0, 0), (0.1, 0.1, 0.05), (4, 4, 2)),
+        ((0, 0, 0.05), (0.1, 0.1, 0.1), (4, 4, 2)),
+        ((0.3, 0, 0), (1.3, 0.1, 0.1), (10, 2, 2)),
     ]
-    tagged = boxes(MPI.COMM_SELF, parts, "hexahedron")
     marks = [
         (FIXED, at(2, 0.0), 1),
         (LOWER, at(2, 0.05), 1),
@@ -54,47 +44,42 @@ def pad_and_bar():
         (HELD, at(0, 0.3), 3),
         (LIFTED, at(0, 1.3), 3),
     ]
-    tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
-    V = scenes.vector_space(tagged.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    dx = ufl.Measure("dx", domain=tagged.mesh, subdomain_data=tagged.cell_tags)
-    a = elasticity(u, v, 1e6, 0.45, dx((1, 2))) + elasticity(u, v, 2.1e11, 0.3, dx(3))
-    bcs = [scenes.fixed(V, tags, tag, None) for tag in (FIXED, HELD)]
-    bcs += [scenes.fixed(V, tags, SQUEEZED, i, (0.0, 0.0, -SQUEEZE)[i]) for i in range(3)]
-    bcs += [scenes.fixed(V, tags, LIFTED, 2, LIFT)]
-    zero = fem.Constant(tagged.mesh, 0.0)
-    exact = reference_solution(V, a, zero * v[0] * ufl.dx, bcs, tags, [Pair(UPPER, LOWER)])
-    return V, a, bcs, tags, tagged.cell_tags, dx, exact
+    scene = Scene.of_boxes(MPI.COMM_SELF, "hexahedron", parts, marks)
+    scene.a = of_pad(scene, scene.u, scene.v)
+    scene.a += elasticity(scene.u, scene.v, 2.1e11, scene.dx(3), 0.3)
+    scene.fix(FIXED)
+    scene.fix(HELD)
+    scene.fix(SQUEEZED, None, np.array([0.0, 0.0, -SQUEEZE]))
+    scene.fix(LIFTED, 2, LIFT)
+    scene.add_pair(UPPER, LOWER)
+    return scene, scene.reference()
+
+
+def of_pad(scene, u, v):
+    return elasticity(u, v, 1e6, scene.dx((1, 2)), 0.45)
 
 
 @pytest.mark.parametrize("method", ["active_set", "smalbe"])
 @pytest.mark.parametrize("rtol", [None, 1e-4])
 def test_rubber_beside_steel_that_moves(rtol, method):
-    V, a, bcs, tags, cell_tags, dx, exact = pad_and_bar()
+    scene, exact = pad_and_bar()
     options = {"method": method} | ({} if rtol is None else {"rtol": rtol})
-    problem = ContactProblem(
-        a,
-        0,
-        bcs=bcs,
-        contacts=ContactPair(tags, UPPER, LOWER),
-        cell_tags=cell_tags,
-        options=options,
-    )
+    problem = scene.problem(options=options)
     uh = problem.solve()
 
     def at_facets(tag):
-        dofs = fem.locate_dofs_topological(V, 2, tags.find(tag))
+        dofs = fem.locate_dofs_topological(scene.V, 2, scene.facet_tags.find(tag))
         return uh.x.array.reshape(-1, 3)[dofs, 2]
 
     np.testing.assert_allclose(at_facets(SQUEEZED), -SQUEEZE, rtol=1e-12)
     np.testing.assert_allclose(at_facets(LIFTED), LIFT, rtol=1e-12)
 
-    true, error = fem.Function(V), fem.Function(V)
+    true, error = fem.Function(scene.V), fem.Function(scene.V)
     true.x.array[:] = exact.displacement
     error.x.array[:] = uh.x.array - true.x.array
 
     def energy(w):
-        return fem.assemble_scalar(fem.form(elasticity(w, w, 1e6, 0.45, dx((1, 2)))))
+        return fem.assemble_scalar(fem.form(of_pad(scene, w, w)))
 
     assert np.sqrt(energy(error) / energy(true)) <= problem.report.options["rtol"]
     assert problem.report.converged
@@ -103,7 +88,6 @@ def test_rubber_beside_steel_that_moves(rtol, method):
 # -- obstacles far away ----------------------------------------------------------------------------
 
 TOP, BOTTOM, SIDE, UNDER = 1, 2, 3, 4
-YOUNG, POISSON = 2.1e11, 0.3
 
 
 def block(n=8):
@@ -118,11 +102,10 @@ def block(n=8):
 
 def pressed_in(domain, tags, contact, depth, options=None):
     """Push the block down onto an obstacle, in plane strain; return the force [N/m]."""
-    V = scenes.vector_space(domain)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    a = elasticity(u, v, YOUNG, POISSON, ufl.dx)
-    bcs = [scenes.fixed(V, tags, TOP, 1, -depth), scenes.fixed(V, tags, SIDE, 0)]
-    problem = ContactProblem(a, 0, bcs=bcs, contacts=contact, options=options)
+    scene = Scene(domain, tags)
+    scene.fix(TOP, 1, -depth)
+    scene.fix(SIDE, 0)
+    problem = scene.problem(contacts=contact, options=options)
     problem.solve()
     assert problem.report.converged
     assert problem.report.reactions[0].force[1] == pytest.approx(
@@ -171,25 +154,14 @@ def test_first_steps_of_a_rigid_ball(method):
     The mesh leaves 2 % at 6 elements on the radius of contact.
     """
     domain, tags = half_space()
-    V = scenes.vector_space(domain)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    r = ufl.SpatialCoordinate(domain)[0]
-    weight = 2 * ufl.pi * r
-    mu, lmbda = YOUNG / 2 / (1 + POISSON), YOUNG * POISSON / (1 + POISSON) / (1 - 2 * POISSON)
-
-    def epsilon(w):
-        e = ufl.sym(ufl.grad(w))
-        return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, w[0] / r]])
-
-    stress = lmbda * ufl.tr(epsilon(u)) * ufl.Identity(3) + 2 * mu * epsilon(u)
-    a = ufl.inner(stress, epsilon(v)) * weight * ufl.dx
-    depth = fem.Constant(domain, 0.0)
-    top = fem.locate_dofs_topological(V.sub(1), 1, tags.find(TOP))
-    bcs = [fem.dirichletbc(depth, top, V.sub(1)), scenes.fixed(V, tags, SIDE, 0)]
-    ball = RigidObstacle(tags, BOTTOM, Sphere((0.0, -BALL), BALL))
-    problem = ContactProblem(
-        a, 0, bcs=bcs, contacts=ball, options={"method": method}, measure_weight=weight
-    )
+    scene = Scene(domain, tags)
+    weight = 2 * ufl.pi * ufl.SpatialCoordinate(domain)[0]
+    scene.a = elasticity(scene.u, scene.v, YOUNG * weight, strain=axisymmetric_strain)
+    depth = scene.constant(0.0)
+    scene.fix(TOP, 1, depth)
+    scene.fix(SIDE, 0)
+    scene.add_obstacle(BOTTOM, Sphere((0.0, -BALL), BALL))
+    problem = scene.problem(options={"method": method}, measure_weight=weight)
     for d in DEPTHS:
         depth.value = -d
         problem.solve()
@@ -200,20 +172,14 @@ def test_first_steps_of_a_rigid_ball(method):
 @pytest.mark.parametrize("method", ["active_set", "smalbe"])
 def test_first_step_of_a_rigid_ball_on_a_coarse_mesh(method):
     """One node touches; the force is that of the same mesh solved directly."""
-    tagged = boxes(MPI.COMM_SELF, [Box((-0.1, -0.1, 0), (0.1, 0.1, 0.2), (8, 8, 8))], "hexahedron")
-    tags = tag_facets(tagged.mesh, [(TOP, at(2, 0.2)), (BOTTOM, at(2, 0.0))])
-    V = scenes.vector_space(tagged.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    a = elasticity(u, v, YOUNG, POISSON, ufl.dx)
-    bcs = [scenes.fixed(V, tags, TOP, i, -DEPTHS[0] * (i == 2)) for i in range(3)]
-    centre = (0.0, 0.0, -BALL)
-    ball = RigidObstacle(tags, BOTTOM, Sphere(centre, BALL))
+    parts = [((-0.1, -0.1, 0), (0.1, 0.1, 0.2), (8, 8, 8))]
+    marks = [(TOP, at(2, 0.2)), (BOTTOM, at(2, 0.0))]
+    scene = Scene.of_boxes(MPI.COMM_SELF, "hexahedron", parts, marks)
+    scene.fix(TOP, None, np.array([0.0, 0.0, -DEPTHS[0]]))
+    scene.add_obstacle(BOTTOM, Sphere((0.0, 0.0, -BALL), BALL))
     options = {"method": method, "subdomain_size": 500}
-    problem = ContactProblem(a, 0, bcs=bcs, contacts=ball, options=options)
+    problem, exact = scene.problem(cell_tags=None, options=options), scene.reference()
     problem.solve()
-    zero = fem.Constant(tagged.mesh, 0.0)
-    obstacle = Obstacle(BOTTOM, scenes.Ball(centre, BALL))
-    exact = reference_solution(V, a, zero * v[0] * ufl.dx, bcs, tags, [obstacle])
     force = exact.contacts[0].forces
     assert np.count_nonzero(force) == np.count_nonzero(problem.results[0].active) == 1
     assert [c.normal_force for c in problem.report.contacts] == pytest.approx(

@@ -7,15 +7,14 @@ import itertools
 from mpi4py import MPI
 
 import numpy as np
-import primal_reference as reference
 import pytest
-from scenes import POISSON, YOUNG, Plane, Scene, elasticity, vector_space
+from scenes import POISSON, YOUNG, Scene, at
 
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti import Plane
 
 pytestmark = pytest.mark.once
 
@@ -36,53 +35,38 @@ def face(cube, axis, end):
     return 10 * body_of(cube) + 2 * axis + end
 
 
-def at(axis, value):
-    return lambda x: np.isclose(x[axis], value)
-
-
 def contacts_of_stack(with_walls=True):
-    """Return (contact, cubes) for the 54 pairs, then for the floor and the walls."""
+    """Return (cubes, axis, end of the first) for the 54 pairs, then for the floor and the walls."""
     axes = np.eye(3, dtype=int)
     pairs, walls = [], []
     for cube, axis in itertools.product(CUBES, range(3)):
-        next_one, e = tuple(cube + axes[axis]), axes[axis]
+        next_one = tuple(cube + axes[axis])
         if next_one in CUBES:
-            pair = reference.Pair(face(next_one, axis, 0), face(cube, axis, 1), tuple(-e))
-            pairs.append((pair, (next_one, cube)))
+            pairs.append(((next_one, cube), axis, 0))
         elif axis < 2 and with_walls:
-            wall = Plane(tuple(3.0 * e), tuple(-e))
-            walls.append((reference.Obstacle(face(cube, axis, 1), wall), (cube,)))
+            walls.append(((cube,), axis, 1))
         if cube[axis] == 0 and (axis == 2 or with_walls):
-            wall = Plane(tuple(0.0 * e), tuple(e))
-            walls.append((reference.Obstacle(face(cube, axis, 0), wall), (cube,)))
+            walls.append(((cube,), axis, 0))
     return pairs + walls
 
 
 def stack(cell, n, power, weight=WEIGHT, walls=True):
     """Return the stack under the pressure p (x y / 9)^power on its top, and its own weight."""
-    parts = [Box(cube, np.add(cube, 1), (n, n, n)) for cube in CUBES]
-    tagged = boxes(MPI.COMM_SELF, parts, cell)
-    mesh = tagged.mesh
     faces = itertools.product(CUBES, range(3), (0, 1))
-    markers = [(face(c, i, end), at(i, c[i] + end), body_of(c)) for c, i, end in faces]
-    facet_tags = tag_facets(mesh, markers, tagged.cell_tags)
-    V = vector_space(mesh)
-    u, v, x = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
-    young, weighs = fem.Constant(mesh, YOUNG), fem.Constant(mesh, weight)
-    dx, ds = ufl.dx(domain=mesh), ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
+    marks = [(face(c, i, end), at(i, c[i] + end), body_of(c)) for c, i, end in faces]
+    parts = [(cube, np.add(cube, 1), (n, n, n)) for cube in CUBES]
+    scene = Scene.of_boxes(MPI.COMM_SELF, cell, parts, marks)
+    x, down = ufl.SpatialCoordinate(scene.mesh), -scene.v[2]
     top = tuple(face(cube, 2, 1) for cube in CUBES if cube[2] == 2)
-    return Scene(
-        mesh=mesh,
-        V=V,
-        a=elasticity(u, v, young),
-        L=-weighs * v[2] * dx - PRESSURE * (x[0] * x[1] / 9) ** power * v[2] * ds(top),
-        bcs=[],
-        contacts=[contact for contact, _ in contacts_of_stack(walls)],
-        facet_tags=facet_tags,
-        cell_tags=tagged.cell_tags,
-        total_forces=[],
-        kept=[young, weighs],
-    )
+    scene.L = scene.constant(weight) * down * scene.dx
+    scene.L += PRESSURE * (x[0] * x[1] / 9) ** power * down * scene.ds(top)
+    for (cube, *master), axis, end in contacts_of_stack(walls):
+        if master:
+            scene.add_pair(face(cube, axis, end), face(*master, axis, 1 - end))
+        else:
+            e = np.eye(3)[axis]
+            scene.add_obstacle(face(cube, axis, end), Plane(3.0 * end * e, (1 - 2 * end) * e))
+    return scene
 
 
 def solved(cell, power=4, weight=WEIGHT):
@@ -114,14 +98,14 @@ def forces_on_blocks(scene, problem):
         cells = scene.cell_tags.find(body_of(cube))
         nodes = fem.locate_dofs_topological(scene.V, 3, cells)
         add(cube, x[nodes], f[nodes])
-    for found, (_, cubes) in zip(problem.results, contacts_of_stack(), strict=True):
+    for found, (cubes, *_) in zip(problem.results, contacts_of_stack(), strict=True):
         for cube, sign in zip(cubes, (-1, 1), strict=False):
             add(cube, found.coordinates, sign * found.normal_force[:, None] * found.normal)
     return left.reshape(27, 6)
 
 
 def test_each_face_between_two_blocks_is_a_pair():
-    neighbours = [cubes for _, cubes in contacts_of_stack() if len(cubes) == 2]
+    neighbours = [cubes for cubes, *_ in contacts_of_stack() if len(cubes) == 2]
     assert len(neighbours) == 54
     assert sum((1, 1, 1) in cubes for cubes in neighbours) == 6
 
@@ -129,7 +113,7 @@ def test_each_face_between_two_blocks_is_a_pair():
 def assert_statics(scene, problem):
     """Without friction the neighbours and the walls push sideways only."""
     layers = np.zeros(3)
-    for found, (_, cubes) in zip(problem.results, contacts_of_stack(), strict=True):
+    for found, (cubes, *_) in zip(problem.results, contacts_of_stack(), strict=True):
         i, j, k = cubes[0]
         if abs(found.normal[0, 2]) > 0.5:
             expected = load_of_column(i, j) + WEIGHT * (3 - k)
@@ -182,7 +166,7 @@ def test_free_columns(cell):
     """
     problem = stack(cell, 2, 4, walls=False).problem(options={"rtol": 1e-8, "smalbe_rho": 10.0})
     problem.solve()
-    for found, (_, cubes) in zip(problem.results, contacts_of_stack(False), strict=True):
+    for found, (cubes, *_) in zip(problem.results, contacts_of_stack(False), strict=True):
         i, j, k = cubes[0]
         vertical = abs(found.normal[0, 2]) > 0.5
         expected = load_of_column(i, j) + WEIGHT * (3 - k) if vertical else 0.0

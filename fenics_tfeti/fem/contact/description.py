@@ -352,6 +352,41 @@ class TiedPair:
 Contact: TypeAlias = ContactPair | RigidObstacle
 
 
+@dataclass(frozen=True)
+class Exact:
+    """Contact conditions that are corrected until the deformed surfaces touch.
+
+    Each pass solves with the normals and gaps of the surfaces that the last one has deformed.
+
+    Attributes
+    ----------
+    tolerance : float
+        Penetration and separation of the deformed surfaces that count as none, relative to the
+        largest displacement; also the angle between contact forces and deformed normals.
+    max_passes : int
+        Limit on the number of passes.
+
+    Examples
+    --------
+    >>> Exact(tolerance=1e-4)
+    Exact(tolerance=0.0001, max_passes=20)
+    """
+
+    tolerance: float = 1e-3
+    max_passes: int = 20
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        if not is_number(self.tolerance) or self.tolerance <= 0.0:
+            raise InputError(
+                f"Exact: the tolerance is {self.tolerance!r}; a positive number is expected, "
+                "relative to the largest displacement"
+            )
+        count = self.max_passes
+        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
+            raise InputError(f"Exact: max_passes is {count!r}; a positive integer is expected")
+
+
 def contact_name(contact: Contact, number: int) -> str:
     """Return a contact's name, by default from its number and kind."""
     kind = "pair" if isinstance(contact, ContactPair) else "obstacle"

@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
 from mpi4py import MPI
@@ -31,7 +32,7 @@ from fenics_tfeti.parallel import raise_collectively
 _COLLECTION = """<?xml version="1.0"?>
 <VTKFile type="Collection" version="0.1">
   <Collection>
-    <DataSet timestep="0" part="0" file={} />
+{}
   </Collection>
 </VTKFile>
 """
@@ -86,10 +87,16 @@ def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Fu
     return result
 
 
-def write_fields(path: str | os.PathLike[str], functions: Function | Sequence[Function]) -> None:
+def write_fields(
+    path: str | os.PathLike[str],
+    functions: Function | Sequence[Function],
+    time: float | None = None,
+) -> None:
     """Write fields to files for ParaView: `path` and the files that it refers to. Collective.
 
-    Under MPI each rank writes its part.
+    Under MPI each rank writes its part. Calls with a growing `time` make a series: a step is added
+    to those that the file has, in place of any of the same time or later. A run that starts again
+    so replaces the series, and one that goes on from a checkpoint continues it.
 
     Parameters
     ----------
@@ -99,6 +106,8 @@ def write_fields(path: str | os.PathLike[str], functions: Function | Sequence[Fu
         Scalar and vector fields on one mesh, continuous of degree 1 or 2 or constant on each cell.
         Each is written under its ``name``; the names have to differ. With one of degree 2, or cells
         of degree 2, continuous ones are all written as such.
+    time : float, optional
+        Time, load factor or number of the step. By default the file has these fields alone.
 
     Raises
     ------
@@ -115,6 +124,8 @@ def write_fields(path: str | os.PathLike[str], functions: Function | Sequence[Fu
     comm = mesh.comm
     with raise_collectively(comm):
         _check_fields(path, functions)
+        if time is not None and not np.isfinite(time):
+            raise InputError(f"time is {time}; expected a number")
     degree = max(_compat.geometry_degree(mesh), *(field_degree(function) for function in functions))
     # the writer takes continuous fields of one degree
     functions = [raised_to_degree(function, degree) for function in functions]
@@ -132,7 +143,8 @@ def write_fields(path: str | os.PathLike[str], functions: Function | Sequence[Fu
             _write_piece(folder / str(comm.rank), functions)
         with raise_collectively(comm), _named(path):
             if comm.rank == 0:
-                _move_files(folder, path, comm.size)
+                earlier = [] if time is None else _earlier_steps(path, time)
+                _move_files(folder, path, comm.size, earlier, time or 0.0)
 
 
 def _write_piece(folder: Path, functions: Sequence[Function]) -> None:
@@ -178,15 +190,37 @@ def _named(path: Path) -> Iterator[None]:
         raise OSError(error.errno, f"fields cannot be written: {reason}", str(path)) from None
 
 
-def _move_files(folder: Path, path: Path, ranks: int) -> None:
+def _earlier_steps(path: Path, time: float) -> list[tuple[float, str]]:
+    """Return times and files of the steps before a time in a collection, if there is one."""
+    if not path.exists():
+        return []
+    try:
+        entries = [entry.attrib for entry in ElementTree.parse(path).iter("DataSet")]
+        steps = [(float(entry["timestep"]), entry["file"]) for entry in entries]
+    except (ElementTree.ParseError, KeyError, ValueError):
+        raise InputError(f"{path} is not a collection of ParaView: choose another name") from None
+    return [step for step in steps if step[0] < time]
+
+
+def _move_files(
+    folder: Path, path: Path, ranks: int, earlier: list[tuple[float, str]], time: float
+) -> None:
     """Move the files of all ranks to where they belong, the collection last."""
-    index = next((folder / "0").glob("*.pvtu"))
-    pieces = [f"{path.stem}_p{rank}_000000.vtu" for rank in range(ranks)]
+    index, step = next((folder / "0").glob("*.pvtu")), f"{len(earlier):06d}"
+    pieces = [f"{path.stem}_p{rank}_{step}.vtu" for rank in range(ranks)]
     _compat.list_pieces(index, pieces)
     collection = folder / "collection.pvd"
-    collection.write_text(_COLLECTION.format(quoteattr(f"{path.stem}000000.pvtu")))
+    steps = [*earlier, (time, f"{path.stem}{step}.pvtu")]
+    collection.write_text(
+        _COLLECTION.format(
+            "\n".join(
+                f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(name)} />'
+                for time, name in steps
+            )
+        )
+    )
     targets = {next((folder / str(rank)).glob("*.vtu")): pieces[rank] for rank in range(ranks)}
-    targets |= {index: f"{path.stem}000000.pvtu", collection: path.name}
+    targets |= {index: steps[-1][1], collection: path.name}
     for name in targets.values():
         if path.with_name(name).is_dir():
             raise OSError(errno.EISDIR, f"{name} is a folder")
@@ -286,7 +320,7 @@ def piecewise_constant(mesh: Mesh, cell_tags: Any, values: Mapping[int, float]) 
 
 
 def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> list[Function]:
-    """Return the contact results as fields, zero where there is no contact. Collective.
+    """Return the contact results as fields. Collective.
 
     Parameters
     ----------
@@ -300,10 +334,11 @@ def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> list[Functio
     -------
     list of Function
         "contact_pressure" [Pa], "contact_force" [N] (normal, times the outward normal),
-        "initial_gap" and "opening", the gaps before and after the solve [m], which are NaN where a
-        contact has no obstacle: where all gaps are infinite. The integral of the pressure over a
-        slave surface is the contact's force in the report, where it is covered wholly; where the
-        slave sticks out of the master, the sum of ``pressure * area`` of the `ContactResult` is.
+        "initial_gap" and "opening", the gaps before and after the solve [m], which are NaN off the
+        surfaces and where a contact has no obstacle (in forms, fill them by ``numpy.nan_to_num``);
+        all else is zero there. The integral of the pressure over a slave surface is the contact's
+        force in the report, where it is covered wholly; where the slave sticks out of the master,
+        the sum of ``pressure * area`` of the `ContactResult` is.
         They are of degree 1: for displacements of degree 2 as well, contact is at the vertices.
         Some versions of dolfinx compile no form of a field whose name has spaces. Where a contact
         has friction also "friction_traction" [Pa], on the slave, and "slip" [m], vectors, and
@@ -321,7 +356,6 @@ def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> list[Functio
     to_scalar, to_vector = np.zeros((2, size), dtype=np.int64)
     to_scalar[vertex_nodes(space)] = vertex_nodes(scalar)
     to_vector[vertex_nodes(space)] = vertex_nodes(vector)
-    in_contact = np.zeros(len(gap.x.array), dtype=bool)
     gap.x.array[:] = opening.x.array[:] = np.inf
     traction, slip = (Function(vector, name=name) for name in ("friction_traction", "slip"))
     for contact in contacts:
@@ -330,7 +364,6 @@ def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> list[Functio
         nodes = contact.dofs
         scalar_dofs = to_scalar[nodes]
         pressure.x.array[scalar_dofs] += contact.pressure
-        in_contact[scalar_dofs] = True
         gap.x.array[scalar_dofs] = np.minimum(gap.x.array[scalar_dofs], contact.gap)
         opening.x.array[scalar_dofs] = np.minimum(opening.x.array[scalar_dofs], contact.opening)
         components = block * to_vector[nodes][:, None] + np.arange(block)
@@ -342,8 +375,7 @@ def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> list[Functio
                 state.x.array[scalar_dofs], contact.friction.state
             )
     for field in (gap, opening):
-        infinite = np.isinf(field.x.array)
-        field.x.array[infinite] = np.where(in_contact[infinite], np.nan, 0.0)
+        field.x.array[np.isinf(field.x.array)] = np.nan
     fields = [pressure, force, gap, opening]
     if any(contact.friction is not None for contact in contacts):
         fields += [traction, slip, state]

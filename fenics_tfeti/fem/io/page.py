@@ -12,19 +12,23 @@ import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
 from fenics_tfeti.fem.io.scene import Scene
+from fenics_tfeti.fem.units import Units, units_of
 
 _STYLE = Path(__file__).with_name("page.css")
-_UNITS = {"displacement": "m", "contact_pressure": "Pa", "von_mises_stress": "Pa"}
+_QUANTITIES = {
+    "displacement": "length", "contact_pressure": "pressure", "von_mises_stress": "pressure",
+}  # fmt: skip
 _MAGNIFICATIONS = np.linspace(0.0, 2.0, 5)  # relative to that which makes displacements visible
 
 
 def report_page(report: Mapping[str, Any], title: str, scene: Scene | None = None) -> str:
     """Return the page for what `ContactReport.to_dict` returns; it contains Plotly's JavaScript."""
-    body = [_verdict(report, title)]
+    units = units_of(report["options"]["units"])
+    body = [_verdict(report, title, units)]
     if scene is not None:
-        body += ["<h2>Deformed bodies</h2>", _div("bodies", _bodies(scene))]
-    body += _contacts(report)
-    body += ["<h2>Convergence</h2>", _div("convergence", _convergence(report))]
+        body += ["<h2>Deformed bodies</h2>", _div("bodies", _bodies(scene, units))]
+    body += _contacts(report, units)
+    body += ["<h2>Convergence</h2>", _div("convergence", _convergence(report, units))]
     if report["passes"]:
         body += ["<h2>Geometry passes</h2>", _div("passes", _passes(report["passes"]))]
     body += _certificate(report)
@@ -52,7 +56,7 @@ def _div(name: str, figure: go.Figure) -> str:
     return f'<div class="figure {name}">{plot}</div>'
 
 
-def _verdict(report: Mapping[str, Any], title: str) -> str:
+def _verdict(report: Mapping[str, Any], title: str, units: Units) -> str:
     kind = "verdict" if report["converged"] else "verdict open"
     error = _number(report["certificate"]["error"])
     unknowns, products = report["unknowns"], report["products"]
@@ -65,23 +69,31 @@ def _verdict(report: Mapping[str, Any], title: str) -> str:
         *([("friction", friction)] if unknowns["friction"] else []),
         ("products with F", products["total"]),
         ("time", f"{report['seconds']['total']:.3g} s, MPI ranks: {report['ranks']}"),
-        ("potential energy", f"{_number(report['energy'])} J"),
+        ("potential energy", f"{_number(report['energy'])} {units.energy}"),
         *(("free motion", motion) for motion in report["free_motions"]),
         *(("weak motion", motion) for motion in report["weak_motions"]),
     ]
     return f'<h1>{escape(title)}</h1>\n<div class="{kind} wide">{_table(facts)}</div>'
 
 
-def _contacts(report: Mapping[str, Any]) -> list[str]:
+def _contacts(report: Mapping[str, Any], units: Units) -> list[str]:
     contacts, has_friction = report["contacts"], bool(report["unknowns"]["friction"])
     if not contacts:
         return []
-    rows: list[Sequence[Any]] = [("contact", "normal force [N]", "force on the slave [N]", "pairs")]
+    force = f"[{units.force}]"
+    rows: list[Sequence[Any]] = [
+        ("contact", f"normal force {force}", f"force on the slave {force}", "pairs")
+    ]
     if has_friction:
-        rows = [(*rows[0], "work of friction [J]")]
+        rows = [(*rows[0], f"work of friction [{units.energy}]")]
     for contact in contacts:
-        force, vector = contact["normal_force"], ", ".join(map(_number, contact["force"]))
-        row = (contact["name"], _number(force), vector, contact["pairing"]["pairs"])
+        vector = ", ".join(map(_number, contact["force"]))
+        row = (
+            contact["name"],
+            _number(contact["normal_force"]),
+            vector,
+            contact["pairing"]["pairs"],
+        )
         rows.append((*row, _number(contact["friction_work"])) if has_friction else row)
     return ["<h2>Contact</h2>", f'<div class="wide">{_table(rows, head=True)}</div>']
 
@@ -132,10 +144,10 @@ def _positive(values: Iterable[float | None]) -> list[float | None]:
     return [value if value is not None and value > 0.0 else None for value in values]
 
 
-def _convergence(report: Mapping[str, Any]) -> go.Figure:
+def _convergence(report: Mapping[str, Any], units: Units) -> go.Figure:
     """Return the residuals of the last solution by products with F."""
     curves = [
-        ("faces", "residual", "active set: residual [m]"),
+        ("faces", "residual", f"active set: residual [{units.length}]"),
         ("history", "gradient", "SMALBE-M: |g^P| / |b|"),
         ("history", "constraint", "SMALBE-M: |Gx| / |b|"),
     ]
@@ -181,7 +193,7 @@ def _phases(seconds: Mapping[str, float]) -> go.Figure:
     return go.Figure(bars, {"xaxis": {"title": "seconds"}, "margin": margin})
 
 
-def _bodies(scene: Scene) -> go.Figure:
+def _bodies(scene: Scene, units: Units) -> go.Figure:
     """Return the deformed bodies, with a menu of fields and a slider of the magnification.
 
     Both are frames, of which Plotly writes the arrays as bytes.
@@ -191,7 +203,7 @@ def _bodies(scene: Scene) -> go.Figure:
     def places(scale: float) -> dict[str, Any]:
         return dict(zip("xyz", (points + np.float32(scale) * displacement).T, strict=True))
 
-    colours = {name.replace("_", " "): _colours(scene, name) for name in scene.fields}
+    colours = {name.replace("_", " "): _colours(scene, name, units) for name in scene.fields}
     scales = {f"{scale:.3g}": places(scale) for scale in scene.scale * _MAGNIFICATIONS}
     middle = len(scales) // 2
     mesh = go.Mesh3d(
@@ -231,9 +243,11 @@ def _bodies(scene: Scene) -> go.Figure:
     return go.Figure(mesh, layout, frames)
 
 
-def _colours(scene: Scene, name: str) -> dict[str, Any]:
+def _colours(scene: Scene, name: str, units: Units) -> dict[str, Any]:
     values = scene.fields[name]
-    label = f"{name.replace('_', ' ')} [{_UNITS[name]}]" if name in _UNITS else name
+    label = name.replace("_", " ")
+    if name in _QUANTITIES:
+        label += f" [{getattr(units, _QUANTITIES[name])}]"
     bar = {"title": {"text": label, "side": "top"}, "orientation": "h", "y": 0, "len": 0.9}
     return {
         "intensity": values.astype(np.float32),

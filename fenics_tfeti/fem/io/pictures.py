@@ -26,18 +26,13 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io.fields import field_degree, raised_to_degree
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_type, owned_cells
+from fenics_tfeti.fem.units import UnitSystem, units_of
 from fenics_tfeti.feti.files.arrays import folder_of, write_arrays, write_whole
 from fenics_tfeti.parallel import raise_collectively
 
 _log = logging.getLogger(__name__)
 
 _RENDER = Path(__file__).with_name("_render.py")
-
-# units in SI units
-_IN_SI = {
-    "": 1.0, "m": 1.0, "mm": 1e-3, "µm": 1e-6, "Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9,
-    "N": 1.0, "kN": 1e3, "MN": 1e6,
-}  # fmt: skip
 
 
 def draw_deformed(
@@ -47,6 +42,7 @@ def draw_deformed(
     *,
     label: str | None = None,
     unit: str = "",
+    units: UnitSystem = "SI",
     title: str = "",
     scale: float | None = None,
     camera: Sequence[float] = (-0.6, -1.0, 0.55),
@@ -65,13 +61,15 @@ def draw_deformed(
     displacement : dolfinx.fem.Function
         Continuous of degree 1 or 2, with one component for each dimension of the mesh [m].
     colour : dolfinx.fem.Function, optional
-        A scalar, continuous of degree 1 or 2 or constant on each cell, in SI units. By default the
-        magnitude of the displacement.
+        A scalar, continuous of degree 1 or 2 or constant on each cell. By default the magnitude of
+        the displacement.
     label : str, optional
         Title of the colour bar; by default the name of `colour`.
     unit : str
-        Unit of the colour bar, to which values are converted from SI units: m, mm, µm, Pa, kPa,
-        MPa, GPa, N, kN or MN. By default values are not converted.
+        Unit of the colour bar, to which values are converted: m, mm, µm, Pa, kPa, MPa, GPa, N, kN
+        or MN. By default values are not converted.
+    units : {"SI", "mm-N-MPa"}
+        The units that mesh and field have.
     title : str
         Title of the picture.
     scale : float, optional
@@ -105,8 +103,7 @@ def draw_deformed(
         _check_path(path)
         check_displacement(displacement)
         check_colour(displacement, colour)
-        if unit not in _IN_SI:
-            raise InputError(f"unknown unit '{unit}'; choose one of {', '.join(_IN_SI)[2:]}")
+        factor = units_of(units).factor(unit)
         if comm.rank == 0:
             _require("pyvista")
     view = gather_mesh(displacement, colour)
@@ -118,7 +115,7 @@ def draw_deformed(
             name = label or field.replace("_", " ")
             data = {
                 **vars(view),
-                "colours": view.colours / _IN_SI[unit],
+                "colours": view.colours * factor,
                 "scale": scale,
                 "title": title,
                 "label": f"{name} [{unit}]" if unit else name,

@@ -265,11 +265,11 @@ def _check_decided_rows(
     if tied[k]:
         raise InputError(
             f"prescribed displacements contradict {np.count_nonzero(tied[violated])} tied "
-            f"conditions: at slave node {contacts.slave[k]} they leave a jump of {-gap[k]:g} m. "
+            f"conditions: at slave node {contacts.slave[k]} they leave a jump of {-gap[k]:g}. "
             "Prescribe the same displacements on both surfaces, or take the nodes out of the pair"
         )
     raise InputError(
         f"prescribed displacements violate {violated.size} contact conditions: at slave node "
-        f"{contacts.slave[k]} they close the gap of {distance:g} m by {distance - gap[k]:g} m. "
+        f"{contacts.slave[k]} they close the gap of {distance:g} by {distance - gap[k]:g}. "
         "Prescribe less, or take the nodes out of the contact"
     )

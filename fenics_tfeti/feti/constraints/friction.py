@@ -268,7 +268,7 @@ def check_slides(
         k = decided[np.flatnonzero(sliding)[0]]
         raise InputError(
             f"friction: prescribed displacements slide {np.count_nonzero(sliding)} contact rows in "
-            f"one tangential direction and leave the other free, the first by {-gap[k]:g} m at "
+            f"one tangential direction and leave the other free, the first by {-gap[k]:g} at "
             f"slave node {contacts.slave[k]}. Prescribe both directions, or take friction out"
         )
 

@@ -165,25 +165,37 @@ class Report:
 
     def __str__(self) -> str:
         """Return the main figures as lines to read."""
-        unknowns, products = self.unknowns, self.products
+        return self.summary()
+
+    def summary(self, force_unit: str = "") -> str:
+        """Return the main figures as lines to read, forces with a unit."""
+        unknowns, products, unit = self.unknowns, self.products, f" {force_unit}".rstrip()
         lines = {
+            "result": self.reason,
+            "error": f"at most {self.certificate.worst:.1e}, relative, in the energy norm",
             "unknowns": f"{unknowns['primal']}, in {self.subdomains} subdomains",
             "contact": f"{unknowns['active']} of {unknowns['inequalities']} rows active",
             "friction": f"{unknowns['sticking']} of {unknowns['friction']} nodes stick",
             "products with F": f"{products['total']}, and {products['norm']} for its norm",
-            "error": f"at most {self.certificate.worst:.1e}, relative, in the energy norm",
-            "time": f"{self.seconds['total']:.2f} s, MPI ranks: {self.ranks}",
+            "preconditioner": self.preconditioner,
+            "deflation": f"{self.deflation['vectors']} directions",
+            "time": f"{self.seconds['total']:.2f} s ({self._slowest()}), MPI ranks: {self.ranks}",
         }
-        if not unknowns["friction"]:
-            del lines["friction"]
-        rows = list(lines.items())
+        has = {"friction": unknowns["friction"], "deflation": self.deflation["vectors"]}
+        rows = [(name, line) for name, line in lines.items() if has.get(name, True)]
         rows += [
-            ("force on slave", f"{format_point(c.force)} of {c.name!r}") for c in self.contacts
+            ("force on slave", f"{format_point(c.force)}{unit} of {c.name!r}")
+            for c in self.contacts
         ]
         rows += [("free motion", motion) for motion in self.free_motions]
         rows += [("weak motion", motion) for motion in self.weak_motions]
-        rows.append(("result", self.reason))
         return "\n".join(f"{name:>16}  {value}" for name, value in rows)
+
+    def _slowest(self) -> str:
+        """Return the three phases that took longest."""
+        phases = {name: time for name, time in self.seconds.items() if name != "total"}
+        longest = sorted(phases, key=lambda name: -phases[name])[:3]
+        return ", ".join(f"{name} {phases[name]:.2f}" for name in longest)
 
     def to_json(self, path: str | os.PathLike[str]) -> None:
         """Write the report as JSON, and never half a file. Collective; rank 0 of `comm` writes.

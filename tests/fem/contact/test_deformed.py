@@ -9,14 +9,15 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from moved_blocks import CELLS, blocks, lifted, shifted, turned
-from scenes import GROUND, Ball, dimension, vector_space
+from scenes import GROUND, dimension
 
 from dolfinx import fem
 
-from fenics_tfeti import Nearest, Plane, RigidObstacle
+from fenics_tfeti import Nearest, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.deformed import deformed_contact
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+from fenics_tfeti.io import displacement_space
 
 COMM = MPI.COMM_WORLD
 
@@ -236,7 +237,7 @@ def at_obstacle(scene, surface, motion, **arguments):
     gdim = scene.mesh.geometry.dim
     before = RigidObstacle(scene.facet_tags, GROUND, Plane([0.0] * gdim, [*[0] * (gdim - 1), 1]))
     matched = scene.pairing(before)
-    result = deformed_contact(MeshBoundary.of(scene.space), contact, matched, uh, **arguments)
+    result = deformed_contact(MeshBoundary.of(scene.V), contact, matched, uh, **arguments)
     u = uh.x.array.reshape(-1, gdim)[matched.slave]
     return matched, result, matched.coordinates[:, :gdim] + u, u
 
@@ -265,7 +266,7 @@ def test_penetration_of_a_plane(cell):
 @every_cell
 def test_ball_is_evaluated_at_the_deformed_place(cell):
     gdim = dimension(cell)
-    ball = Ball((1.2, 0.4, -2.0) if gdim == 3 else (1.2, -2.0, 0.0), 2.1)
+    ball = Sphere((1.2, 0.4, -2.0) if gdim == 3 else (1.2, -2.0), 2.1)
     _, result, y, u = at_obstacle(blocks(cell), ball, turned(0.3, gdim, shift=0.2)[1])
     outwards = y - np.array(ball.centre)[:gdim]
     distance = np.linalg.norm(outwards, axis=1)
@@ -307,9 +308,9 @@ def test_obstacle_that_is_undefined_where_the_body_went(wrong):
 def test_displacement_on_another_space():
     scene = blocks("triangle")
     matched = scene.pairing(scene.pair)
-    other = fem.Function(vector_space(scene.mesh, degree=2))
+    other = fem.Function(displacement_space(scene.mesh, degree=2))
     with pytest.raises(InputError, match="another function space"):
-        deformed_contact(MeshBoundary.of(scene.space), scene.pair, matched, other)
+        deformed_contact(MeshBoundary.of(scene.V), scene.pair, matched, other)
 
 
 def test_displacement_that_is_not_finite():
@@ -341,7 +342,7 @@ def deformed(cell, comm, kind):
     """Return places and results at the slave nodes of this rank."""
     scene = blocks(cell, n=4, comm=comm)
     gdim = dimension(cell)
-    ball = Ball((1.4, 0.4, -2.0) if gdim == 3 else (1.4, -2.0, 0.0), 2.1)
+    ball = Sphere((1.4, 0.4, -2.0) if gdim == 3 else (1.4, -2.0), 2.1)
     contact = {
         "pair": scene.pair,
         "obstacle": scene.obstacle(ball),
@@ -349,7 +350,7 @@ def deformed(cell, comm, kind):
     }[kind]
     known = scene.obstacle(ball) if kind == "gap alone" else contact
     pairing, uh = scene.pairing(known), scene.displacement(*motions(gdim))
-    return pairing.coordinates, deformed_contact(MeshBoundary.of(scene.space), contact, pairing, uh)
+    return pairing.coordinates, deformed_contact(MeshBoundary.of(scene.V), contact, pairing, uh)
 
 
 @pytest.mark.ranks(2)
@@ -372,7 +373,7 @@ def test_result_is_that_of_one_rank(cell, kind):
 def test_ghosts_of_the_displacement_are_brought_up_to_date():
     scene = blocks("triangle", comm=COMM)
     pairing, uh = scene.pairing(scene.pair), scene.displacement()
-    result = deformed_contact(MeshBoundary.of(scene.space), scene.pair, pairing, uh)
+    result = deformed_contact(MeshBoundary.of(scene.V), scene.pair, pairing, uh)
     assert np.isfinite(uh.x.array).all()
     np.testing.assert_allclose(result.gap, 0.1, atol=1e-14)
 
@@ -380,8 +381,8 @@ def test_ghosts_of_the_displacement_are_brought_up_to_date():
 @pytest.mark.ranks(2)
 def test_error_of_one_rank_is_raised_on_all():
     scene = blocks("triangle", comm=COMM)
-    pairing, uh = scene.pairing(scene.pair), fem.Function(scene.space)
+    pairing, uh = scene.pairing(scene.pair), fem.Function(scene.V)
     if COMM.rank == COMM.size - 1:
         uh.x.array[0] = np.nan
     with pytest.raises(InputError, match="NaN"):
-        deformed_contact(MeshBoundary.of(scene.space), scene.pair, pairing, uh)
+        deformed_contact(MeshBoundary.of(scene.V), scene.pair, pairing, uh)

@@ -9,12 +9,12 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from friction_scenes import pushed_cube
-from scenes import scalar_space, vector_space
+from scenes import scalar_space
 
 from dolfinx.fem import Function
 
 from fenics_tfeti import Coulomb, InputError, Tresca, UnresistedMotion
-from fenics_tfeti.io import Box, boxes
+from fenics_tfeti.io import Box, boxes, displacement_space
 
 COMM = MPI.COMM_WORLD
 
@@ -71,12 +71,14 @@ def test_functions_of_wrong_spaces():
     mesh = scene.problem.space.mesh
     for given, message in (
         (on_other_mesh(scene), "Function on another mesh"),
-        (Function(vector_space(mesh)), "shape .*; a scalar one"),
+        (Function(displacement_space(mesh)), "shape .*; a scalar one"),
         (Function(scalar_space(mesh, degree=2)), "of degree 2"),
         (Function(scalar_space(mesh, "DG", 0)), "Discontinuous Lagrange elements of degree 0"),
     ):
         contact = scene.problem.contacts[0]
-        changed = type(contact)(scene.tags, contact.slave, contact.obstacle, friction=Tresca(given))
+        changed = type(contact)(
+            contact.facet_tags, contact.slave, contact.obstacle, friction=Tresca(given)
+        )
         scene.problem.contacts = [changed]
         with pytest.raises(InputError, match=message):
             scene.problem.solve()

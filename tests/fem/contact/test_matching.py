@@ -7,27 +7,14 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import scenes
-from scenes import CLAMPED, GROUND, LOADED, MASTER, ROLLER, SIDE_X, SLAVE, TRACTION, YOUNG, at
+from scenes import CLAMPED, GROUND, LOADED, MASTER, ROLLER, SIDE_X, SLAVE, TRACTION, at
 from strips import matched, partners, strips
 
-import ufl
-from dolfinx import fem
-
-from fenics_tfeti import (
-    Along,
-    ContactPair,
-    ContactProblem,
-    Mapped,
-    Nearest,
-    Plane,
-    Points,
-    RigidObstacle,
-    Sphere,
-)
+from fenics_tfeti import Along, ContactPair, Mapped, Nearest, Plane, Points, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.matching import contact_rows, match_contact, match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.parallel import concatenate_ranks
 
 COMM = MPI.COMM_WORLD
@@ -78,7 +65,7 @@ def slab_on_two(comm, cell="quadrilateral"):
         ],
         tagged.cell_tags,
     )
-    return tagged, tags, scenes.vector_space(tagged.mesh)
+    return tagged, tags, displacement_space(tagged.mesh)
 
 
 def both(tags):
@@ -109,18 +96,11 @@ def test_area_of_a_partial_contact_is_that_of_the_master(cell):
 def test_slab_over_two_bodies():
     """Each of the two bodies carries half of the load."""
     tagged, tags, V = slab_on_two(MPI.COMM_SELF)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young, load = fem.Constant(tagged.mesh, YOUNG), fem.Constant(tagged.mesh, -TRACTION)
-    ds = ufl.Measure("ds", domain=tagged.mesh, subdomain_data=tags)
-    bcs = [scenes.fixed(V, tags, CLAMPED, None), scenes.fixed(V, tags, SIDE_X, 0)]
-    problem = ContactProblem(
-        scenes.elasticity(u, v, young),
-        load * v[1] * ds(LOADED),
-        bcs=bcs,
-        contacts=both(tags),
-        cell_tags=tagged.cell_tags,
-        options={"rtol": 1e-10},
-    )
+    scene = scenes.Scene(tagged.mesh, tags, tagged.cell_tags)
+    scene.add_load(LOADED, -TRACTION)
+    scene.fix(CLAMPED)
+    scene.fix(SIDE_X, 0)
+    problem = scene.problem(contacts=both(tags), options={"rtol": 1e-10})
     problem.solve()
     assert sum(c.normal_force for c in problem.report.contacts) == pytest.approx(
         3.0 * TRACTION, rel=1e-8
@@ -150,21 +130,14 @@ def test_body_that_is_slave_of_one_and_master_of_another():
         ],
         tagged.cell_tags,
     )
-    V = scenes.vector_space(tagged.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young, load = fem.Constant(tagged.mesh, YOUNG), fem.Constant(tagged.mesh, -TRACTION)
-    ds = ufl.Measure("ds", domain=tagged.mesh, subdomain_data=tags)
-    contacts = [ContactPair(tags, SLAVE, MASTER), ContactPair(tags, SECOND_SLAVE, SECOND_MASTER)]
-    bcs = [scenes.fixed(V, tags, CLAMPED, 1)]
-    bcs += [scenes.fixed(V, tags, tag, 0) for tag in (CLAMPED, SIDE_X, ROLLER)]
-    problem = ContactProblem(
-        scenes.elasticity(u, v, young),
-        load * v[1] * ds(LOADED),
-        bcs=bcs,
-        contacts=contacts,
-        cell_tags=tagged.cell_tags,
-        options={"rtol": 1e-10},
-    )
+    scene = scenes.Scene(tagged.mesh, tags, tagged.cell_tags)
+    scene.add_load(LOADED, -TRACTION)
+    scene.fix(CLAMPED, 1)
+    for tag in (CLAMPED, SIDE_X, ROLLER):
+        scene.fix(tag, 0)
+    scene.add_pair(SLAVE, MASTER)
+    scene.add_pair(SECOND_SLAVE, SECOND_MASTER)
+    problem = scene.problem(options={"rtol": 1e-10})
     problem.solve()
     assert [c.normal_force for c in problem.report.contacts] == pytest.approx(
         [TRACTION, TRACTION], rel=1e-8
@@ -177,7 +150,7 @@ def test_shared_nodes_of_a_partial_contact_stay_free():
     tags = tag_facets(
         tagged.mesh, [(SLAVE, lambda x: at(1, 0.0)(x) & (x[0] < 1.01)), (MASTER, at(0, 0.0))]
     )
-    V = scenes.vector_space(tagged.mesh)
+    V = displacement_space(tagged.mesh)
     # the corner is in both; (0.5, 0) and (1, 0) meet (0, 0.5) and (0, 1) when the corner closes
     folded = {"partners": Mapped(lambda x: x[[1, 0, 2]]), "partial": True}
     x, partner, pairing = partners(V, ContactPair(tags, SLAVE, MASTER, **folded))
@@ -231,7 +204,7 @@ def test_gaps_of_touching_surfaces_are_zero_exactly():
     tagged = boxes(MPI.COMM_SELF, parts, "quadrilateral")
     marks = [(MASTER, at(1, 1 / 3), 1), (SLAVE, at(1, 1 / 3), 2)]
     tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
-    V = scenes.vector_space(tagged.mesh)
+    V = displacement_space(tagged.mesh)
     x = V.mesh.geometry.x
     x[np.isclose(x[:, 1], 1 / 3), 1] += 1e-16 * np.random.default_rng(0).integers(-2, 3, 10)
     assert not matched(V, ContactPair(tags, SLAVE, MASTER)).gap.any()

@@ -6,13 +6,14 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import GROUND, dimension, pressed_block, vector_space
+from scenes import GROUND, dimension, pressed_block
 
 from dolfinx import fem
 
 from fenics_tfeti import Plane, RigidObstacle, Sphere
 from fenics_tfeti.fem.contact.obstacle_conditions import deformed_gaps, match_obstacle
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+from fenics_tfeti.io import displacement_space
 from fenics_tfeti.parallel import concatenate_ranks
 
 COMM = MPI.COMM_WORLD
@@ -25,7 +26,7 @@ GAP = 0.25
 def matched(cell, degree, obstacle, weight=None):
     scene = pressed_block(MPI.COMM_SELF, cell, 2)
     contact = RigidObstacle(scene.facet_tags, GROUND, obstacle)
-    space = vector_space(scene.mesh, degree)
+    space = displacement_space(scene.mesh, degree)
     return space, contact, match_obstacle(MeshBoundary.of(space, weight), "ground", contact, None)
 
 
@@ -83,7 +84,7 @@ def test_gaps_in_the_deformed_state(cell, degree):
 def conditions(comm, cell, degree):
     """Return places, normals, gaps and areas, undeformed and deformed, in the order of places."""
     scene = pressed_block(comm, cell, 4)
-    space, d = vector_space(scene.mesh, degree), scene.mesh.geometry.dim
+    space, d = displacement_space(scene.mesh, degree), scene.mesh.geometry.dim
     ball = Sphere((0.3,) * (d - 1) + (-2.0,), 1.9)
     contact = RigidObstacle(scene.facet_tags, GROUND, lambda x: ball(x[:d])[0])
     found = match_obstacle(MeshBoundary.of(space), "ground", contact, None)

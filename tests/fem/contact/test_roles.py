@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 import scenes
 from mortar_blocks import LOWER, UPPER, Blocks
-from scenes import YOUNG, at, elasticity, fixed, vector_space
+from scenes import YOUNG, at
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Coulomb
-from fenics_tfeti.fem import _compat
+from fenics_tfeti import Coulomb, Exact
 from fenics_tfeti.fem.contact.roles import roles_ratio
-from fenics_tfeti.io import contact_fields, tag_facets
+from fenics_tfeti.io import contact_fields
 
 TOP, BOTTOM = 1, 2
 
@@ -26,27 +25,14 @@ TOP, BOTTOM = 1, 2
 def posed(cell="triangle", upper_young=YOUNG, lower=4, upper=4, weight=None, **pair):
     """Two clamped blocks, of which the upper one may be of another material."""
     shape = Blocks(cell, lower, upper)
-    beams = shape.mesh()
-    domain, d = beams.mesh, shape.gdim
-    marks = [*shape.markers()[-2:], (TOP, at(d - 1, 2.0)), (BOTTOM, at(d - 1, 0.0))]
-    tags = tag_facets(domain, marks, beams.cell_tags)
-    V = vector_space(domain)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    dx = ufl.Measure("dx", domain=domain, subdomain_data=beams.cell_tags)
-    young = [fem.Constant(domain, value) for value in (YOUNG, upper_young)]
-    a = sum(elasticity(u, v, modulus, dx(k + 1)) for k, modulus in enumerate(young))
-    arguments = {"slave": UPPER, "master": LOWER, "partners": "mortar", **pair}
-    problem = ContactProblem(
-        a,
-        0,
-        bcs=[fixed(V, tags, BOTTOM, None), fixed(V, tags, TOP, d - 1, -1e-3)],
-        contacts=ContactPair(tags, **arguments),
-        cell_tags=beams.cell_tags,
-        options={"rtol": 1e-9},
-        measure_weight=None if weight is None else weight(domain),
-    )
-    problem.kept = young
-    return problem
+    up = shape.gdim - 1
+    marks = [*shape.contact, (TOP, at(up, 2.0)), (BOTTOM, at(up, 0.0))]
+    scene = shape.scene(marks=marks, young={1: YOUNG, 2: upper_young})
+    scene.fix(BOTTOM)
+    scene.fix(TOP, up, -1e-3)
+    scene.add_pair(**{"slave": UPPER, "master": LOWER, "partners": "mortar", **pair})
+    measure_weight = None if weight is None else weight(scene.mesh)
+    return scene.problem(options={"rtol": 1e-9}, measure_weight=measure_weight)
 
 
 def ratio_of(problem):
@@ -94,7 +80,7 @@ def test_automatic_roles(upper_young, slave):
 
 def test_exact_passes_of_exchanged_roles():
     problem = posed(upper_young=50 * YOUNG, upper=5)
-    problem.options = type(problem.options)(problem.options.solver, non_penetration="exact")
+    problem.geometry = Exact()
     problem.solve()
     assert problem.report.converged
 
@@ -167,24 +153,15 @@ def test_data_of_both_sides_do_not_keep_the_roles(data):
 @pytest.mark.filterwarnings("ignore:joint")
 def test_roles_stay_where_the_master_can_be_no_slave():
     """The master goes around the edge, of 60 degrees, of the lower block."""
-    beams = Blocks("quadrilateral", 4, 6).mesh()
-    domain, top, bottom = beams.mesh, 1, 2
-    lower = np.unique(_compat.geometry_cells(domain)[beams.cell_tags.find(1)])
-    marks = [(bottom, at(1, 0.0), 1), (LOWER, at(1, 1.0), 1), (LOWER, at(0, 0.0), 1)]
-    marks += [(UPPER, at(1, 1.0), 2), (top, at(1, 2.0), 2)]
-    tags = tag_facets(domain, marks, beams.cell_tags)
-    domain.geometry.x[lower, 0] += (1.0 - domain.geometry.x[lower, 1]) / np.sqrt(3.0)
-    V = vector_space(domain)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    dx = ufl.Measure("dx", domain=domain, subdomain_data=beams.cell_tags)
-    young = [fem.Constant(domain, value) for value in (YOUNG, 50 * YOUNG)]
-    problem = ContactProblem(
-        sum(elasticity(u, v, modulus, dx(k + 1)) for k, modulus in enumerate(young)),
-        0,
-        bcs=[fixed(V, tags, bottom, None), fixed(V, tags, top, 1, -1e-3)],
-        contacts=ContactPair(tags, UPPER, LOWER, name="joint"),
-        cell_tags=beams.cell_tags,
-    )
+    marks = [(BOTTOM, at(1, 0.0), 1), (LOWER, at(1, 1.0), 1), (LOWER, at(0, 0.0), 1)]
+    marks += [(UPPER, at(1, 1.0), 2), (TOP, at(1, 2.0), 2)]
+    scene = Blocks("quadrilateral", 4, 6).scene(marks=marks, young={1: YOUNG, 2: 50 * YOUNG})
+    x, lower = scene.mesh.geometry.x, scene.nodes(1)
+    x[lower, 0] += (1.0 - x[lower, 1]) / np.sqrt(3.0)
+    scene.fix(BOTTOM)
+    scene.fix(TOP, 1, -1e-3)
+    scene.add_pair(UPPER, LOWER, name="joint")
+    problem = scene.problem()
     problem.solve()
     assert not problem.results[0].on_master
     assert "joint: slave and master are as given, though E / h" in str(problem.report)

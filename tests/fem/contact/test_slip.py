@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from friction_scenes import SLAVE, pushed_cube
-from scenes import elasticity
+from friction_scenes import LOADED, SLAVE, pushed_cube
+from scenes import plane
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactProblem, InputError, Plane, RigidObstacle, Tresca
+from fenics_tfeti import Exact, InputError, RigidObstacle, Tresca
 from fenics_tfeti.fem.contact.slip import tangents
 from fenics_tfeti.io import contact_fields
 
@@ -138,19 +138,13 @@ def test_checkpoint_has_the_origin_of_slip(tmp_path, pushed):
 
 def held_square(displacement, held: float = 0.0):
     """Return a square that is pressed on a plane, its top held at a displacement sideways."""
-    scene = pushed_cube("quadrilateral", 4)
-    V, tags = scene.problem.space, scene.tags
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    top = fem.Constant(V.mesh, np.array([held, -0.01]))
-    dofs = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 1.0))
-    plane = RigidObstacle(
-        tags, SLAVE, Plane((0, 0), (0, 1)), friction=Tresca(0.003), displacement=displacement
-    )
-    supports = [fem.dirichletbc(top, dofs, V)]
-    options = {"rtol": 1e-9}
-    return ContactProblem(
-        elasticity(u, v, 1.0), 0, bcs=supports, contacts=[plane], options=options
-    ), top
+    scene = pushed_cube("quadrilateral", 4).scene
+    top = scene.constant(np.array([held, -0.01]))
+    scene.fix(LOADED, None, top)
+    scene.L, scene.contacts = 0, []
+    friction = Tresca(0.003)
+    scene.add_obstacle(SLAVE, plane(1, 2), friction=friction, displacement=displacement)
+    return scene.problem(cell_tags=None, options={"rtol": 1e-9}), top
 
 
 @pytest.fixture(scope="module")
@@ -271,8 +265,7 @@ def test_page_has_friction(tmp_path, solved):
 
 def test_deformed_surfaces_rub(solved):
     """Passes with exact non-penetration balance the load as well, with the deformed normals."""
-    options = {"rtol": 1e-8, "non_penetration": "exact"}
-    scene = pushed_cube("triangle", 4, 3, friction=Tresca(0.04), young=10.0, options=options)
+    scene = pushed_cube("triangle", 4, 3, friction=Tresca(0.04), young=10.0, geometry=Exact())
     scene.problem.solve()
     assert scene.problem.report.passes[-1].error <= 1e-3
     force = scene.problem.report.contacts[0].force

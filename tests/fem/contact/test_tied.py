@@ -4,48 +4,31 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 from mortar_blocks import LOADED, LOWER, PRESSURE, SUPPORTED, UPPER, Blocks
-from scenes import POISSON, YOUNG, elasticity, fixed, vector_space
+from scenes import POISSON, YOUNG, fixed, plane
 
-import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactProblem, InputError, Plane, RigidObstacle, TiedPair
-from fenics_tfeti.fem.topology import cell_vertices, vertex_nodes
-from fenics_tfeti.io import tag_facets
+from fenics_tfeti import InputError, TiedPair
 
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 
 
 def blocks(cell, **arguments):
     sizes = {"lower": 5, "upper": 7} if cell in CELLS[:2] else {"lower": 3, "upper": 4}
-    return Blocks(cell, **{**sizes, **arguments})
+    return Blocks(cell, **{**sizes, **arguments}).scene()
 
 
-def pose(shape, comm=MPI.COMM_SELF):
-    beams = shape.mesh(comm)
-    return vector_space(beams.mesh), tag_facets(beams.mesh, shape.markers(), beams.cell_tags)
-
-
-def solved(V, tags, L, bcs, slave=LOWER, **arguments):
-    young = fem.Constant(V.mesh, YOUNG)
-    a = elasticity(ufl.TrialFunction(V), ufl.TestFunction(V), young)
-    problem = ContactProblem(
-        a,
-        L,
-        bcs=bcs,
-        contacts=[
-            *arguments.pop("contacts", []),
-            arguments.pop("tied", TiedPair(tags, slave, LOWER + UPPER - slave)),
-        ],
+def solved(scene, slave=LOWER, tied=None):
+    """Solve with a tie beside the contacts of a scene."""
+    tied = TiedPair(scene.facet_tags, slave, LOWER + UPPER - slave) if tied is None else tied
+    problem = scene.problem(
+        contacts=[*scene.contacts, tied],
+        cell_tags=None,
         options={"rtol": 1e-12, "subdomain_size": 150},
-        **arguments,
     )
-    problem.kept = young
     return problem, problem.solve()
 
 
@@ -60,8 +43,8 @@ def relative_error(V, uh, exact):
 @pytest.mark.parametrize("cell", CELLS)
 def test_any_linear_displacement(cell, slave):
     """Prescribed on all faces but the tied ones, whose rims are prescribed: shear and rotation."""
-    V, tags = pose(blocks(cell, jitter=0.05))
-    d = V.mesh.geometry.dim
+    scene = blocks(cell, jitter=0.05)
+    V, d = scene.V, scene.gdim
     gradient = 1e-3 * np.arange(1.0, d * d + 1.0).reshape(d, d) * (-1.0) ** np.arange(d)
 
     def exact(x):
@@ -77,7 +60,8 @@ def test_any_linear_displacement(cell, slave):
     rim = np.any(np.isclose(x[:, : d - 1], 0.0) | np.isclose(x[:, : d - 1], 1.0), axis=1)
     ends = np.isclose(x[:, d - 1], 0.0) | np.isclose(x[:, d - 1], 2.0)
     dofs = np.union1d(sides[rim[sides]], np.flatnonzero(ends)).astype(np.int32)
-    problem, uh = solved(V, tags, 0, [fem.dirichletbc(function, dofs)], slave)
+    scene.bcs = [fem.dirichletbc(function, dofs)]
+    problem, uh = solved(scene, slave)
     assert relative_error(V, uh, exact) < 1e-10
     assert problem.report.contacts[0].pairing["discretisation"] == "tied"
 
@@ -85,13 +69,12 @@ def test_any_linear_displacement(cell, slave):
 @pytest.mark.parametrize("cell", CELLS)
 def test_tension(cell):
     """Tied surfaces pull; the sums of forces on both are equal."""
-    V, tags = pose(blocks(cell))
-    d = V.mesh.geometry.dim
-    ds = ufl.Measure("ds", domain=V.mesh, subdomain_data=tags)
-    pull = fem.Constant(V.mesh, PRESSURE)
-    L = pull * ufl.TestFunction(V)[d - 1] * ds(LOADED)
-    bcs = [fixed(V, tags, SUPPORTED[axis], axis) for axis in range(d)]
-    problem, uh = solved(V, tags, L, bcs)
+    scene = blocks(cell)
+    V, d = scene.V, scene.gdim
+    scene.add_load(LOADED, PRESSURE)
+    for axis in range(d):
+        scene.fix(SUPPORTED[axis], axis)
+    problem, uh = solved(scene)
     nu, unit = POISSON, PRESSURE / YOUNG
     along = [-nu, -nu, 1.0] if d == 3 else [-nu * (1 + nu), 1 - nu**2]
     assert relative_error(V, uh, lambda x: unit * np.array(along) * x) < 1e-10
@@ -110,15 +93,13 @@ def test_tension(cell):
 
 def test_tied_block_with_a_floor():
     """Ties and contacts in one problem, solved again under another load."""
-    V, tags = pose(blocks("quadrilateral"))
-    ds = ufl.Measure("ds", domain=V.mesh, subdomain_data=tags)
-    push = fem.Constant(V.mesh, PRESSURE)
-    L = -push * ufl.TestFunction(V)[1] * ds(LOADED)
-    floor = RigidObstacle(tags, SUPPORTED[1], Plane((0.0, 0.0), (0.0, 1.0)))
-    bcs = [fixed(V, tags, SUPPORTED[0], 0)]
-    problem, _ = solved(V, tags, L, bcs, contacts=[floor])
+    scene = blocks("quadrilateral")
+    push = scene.add_load(LOADED, -PRESSURE)
+    scene.add_obstacle(SUPPORTED[1], plane(1, 2))
+    scene.fix(SUPPORTED[0], 0)
+    problem, _ = solved(scene)
     assert problem.results[0].normal_force.sum() == pytest.approx(PRESSURE)
-    push.value = 2.0 * PRESSURE
+    push.value = -2.0 * PRESSURE
     problem.solve()
     assert problem.results[0].normal_force.sum() == pytest.approx(2.0 * PRESSURE)
     assert [entry["discretisation"] for entry in [c.pairing for c in problem.report.contacts]] == [
@@ -128,17 +109,16 @@ def test_tied_block_with_a_floor():
 
 
 def test_moved_mesh_and_other_supports():
-    V, tags = pose(blocks("triangle"))
-    ds = ufl.Measure("ds", domain=V.mesh, subdomain_data=tags)
-    pull = fem.Constant(V.mesh, PRESSURE)
-    L = pull * ufl.TestFunction(V)[1] * ds(LOADED)
-    bcs = [fixed(V, tags, SUPPORTED[axis], axis) for axis in range(2)]
-    problem, _ = solved(V, tags, L, bcs)
+    scene = blocks("triangle")
+    scene.add_load(LOADED, PRESSURE)
+    for axis in range(2):
+        scene.fix(SUPPORTED[axis], axis)
+    problem, _ = solved(scene)
     first = problem.system.tied
-    V.mesh.geometry.x[:, 0] *= 2.0
+    scene.mesh.geometry.x[:, 0] *= 2.0
     problem.solve()
     np.testing.assert_allclose(problem.system.tied.length, 2.0 * first.length)
-    problem.bcs = [fixed(V, tags, SUPPORTED[1], None)]
+    problem.bcs = [fixed(scene.V, scene.facet_tags, SUPPORTED[1])]
     problem.solve()
     # the node at x = 0 is not held any more, and has a condition in x as well
     assert problem.system.tied.size == first.size + 1
@@ -152,22 +132,21 @@ def test_moved_mesh_and_other_supports():
     ],
 )
 def test_mistakes(change, message):
-    V, tags = pose(blocks("triangle"))
-    pair = replace(TiedPair(tags, LOWER, UPPER), **change)
+    scene = blocks("triangle")
+    scene.fix(SUPPORTED[1])
     with pytest.raises(InputError, match=message):
-        solved(V, tags, 0, [fixed(V, tags, SUPPORTED[1], None)], tied=pair)
+        solved(scene, tied=replace(TiedPair(scene.facet_tags, LOWER, UPPER), **change))
 
 
 def test_surfaces_that_are_apart():
-    V, tags = pose(blocks("triangle"))
-    upper = fem.locate_dofs_topological(V, 1, tags.find(UPPER))
-    rows, nodes = cell_vertices(V.mesh), vertex_nodes(V)
-    V.mesh.geometry.x[np.unique(rows[np.isin(nodes, upper)]), 1] += 0.2
+    scene = blocks("triangle")
+    x, upper = scene.mesh.geometry.x, scene.nodes(2)
+    x[upper[np.isclose(x[upper, 1], 1.0)], 1] += 0.2
+    scene.fix(SUPPORTED[1])
     with pytest.raises(InputError, match=r"tied pair 0: the surfaces are apart.* 8 slave nodes"):
-        solved(V, tags, 0, [fixed(V, tags, SUPPORTED[1], None)], slave=UPPER)
+        solved(scene, slave=UPPER)
 
 
 def test_what_is_no_tied_pair():
-    V, tags = pose(blocks("triangle"))
     with pytest.raises(InputError, match=r"contact 0 is a str; .* or a TiedPair"):
-        solved(V, tags, 0, [], tied="upper")
+        solved(blocks("triangle"), tied="upper")

@@ -13,7 +13,7 @@ import scenes
 from moved_blocks import CELLS, blocks, lifted
 from scenes import block_on_ball, two_beams
 
-from fenics_tfeti import Plane
+from fenics_tfeti import Exact, Plane
 from fenics_tfeti.fem.contact.contact import Terms
 from fenics_tfeti.fem.contact.matching import match_contact
 from fenics_tfeti.fem.contact.result import ContactEntry, ContactResult
@@ -49,7 +49,7 @@ def result_of(matched, pressure):
 
 def transferred(coarse, contact, fine_match, displacement, pressure=linear):
     """Return what the fine mesh expects of the solution of a coarse one."""
-    boundary = MeshBoundary.of(coarse.space)
+    boundary = MeshBoundary.of(coarse.V)
     matched = match_contact(boundary, contact, 0)
     result = result_of(matched, pressure(matched.coordinates))
     solved = gather_solved(boundary, [contact], [matched], [result], displacement)
@@ -104,7 +104,7 @@ def test_nodes_without_partner_say_nothing(cell):
         area=matched.area[some],
     )
     result = result_of(part, np.ones(some.sum()))
-    boundary = MeshBoundary.of(coarse.space)
+    boundary = MeshBoundary.of(coarse.V)
     solved = gather_solved(boundary, [coarse.pair], [part], [result], coarse.displacement())
     there = fine.pairing(fine.pair)
     guess = expected_contact(solved, [there])
@@ -135,9 +135,9 @@ def test_own_solution_is_the_first_face():
 
 
 def test_exact_non_penetration_starts_from_it_too():
-    options = {"non_penetration": "exact"}
     coarse, fine, alone = (
-        scenes.block_on_ball(COMM, "quadrilateral", n).problem(options=options) for n in (8, 16, 16)
+        scenes.block_on_ball(COMM, "quadrilateral", n).problem(geometry=Exact())
+        for n in (8, 16, 16)
     )
     coarse.solve()
     uh, expected = fine.solve(coarse=coarse), alone.solve()
@@ -151,7 +151,7 @@ def test_load_steps_on_both_meshes():
     problems = coarse.problem(), fine.problem()
     for load in (1.0, 0.1):
         for scene in (coarse, fine):
-            scene.kept[1].value = -load * scenes.TRACTION
+            scene.traction.value = -load * scenes.TRACTION
         problems[0].solve()
         problems[1].solve(coarse=problems[0])
     assert problems[1].report.reused[-2:] == ["multipliers", "contact guess"]

@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 import scenes
 
-from fenics_tfeti import InputError
+from fenics_tfeti import Exact, InputError
 from fenics_tfeti.fem.io.scene import gather_scene
+from fenics_tfeti.fem.units import units_of
 from fenics_tfeti.feti.report.report import without_nan
 from fenics_tfeti.io import contact_fields, von_mises
 
@@ -35,7 +36,7 @@ PHONE, DESKTOP = (390, 844), (1280, 900)
 def solved(cell: str):
     """Return a solved problem, its displacement and two fields."""
     scene = scenes.two_beams(MPI.COMM_SELF, cell, 2)
-    problem = scene.problem(options={"non_penetration": "exact"})
+    problem = scene.problem(geometry=Exact())
     uh = problem.solve()
     stress = von_mises(scene.mesh, scenes.stress(uh, scenes.YOUNG), scenes.POISSON)
     return problem, uh, [contact_fields(scene.V, problem.results)[0], stress]
@@ -148,7 +149,7 @@ def test_page_has_the_figures_of_the_report(written):
 def test_figures_have_the_data_of_the_report():
     problem, uh, fields = solved("hexahedron")
     scene, report = gather_scene(uh, fields), problem.report.to_dict()
-    bodies = page._bodies(scene)
+    bodies = page._bodies(scene, units_of("SI"))
     modes = {frame.name: frame.data[0].intensitymode for frame in bodies.frames[:3]}
     assert modes == {
         "displacement": "vertex",
@@ -164,7 +165,7 @@ def test_figures_have_the_data_of_the_report():
     errors = [entry["error"] for entry in report["passes"]]
     assert len(errors) > 1 and list(page._passes(report["passes"]).data[0].y) == errors
     residuals = [face["residual"] for face in report["faces"]]
-    assert list(page._convergence(report).data[0].y) == residuals
+    assert list(page._convergence(report, units_of("SI")).data[0].y) == residuals
 
 
 def test_report_that_is_not_converged():
@@ -179,7 +180,7 @@ def test_report_that_is_not_converged():
     text = page.report_page(whole, "Open")
     assert 'class="verdict open' in text and "at most not finite" in text
     assert "a &lt;/script&gt; limit" in text
-    assert list(page._convergence(whole).data[0].y) == [None]
+    assert list(page._convergence(whole, units_of("SI")).data[0].y) == [None]
     assert 'id="bodies"' not in text and 'id="convergence"' in text
 
 

@@ -19,7 +19,7 @@ COMM = MPI.COMM_SELF
 
 def displaced(cell: str, degree: int = 1):
     """Return a displacement field u = (x, 0, ...) / 100 of two beams."""
-    mesh = scenes.beams_mesh(COMM, cell, 2, 0.0, 1.0)[0]
+    mesh = scenes.beams(COMM, cell, 2).mesh
     u = fem.Function(displacement_space(mesh, degree))
     u.interpolate(lambda x: np.stack([0.01 * x[0], *(0 * x[1 : mesh.geometry.dim])]))
     return u

@@ -7,12 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from fenics_tfeti import InputError
-from fenics_tfeti.feti import (
-    ContactRows,
-    Prescribed,
-    Subdomain,
-    TornSystem,
-)
+from fenics_tfeti.feti import ContactRows, Prescribed, Subdomain, TornSystem
 from fenics_tfeti.feti.checks.system import check_system
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from dense import DenseSystem
-from fibres import glued_contact, reinforced_block
+from fibres import reinforced_block
 from primal_reference import primal_active_set
-from torn import column
+from torn import Glued, column
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti import Options, TornSolution, TornSolver, TornSystem, parse_options
@@ -123,8 +123,11 @@ def solved(gdim: int, ratio: float, **options: Any) -> TornSolution:
 @lru_cache(maxsize=None)
 def reference(gdim: int, ratio: float) -> Any:
     """Return the solution of the glued bodies by a primal method, and each subdomain's unknowns."""
-    K, f, fixed, C, gap, places = glued_contact(block(gdim, ratio))
-    return primal_active_set(sp.csr_matrix(K), f, fixed, np.zeros(fixed.size), C, gap), places
+    system = block(gdim, ratio)
+    whole = Glued.of(system)
+    fixed = np.setdiff1d(np.arange(whole.f.size), whole.free)
+    K, C, gap = sp.csr_matrix(whole.K), sp.csr_matrix(whole.C), system.contacts.gap
+    return primal_active_set(K, whole.f, fixed, whole.u[fixed], C, gap), whole.places
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fibres import FAR, reinforced_block, subdomain
-from torn import column
+from torn import column, fixed_nodes
 
-from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.material_jumps import subdomains_with_jumps
 
 
@@ -39,7 +39,7 @@ def test_a_gradual_change_does_not_count():
     blocks = [subdomain((18 * i, 0), (18, 2), lambda x: 1.5 ** x[:, 0], i) for i in (0, 1)]
     left = replace(blocks[1], nodes=blocks[1].nodes - FAR**2, body=0)
     bottom = np.flatnonzero(left.coordinates[:, 1] == 0.0)
-    fixed = Prescribed(np.repeat(left.nodes[bottom], 2), np.tile([0, 1], bottom.size), np.zeros(38))
+    fixed = fixed_nodes(left.nodes[bottom], [0, 1])
     system = TornSystem([blocks[0], left], fixed, ContactRows.none(2), 2, ["block"])
     weights = left.stiffness.diagonal()[::2][bottom]
     assert weights.max() > 500.0 * weights.min()

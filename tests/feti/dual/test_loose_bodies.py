@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 from torn import column, cube
 
-from fenics_tfeti.feti import (
-    ContactRows,
-    Options,
-    TornSolver,
-    TornSystem,
-)
+from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.active_set import _without_tensile_rows
 from fenics_tfeti.feti.dual.pcpg import ContactState, Face, PCPGIterate

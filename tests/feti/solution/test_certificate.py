@@ -11,11 +11,7 @@ import scipy.linalg
 from torn import column
 
 from fenics_tfeti.feti import Options, Prescribed, TornSolver, TornSystem
-from fenics_tfeti.feti.solution.certificate import (
-    BodyError,
-    Certificate,
-    GroupError,
-)
+from fenics_tfeti.feti.solution.certificate import BodyError, Certificate, GroupError
 from fenics_tfeti.feti.solution.primal_problem import PrimalProblem
 from fenics_tfeti.feti.solution.recovery import balance_multipliers, recover_displacement
 

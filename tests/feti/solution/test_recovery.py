@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 from friction_problems import pushed_block
-from torn import column, cube
+from torn import column, cube, fixed_nodes
 
-from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver
+from fenics_tfeti.feti import ContactRows, Options, TornSolver
 from fenics_tfeti.feti.solution.recovery import balance_multipliers
 
 
@@ -28,7 +28,7 @@ def two_blocks(overlap: float):
         np.concatenate([np.zeros(ground.size), np.full(9, -overlap)]),
         np.repeat([0, 1], [ground.size, 9]),
     )
-    held = Prescribed(np.repeat(wall, 2), np.tile([0, 1], wall.size), np.zeros(2 * wall.size))
+    held = fixed_nodes(wall, [0, 1])
     return dataclasses.replace(
         column(), subdomains=[first, second], contacts=rows, prescribed=held, body_names=("a", "b")
     )

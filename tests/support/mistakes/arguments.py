@@ -7,6 +7,7 @@ import scenes
 
 from dolfinx import mesh
 
+from fenics_tfeti import Exact
 from mistakes.catalogue import beams, mistake
 
 
@@ -63,6 +64,21 @@ def coarse_with_other_contacts(comm):
 def coarse_with_another_method(comm):
     coarse = beams(comm).problem()
     beams(comm).problem(options={"method": "smalbe"}).solve(coarse=coarse)
+
+
+@mistake("geometry is 'exact'", r"Exact\(\)")
+def geometry_that_is_a_word(comm):
+    beams(comm).problem(geometry="exact")
+
+
+@mistake("Exact: the tolerance", "-0.001", "largest displacement")
+def tolerance_of_the_geometry_that_is_negative(comm):
+    beams(comm).problem(geometry=Exact(tolerance=-1e-3))
+
+
+@mistake("Exact: max_passes", "2.5", "integer")
+def number_of_passes_that_is_a_fraction(comm):
+    beams(comm).problem(geometry=Exact(max_passes=2.5))
 
 
 @mistake("cell_tags", "list", "meshtags")

@@ -9,42 +9,49 @@ from scenes import MASTER, SLAVE
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, RigidObstacle, Sphere
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti import ContactPair, Plane, RigidObstacle, Sphere
 from mistakes.catalogue import beams, mistake
+
+
+def paired(comm, slave, master, tags=None):
+    """Solve for the beams with a contact between other surfaces, or of other facet tags."""
+    scene = beams(comm)
+    pair = ContactPair(scene.facet_tags if tags is None else tags, slave=slave, master=master)
+    scene.problem(contacts=[pair]).solve()
+
+
+def above(comm, obstacle, slave=SLAVE, **arguments):
+    """Solve for the beams on an obstacle in place of each other."""
+    scene = beams(comm)
+    contact = RigidObstacle(scene.facet_tags, slave, obstacle)
+    scene.problem(contacts=[contact], **arguments).solve()
 
 
 @mistake("99", "facet")
 def slave_tag_on_no_facet(comm):
-    scene = beams(comm)
-    scene.problem(contacts=[ContactPair(scene.facet_tags, slave=99, master=MASTER)]).solve()
+    paired(comm, 99, MASTER)
 
 
 @mistake("98", "facet")
 def master_tag_on_no_facet(comm):
-    scene = beams(comm)
-    scene.problem(contacts=[ContactPair(scene.facet_tags, slave=SLAVE, master=98)]).solve()
+    paired(comm, SLAVE, 98)
 
 
 @mistake("97", "facet")
 def obstacle_tag_on_no_facet(comm):
-    scene = beams(comm)
-    ground = scenes.Plane((0.0, 0.0), (0.0, 1.0))
-    scene.problem(contacts=[RigidObstacle(scene.facet_tags, slave=97, obstacle=ground)]).solve()
+    above(comm, scenes.plane(1, 2), slave=97)
 
 
 @mistake("slave", "master", r"\b5\b")
 def slave_is_its_own_master(comm):
-    scene = beams(comm)
-    scene.problem(contacts=[ContactPair(scene.facet_tags, slave=SLAVE, master=SLAVE)]).solve()
+    paired(comm, SLAVE, SLAVE)
 
 
 @mistake("slave", "master", "contacts 0 and 1")
 def slave_of_one_contact_is_master_of_another(comm):
     scene = beams(comm)
-    tags = scene.facet_tags
-    pairs = [ContactPair(tags, slave=SLAVE, master=MASTER)]
-    scene.problem(contacts=[*pairs, ContactPair(tags, slave=MASTER, master=SLAVE)]).solve()
+    scene.add_pair(MASTER, SLAVE)
+    scene.problem().solve()
 
 
 @mistake("contact 0", "facet_tags", "dimension 2")
@@ -55,89 +62,52 @@ def cell_tags_for_facet_tags(comm):
 
 @mistake("contact 0", "facet_tags", "another mesh")
 def facet_tags_of_another_mesh(comm):
-    scene, other = beams(comm), beams(comm)
-    contacts = [ContactPair(other.facet_tags, slave=SLAVE, master=MASTER)]
-    scene.problem(contacts=contacts).solve()
+    paired(comm, SLAVE, MASTER, beams(comm).facet_tags)
 
 
 @mistake("obstacle", "NaN")
 def obstacle_returns_nan(comm):
-    scene = beams(comm)
-
-    def ground(x):
-        return np.full(x.shape[1], np.nan), np.tile([[0.0], [1.0]], x.shape[1])
-
-    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=ground)]
-    scene.problem(contacts=contacts).solve()
+    above(comm, lambda x: (np.full(x.shape[1], np.nan), np.tile([[0.0], [1.0]], x.shape[1])))
 
 
 @mistake("contact 0", "gap", r"\+inf", "where there is no obstacle")
 def obstacle_returns_minus_infinity(comm):
-    scene = beams(comm)
-    contacts = [RigidObstacle(scene.facet_tags, SLAVE, lambda x: np.full(x.shape[1], -np.inf))]
-    scene.problem(contacts=contacts).solve()
+    above(comm, lambda x: np.full(x.shape[1], -np.inf))
 
 
 @mistake("contact 0", "normal is NaN", "5 points")
 def obstacle_returns_a_gap_but_nan_for_the_normal(comm):
-    scene = beams(comm)
-
-    def ground(x):
-        return x[1], np.full((2, x.shape[1]), np.nan)
-
-    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=ground)]
-    scene.problem(contacts=contacts).solve()
+    above(comm, lambda x: (x[1], np.full((2, x.shape[1]), np.nan)))
 
 
 @mistake("obstacle", "shape", r"\(5,\) and \(2, 5\)")
 def obstacle_returns_a_wrong_shape(comm):
-    scene = beams(comm)
-
-    def ground(x):
-        return 0.0, np.array([0.0, 1.0])
-
-    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=ground)]
-    scene.problem(contacts=contacts).solve()
+    above(comm, lambda x: (0.0, np.array([0.0, 1.0])))
 
 
 @mistake("contact 0", "normal", "unit")
 def obstacle_returns_normals_of_no_unit_length(comm):
-    scene = beams(comm)
-
-    def ground(x):
-        return x[1], np.tile([[0.0], [2.0]], x.shape[1])
-
-    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=ground)]
-    scene.problem(contacts=contacts).solve()
+    above(comm, lambda x: (x[1], np.tile([[0.0], [2.0]], x.shape[1])))
 
 
 @mistake("obstacle", "(?i)ZeroDivisionError", "shape")
 def obstacle_that_fails(comm):
-    scene = beams(comm)
-    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=lambda x: 1 / 0)]
-    scene.problem(contacts=contacts).solve()
+    above(comm, lambda x: 1 / 0)
 
 
 @mistake("obstacle", r"\(gap, normal\)")
 def obstacle_returns_nothing(comm):
-    scene = beams(comm)
-    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=lambda x: "far away")]
-    scene.problem(contacts=contacts).solve()
+    above(comm, lambda x: "far away")
 
 
 @mistake("centre", r"\(1\.5, 1\)", "contact 0")
 def slave_node_at_the_centre_of_the_sphere(comm):
-    scene = beams(comm)
-    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=Sphere((1.5, 1.0), 0.1))]
-    scene.problem(contacts=contacts).solve()
+    above(comm, Sphere((1.5, 1.0), 0.1))
 
 
 @mistake("contact 0", "obstacle", "hollow=True", "change its sign", r"\b5\b")
 def obstacle_on_the_wrong_side(comm):
-    scene = beams(comm)
-    plane = scenes.Plane((0.0, 1.0), (0.0, -1.0))
-    contacts = [RigidObstacle(scene.facet_tags, slave=SLAVE, obstacle=plane)]
-    scene.problem(contacts=contacts).solve()
+    above(comm, Plane((0.0, 1.0), (0.0, -1.0)))
 
 
 LOWER_FACE, UPPER_FACE = 41, 42
@@ -145,24 +115,18 @@ LOWER_FACE, UPPER_FACE = 41, 42
 
 def plates(comm, slave, master):
     """Lay a plate on another, 4 m wide and 0.5 m thick each, and pair two of their faces."""
-    parts = [Box((0, 0), (4, 0.5), (8, 2)), Box((0, 0.5), (4, 1.0), (8, 2))]
-    tagged = boxes(comm, parts, "quadrilateral")
     (slave_body, slave_side), (master_body, master_side) = slave, master
     marks = [
         (LOWER_FACE, scenes.at(1, slave_side), slave_body),
         (UPPER_FACE, scenes.at(1, master_side), master_body),
         (scenes.CLAMPED, scenes.at(0, 0.0)),
     ]
-    tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
-    V = scenes.vector_space(tagged.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    load = fem.Constant(tagged.mesh, -1.0)
-    a = scenes.elasticity(u, v, fem.Constant(tagged.mesh, scenes.YOUNG))
-    bcs = [scenes.fixed(V, tags, scenes.CLAMPED, None)]
-    contacts = [ContactPair(tags, slave=LOWER_FACE, master=UPPER_FACE)]
-    ContactProblem(
-        a, load * v[1] * ufl.dx, bcs=bcs, contacts=contacts, cell_tags=tagged.cell_tags
-    ).solve()
+    parts = [((0, 0), (4, 0.5), (8, 2)), ((0, 0.5), (4, 1.0), (8, 2))]
+    scene = scenes.Scene.of_boxes(comm, "quadrilateral", parts, marks)
+    scene.L = scene.constant(-1.0) * scene.v[1] * ufl.dx
+    scene.fix(scenes.CLAMPED)
+    scene.add_pair(LOWER_FACE, UPPER_FACE)
+    scene.problem().solve()
 
 
 @mistake("contact 0", "same way", "9 nodes", "far side")
@@ -177,20 +141,17 @@ def surfaces_that_lie_back_to_back(comm):
 
 @mistake("ContactPair: the tag of the slave", "'top'", "integer")
 def tag_that_is_a_name(comm):
-    scene = beams(comm)
-    scene.problem(contacts=[ContactPair(scene.facet_tags, slave="top", master=MASTER)])
+    paired(comm, "top", MASTER)
 
 
 @mistake("ContactPair: the tag of the master", r"\[6\]", "integer", "join them")
 def several_tags(comm):
-    scene = beams(comm)
-    scene.problem(contacts=[ContactPair(scene.facet_tags, slave=SLAVE, master=[MASTER])])
+    paired(comm, SLAVE, [MASTER])
 
 
 @mistake("ContactPair: facet_tags", "ndarray", "meshtags")
 def facet_tags_that_are_an_array(comm):
-    scene = beams(comm)
-    scene.problem(contacts=[ContactPair(np.zeros(3), slave=SLAVE, master=MASTER)])
+    paired(comm, SLAVE, MASTER, np.zeros(3))
 
 
 @mistake("contact 0", "tuple", "ContactPair, a RigidObstacle or a TiedPair")
@@ -212,8 +173,7 @@ def wrong_contact_before_a_later_step(comm):
 
 @mistake("RigidObstacle: the obstacle is a float", "Plane")
 def obstacle_that_is_no_function(comm):
-    scene = beams(comm)
-    scene.problem(contacts=[RigidObstacle(scene.facet_tags, SLAVE, 0.0)])
+    above(comm, 0.0)
 
 
 def weighted(comm, weight):
@@ -272,6 +232,5 @@ def weight_that_is_a_text(comm):
 @mistake("contact 0", "measure_weight", "negative or zero", "slave", "axis")
 def weight_of_an_obstacle_that_is_negative(comm):
     scene = beams(comm)
-    ground = scenes.Plane((0.0, 0.0), (0.0, 1.0))
-    obstacle = RigidObstacle(scene.facet_tags, SLAVE, ground)
+    obstacle = RigidObstacle(scene.facet_tags, SLAVE, scenes.plane(1, 2))
     scene.problem(contacts=[obstacle], measure_weight=-radius(scene))

@@ -10,38 +10,38 @@ import ufl
 from dolfinx import fem, mesh
 
 from fenics_tfeti import ContactProblem
+from fenics_tfeti.io import displacement_space
 from mistakes.catalogue import beams, mistake
 
 
 @mistake("NaN", "bilinear form", "constant 0")
 def nan_in_a_constant(comm):
     scene = beams(comm)
-    scene.kept[0].value = np.nan
+    scene.young.value = np.nan
     scene.problem().solve()
 
 
 @mistake("NaN", "bilinear form", r"coefficient 0 \(f\)")
 def nan_in_one_cell_of_a_coefficient(comm):
     scene = beams(comm)
-    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
     young = fem.Function(scenes.scalar_space(scene.mesh, "DG", 0))
     # The one cell that holds the point (0.1, 0.1), on whatever rank it is.
     young.interpolate(lambda x: YOUNG * np.where((x[0] < 0.25) & (x[1] < 0.25), np.nan, 1.0))
-    scene.a = scenes.elasticity(u, v, young)
+    scene.a = scenes.elasticity(scene.u, scene.v, young)
     scene.problem().solve()
 
 
 @mistake("NaN", r"\blinear form", "constant 0")
 def nan_in_the_load(comm):
     scene = beams(comm)
-    scene.kept[1].value = np.nan
+    scene.traction.value = np.nan
     scene.problem().solve()
 
 
 @mistake("NaN", "Dirichlet condition 2")
 def nan_in_a_dirichlet_value(comm):
     scene = beams(comm)
-    scene.bcs.append(scenes.fixed(scene.V, scene.facet_tags, ROLLER, 0, np.nan))
+    scene.fix(ROLLER, 0, np.nan)
     scene.problem().solve()
 
 
@@ -51,13 +51,13 @@ def posed_on(scene: scenes.Scene, V) -> None:
     a = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
     load = fem.Constant(scene.mesh, 1.0)
     right = load * (v[0] if v.ufl_shape else v) * ufl.dx
-    ContactProblem(a, right, bcs=[], contacts=scene.package_contacts()).solve()
+    ContactProblem(a, right, bcs=[], contacts=scene.contacts).solve()
 
 
 @mistake("degree 3", "degree 1 or 2")
 def space_of_degree_three(comm):
     scene = beams(comm)
-    posed_on(scene, scenes.vector_space(scene.mesh, 3))
+    posed_on(scene, displacement_space(scene.mesh, 3))
 
 
 @mistake("scalar", "2 components")
@@ -69,16 +69,15 @@ def scalar_space(comm):
 @mistake("symmetric", r"a\(u, v\)")
 def form_that_is_not_symmetric(comm):
     scene = beams(comm)
-    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
     speed = fem.Constant(scene.mesh, 1e11)
-    scene.a += speed * u[1].dx(0) * v[0] * ufl.dx
+    scene.a += speed * scene.u[1].dx(0) * scene.v[0] * ufl.dx
     scene.problem().solve()
 
 
 @mistake("positive", "cell tag")
 def form_that_is_negative(comm):
     scene = beams(comm)
-    scene.kept[0].value = -YOUNG
+    scene.young.value = -YOUNG
     scene.problem().solve()
 
 
@@ -92,18 +91,14 @@ def forms_exchanged(comm):
 @mistake("linear form L", r"ds\(99\)", "boundary", r"tags there are \[1, 2, 3, 5, 6\]")
 def load_on_a_tag_of_no_facet(comm):
     scene = beams(comm)
-    v = ufl.TestFunction(scene.V)
-    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
-    scene.L = scene.kept[1] * v[1] * ds((LOADED, 99))
+    scene.L = scene.traction * scene.v[1] * scene.ds((LOADED, 99))
     scene.problem()
 
 
 @mistake("bilinear form a", r"dx\(3\)", "no cell", r"tags there are \[1, 2\]")
 def stiffness_on_a_tag_of_no_cell(comm):
     scene = beams(comm)
-    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
-    dx = ufl.Measure("dx", domain=scene.mesh, subdomain_data=scene.cell_tags)
-    scene.a += scenes.elasticity(u, v, scene.kept[0], dx(3))
+    scene.a += scenes.elasticity(scene.u, scene.v, scene.young, scene.dx(3))
     scene.problem()
 
 
@@ -120,7 +115,7 @@ def load_on_facets_inside_a_body(comm):
         domain=scene.mesh,
         subdomain_data=mesh.meshtags(scene.mesh, 1, facets[order], tags[order]),
     )
-    scene.L = scene.kept[1] * ufl.TestFunction(scene.V)[1] * ds(4)
+    scene.L = scene.traction * scene.v[1] * ds(4)
     scene.problem()
 
 
@@ -128,7 +123,7 @@ def load_on_facets_inside_a_body(comm):
 def load_on_tags_of_another_mesh(comm):
     scene, other = beams(comm), beams(comm)
     ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=other.facet_tags)
-    scene.L = scene.kept[1] * ufl.TestFunction(scene.V)[1] * ds(LOADED)
+    scene.L = scene.traction * scene.v[1] * ds(LOADED)
     scene.problem()
 
 
@@ -137,7 +132,7 @@ def loads_with_two_facet_tags(comm):
     scene = beams(comm)
     again = mesh.meshtags(scene.mesh, 1, scene.facet_tags.indices, scene.facet_tags.values)
     ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=again)
-    scene.L += scene.kept[1] * ufl.TestFunction(scene.V)[0] * ds(LOADED)
+    scene.L += scene.traction * scene.v[0] * ds(LOADED)
     scene.problem()
 
 
@@ -166,15 +161,15 @@ def compiled_load(comm):
 def residual_for_the_stiffness(comm):
     scene = beams(comm)
     w = fem.Function(scene.V, name="w")
-    scene.a = scenes.elasticity(w, ufl.TestFunction(scene.V), scene.kept[0])
+    scene.a = scenes.elasticity(w, scene.v, scene.young)
     scene.problem()
 
 
 @mistake("a is not linear in its arguments", "Newton step")
 def form_that_is_not_linear_in_the_trial_function(comm):
     scene = beams(comm)
-    u, v = ufl.TrialFunction(scene.V), ufl.TestFunction(scene.V)
-    scene.a += scene.kept[0] * ufl.inner(ufl.grad(u) * ufl.grad(u), ufl.grad(v)) * ufl.dx
+    grad_u = ufl.grad(scene.u)
+    scene.a += scene.young * ufl.inner(grad_u * grad_u, ufl.grad(scene.v)) * ufl.dx
     scene.problem()
 
 
@@ -188,8 +183,7 @@ def load_in_the_stiffness(comm):
 @mistake("L is not linear in its arguments", "test function")
 def load_with_the_test_function_twice(comm):
     scene = beams(comm)
-    v = ufl.TestFunction(scene.V)
-    scene.L += scene.kept[1] * ufl.inner(v, v) * ufl.dx
+    scene.L += scene.traction * ufl.inner(scene.v, scene.v) * ufl.dx
     scene.problem()
 
 

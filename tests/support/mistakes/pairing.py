@@ -6,64 +6,52 @@ from mpi4py import MPI
 
 import numpy as np
 import scenes
-from scenes import CLAMPED, LOADED, MASTER, ROLLER, SLAVE, YOUNG
+from scenes import CLAMPED, LOADED, MASTER, ROLLER, SLAVE, at
 
-import ufl
-from dolfinx import fem
-
-from fenics_tfeti import Along, ContactPair, ContactProblem, Mapped, Nearest, Points
+from fenics_tfeti import Along, ContactPair, Exact, Mapped, Nearest, Points
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti.io import tag_facets
 from mistakes.catalogue import beams, mistake
 
 # the slave's nodes of beams()
 PLACES = np.array([[1.0, 1.0, 0.0], [1.25, 1, 0], [1.5, 1, 0], [1.75, 1, 0], [2.0, 1, 0]])
 
 
+def two_blocks(comm: MPI.Comm, cell: str, upper: tuple[int, int]) -> scenes.Scene:
+    """Two unit blocks, one on the other, the lower one of 4 x 4 elements."""
+    marks = [(CLAMPED, at(1, 0.0), 1), (ROLLER, at(1, 2.0), 2)]
+    marks += [(MASTER, at(1, 1.0), 1), (SLAVE, at(1, 1.0), 2)]
+    parts = [((0, 0), (1, 1), (4, 4)), ((0, 1), (1, 2), upper)]
+    scene = scenes.Scene.of_boxes(comm, cell, parts, marks)
+    scene.fix(CLAMPED)
+    scene.fix(ROLLER)
+    return scene
+
+
 def non_matching(comm: MPI.Comm) -> scenes.Scene:
-    """Two blocks with 4 and 3 elements along the contact: the two inner slave nodes miss."""
-    tagged = boxes(
-        comm, [Box((0, 0), (1, 1), (4, 4)), Box((0, 1), (1, 2), (3, 4))], "quadrilateral"
-    )
-    tags = tag_facets(
-        tagged.mesh,
-        [
-            (CLAMPED, scenes.at(1, 0.0), 1),
-            (ROLLER, scenes.at(1, 2.0), 2),
-            (MASTER, scenes.at(1, 1.0), 1),
-            (SLAVE, scenes.at(1, 1.0), 2),
-        ],
-        tagged.cell_tags,
-    )
-    V = scenes.vector_space(tagged.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young, load = fem.Constant(tagged.mesh, YOUNG), fem.Constant(tagged.mesh, 1.0)
-    return scenes.Scene(
-        mesh=tagged.mesh,
-        V=V,
-        a=scenes.elasticity(u, v, young),
-        L=load * v[0] * ufl.dx,
-        bcs=[scenes.fixed(V, tags, CLAMPED, None), scenes.fixed(V, tags, ROLLER, None)],
-        contacts=[scenes.reference.Pair(SLAVE, MASTER)],
-        facet_tags=tags,
-        cell_tags=tagged.cell_tags,
-        total_forces=[],
-        kept=[young, load],
-    )
+    """The blocks with 4 and 3 elements along the contact: the two inner slave nodes miss."""
+    return two_blocks(comm, "quadrilateral", (3, 4))
 
 
 @mistake("2 of 4 slave nodes", r"\(0\.333333, 1\) at distance 0\.0833", "toleran")
 def slave_nodes_without_partner(comm):
-    scene = non_matching(comm)
-    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, partners=Nearest())
-    scene.problem(contacts=[pair]).solve()
+    mortar(comm, partners=Nearest())
+
+
+def joined(scene: scenes.Scene, geometry=None, **arguments) -> None:
+    """Solve with the contact between slave and master as described."""
+    scene.contacts = []
+    scene.add_pair(name="joint", **arguments)
+    scene.problem(geometry=geometry).solve()
 
 
 def paired(comm: MPI.Comm, partners=None, normal=None) -> None:
-    scene = beams(comm)
-    tags = scene.facet_tags
-    pair = ContactPair(tags, SLAVE, MASTER, name="joint", partners=partners, normal=normal)
-    scene.problem(contacts=[pair]).solve()
+    joined(beams(comm), partners=partners, normal=normal)
+
+
+def mortar(comm: MPI.Comm, **arguments) -> None:
+    """Solve for the blocks whose meshes do not match."""
+    joined(non_matching(comm), **arguments)
 
 
 @mistake("joint: partners is 'nts'", r"Nearest\(\)", "'mortar' or None")
@@ -94,8 +82,7 @@ def direction_that_vanishes_somewhere(comm):
 @mistake("joint", r"5 of 5 slave nodes have no partner", r"\(1, 1\.1\) at dist", "across the dir")
 def direction_that_misses(comm):
     scene = scenes.two_beams(comm, "quadrilateral", 4, gap=0.1)
-    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", partners=Along((1.0, -1.0)))
-    scene.problem(contacts=[pair]).solve()
+    joined(scene, partners=Along((1.0, -1.0)))
 
 
 @mistake("Mapped: the mapping", "function")
@@ -198,12 +185,9 @@ def normal_that_is_nan_somewhere(comm):
     )
 
 
-@mistake("contact 0", "4 of 4 slave nodes", "toleran")
+@mistake("joint", "4 of 4 slave nodes", "toleran")
 def partial_contact_without_any_pair(comm):
-    scene = non_matching(comm)
-    far = Mapped(lambda x: x + 5.0)
-    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, partners=far, partial=True)
-    scene.problem(contacts=[pair]).solve()
+    mortar(comm, partners=Mapped(lambda x: x + 5.0), partial=True)
 
 
 @mistake(
@@ -212,9 +196,8 @@ def partial_contact_without_any_pair(comm):
 def partial_contact_that_is_not_one_to_one(comm):
     """The master has 3 elements on the slave's 4."""
     scene = non_matching(comm)
-    near = Nearest(tolerance=1.0)
-    pair = ContactPair(scene.facet_tags, MASTER, SLAVE, partners=near, partial=True)
-    scene.problem(contacts=[pair]).solve()
+    scene.add_pair(MASTER, SLAVE, partners=Nearest(tolerance=1.0), partial=True)
+    scene.problem().solve()
 
 
 @mistake("one", "two", "1 slave nodes twice", r"\(1\.5, 1\)", "one tag")
@@ -239,20 +222,10 @@ def slave_nodes_with_the_same_master_in_two_contacts(comm):
 # -- mortar conditions -------------------------------------------------------------------------
 
 
-def mortar(comm: MPI.Comm, **arguments) -> None:
-    """Solve for the blocks whose meshes do not match."""
-    scene = non_matching(comm)
-    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", **arguments)
-    scene.problem(contacts=[pair]).solve()
-
-
 @mistake("joint", "asks for conditions between pairs of nodes", "of degree 2. Leave it out")
 def pairs_of_nodes_for_displacements_of_degree_2(comm):
     scene = non_matching(comm)
-    V = scenes.vector_space(scene.mesh, 2)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", partners=Nearest())
-    ContactProblem(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, 0, contacts=pair).solve()
+    joined(scenes.Scene(scene.mesh, scene.facet_tags, degree=2), partners=Nearest())
 
 
 @mistake("joint", "initial_gap is 'close'", "'touching'")
@@ -265,19 +238,16 @@ def initial_gap_that_is_nan(comm):
     mortar(comm, initial_gap=lambda x: np.nan * x[0])
 
 
-@mistake("joint", "initial_gap='touching'", "non_penetration='exact'", "one of them")
+@mistake("joint", "initial_gap='touching'", "geometry=Exact()", "one of them")
 def initial_gap_and_exact_passes(comm):
-    scene = non_matching(comm)
-    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", initial_gap="touching")
-    scene.problem(contacts=[pair], options={"non_penetration": "exact"}).solve()
+    mortar(comm, initial_gap="touching", geometry=Exact())
 
 
 def shifted(comm: MPI.Comm, shift: float) -> None:
     """Solve after the upper block has moved along the contact."""
     scene = non_matching(comm)
     scene.mesh.geometry.x[nodes_of(scene.mesh, scene.cell_tags, 2), 0] += shift
-    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint")
-    scene.problem(contacts=[pair]).solve()
+    joined(scene)
 
 
 def nodes_of(mesh, cell_tags, body: int) -> np.ndarray:
@@ -298,42 +268,18 @@ def surfaces_that_meet_in_a_sliver(comm):
 @mistake("joint", "deeper in the master", "far side")
 def surface_inside_the_other_body(comm):
     """A small block within a large one, meshed apart."""
-    tagged = boxes(
-        comm, [Box((0, 0), (4, 4), (4, 4)), Box((1.1, 2), (2.4, 3), (3, 3))], "quadrilateral"
-    )
-    marks = [(CLAMPED, scenes.at(0, 0.0), 1), (MASTER, scenes.at(1, 0.0), 1)]
-    marks += [(SLAVE, scenes.at(1, 3.0), 2)]
-    tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
-    V = scenes.vector_space(tagged.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young = fem.Constant(tagged.mesh, YOUNG)
-    pair = ContactPair(tags, SLAVE, MASTER, name="joint")
-    bcs = [scenes.fixed(V, tags, CLAMPED, None)]
-    ContactProblem(scenes.elasticity(u, v, young), 0, bcs=bcs, contacts=pair).solve()
+    parts = [((0, 0), (4, 4), (4, 4)), ((1.1, 2), (2.4, 3), (3, 3))]
+    marks = [(CLAMPED, at(0, 0.0), 1), (MASTER, at(1, 0.0), 1), (SLAVE, at(1, 3.0), 2)]
+    scene = scenes.Scene.of_boxes(comm, "quadrilateral", parts, marks)
+    scene.fix(CLAMPED)
+    joined(scene)
 
 
 @mistake("joint", "folded by more than 90 degrees", r"\(0\.5, 1\)", "two contacts")
 def slave_folded_by_more_than_a_right_angle(comm):
     """Two sides of a wedge of 60 degrees are one slave surface."""
-    tagged = boxes(comm, [Box((0, 0), (1, 1), (4, 4)), Box((0, 1), (1, 2), (2, 1))], "triangle")
-    x = tagged.mesh.geometry.x
-    upper = nodes_of(tagged.mesh, tagged.cell_tags, 2)
+    scene = two_blocks(comm, "triangle", (2, 1))
+    x, upper = scene.mesh.geometry.x, nodes_of(scene.mesh, scene.cell_tags, 2)
     low = upper[np.isclose(x[upper, 1], 1.0)]
-    rise = np.sqrt(3.0) * np.abs(x[low, 0] - 0.5)
-    tags = tag_facets(
-        tagged.mesh,
-        [
-            (CLAMPED, scenes.at(1, 0.0), 1),
-            (ROLLER, scenes.at(1, 2.0), 2),
-            (MASTER, scenes.at(1, 1.0), 1),
-            (SLAVE, scenes.at(1, 1.0), 2),
-        ],
-        tagged.cell_tags,
-    )
-    x[low, 1] += rise
-    V = scenes.vector_space(tagged.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    young = fem.Constant(tagged.mesh, YOUNG)
-    bcs = [scenes.fixed(V, tags, tag, None) for tag in (CLAMPED, ROLLER)]
-    pair = ContactPair(tags, SLAVE, MASTER, name="joint")
-    ContactProblem(scenes.elasticity(u, v, young), 0, bcs=bcs, contacts=pair).solve()
+    x[low, 1] += np.sqrt(3.0) * np.abs(x[low, 0] - 0.5)
+    joined(scene)

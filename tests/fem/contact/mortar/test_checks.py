@@ -6,12 +6,12 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import MASTER, SLAVE, at, vector_space
+from scenes import MASTER, SLAVE, at
 from strips import bend, matched, strips
 
 from fenics_tfeti import ContactPair
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 
 
 def test_surfaces_that_never_meet():
@@ -29,7 +29,7 @@ def test_surfaces_that_face_away():
         tagged.mesh, [(MASTER, at(1, 1.0), 1), (SLAVE, at(1, 2.0), 2)], tagged.cell_tags
     )
     with pytest.raises(InputError, match="face away .*far side"):
-        matched(vector_space(tagged.mesh), ContactPair(tags, SLAVE, MASTER))
+        matched(displacement_space(tagged.mesh), ContactPair(tags, SLAVE, MASTER))
 
 
 def test_slivers_alone():

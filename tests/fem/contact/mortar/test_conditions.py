@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 from mortar_blocks import LOWER, UPPER, Blocks
-from scenes import vector_space
 
 from fenics_tfeti import ContactPair, Nearest
 from fenics_tfeti.fem.contact.matching import match_contact
 from fenics_tfeti.fem.contact.mortar.conditions import SlaveFacets
 from fenics_tfeti.fem.contact.mortar.facets import Planes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
-from fenics_tfeti.fem.topology import cell_vertices
-from fenics_tfeti.io import tag_facets
 
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 
 
 def scene(blocks):
-    beams = blocks.mesh(MPI.COMM_SELF)
-    return vector_space(beams.mesh), tag_facets(beams.mesh, blocks.markers(), beams.cell_tags)
+    made = blocks.scene()
+    return made.V, made.facet_tags
 
 
 @pytest.mark.parametrize("cell", CELLS)
@@ -70,12 +65,9 @@ def test_terms_of_a_condition(cell):
 @pytest.mark.parametrize("cell", CELLS)
 def test_flat_matching_surfaces_have_two_terms_a_condition(cell, height):
     """The conditions are those of pairs of nodes."""
-    blocks = Blocks(cell, 4, 4)
-    beams = blocks.mesh(MPI.COMM_SELF)
-    V, tags = vector_space(beams.mesh), tag_facets(beams.mesh, blocks.markers(), beams.cell_tags)
-    upper = np.unique(cell_vertices(beams.mesh)[beams.cell_tags.find(2)])
-    beams.mesh.geometry.x[upper, beams.mesh.geometry.dim - 1] += height
-    boundary = MeshBoundary.of(V)
+    beams = Blocks(cell, 4, 4).scene()
+    beams.mesh.geometry.x[beams.nodes(2), beams.gdim - 1] += height
+    boundary, tags = MeshBoundary.of(beams.V), beams.facet_tags
     mortar, pairs = (
         match_contact(boundary, ContactPair(tags, UPPER, LOWER, partners=kind), 0)
         for kind in ("mortar", Nearest())

@@ -7,23 +7,19 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from mortar_blocks import LOWER, Blocks
-from scenes import vector_space
 
 from fenics_tfeti.fem.contact.mortar.conditions import SlaveFacets
 from fenics_tfeti.fem.contact.mortar.one_sided import nodal_normals, one_sided_conditions
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
-from fenics_tfeti.io import tag_facets
 
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 
 
 def slave_facets(cell, **shape):
-    blocks = Blocks(cell, 3, 2, **shape)
-    meshed = blocks.mesh()
-    tags = tag_facets(meshed.mesh, blocks.markers(), meshed.cell_tags)
-    boundary = MeshBoundary.of(vector_space(meshed.mesh, 2))
-    surface = tagged_surface(boundary, tags, LOWER, "slave")
-    points = boundary.coordinates[:, : blocks.gdim]
+    scene = Blocks(cell, 3, 2, degree=2, **shape).scene()
+    boundary = MeshBoundary.of(scene.V)
+    surface = tagged_surface(boundary, scene.facet_tags, LOWER, "slave")
+    points = boundary.coordinates[:, : scene.gdim]
     return surface, SlaveFacets.of(surface, points, None)
 
 

@@ -10,7 +10,7 @@ from strips import matched, strips
 
 from dolfinx.fem import Function
 
-from fenics_tfeti import ContactPair
+from fenics_tfeti import ContactPair, Exact
 from fenics_tfeti.fem.contact.contact import Terms
 from fenics_tfeti.fem.contact.deformed import deformed_contact
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
@@ -90,7 +90,7 @@ def test_deformed_surfaces():
 
 
 def test_exact_passes_close_the_deformed_surfaces():
-    problem = uneven(Blocks("triangle", 6, 8, width=0.63), non_penetration="exact")
+    problem = uneven(Blocks("triangle", 6, 8, width=0.63), geometry=Exact())
     assert problem.report.converged
     assert problem.report.passes[-1].error <= 1e-3
 

@@ -18,7 +18,7 @@ from dolfinx import fem
 
 from fenics_tfeti import Along, ContactPair, Mapped, Nearest, Points
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.io import Box, boxes, read_msh, tag_facets
+from fenics_tfeti.io import Box, boxes, displacement_space, read_msh, tag_facets
 
 CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
 
@@ -92,7 +92,7 @@ def test_direction_finds_the_near_side_of_a_master_all_around():
     cell_tags = boxes(
         MPI.COMM_SELF, [Box((0, 0), (1, 1), (4, 2)), Box((0, 1.1), (1, 2.1), (4, 2))], "triangle"
     )
-    V = scenes.vector_space(cell_tags.mesh)
+    V = displacement_space(cell_tags.mesh)
     tags = tag_facets(cell_tags.mesh, marks, cell_tags.cell_tags)
     _, partner, _ = partners(V, ContactPair(tags, SLAVE, MASTER, partners=Along((0.0, 1.0))))
     np.testing.assert_allclose(partner[:, 1], 1.0)
@@ -104,7 +104,7 @@ def test_direction_takes_the_nearer_of_two_sheets():
     tagged = boxes(MPI.COMM_SELF, parts, "quadrilateral")
     marks = [(MASTER, at(1, 0.5), 1), (MASTER, at(1, 1.5), 2), (SLAVE, at(1, 1.6), 3)]
     tags = tag_facets(tagged.mesh, marks, tagged.cell_tags)
-    V = scenes.vector_space(tagged.mesh)
+    V = displacement_space(tagged.mesh)
     # the far sheet is exactly below, the near one misses a little
     bend(V, lambda x: (x[:, 1] > 0.9) & (x[:, 1] < 1.55), lambda x: x + [0.01, 0.0, 0.0])
     _, partner, _ = partners(V, ContactPair(tags, SLAVE, MASTER, partners=Along((0.0, -1.0))))
@@ -119,7 +119,7 @@ def test_mapping_between_surfaces_that_do_not_face_each_other():
     tags = tag_facets(
         tagged.mesh, [(MASTER, at(0, 1.0), 1), (SLAVE, at(1, 0.0), 2)], tagged.cell_tags
     )
-    V = scenes.vector_space(tagged.mesh)
+    V = displacement_space(tagged.mesh)
     x, partner, _ = partners(
         V,
         ContactPair(
@@ -183,7 +183,7 @@ def gmsh_beams(tmp_path_factory):
     module.two_beams(file, "tetrahedron", 4)
     beams = read_msh(file, MPI.COMM_SELF)
     names = beams.names
-    return scenes.vector_space(beams.mesh), beams.facet_tags, names
+    return displacement_space(beams.mesh), beams.facet_tags, names
 
 
 @pytest.mark.parametrize(
@@ -238,7 +238,7 @@ def test_unstructured_faces_that_nobody_meshed_alike(tmp_path, way):
     finally:
         gmsh.finalize()
     blocks = read_msh(tmp_path / "blocks.msh", MPI.COMM_SELF)
-    V = scenes.vector_space(blocks.mesh)
+    V = displacement_space(blocks.mesh)
     pair = ContactPair(blocks.facet_tags, SLAVE, MASTER, partners=way, partial=True)
     x, partner, pairing = partners(V, pair)
     points = V.tabulate_dof_coordinates()

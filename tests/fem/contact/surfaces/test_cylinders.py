@@ -6,12 +6,12 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import vector_space
 
 from dolfinx import mesh as dmesh
 
 from fenics_tfeti.fem.contact.surfaces.cylinders import Cylinder, without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
+from fenics_tfeti.io import displacement_space
 
 UPRIGHT = np.eye(3)
 TURN = np.linalg.qr(np.array([[2.0, 1.0, 0.3], [-0.4, 1.5, 1.0], [0.2, -1.0, 2.0]]))[0]
@@ -106,7 +106,7 @@ def quarter_of_a_ring(comm, tags=(ROUND, TOP)):
     angle += 0.05 * np.sin(5 * z)
     z += 0.05 * np.sin(9 * angle) * np.sin(np.pi * z)
     x[:] = np.column_stack([r * np.cos(angle), r * np.sin(angle), z])
-    return MeshBoundary.of(vector_space(domain)), tags
+    return MeshBoundary.of(displacement_space(domain)), tags
 
 
 def normals_of(boundary, tags, tag, chosen=lambda x: np.ones(len(x), dtype=bool)):

@@ -17,7 +17,7 @@ every_cell = pytest.mark.parametrize("cell", CELLS)
 def surface(cell, motion=None, n=3):
     scene = blocks(cell, n)
     return gather_surface(
-        MeshBoundary.of(scene.space), scene.facet_tags, SLAVE, scene.displacement(upper=motion)
+        MeshBoundary.of(scene.V), scene.facet_tags, SLAVE, scene.displacement(upper=motion)
     )
 
 

@@ -7,7 +7,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from mortar_blocks import LOWER, UPPER, Blocks
-from scenes import at, vector_space
+from scenes import Scene, at
 
 from dolfinx.fem import Function
 
@@ -18,17 +18,13 @@ from fenics_tfeti.fem.contact.surfaces.gathered import gather_surface
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
-from fenics_tfeti.io import Box, boxes, tag_facets
 
 COMM = MPI.COMM_WORLD
 
 
 def test_all_of_it_on_one_rank():
-    shape = Blocks("triangle", 3, 4)
-    beams = shape.mesh()
-    tags = tag_facets(beams.mesh, shape.markers(), beams.cell_tags)
-    V = vector_space(beams.mesh)
-    boundary = MeshBoundary.of(V)
+    scene = Blocks("triangle", 3, 4).scene()
+    boundary, tags = MeshBoundary.of(scene.V), scene.facet_tags
     near = gather_nearby(boundary, tags, UPPER, LOWER, np.arange(0))
     whole = gather_surface(boundary, tags, UPPER)
     for name in ("nodes", "points", "displacement", "facets"):
@@ -41,12 +37,12 @@ LENGTH = 40.0
 def strip(gap=0.0, cell="quadrilateral"):
     """Return space and tags of two long strips, meshed apart."""
     parts = [
-        Box((0.0, 0.0), (LENGTH, 1.0), (160, 4)),
-        Box((0.0, 1.0 + gap), (LENGTH, 2.0 + gap), (200, 5)),
+        ((0.0, 0.0), (LENGTH, 1.0), (160, 4)),
+        ((0.0, 1.0 + gap), (LENGTH, 2.0 + gap), (200, 5)),
     ]
-    bodies = boxes(COMM, parts, cell)
     marks = [(LOWER, at(1, 1.0), 1), (UPPER, at(1, 1.0 + gap), 2)]
-    return vector_space(bodies.mesh), tag_facets(bodies.mesh, marks, bodies.cell_tags)
+    scene = Scene.of_boxes(COMM, cell, parts, marks)
+    return scene.V, scene.facet_tags
 
 
 def both(gap=0.0, move=(0.0, 0.0)):

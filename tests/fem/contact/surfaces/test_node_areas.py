@@ -6,15 +6,16 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import GROUND, pressed_block, vector_space
+from scenes import GROUND, pressed_block
 
 from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
+from fenics_tfeti.io import displacement_space
 
 
 def ground(degree=1, weight=None):
     scene = pressed_block(MPI.COMM_SELF, "quadrilateral", 2)
-    boundary = MeshBoundary.of(vector_space(scene.mesh, degree), weight)
+    boundary = MeshBoundary.of(displacement_space(scene.mesh, degree), weight)
     return boundary, tagged_surface(boundary, scene.facet_tags, GROUND, "slave")
 
 

@@ -6,11 +6,11 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import at, dimension, vector_space
+from scenes import at, dimension
 
 from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets, owned_facets
 from fenics_tfeti.fem.topology import cell_type, exterior_facets
-from fenics_tfeti.io import Box, boxes, tag_facets
+from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 
@@ -20,7 +20,7 @@ def surface(cell, degree):
     d = dimension(cell)
     domain = boxes(MPI.COMM_SELF, [Box((0.0,) * d, (2.0,) * d, (2,) * d)], cell).mesh
     domain.geometry.x[:, :d] += 0.1 * np.sin(7.0 * domain.geometry.x[:, :d][:, ::-1])
-    space = vector_space(domain, degree)
+    space = displacement_space(domain, degree)
     facets = oriented_facets(space, np.flatnonzero(exterior_facets(domain)).astype(np.int32))
     return space.tabulate_dof_coordinates()[facets][..., :d], cell_type(domain).facet.vertices
 

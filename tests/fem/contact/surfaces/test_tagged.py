@@ -17,13 +17,9 @@ from dolfinx import fem
 from dolfinx.mesh import meshtags
 
 from fenics_tfeti import ContactPair, InputError, Mapped
-from fenics_tfeti.fem.contact.surfaces.tagged import (
-    MeshBoundary,
-    gather_master,
-    tagged_surface,
-)
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, gather_master, tagged_surface
 from fenics_tfeti.fem.topology import exterior_facets, vertex_nodes
-from fenics_tfeti.io import tag_facets
+from fenics_tfeti.io import displacement_space, tag_facets
 
 CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
 
@@ -114,7 +110,7 @@ def test_normals_that_cancel_are_refused():
     domain = mesh_of(MPI.COMM_SELF, "triangle", points, [(0, 1, 2)])
     tags = tag_facets(domain, {SLAVE: lambda x: x[0] > -1.0})
     with pytest.raises(InputError, match=r"around 1 nodes cancel, the first at \(1, 0\)"):
-        surface_of(scenes.vector_space(domain), tags, SLAVE)
+        surface_of(displacement_space(domain), tags, SLAVE)
 
 
 @pytest.mark.parametrize("degree", [1, 2])
@@ -126,7 +122,7 @@ def test_normals_and_areas_are_those_of_forms(cell, degree):
     gdim, x = mesh.geometry.dim, mesh.geometry.x
     tags = tag_facets(mesh, {SLAVE: scenes.at(gdim - 1, 1.0)})
     x[:, gdim - 1] += 0.1 * x[:, gdim - 1] * np.sin(3.0 * x.sum(axis=1))
-    V, linear = (scenes.vector_space(mesh, k) for k in (degree, 1))
+    V, linear = (displacement_space(mesh, k) for k in (degree, 1))
     weight = fem.Function(scenes.scalar_space(mesh))
     weight.interpolate(lambda x: 1.0 + x[0] ** 2)
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags, metadata={"quadrature_degree": 8})

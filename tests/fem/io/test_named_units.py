@@ -1,0 +1,52 @@
+"""Units beside numbers, which change no number of a solve."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import pytest
+import scenes
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.units import units_of
+
+pytestmark = pytest.mark.once
+
+
+@pytest.mark.parametrize(
+    ("system", "unit", "factor"),
+    [
+        ("SI", "MPa", 1e-6),
+        ("SI", "mm", 1e3),
+        ("mm-N-MPa", "MPa", 1.0),
+        ("mm-N-MPa", "GPa", 1e-3),
+        ("mm-N-MPa", "mm", 1.0),
+        ("mm-N-MPa", "µm", 1e3),
+        ("mm-N-MPa", "kN", 1e-3),
+        ("mm-N-MPa", "", 1.0),
+    ],
+)
+def test_values_are_converted_from_the_system(system, unit, factor):
+    assert units_of(system).factor(unit) == pytest.approx(factor, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("system", "unit", "known"), [("inch", "", "SI, mm-N-MPa"), ("SI", "psi", "Pa, kPa, MPa")]
+)
+def test_unknown_units_are_errors_that_list_the_known(system, unit, known):
+    with pytest.raises(InputError, match=known):
+        units_of(system).factor(unit)
+
+
+@pytest.mark.parametrize(
+    ("units", "length", "force", "energy"), [("SI", "m", "N", "J"), ("mm-N-MPa", "mm", "N", "mJ")]
+)
+def test_report_and_page_name_the_units(tmp_path, units, length, force, energy):
+    pytest.importorskip("plotly")
+    scene = scenes.two_beams(MPI.COMM_SELF, "quadrilateral", 1)
+    problem = scene.problem(options={"units": units})
+    problem.solve()
+    text = str(problem.report)
+    assert f"distance [{length}]" in text and f") {force} of" in text
+    problem.report.to_html(tmp_path / "page.html")
+    assert f" {energy}</td>" in (tmp_path / "page.html").read_text()

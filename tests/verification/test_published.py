@@ -1,0 +1,41 @@
+"""Benchmarks that others have published, by the scripts in benchmarks/published."""
+
+from __future__ import annotations
+
+import runpy
+import warnings
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parents[2] / "benchmarks" / "published"
+
+pytestmark = pytest.mark.once
+
+
+def run(name):
+    """Return the variables of a script."""
+    with warnings.catch_warnings():
+        # the published problems strain the bodies by a tenth
+        warnings.filterwarnings("ignore", r"\|grad u\|", UserWarning)
+        return runpy.run_path(str(FOLDER / f"{name}.py"))
+
+
+def test_nafems_roller_on_a_block():
+    pytest.importorskip("gmsh")
+    values = run("nafems_roller")
+    assert values["a"] == pytest.approx(6.21, rel=2e-3)
+    assert values["p0"] == pytest.approx(3585.37, rel=2e-3)
+
+
+def test_code_aster_spheres():
+    """Half spheres are stiffer than the half spaces of the formula."""
+    pytest.importorskip("gmsh")
+    assert 1.0 < run("code_aster_spheres")["p0"] / 2798.3 < 1.08
+
+
+def test_comet_indenter():
+    """A block of finite depth is stiffer than the half space of the formula."""
+    values = run("comet_indenter")
+    assert 1.0 < values["computed"] / values["force"] < 1.1
+    assert 1.0 < values["largest"] / values["pressure"] < 1.05
