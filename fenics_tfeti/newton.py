@@ -186,7 +186,9 @@ class NewtonIteration:
         load_step, options = self._load_step, self._options
         if self.solver is not None:
             self.solver.release()
-        system = load_step.torn.system_at(load_step.u, state.rows, load_step.prescribed)
+        system = load_step.torn.system_at(
+            load_step.u, state.rows, state.multipliers, load_step.prescribed
+        )
         system = prepare_tangents(system, options.tangent)
         inner = replace(options.solver, error_if_not_converged=False)
         self.solver = TornSolver(system, inner, self._timer, self.solver)
