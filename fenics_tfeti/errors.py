@@ -30,6 +30,10 @@ class FactorizationError(ContactError, RuntimeError):
     """A sparse Cholesky factor could not be computed."""
 
 
+class UnstableTangent(ContactError, RuntimeError):
+    """The glued tangent is not positive: near buckling, or where only contact holds a body."""
+
+
 class NotConverged(ContactError, RuntimeError):
     """The iterations stopped at a limit before the requested accuracy was certified.
 

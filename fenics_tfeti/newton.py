@@ -11,7 +11,7 @@ import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.errors import InputError, NotConverged
+from fenics_tfeti.errors import InputError, NotConverged, UnstableTangent
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
 from fenics_tfeti.fem.newton.deformation import CellGradients
@@ -24,9 +24,10 @@ from fenics_tfeti.feti import (
     Timer,
     TornSolution,
     TornSolver,
+    TornSystem,
+    prepare_tangents,
 )
 from fenics_tfeti.options import NewtonOptions
-from fenics_tfeti.tangent import prepare_tangents
 from fenics_tfeti.typing import Mask, Vector
 
 # residual below which steps are mixed: farther off, mixing has led beams astray
@@ -189,12 +190,17 @@ class NewtonIteration:
         system = load_step.torn.system_at(
             load_step.u, state.rows, state.multipliers, load_step.prescribed
         )
-        system = prepare_tangents(system, options.tangent)
-        inner = replace(options.solver, error_if_not_converged=False)
-        self.solver = TornSolver(system, inner, self._timer, self.solver)
-        solution = self.solver.solve(monitor)
+        try:
+            solution = self._solve(prepare_tangents(system, options.tangent), monitor)
+        except UnstableTangent:
+            solution = self._solve(prepare_tangents(system, "projected"), monitor)
         fill_displacement(self._increment, system.subdomains, solution.displacements)
         return solution
+
+    def _solve(self, system: TornSystem, monitor: MonitorFunction | None) -> TornSolution:
+        options = replace(self._options.solver, error_if_not_converged=False)
+        self.solver = TornSolver(system, options, self._timer, self.solver)
+        return self.solver.solve(monitor)
 
     def _mixed(self, state: NewtonState, multipliers: Multipliers, step: Iterate) -> Iterate | None:
         """Return the step combined with earlier ones near the end, while the same nodes press."""

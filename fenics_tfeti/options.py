@@ -7,13 +7,14 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 from petsc4py import PETSc
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.decomposition.partition import Partitioner
 from fenics_tfeti.fem.units import UnitSystem
+from fenics_tfeti.feti import TangentKind
 from fenics_tfeti.feti.options import Options, check_range, convert, refuse_unknown
 
 
@@ -81,7 +82,7 @@ class NewtonOptions(ContactOptions):
     newton_max_it: int = 30
     newton_step_limit: float = 0.3
     newton_anderson: int = 5
-    tangent: Literal["auto", "exact", "projected"] = "auto"
+    tangent: TangentKind = "auto"
 
     def __post_init__(self) -> None:
         """Check the ranges of numbers."""

@@ -27,6 +27,7 @@ from fenics_tfeti.feti.system import (
     Subdomain,
     TornSystem,
 )
+from fenics_tfeti.feti.tangents import TangentKind, prepare_tangents
 from fenics_tfeti.feti.timer import Timer
 
 __all__ = [
@@ -44,6 +45,7 @@ __all__ = [
     "SavedState",
     "SlipBoundStep",
     "Subdomain",
+    "TangentKind",
     "Timer",
     "TornSolution",
     "TornSolver",
@@ -52,6 +54,7 @@ __all__ = [
     "load_checkpoint",
     "load_system",
     "parse_options",
+    "prepare_tangents",
     "save_checkpoint",
     "save_system",
 ]

@@ -418,7 +418,10 @@ def _has_same_stiffness(system: TornSystem, previous: TornSystem) -> bool:
     with raise_collectively(system.comm):
         check_types(system)
     same = len(system.subdomains) == len(previous.subdomains) and all(
-        s.stiffness is t.stiffness and s.nodes is t.nodes and s.frame is t.frame
+        s.stiffness is t.stiffness
+        and s.nodes is t.nodes
+        and s.frame is t.frame
+        and s.kernel == t.kernel
         for s, t in zip(system.subdomains, previous.subdomains, strict=True)
     )
     return bool(system.comm.allreduce(same, MPI.LAND))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from mpi4py import MPI
 
@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.typing import Numbers, Vector
+
+Kernel = Literal["rigid", "translations"]
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,8 @@ class Subdomain:
     Attributes
     ----------
     stiffness : (n, n) scipy.sparse.csr_matrix
-        K_i, symmetric positive semidefinite [N/m]; entries are sorted in place if they are not.
+        K_i, symmetric [N/m]; positive semidefinite, unless the kernel is "translations". Entries
+        are sorted in place if they are not.
     load : (n,) array
         f_i [N].
     coordinates : (nodes, gdim) array
@@ -41,6 +44,11 @@ class Subdomain:
         Orthogonal matrix T if `stiffness` is not K_i but K' with K_i = T K' T', T at each node:
         subdomains that are rotated or mirrored images of each other share K' and its factor. Loads,
         coordinates and displacements are not turned.
+    kernel : {"rigid", "translations"}
+        Motions that K_i does not resist, but for elastic supports: all rigid ones, as in linear
+        elasticity, or translations and those rotations for which K_i is zero. The latter is for
+        tangents of finite strains, which may be indefinite: the stress of a torn subdomain resists
+        rotations, or drives them. See `prepare_tangents`.
     """
 
     stiffness: sp.csr_matrix
@@ -49,6 +57,7 @@ class Subdomain:
     nodes: Numbers
     body: int
     frame: Vector | None = None
+    kernel: Kernel = "rigid"
 
     def __post_init__(self) -> None:
         """Convert lists and other types of numbers to arrays; sort the entries of K."""

@@ -69,8 +69,8 @@ def test_directions_satisfy_the_constraints(gdim):
     """G U = 0, zero on contact rows, and the same on all ranks that hold a row."""
     setup = TornSolver(dealt(block(gdim))).setup
     found, constraints = setup.deflation, setup.constraints
-    for unit in np.eye(found.X.shape[1])[found.kept]:
-        u = found.prolonged(unit)
+    for alpha in found.basis.T:
+        u = found.prolonged(alpha)
         assert not u[constraints.inequality].any()
         assert np.abs(setup.projector.coarse_space.restrict(u)).max() <= 1e-12
         multiplicity = constraints.layout.sum(np.ones_like(u))
@@ -81,8 +81,8 @@ def test_directions_satisfy_the_constraints(gdim):
 def test_deflated_product_vanishes_on_the_directions(gdim):
     setup = TornSolver(dealt(block(gdim))).setup
     found, space = setup.deflation, setup.constraints.layout.space
-    for unit in np.eye(found.X.shape[1])[found.kept][:5]:
-        u = found.prolonged(unit)
+    for alpha in found.basis.T[:5]:
+        u = found.prolonged(alpha)
         plain, deflated = (
             setup.constraints.layout.sum(part(u)) for part in (setup.F.part, setup.part)
         )

@@ -76,4 +76,23 @@ def _with(subdomain: Subdomain, K: sp.csr_matrix) -> Subdomain:
     if subdomain.frame is not None:
         T = sp.kron(sp.identity(len(subdomain.coordinates)), subdomain.frame).tocsr()
         stiffness = T @ stiffness @ T.T
-    return replace(subdomain, stiffness=(stiffness + 0.5 * (K + K.T)).tocsr(), frame=None)
+    stiffness = (stiffness + _for_translations(0.5 * (K + K.T), subdomain.coordinates)).tocsr()
+    return replace(subdomain, stiffness=stiffness, frame=None)
+
+
+def _for_translations(K: sp.csr_matrix, x: Vector) -> sp.csr_matrix:
+    """Return P'KP, P = I - T A' with translations T, so that none has a force; A'T = I.
+
+    The symmetric part of the stiffness has forces at edges and where pressures change. A is on the
+    node next to the middle of those that are loaded.
+    """
+    nodes, gdim = x.shape
+    T = np.tile(np.eye(gdim), (nodes, 1))
+    forces = K @ T
+    loaded = np.unique(K.nonzero()[0] // gdim)
+    middle = loaded[np.argmin(np.linalg.norm(x[loaded] - x[loaded].mean(axis=0), axis=1))]
+    A = sp.csr_matrix(
+        (np.ones(gdim), (gdim * middle + np.arange(gdim), np.arange(gdim))), shape=T.shape
+    )
+    low = A @ sp.csr_matrix(forces).T
+    return K - low - low.T + A @ sp.csr_matrix(T.T @ forces) @ A.T

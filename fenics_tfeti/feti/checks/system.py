@@ -7,7 +7,7 @@ checked in `bodies`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,6 +21,7 @@ from fenics_tfeti.feti.system import (
     ContactGuess,
     ContactRows,
     Friction,
+    Kernel,
     Prescribed,
     Subdomain,
     TornSystem,
@@ -219,6 +220,10 @@ def _check_subdomain(name: str, subdomain: Subdomain, gdim: int) -> None:
         raise InputError(f"body of {name}: got {body!r}, expected an integer")
     if body < 0:
         raise InputError(f"body of {name}: got {body}, expected a number from 0 on")
+    if subdomain.kernel not in get_args(Kernel):
+        raise InputError(
+            f"kernel of {name}: got {subdomain.kernel!r}, expected 'rigid' or 'translations'"
+        )
     nodes, label = subdomain.nodes, f"FIELD of {name}"
     _check_fields(label, subdomain, np.int64, nodes=(None,))
     if nodes.size == 0:
@@ -315,6 +320,7 @@ def _check_connected(what: str, subdomain: Subdomain, gdim: int) -> None:
             subdomain.nodes[members],
             subdomain.body,
             subdomain.frame,
+            subdomain.kernel,
         )
         modes += kernel(part).shape[1]
     if modes > kernel(subdomain).shape[1]:

@@ -76,7 +76,7 @@ def _motions_and_supports(
     comm = system.comm
     gdim = system.gdim
     modes = 3 if gdim == 2 else 6
-    centres, sizes, nodes = _centres_and_sizes(system)
+    centres, sizes, nodes = centres_and_sizes(system)
     bodies = sizes.size
 
     blocks, gram, outside = [], np.zeros((bodies, modes, modes)), np.zeros((bodies, modes, modes))
@@ -112,7 +112,7 @@ def _motions_and_supports(
     return basis, supports, float(comm.allreduce(distance, MPI.MAX))
 
 
-def _centres_and_sizes(system: TornSystem) -> tuple[Vector, Vector, Vector]:
+def centres_and_sizes(system: TornSystem) -> tuple[Vector, Vector, Vector]:
     """Return the mean places (bodies, gdim), sizes and numbers of nodes of all bodies."""
     largest = max((s.body for s in system.subdomains), default=-1)
     bodies = system.comm.allreduce(largest, MPI.MAX) + 1
@@ -144,7 +144,7 @@ def describe_body_motion(
     relative to the motion, are left out.
     """
     ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
-    centres, sizes, _ = _centres_and_sizes(system)
+    centres, sizes, _ = centres_and_sizes(system)
     parts: dict[int, tuple[float, str]] = {}
     moving = np.searchsorted(ends, np.flatnonzero(own_motion), side="right") - 1
     for i in np.unique(moving):

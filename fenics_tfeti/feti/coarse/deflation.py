@@ -1,4 +1,6 @@
-"""Deflation: F and d without the directions in which F is large, for materials that jump.
+"""Deflation: F and d without directions in which F is large or negative.
+
+Materials that jump make F large in some directions, and indefinite tangents make it negative.
 
 With the columns C of large eigenvectors of the subdomains' dual operators (`local_spectra`), zero
 on the contact rows, and the projector P_E of the equality rows, U = P_E C has G U = o and U_I = o:
@@ -8,6 +10,10 @@ alpha leaves the same problem for lambda with the Schur complement
     F_c = F - FU (U'FU)^{-1} U'F,    d_c = d - FU (U'FU)^{-1} U'd
 
 in place of F and d, and lambda + U (U'FU)^{-1} U'(d - F lambda) is the solution of (11.36).
+
+With indefinite tangents K_i, alpha is a stationary point instead of the minimum. If the tangent of
+the glued bodies is positive, PFP has as many negative eigenvalues as all K_i together. If U'FU has
+all of them, F_c is positive semidefinite on the rest (Haynsworth).
 
 U = C - G_E'X - WV is kept by its factors: each column of C and of G_E' belongs to one subdomain,
 X = (G_E G_E')^+ G C is small, and W are the few motions that the equality rows resist weakly. So
@@ -26,8 +32,6 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve
-from scipy.linalg.lapack import dpstrf
 
 from fenics_tfeti.feti.coarse.local_spectra import LocalVectors
 from fenics_tfeti.feti.coarse.projector import Projector
@@ -43,6 +47,8 @@ DeflationKind = Literal["auto", "on", "off"]
 
 # vectors of all ranks: U'FU is a dense matrix on each of them, here of 72 MB
 _MOST = 3000
+# passes of the equilibration of U'FU: each takes the square root of what is left
+_PASSES = 10
 
 
 @dataclass(frozen=True)
@@ -66,8 +72,8 @@ class Deflation:
     pieces: sp.csr_matrix  # (j, b): [C, G_E', W]'B on the packed interface unknowns
     responses: list[Response]  # in the order of the packed interface unknowns
     unknowns: Numbers  # (subdomains + 1,): first packed unknown of each, and the end
-    kept: Numbers  # (r,): columns of U that do not depend on others
-    factor: Vector  # (r, r): lower Cholesky factor of U'FU of these columns
+    basis: Vector  # (k, r): combinations of columns of U that diagonalise U'FU
+    energies: Vector  # (r,): its diagonal
     solves: int  # with K_s^+ on this rank, of the set-up
 
     @staticmethod
@@ -76,7 +82,7 @@ class Deflation:
         on_interface: Sequence[Operator],
         vectors: LocalVectors,
     ) -> Deflation | None:
-        """Make U, K^+B'U and the factor of U'FU; None if P_E leaves no vector. Collective.
+        """Make U, K^+B'U and the inverse of U'FU; None if P_E leaves no vector. Collective.
 
         The operators apply K_i^+ between the interface unknowns of each class, (k, b) -> (k, b);
         the vectors are the columns of C of this rank's subdomains.
@@ -95,8 +101,8 @@ class Deflation:
         forces = (coarse_space.interface.transposed @ pieces.tocsr()).tocsr()
         combination = np.vstack([np.identity(total), -X, -V])
         responses, gram = _responses(coarse_space, on_interface, forces, combination)
-        kept, factor = _factor(constraints, gram, squares > WEAK**2)
-        if not kept.size:
+        basis, energies = _diagonalised(constraints, gram, squares > WEAK**2)
+        if not energies.size:
             return None
         solves = sum(response.columns.size for response in responses)
         return Deflation(
@@ -109,20 +115,25 @@ class Deflation:
             forces.T.tocsr(),
             responses,
             coarse_space.interface.ends,
-            kept,
-            factor,
+            basis,
+            energies,
             solves,
         )
 
     @property
     def size(self) -> int:
         """Number of vectors of all ranks that do not depend on others."""
-        return int(self.kept.size)
+        return int(self.energies.size)
+
+    @property
+    def negative(self) -> int:
+        """Number of negative eigenvalues of U'FU."""
+        return int(np.count_nonzero(self.energies < 0.0))
 
     @property
     def bytes(self) -> int:
         """Memory of this rank."""
-        arrays = [self.X, self.W, self.V, self.factor]
+        arrays = [self.X, self.W, self.V, self.basis]
         arrays += [x for A in (self.own, self.pieces) for x in (A.data, A.indices)]
         arrays += self.vectors.values
         arrays += [response.displacements for response in self.responses]
@@ -152,7 +163,7 @@ class Deflation:
         return y
 
     def completed(self, multipliers: Vector, rest: Vector, at: Vector) -> Vector:
-        """Return lambda + U (U'FU)^{-1} U'(d - F lambda): the minimum over lambda + U alpha.
+        """Return lambda + U (U'FU)^{-1} U'(d - F lambda), stationary over lambda + U alpha.
 
         All arguments are (m,); rest is d - F times the other multipliers `at`.
         """
@@ -200,9 +211,8 @@ class Deflation:
         return np.concatenate([np.zeros(0), *parts])
 
     def _solve(self, right: Vector) -> Vector:
-        """Return (U'FU)^{-1} of the columns that are kept, zero for the others."""
-        alpha = np.zeros_like(right)
-        alpha[self.kept] = cho_solve((self.factor, True), right[self.kept], check_finite=False)
+        """Return (U'FU)^+ applied to a vector."""
+        alpha: Vector = self.basis @ ((self.basis.T @ right) / self.energies)
         return alpha
 
 
@@ -220,7 +230,7 @@ def at_most(comm: MPI.Intracomm, vectors: LocalVectors, most: int = _MOST) -> Lo
         "subdomains (option 'subdomain_size') cut fewer stiff parts of the material",
         stacklevel=2,
     )
-    return vectors.chosen(vectors.excess > excess[most])
+    return vectors.chosen((vectors.excess > excess[most]) | np.isinf(vectors.excess))
 
 
 def same_equality_rows(one: Constraints, other: Constraints) -> bool:
@@ -325,24 +335,36 @@ def _assembled(blocks: Sequence[tuple[Vector, Numbers]], size: int) -> sp.csr_ma
     return sp.csr_matrix((values, (rows, columns)), shape=(size, size))
 
 
-def _factor(
+def _diagonalised(
     constraints: Constraints, gram: Vector, nonzero: NDArray[np.bool_]
-) -> tuple[Numbers, Vector]:
-    """Return columns of U that do not depend on others, and the Cholesky factor of U'FU of them.
+) -> tuple[Vector, Vector]:
+    """Return combinations (k, r) of columns of U that diagonalise U'FU, and the diagonal (r,).
 
     Two subdomains may have the same vector for the jump between them, and vectors in the range of
-    G_E' leave nothing. Every rank gets the same.
+    G_E' leave nothing: eigenvalues that are zero are left out. Every rank gets the same.
     """
     comm = constraints.layout.comm
     whole = constraints.layout.space.sum_over_ranks(gram)
     comm.Bcast(whole)
     comm.Bcast(nonzero)
-    whole = 0.5 * (whole + whole.T)
-    # in units of each column's own energy
-    lengths = np.sqrt(np.maximum(whole.diagonal(), np.finfo(float).tiny))
-    scaled = whole / np.outer(lengths, lengths)
-    scaled[~nonzero], scaled[:, ~nonzero] = 0.0, 0.0
-    factor, pivots, rank, _ = dpstrf(scaled, tol=ZERO, lower=1)
-    kept = (pivots[:rank] - 1).astype(np.int64)
-    lower: Vector = np.tril(factor[:rank, :rank]) * lengths[kept, None]
-    return kept, lower
+    kept = np.flatnonzero(nonzero)
+    whole = 0.5 * (whole + whole.T)[np.ix_(kept, kept)]
+    lengths = _equilibration(whole)
+    energies, vectors = np.linalg.eigh(whole / np.outer(lengths, lengths))
+    large = np.abs(energies) > ZERO * np.abs(energies).max(initial=0.0)
+    basis = np.zeros((gram.shape[0], np.count_nonzero(large)))
+    basis[kept] = vectors[:, large] / lengths[:, None]
+    return basis, energies[large]
+
+
+def _equilibration(matrix: Vector) -> Vector:
+    """Return lengths s with 1 as the largest entry of each row of M_ij / (s_i s_j).
+
+    Those of a positive definite matrix are the square roots of its diagonal.
+    """
+    size = np.abs(matrix)
+    lengths = np.ones(len(matrix))
+    for _ in range(_PASSES):
+        largest = (size / lengths[:, None] / lengths).max(axis=1, initial=0.0)
+        lengths *= np.sqrt(np.where(largest > 0.0, largest, 1.0))
+    return lengths

@@ -6,6 +6,10 @@ to its diagonal. Where a stiff part of the material ends at the subdomain's boun
 soft part, it moves as a rigid body at the soft part's cost, while the jump at its end counts with
 the stiff weight: some isolated eigenvalues are larger by the ratio of the moduli. Contact rows are
 left out, since their multipliers have bounds.
+
+Of an indefinite tangent K_s, F_s has negative eigenvalues too, one for each of K_s if the subdomain
+is stable when its rows hold it. Rotations that compression drives, or that tension resists, and
+buckling of the torn subdomain make isolated eigenvalues, large in magnitude.
 """
 
 from __future__ import annotations
@@ -27,9 +31,11 @@ Operator = Callable[[Vector], Vector]
 # columns of a block and number of products with it: as many vectors as 32 steps of the Lanczos
 # method for the price of ten, since right-hand sides share the factors
 _BLOCK, _STEPS = 8, 4
+# products with a block, as long as negative eigenvalues are missing
+_MOST_STEPS = 16
 # products after which a subdomain whose eigenvalues all seem to be moderate is given up
 _TRIAL = 2
-# vectors of a subdomain
+# vectors of a subdomain with positive eigenvalues
 _MOST = 20
 
 
@@ -81,7 +87,8 @@ class LocalVectors:
 
     rows: list[Numbers]  # (r,) each: global numbers of rows
     values: list[Vector]  # (r,) each, of length 1, on these rows
-    excess: Vector  # (k,): their eigenvalue relative to the threshold
+    # (k,): their eigenvalue relative to the threshold; infinite for those that have to be deflated
+    excess: Vector
     solves: int  # with K_s^+, for all vectors
     twice: bool = True  # whether rounding makes it necessary to remove them twice; on all ranks
 
@@ -116,17 +123,19 @@ def local_vectors(
     numbers: Numbers,
     unit: float,
     limits: Vector,
+    negative: Numbers,
 ) -> LocalVectors:
-    """Return Ritz vectors of P_s F_s P_s with values above a limit.
+    """Return Ritz vectors of P_s F_s P_s with values above a limit, or negative.
 
     The operators apply K_i^+ between the interface unknowns of each class, (k, b) -> (k, b), and
     the kernels are R_i (b, k) there. The numbers (m,) of rows are global; unit is the stiffness
-    that a weight of 1 stands for [N/m], and the limits (subdomains,) are tau.
+    that a weight of 1 stands for [N/m], the limits (subdomains,) are tau, and `negative`
+    (subdomains,) are the numbers of negative eigenvalues of K_s.
     """
     numbers = numbers[torn.rows]
-    spaces = _first_subspaces(torn, interface, kernels, numbers, limits)
+    spaces = _first_subspaces(torn, interface, kernels, numbers, limits, negative)
     solves = 0
-    for step in range(1, _STEPS + 1):
+    for step in range(1, _MOST_STEPS + 1):
         growing = [space for space in spaces if space.block.shape[1]]
         if not growing:
             break
@@ -137,15 +146,16 @@ def local_vectors(
         jumps = torn.matrix @ _solved(interface, on_interface, torn.transposed @ block)
         jumps *= unit
         for space in growing:
-            space.take(jumps[space.rows], last=step == _STEPS)
-            if step == _TRIAL and not space.large()[0].size:
+            space.take(jumps[space.rows])
+            finished = step >= _STEPS or (step == _TRIAL and not space.large()[0].size)
+            if finished and space.has_all_negative:
                 space.block = space.block[:, :0]
     rows, values, excess = list[Numbers](), list[Vector](), [np.zeros(0)]
     for space in spaces:
         sizes, vectors = space.large()
         rows += [numbers[space.rows]] * sizes.size
         values += list(vectors.T)
-        excess.append(sizes / space.limit)
+        excess.append(np.where(sizes > 0.0, sizes / space.limit, np.inf))
     return LocalVectors(rows, values, np.concatenate(excess), solves)
 
 
@@ -155,6 +165,7 @@ class _Subspace:
 
     rows: slice  # among those of all subdomains
     limit: float  # tau
+    negative: int  # negative eigenvalues of K_s
     motions: Vector  # (r, k): orthonormal basis of the range of G_s'
     basis: Vector  # (r, j): orthonormal
     images: Vector  # (r, j): P_s F_s P_s times the basis
@@ -171,19 +182,27 @@ class _Subspace:
         new: Vector = Q[:, np.abs(np.diag(R)) > ZERO * size]
         return new
 
-    def take(self, jumps: Vector, last: bool) -> None:
+    def take(self, jumps: Vector) -> None:
         """Add the block to the basis, given F_s times it; find the next one."""
         jumps = jumps[:, : self.block.shape[1]]
         image = jumps - self.motions @ (self.motions.T @ jumps)
         self.basis = np.hstack([self.basis, self.block])
         self.images = np.hstack([self.images, image])
-        self.block = self.block[:, :0] if last else self.new_directions(image)
+        self.block = self.new_directions(image)
+
+    @property
+    def has_all_negative(self) -> bool:
+        """True if as many Ritz values are negative as eigenvalues of K_s."""
+        return np.count_nonzero(self.large()[0] < 0.0) >= self.negative
 
     def large(self) -> tuple[Vector, Vector]:
-        """Return the Ritz values above the limit, in descending order, and their vectors."""
+        """Return the Ritz values above the limit, then the negative ones, and their vectors."""
         gram = self.basis.T @ self.images
         values, vectors = np.linalg.eigh(0.5 * (gram + gram.T))
         at = np.flatnonzero(values > self.limit)[::-1][:_MOST]
+        if self.negative:
+            below = -ZERO * np.abs(values).max(initial=0.0)
+            at = np.append(at, np.flatnonzero(values < below))
         return values[at], self.basis @ vectors[:, at]
 
 
@@ -193,6 +212,7 @@ def _first_subspaces(
     kernels: Sequence[Vector],
     numbers: Numbers,
     limits: Vector,
+    negative: Numbers,
 ) -> list[_Subspace]:
     """Return empty subspaces, with first blocks that depend on the numbers of the rows only."""
     first = seeded_vector(_BLOCK * numbers[:, None] + np.arange(_BLOCK))
@@ -208,7 +228,7 @@ def _first_subspaces(
         U, sizes, _ = np.linalg.svd(G[rows], full_matrices=False)
         motions = U[:, sizes > ZERO * sizes.max(initial=0.0)]
         none = np.zeros((rows.stop - rows.start, 0))
-        space = _Subspace(rows, float(limits[s]), motions, none, none, none)
+        space = _Subspace(rows, float(limits[s]), int(negative[s]), motions, none, none, none)
         space.block = space.new_directions(first[rows])
         spaces.append(space)
     return spaces

@@ -26,7 +26,7 @@ from fenics_tfeti.parallel import raise_collectively
 Arrays = dict[str, NDArray[Any]]
 
 _FORMAT = "fenics_tfeti torn system 1"
-_SUBDOMAIN = ("matrix", "load", "coordinates", "nodes", "body", "frame")
+_SUBDOMAIN = ("matrix", "load", "coordinates", "nodes", "body", "frame", "kernel")
 _ROWS = ("offsets", "nodes", "coefficients", "gap", "contact", "slaves")
 _FRICTION = ("row", "tangents", "bound", "slip", "coefficient")
 _PRESCRIBED = ("nodes", "components", "values", "condition")
@@ -119,6 +119,7 @@ def _parts_of_subdomains(system: TornSystem) -> tuple[list[Arrays], list[Arrays]
                 "nodes": s.nodes,
                 "body": np.array(s.body),
                 **({} if s.frame is None else {"frame": s.frame}),
+                **({} if s.kernel == "rigid" else {"kernel": np.array([s.kernel])}),
             }
         )
     return stored, subdomains
@@ -236,6 +237,7 @@ def _subdomain(
     frame = None
     if f"{path}/frame" in file.names:
         frame = file.read(f"{path}/frame", "numbers", (gdim, gdim))
+    kernel: Any = file.strings(f"{path}/kernel")
     return Subdomain(
         matrices[matrix],
         file.read(f"{path}/load", "numbers", (n,)),
@@ -243,6 +245,7 @@ def _subdomain(
         nodes,
         file.integer(f"{path}/body"),
         frame,
+        kernel[0] if kernel else "rigid",
     )
 
 

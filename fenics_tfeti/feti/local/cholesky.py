@@ -1,4 +1,4 @@
-"""Sparse Cholesky factors by CHOLMOD or MUMPS, through PETSc, or by rslab."""
+"""Sparse Cholesky and LDL' factors by CHOLMOD or MUMPS, through PETSc, or by rslab."""
 
 from __future__ import annotations
 
@@ -101,7 +101,9 @@ _TOO_SMALL, _WORKSPACES = (-8, -9), (100, 400, 1600)
 
 
 class _Factor(Protocol):
-    """A factor by a package; its constructor takes a matrix and may raise `_Indefinite`."""
+    """A factor by a package; its constructor takes a matrix and may raise `_Unusable`."""
+
+    negative: int  # number of negative pivots; unknown to CHOLMOD
 
     def solve(self, b: Vector) -> Vector:
         """Solve for a vector (n,)."""
@@ -114,11 +116,43 @@ class _Factor(Protocol):
         """Number of the factor's entries."""
 
 
-class _Indefinite(Exception):
-    """A package found that the matrix is not positive definite; the text says how."""
+class _Unusable(Exception):
+    """A package cannot factor the matrix, or the factor is of no use; the text says how."""
 
 
-class SparseCholesky:
+class SparseFactor:
+    """The solves with a factor by any package."""
+
+    def __init__(self, factor: _Factor) -> None:
+        self._factor = factor
+
+    def solve(self, b: Vector) -> Vector:
+        """Solve for a vector (n,) or, column by column, for a matrix (n, k)."""
+        if b.ndim == 1:
+            return self._factor.solve(b)
+        x = np.empty(b.shape, order="F")
+        for start in range(0, b.shape[1], COLUMNS):
+            block = slice(start, start + COLUMNS)
+            x[:, block] = self._factor.solve_columns(np.asfortranarray(b[:, block]))
+        return x
+
+    @property
+    def entries(self) -> int:
+        """Number of the factor's entries."""
+        return self._factor.entries
+
+    def _check_by_a_solve(self, matrix: sp.csr_matrix) -> float:
+        """Find inaccurate factors, and return the energy b'x of the probe."""
+        b = matrix @ np.random.default_rng(0).standard_normal(matrix.shape[0])
+        x = self.solve(b)
+        with np.errstate(invalid="ignore", over="ignore"):
+            residual = np.linalg.norm(matrix @ x - b) / np.linalg.norm(b)
+            if not residual <= _USELESS:
+                raise _Unusable(f"relative residual {residual:.1e}")
+            return float(b @ x)
+
+
+class SparseCholesky(SparseFactor):
     """The factor of a sparse symmetric positive definite matrix.
 
     The matrix has both triangles; `FactorizationError` if it is not positive definite. A `quick`
@@ -136,39 +170,60 @@ class SparseCholesky:
 
     def __init__(self, matrix: sp.csr_matrix, package: str, quick: bool = False) -> None:
         try:
-            self._factor: _Factor = (
-                _RslabFactor(matrix) if package == "rslab" else _PetscFactor(matrix, package, quick)
-            )
-            self._check_by_a_solve(matrix)
-        except _Indefinite as error:
+            super().__init__(_factor(matrix, package, quick))
+            if package != "cholmod" and self._factor.negative:
+                raise _Unusable(f"{self._factor.negative} negative pivots")
+            # CHOLMOD's failures, which PETSc does not pass on
+            if not self._check_by_a_solve(matrix) > 0.0:
+                raise _Unusable("negative energy")
+        except _Unusable as error:
             raise FactorizationError(
                 f"the Cholesky factorisation by {package} failed ({error}): the matrix of order "
                 f"{matrix.shape[0]} is not positive definite"
             ) from error
 
-    def _check_by_a_solve(self, matrix: sp.csr_matrix) -> None:
-        """Find the failures of CHOLMOD, which PETSc does not pass on, and inaccurate factors."""
-        b = matrix @ np.random.default_rng(0).standard_normal(matrix.shape[0])
-        x = self.solve(b)
-        with np.errstate(invalid="ignore", over="ignore"):
-            residual = np.linalg.norm(matrix @ x - b) / np.linalg.norm(b)
-            if not (residual <= _USELESS and b @ x > 0.0):
-                raise _Indefinite(f"relative residual {residual:.1e}")
 
-    def solve(self, b: Vector) -> Vector:
-        """Solve for a vector (n,) or, column by column, for a matrix (n, k)."""
-        if b.ndim == 1:
-            return self._factor.solve(b)
-        x = np.empty(b.shape, order="F")
-        for start in range(0, b.shape[1], COLUMNS):
-            block = slice(start, start + COLUMNS)
-            x[:, block] = self._factor.solve_columns(np.asfortranarray(b[:, block]))
-        return x
+class SparseLDL(SparseFactor):
+    """The LDL' factor of a sparse symmetric matrix that may be indefinite, with its inertia.
+
+    It is by rslab or MUMPS: CHOLMOD does not pivot. `FactorizationError` if the matrix is singular.
+
+    Examples
+    --------
+    >>> import numpy as np, scipy.sparse as sp
+    >>> factor = SparseLDL(sp.csr_matrix(np.diag([1.0, -2.0])))
+    >>> factor.solve(np.array([3.0, 4.0])).tolist(), factor.negative
+    ([3.0, -2.0], 1)
+    """
+
+    def __init__(self, matrix: sp.csr_matrix) -> None:
+        package = next((p for p in ("rslab", "mumps") if _is_available(p)), None)
+        if package is None:
+            raise FactorizationError(
+                "an indefinite tangent needs a symmetric indefinite factor, which CHOLMOD has not: "
+                "install a PETSc with MUMPS, or 'pip install rslab'"
+            )
+        try:
+            super().__init__(_factor(matrix, package, definite=False))
+            self._check_by_a_solve(matrix)
+        except _Unusable as error:
+            raise FactorizationError(
+                f"the LDL' factorisation by {package} failed ({error}): the matrix of order "
+                f"{matrix.shape[0]} is singular"
+            ) from error
 
     @property
-    def entries(self) -> int:
-        """Number of the factor's entries."""
-        return self._factor.entries
+    def negative(self) -> int:
+        """Number of negative eigenvalues."""
+        return self._factor.negative
+
+
+def _factor(
+    matrix: sp.csr_matrix, package: str, quick: bool = False, definite: bool = True
+) -> _Factor:
+    if package == "rslab":
+        return _RslabFactor(matrix)
+    return _PetscFactor(matrix, package, quick, definite)
 
 
 class _RslabFactor:
@@ -179,10 +234,10 @@ class _RslabFactor:
         try:
             self._factor = rslab.ldlt(matrix, threads=1, solve_par_min_work=_NEVER)
         except RuntimeError as error:
-            raise _Indefinite(str(error)) from error
-        _, negative, zero = self._factor.inertia
-        if negative or zero:
-            raise _Indefinite(f"{negative} negative and {zero} zero pivots")
+            raise _Unusable(str(error)) from error
+        _, self.negative, zero = map(int, self._factor.inertia)
+        if zero:
+            raise _Unusable(f"{zero} zero pivots")
 
     def solve(self, b: Vector) -> Vector:
         x: Vector = self._factor.solve(np.ascontiguousarray(b, dtype=np.float64))
@@ -202,9 +257,10 @@ def _petsc_matrix(matrix: sp.csr_matrix) -> PETSc.Mat:
     return PETSc.Mat().createAIJ(matrix.shape, csr=(*indices, matrix.data), comm=PETSc.COMM_SELF)
 
 
-def _petsc_cholesky(A: PETSc.Mat, package: str) -> PETSc.PC:
+def _petsc_cholesky(A: PETSc.Mat, package: str, definite: bool = True) -> PETSc.PC:
     """Return the PC that will factor a matrix; nothing is computed yet."""
-    A.setOption(PETSc.Mat.Option.SPD, True)
+    # MUMPS takes pivots of order two, and as they come for stability, where this is false
+    A.setOption(PETSc.Mat.Option.SPD, definite)
     pc = PETSc.PC().create(A.getComm())
     pc.setOperators(A)
     pc.setType("cholesky")
@@ -221,17 +277,19 @@ def _destroy(*things: PETSc.Object) -> None:
 class _PetscFactor:
     """A supernodal or simplicial factor by CHOLMOD, a multifrontal one by MUMPS."""
 
-    def __init__(self, matrix: sp.csr_matrix, package: str, quick: bool) -> None:
+    negative = 0
+
+    def __init__(self, matrix: sp.csr_matrix, package: str, quick: bool, definite: bool) -> None:
         if package == "mumps":
             _require_communicators()
         A = _petsc_matrix(matrix)
-        pc = _petsc_cholesky(A, package)
+        pc = _petsc_cholesky(A, package, definite)
         try:
             with _orderings(pc, matrix.shape[0], quick and package == "cholmod"), one_thread():
                 pc.setUp()
             self._factor = pc.getFactorMatrix()
         except PETSc.Error as error:
-            raise _Indefinite(f"PETSc's error {error.ierr}") from error
+            raise _Unusable(f"PETSc's error {error.ierr}") from error
         finally:
             # the factor outlives the PC and its copy of the matrix
             _destroy(pc, A)
@@ -239,7 +297,9 @@ class _PetscFactor:
         self._b = self._x.duplicate()
         weakref.finalize(self, _destroy, self._factor, self._x, self._b).atexit = False
         if package == "mumps":
-            _reject_bad_pivots(self._factor)
+            status, self.negative = map(self._factor.getMumpsInfog, (_ERROR, _NEGATIVE_PIVOTS))
+            if status < 0:
+                raise _Unusable(f"INFOG(1) is {status}")
 
     def solve(self, b: Vector) -> Vector:
         self._b.array_w[:] = b
@@ -296,15 +356,6 @@ def _require_communicators() -> None:
     finally:
         for communicator in communicators:
             communicator.Free()
-
-
-def _reject_bad_pivots(factor: PETSc.Mat) -> None:
-    """Raise an `_Indefinite` for what MUMPS reports: it factors indefinite matrices as well."""
-    status, negative = (factor.getMumpsInfog(i) for i in (_ERROR, _NEGATIVE_PIVOTS))
-    if status < 0:
-        raise _Indefinite(f"INFOG(1) is {status}")
-    if negative:
-        raise _Indefinite(f"{negative} negative pivots")
 
 
 def _factored_in_enough_memory(A: PETSc.Mat) -> PETSc.PC:

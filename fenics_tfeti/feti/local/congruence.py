@@ -120,6 +120,8 @@ def _fingerprint(K: sp.csr_matrix) -> int:
 
 
 def _same(first: Subdomain, second: Subdomain) -> bool:
+    if first.kernel != second.kernel:
+        return False
     K, L = first.stiffness, second.stiffness
     if K is not L:
         if K.shape != L.shape or K.nnz != L.nnz:

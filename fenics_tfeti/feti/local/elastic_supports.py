@@ -47,7 +47,7 @@ def set_free(subdomain: Subdomain) -> FloatingSubdomain:
     if not soft.size:
         return FloatingSubdomain(K, R, 0)
     tau = float(K.diagonal().mean())
-    V = sp.csr_matrix(-_forces_of_supports(K, R[:, soft]) * np.sqrt(tau / energies[soft]))
+    V = sp.csr_matrix(-forces_of_motions(K, R[:, soft]) * np.sqrt(tau / energies[soft]))
     stiffness = sp.bmat([[K, V], [V.T, tau * sp.identity(soft.size)]], format="csr")
     stiffness.sort_indices()
     follow = np.zeros((soft.size, R.shape[1]))
@@ -55,7 +55,7 @@ def set_free(subdomain: Subdomain) -> FloatingSubdomain:
     return FloatingSubdomain(stiffness, np.vstack([R, follow]), int(soft.size))
 
 
-def _forces_of_supports(K: sp.csr_matrix, R: Vector) -> Vector:
-    """Return KR without what rounding leaves where no support is."""
+def forces_of_motions(K: sp.csr_matrix, R: Vector) -> Vector:
+    """Return KR without what rounding leaves where nothing resists."""
     KR = K @ R
     return np.where(np.abs(KR) > rounding(abs(K) @ np.abs(R), FEW), KR, 0.0)

@@ -7,7 +7,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import FactorizationError, format_point
-from fenics_tfeti.feti.local.cholesky import SparseCholesky
+from fenics_tfeti.feti.local.cholesky import SparseCholesky, SparseFactor, SparseLDL
 from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes
 from fenics_tfeti.feti.local.symmetry import SymmetryGroup
 from fenics_tfeti.feti.system import Subdomain
@@ -19,10 +19,10 @@ def regularized_stiffness(
 ) -> sp.csr_matrix:
     """Return K + rho Q with Q = R_F (R_F'R_F)^{-1} R_F' on the fixed unknowns, rho = max diag K.
 
-    It is positive definite for a basis R (n, k) of the kernel of K and F (s,), the unknowns of the
-    fixing nodes. Its inverse is the K^+ of (11.34) with S^+ = (S + rho Q)^{-1}: block elimination
-    of the remaining unknowns gives the Schur complement S + rho Q, and the rest of (11.34) is the
-    rest of the elimination.
+    For a basis R (n, k) of the kernel of K and F (s,), the unknowns of the fixing nodes, it is
+    regular, with as many negative eigenvalues as K. Its inverse is the K^+ of (11.34) with
+    S^+ = (S + rho Q)^{-1}: block elimination of the remaining unknowns gives the Schur complement
+    S + rho Q, and the rest of (11.34) is the rest of the elimination.
     """
     if R.shape[1] == 0:
         return stiffness
@@ -42,7 +42,8 @@ class GeneralizedInverse:
     R (n, k) is an orthonormal basis of the kernel of K_i, and `number` is M, the number of fixing
     nodes. The stiffness, by default that of the subdomain, may have unknowns beyond those of the
     nodes. Symmetries leave K_i as it is; K_i^+ is to have them too. Raises `FactorizationError` if
-    K_i is not positive semidefinite or its kernel is not that of its rigid body modes.
+    the kernel of K_i is not R, or K_i is not positive semidefinite but all rigid body modes are to
+    be its kernel.
     """
 
     def __init__(
@@ -58,13 +59,19 @@ class GeneralizedInverse:
         K = subdomain.stiffness if stiffness is None else stiffness
         self.size = K.shape[0]
         self.symmetries = symmetries or SymmetryGroup.trivial(self.size)
+        self.negative = 0  # negative eigenvalues of K_i
         images = symmetries.nodes(gdim) if symmetries else None
         try:
             nodes = fixing_nodes(
                 subdomain.stiffness, subdomain.coordinates_in_frame, number, images
             )
             fixed = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
-            self._factor = SparseCholesky(regularized_stiffness(K, R, fixed), package)
+            regularized = regularized_stiffness(K, R, fixed)
+            if subdomain.kernel == "rigid":
+                self._factor: SparseFactor = SparseCholesky(regularized, package)
+            else:
+                self._factor = indefinite = SparseLDL(regularized)
+                self.negative = indefinite.negative
         except FactorizationError as error:
             place = format_point(
                 subdomain.coordinates.mean(axis=0), float(np.abs(subdomain.coordinates).max())

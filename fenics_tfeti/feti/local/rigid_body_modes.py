@@ -6,7 +6,7 @@ import numpy as np
 
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.system import Subdomain
-from fenics_tfeti.feti.tolerances import ENERGY, NEGLIGIBLE, SOFT_SUPPORT, rounding
+from fenics_tfeti.feti.tolerances import ENERGY, NEGLIGIBLE, SOFT_SUPPORT, ZERO, rounding
 from fenics_tfeti.typing import Vector
 
 # length of a rotation's part that is orthogonal to other modes, in units of the subdomain's size,
@@ -54,14 +54,38 @@ def rigid_body_modes(coordinates: Vector) -> Vector:
     return basis
 
 
+def translations_and_rotations(coordinates: Vector) -> tuple[Vector, Vector]:
+    """Return the rigid body modes as translations (n, gdim) and rotations (n, k) about the centre.
+
+    Together they are orthonormal.
+    """
+    nodes, gdim = coordinates.shape
+    translations: Vector = np.tile(np.identity(gdim), (nodes, 1)) / np.sqrt(nodes)
+    R = rigid_body_modes(coordinates)
+    rotations = np.linalg.svd(R - translations @ (translations.T @ R), full_matrices=False)[0]
+    return translations, rotations[:, : R.shape[1] - gdim]
+
+
+def possible_kernel(subdomain: Subdomain) -> Vector:
+    """Return orthonormal motions (n, k) that K_i resists only by elastic supports, if at all."""
+    K, x = subdomain.stiffness, subdomain.coordinates_in_frame
+    if subdomain.kernel == "rigid":
+        return rigid_body_modes(x)
+    translations, rotations = translations_and_rotations(x)
+    # the stress need not act on all rotations: a uniaxial one leaves that about its axis free
+    _, forces, motions = np.linalg.svd(K @ rotations, full_matrices=False)
+    free = forces <= ZERO * K.diagonal().mean()
+    return np.hstack([translations, rotations @ motions[free].T])
+
+
 def low_energy_modes(subdomain: Subdomain) -> tuple[Vector, Vector]:
-    """Return the rigid body modes that K_i resists softly or not at all, in the frame of K_i.
+    """Return the motions of its kernel that K_i resists softly or not at all, in the frame of K_i.
 
     An elastic support (a term u.v ds in the form) resists some or all of them. Modes that it
     resists firmly are left out. Returns R (n, k) with R'R = I, k <= 6 (3 in 2D), and the energies
     (k,), the diagonal matrix R'KR [N/m]; 0 for modes in the kernel.
     """
-    R = rigid_body_modes(subdomain.coordinates_in_frame)
+    R = possible_kernel(subdomain)
     stiffness = np.abs(subdomain.stiffness.data).max(initial=0.0)
     gram, none = R.T @ (subdomain.stiffness @ R), rounding(stiffness, ENERGY)
     # rounding would couple motions along a soft support with others that it leaves free
@@ -73,7 +97,7 @@ def low_energy_modes(subdomain: Subdomain) -> tuple[Vector, Vector]:
 
 
 def kernel(subdomain: Subdomain) -> Vector:
-    """Return an orthonormal basis of the rigid body modes that K_i resists softly or not at all.
+    """Return an orthonormal basis of the motions that K_i resists softly or not at all.
 
     Without soft elastic supports it is the kernel of K_i. It is R_i (n, k) with R_i'R_i = I,
     k <= 6 (3 in 2D).

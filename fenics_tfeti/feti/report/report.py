@@ -74,7 +74,8 @@ class Report:
         subdomain, many at once), and those of the ``preconditioner``.
     deflation : dict
         Deflated directions of the dual operator (``vectors``), and their memory over all ranks
-        (``bytes``).
+        (``bytes``); negative eigenvalues of the stiffness matrices (``negative``), which are among
+        them.
     seconds : dict
         Wall time by phase, the slowest rank's, and the ``total`` [s].
     peak_memory_bytes : int
@@ -90,7 +91,8 @@ class Report:
         conditions for one displacement the last one counts.
     springs : Resultant
         Force and moment that elastic supports in the bilinear form exert; in axisymmetric forms
-        the radial force of the hoop stress too.
+        the radial force of the hoop stress too, of exact tangents the moment of stresses that
+        rotate.
     equilibrium : float
         The sum of the forces of load, supports, springs and obstacles, relative to the largest sum
         of magnitudes of nodal forces among them.
@@ -170,9 +172,10 @@ class Report:
     def summary(self, force_unit: str = "") -> str:
         """Return the main figures as lines to read, forces with a unit."""
         unknowns, products, unit = self.unknowns, self.products, f" {force_unit}".rstrip()
+        accuracy = "at most" if self.certificate.guaranteed else "estimated as"
         lines = {
             "result": self.reason,
-            "error": f"at most {self.certificate.worst:.1e}, relative, in the energy norm",
+            "error": f"{accuracy} {self.certificate.worst:.1e}, relative, in the energy norm",
             "unknowns": f"{unknowns['primal']}, in {self.subdomains} subdomains",
             "contact": f"{unknowns['active']} of {unknowns['inequalities']} rows active",
             "friction": f"{unknowns['sticking']} of {unknowns['friction']} nodes stick",
@@ -273,6 +276,7 @@ def build_report(
         deflation={
             "vectors": 0 if setup.deflation is None else setup.deflation.size,
             "bytes": comm.allreduce(0 if setup.deflation is None else setup.deflation.bytes),
+            "negative": setup.negative,
         },
         seconds=context.timer.slowest(comm),
         peak_memory_bytes=peak_memory(comm),

@@ -14,6 +14,9 @@ to the square of the bound: zero where nothing slips, or the slip is along a for
 Soft elastic supports are a part of K, with their ground as unknowns that equality rows hold
 (`local.elastic_supports`): u is on y = o, u_t moves the ground a little, and the bound is the same.
 
+Where the K_i are indefinite tangents, no theorem makes the difference of energies a bound. It is an
+estimate then, with the magnitudes of the subdomains' energies in the sum.
+
 Bodies that do not press on each other decouple: the same holds for each *group* of bodies that are
 connected by closed contacts or tied. The share of a single body in ||u - u_t||_K is an estimate of
 its error.
@@ -90,6 +93,8 @@ class Certificate:
         the bodies that touch there.
     slip_across_force : float
         Largest part of a slip that is not along the tangential force, relative to the same.
+    guaranteed : bool
+        False where tangents are indefinite, so that the bound is an estimate.
     slip_bound_error : float
         With Coulomb's law, difference between the friction forces and the bounds that the normal
         forces make, as root of the sum of squares, relative to the bounds.
@@ -107,6 +112,7 @@ class Certificate:
     slip_below_bound: float = 0.0
     slip_across_force: float = 0.0
     slip_bound_error: float = 0.0
+    guaranteed: bool = True
 
     def numbers(self) -> dict[str, float]:
         """Return what the tolerance limits, by name; of groups and bodies the largest error."""

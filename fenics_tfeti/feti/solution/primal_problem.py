@@ -81,6 +81,7 @@ class PrimalProblem:
             groups=groups,
             bodies=bodies,
             equilibrium=float(measures.equilibrium.max(initial=0.0)),
+            guaranteed=not self.setup.negative,
             **self._contact_errors(recovered, multipliers, measures.deformation),
             **self._friction_errors(recovered, multipliers, measures.deformation),
         )
@@ -162,7 +163,8 @@ class PrimalProblem:
                 # the rigid motions have no part in K u_t
                 of_strained, of_difference = times_rows(K, strained), times_rows(K, difference)
                 applied, members = load**2 + pull**2, batch.members
-                sums.error2[members] = np.sum(difference * of_difference, axis=1)
+                error2 = np.sum(difference * of_difference, axis=1)
+                sums.error2[members] = np.abs(error2) if self.setup.negative else error2
                 sums.strain2[members] = np.sum(strained * forces, axis=1)
                 sums.residual2[members] = np.sum((of_strained - forces) ** 2, axis=1)
                 sums.force2[members] = np.sum(applied, axis=1)

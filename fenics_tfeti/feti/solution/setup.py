@@ -14,6 +14,7 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 
+from fenics_tfeti.errors import InputError, UnstableTangent
 from fenics_tfeti.feti.coarse.deflation import Deflation, at_most, same_equality_rows
 from fenics_tfeti.feti.coarse.local_spectra import (
     LocalVectors,
@@ -52,6 +53,9 @@ from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
+
+# factors of the threshold of deflated eigenvalues, tried until U'FU has all negative ones
+_LIMITS = (1.0, 0.1)
 
 
 @dataclass(frozen=True)
@@ -139,6 +143,7 @@ class DualSetup:
     row_bodies: RowBodies
     # of each class, None where there are none; empty if they are not looked for
     stiff_modes: Sequence[StiffModes | None]
+    negative: int  # negative eigenvalues of the K_i of all ranks
     deflation: Deflation | None = None  # what F and d are replaced by, if anything
     deflation_solves: int = 0  # solves with K_i^+ of this rank for deflation or its vectors
 
@@ -158,6 +163,8 @@ class DualSetup:
         )
         constraints = coarse_space.constraints
         preconditioner, modes = None, list[StiffModes | None]()
+        members = [congruent.members.size for congruent in local.classes]
+        negative = sum(k * i.negative for k, i in zip(members, inverses, strict=True))
         if local.preconditioner != "none":
             with raise_collectively(system.comm):
                 reactions = interface_reactions(
@@ -183,22 +190,44 @@ class DualSetup:
             ProjectedNorm(F.part, projector, 1.0 / local.unit),
             RowBodies.build(system, constraints, local.unknowns.ends),
             modes,
+            system.comm.allreduce(negative),
         )
 
     def deflated(
         self, system: TornSystem, options: Options, known: DualSetup | None = None
     ) -> DualSetup:
-        """Return the set-up with deflation, if the options and the material ask for it. Collective.
+        """Return the set-up with deflation, if options, material or tangents ask for it.
 
         `known` has the same stiffness matrices: its vectors serve again if the equality rows are
-        the same, too.
+        the same, too. Raises `UnstableTangent` on all ranks if the inertia of the K_i shows that
+        the glued tangent is not positive. Collective.
         """
         if options.deflation == "off":
+            if self.negative:
+                raise InputError(
+                    f"option 'deflation' is 'off', but the stiffness matrices have {self.negative} "
+                    "negative eigenvalues, which only deflation can remove. Leave it at 'auto'"
+                )
             return self
+        for factor in _LIMITS:
+            deflated = self._deflated(system, options, known, factor)
+            found = 0 if deflated.deflation is None else deflated.deflation.negative
+            if found >= self.negative:
+                return deflated
+        raise UnstableTangent(
+            f"the tangents of the subdomains have {self.negative} negative eigenvalues, of which "
+            f"the equality constraints remove {found}: the glued tangent is not positive, as "
+            "beyond a buckling load, or where only contact holds a body. Take those of "
+            "prepare_tangents(system, 'projected'), or a smaller load step"
+        )
+
+    def _deflated(
+        self, system: TornSystem, options: Options, known: DualSetup | None, factor: float
+    ) -> DualSetup:
         if known is not None and same_equality_rows(self.constraints, known.constraints):
             solves, vectors = 0, None if known.deflation is None else known.deflation.vectors
         else:
-            vectors = self._vectors(system, options)
+            vectors = self._vectors(system, options, factor)
             solves = 0 if vectors is None else vectors.solves
         if vectors is None:
             return self
@@ -219,9 +248,9 @@ class DualSetup:
     def _norm_of(self, part: Callable[[Vector], Vector]) -> ProjectedNorm:
         return ProjectedNorm(part, self.projector, 1.0 / self.local.unit)
 
-    def _vectors(self, system: TornSystem, options: Options) -> LocalVectors | None:
+    def _vectors(self, system: TornSystem, options: Options, factor: float) -> LocalVectors | None:
         """Return the vectors to be deflated; None, on all ranks, if there are none. Collective."""
-        vectors = self._local_vectors(system, options)
+        vectors = self._local_vectors(system, options, factor)
         if not system.comm.allreduce(any(self.stiff_modes), MPI.LOR):
             return vectors
         modes = self.stiff_modes or [None] * len(self.local.classes)
@@ -231,18 +260,24 @@ class DualSetup:
             return vectors
         return stiff if vectors is None else vectors.with_others(stiff)
 
-    def _local_vectors(self, system: TornSystem, options: Options) -> LocalVectors | None:
-        """Return the vectors of this rank's subdomains; None if no rank's have jumps."""
+    def _local_vectors(
+        self, system: TornSystem, options: Options, factor: float
+    ) -> LocalVectors | None:
+        """Return the vectors of this rank's subdomains; None if no rank has any to look for.
+
+        They are those with eigenvalues above the threshold times a factor.
+        """
         interface, local = self.F.interface, self.local
-        chosen = np.ones(len(system.subdomains), dtype=bool)
+        order = [member for congruent in local.classes for member in congruent.members]
+        chosen = np.ones(len(order), dtype=bool)
         if options.deflation == "auto":
+            # rotations that the stress hardly resists make F large, too
+            chosen = np.array([system.subdomains[i].kernel != "rigid" for i in order], dtype=bool)
             # with weights of 1, F measures every stiffness
-            if options.scaling != "stiffness":
-                return None
-            chosen = subdomains_with_jumps(system, self.constraints, interface, local.unknowns)
+            if options.scaling == "stiffness":
+                chosen |= subdomains_with_jumps(system, self.constraints, interface, local.unknowns)
             if not system.comm.allreduce(bool(chosen.any()), MPI.LOR):
                 return None
-        order = [member for congruent in local.classes for member in congruent.members]
         nodes = [system.subdomains[member].nodes.size for member in order]
         vectors = local_vectors(
             TornRows.build(interface, self.constraints.equality, chosen),
@@ -254,7 +289,15 @@ class DualSetup:
             ],
             numbers=self.constraints.layout.numbers,
             unit=local.unit,
-            limits=np.array([threshold(system.gdim, n) for n in nodes]),
+            limits=factor * np.array([threshold(system.gdim, n) for n in nodes]),
+            negative=np.array(
+                [
+                    inverse.negative
+                    for inverse, congruent in zip(self.F.inverses, local.classes, strict=True)
+                    for _ in congruent.members
+                ],
+                dtype=np.int64,
+            ),
         )
         return at_most(system.comm, vectors)
 

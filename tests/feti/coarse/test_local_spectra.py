@@ -41,6 +41,7 @@ def vectors(torn: TornSolver, limit: float) -> LocalVectors:
         numbers=setup.constraints.layout.numbers,
         unit=setup.local.unit,
         limits=np.full(interface.ends.size - 1, limit),
+        negative=np.zeros(interface.ends.size - 1, dtype=np.int64),
     )
 
 

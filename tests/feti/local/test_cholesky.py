@@ -13,9 +13,11 @@ import pytest
 import scipy.sparse as sp
 
 from fenics_tfeti import FactorizationError, InputError
+from fenics_tfeti.feti.local import cholesky
 from fenics_tfeti.feti.local.cholesky import (
     DistributedCholesky,
     SparseCholesky,
+    SparseLDL,
     available_packages,
     check_real_numbers,
     choose_package,
@@ -185,3 +187,38 @@ def test_quick_factor_of_a_large_matrix_has_another_ordering():
     best, quick = SparseCholesky(A, "cholmod"), SparseCholesky(A, "cholmod", quick=True)
     assert best.entries < quick.entries < 1.5 * best.entries
     np.testing.assert_allclose(quick.solve(b), best.solve(b), rtol=1e-12)
+
+
+def indefinite(negative: int) -> sp.csr_matrix:
+    """Return a matrix with a given number of negative eigenvalues."""
+    values = np.linalg.eigvalsh(definite().toarray())
+    shift = 0.5 * (values[negative - 1] + values[negative]) if negative else 0.0
+    return (definite() - shift * sp.identity(N)).tocsr()
+
+
+@pytest.mark.parametrize("negative", [0, 1, 7])
+@pytest.mark.parametrize("package", [p for p in available_packages() if p != "cholmod"])
+def test_indefinite_factor_has_the_inertia(package, negative, monkeypatch):
+    monkeypatch.setattr(cholesky, "_is_available", lambda name: name == package)
+    A, b = indefinite(negative), np.random.default_rng(1).standard_normal((N, 3))
+    factor = SparseLDL(A)
+    assert factor.negative == negative
+    np.testing.assert_allclose(factor.solve(b), np.linalg.solve(A.toarray(), b), rtol=1e-10)
+
+
+def test_zero_diagonal_needs_pivots_of_order_two():
+    A = sp.csr_matrix(np.array([[0.0, 1.0], [1.0, 0.0]]))
+    factor = SparseLDL(A)
+    assert factor.negative == 1
+    np.testing.assert_allclose(factor.solve(np.array([1.0, 2.0])), [2.0, 1.0])
+
+
+def test_singular_matrix_has_no_indefinite_factor():
+    with pytest.raises(FactorizationError, match="of order 40 is singular"):
+        SparseLDL(sp.diags(np.arange(N) - 5.0, format="csr"))
+
+
+def test_cholmod_alone_has_no_indefinite_factor(monkeypatch):
+    monkeypatch.setattr(cholesky, "_is_available", lambda name: name == "cholmod")
+    with pytest.raises(FactorizationError, match="install a PETSc with MUMPS"):
+        SparseLDL(definite())

@@ -1,0 +1,226 @@
+"""Tangents of finite strains: exact ones, or projected so that rigid motions cost nothing.
+
+The tangent K of a torn subdomain does not resist translations. With an objective material it does
+to a rotation W x what the internal forces of the torn subdomain do, K W x = W f: under compression
+rotations have negative energy, and torn pieces may buckle. The exact tangents are good for Total
+FETI with translations as kernels (`coarse.deflation`). The projected tangent P'KP with
+P = I - R A', A'R = I, has the kernel R of all rigid motions, and drops the stiffness of stress
+against them. It is taken where
+
+- K R is so small that the dual operator would be large: at the start, in thin or hardly stressed
+  parts, and for rotations about the axis of a uniaxial stress;
+- only contact holds a body against rotations: multipliers of contact rows have bounds, so no
+  deflation can remove negative directions of them;
+- the exact tangent of the glued bodies is unstable.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import scipy.sparse as sp
+
+from fenics_tfeti.feti.coarse.body_motions import centres_and_sizes
+from fenics_tfeti.feti.coarse.resistance import weak_motions
+from fenics_tfeti.feti.local.cholesky import SparseLDL
+from fenics_tfeti.feti.local.congruence import find_congruence_classes
+from fenics_tfeti.feti.local.elastic_supports import forces_of_motions
+from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes
+from fenics_tfeti.feti.local.rigid_body_modes import (
+    raw_modes,
+    rigid_body_modes,
+    translations_and_rotations,
+)
+from fenics_tfeti.feti.system import Subdomain, TornSystem
+from fenics_tfeti.feti.tolerances import NEGLIGIBLE, WEAK, ZERO
+from fenics_tfeti.parallel import Directory, raise_collectively
+from fenics_tfeti.typing import Mask, Numbers, Vector
+
+TangentKind = Literal["auto", "exact", "projected"]
+
+# force K R of a rotation R of length 1, relative to the mean diagonal of K, below which the tangent
+# is projected: a thin ring, where it is 1e-7, takes 45 products instead of 1579
+_STRESSED = 1e-4
+# fixing nodes of the projection
+_FIXING_NODES = 8
+
+
+def prepare_tangents(system: TornSystem, kind: TangentKind = "auto") -> TornSystem:
+    """Choose exact or projected tangents for the subdomains of a system. Collective.
+
+    Parameters
+    ----------
+    system : TornSystem
+        With the exact tangents as stiffness matrices, and the deformed coordinates.
+    kind : {"auto", "exact", "projected"}
+        Where exact tangents are taken: in bodies that prescribed displacements and tied rows hold
+        against all rotations, in all bodies, or in none. Subdomains with elastic supports have
+        exact tangents in any case. Rotations that hardly cost anything are projected in any case.
+
+    Returns
+    -------
+    TornSystem
+        The system with other stiffness matrices and kernels. A matrix without stress is left as it
+        is, the same object.
+    """
+    centres = centres_and_sizes(system)
+    if kind == "auto":
+        exact = _held_bodies(system, *centres[:2])
+    else:
+        exact = np.full(len(centres[0]), kind == "exact")
+    subdomains = list(system.subdomains)
+    with raise_collectively(system.comm):
+        for congruent in find_congruence_classes(subdomains):
+            # congruent ones of different bodies
+            members = congruent.members
+            bodies = np.array([subdomains[i].body for i in members])
+            for some in (members[exact[bodies]], members[~exact[bodies]]):
+                if some.size:
+                    first = subdomains[some[0]]
+                    chosen = _tangent(first, bool(exact[first.body]))
+                    unchanged = chosen.stiffness is first.stiffness
+                    for i in some:
+                        K = subdomains[i].stiffness if unchanged else chosen.stiffness
+                        subdomains[i] = replace(subdomains[i], stiffness=K, kernel=chosen.kernel)
+    return replace(system, subdomains=subdomains)
+
+
+def _tangent(subdomain: Subdomain, exact: bool) -> Subdomain:
+    """Return a subdomain with its exact or projected tangent."""
+    K, x = subdomain.stiffness, subdomain.coordinates_in_frame
+    stressed = replace(subdomain, kernel="translations")
+    translations, rotations = translations_and_rotations(x)
+    forces = forces_of_motions(K, np.hstack([translations, rotations]))
+    if forces[:, : x.shape[1]].any():
+        # elastic supports, or axisymmetry
+        return stressed
+    _, sizes, motions = np.linalg.svd(forces[:, x.shape[1] :], full_matrices=False)
+    free = sizes <= _STRESSED * K.diagonal().mean()
+    if not exact or free.all():
+        return replace(subdomain, stiffness=projected_tangent(K, x), kernel="rigid")
+    R = np.hstack([translations, rotations @ motions[free].T])
+    return replace(stressed, stiffness=_projected(K, R, _fixed(K, x, _FIXING_NODES)))
+
+
+def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_matrix:
+    """Return P'KP, positive semidefinite with the rigid body modes R as its kernel.
+
+    A of P = I - R A' is on the fixing nodes. K R vanishes where internal and inertial forces do, so
+    the projection is sparse. Negative energies that are left, those of buckling, are changed to
+    their absolute values in the Schur complement on the fixing nodes, and on more of them where
+    the subdomain buckles between them.
+
+    Parameters
+    ----------
+    stiffness : (n, n) scipy.sparse.csr_matrix
+        The tangent K [N/m].
+    coordinates : (nodes, gdim) array
+        Deformed [m].
+
+    Returns
+    -------
+    (n, n) scipy.sparse.csr_matrix
+        K itself where K R is rounding.
+    """
+    R, number = rigid_body_modes(coordinates), _FIXING_NODES
+    while True:
+        fixed = _fixed(stiffness, coordinates, number)
+        K = _projected(stiffness, R, fixed)
+        if K is stiffness:
+            return K
+        rest = np.setdiff1d(np.arange(len(R)), fixed)
+        interior = SparseLDL(K[rest][:, rest].tocsr()) if rest.size else None
+        if interior is None or not interior.negative:
+            return _without_negative_energies(K, R, fixed, rest, interior)
+        number *= 2
+
+
+def _fixed(stiffness: sp.csr_matrix, coordinates: Vector, number: int) -> Numbers:
+    """Return the unknowns of fixing nodes."""
+    gdim = coordinates.shape[1]
+    nodes = fixing_nodes(stiffness, coordinates, number)
+    return (gdim * nodes[:, None] + np.arange(gdim)).ravel()
+
+
+def _projected(stiffness: sp.csr_matrix, R: Vector, fixed: Numbers) -> sp.csr_matrix:
+    """Return P'KP for A on the fixed unknowns; K itself if K R is rounding."""
+    forces = sp.csr_matrix(forces_of_motions(stiffness, R))
+    if not forces.nnz:
+        return stiffness
+    weights = R[fixed] @ np.linalg.inv(R[fixed].T @ R[fixed])
+    rows = np.repeat(fixed, R.shape[1])
+    columns = np.tile(np.arange(R.shape[1]), fixed.size)
+    A = sp.csr_matrix((weights.ravel(), (rows, columns)), shape=R.shape)
+    energies = sp.csr_matrix(R.T @ forces)
+    low = A @ forces.T
+    return (stiffness - low - low.T + A @ (0.5 * (energies + energies.T)) @ A.T).tocsr()
+
+
+def _without_negative_energies(
+    K: sp.csr_matrix, R: Vector, fixed: Numbers, rest: Numbers, interior: SparseLDL | None
+) -> sp.csr_matrix:
+    """Return K with the absolute eigenvalues of its Schur complement on the fixed unknowns.
+
+    The rest of K is positive definite, with its factor `interior`, so the result has no negative
+    eigenvalues.
+    """
+    S = K[fixed][:, fixed].toarray()
+    if interior is not None:
+        coupling = K[rest][:, fixed]
+        S = S - coupling.T @ interior.solve(coupling.toarray())
+    # without the rigid motions, which keep their energy of zero
+    k = R.shape[1]
+    deforming = np.linalg.svd(R[fixed])[0][:, k:]
+    energies, vectors = np.linalg.eigh(deforming.T @ (0.5 * (S + S.T)) @ deforming)
+    if energies.min(initial=0.0) >= 0.0:
+        return K
+    least = np.maximum(np.abs(energies), ZERO * np.abs(energies).max())
+    vectors = deforming @ vectors
+    data, s = (vectors * (least - energies)) @ vectors.T, fixed.size
+    places = np.repeat(fixed, s), np.tile(fixed, s)
+    return (K + sp.csr_matrix((data.ravel(), places), shape=K.shape)).tocsr()
+
+
+def _held_bodies(system: TornSystem, centres: Vector, sizes: Vector) -> Mask:
+    """Tell which bodies prescribed displacements and tied rows hold against rotations. Collective.
+
+    Bodies have their centres (bodies, gdim) and sizes (bodies,).
+    """
+    gdim, modes, bodies = system.gdim, 3 * system.gdim - 3, sizes.size
+    prescribed, tied = system.prescribed, system.tied
+    nodes = np.append(prescribed.nodes, tied.nodes)
+    row = np.append(np.arange(prescribed.nodes.size), prescribed.nodes.size + tied.row)
+    terms = np.vstack([np.identity(gdim)[prescribed.components], tied.coefficients])
+    body, x = _bodies_and_places(system, nodes)
+    motions = raw_modes((x - centres[body]) / sizes[body, None], np.zeros(gdim))
+    moved = np.einsum("ti,tim->tm", terms, motions.reshape(-1, gdim, modes))
+    # rows of unit length, as a motion is resisted or not whatever the area of a tied node
+    squares = np.bincount(row, np.sum(terms**2, axis=1))
+    moved /= np.sqrt(squares[row, None])
+    columns = body[:, None] * modes + np.arange(modes)
+    shape = squares.size, modes * bodies
+    places = np.repeat(row, modes), columns.ravel()
+    rows = sp.csr_matrix((moved.ravel(), places), shape=shape)
+    _, free = weak_motions(system.comm, rows, np.zeros((bodies, modes, modes)), WEAK, ZERO)
+    rotations = np.abs(free.toarray()).reshape(bodies, modes, -1)[:, gdim:]
+    held: Mask = rotations.max(axis=(1, 2), initial=0.0) <= NEGLIGIBLE
+    return held
+
+
+def _bodies_and_places(system: TornSystem, nodes: Numbers) -> tuple[Numbers, Vector]:
+    """Return the bodies (k,) and the places (k, gdim) of any nodes (k,). Collective."""
+    subdomains = system.subdomains
+    copies = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in subdomains)])
+    x = np.concatenate([np.zeros((0, system.gdim)), *(s.coordinates for s in subdomains)])
+    bodies = np.array([s.body for s in subdomains], dtype=np.int64)
+    body = np.repeat(bodies, np.array([s.nodes.size for s in subdomains], dtype=np.int64))
+    directory = Directory(system.comm, np.unique(copies))
+    keys, body, x = directory.collect(copies, body, x)
+    body_at_home = np.zeros(directory.keys.size, dtype=np.int64)
+    x_at_home = np.zeros((directory.keys.size, system.gdim))
+    home = directory.position(keys)
+    body_at_home[home], x_at_home[home] = body, x
+    _, body, x = directory.lookup(nodes, body_at_home, x_at_home)
+    return body, x

@@ -1,0 +1,318 @@
+"""Indefinite tangents of compressed bodies: choice, projection, and solutions of the contact."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from fibres import glued_contact
+from prestressed import compression, pressed_block, stressed
+from primal_reference import PrimalSolution, primal_active_set
+
+from fenics_tfeti.errors import InputError, UnstableTangent
+from fenics_tfeti.feti import (
+    Friction,
+    Options,
+    Prescribed,
+    Subdomain,
+    TornSolution,
+    TornSolver,
+    TornSystem,
+    check_system,
+    load_system,
+    prepare_tangents,
+    save_system,
+)
+from fenics_tfeti.feti.local.congruence import find_congruence_classes
+from fenics_tfeti.feti.local.rigid_body_modes import kernel, rigid_body_modes
+from fenics_tfeti.feti.tangents import projected_tangent
+
+pytestmark = pytest.mark.once
+
+# the torn subdomains, 12 elements wide and 2 high, buckle; the block of them does not
+SLENDER = {"shape": (12, 2), "columns": 2, "layers": 6, "pressure": 0.1}
+BLOCKS: dict[str, dict[str, Any]] = {
+    "2D": {"gdim": 2},
+    "2D, firmly": {"gdim": 2, "pressure": 0.1},
+    "2D, many": {"gdim": 2, "shape": (2, 2), "columns": 8, "layers": 5},
+    "2D, slender": SLENDER,
+    "3D": {"gdim": 3, "layers": 1},
+}
+every_block = pytest.mark.parametrize("name", list(BLOCKS))
+
+
+def eigenvalues(part: Subdomain) -> np.ndarray:
+    """Return those of K relative to its mean diagonal."""
+    K = part.stiffness.toarray()
+    return np.linalg.eigvalsh(K) / K.diagonal().mean()
+
+
+def negative(system: TornSystem) -> int:
+    return sum(int(np.count_nonzero(eigenvalues(s) < -1e-9)) for s in system.subdomains)
+
+
+@lru_cache(maxsize=None)
+def solved(name: str, kind: str = "exact", **options: Any) -> TornSolution:
+    system = prepare_tangents(pressed_block(**BLOCKS[name]), kind)
+    return TornSolver(system, Options(rtol=1e-8, **options)).solve()
+
+
+def primal(system: TornSystem) -> tuple[PrimalSolution, list[np.ndarray]]:
+    """Return the solution of the glued bodies by a primal method, and each subdomain's unknowns."""
+    K, f, fixed, C, gap, places = glued_contact(system)
+    nodes = np.unique(np.concatenate([s.nodes for s in system.subdomains]))
+    given = system.prescribed
+    unknowns = system.gdim * np.searchsorted(nodes, given.nodes) + given.components
+    values = given.values[np.unique(unknowns, return_index=True)[1]]
+    return primal_active_set(K, f, fixed, values, C, gap), places
+
+
+def check_against_primal(found: TornSolution, system: TornSystem) -> None:
+    expected, places = primal(system)
+    assert expected.active.sum() > 0
+    largest = expected.forces.max()
+    np.testing.assert_allclose(found.normal_force, expected.forces, rtol=0.0, atol=1e-6 * largest)
+    size = np.abs(expected.displacement).max()
+    for u, at in zip(found.displacements, places, strict=True):
+        np.testing.assert_allclose(u, expected.displacement[at], rtol=0.0, atol=1e-6 * size)
+    assert found.report.energy == pytest.approx(expected.energy, rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"preconditioner": "dirichlet"},
+        {"preconditioner": "none"},
+        {"method": "smalbe"},
+        {"scaling": "multiplicity"},
+        {"dual_operator": "explicit"},
+    ],
+    ids=lambda options: " ".join(options.values()) or "default",
+)
+@every_block
+def test_solution_against_the_primal_one(name, options):
+    system = pressed_block(**BLOCKS[name])
+    found = solved(name, **options)
+    check_against_primal(found, system)
+    assert found.report.deflation["negative"] == negative(system) > 0
+    assert found.report.deflation["vectors"] >= found.report.deflation["negative"]
+
+
+@every_block
+def test_products_are_those_of_the_unstressed_block(name):
+    block = pressed_block(**{**BLOCKS[name], "pressure": 0.0})
+    linear = TornSolver(block, Options(rtol=1e-8)).solve().report
+    assert solved(name).report.products["total"] <= linear.products["total"] + 4
+
+
+def test_slender_subdomains_buckle():
+    """They have other negative eigenvalues than those of rotations."""
+    assert negative(pressed_block(**SLENDER)) >= 2 * len(pressed_block(**SLENDER).subdomains)
+
+
+@pytest.mark.parametrize("gdim", [2, 3])
+def test_tension_is_not_negative(gdim):
+    system = pressed_block(gdim, -0.05, layers=1)
+    found = TornSolver(prepare_tangents(system, "exact"), Options(rtol=1e-8)).solve()
+    check_against_primal(found, system)
+    assert found.report.deflation["negative"] == 0
+    assert found.report.certificate.guaranteed
+
+
+def test_report_says_that_the_error_is_an_estimate():
+    exact, projected = solved("2D").report, solved("2D", "projected").report
+    assert not exact.certificate.guaranteed and projected.certificate.guaranteed
+    assert "estimated as" in str(exact) and "at most" in str(projected)
+    assert exact.equilibrium <= 1e-8
+
+
+def test_estimate_is_of_the_size_of_the_error():
+    system = pressed_block(**BLOCKS["2D"])
+    found = TornSolver(prepare_tangents(system, "exact"), Options(rtol=1e-2)).solve()
+    expected, places = primal(system)
+    K, *_ = glued_contact(system)
+    difference = np.zeros_like(expected.displacement)
+    for u, at in zip(found.displacements, places, strict=True):
+        difference[at] = u - expected.displacement[at]
+    error = np.sqrt(difference @ (K @ difference))
+    assert 0.1 * error <= found.report.certificate.bound <= 20.0 * error
+
+
+# -- what is unstable ------------------------------------------------------------------------------
+
+
+def test_unstable_tangent_is_refused_and_its_projection_is_not():
+    system = pressed_block(2, 0.1, shape=(2, 12), columns=6, layers=1)
+    with pytest.raises(UnstableTangent, match=r"have 24 negative .* remove 23: .*'projected'"):
+        TornSolver(prepare_tangents(system, "exact"))
+    projected = prepare_tangents(system, "projected")
+    found = TornSolver(projected, Options(rtol=1e-8)).solve()
+    check_against_primal(found, projected)
+    assert found.report.deflation["negative"] == 0
+
+
+def test_body_that_only_contact_holds_is_projected():
+    system = pressed_block(clamped=False)
+    with pytest.raises(UnstableTangent, match="or where only contact holds a body"):
+        TornSolver(prepare_tangents(system, "exact"))
+    prepared = prepare_tangents(system)
+    kernels = {(s.body, s.kernel) for s in prepared.subdomains}
+    assert kernels == {(0, "translations"), (1, "rigid")}
+    check_against_primal(TornSolver(prepared, Options(rtol=1e-8)).solve(), prepared)
+
+
+def test_deflation_is_needed():
+    with pytest.raises(InputError, match="'off', but .* have 7 negative eigenvalues"):
+        TornSolver(prepare_tangents(pressed_block()), Options(deflation="off"))
+
+
+# -- choice and projection -------------------------------------------------------------------------
+
+
+def test_bodies_that_are_held_have_exact_tangents():
+    system = pressed_block()
+    prepared = prepare_tangents(system)
+    for before, after in zip(system.subdomains, prepared.subdomains, strict=True):
+        assert after.kernel == "translations" and after.stiffness is before.stiffness
+
+
+@pytest.mark.parametrize("kind", ["auto", "exact", "projected"])
+def test_matrix_without_stress_is_left_as_it_is(kind):
+    system = pressed_block(pressure=0.0)
+    prepared = prepare_tangents(system, kind)
+    for before, after in zip(system.subdomains, prepared.subdomains, strict=True):
+        assert after.kernel == "rigid" and after.stiffness is before.stiffness
+
+
+def test_small_stress_is_projected():
+    system = pressed_block(pressure=1e-5)
+    for part in prepare_tangents(system, "exact").subdomains:
+        assert part.kernel == "rigid"
+        assert np.sum(np.abs(eigenvalues(part)) < 1e-12) == 3
+
+
+def test_free_rotation_stays_in_the_kernel():
+    """A uniaxial stress does not act on rotations about its axis."""
+    part = prepare_tangents(pressed_block(3, 0.05), "exact").subdomains[0]
+    R = kernel(part)
+    assert part.kernel == "translations" and R.shape[1] == 4
+    assert np.abs(part.stiffness @ R).max() <= 1e-13
+
+
+@pytest.mark.parametrize("pressure", [1e-3, 0.1, 0.3])
+@pytest.mark.parametrize("shape", [(2, 3, 4), (12, 2), (1, 1)])
+def test_projected_tangent_is_positive_with_all_rigid_motions(shape, pressure):
+    part = pressed_block(len(shape), pressure, shape=shape).subdomains[0]
+    K, x = part.stiffness, part.coordinates
+    projected, R = projected_tangent(K, x), rigid_body_modes(x)
+    values = eigenvalues(replace(part, stiffness=projected))
+    assert np.abs(projected @ R).max() <= 1e-13
+    assert np.abs(values[: R.shape[1]]).max() <= 1e-13 < values[R.shape[1]]
+    assert abs(projected - projected.T).max() <= 1e-14
+
+
+def test_projected_tangent_differs_little():
+    """Where nothing buckles, it is the tangent but for rotations."""
+    part = pressed_block(2, 0.02).subdomains[0]
+    R = rigid_body_modes(part.coordinates)
+    P = np.identity(len(R)) - R @ R.T
+    projected = projected_tangent(part.stiffness, part.coordinates)
+    exact = P @ part.stiffness @ P
+    values = np.linalg.eigvals(np.linalg.pinv(exact, rcond=1e-10) @ projected).real
+    assert np.sort(values)[R.shape[1]] > 0.5 and values.max() < 2.0
+    assert projected.nnz <= 3 * part.stiffness.nnz
+
+
+def test_subdomain_on_springs_has_its_exact_tangent():
+    """The base of the block stands on springs, which hold it instead of the clamp."""
+    system = pressed_block()
+    parts, given = [], system.prescribed
+    for part in system.subdomains:
+        foot = np.repeat(part.coordinates[:, -1] == 0.0, 2)
+        springs = sp.diags(np.where(foot, 0.02, 0.0), format="csr")
+        parts.append(replace(part, stiffness=part.stiffness + springs) if foot.any() else part)
+    top = np.flatnonzero(np.isin(given.nodes, given.nodes[given.values != 0.0]))
+    prescribed = Prescribed(given.nodes[top], given.components[top], given.values[top])
+    system = replace(system, subdomains=parts, prescribed=prescribed)
+    prepared = prepare_tangents(system)
+    on_springs = [part for part in prepared.subdomains if part.coordinates[:, -1].min() == 0.0]
+    assert {part.kernel for part in on_springs} == {"translations"}
+    check_against_primal(TornSolver(prepared, Options(rtol=1e-8)).solve(), prepared)
+
+
+# -- the rest of the package -----------------------------------------------------------------------
+
+
+def with_friction(system: TornSystem) -> TornSystem:
+    k = system.contacts.size
+    tangents = np.tile([[[1.0, 0.0]]], (k, 1, 1))
+    friction = Friction(np.arange(k), tangents, np.zeros(k), coefficient=np.full(k, 0.2))
+    return replace(system, friction=friction)
+
+
+def with_whole_bodies(system: TornSystem) -> TornSystem:
+    """Return the system with one subdomain for each body."""
+    wholes = []
+    for body in sorted({s.body for s in system.subdomains}):
+        parts = [s for s in system.subdomains if s.body == body]
+        nodes, first = np.unique(np.concatenate([s.nodes for s in parts]), return_index=True)
+        x = np.concatenate([s.coordinates for s in parts])[first]
+        K, f = sp.csr_matrix((x.size, x.size)), np.zeros(x.size)
+        for s in parts:
+            at = (
+                system.gdim * np.searchsorted(nodes, s.nodes)[:, None] + np.arange(system.gdim)
+            ).ravel()
+            T = sp.csr_matrix((np.ones(at.size), (at, np.arange(at.size))), (x.size, at.size))
+            K, f = (K + T @ s.stiffness @ T.T).tocsr(), f + T @ s.load
+        wholes.append(Subdomain(K, f, x, nodes, body))
+    return replace(system, subdomains=wholes)
+
+
+def test_friction_does_not_depend_on_the_partition():
+    block = with_friction(pressed_block(2, 0.05, shape=(4, 4), columns=4))
+    found = [
+        TornSolver(prepare_tangents(system, "exact"), Options(rtol=1e-8)).solve()
+        for system in (block, with_whole_bodies(block))
+    ]
+    one, other = found
+    assert 0 < one.sticking.sum() < one.sticking.size
+    largest = one.normal_force.max()
+    np.testing.assert_allclose(one.normal_force, other.normal_force, rtol=0.0, atol=1e-6 * largest)
+    np.testing.assert_allclose(
+        one.tangential_force, other.tangential_force, rtol=0.0, atol=1e-6 * largest
+    )
+
+
+def test_load_step_reuses_factors_and_directions():
+    first = TornSolver(prepare_tangents(pressed_block()))
+    first.solve()
+    loaded = [replace(s, load=s.load + 1e-3) for s in first.system.subdomains]
+    system = replace(first.system, subdomains=loaded)
+    second = TornSolver(system, Options(rtol=1e-8), previous=first)
+    assert second.setup.deflation is first.setup.deflation
+    check_against_primal(second.solve(), system)
+
+
+def test_kernels_are_saved(tmp_path):
+    system = prepare_tangents(pressed_block(clamped=False))
+    save_system(tmp_path / "system.npz", system)
+    loaded = load_system(tmp_path / "system.npz")
+    assert [s.kernel for s in loaded.subdomains] == [s.kernel for s in system.subdomains]
+
+
+def test_unknown_kernel_is_refused():
+    system = pressed_block()
+    wrong = replace(system.subdomains[1], kernel="rotations")
+    with pytest.raises(InputError, match="kernel of .*: got 'rotations', expected 'rigid' or"):
+        check_system(replace(system, subdomains=[system.subdomains[0], wrong]))
+
+
+def test_matrices_of_other_kernels_are_not_congruent():
+    part = stressed(pressed_block(pressure=0.0).subdomains[0], compression(2, 0.05))
+    other = replace(part, kernel="translations")
+    assert len(find_congruence_classes([part, other, part])) == 2

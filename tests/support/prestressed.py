@@ -1,0 +1,133 @@
+"""Tangents of compressed bodies without dolfinx: a block and a punch that is pressed into it.
+
+To the stiffness of a grid comes that of a uniform stress, K_ab = int grad N_a'S grad N_b I. Torn
+subdomains are then indefinite: compression drives their rotations, and slender ones buckle.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
+import scipy.sparse as sp
+from fibres import FAR, subdomain
+
+from fenics_tfeti.feti import ContactRows, Prescribed, Subdomain, TornSystem
+
+DEPTH = 0.3
+
+
+def element_of_stress(stress: np.ndarray) -> np.ndarray:
+    """Return the geometric stiffness of a square or cube of size 1 with a stress (gdim, gdim)."""
+    gdim = len(stress)
+    corners = np.array(list(itertools.product((-1, 1), repeat=gdim)))
+    K = np.zeros((len(corners),) * 2)
+    for point in itertools.product((-(3**-0.5), 3**-0.5), repeat=gdim):
+        one = 1 + corners * np.array(point)
+        gradient = 2.0 * np.stack(
+            [
+                corners[:, i] * np.prod(np.delete(one, i, axis=1), axis=1) / 2**gdim
+                for i in range(gdim)
+            ]
+        )
+        K += gradient.T @ stress @ gradient / 2**gdim
+    return np.kron(K, np.identity(gdim))
+
+
+def stressed(part: Subdomain, stress: np.ndarray) -> Subdomain:
+    """Return a grid of `fibres.subdomain` with the stiffness of a stress added."""
+    gdim = len(stress)
+    lattice = np.rint(part.coordinates - part.coordinates.min(axis=0)).astype(int)
+    number = {tuple(place): k for k, place in enumerate(lattice)}
+    rows, columns, element = [], [], element_of_stress(stress)
+    for cell in itertools.product(*map(range, lattice.max(axis=0))):
+        nodes = [number[tuple(np.add(cell, c))] for c in itertools.product((0, 1), repeat=gdim)]
+        unknowns = (gdim * np.array(nodes)[:, None] + np.arange(gdim)).ravel()
+        rows.append(np.repeat(unknowns, unknowns.size))
+        columns.append(np.tile(unknowns, unknowns.size))
+    values = np.tile(element.ravel(), len(rows))
+    places = np.concatenate(rows), np.concatenate(columns)
+    added = sp.csr_matrix((values, places), part.stiffness.shape)
+    return replace(part, stiffness=(part.stiffness + added).tocsr())
+
+
+def compression(gdim: int, pressure: float) -> np.ndarray:
+    """Return a uniaxial stress along the last axis."""
+    stress = np.zeros((gdim, gdim))
+    stress[-1, -1] = -pressure
+    return stress
+
+
+def pressed_block(
+    gdim: int = 2,
+    pressure: float = 0.05,
+    *,
+    shape: tuple[int, ...] = (),
+    columns: int = 3,
+    layers: int = 2,
+    clamped: bool = True,
+    comm: MPI.Intracomm = MPI.COMM_SELF,
+) -> TornSystem:
+    """Return a compressed block, clamped at its base, with a compressed punch; this rank's share.
+
+    Parameters
+    ----------
+    gdim : int
+        2 or 3; in 3D block and punch are two elements deep.
+    pressure : float
+        In all subdomains; Young's modulus is 1.
+    shape : tuple of int
+        Elements of a subdomain along each axis.
+    columns, layers : int
+        Subdomains of the block along x, and of its height; the punch has those in the middle.
+    clamped : bool
+        Whether the top of the punch is moved down, or loaded downward while it may not move
+        sideways: only contact then holds the punch against rotations.
+    """
+    shape = shape or ((6, 6) if gdim == 2 else (3, 2, 3))
+    stress = compression(gdim, pressure)
+
+    def part(i: int, j: int, body: int) -> Subdomain:
+        corner = (shape[0] * i, *[0] * (gdim - 2), shape[-1] * j)
+        return stressed(subdomain(corner, shape, lambda x: np.ones(len(x)), body), stress)
+
+    middle = range((columns - 1) // 2, columns // 2 + 1)
+    block = [part(i, j, 0) for i in range(columns) for j in range(layers)]
+    punch = [part(i, layers, 1) for i in middle]
+    base = np.concatenate([s.nodes[s.coordinates[:, -1] == 0.0] for s in block])
+    height = (layers + 1.0) * shape[-1]
+    top = np.unique(np.concatenate([s.nodes[s.coordinates[:, -1] == height] for s in punch]))
+    down = np.append(np.zeros(gdim - 1), -DEPTH)
+    held = gdim if clamped else gdim - 1
+    prescribed = Prescribed(
+        np.append(np.repeat(base, gdim), np.repeat(top, held)),
+        np.append(np.tile(np.arange(gdim), base.size), np.tile(np.arange(held), top.size)),
+        np.append(np.zeros(gdim * base.size), np.tile(down[:held], top.size)),
+    )
+    if not clamped:
+        for s in punch:
+            loaded = np.flatnonzero(s.coordinates[:, -1] == height)
+            s.load[gdim * loaded + gdim - 1] = -0.1 / loaded.size
+    faces = [s.coordinates[:, -1] == layers * shape[-1] for s in punch]
+    slaves = np.concatenate([s.nodes[f] for s, f in zip(punch, faces, strict=True)])
+    slaves, first = np.unique(slaves, return_index=True)
+    x = np.concatenate([s.coordinates[f] for s, f in zip(punch, faces, strict=True)])[first]
+    # the face of the punch is round
+    width = len(middle) * shape[0]
+    gap = 0.2 * DEPTH * (2.0 * (x[:, 0] - x[:, 0].mean()) / width) ** 2
+    normal = np.tile(-np.eye(gdim)[-1], (slaves.size, 1))
+    rows = ContactRows.node_to_node(
+        slaves, slaves - FAR**gdim, normal, gap, np.zeros(slaves.size, dtype=np.int64)
+    )
+    return TornSystem(
+        [*block, *punch][comm.rank :: comm.size],
+        prescribed if comm.rank == 0 else Prescribed(),
+        rows if comm.rank == 0 else ContactRows.none(gdim),
+        gdim,
+        ["block", "punch"],
+        ["joint"],
+        comm,
+    )
