@@ -19,8 +19,7 @@ from fenics_tfeti.fem.decomposition.partition import Partitioner
 from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
 from fenics_tfeti.fem.displacement import prescribed_values
 from fenics_tfeti.fem.mesh_checks import check_mesh
-from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers
-from fenics_tfeti.fem.newton.follower_pressure import FollowerPressure
+from fenics_tfeti.fem.newton.equilibrium import DeformedRows
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti import Prescribed, Timer, TornSystem
 
@@ -78,7 +77,6 @@ class TornProblem:
         )
         torn = self.torn.assemble(lambda: None)
         self.undeformed = self._search.with_roles(found, data.contacts, torn)
-        self._pressure: FollowerPressure | None = None
 
     def update(self, bcs: list[Any], contacts: list[Contact | TiedPair]) -> bool:
         """Take the present data; tell whether nodes of the mesh were moved. Collective."""
@@ -95,26 +93,17 @@ class TornProblem:
         if same and not moved:
             self.undeformed = replace(self.undeformed, prescribed=prescribed)
             return False
-        self._pressure = None
         found = self._search.find(contacts, prescribed)
         torn = self.torn.assemble(lambda: None)
         self.undeformed = self._search.with_roles(found, contacts, torn)
         return moved
 
-    def system_at(
-        self, u: Function, rows: DeformedRows, multipliers: Multipliers, prescribed: Prescribed
-    ) -> TornSystem:
+    def system_at(self, u: Function, rows: DeformedRows, prescribed: Prescribed) -> TornSystem:
         """Return the tangents and loads at a displacement, for an increment of it. Collective."""
-        if self._pressure is None:
-            with self._timer.phase("compilation"):
-                self._pressure = FollowerPressure(u, self.data.touching, self.data.compiler)
         values = self.nodes.values(u)
-        subdomains = self._pressure.added(
-            self.torn.assemble(lambda: None), self.torn.parts, rows.pair_force(multipliers)
-        )
         subdomains = [
             replace(s, coordinates=s.coordinates + values[self.nodes.to_local(s.nodes)])
-            for s in subdomains
+            for s in self.torn.assemble(lambda: None)
         ]
         conditions, comm = rows.conditions, self.space.mesh.comm
         local = self.nodes.to_local(prescribed.nodes)

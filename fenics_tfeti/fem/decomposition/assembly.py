@@ -92,7 +92,7 @@ class PreparedForms:
         nodes = _compat.cell_dofs(self.space)[cells]
         table = np.arange(nodes.shape[1], dtype=np.int32)[None]
         parts = [Part(cells[i : i + 1], nodes[i], table, 0) for i in range(len(cells))]
-        return [K.toarray() for K in self.matrices(parts)]
+        return [K.toarray() for K in self._assembled(parts)]
 
     def values(self) -> FormValues:
         """Return the present values of the forms' coefficients and constants. Collective."""
@@ -115,11 +115,10 @@ class PreparedForms:
             len(parts),
             len(different),
         )
-        blocks = self.matrices([parts[i] for i in different])
+        blocks = self._assembled([parts[i] for i in different])
         return first, dict(zip(different, blocks, strict=True))
 
-    def matrices(self, parts: Sequence[Part]) -> list[sp.csr_matrix]:
-        """Assemble K_i of some of this rank's parts. Collective."""
+    def _assembled(self, parts: Sequence[Part]) -> list[sp.csr_matrix]:
         V, ends = self._torn_space(parts)
         bound = self.bilinear.bind([V, V], [part.cells for part in parts])
         indptr, indices, values = _compat.assemble_stiffness(bound)
@@ -146,7 +145,7 @@ class PreparedForms:
         matrices = dict[int, NDArray[np.float64]]()
         if not self.space.mesh.comm.allreduce(bool(torn), MPI.LOR):
             return matrices
-        for i, K, part in zip(cells, self.matrices(torn), torn, strict=True):
+        for i, K, part in zip(cells, self._assembled(torn), torn, strict=True):
             count, nodes_of_cell = part.table.shape
             size = K.shape[0] // count
             entries = K.tocoo()

@@ -15,9 +15,8 @@ from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.images import find_images
-from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING
-from fenics_tfeti.typing import Indices, Points, Vector
+from fenics_tfeti.typing import Indices, Points
 
 
 @dataclass(frozen=True)
@@ -62,13 +61,6 @@ def number_parts(
                 parts[i] = _sort(parts[i], x[parts[i].nodes])
             _align_images(parts, candidates, x)
     return parts
-
-
-def sum_over_parts(nodes: NodeMap, parts: Sequence[Part], vectors: Sequence[Vector]) -> Vector:
-    """Return the sums (nodes, components) of nodal vectors at the nodes' owners. Collective."""
-    at = np.concatenate([np.zeros(0, dtype=np.int32), *(part.nodes for part in parts)])
-    values = np.concatenate([np.zeros(0), *vectors]).reshape(-1, nodes.components)
-    return nodes.sum_at_owners(nodes.to_global(at), values)
 
 
 def find_equal(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 import ufl
 from dolfinx.fem import FunctionSpace
 
@@ -15,7 +17,7 @@ from fenics_tfeti.fem.decomposition.partition import (
     as_subdomains,
     split_into_subdomains,
 )
-from fenics_tfeti.fem.decomposition.parts import number_parts, sum_over_parts
+from fenics_tfeti.fem.decomposition.parts import number_parts
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.feti.timer import Timer
@@ -57,7 +59,7 @@ class TornMesh:
         """Take the nodes where they are now; all is assembled anew."""
         with self._timer.phase("partition"):
             bodies = [self._bodies.of_cell[cells[0]] for cells in self._cells]
-            self.parts = number_parts(self._space, self._cells, bodies, x)
+            self._parts = number_parts(self._space, self._cells, bodies, x)
         self._values: FormValues | None = None  # with which the subdomains were assembled
         self._subdomains: list[Subdomain] = []
         # last: after an error above, the nodes count as moved in the next solve too
@@ -83,10 +85,13 @@ class TornMesh:
 
     def _assembled(self, known: Sequence[Subdomain] | None) -> list[Subdomain]:
         with self._timer.phase("assembly"):
-            return self.forms.subdomains(self.parts, known, self._nodes)
+            return self.forms.subdomains(self._parts, known, self._nodes)
 
     def load(self) -> Vector:
         """Return the load (nodes, gdim) at the nodes that this rank owns now [N]. Collective."""
         nodes = NodeMap(self._space)
         with self._timer.phase("assembly"):
-            return sum_over_parts(nodes, self.parts, self.forms.loads(self.parts))
+            loads = self.forms.loads(self._parts)
+            at = [np.zeros(0, dtype=np.int32), *(part.nodes for part in self._parts)]
+            values = np.concatenate([np.zeros(0), *loads]).reshape(-1, nodes.components)
+            return nodes.sum_at_owners(nodes.to_global(np.concatenate(at)), values)
