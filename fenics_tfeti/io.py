@@ -4,6 +4,8 @@ Importing this module imports dolfinx.
 """
 
 from fenics_tfeti.fem.io.fields import (
+    ContactFields,
+    FrictionFields,
     contact_fields,
     displacement_space,
     piecewise_constant,
@@ -18,6 +20,8 @@ from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
 
 __all__ = [
     "Box",
+    "ContactFields",
+    "FrictionFields",
     "Interface",
     "TaggedMesh",
     "boxes",

@@ -146,11 +146,12 @@ def _check_values(
     scale = max(np.abs(new).max(initial=0.0), np.abs(values).max(initial=0.0))
     wrong = dofs[prescribed[dofs] & (np.abs(values[dofs] - new) > SAME_VALUE * scale)]
     if wrong.size:
-        block = space.dofmap.index_map_bs
-        x = space.tabulate_dof_coordinates()[wrong[0] // block]
+        block, gdim = space.dofmap.index_map_bs, space.mesh.geometry.dim
+        x = space.tabulate_dof_coordinates()[:, :gdim]
+        place = format_point(x[wrong[0] // block], float(np.abs(x).max()))
         raise InputError(
-            f"contradictory Dirichlet values: component {wrong[0] % block} at {format_point(x)} "
-            f"is {values[wrong[0]]:g} by an earlier condition and {new[dofs == wrong[0]][0]:g} by "
+            f"contradictory Dirichlet values: component {wrong[0] % block} at {place} is "
+            f"{values[wrong[0]]:g} by an earlier condition and {new[dofs == wrong[0]][0]:g} by "
             f"condition {number} ({wrong.size} such contradictions)"
         )
 

@@ -25,7 +25,7 @@ def test_rank_0_writes_the_whole():
     scene = scenes.two_beams(COMM, "quadrilateral", 2)
     problem = scene.problem()
     uh = problem.solve()
-    pressure = contact_fields(scene.V, problem.results)[0]
+    pressure = contact_fields(scene.V, problem.results).pressure
     problem.report.to_html(folder / "page.html", uh, [pressure])
     with pytest.raises(OSError, match="the page cannot be written"):
         problem.report.to_html(folder / "missing" / "page.html", uh)

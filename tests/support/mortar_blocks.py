@@ -23,8 +23,7 @@ from fenics_tfeti import ContactProblem
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.mortar.facets import shape_functions
 from fenics_tfeti.fem.contact.mortar.integrals import integrate, integrate_alone
-from fenics_tfeti.fem.contact.surfaces.gathered import gather_surface
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 
 PRESSURE = 2e7
 LOADED, LOWER, UPPER = 1, 10, 11
@@ -81,8 +80,10 @@ class Blocks:
 def uncovered_part(scene: Scene, tag: int, other: int) -> Function:
     """Return q with int q N_k = int N_k over what `other` leaves uncovered of plane facets."""
     V, boundary = scene.V, MeshBoundary.of(scene.V)
-    surface, master = (gather_surface(boundary, scene.facet_tags, t) for t in (tag, other))
-    own, over = surface.surface, master.surface
+    surface, master = (
+        tagged_surface(boundary, scene.facet_tags, t, "surface").gathered() for t in (tag, other)
+    )
+    own, over = surface.facets, master.facets
     n = len(own.points)
     mass, load = np.zeros((n, n)), np.zeros(n)
     whole, part = integrate_alone(own), integrate(own, over)

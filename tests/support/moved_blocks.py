@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
@@ -70,8 +71,9 @@ class Blocks(Scene):
         self, lower: Motion | None = None, upper: Motion | None = None, **arguments: Any
     ) -> tuple[ContactPairing, DeformedContact, Vector, Vector]:
         """Return the pair before and after, and the slave's and partners' displacements; serial."""
-        pairing, uh = self.pairing(self.pair), self.displacement(lower, upper)
-        result = deformed_contact(MeshBoundary.of(self.V), self.pair, pairing, uh, **arguments)
+        pair, uh = replace(self.pair, **arguments), self.displacement(lower, upper)
+        pairing = self.pairing(pair)
+        result = deformed_contact(pair, pairing, uh)
         u = uh.x.array.reshape(-1, self.mesh.geometry.dim)
         return pairing, result, u[pairing.slave], u[result.terms.master]
 

@@ -34,12 +34,10 @@ from fenics_tfeti.typing import Mask, Vector
 # -- the pairs of one contact ------------------------------------------------------------------
 
 
-def check_shared_nodes(
-    comm: MPI.Intracomm, slave: Surface, shared: Mask, allowed: bool, name: str
-) -> None:
+def check_shared_nodes(slave: Surface, shared: Mask, allowed: bool, name: str) -> None:
     """Check that slave and master share no nodes (k,), or that they may stay free."""
     raise_where(
-        comm,
+        slave.comm,
         np.zeros_like(shared) if allowed else shared,
         slave.points,
         lambda number, place: (
@@ -53,15 +51,10 @@ def check_shared_nodes(
 
 
 def check_partners(
-    comm: MPI.Intracomm,
-    slave: Surface,
-    partners: Partners,
-    limit: Vector,
-    partial: bool,
-    name: str,
+    slave: Surface, partners: Partners, limit: Vector, partial: bool, name: str
 ) -> None:
     """Check that all slave nodes have a partner, or in a partial contact at least one."""
-    far = partners.distance > limit
+    comm, far = slave.comm, partners.distance > limit
     missing, total = comm.allreduce(int(far.sum())), comm.allreduce(far.size)
     if missing == 0 or (partial and missing < total):
         return
@@ -83,7 +76,6 @@ def check_partners(
 
 
 def check_one_to_one(
-    comm: MPI.Intracomm,
     slave: Surface,
     master: MasterNodes,
     partners: Partners,
@@ -92,6 +84,7 @@ def check_one_to_one(
     name: str,
 ) -> None:
     """Check that no two slave nodes have the same partner."""
+    comm = slave.comm
     shared, counts = np.unique(concatenate_ranks(comm, partners.master[paired]), return_counts=True)
     shared = shared[counts > 1]
     if not shared.size:
@@ -121,13 +114,11 @@ def check_one_to_one(
     )
 
 
-def check_facing(
-    comm: MPI.Intracomm, slave: Surface, paired: Mask, angle: Vector, name: str
-) -> None:
+def check_facing(slave: Surface, paired: Mask, angle: Vector, name: str) -> None:
     """Check that the slave's normals point against those of the partners, angles in degrees."""
     # a coarse mesh of a curved surface, or a normal that the user gave, may be off by a right angle
     raise_where(
-        comm,
+        slave.comm,
         angle > 120.0,
         slave.points[paired],
         lambda number, place: (
@@ -138,21 +129,14 @@ def check_facing(
     )
 
 
-def check_not_crossed(
-    comm: MPI.Intracomm,
-    slave: Surface,
-    corners: Vector,
-    normals: Vector,
-    images: Vector,
-    name: str,
-) -> None:
+def check_not_crossed(slave: Surface, images: Vector, name: str) -> None:
     """Check that neighbouring slave nodes have their partners in the same order along the surface.
 
-    Arrays (f, v, gdim) are of the corners of this rank's facets, one after the other around each;
-    the images are the partners' coordinates, NaN where there is none.
+    The images (f, v, gdim) are the coordinates of the partners of the corners of this rank's
+    facets, NaN where there is none.
     """
-    gdim = images.shape[2]
-    v = corners.shape[1]
+    corners, normals = slave.corners, slave.at_corners(slave.normal)
+    v, gdim = images.shape[1:]
     edges = np.array([(k, (k + 1) % v) for k in range(v if v > 2 else 1)])
     ends, ends_normals, partners = (
         corner_values[:, edges].reshape(-1, 2, gdim) for corner_values in (corners, normals, images)
@@ -172,7 +156,7 @@ def check_not_crossed(
     # an edge belongs to two facets: it is listed from its smaller end, and once
     swap = _comes_before(crossings[:, 1], crossings[:, 0])
     crossings[swap] = crossings[swap][:, [1, 0, 3, 2]]
-    crossings = np.unique(concatenate_ranks(comm, crossings.reshape(-1, 4 * gdim)), axis=0)
+    crossings = np.unique(concatenate_ranks(slave.comm, crossings.reshape(-1, 4 * gdim)), axis=0)
     if not len(crossings):
         return
     a, b, partner_a, partner_b = (

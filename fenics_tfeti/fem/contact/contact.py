@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -131,7 +132,7 @@ class ContactPairing(Conditions):
     coverage: Vector | None = None  # (k,), see `ContactResult`; 1 by default
     # (s, gdim): components prescribed at the surface's nodes, for mortar conditions
     prescribed: NDArray[np.bool_] | None = None
-    master_surface: Surface | None = None  # for mortar conditions
+    master_surface: Surface | None = None  # None for obstacles
 
     @property
     def is_mortar(self) -> bool:
@@ -147,3 +148,37 @@ class ContactPairing(Conditions):
     def coordinates(self) -> Vector:
         """The undeformed slave nodes (k, 3) [m]."""
         return self.surface.coordinates[self.on_surface]
+
+
+def contact_rows(pairings: Sequence[ContactPairing], gdim: int) -> ContactRows:
+    """Return the contact conditions of all contacts, one contact after the other."""
+    if not pairings:
+        return ContactRows.none(gdim)
+    return ContactRows.concatenate([p.rows(number) for number, p in enumerate(pairings)])
+
+
+def openings(
+    nodes: NodeMap, pairings: Sequence[ContactPairing], displacement: Vector
+) -> list[Vector]:
+    """Return the openings (k,) of each contact's conditions, in order [m]. Collective.
+
+    An opening is the gap less the approach of the surfaces along the slave's normal; infinite where
+    there is no obstacle. The displacement (n,) is at the degrees of freedom that this rank owns
+    [m].
+    """
+    rows = contact_rows(pairings, nodes.components)
+    opening = (rows.gap - row_values(nodes, rows, displacement)) / rows.length
+    ends = np.cumsum([pairing.slave.size for pairing in pairings])
+    return np.split(opening, ends[:-1]) if len(pairings) else []
+
+
+def row_values(nodes: NodeMap, rows: ContactRows, displacement: Vector) -> Vector:
+    """Return sum_k c_k'u(node_k) of rows (k,) whose nodes may be on any rank. Collective.
+
+    The displacement (n,) is at the degrees of freedom that this rank owns [m].
+    """
+    nodal = nodes.values_at(displacement.reshape(-1, nodes.components), rows.nodes)
+    terms = np.sum(rows.coefficients * nodal, axis=1)
+    sums = np.zeros(rows.size)
+    np.add.at(sums, rows.row, terms)
+    return sums

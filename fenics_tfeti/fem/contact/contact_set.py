@@ -12,11 +12,10 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.checks import check_depth
-from fenics_tfeti.fem.contact.contact import ContactPairing
+from fenics_tfeti.fem.contact.contact import ContactPairing, contact_rows, openings
 from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
 from fenics_tfeti.fem.contact.description import Contact, ContactPair, TiedPair
-from fenics_tfeti.fem.contact.matching import contact_rows, match_contacts
-from fenics_tfeti.fem.contact.opening import openings
+from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
 from fenics_tfeti.fem.contact.result import ContactEntry, ContactResult, Results, TiedResult
 from fenics_tfeti.fem.contact.roles import (
@@ -72,11 +71,9 @@ class FoundContact:
         gap[rows] = gaps[rows_of_gaps]
         return gap
 
-    def measured(self, boundary: MeshBoundary, uh: Function) -> DeformedContact:
+    def measured(self, uh: Function) -> DeformedContact:
         """Measure normals, gaps and penetration in the deformed state. Collective."""
-        contact = self.contact
-        keep_normal = isinstance(contact, ContactPair) and contact.normal is not None
-        return deformed_contact(boundary, contact, self.pairing, uh, keep_normal)
+        return deformed_contact(self.contact, self.pairing, uh)
 
     def with_friction(self, space: FunctionSpace, prescribed: Prescribed) -> FoundContact:
         """Return the contact with friction evaluated at its conditions. Collective."""
@@ -147,7 +144,7 @@ class ContactSet:
 
         Friction is still that at the conditions before, see `with_friction`.
         """
-        measured = [found.measured(self.boundary, uh) for found in self.contacts]
+        measured = [found.measured(uh) for found in self.contacts]
         contacts = [
             replace(found, pairing=new.pairing(found.pairing))
             for found, new in zip(self.contacts, measured, strict=True)
@@ -279,11 +276,7 @@ class SolvedContacts:
 
     def gathered(self) -> list[SolvedContact]:
         """Gather the solution on the slaves' surfaces on every rank. Collective."""
-        conditions = self.conditions
-        contacts = [found.contact for found in conditions.contacts]
-        return gather_solved(
-            conditions.boundary, contacts, conditions.pairings, self.contacts, self.displacement
-        )
+        return gather_solved(self.conditions.pairings, self.contacts, self.displacement)
 
 
 class ContactSearch:
@@ -317,14 +310,16 @@ class ContactSearch:
                 touching[number] = self._roles_of(contact) or Roles(contact, contact)
         with self._timer.phase("contact search"):
             last = self._last or ContactSet(self.boundary, [], [], prescribed)
+            known = [(found.contact, found.undeformed) for found in last.contacts]
             pairings = match_contacts(
                 self.boundary,
                 [roles.used for roles in touching.values()],
-                [(found.contact, found.undeformed) for found in last.contacts],
+                known,
                 prescribed,
                 list(touching),
             )
-            check_depth(self._space, self._bodies, pairings)
+            checked = {id(pairing) for _, pairing in known}
+            check_depth(self._space, self._bodies, [p for p in pairings if id(p) not in checked])
             found_contacts = [
                 FoundContact(number, roles, pairing, pairing)
                 for (number, roles), pairing in zip(touching.items(), pairings, strict=True)

@@ -23,9 +23,8 @@ from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObst
 from fenics_tfeti.fem.contact.mortar.pairing import match_deformed
 from fenics_tfeti.fem.contact.obstacle_conditions import deformed_gaps
 from fenics_tfeti.fem.contact.result import ContactResult
-from fenics_tfeti.fem.contact.surfaces.gathered import GatheredSurface, gather_surface
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Numbers, Vector
@@ -55,29 +54,25 @@ class DeformedContact:
 
 
 def deformed_contact(
-    boundary: MeshBoundary,
-    contact: Contact,
-    pairing: ContactPairing,
-    displacement: Function,
-    keep_normal: bool = False,
+    contact: Contact, pairing: ContactPairing, displacement: Function
 ) -> DeformedContact:
     """Measure normals, gaps and penetration in the deformed state. Collective.
 
     For pairs of nodes the facets and nodes of both surfaces are gathered on all ranks; for mortar
     conditions a rank gets those near its part of the slave. A bilinear quadrilateral is
     approximated by four triangles around its centre. The normal at a node is the integral of the
-    deformed facets' normal times the node's shape function, as in `match_contact`; `keep_normal`
-    keeps that of a pair because the user gave it. The gap to a master is measured along it, see
+    deformed facets' normal times the node's shape function, as in `match_contact`, unless the
+    user gave the normal. The gap to a master is measured along it, see
     `FacetedSurface.gap_along`; the gap to an obstacle is that which the obstacle returns, if alone
     along the slave's deformed normal. Ghosts of the displacement are updated.
     """
-    _check_displacement(boundary.space, displacement)
+    _check_displacement(pairing.surface.boundary.space, displacement)
     displacement.x.scatter_forward()
     if isinstance(contact, RigidObstacle):
-        return _deformed_obstacle(boundary, contact, pairing, displacement)
+        return _deformed_obstacle(contact, pairing, displacement)
     if pairing.is_mortar:
-        return _deformed_mortar(boundary, contact, pairing, displacement)
-    return _deformed_pairs(boundary, contact, pairing, displacement, keep_normal)
+        return _deformed_mortar(contact, pairing, displacement)
+    return _deformed_pairs(contact, pairing, displacement)
 
 
 @dataclass(frozen=True)
@@ -142,17 +137,17 @@ def _check_displacement(space: FunctionSpace, displacement: Function) -> None:
 
 
 def _deformed_pairs(
-    boundary: MeshBoundary,
-    contact: ContactPair,
-    pairing: ContactPairing,
-    displacement: Function,
-    keep_normal: bool,
+    contact: ContactPair, pairing: ContactPairing, displacement: Function
 ) -> DeformedContact:
-    slave = gather_surface(boundary, contact.facet_tags, contact.slave, displacement)
-    master = gather_surface(boundary, contact.facet_tags, contact.master, displacement)
+    assert pairing.master_surface is not None
+    slave = pairing.surface.gathered(displacement)
+    master = pairing.master_surface.gathered(displacement)
     rows = np.searchsorted(slave.nodes, pairing.slave)
     partner = np.searchsorted(master.nodes, pairing.master)
-    normal = pairing.normal if keep_normal else slave.normals(pairing.name)[rows]
+    normal = pairing.normal
+    if contact.normal is None:
+        slave.check_not_folded(pairing.name)
+        normal = slave.normal[rows]
     distance, signed = master.faceted().gap_along(slave.points[rows], normal)
     partner = _opposite(master, partner, slave.points[rows] + distance[:, None] * normal)
     relative = slave.displacement[rows] - master.displacement[partner]
@@ -166,15 +161,16 @@ def _deformed_pairs(
 
 
 def _deformed_mortar(
-    boundary: MeshBoundary, contact: ContactPair, pairing: ContactPairing, displacement: Function
+    contact: ContactPair, pairing: ContactPairing, displacement: Function
 ) -> DeformedContact:
-    new, mean_distance = match_deformed(boundary, contact, pairing, displacement)
+    new, mean_distance = match_deformed(contact, pairing, displacement)
     # a node that slid off the master is as far from it as its facets are large
     size = pairing.surface.size[pairing.on_surface]
     distance, slip, normal = size.copy(), np.ones_like(size), pairing.normal.copy()
     _, old_rows, new_rows = np.intersect1d(pairing.slave, new.slave, return_indices=True)
     distance[old_rows], normal[old_rows] = mean_distance[new_rows], new.normal[new_rows]
     # mean places on the slave, less those on the master
+    boundary = pairing.surface.boundary
     nodes = boundary.nodes
     x = boundary.coordinates[:, : nodes.components] + nodes.values(displacement)
     offset = pairing.relative(nodes, x)[old_rows] - new.relative(nodes, x)[new_rows]
@@ -191,7 +187,7 @@ def _deformed_mortar(
     )
 
 
-def _opposite(master: GatheredSurface, partner: Numbers, foot: Vector) -> Numbers:
+def _opposite(master: SurfaceFacets, partner: Numbers, foot: Vector) -> Numbers:
     """Return the master nodes nearest to the points where the slave's normals meet the master.
 
     A partner is kept unless its distance is more than 1.5 times that of the nearest node: otherwise
@@ -203,10 +199,7 @@ def _opposite(master: GatheredSurface, partner: Numbers, foot: Vector) -> Number
 
 
 def _deformed_obstacle(
-    boundary: MeshBoundary,
-    contact: RigidObstacle,
-    pairing: ContactPairing,
-    displacement: Function,
+    contact: RigidObstacle, pairing: ContactPairing, displacement: Function
 ) -> DeformedContact:
-    normal, gap, distance = deformed_gaps(boundary, contact, pairing, displacement)
+    normal, gap, distance = deformed_gaps(contact, pairing, displacement)
     return DeformedContact(pairing.terms, normal, gap, distance, np.maximum(-distance, 0.0))

@@ -11,13 +11,10 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.fem.contact.contact import ContactPairing, Terms
 from fenics_tfeti.fem.contact.description import RigidObstacle
-from fenics_tfeti.fem.contact.mortar.one_sided import nodal_normals, one_sided_conditions
-from fenics_tfeti.fem.contact.mortar.pairing import slave_facets
+from fenics_tfeti.fem.contact.mortar.conditions import one_sided_conditions
 from fenics_tfeti.fem.contact.obstacles import gap_and_normal
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
-from fenics_tfeti.fem.contact.surfaces.gathered import gather_surface
 from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas
-from fenics_tfeti.fem.contact.surfaces.node_areas import node_areas
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.typing import Vector
 
@@ -32,8 +29,8 @@ def match_obstacle(
     tags, tag = contact.facet_tags, contact.slave
     slave = earlier.surface if earlier else tagged_surface(boundary, tags, tag, f"slave of {name}")
     if boundary.degree > 1:
-        return _match_means(boundary, name, contact, slave)
-    comm, covered = boundary.nodes.comm, np.ones(len(slave.facet_nodes), dtype=bool)
+        return _match_means(name, contact, slave)
+    comm, covered = slave.comm, np.ones(len(slave.facet_nodes), dtype=bool)
     gap, outward = gap_and_normal(comm, contact.obstacle, slave.coordinates, slave.normal, name)
     gap = slave.without_rounding(gap)
     normal = -outward  # u'n <= gap with n pointing into the obstacle
@@ -42,7 +39,7 @@ def match_obstacle(
         Terms.of_nodes(slave.nodes),
         normal,
         gap,
-        node_areas(slave, covered, name),
+        slave.areas(covered, name),
         name,
         pairing_summary(comm, name, "obstacle", gap, angle, slave.nodes.size, area=slave.area),
         slave,
@@ -50,23 +47,22 @@ def match_obstacle(
     )
 
 
-def _match_means(
-    boundary: MeshBoundary, name: str, contact: RigidObstacle, slave: Surface
-) -> ContactPairing:
+def _match_means(name: str, contact: RigidObstacle, slave: Surface) -> ContactPairing:
     """Return the conditions for degree 2, on the facets that have an obstacle at all nodes."""
-    comm, gdim = boundary.nodes.comm, slave.normal.shape[1]
-    facets = slave_facets(slave, boundary.coordinates[:, :gdim])
-    places, normals = _padded(facets.facets.points), nodal_normals(facets)
-    nodal_gap, _ = gap_and_normal(comm, contact.obstacle, places, normals, name)
+    comm, all_nodes = slave.comm, slave.boundary.nodes
+    facets = slave.oriented_part()
+    normals = facets.from_corners(facets.normal)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    nodal_gap, _ = gap_and_normal(comm, contact.obstacle, _padded(facets.points), normals, name)
     covered = np.isfinite(nodal_gap)[facets.facets.nodes].all(axis=1)
-    nodes, terms = one_sided_conditions(comm, facets, slave.nodes, covered)
+    nodes, terms = one_sided_conditions(slave, facets, covered)
     rows = np.searchsorted(slave.nodes, nodes)
     if facets.weight is not None:
         label = f"slave of {name}"
         check_weighted_areas(comm, terms.scale, slave.area[rows], slave.points[rows], label)
     # the nodes of a condition may be on facets of several ranks
-    at_owners = boundary.nodes.sum_at_owners(facets.nodes, nodal_gap, np.maximum)
-    mean = _mean_gap(terms, boundary.nodes.values_at(at_owners, terms.nodes))
+    at_owners = all_nodes.sum_at_owners(facets.nodes, nodal_gap, np.maximum)
+    mean = _mean_gap(terms, all_nodes.values_at(at_owners, terms.nodes))
     gap = slave.without_rounding(mean)
     _, outward = gap_and_normal(
         comm, contact.obstacle, slave.coordinates[rows], slave.normal[rows], name
@@ -88,10 +84,7 @@ def _mean_gap(terms: Terms, gap: Vector) -> Vector:
 
 
 def deformed_gaps(
-    boundary: MeshBoundary,
-    contact: RigidObstacle,
-    pairing: ContactPairing,
-    displacement: Function,
+    contact: RigidObstacle, pairing: ContactPairing, displacement: Function
 ) -> tuple[Vector, Vector, Vector]:
     """Return the conditions at an obstacle in the deformed state. Collective.
 
@@ -99,11 +92,12 @@ def deformed_gaps(
     and distances (k,) from the obstacle [m], for degree 2 the means around the nodes. The ghosts of
     the displacement are up to date.
     """
-    comm, name, terms = boundary.nodes.comm, pairing.name, pairing.terms
-    slave = gather_surface(boundary, contact.facet_tags, contact.slave, displacement)
+    comm, name, terms = pairing.surface.comm, pairing.name, pairing.terms
+    slave = pairing.surface.gathered(displacement)
+    slave.check_not_folded(name)
     nodes, inverse = np.unique(terms.nodes, return_inverse=True)
     rows = np.searchsorted(slave.nodes, nodes)
-    places, normals = _padded(slave.points[rows]), slave.normals(name)[rows]
+    places, normals = _padded(slave.points[rows]), slave.normal[rows]
     nodal, outward = gap_and_normal(comm, contact.obstacle, places, normals, name)
     distance = _mean_gap(terms, nodal[inverse])
     motion = terms.means(slave.displacement[rows[inverse]])

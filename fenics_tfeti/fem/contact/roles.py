@@ -49,13 +49,11 @@ def roles_ratio(
     comm: MPI.Intracomm, pairing: ContactPairing, subdomains: Sequence[Subdomain]
 ) -> float | None:
     """Return E / h of the slave over that of the master; None for node pairs. Collective."""
-    if pairing.master_surface is None:
+    if not pairing.is_mortar or pairing.master_surface is None:
         return None
-    slave, master = (
-        _modulus_over_size(comm, surface, subdomains)
-        for surface in (pairing.surface, pairing.master_surface)
+    return _modulus_over_size(comm, pairing.surface, subdomains) / _modulus_over_size(
+        comm, pairing.master_surface, subdomains
     )
-    return slave / master
 
 
 def prefers_exchange(contact: ContactPair, ratio: float | None) -> bool:

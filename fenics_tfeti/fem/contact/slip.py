@@ -1,4 +1,4 @@
-"""Friction at the conditions of contacts: tangents, bounds, and from where slip is counted.
+"""Friction at the conditions of contacts: tangents, bounds, coefficients, and the origin of slip.
 
 Slip is the tangential displacement of the slave relative to the master or obstacle since the last
 load step. With the tangential row T of a condition and the displacement u_0 at the end of that step
@@ -12,18 +12,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dolfinx.fem import FunctionSpace
+from dolfinx.fem import Function, FunctionSpace
 
-from fenics_tfeti.fem.contact.contact import ContactPairing
-from fenics_tfeti.fem.contact.description import Contact, RigidObstacle, Tresca
-from fenics_tfeti.fem.contact.friction import values_at_nodes
-from fenics_tfeti.fem.contact.opening import row_values
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.contact import ContactPairing, row_values
+from fenics_tfeti.fem.contact.description import Contact, FrictionLaw, RigidObstacle, Tresca
 from fenics_tfeti.fem.contact.result import FrictionResult
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.user_data import vectors_at
+from fenics_tfeti.fem.topology import vertex_nodes
+from fenics_tfeti.fem.user_data import scalars_at, vectors_at
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed
-from fenics_tfeti.typing import Mask, Vector
+from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # squared length of the tangential part of a prescribed direction that counts as none
 _NORMAL_ONLY = 1e-12
@@ -93,7 +95,7 @@ def nodal_friction(
         return None
     nodes, points, name = pairing.slave, pairing.coordinates, pairing.name
     law = contact.friction
-    values = values_at_nodes(space, law, nodes, points, name)
+    values = _law_values(space, law, nodes, points, name)
     is_tresca = isinstance(law, Tresca)
     fixed = prescribed_components(pairing.surface, prescribed)[pairing.on_surface]
     return NodalFriction(
@@ -102,6 +104,39 @@ def nodal_friction(
         np.where(is_tresca, 0.0, values),
         obstacle_motion(space, contact, points, name),
     )
+
+
+def _law_values(
+    space: FunctionSpace, law: FrictionLaw, nodes: Numbers, points: Vector, name: str
+) -> Vector:
+    """Return a law's bound or coefficient (k,), at least 0, at nodes of this rank. Collective.
+
+    The nodes (k,) are global ones, at vertices.
+    """
+    ((label, value),) = vars(law).items()
+    label = f"{name}: {label}"
+    comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
+    with raise_collectively(comm):
+        if isinstance(value, Function):
+            value = _nodal_values(space, value, nodes, label)
+    return scalars_at(comm, value, points, gdim, label, lowest=0.0)
+
+
+def _nodal_values(space: FunctionSpace, function: Function, nodes: Numbers, label: str) -> Vector:
+    source = function.function_space
+    if source.mesh is not space.mesh:
+        raise InputError(f"{label} is a Function on another mesh than the displacement")
+    family, degree, shape = _compat.element_facts(source)
+    if (family, degree) != ("Lagrange", 1) or shape:
+        raise InputError(
+            f"{label} is a Function of {family} elements of degree {degree} and shape {shape}; a "
+            "scalar one of Lagrange elements of degree 1 is expected"
+        )
+    # the two spaces may number their nodes differently
+    dofs = np.zeros(int(_compat.cell_dofs(space).max(initial=-1)) + 1, dtype=np.int64)
+    dofs[vertex_nodes(space)] = vertex_nodes(source)
+    values: Vector = function.x.array[dofs[nodes - NodeMap(space).first]]
+    return values
 
 
 def obstacle_motion(space: FunctionSpace, contact: Contact, points: Vector, name: str) -> Vector:

@@ -6,16 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.fem.contact.contact import Conditions
 from fenics_tfeti.fem.contact.description import TiedPair, tied_name
-from fenics_tfeti.fem.contact.mortar.checks import check_covered
 from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, tied_conditions
-from fenics_tfeti.fem.contact.mortar.pairing import slave_facets
+from fenics_tfeti.fem.contact.mortar.pairing import check_covered
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components, same_supports
@@ -42,23 +39,20 @@ class TiedPairing:
 
 def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescribed) -> TiedPairing:
     """Find the conditions of a tied pair. Collective."""
-    name, comm = tied_name(pair, number), boundary.nodes.comm
-    slave = tagged_surface(boundary, pair.facet_tags, pair.slave, f"slave of {name}")
-    tagged_surface(boundary, pair.facet_tags, pair.master, f"master of {name}")
-    master = gather_nearby(boundary, pair.facet_tags, pair.master, pair.slave, slave.nodes)
+    name, tags, comm = tied_name(pair, number), pair.facet_tags, boundary.nodes.comm
+    slave = tagged_surface(boundary, tags, pair.slave, f"slave of {name}")
+    tagged_master = tagged_surface(boundary, tags, pair.master, f"master of {name}")
+    master = gather_nearby(tagged_master, slave)
     with raise_collectively(comm):
-        normals = master.normals(name)
-    _check_separate(comm, slave, master.nodes, name)
-    gdim = slave.normal.shape[1]
-    facets = slave_facets(slave, boundary.coordinates[:, :gdim])
+        master.check_not_folded(name)
+    _check_separate(slave, master.nodes, name)
     fixed = prescribed_components(slave, prescribed)
-    corner_fixed = slave.at_corners(fixed)
-    conditions = tied_conditions(comm, facets, slave.nodes, master, normals, corner_fixed)
+    conditions = tied_conditions(slave, slave.oriented_part(), master, fixed)
     # nodes where a component is prescribed have no condition for it
     largest = int(np.argmax([comm.allreduce(component.slave.size) for component in conditions]))
     fullest = conditions[largest]
-    check_covered(comm, fullest, slave, name)
-    _check_together(comm, fullest, slave, name)
+    check_covered(fullest, slave, name)
+    _check_together(fullest, slave, name)
     rows = np.searchsorted(slave.nodes, fullest.slave)
     gap = np.sum(fullest.gap * slave.normal[rows], axis=1)
     summary = pairing_summary(
@@ -73,7 +67,7 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
     )
     components = [
         Conditions(c.terms, np.tile(axis, (c.slave.size, 1)), np.zeros(c.slave.size), c.area)
-        for c, axis in zip(conditions, np.eye(gdim), strict=True)
+        for c, axis in zip(conditions, np.eye(len(conditions)), strict=True)
     ]
     return TiedPairing(name, components, summary, slave, fixed)
 
@@ -116,11 +110,9 @@ def tied_rows(pairings: Sequence[TiedPairing], gdim: int) -> ContactRows:
     )
 
 
-def _check_separate(
-    comm: MPI.Intracomm, slave: Surface, master: NDArray[np.int64], name: str
-) -> None:
+def _check_separate(slave: Surface, master: NDArray[np.int64], name: str) -> None:
     raise_where(
-        comm,
+        slave.comm,
         np.isin(slave.nodes, master),
         slave.points,
         lambda number, place: (
@@ -131,15 +123,13 @@ def _check_separate(
     )
 
 
-def _check_together(
-    comm: MPI.Intracomm, conditions: MortarConditions, slave: Surface, name: str
-) -> None:
+def _check_together(conditions: MortarConditions, slave: Surface, name: str) -> None:
     """Check that surfaces are no farther apart than facets are large: rotations would be held."""
     rows = np.searchsorted(slave.nodes, conditions.slave)
     distance = np.linalg.norm(conditions.gap, axis=1)
-    largest = concatenate_ranks(comm, distance).max(initial=0.0)
+    largest = concatenate_ranks(slave.comm, distance).max(initial=0.0)
     raise_where(
-        comm,
+        slave.comm,
         distance > 0.5 * slave.size[rows],
         slave.points[rows],
         lambda number, place: (

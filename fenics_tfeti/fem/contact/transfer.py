@@ -16,10 +16,8 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import ContactPairing
-from fenics_tfeti.fem.contact.description import Contact
 from fenics_tfeti.fem.contact.result import ContactResult
-from fenics_tfeti.fem.contact.surfaces.gathered import GatheredSurface, gather_surface
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti.system import ContactGuess
 from fenics_tfeti.parallel import concatenate_ranks
@@ -34,18 +32,14 @@ class SolvedContact:
     """
 
     name: str
-    surface: GatheredSurface
+    surface: SurfaceFacets
     paired: Vector  # 1 at nodes that have a contact condition, 0 elsewhere
     pressure: Vector  # [Pa]; 0 elsewhere
     approach: Vector  # (u_slave - u_master)'n [m]; 0 elsewhere
 
 
 def gather_solved(
-    boundary: MeshBoundary,
-    contacts: Sequence[Contact],
-    pairings: Sequence[ContactPairing],
-    results: Sequence[ContactResult],
-    displacement: Function,
+    pairings: Sequence[ContactPairing], results: Sequence[ContactResult], displacement: Function
 ) -> list[SolvedContact]:
     """Gather the solution on the slaves' surfaces on every rank. Collective.
 
@@ -53,25 +47,20 @@ def gather_solved(
     """
     displacement.x.scatter_forward()
     return [
-        _gather_solved(boundary, *solution, displacement)
-        for solution in zip(contacts, pairings, results, strict=True)
+        _gather_solved(*solution, displacement) for solution in zip(pairings, results, strict=True)
     ]
 
 
 def _gather_solved(
-    boundary: MeshBoundary,
-    contact: Contact,
-    pairing: ContactPairing,
-    result: ContactResult,
-    displacement: Function,
+    pairing: ContactPairing, result: ContactResult, displacement: Function
 ) -> SolvedContact:
-    comm = boundary.space.mesh.comm
-    slave = gather_surface(boundary, contact.facet_tags, contact.slave, displacement)
-    relative = pairing.relative(boundary.nodes, boundary.nodes.values(displacement))
+    nodes = pairing.surface.boundary.nodes
+    slave = pairing.surface.gathered(displacement)
+    relative = pairing.relative(nodes, nodes.values(displacement))
     nodal_approach = np.sum(relative * pairing.normal, axis=1)
     columns = (pairing.slave, result.pressure, nodal_approach)
-    nodes, pressures, approaches = (concatenate_ranks(comm, column) for column in columns)
-    rows = np.searchsorted(slave.nodes, nodes)
+    conditioned, pressures, approaches = (concatenate_ranks(nodes.comm, c) for c in columns)
+    rows = np.searchsorted(slave.nodes, conditioned)
     n = slave.nodes.size
     paired, pressure, approach = np.zeros((3, n))
     paired[rows], pressure[rows] = 1.0, pressures

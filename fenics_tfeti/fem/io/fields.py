@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
@@ -319,7 +319,54 @@ def piecewise_constant(mesh: Mesh, cell_tags: Any, values: Mapping[int, float]) 
     return result
 
 
-def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> list[Function]:
+class ContactFields(NamedTuple):
+    """Contact results as fields, in this order.
+
+    They are of degree 1: for displacements of degree 2 as well, contact is at the vertices. The
+    integral of the pressure over a slave surface is the contact's force in the report, where it is
+    covered wholly; where the slave sticks out of the master, the sum of ``pressure * area`` of the
+    `ContactResult` is.
+
+    Attributes
+    ----------
+    pressure : Function
+        "contact_pressure" [Pa]; zero off the surfaces, as all forces are.
+    force : Function
+        "contact_force" [N]: normal, times the outward normal; a vector.
+    gap, opening : Function
+        "initial_gap" and "opening", the gaps before and after the solve [m]: NaN off the surfaces
+        and where a contact has no obstacle. In forms, fill them by ``numpy.nan_to_num``.
+    """
+
+    pressure: Function
+    force: Function
+    gap: Function
+    opening: Function
+
+
+class FrictionFields(NamedTuple):
+    """Contact results as fields where a contact has friction, in this order.
+
+    Attributes
+    ----------
+    pressure, force, gap, opening : Function
+        As in `ContactFields`.
+    traction, slip : Function
+        "friction_traction" [Pa], on the slave, and "slip" [m]; vectors.
+    state : Function
+        "friction_state": 1 where a node sticks, 2 where it slips, 0 where friction has no force.
+    """
+
+    pressure: Function
+    force: Function
+    gap: Function
+    opening: Function
+    traction: Function
+    slip: Function
+    state: Function
+
+
+def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> ContactFields | FrictionFields:
     """Return the contact results as fields. Collective.
 
     Parameters
@@ -332,20 +379,17 @@ def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> list[Functio
 
     Returns
     -------
-    list of Function
-        "contact_pressure" [Pa], "contact_force" [N] (normal, times the outward normal),
-        "initial_gap" and "opening", the gaps before and after the solve [m], which are NaN off the
-        surfaces and where a contact has no obstacle (in forms, fill them by ``numpy.nan_to_num``);
-        all else is zero there. The integral of the pressure over a slave surface is the contact's
-        force in the report, where it is covered wholly; where the slave sticks out of the master,
-        the sum of ``pressure * area`` of the `ContactResult` is.
-        They are of degree 1: for displacements of degree 2 as well, contact is at the vertices.
-        Some versions of dolfinx compile no form of a field whose name has spaces. Where a contact
-        has friction also "friction_traction" [Pa], on the slave, and "slip" [m], vectors, and
-        "friction_state": 1 where a node sticks, 2 where it slips, 0 where friction has no force.
+    ContactFields or FrictionFields
+        Named tuples of functions; with those of friction where a contact has friction.
+
+    Examples
+    --------
+    >>> pressure, force, gap, opening = contact_fields(V, problem.results)  # doctest: +SKIP
+    >>> opening = contact_fields(V, problem.results).opening  # doctest: +SKIP
     """
     contacts = [result for result in results if isinstance(result, ContactResult)]
     scalar = _compat.lagrange_space(space.mesh, 1)
+    # some versions of dolfinx compile no form of a field whose name has spaces
     names = ("contact_pressure", "initial_gap", "opening", "friction_state")
     pressure, gap, opening, state = (Function(scalar, name=name) for name in names)
     block = space.dofmap.index_map_bs
@@ -376,9 +420,8 @@ def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> list[Functio
             )
     for field in (gap, opening):
         field.x.array[np.isinf(field.x.array)] = np.nan
-    fields = [pressure, force, gap, opening]
-    if any(contact.friction is not None for contact in contacts):
-        fields += [traction, slip, state]
-    for field in fields:
+    for field in (pressure, force, gap, opening, traction, slip, state):
         field.x.scatter_forward()
-    return fields
+    if any(contact.friction is not None for contact in contacts):
+        return FrictionFields(pressure, force, gap, opening, traction, slip, state)
+    return ContactFields(pressure, force, gap, opening)

@@ -39,6 +39,16 @@ def test_meshes_that_correspond_but_are_not_identical():
     assert matched(scene.V, pair).summary["pairs"] == 24
 
 
+def test_new_contact_is_checked_against_those_that_were_found_before():
+    scene = scenes.two_beams(MPI.COMM_SELF, "triangle", 2)
+    boundary, pair = MeshBoundary.of(scene.V), ContactPair(scene.facet_tags, SLAVE, MASTER)
+    known = [(pair, *match_contacts(boundary, [pair]))]
+    assert match_contacts(boundary, [pair], known)[0] is known[0][1]
+    again = ContactPair(scene.facet_tags, MASTER, SLAVE)
+    with pytest.raises(InputError, match="contacts 0 and 1 join the same two surfaces"):
+        match_contacts(boundary, [pair, again], known)
+
+
 def test_edge_node_meets_one_surface_from_two_sides():
     """A block in a corner that is one surface: the edge is in the way in two directions."""
     tagged = boxes(

@@ -16,7 +16,6 @@ from dolfinx import fem
 from fenics_tfeti import Nearest, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.deformed import deformed_contact
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import displacement_space
 
 COMM = MPI.COMM_WORLD
@@ -220,7 +219,7 @@ def test_normals_can_be_kept(cell):
     gdim = dimension(cell)
     incline = lifted(lambda x, *y: 0.5 * (x - 1.5))
     matched, result, slave, partner = blocks(cell).deformed(
-        incline, lambda x: sideways(gdim, 0.2, 0.1)(incline(x)), keep_normal=True
+        incline, lambda x: sideways(gdim, 0.2, 0.1)(incline(x)), normal=-np.eye(gdim)[-1]
     )
     assert np.array_equal(result.normal, matched.normal)
     # vertically between the planes
@@ -230,14 +229,14 @@ def test_normals_can_be_kept(cell):
 # -- obstacles -----------------------------------------------------------------------------------
 
 
-def at_obstacle(scene, surface, motion, **arguments):
+def at_obstacle(scene, surface, motion):
     """Return the contact before and after, and the deformed places."""
     contact = scene.obstacle(surface)
     uh = scene.displacement(motion)
     gdim = scene.mesh.geometry.dim
     before = RigidObstacle(scene.facet_tags, GROUND, Plane([0.0] * gdim, [*[0] * (gdim - 1), 1]))
     matched = scene.pairing(before)
-    result = deformed_contact(MeshBoundary.of(scene.V), contact, matched, uh, **arguments)
+    result = deformed_contact(contact, matched, uh)
     u = uh.x.array.reshape(-1, gdim)[matched.slave]
     return matched, result, matched.coordinates[:, :gdim] + u, u
 
@@ -310,7 +309,7 @@ def test_displacement_on_another_space():
     matched = scene.pairing(scene.pair)
     other = fem.Function(displacement_space(scene.mesh, degree=2))
     with pytest.raises(InputError, match="another function space"):
-        deformed_contact(MeshBoundary.of(scene.V), scene.pair, matched, other)
+        deformed_contact(scene.pair, matched, other)
 
 
 def test_displacement_that_is_not_finite():
@@ -350,7 +349,7 @@ def deformed(cell, comm, kind):
     }[kind]
     known = scene.obstacle(ball) if kind == "gap alone" else contact
     pairing, uh = scene.pairing(known), scene.displacement(*motions(gdim))
-    return pairing.coordinates, deformed_contact(MeshBoundary.of(scene.V), contact, pairing, uh)
+    return pairing.coordinates, deformed_contact(contact, pairing, uh)
 
 
 @pytest.mark.ranks(2)
@@ -373,7 +372,7 @@ def test_result_is_that_of_one_rank(cell, kind):
 def test_ghosts_of_the_displacement_are_brought_up_to_date():
     scene = blocks("triangle", comm=COMM)
     pairing, uh = scene.pairing(scene.pair), scene.displacement()
-    result = deformed_contact(MeshBoundary.of(scene.V), scene.pair, pairing, uh)
+    result = deformed_contact(scene.pair, pairing, uh)
     assert np.isfinite(uh.x.array).all()
     np.testing.assert_allclose(result.gap, 0.1, atol=1e-14)
 
@@ -385,4 +384,4 @@ def test_error_of_one_rank_is_raised_on_all():
     if COMM.rank == COMM.size - 1:
         uh.x.array[0] = np.nan
     with pytest.raises(InputError, match="NaN"):
-        deformed_contact(MeshBoundary.of(scene.V), scene.pair, pairing, uh)
+        deformed_contact(scene.pair, pairing, uh)

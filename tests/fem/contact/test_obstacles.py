@@ -245,7 +245,7 @@ def test_gap_of_a_node_with_two_obstacles_is_that_of_the_finite_one():
     for contacts in ([nowhere, plane], [plane, nowhere]):
         problem = scene.problem(contacts=contacts)
         problem.solve()
-        gap = contact_fields(problem.space, problem.results)[2]
+        gap = contact_fields(problem.space, problem.results).gap
         height = gap.function_space.tabulate_dof_coordinates()[:, 1]
         np.testing.assert_allclose(gap.x.array, np.where(height < 1e-9, 0.25, np.nan), rtol=1e-14)
 

@@ -100,7 +100,7 @@ def test_forces_are_those_on_the_given_slave(roles):
     at_nodes = contact.friction.force.sum(axis=0) - contact.normal_force @ contact.normal
     np.testing.assert_allclose(at_nodes, force, atol=scale)
     # the field is the force on the body that has the nodes
-    drawn = contact_fields(problem.space, [contact])[1].x.array.reshape(-1, 2).sum(axis=0)
+    drawn = contact_fields(problem.space, [contact]).force.x.array.reshape(-1, 2).sum(axis=0)
     np.testing.assert_allclose(drawn[1], -force[1] if roles == "auto" else force[1], rtol=1e-9)
 
 

@@ -49,10 +49,9 @@ def result_of(matched, pressure):
 
 def transferred(coarse, contact, fine_match, displacement, pressure=linear):
     """Return what the fine mesh expects of the solution of a coarse one."""
-    boundary = MeshBoundary.of(coarse.V)
-    matched = match_contact(boundary, contact, 0)
+    matched = match_contact(MeshBoundary.of(coarse.V), contact, 0)
     result = result_of(matched, pressure(matched.coordinates))
-    solved = gather_solved(boundary, [contact], [matched], [result], displacement)
+    solved = gather_solved([matched], [result], displacement)
     return expected_contact(solved, fine_match)
 
 
@@ -104,8 +103,7 @@ def test_nodes_without_partner_say_nothing(cell):
         area=matched.area[some],
     )
     result = result_of(part, np.ones(some.sum()))
-    boundary = MeshBoundary.of(coarse.V)
-    solved = gather_solved(boundary, [coarse.pair], [part], [result], coarse.displacement())
+    solved = gather_solved([part], [result], coarse.displacement())
     there = fine.pairing(fine.pair)
     guess = expected_contact(solved, [there])
     near = there.coordinates[:, 0] < 2.0 - 1e-9

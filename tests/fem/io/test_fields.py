@@ -309,7 +309,7 @@ def test_integral_of_the_pressure_is_the_contact_force(cell, partners):
     pair = ContactPair(scene.facet_tags, SLAVE, MASTER, partners=partners)
     problem = scene.problem(contacts=[pair], options={"rtol": 1e-9})
     problem.solve()
-    pressure = contact_fields(scene.V, problem.results)[0]
+    pressure = contact_fields(scene.V, problem.results).pressure
     assert np.ptp(problem.results[0].pressure) > 0.1 * problem.results[0].pressure.max()
     ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)
     force = fem.assemble_scalar(fem.form(pressure * ds(SLAVE)))
@@ -325,7 +325,7 @@ def test_integral_of_the_pressure_of_meshes_that_do_not_match(slave):
     force = problem.report.contacts[0].normal_force
     assert contact.pressure @ contact.area == pytest.approx(force, rel=1e-12)
     if slave == UPPER:
-        pressure = contact_fields(V, [contact])[0]
+        pressure = contact_fields(V, [contact]).pressure
         tags = problem.contacts[0].facet_tags
         ds = ufl.Measure("ds", domain=V.mesh, subdomain_data=tags)
         integral = fem.assemble_scalar(fem.form(pressure * ds(UPPER)))

@@ -39,7 +39,7 @@ def solved(cell: str):
     problem = scene.problem(geometry=Exact())
     uh = problem.solve()
     stress = von_mises(scene.mesh, scenes.stress(uh, scenes.YOUNG), scenes.POISSON)
-    return problem, uh, [contact_fields(scene.V, problem.results)[0], stress]
+    return problem, uh, [contact_fields(scene.V, problem.results).pressure, stress]
 
 
 @pytest.fixture(scope="module")

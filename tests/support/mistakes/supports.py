@@ -11,7 +11,7 @@ from fenics_tfeti.errors import UnresistedMotion
 from mistakes.catalogue import beams, mistake
 
 
-@mistake("(?i)contradictory", "component 1", "0.001", "condition 2")
+@mistake("(?i)contradictory", r"component 1 at \(0, 0\)", "0.001", "condition 2")
 def two_values_for_one_displacement(comm):
     scene = beams(comm)
     scene.fix(CLAMPED, 1, 1e-3)

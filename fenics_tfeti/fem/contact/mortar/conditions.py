@@ -16,52 +16,20 @@ import scipy.sparse as sp
 
 from fenics_tfeti.fem.contact.contact import Terms
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
-from fenics_tfeti.fem.contact.mortar.integrals import FacetIntegrals, integrate
+from fenics_tfeti.fem.contact.mortar.integrals import FacetIntegrals, integrate, integrate_alone
 from fenics_tfeti.fem.contact.mortar.matrices import (
     BARELY_COVERED,
     mortar_matrices,
     multiplier_shares,
     node_areas,
+    slave_matrix,
 )
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
-from fenics_tfeti.fem.contact.surfaces.gathered import GatheredSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, facet_deviations
+from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.parallel import Directory, concatenate_buffers
 from fenics_tfeti.typing import Mask, Numbers, Vector
-
-
-@dataclass(frozen=True)
-class SlaveFacets:
-    """The facets of a slave's surface that this rank owns."""
-
-    facets: Facets  # undeformed or deformed
-    nodes: Numbers  # (n,): global nodes of the rows of facets.points, ascending; with midpoints
-    normals: Vector  # (f, v, gdim): unit normals at the corners
-    weight: Vector | None  # (f, v): weight of the measure at the corners
-
-    @property
-    def nodal_normals(self) -> Vector:
-        """Normals (n, gdim) at the nodes of `facets`; of degree 2 zero where no corner is."""
-        normal = np.zeros_like(self.facets.points)
-        normal[self.facets.corners] = self.normals
-        return normal
-
-    @staticmethod
-    def of(slave: Surface, points: Vector, weight: Vector | None) -> SlaveFacets:
-        """Return the facets of a surface, their nodes numbered from 0.
-
-        Points (nodes, gdim) [m] and the weight (nodes,) are those of all local nodes of the space.
-        """
-        local = np.unique(slave.facet_nodes)
-        nodes = slave.boundary.nodes.to_global(local)
-        order = np.argsort(nodes)
-        rows = np.zeros(local.size, dtype=np.int64)
-        rows[order] = np.arange(local.size)
-        facets = Facets(points[local[order]], rows[np.searchsorted(local, slave.facet_nodes)])
-        normals = slave.at_corners(slave.normal)
-        corner_weights = None if weight is None else weight[slave.vertices]
-        return SlaveFacets(facets, nodes[order], normals, corner_weights)
 
 
 @dataclass(frozen=True)
@@ -84,45 +52,34 @@ class MortarConditions:
 
 
 def mortar_conditions(
-    comm: MPI.Intracomm,
-    slave: SlaveFacets,
-    owned: Numbers,
-    master: GatheredSurface,
-    normals: Vector,
-    free: Numbers,
+    surface: Surface, slave: SurfaceFacets, master: SurfaceFacets, free: Numbers
 ) -> MortarConditions:
     """Integrate over the slave's facets and sum up at the owners of its nodes. Collective.
 
-    The nodes `owned` (s,) are the slave's that this rank owns, ascending; those of `free` have no
-    condition. The normals (n, gdim) are those of the master's surface near this rank's facets.
+    The slave's facets are those of this rank, of the master those near them; nodes of `free` have
+    no condition.
     """
-    integrals = integrate(slave.facets, master.surface, slave.weight)
-    free_nodes = np.isin(slave.nodes, free)
-    return _conditions(comm, slave, owned, master, normals, integrals, free_nodes)
+    integrals = integrate(slave.facets, master.facets, slave.corner_weight)
+    return _conditions(surface, slave, master, integrals, np.isin(slave.nodes, free))
 
 
 def tied_conditions(
-    comm: MPI.Intracomm,
-    slave: SlaveFacets,
-    owned: Numbers,
-    master: GatheredSurface,
-    normals: Vector,
-    prescribed: Mask,
+    surface: Surface, slave: SurfaceFacets, master: SurfaceFacets, prescribed: Mask
 ) -> list[MortarConditions]:
     """Return the conditions for each component of surfaces that stay together. Collective.
 
     Where a component is prescribed at a node of the slave, the node has no condition on it unless
     the component is prescribed at all nodes of a facet: a condition would hold the master more than
-    the support does. `prescribed` (f, v, gdim) are the components prescribed at the corners of this
-    rank's facets; for the others see `mortar_conditions`.
+    the support does. `prescribed` (k, gdim) are the components prescribed at the surface's nodes of
+    this rank; for the others see `mortar_conditions`.
     """
-    integrals = integrate(slave.facets, master.surface, slave.weight)
-    gdim = prescribed.shape[2]
-    all_prescribed = np.broadcast_to(prescribed.all(axis=1, keepdims=True), prescribed.shape)
-    directory = Directory(comm, slave.nodes)
+    integrals = integrate(slave.facets, master.facets, slave.corner_weight)
+    gdim, fixed = prescribed.shape[1], surface.at_corners(prescribed)
+    all_fixed = np.broadcast_to(fixed.all(axis=1, keepdims=True), fixed.shape)
+    directory = Directory(surface.comm, slave.nodes)
     keys, flags = directory.collect(
         slave.nodes[slave.facets.corners.ravel()],
-        np.concatenate([all_prescribed, prescribed], axis=2).reshape(-1, 2 * gdim),
+        np.concatenate([all_fixed, fixed], axis=2).reshape(-1, 2 * gdim),
     )
     table = np.zeros((directory.keys.size, 2 * gdim), dtype=bool)
     np.logical_or.at(table, directory.position(keys), flags)
@@ -131,27 +88,41 @@ def tied_conditions(
     # of degree 2 the solution is more exact with the shape functions as multipliers
     dual = slave.facets.per_facet == 1
     return [
-        _conditions(comm, slave, owned, master, normals, integrals, free[:, axis], dual)
-        for axis in range(gdim)
+        _conditions(surface, slave, master, integrals, free[:, axis], dual) for axis in range(gdim)
     ]
 
 
+def one_sided_conditions(
+    surface: Surface, slave: SurfaceFacets, chosen: Mask
+) -> tuple[Numbers, Terms]:
+    """Integrate over chosen facets (f,) of the slave alone, at a rigid obstacle. Collective.
+
+    A uniform pressure on a quadratic triangle gives no force at its vertices: conditions node by
+    node would not balance it. As between two surfaces, the multipliers are those of dual functions
+    at the vertices; the master's part is missing. Returned are the slave nodes (k,) that have a
+    condition, ascending, and the terms.
+    """
+    facets = Facets(slave.points, slave.facets.nodes[chosen])
+    weight = None if slave.weight is None else slave.weight[facets.corners]
+    D = slave_matrix(integrate_alone(facets, weight), facets).tocoo()
+    owners = Directory(surface.comm, surface.nodes)
+    row, column = slave.nodes[D.row], slave.nodes[D.col]
+    return collect_terms(owners, row, column, D.data, np.ones(D.nnz, dtype=bool))
+
+
 def _conditions(
-    comm: MPI.Intracomm,
-    slave: SlaveFacets,
-    owned: Numbers,
-    master: GatheredSurface,
-    normals: Vector,
+    surface: Surface,
+    slave: SurfaceFacets,
+    master: SurfaceFacets,
     integrals: FacetIntegrals,
     free: Mask,
     dual: bool = True,
 ) -> MortarConditions:
     """Sum up the conditions at the owners of their nodes, none at free ones. Collective."""
-    opposite = master.surface
-    matrices = mortar_matrices(integrals, slave.facets, opposite, dual)
-    owners = Directory(comm, owned)
+    matrices = mortar_matrices(integrals, slave.facets, master.facets, dual)
+    owners = Directory(surface.comm, surface.nodes)
     parts = np.column_stack(node_areas(integrals, slave.facets))
-    sharing = SharedMultipliers.of(comm, slave, integrals, parts, free)
+    sharing = SharedMultipliers.of(surface.comm, slave, integrals, parts, free)
     D, M = matrices.D.tocoo(), matrices.M.tocoo()
     row, position, share = sharing.rows(np.concatenate([slave.nodes[D.row], slave.nodes[M.row]]))
     nodes, terms = collect_terms(
@@ -162,12 +133,12 @@ def _conditions(
         np.repeat([True, False], [D.nnz, M.nnz])[position],
     )
     row, position, share = sharing.rows(slave.nodes)
-    normal = slave.nodal_normals * matrices.area[:, None]
+    normal = slave.normal * matrices.area[:, None]
     integral = share[:, None] * np.column_stack([normal, matrices.gap, matrices.area])[position]
     sums = _reduce_at_nodes(owners, nodes, row, integral, np.add)
     normal, gap, area = np.split(sums, np.cumsum(2 * [normal.shape[1]]), axis=1)
     total, covered = _reduce_at_nodes(owners, nodes, slave.nodes, parts, np.add).T
-    chord, deviation, angle = _largest_of_facets(owners, slave, opposite, normals, integrals, nodes)
+    chord, deviation, angle = _largest_of_facets(owners, slave, master, integrals, nodes)
     facets = np.zeros(len(slave.facets), dtype=bool)
     facets[integrals.facet] = True
     return MortarConditions(
@@ -195,7 +166,7 @@ class SharedMultipliers:
     @staticmethod
     def of(
         comm: MPI.Intracomm,
-        slave: SlaveFacets,
+        slave: SurfaceFacets,
         integrals: FacetIntegrals,
         areas: Vector,
         free: Mask,
@@ -294,9 +265,8 @@ def collect_terms(
 
 def _largest_of_facets(
     owners: Directory,
-    slave: SlaveFacets,
-    master: Facets,
-    normals: Vector,
+    slave: SurfaceFacets,
+    master: SurfaceFacets,
     integrals: FacetIntegrals,
     nodes: Numbers,
 ) -> Vector:
@@ -305,26 +275,22 @@ def _largest_of_facets(
     The angles are those between the planes of the facets' corners.
     """
     facet, opposite_facet = integrals.facet[integrals.pair], integrals.master
-    corners = slave.facets.points[slave.facets.corners]
-    master_corners = master.points[master.corners]
-    master_heights, slave_heights = (
-        np.column_stack([chord_heights(*curved), facet_deviations(*curved)])
-        for curved in (
-            (master_corners, normals[master.corners], _middles(master)),
-            (corners, slave.normals, _middles(slave.facets)),
-        )
+    planes, opposite = (
+        Planes.of(surface.points[surface.facets.corners]) for surface in (slave, master)
     )
-    planes, opposite = Planes.of(corners), Planes.of(master_corners)
     angle = angles_between(planes.normal[facet], -opposite.normal[opposite_facet])
-    largest = np.zeros((len(corners), 3))
-    np.maximum.at(largest, facet, np.column_stack([master_heights[opposite_facet], angle]))
-    largest[:, :2] += slave_heights
+    largest = np.zeros((len(slave.facets), 3))
+    np.maximum.at(largest, facet, np.column_stack([_heights(master)[opposite_facet], angle]))
+    largest[:, :2] += _heights(slave)
     covered = slave.facets.corners[integrals.facet]
     values = np.repeat(largest[integrals.facet], covered.shape[1], axis=0)
     return _reduce_at_nodes(owners, nodes, slave.nodes[covered.ravel()], values, np.maximum).T
 
 
-def _middles(surface: Facets) -> Vector | None:
-    """Return the nodes (f, t - v, gdim) of facets of degree 2 that are no corners."""
-    middles = surface.nodes[:, surface.number_of_corners :]
-    return surface.points[middles] if middles.size else None
+def _heights(surface: SurfaceFacets) -> Vector:
+    """Return the chords and deviations (f, 2) of facets from the surface with their normals."""
+    corners, nodes = surface.facets.corners, surface.facets.nodes
+    middles = nodes[:, corners.shape[1] :]
+    points = surface.points[middles] if middles.size else None
+    curved = (surface.points[corners], surface.normal[corners], points)
+    return np.column_stack([chord_heights(*curved), facet_deviations(*curved)])

@@ -5,35 +5,36 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 
 from dolfinx.fem import Function
 
+from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.description import ContactPair
-from fenics_tfeti.fem.contact.mortar.checks import check_covered, check_folds
-from fenics_tfeti.fem.contact.mortar.conditions import (
-    MortarConditions,
-    SlaveFacets,
-    mortar_conditions,
-)
+from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, mortar_conditions
+from fenics_tfeti.fem.contact.mortar.facets import Planes
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
-from fenics_tfeti.fem.contact.surfaces.gathered import GatheredSurface
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
 from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
+from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import normals_in_symmetry_planes
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface
+from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
+from fenics_tfeti.parallel import Directory, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 def match_by_mortar(
-    boundary: MeshBoundary,
     name: str,
     contact: ContactPair,
     slave: Surface,
-    master: GatheredSurface,
+    tagged_master: Surface,
+    master: SurfaceFacets,
     shared: Numbers,
     prescribed: Mask,
 ) -> ContactPairing:
@@ -42,27 +43,25 @@ def match_by_mortar(
     The master is what is near this rank's slave facets, not deformed. Nodes of both surfaces,
     `shared`, stay free; `prescribed` (s, gdim) are the components prescribed at the slave's nodes.
     """
-    comm, gdim = boundary.nodes.comm, slave.normal.shape[1]
-    points = boundary.coordinates[:, :gdim]
     oriented = replace(slave, normal=_normals(contact, slave, prescribed))
-    facets = slave_facets(oriented, points)
-    check_folds(comm, facets, name)
-    with raise_collectively(comm):
-        normals = master.normals(name)
-    conditions = mortar_conditions(comm, facets, slave.nodes, master, normals, shared)
-    check_covered(comm, conditions, slave, name)
+    facets = oriented.oriented_part()
+    check_folds(slave.comm, facets, name)
+    conditions = mortar_conditions(slave, facets, master, shared)
+    check_covered(conditions, slave, name)
     rows = np.searchsorted(slave.nodes, conditions.slave)
     if facets.weight is not None:
         label = f"slave of {name}"
-        check_weighted_areas(comm, conditions.area, slave.area[rows], slave.points[rows], label)
+        check_weighted_areas(
+            slave.comm, conditions.area, slave.area[rows], slave.points[rows], label
+        )
     gap = np.sum(conditions.gap * conditions.normal, axis=1)
     gap = slave.without_rounding(gap)
     gap = initial_gap(
-        comm, contact.initial_gap, gap, conditions.chord, slave.coordinates[rows], name
+        slave.comm, contact.initial_gap, gap, conditions.chord, slave.coordinates[rows], name
     )
     deviation = slave.without_rounding(conditions.deviation)
     summary = pairing_summary(
-        comm,
+        slave.comm,
         name,
         "mortar",
         gap,
@@ -72,51 +71,48 @@ def match_by_mortar(
         covered_area=conditions.covered_area,
         deviation=deviation if contact.initial_gap == "geometric" else None,
     )
-    return _pairing(name, conditions, slave, gap, summary, prescribed)
+    summary = {**summary, "slave": contact.slave, "master": contact.master}
+    return _pairing(name, conditions, slave, tagged_master, gap, summary, prescribed)
 
 
 def match_deformed(
-    boundary: MeshBoundary,
-    contact: ContactPair,
-    pairing: ContactPairing,
-    displacement: Function,
+    contact: ContactPair, pairing: ContactPairing, displacement: Function
 ) -> tuple[ContactPairing, Vector]:
     """Return the mortar conditions of a pair on its deformed surfaces. Collective.
 
     The gaps are in terms of the total displacement, whose ghosts are up to date. The second result
     are the mean distances (k,) between the deformed surfaces [m], negative inside.
     """
-    name, comm, gdim = pairing.name, boundary.nodes.comm, boundary.nodes.components
-    surface, tags = pairing.surface, contact.facet_tags
-    slave, master = (
-        gather_nearby(boundary, tags, tag, contact.slave, surface.nodes, displacement)
-        for tag in (contact.slave, contact.master)
-    )
-    with raise_collectively(comm):
-        rows = np.searchsorted(slave.nodes, surface.nodes)
-        normal = surface.normal if contact.normal is not None else slave.normals(name)[rows]
-        master_normals = master.normals(name)
+    name, surface, tagged_master = pairing.name, pairing.surface, pairing.master_surface
     prescribed = pairing.prescribed
-    if prescribed is None:
-        prescribed = np.zeros_like(normal, dtype=bool)
+    assert tagged_master is not None and prescribed is not None
+    nodes = surface.boundary.nodes
+    slave, master = (
+        gather_nearby(other, surface, displacement) for other in (surface, tagged_master)
+    )
+    normal = surface.normal
+    with raise_collectively(surface.comm):
+        if contact.normal is None:
+            slave.check_not_folded(name)
+            normal = slave.normal[np.searchsorted(slave.nodes, surface.nodes)]
+        master.check_not_folded(name)
     deformed = replace(surface, normal=normal)
     deformed = replace(deformed, normal=_normals(contact, deformed, prescribed))
-    points = boundary.coordinates[:, :gdim] + boundary.nodes.values(displacement)
-    facets = slave_facets(deformed, points)
+    facets = deformed.oriented_part(displacement)
     shared = np.intersect1d(slave.nodes, master.nodes)
-    conditions = mortar_conditions(comm, facets, surface.nodes, master, master_normals, shared)
-    check_covered(comm, conditions, surface, name)
+    conditions = mortar_conditions(surface, facets, master, shared)
+    check_covered(conditions, surface, name)
     distance = np.sum(conditions.gap * conditions.normal, axis=1)
-    new = _pairing(name, conditions, surface, distance, pairing.summary, prescribed)
-    relative = new.relative(boundary.nodes, boundary.nodes.values(displacement))
-    gap = distance + np.sum(relative * conditions.normal, axis=1)
-    return replace(new, gap=gap, master_surface=pairing.master_surface), distance
+    new = _pairing(name, conditions, surface, tagged_master, distance, pairing.summary, prescribed)
+    relative = new.relative(nodes, nodes.values(displacement))
+    return replace(new, gap=distance + np.sum(relative * conditions.normal, axis=1)), distance
 
 
 def _pairing(
     name: str,
     conditions: MortarConditions,
     slave: Surface,
+    master: Surface,
     gap: Vector,
     summary: dict[str, Any],
     prescribed: Mask,
@@ -132,15 +128,8 @@ def _pairing(
         conditions.covered,
         conditions.coverage,
         prescribed,
+        master,
     )
-
-
-def slave_facets(slave: Surface, points: Vector) -> SlaveFacets:
-    """Return this rank's facets of a slave, with normals and weights. Collective.
-
-    The points (nodes, gdim) are all local nodes of the space, undeformed or deformed [m].
-    """
-    return SlaveFacets.of(slave, points, slave.boundary.nodal_weight())
 
 
 def _normals(contact: ContactPair, slave: Surface, prescribed: Mask) -> Vector:
@@ -148,3 +137,56 @@ def _normals(contact: ContactPair, slave: Surface, prescribed: Mask) -> Vector:
     if contact.normal is not None:
         return slave.normal
     return normals_in_symmetry_planes(slave, prescribed)
+
+
+def check_covered(conditions: MortarConditions, slave: Surface, name: str) -> None:
+    """Check that the master covers a part of the slave, and more than slivers. Collective."""
+    facets, rows = slave.comm.allreduce(
+        np.array([int(conditions.covered.sum()), conditions.slave.size])
+    ).tolist()
+    if not facets:
+        raise InputError(
+            f"{name}: no facet of the slave has a facet of the master opposite it: along the "
+            "normals the surfaces never meet, or they face away from each other. Surfaces that "
+            "touch face each other: is one of the tags on the far side of its body, or on another "
+            "body?"
+        )
+    if not rows:
+        raise_where(
+            slave.comm,
+            np.ones(slave.nodes.size, dtype=bool),
+            slave.points,
+            lambda number, place: (
+                f"{name}: the master covers slivers of {facets} slave facets only, too little for "
+                f"any of the {number} slave nodes, the first at {place}. Tag surfaces that lie "
+                "over each other, not ones that meet at an edge"
+            ),
+        )
+
+
+def check_folds(comm: MPI.Intracomm, slave: SurfaceFacets, name: str) -> None:
+    """Check that neighbouring facets of the slave are folded by 90 degrees at most. Collective."""
+    corners, points = slave.facets.pieces, slave.points
+    normal = Planes.of(slave.facets.coordinates()).normal
+    v, gdim = corners.shape[1], points.shape[1]
+    ends = np.stack([corners, corners if v == 2 else np.roll(corners, -1, axis=1)], axis=2)
+    middle = points[ends].mean(axis=2).reshape(-1, gdim)
+    edges = np.sort(slave.nodes[ends.reshape(-1, 2)], axis=1)
+    directory = Directory(comm, np.unique(slave.nodes))
+    low, high, middle, normal = directory.collect(
+        edges[:, 0], edges[:, 1], middle, np.repeat(normal, v, axis=0)
+    )
+    order = np.lexsort((high, low))
+    low, high, middle, normal = low[order], high[order], middle[order], normal[order]
+    same = (low[1:] == low[:-1]) & (high[1:] == high[:-1])
+    folded = same & (np.sum(normal[1:] * normal[:-1], axis=1) < -RELATIVE_ROUNDING)
+    raise_where(
+        comm,
+        folded,
+        middle[1:],
+        lambda number, place: (
+            f"{name}: the slave's surface is folded by more than 90 degrees at {number} edges, the "
+            f"first at {place}. Tag the two sides of a sharp edge as surfaces of two contacts, or "
+            "make the other surface the slave"
+        ),
+    )

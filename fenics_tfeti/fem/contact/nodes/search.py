@@ -37,18 +37,18 @@ class Partners:
 
 
 def find_partners(
-    comm: MPI.Intracomm, partners: NodePartners, slave: Surface, master: MasterNodes, name: str
+    partners: NodePartners, slave: Surface, master: MasterNodes, name: str
 ) -> Partners:
     """Find the partner of each slave node in the way that the user chose. Collective."""
     match partners:
         case Nearest():
             return _nearest(slave, master)
         case Along(direction, tolerance):
-            return _along(comm, slave, master, direction, tolerance, name)
+            return _along(slave, master, direction, tolerance, name)
         case Mapped(mapping):
-            return _mapped(comm, slave, master, mapping, name)
+            return _mapped(slave, master, mapping, name)
         case Points():
-            return _at_points(comm, slave, master, partners, name)
+            return _at_points(slave, master, partners, name)
 
 
 def _nearest(slave: Surface, master: MasterNodes) -> Partners:
@@ -64,7 +64,6 @@ def _nearest(slave: Surface, master: MasterNodes) -> Partners:
 
 
 def _along(
-    comm: MPI.Intracomm,
     slave: Surface,
     master: MasterNodes,
     direction: VectorField,
@@ -79,7 +78,7 @@ def _along(
     """
     lines_at_once = 4096  # bounds the memory
     gdim = slave.normal.shape[1]
-    lines = unit_vectors(comm, direction, slave.coordinates, gdim, f"the direction of {name}")
+    lines = unit_vectors(slave.comm, direction, slave.coordinates, gdim, f"the direction of {name}")
     reach = tolerance * slave.size
     k = slave.nodes.size
     partner, distance = np.full(k, -1, dtype=np.int64), np.full(k, np.inf)
@@ -109,7 +108,6 @@ def _along(
 
 
 def _mapped(
-    comm: MPI.Intracomm,
     slave: Surface,
     master: MasterNodes,
     mapping: Callable[[Vector], ArrayLike],
@@ -117,7 +115,7 @@ def _mapped(
 ) -> Partners:
     """Pair each slave node x with the master node nearest to the user's chi(x). Collective."""
     gdim = slave.normal.shape[1]
-    images = vectors_at(comm, mapping, slave.coordinates, gdim, f"the mapping of {name}")
+    images = vectors_at(slave.comm, mapping, slave.coordinates, gdim, f"the mapping of {name}")
     distance, partner = _nearest_points(master.points, images)
     return Partners(
         partner,
@@ -127,11 +125,9 @@ def _mapped(
     )
 
 
-def _at_points(
-    comm: MPI.Intracomm, slave: Surface, master: MasterNodes, pairs: Points, name: str
-) -> Partners:
+def _at_points(slave: Surface, master: MasterNodes, pairs: Points, name: str) -> Partners:
     """Pair the nodes at the user's points, which are the same on all ranks. Collective."""
-    gdim = slave.normal.shape[1]
+    comm, gdim = slave.comm, slave.normal.shape[1]
     with raise_collectively(comm):
         slave_points, master_points = _point_arrays(pairs, gdim, name)
     _check_same_on_all_ranks(comm, slave_points, master_points, name)
@@ -146,7 +142,7 @@ def _at_points(
         ("master", master_distance, master_points[local], master.size[partner]),
     ):
         _check_points_are_nodes(comm, distance, pairs.tolerance * size, points, f"{name}: {side}")
-    _check_named_once(comm, slave, rows, name)
+    _check_named_once(slave, rows, name)
 
     partners = Partners(
         np.full(slave.nodes.size, -1, dtype=np.int64),
@@ -287,9 +283,9 @@ def _check_points_are_nodes(
     )
 
 
-def _check_named_once(comm: MPI.Intracomm, slave: Surface, rows: Numbers, name: str) -> None:
+def _check_named_once(slave: Surface, rows: Numbers, name: str) -> None:
     raise_where(
-        comm,
+        slave.comm,
         np.bincount(rows, minlength=slave.nodes.size) > 1,
         slave.points,
         lambda number, place: (

@@ -8,8 +8,6 @@ then the master's facets, each only with the ranks whose boxes say so.
 
 from __future__ import annotations
 
-from typing import Any
-
 from mpi4py import MPI
 
 import numpy as np
@@ -20,8 +18,8 @@ from dolfinx.fem import Function
 from fenics_tfeti.fem.contact.mortar.candidates import REACH
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
-from fenics_tfeti.fem.contact.surfaces.gathered import GatheredSurface, SurfacePart, gather_surface
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.parallel import all_to_all
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -32,33 +30,28 @@ _BOXES = 64
 
 
 def gather_nearby(
-    boundary: MeshBoundary,
-    facet_tags: Any,
-    tag: int,
-    around: int,
-    owned: Numbers,
-    displacement: Function | None = None,
-) -> GatheredSurface:
+    surface: Surface, other: Surface, displacement: Function | None = None
+) -> SurfaceFacets:
     """Gather the part of a surface near this rank's facets and nodes of another one. Collective.
 
-    All facets are there that may lie over a slave facet of this rank, those closest to it, and the
-    ones around each of their nodes, so that normals there are those of the whole surface. `around`
-    is the tag of the other surface, or the same; `owned` (k,) are the nodes of the other that this
-    rank owns, whose facets may be other ranks'. The ghosts of the displacement are up to date.
+    All facets are there that may lie over a facet that this rank has of the other surface, which
+    may be the same, those closest to it, and the ones around each of their nodes, so that normals
+    there are those of the whole surface. Of the nodes that the rank owns, the facets may be other
+    ranks'. The ghosts of the displacement are up to date.
     """
-    nodes, comm = boundary.nodes, boundary.nodes.comm
+    comm, boundary = surface.comm, surface.boundary
     if comm.size == 1:
-        return gather_surface(boundary, facet_tags, tag, displacement)
-    part = SurfacePart.of(boundary, facet_tags, tag, displacement)
-    points, rows = part.points, part.facets
+        return surface.gathered(displacement)
+    points = boundary.coordinates[:, : surface.normal.shape[1]]
+    if displacement is not None:
+        points = points + boundary.nodes.values(displacement)
+    rows, nodes = (part.facet_nodes.astype(np.int64) for part in (surface, other))
     tree = BoxTree(points[rows]) if len(rows) else None
-    other = SurfacePart.of(boundary, facet_tags, around, displacement).facets
-    alone = np.repeat(nodes.to_local(owned)[:, None], other.shape[1], axis=1)
-    other = np.concatenate([other, alone])
-    distance = _distances(comm, points, other, rows, tree)
-    needed = _needed_boxes(comm, points, other, rows, distance)
-    messages = [part.packed(chosen) for chosen in _selected(comm, needed, tree)]
-    return GatheredSurface.of(all_to_all(comm, messages))
+    nodes = np.concatenate([nodes, np.repeat(other.local[:, None], nodes.shape[1], axis=1)])
+    distance = _distances(comm, points, nodes, rows, tree)
+    needed = _needed_boxes(comm, points, nodes, rows, distance)
+    messages = [surface.part(displacement, chosen) for chosen in _selected(comm, needed, tree)]
+    return SurfaceFacets.joined(all_to_all(comm, messages))
 
 
 def _distances(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -15,15 +15,21 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.surfaces.measure_weight import as_ufl_weight
+from fenics_tfeti.fem.contact.mortar.facets import Facets
+from fenics_tfeti.fem.contact.surfaces.measure_weight import as_ufl_weight, check_weighted_areas
 from fenics_tfeti.fem.contact.surfaces.oriented import (
     corner_normals,
     oriented_facets,
     owned_facets,
 )
+from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.messages import coordinate_order, raise_where
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, VANISHING_NORMAL
+from fenics_tfeti.fem.tolerances import (
+    COORDINATE_ROUNDING,
+    RELATIVE_ROUNDING,
+    VANISHING_NORMAL,
+)
 from fenics_tfeti.fem.topology import (
     cell_facets,
     cell_type,
@@ -92,6 +98,12 @@ class Surface:
     facet_nodes: Indices  # (f, t): local nodes of the facets that it owns; see `oriented_facets`
     extent: float  # largest coordinate of the surface by magnitude, over all ranks [m]
 
+    @property
+    def comm(self) -> MPI.Intracomm:
+        """The ranks."""
+        comm: MPI.Intracomm = self.boundary.nodes.comm
+        return comm
+
     @cached_property
     def local(self) -> Numbers:
         """Local numbers of the nodes (k,)."""
@@ -159,6 +171,63 @@ class Surface:
         area: Vector = np.sum(self.sum_of_corners(integrals) * self.normal, axis=1)
         return area
 
+    def areas(self, covered: Mask, name: str) -> Vector:
+        """Return each node's area on covered facets, or all of it where it has none. Collective.
+
+        The areas are (k,) [m^2 or m], times the weight of the measure; `covered` (f,) are the
+        facets of this rank that count.
+        """
+        area, weight = self.area, self.boundary.nodal_weight()
+        if weight is not None:
+            area = self.share_of_area(np.ones_like(covered), weight)
+            check_weighted_areas(self.comm, area, self.area, self.points, f"slave of {name}")
+        if self.comm.allreduce(bool(covered.all()), MPI.LAND):
+            return area
+        covered_area = self.share_of_area(covered, weight)
+        return np.where(covered_area > RELATIVE_ROUNDING * area, covered_area, area)
+
+    def part(
+        self, displacement: Function | None = None, chosen: Numbers | slice = slice(None)
+    ) -> SurfaceFacets:
+        """Return the facets of this rank, or some of them, deformed by a displacement [m] if given.
+
+        The ghosts of the displacement are up to date.
+        """
+        boundary, rows = self.boundary, self.facet_nodes[chosen]
+        nodes, first, inverse = np.unique(
+            boundary.nodes.to_global(rows), return_index=True, return_inverse=True
+        )
+        local = rows.ravel()[first]
+        points = boundary.coordinates[local, : self.normal.shape[1]]
+        moves = np.zeros_like(points)
+        if displacement is not None:
+            moves = boundary.nodes.values(displacement)[local]
+        return SurfaceFacets(nodes, Facets(points + moves, inverse.reshape(rows.shape)), moves)
+
+    def oriented_part(self, displacement: Function | None = None) -> SurfaceFacets:
+        """Return the facets of this rank with the surface's normals and the weight. Collective."""
+        nodes, part = self.boundary.nodes, self.part(displacement)
+        normal = np.zeros((nodes.owned, self.normal.shape[1]))
+        normal[self.local] = self.normal
+        weight = self.boundary.nodal_weight()
+        return replace(
+            part,
+            vertex_normals=nodes.values_at(normal, part.nodes),
+            weight=None if weight is None else weight[nodes.to_local(part.nodes)],
+        )
+
+    def gathered(self, displacement: Function | None = None) -> SurfaceFacets:
+        """Return the facets of all ranks, deformed by a displacement [m] if given. Collective."""
+        return SurfaceFacets.joined(self.comm.allgather(self.part(displacement)))
+
+    def gathered_nodes(self) -> MasterNodes:
+        """Return the nodes of all ranks in the order of their coordinates. Collective."""
+        columns = (self.nodes, self.points, self.normal, self.size)
+        nodes, points, normal, size = (concatenate_ranks(self.comm, column) for column in columns)
+        # of equally near nodes, the same is then chosen however the mesh is distributed
+        order = coordinate_order(points)
+        return MasterNodes(nodes[order], points[order], normal[order], size[order])
+
 
 @dataclass(frozen=True)
 class MasterNodes:
@@ -212,15 +281,6 @@ def tagged_surface(
         comm, sums[:, :gdim], sums[:, gdim], coordinates, user_normal, label
     )
     return Surface(boundary, local + nodes.first, normal, area, size, facet_nodes, extent)
-
-
-def gather_master(comm: MPI.Intracomm, master: Surface) -> MasterNodes:
-    """Gather a surface's nodes on every rank, in the order of their coordinates."""
-    columns = (master.nodes, master.points, master.normal, master.size)
-    nodes, points, normal, size = (concatenate_ranks(comm, column) for column in columns)
-    # of equally near nodes, the same is then chosen however the mesh is distributed
-    order = coordinate_order(points)
-    return MasterNodes(nodes[order], points[order], normal[order], size[order])
 
 
 def _check_tags(domain: Any, facet_tags: Any, label: str) -> None:

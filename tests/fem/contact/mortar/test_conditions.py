@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from mortar_blocks import LOWER, UPPER, Blocks
 
+import ufl
+
 from fenics_tfeti import ContactPair, Nearest
 from fenics_tfeti.fem.contact.matching import match_contact
-from fenics_tfeti.fem.contact.mortar.conditions import SlaveFacets
+from fenics_tfeti.fem.contact.mortar.conditions import one_sided_conditions
 from fenics_tfeti.fem.contact.mortar.facets import Planes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 
@@ -23,22 +25,22 @@ def scene(blocks):
 @pytest.mark.parametrize("cell", CELLS)
 def test_facets_are_oriented_outwards_and_carry_their_normals(cell):
     V, tags = scene(Blocks(cell, 3, 4, slope=0.3))
-    boundary = MeshBoundary.of(V)
+    boundary = MeshBoundary.of(V, ufl.SpatialCoordinate(V.mesh)[0])
     for tag, sign in ((LOWER, 1.0), (UPPER, -1.0)):
         surface = tagged_surface(boundary, tags, tag, "slave")
         d = surface.normal.shape[1]
         points = boundary.coordinates[:, :d]
-        weight = points[:, 0]
-        facets = SlaveFacets.of(surface, points, weight)
+        facets = surface.oriented_part()
         expected = sign * np.array([-0.3, *[0.0] * (d - 2), 1.0]) / np.sqrt(1.09)
         normal = Planes.of(facets.facets.coordinates()).normal
         np.testing.assert_allclose(normal, np.tile(expected, (len(normal), 1)), atol=1e-12)
-        shape = facets.normals.shape
-        np.testing.assert_allclose(facets.normals, np.broadcast_to(expected, shape), atol=1e-12)
-        np.testing.assert_array_equal(facets.weight, facets.facets.coordinates()[..., 0])
+        normals = np.tile(expected, (len(facets.nodes), 1))
+        np.testing.assert_allclose(facets.normal, normals, atol=1e-12)
+        corners = facets.facets.coordinates()
+        np.testing.assert_allclose(facets.corner_weight, corners[..., 0], atol=1e-15)
         numbers = V.dofmap.index_map.local_to_global(np.arange(len(points), dtype=np.int32))
         place = points[np.argsort(numbers)]
-        np.testing.assert_array_equal(facets.facets.points, place[facets.nodes])
+        np.testing.assert_array_equal(facets.points, place[facets.nodes])
 
 
 @pytest.mark.parametrize("cell", CELLS)
@@ -101,11 +103,47 @@ def test_normal_of_a_condition_with_the_function_of_a_barely_covered_node():
 
 
 def test_linear_weight_of_the_measure():
-    import ufl
-
     V, tags = scene(Blocks("quadrilateral", 3, 4))
     radius = 1.0 + ufl.SpatialCoordinate(V.mesh)[0]
     pair = ContactPair(tags, LOWER, UPPER)
     pairing = match_contact(MeshBoundary.of(V, 2.0 * radius), pair, 0)
     assert pairing.area.sum() == pytest.approx(3.0)
     assert pairing.summary["covered_area"] == pytest.approx(1.0)
+
+
+# -- obstacles, degree 2 ----------------------------------------------------------------------
+
+
+def slave_facets(cell, **shape):
+    V, tags = scene(Blocks(cell, 3, 2, degree=2, **shape))
+    surface = tagged_surface(MeshBoundary.of(V), tags, LOWER, "slave")
+    return surface, surface.oriented_part()
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_means_of_linear_functions_are_their_values_at_the_vertices(cell):
+    surface, facets = slave_facets(cell)
+    nodes, terms = one_sided_conditions(surface, facets, np.ones(len(facets.facets), dtype=bool))
+    np.testing.assert_array_equal(nodes, np.sort(surface.nodes))
+    values = 0.3 + facets.points @ np.arange(1.0, 1.0 + surface.points.shape[1])
+    mean = terms.means(values[np.searchsorted(facets.nodes, terms.nodes), None])[:, 0]
+    np.testing.assert_allclose(mean, values[np.searchsorted(facets.nodes, nodes)], rtol=1e-13)
+    area = np.zeros(nodes.size)
+    area[np.searchsorted(nodes, surface.nodes)] = surface.area
+    np.testing.assert_allclose(terms.scale, area, rtol=1e-13)
+
+
+def test_facets_that_are_not_chosen_do_not_count():
+    surface, facets = slave_facets("triangle")
+    middle = facets.points[facets.facets.corners].mean(axis=1)
+    nodes, terms = one_sided_conditions(surface, facets, middle[:, 0] < 0.6)
+    x = facets.points[np.searchsorted(facets.nodes, nodes), 0]
+    assert sorted(np.round(x, 9)) == pytest.approx([0.0, 1 / 3, 2 / 3])
+    assert terms.scale.sum() == pytest.approx(2 / 3)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_normals_at_all_nodes(cell):
+    surface, facets = slave_facets(cell, slope=0.3)
+    expected = np.tile(surface.normal[0], (len(facets.points), 1))
+    np.testing.assert_allclose(facets.from_corners(facets.normal), expected, atol=1e-13)

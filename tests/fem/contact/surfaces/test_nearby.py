@@ -14,7 +14,6 @@ from dolfinx.fem import Function
 from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import integrate
-from fenics_tfeti.fem.contact.surfaces.gathered import gather_surface
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
@@ -25,10 +24,11 @@ COMM = MPI.COMM_WORLD
 def test_all_of_it_on_one_rank():
     scene = Blocks("triangle", 3, 4).scene()
     boundary, tags = MeshBoundary.of(scene.V), scene.facet_tags
-    near = gather_nearby(boundary, tags, UPPER, LOWER, np.arange(0))
-    whole = gather_surface(boundary, tags, UPPER)
-    for name in ("nodes", "points", "displacement", "facets"):
+    lower, upper = (tagged_surface(boundary, tags, tag, "") for tag in (LOWER, UPPER))
+    near, whole = gather_nearby(upper, lower), upper.gathered()
+    for name in ("nodes", "points", "displacement"):
         np.testing.assert_array_equal(getattr(near, name), getattr(whole, name))
+    np.testing.assert_array_equal(near.facets.nodes, whole.facets.nodes)
 
 
 LENGTH = 40.0
@@ -52,20 +52,19 @@ def both(gap=0.0, move=(0.0, 0.0)):
     places = V.tabulate_dof_coordinates()
     upper = places[:, 1] > 1.0 + 0.5 * gap if gap else np.zeros(len(places), dtype=bool)
     uh.x.array.reshape(-1, 2)[upper] = move
-    slave = tagged_surface(MeshBoundary.of(V), tags, LOWER, "slave")
+    boundary = MeshBoundary.of(V)
+    slave, master = (tagged_surface(boundary, tags, tag, "") for tag in (LOWER, UPPER))
     x = places[:, :2] + uh.x.array.reshape(-1, 2)
     found = tags.find(LOWER)
     owned = V.mesh.topology.index_map(1).size_local
     facets = Facets(x, oriented_facets(V, np.sort(found[found < owned])).astype(np.int64))
-    boundary = MeshBoundary.of(V)
-    near = gather_nearby(boundary, tags, UPPER, LOWER, slave.nodes, uh)
-    return facets, near, gather_surface(boundary, tags, UPPER, uh), slave
+    return facets, gather_nearby(master, slave, uh), master.gathered(uh), slave
 
 
 def pairs(slave, master):
     """Return the pairs of facets over each other, the master's by their nodes."""
-    found = integrate(slave, master.surface)
-    nodes = np.sort(master.nodes[master.facets[found.master]], axis=1)
+    found = integrate(slave, master.facets)
+    nodes = np.sort(master.nodes[master.facets.nodes[found.master]], axis=1)
     return {(int(found.facet[k]), *row) for k, row in zip(found.pair, nodes.tolist(), strict=True)}
 
 
@@ -77,11 +76,11 @@ def test_nothing_is_missing(gap, move):
     if not len(slave):
         return
     planes = Planes.of(slave.coordinates())
-    reach = [MasterTree(part.surface).reach(slave, planes) for part in (near, whole)]
+    reach = [MasterTree(part.facets).reach(slave, planes) for part in (near, whole)]
     np.testing.assert_allclose(reach[0], reach[1], rtol=1e-14)
     # normals are those of the whole surface where they are used
     used = np.array(sorted({node for pair in pairs(slave, near) for node in pair[1:]}), dtype=int)
-    mine, all_of_them = near.normals("near"), whole.normals("whole")
+    mine, all_of_them = near.normal, whole.normal
     np.testing.assert_allclose(
         mine[np.searchsorted(near.nodes, used)],
         all_of_them[np.searchsorted(whole.nodes, used)],

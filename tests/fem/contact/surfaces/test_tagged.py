@@ -17,7 +17,7 @@ from dolfinx import fem
 from dolfinx.mesh import meshtags
 
 from fenics_tfeti import ContactPair, InputError, Mapped
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, gather_master, tagged_surface
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 from fenics_tfeti.fem.topology import exterior_facets, vertex_nodes
 from fenics_tfeti.io import displacement_space, tag_facets
 
@@ -100,7 +100,7 @@ def test_values_of_nodes_are_those_of_facets():
 
 def test_master_nodes_are_in_the_order_of_their_coordinates():
     V, tags = strips()
-    nodes = gather_master(MPI.COMM_SELF, surface_of(V, tags, MASTER))
+    nodes = surface_of(V, tags, MASTER).gathered_nodes()
     assert np.all(np.diff(nodes.points[:, 0]) > 0.0)
 
 
@@ -164,3 +164,27 @@ def test_facets_inside_a_body_are_refused():
     tags = meshtags(domain, 1, inner, np.full(inner.size, SLAVE, dtype=np.int32))
     with pytest.raises(InputError, match=f"{inner.size} facets .* are inside a body"):
         surface_of(V, tags, SLAVE)
+
+
+def ground(degree=1, weight=None):
+    scene = scenes.pressed_block(MPI.COMM_SELF, "quadrilateral", 2)
+    boundary = MeshBoundary.of(displacement_space(scene.mesh, degree), weight)
+    return boundary, tagged_surface(boundary, scene.facet_tags, scenes.GROUND, "slave")
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("weight", [None, 3.0])
+def test_areas_are_those_of_the_vertices_times_the_weight(weight, degree):
+    boundary, surface = ground(degree, weight)
+    assert (boundary.nodal_weight() is None) == (weight is None)
+    areas = surface.areas(np.ones(2, dtype=bool), "joint")
+    order = np.argsort(surface.points[:, 0])
+    np.testing.assert_allclose(areas[order], (weight or 1.0) * np.array([0.25, 0.5, 0.25]))
+
+
+def test_nodes_of_covered_facets_have_their_area_there():
+    _, surface = ground()
+    middle = surface.corners[..., 0].mean(axis=1)
+    areas = surface.areas(middle < 0.5, "joint")
+    order = np.argsort(surface.points[:, 0])
+    np.testing.assert_allclose(areas[order], [0.25, 0.25, 0.25])

@@ -8,17 +8,15 @@ from moved_blocks import CELLS, blocks, lifted, turned
 from scenes import SLAVE, dimension
 
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
-from fenics_tfeti.fem.contact.surfaces.gathered import gather_surface
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 
 every_cell = pytest.mark.parametrize("cell", CELLS)
 
 
 def surface(cell, motion=None, n=3):
     scene = blocks(cell, n)
-    return gather_surface(
-        MeshBoundary.of(scene.V), scene.facet_tags, SLAVE, scene.displacement(upper=motion)
-    )
+    found = tagged_surface(MeshBoundary.of(scene.V), scene.facet_tags, SLAVE, "surface")
+    return found.gathered(scene.displacement(upper=motion))
 
 
 @every_cell
@@ -33,7 +31,7 @@ def test_facets_point_out_of_the_body(cell):
 @every_cell
 def test_normals_turn_with_the_body(cell):
     Q, motion = turned(0.7, dimension(cell), shift=0.3)
-    normals = surface(cell, motion).normals("slave")
+    normals = surface(cell, motion).normal
     np.testing.assert_allclose(normals, np.tile(-Q[:, -1], (len(normals), 1)), atol=1e-14)
 
 
@@ -57,12 +55,12 @@ def test_linear_values_are_interpolated_exactly(cell):
 
 def test_quadrilateral_is_four_triangles_around_its_centre():
     found = surface("hexahedron", n=1)
-    assert found.facets.shape == (1, 4)
+    assert found.facets.nodes.shape == (1, 4)
     centre = found.points.mean(axis=0)
     assert np.abs(found.faceted().distance(centre[None]).signed) < 1e-15
 
 
 def test_area_of_the_facets():
     found = surface("tetrahedron")
-    normals = facet_normals(found.points[found.facets])
+    normals = facet_normals(found.points[found.facets.nodes])
     np.testing.assert_allclose(normals.sum(axis=0), [0.0, 0.0, -1.0], atol=1e-14)

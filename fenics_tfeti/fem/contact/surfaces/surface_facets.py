@@ -1,0 +1,134 @@
+"""Facets of tagged surfaces, deformed or not: this rank's, those near it, or all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.fem.contact.mortar.facets import Facets
+from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
+from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals
+from fenics_tfeti.fem.tolerances import VANISHING_NORMAL
+from fenics_tfeti.typing import Numbers, Vector
+
+
+@dataclass(frozen=True)
+class SurfaceFacets:
+    """Facets of a surface with the global numbers of their nodes."""
+
+    nodes: Numbers  # global nodes of the displacement's space (n,), ascending
+    facets: Facets  # their nodes are rows of `nodes`
+    displacement: Vector  # (n, gdim): by which the points are deformed [m]
+    # (n, gdim): unit normals of the whole surface at vertices, zero elsewhere; by default `normal`
+    # is found from these facets alone
+    vertex_normals: Vector | None = None
+    weight: Vector | None = None  # (n,): weight of the measure at vertices
+
+    @staticmethod
+    def joined(parts: Sequence[SurfaceFacets]) -> SurfaceFacets:
+        """Join parts of several ranks."""
+        numbers = np.concatenate([part.nodes for part in parts])
+        facets = np.concatenate([part.nodes.take(part.facets.nodes) for part in parts])
+        nodes, first = np.unique(numbers, return_index=True)
+        points, moves = (
+            np.concatenate(columns)[first]
+            for columns in zip(*((p.facets.points, p.displacement) for p in parts), strict=True)
+        )
+        return SurfaceFacets(nodes, Facets(points, np.searchsorted(nodes, facets)), moves)
+
+    @property
+    def points(self) -> Vector:
+        """The places of the nodes, deformed or not (n, gdim) [m]."""
+        return self.facets.points
+
+    @property
+    def corner_weight(self) -> Vector | None:
+        """The weight of the measure at the corners (f, v)."""
+        return None if self.weight is None else self.weight[self.facets.corners]
+
+    @cached_property
+    def normal(self) -> Vector:
+        """Unit normals (n, gdim), by integrals with the shape functions; zero where they cancel.
+
+        For degree 2 they are those of the pieces of facets.
+        """
+        if self.vertex_normals is not None:
+            return self.vertex_normals
+        total, _ = self._integrals
+        length = np.linalg.norm(total, axis=1)
+        units: Vector = total / np.where(length > 0.0, length, 1.0)[:, None]
+        return units
+
+    @cached_property
+    def _integrals(self) -> tuple[Vector, Vector]:
+        """Integrals of the normal (n, gdim) and of its length (n,) with the shape functions."""
+        pieces = self.facets.pieces
+        weighted = corner_normals(self.points[pieces])
+        total, size = np.zeros_like(self.points), np.zeros(len(self.nodes))
+        np.add.at(total, pieces, weighted)
+        np.add.at(size, pieces, np.linalg.norm(weighted, axis=2))
+        return total, size
+
+    def check_not_folded(self, name: str) -> None:
+        """Check that the normals of the facets around each node do not cancel."""
+        total, size = self._integrals
+        length = np.linalg.norm(total, axis=1)
+        folded = np.flatnonzero(length <= VANISHING_NORMAL * size)
+        if folded.size:
+            place = format_point(self.points[folded[0]], float(np.abs(self.points).max()))
+            raise InputError(
+                f"{name}: the displacement has folded the slave's facets at {folded.size} nodes, "
+                f"the first now at {place}: their normals cancel. Check the loads, and whether the "
+                "displacements are small enough for linear elasticity"
+            )
+
+    def faceted(self) -> FacetedSurface:
+        """Return the surface of segments or triangles, four for each quadrilateral.
+
+        Facets of degree 2 are replaced by their pieces.
+        """
+        return FacetedSurface(self._with_centres(self.points), self._simplices())
+
+    def from_corners(self, values: Vector) -> Vector:
+        """Return values (n, ...) at all nodes, interpolated by those at the facets' corners."""
+        corners, t = self.facets.corners, self.facets.nodes.shape[1]
+        filled, v = values.copy(), corners.shape[1]
+        for k in range(v, t):
+            ends = [k - v, (k - v + 1) % v] if k < 2 * v else list(range(v))
+            filled[self.facets.nodes[:, k]] = values[corners[:, ends]].mean(axis=1)
+        return filled
+
+    def interpolate(self, values: Vector, x: Vector) -> Vector:
+        """Interpolate nodal values (n, v) at the points of the undeformed surface closest to x.
+
+        They are linear on segments and triangles, or the pieces of facets of degree 2.
+        """
+        simplices = self._simplices()
+        undeformed = FacetedSurface(self._with_centres(self.points - self.displacement), simplices)
+        facet, weights = undeformed.closest(x)
+        corners = self._with_centres(values)[simplices[facet]]
+        interpolated: Vector = np.einsum("kc,kcv->kv", weights, corners)
+        return interpolated
+
+    def _simplices(self) -> Numbers:
+        """Return segments or triangles; a quadrilateral is four triangles around its centre."""
+        pieces = self.facets.pieces
+        if pieces.shape[1] != 4:
+            return pieces
+        centre = len(self.points) + np.arange(len(pieces))
+        triangles = [
+            np.column_stack([start, end, centre])
+            for start, end in zip(pieces.T, np.roll(pieces, -1, axis=1).T, strict=True)
+        ]
+        return np.concatenate(triangles)
+
+    def _with_centres(self, values: Vector) -> Vector:
+        """Return values at nodes, followed by those at the centres of quadrilaterals."""
+        pieces = self.facets.pieces
+        if pieces.shape[1] != 4:
+            return values
+        return np.concatenate([values, values[pieces].mean(axis=1)])
