@@ -97,10 +97,8 @@ def indented_block(
     return Scene(problem, fem.form(W), lambda part: load.update(depth=part * depth))
 
 
-def beam(
-    partial: float = 1.0, comm: MPI.Intracomm = MPI.COMM_WORLD, **options: Any
-) -> Scene:
-    """Make a beam along x, clamped at one end, whose other end a dead load bends over a cylinder."""
+def beam(comm: MPI.Intracomm = MPI.COMM_WORLD, **options: Any) -> Scene:
+    """Make a beam, clamped at one end, that a dead load at the other bends over a cylinder."""
     length, height = 10.0, 0.5
     mesh = boxes(comm, [Box((0, 0), (length, height), (60, 3))], "quadrilateral").mesh
     tags = tag_facets(
@@ -188,29 +186,37 @@ def cell_space(mesh: Any) -> Any:
 
 def pressed_patch(
     compression: float = 0.4,
+    confined: bool = True,
     turned: float = 0.0,
-    friction: Any = None,
     motion: float = 0.0,
+    friction: Any = None,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
     **options: Any,
-) -> tuple[Scene, float]:
+) -> tuple[Scene, Any]:
     """Make two blocks meshed apart, of width 1 and height 0.5, under uniform compression.
 
-    Their outer ends move as the closed form says, which is also turned by the angle `motion`; the
-    sides are free. The mesh is turned by the angle `turned`. Returned is also the force on the
-    contact in the end [N].
+    Their outer ends move as the closed form says, which is also turned by the angle `motion`, and
+    so do the sides if they are confined. The mesh is turned by the angle `turned`. Returned is also
+    the force on the upper block, the slave, in the end [N].
     """
     lower, upper = Box((0, 0), (1, 0.5), (6, 3)), Box((0, 0.5), (1, 1), (8, 4))
     tagged = boxes(comm, [lower, upper], "quadrilateral")
     mesh = tagged.mesh
+
+    def moved(x: Any) -> Any:
+        ends = np.isclose(x[1], 0) | np.isclose(x[1], 1)
+        sides = np.isclose(x[0], 0) | np.isclose(x[0], 1)
+        return ends | sides if confined else ends
+
     surfaces = [
-        (BASE, lambda x: np.isclose(x[1], 0), 1),
+        (BASE, moved, 1),
+        (ENDS, moved, 2),
         (TOP, lambda x: np.isclose(x[1], 0.5), 1),
         (SLIDER, lambda x: np.isclose(x[1], 0.5), 2),
-        (ENDS, lambda x: np.isclose(x[1], 1), 2),
     ]
     tags = tag_facets(mesh, surfaces, tagged.cell_tags)
-    mesh.geometry.x[:, :2] = mesh.geometry.x[:, :2] @ rotation(turned).T
+    axes = rotation(turned)
+    mesh.geometry.x[:, :2] = mesh.geometry.x[:, :2] @ axes.T
     V = displacement_space(mesh)
     u, ends = fem.Function(V), fem.Function(V)
     W = neo_hookean(1.0, 0.3)(u) * ufl.dx
@@ -224,12 +230,12 @@ def pressed_patch(
     )
 
     def set_load(part: float) -> None:
-        stretch, _ = lateral_stretch(1.0 - part * compression)
-        Q, axes = rotation(part * motion), rotation(turned)
-        F = Q @ axes @ np.diag([stretch, 1.0 - part * compression]) @ axes.T
+        axial = 1.0 - part * compression
+        F = rotation(part * motion) @ axes @ np.diag([_across(axial, confined), axial]) @ axes.T
         ends.interpolate(lambda x: F @ x[:2] - x[:2])
 
-    return Scene(problem, fem.form(W), set_load), lateral_stretch(1.0 - compression)[1]
+    force = -axial_force(1.0 - compression, _across(1.0 - compression, confined))
+    return Scene(problem, fem.form(W), set_load), rotation(turned + motion) @ [0.0, force]
 
 
 def rotation(degrees: float) -> Any:
@@ -238,12 +244,14 @@ def rotation(degrees: float) -> Any:
     return np.array([[c, -s], [s, c]])
 
 
-def lateral_stretch(axial: float, E: float = 1.0, nu: float = 0.3) -> tuple[float, float]:
-    """Return the stretch across an axial one without stress, and the axial force per width."""
+def _across(axial: float, confined: bool) -> float:
+    """Return the stretch across an axial one, without stress there if it is not confined."""
+    if confined:
+        return 1.0
+    return float(brentq(lambda stretch: axial_force(stretch, axial), 0.5, 2.0, xtol=1e-14))
+
+
+def axial_force(axial: float, across: float, E: float = 1.0, nu: float = 0.3) -> float:
+    """Return the force on the undeformed width along an axial stretch, in plane strain."""
     mu, lmbda = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
-
-    def stress(stretch: float, other: float) -> float:
-        return float(mu * (stretch - 1 / stretch) + lmbda * np.log(stretch * other) / stretch)
-
-    across = float(brentq(lambda stretch: stress(stretch, axial), 0.5, 2.0, xtol=1e-14))
-    return across, stress(axial, across)
+    return float(mu * (axial - 1 / axial) + lmbda * np.log(across * axial) / axial)

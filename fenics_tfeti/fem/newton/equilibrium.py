@@ -14,8 +14,8 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import format_point
+from fenics_tfeti.fem.contact.contact import row_values
 from fenics_tfeti.fem.contact.contact_set import ContactSet
-from fenics_tfeti.fem.contact.opening import row_values
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap
