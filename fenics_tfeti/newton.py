@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 from mpi4py import MPI
 
@@ -11,15 +13,15 @@ import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.errors import InputError, NotConverged, UnstableTangent
+from fenics_tfeti.errors import InputError, NotConverged, UnstableTangent, format_point
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
 from fenics_tfeti.fem.newton.deformation import CellGradients
-from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, Multipliers
+from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, ForceScale, Multipliers
 from fenics_tfeti.fem.newton.mixing import AndersonMixing, Iterate
+from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
 from fenics_tfeti.fem.torn_problem import TornProblem
 from fenics_tfeti.feti import (
-    MonitorFunction,
     Prescribed,
     Timer,
     TornSolution,
@@ -28,7 +30,10 @@ from fenics_tfeti.feti import (
     prepare_tangents,
 )
 from fenics_tfeti.options import NewtonOptions
+from fenics_tfeti.parallel import print_on_first_rank
 from fenics_tfeti.typing import Mask, Vector
+
+Monitor = Callable[[Any], None]
 
 # residual below which steps are mixed: farther off, mixing has led beams astray
 _MIXED_BELOW = 0.05
@@ -71,6 +76,15 @@ class NewtonStep:
     mixed: bool
     seconds: float
 
+    def __str__(self) -> str:
+        """Return the step as a line to read."""
+        mixed = ", mixed" if self.mixed else ""
+        return (
+            f"residual {self.residual:.1e}, penetration {self.penetration:.1e}, separation "
+            f"{self.separation:.1e}, length {self.length:.2g}{mixed}, {self.active} pressing, "
+            f"{self.products} products"
+        )
+
 
 @dataclass(frozen=True)
 class NewtonState:
@@ -97,12 +111,14 @@ class LoadStep:
     gradients: CellGradients
 
     def state_at(
-        self, displacement: Vector, multipliers: Multipliers | Vector, force: float = 0.0
+        self,
+        displacement: Vector,
+        multipliers: Multipliers | Vector,
+        scale: ForceScale,
     ) -> NewtonState:
         """Fill u, and measure surfaces and residual there. Collective.
 
-        Multipliers may be normal forces (contacts, nodes) [N]; the residual is relative to forces
-        of at least a size [N].
+        Multipliers may be normal forces (contacts, nodes) [N].
         """
         fill_owned(self.u, displacement)
         ratio, place = self.gradients.smallest_volume_ratio(self.torn.nodes.values(self.u))
@@ -116,7 +132,7 @@ class LoadStep:
         if not nodes.comm.allreduce(bool(np.isfinite(internal).all()), MPI.LAND):
             raise NotConverged("the residual F is NaN or infinite")
         equilibrium = Equilibrium.of(
-            internal, rows, multipliers, self.prescribed, displacement, force
+            internal, rows, multipliers, self.prescribed, displacement, scale
         )
         return NewtonState(displacement, rows, multipliers, equilibrium)
 
@@ -134,37 +150,57 @@ class NewtonIteration:
         self.steps: list[NewtonStep] = []
         self._mixing = AndersonMixing(load_step.torn.nodes.comm, options.newton_anderson)
         self._increment = Function(load_step.torn.space)
-        self._force = 0.0  # size of the first residual [N]
+        self._scale = ForceScale()
+        # nodes whose contact changed in the last step, and also in the one before
+        self._changed = self._alternating = np.zeros((0, 0), dtype=bool)
 
-    def run(self, state: NewtonState, monitor: MonitorFunction | None) -> Iterator[NewtonState]:
+    def run(self, state: NewtonState, monitor: Monitor | None) -> Iterator[NewtonState]:
         """Yield the state after each step, the last one in equilibrium."""
         comm, options = self._load_step.torn.nodes.comm, self._options
-        self._force = state.equilibrium.force
+        first = state.equilibrium
+        self._scale = ForceScale(first.force * max(1.0, first.residual), self._rounding())
         while len(self.steps) < options.newton_max_it:
             state = self._step(state, monitor)
             self.steps.append(replace(self.steps.pop(), seconds=self._timer.lap(comm)))
+            self._report(monitor)
             yield state
             if self._is_converged(state):
                 return
         raise NotConverged(self._not_converged(state))
 
+    def _rounding(self) -> float:
+        """Return the stiffness [N/m] that rounding looks like, over the tolerance. Collective."""
+        stiffness = self._load_step.torn.largest_stiffness()
+        return COORDINATE_ROUNDING * stiffness / self._options.newton_rtol
+
+    def _report(self, monitor: Monitor | None) -> None:
+        """Pass the last step on to the user."""
+        number, step = len(self.steps), self.steps[-1]
+        if self._options.solver.monitor:
+            print_on_first_rank(self._load_step.torn.nodes.comm, f"Newton step {number}: {step}")
+        if monitor is not None:
+            monitor(step)
+
     def _is_converged(self, state: NewtonState) -> bool:
         is_whole = self.steps[-1].length == 1.0
         return is_whole and state.equilibrium.error <= self._options.newton_rtol
 
-    def _step(self, state: NewtonState, monitor: MonitorFunction | None) -> NewtonState:
+    def _step(self, state: NewtonState, monitor: Monitor | None) -> NewtonState:
         """Return the state after one step."""
         nodes = self._load_step.torn.nodes
         self.solution = solution = self._solve_linearised(state, monitor)
         du = self._increment
         multipliers = Multipliers.of(state.rows, solution)
+        changed = (multipliers.normal > 0.0) != state.pressing()
+        self._alternating = changed & self._changed if self._changed.size else changed & False
+        self._changed = changed
         step = Iterate(state.displacement, owned_values(du), multipliers.flat())
         size = self._load_step.gradients.largest_increment(
             nodes.values(self._load_step.u), nodes.values(du)
         )
         limit = self._options.newton_step_limit
         length = 1.0 if size <= limit else limit / size
-        mixed = self._mixed(state, multipliers, step) if length == 1.0 else None
+        mixed = self._mixed(state, step) if length == 1.0 else None
         new, length = self._shortened(mixed or step, multipliers, length)
         self.steps.append(
             NewtonStep(
@@ -180,31 +216,31 @@ class NewtonIteration:
         )
         return new
 
-    def _solve_linearised(
-        self, state: NewtonState, monitor: MonitorFunction | None
-    ) -> TornSolution:
+    def _solve_linearised(self, state: NewtonState, monitor: Monitor | None) -> TornSolution:
         """Solve the contact problem for the increment, which is filled."""
         load_step, options = self._load_step, self._options
         if self.solver is not None:
             self.solver.release()
         system = load_step.torn.system_at(load_step.u, state.rows, load_step.prescribed)
-        try:
+        solution: TornSolution | None = None
+        with suppress(UnstableTangent):
             solution = self._solve(prepare_tangents(system, options.tangent), monitor)
-        except UnstableTangent:
+        if solution is None or (
+            not solution.report.converged and solution.report.deflation["negative"]
+        ):
+            # tangents that are positive semidefinite
             solution = self._solve(prepare_tangents(system, "projected"), monitor)
         fill_displacement(self._increment, system.subdomains, solution.displacements)
         return solution
 
-    def _solve(self, system: TornSystem, monitor: MonitorFunction | None) -> TornSolution:
+    def _solve(self, system: TornSystem, monitor: Monitor | None) -> TornSolution:
         options = replace(self._options.solver, error_if_not_converged=False)
         self.solver = TornSolver(system, options, self._timer, self.solver)
         return self.solver.solve(monitor)
 
-    def _mixed(self, state: NewtonState, multipliers: Multipliers, step: Iterate) -> Iterate | None:
+    def _mixed(self, state: NewtonState, step: Iterate) -> Iterate | None:
         """Return the step combined with earlier ones near the end, while the same nodes press."""
-        pressing = multipliers.normal > 0.0
-        same = np.array_equal(pressing, state.pressing())
-        if not self._load_step.torn.nodes.comm.allreduce(same, MPI.LAND):
+        if self._load_step.torn.nodes.comm.allreduce(bool(self._changed.any()), MPI.LOR):
             self._mixing.forget()
         if self._options.newton_anderson == 0 or state.equilibrium.residual >= _MIXED_BELOW:
             return None
@@ -218,7 +254,7 @@ class NewtonIteration:
             try:
                 displacement = step.displacement + length * step.increment
                 new = multipliers.from_flat(step.multipliers)
-                return self._load_step.state_at(displacement, new, self._force), length
+                return self._load_step.state_at(displacement, new, self._scale), length
             except (InputError, NotConverged) as error:
                 length *= 0.5
                 if length < _SHORTEST:
@@ -229,9 +265,20 @@ class NewtonIteration:
 
     def _not_converged(self, state: NewtonState) -> str:
         end = state.equilibrium
-        return (
+        return self._alternation() + (
             f"no equilibrium after {len(self.steps)} steps of Newton's method (newton_max_it): "
             f"residual {end.residual:.1e}, the largest at {end.place}, penetration "
             f"{end.penetration:.1e} and separation {end.separation:.1e} of the largest "
             f"displacement; newton_rtol is {self._options.newton_rtol:g}. Halve the load step"
         )
+
+    def _alternation(self) -> str:
+        """Say at which nodes contact opens and closes in turn, if at any. Collective."""
+        nodes = self._load_step.torn.nodes
+        alternating = np.flatnonzero(self._alternating.any(axis=0))
+        places = [format_point(x) for x in nodes.coordinates[alternating[:1]]]
+        count = nodes.comm.allreduce(alternating.size)
+        if not count:
+            return ""
+        first = next(place for part in nodes.comm.allgather(places) for place in part)
+        return f"contact at {count} nodes opens and closes in turn, the first at {first}; "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ import ufl
 from dolfinx.fem import Function
 
 from fenics_tfeti.checkpoint import Step, read_step, write_step
-from fenics_tfeti.errors import InputError, Interrupted
+from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_residual
 from fenics_tfeti.fem.contact.contact_set import SolvedContacts
@@ -23,10 +23,12 @@ from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
 from fenics_tfeti.fem.locking import warn_of_locking
 from fenics_tfeti.fem.newton.deformation import CellGradients
+from fenics_tfeti.fem.newton.equilibrium import ForceScale
 from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
-from fenics_tfeti.feti import MonitorFunction, Timer, TornSolver, interruption
+from fenics_tfeti.feti import Timer, TornSolver, interruption
 from fenics_tfeti.feti.local.cholesky import check_real_numbers
-from fenics_tfeti.newton import LoadStep, NewtonIteration, NewtonState, NewtonStep
+from fenics_tfeti.load_steps import load_steps
+from fenics_tfeti.newton import LoadStep, Monitor, NewtonIteration, NewtonState, NewtonStep
 from fenics_tfeti.options import NewtonOptions, contact_options
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.report import ContactReport
@@ -145,7 +147,7 @@ class NonlinearContactProblem:
 
     def solve(
         self,
-        monitor: MonitorFunction | None = None,
+        monitor: Monitor | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
     ) -> Function:
         """Find the equilibrium at the present loads and supports, starting from `u`.
@@ -205,6 +207,52 @@ class NonlinearContactProblem:
         self._step = replace(self._step, origin=origin, number=self._step.number + 1)
         self._is_solved = False
 
+    def steps(
+        self,
+        set_load: Callable[[float], Any],
+        begin: float,
+        end: float,
+        *,
+        first: float | None = None,
+    ) -> Iterator[float]:
+        """Solve in load steps, each accepted by `advance`, and yield after each of them.
+
+        A step that fails is halved; after two in a row that took no more than half of
+        ``newton_max_it`` steps of Newton's method, the next ones are twice as long. Where a step of
+        a thousandth of all fails, loads and `u` are left at the last accepted step.
+
+        Parameters
+        ----------
+        set_load : callable
+            Called with a number between `begin` and `end`: sets loads, prescribed displacements and
+            obstacles. The loads of a step that fails are set back by the next call.
+        begin, end : float
+            The present load, which is not solved for, and that of the last step.
+        first : float, optional
+            Length of the first step, by default all in one.
+
+        Yields
+        ------
+        float
+            The load of an accepted step; `end` in the last one.
+
+        Raises
+        ------
+        NotConverged, InputError
+            That of the shortest step, if it fails too.
+
+        Examples
+        --------
+        >>> def set_load(t):
+        ...     traction.value = (0.0, -1e5 * t)
+        >>> for t in problem.steps(set_load, 0.0, 1.0, first=0.25):  # doctest: +SKIP
+        ...     print(t, problem.results["seal"].force)
+        """
+        limit = 0.5 * self.options.newton_max_it
+        return load_steps(
+            self, set_load, begin, end, first, lambda: len(self.report.newton) <= limit
+        )
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a checkpoint for `restore`, see `ContactProblem.save`. Collective."""
         if self._solved is None:
@@ -229,9 +277,7 @@ class NonlinearContactProblem:
     def _no_forces(self) -> Vector:
         return np.zeros((len(self._torn.data.touching), self._torn.nodes.owned))
 
-    def _solve(
-        self, monitor: MonitorFunction | None, checkpoint: str | os.PathLike[str] | None
-    ) -> None:
+    def _solve(self, monitor: Monitor | None, checkpoint: str | os.PathLike[str] | None) -> None:
         self._is_solved = False
         self._refresh()
         load_step = LoadStep(
@@ -241,22 +287,36 @@ class NonlinearContactProblem:
             self._step.origin,
             self._gradients,
         )
-        state = load_step.state_at(owned_values(self.u), self._step.force)
+        try:
+            state = load_step.state_at(owned_values(self.u), self._step.force, ForceScale())
+        except NotConverged as error:
+            raise InputError(f"u cannot be the start of Newton's method: {error}") from None
         iteration = NewtonIteration(load_step, self.options, self._timer, self._solver)
-        for state_after in iteration.run(state, monitor):
-            self._store(state, iteration)
-            state = state_after
-            self._step = replace(self._step, displacement=state.displacement)
-            self._save(checkpoint)
-        self._solver = iteration.solver
+        try:
+            for state_after in iteration.run(state, monitor):
+                self._store(state, iteration)
+                state = state_after
+                self._step = replace(self._step, displacement=state.displacement)
+                self._save(checkpoint)
+        except NotConverged as error:
+            if iteration.steps:
+                self.report = replace(self.report, converged=False, reason=str(error))
+                error.report = self.report
+            raise
+        finally:
+            self._solver = iteration.solver
+        reason = f"equilibrium: {iteration.steps[-1]}"
+        self.report = replace(self.report, converged=True, reason=reason)
         self._is_solved = True
 
     def _refresh(self) -> None:
         """Take the present supports and contacts."""
         with raise_collectively(self.space.mesh.comm):
             self.bcs, self.contacts = as_conditions(self.bcs), _as_contacts(self.contacts)
-        self._torn.update(self.bcs, self.contacts)
-        origin = self._step.origin.resized(len(self._torn.data.touching))
+        origin = self._step.origin
+        if self._torn.update(self.bcs, self.contacts):
+            origin = SlipOrigin(owned_values(self.u), np.zeros_like(origin.obstacles))
+        origin = origin.resized(len(self._torn.data.touching))
         self._step = replace(self._step, origin=origin)
 
     def _store(self, state: NewtonState, iteration: NewtonIteration) -> None:

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 
 import ufl
@@ -124,3 +126,8 @@ class TornProblem:
     def internal_force(self) -> Any:
         """Return F(u) (nodes, gdim) at the nodes that this rank owns [N]. Collective."""
         return np.negative(self.torn.load())
+
+    def largest_stiffness(self) -> float:
+        """Return the largest entry of the subdomains' matrices [N/m]. Collective."""
+        entries = [np.abs(s.stiffness.data).max() for s in self.torn.assemble(lambda: None)]
+        return float(self.space.mesh.comm.allreduce(max(entries, default=0.0), MPI.MAX))

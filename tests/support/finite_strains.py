@@ -65,11 +65,12 @@ def indented_block(
     depth: float = 0.3,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
     degree: int = 1,
+    obstacle: Any = None,
     **options: Any,
 ) -> Scene:
     """Make a block of height 1 and width 2, clamped at its base, under a rigid ball of radius 0.5.
 
-    In two dimensions the ball is a cylinder.
+    In two dimensions the ball is a cylinder. Another obstacle may take its place.
     """
     low, high = (-1.0,) * (dim - 1) + (0.0,), (1.0,) * dim
     cells = (2 * n,) * (dim - 1) + (n,)
@@ -91,7 +92,7 @@ def indented_block(
         ufl.derivative(W, u, ufl.TestFunction(V)),
         u,
         bcs=[clamped(V, tags.find(BASE))],
-        contacts=[RigidObstacle(tags, TOP, ball)],
+        contacts=[RigidObstacle(tags, TOP, obstacle or ball)],
         options=options,
     )
     return Scene(problem, fem.form(W), lambda part: load.update(depth=part * depth))

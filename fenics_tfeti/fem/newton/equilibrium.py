@@ -126,6 +126,14 @@ def _zeros(nodes: NodeMap, contacts: int) -> tuple[Vector, Vector]:
 
 
 @dataclass(frozen=True)
+class ForceScale:
+    """The least forces that a residual is relative to, beside reactions and contact forces."""
+
+    force: float = 0.0  # [N]
+    stiffness: float = 0.0  # times the largest displacement [N/m]
+
+
+@dataclass(frozen=True)
 class Equilibrium:
     """How well a displacement and multipliers fulfil equilibrium and contact; on all ranks."""
 
@@ -147,9 +155,9 @@ class Equilibrium:
         multipliers: Multipliers,
         prescribed: Prescribed,
         displacement: Vector,
-        force: float,
+        scale: ForceScale,
     ) -> Equilibrium:
-        """Measure it, with forces of at least a size [N]. Collective.
+        """Measure it. Collective.
 
         The internal forces (nodes, gdim), less loads, are F(u) at the nodes that this rank owns.
         """
@@ -159,7 +167,6 @@ class Equilibrium:
         r = np.where(free, internal + contact, 0.0)
         squares = np.array([(r**2).sum(), (internal[~free] ** 2).sum(), (contact**2).sum()])
         residual, reaction, pressing = np.sqrt(nodes.comm.allreduce(squares)).tolist()
-        force = max(force, reaction, pressing, np.finfo(float).tiny)
         finite = np.isfinite(rows.distance)
         loaded = multipliers.normal[rows.contact, rows.contacts.slave - nodes.first] > 0.0
         largest = np.array(
@@ -171,6 +178,8 @@ class Equilibrium:
         )
         nodes.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
         penetration, separation, size = largest.tolist()
+        least = max(scale.force, scale.stiffness * size)
+        force = max(least, reaction, pressing, np.finfo(float).tiny)
         size = size or np.finfo(float).tiny
         return Equilibrium(
             residual / force, penetration / size, separation / size, force, _largest(nodes, r)
