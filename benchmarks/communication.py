@@ -239,6 +239,7 @@ def measure(system: TornSystem, options: Options) -> dict[str, Any]:
         "coarse": report.unknowns["coarse"],
         "dual": report.unknowns["dual"],
         "products": report.products["total"],
+        "faces": len(report.faces),
         "iteration": asdict(maxima(plain, usual)),
         "mean": asdict(maxima(plain, mean)),
         "set-up": asdict(maxima(plain, tally(set_up))),

@@ -17,13 +17,12 @@ from mpi4py import MPI
 import numpy as np
 
 import ufl
-from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Coulomb, Tresca
-from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
+from fenics_tfeti import Coulomb, Tresca
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from friction_scenes import belt, pulled_plate
+from scenes import Scene, at
 
 # laws of each scene and divisions; the belt's are coefficients
 SCENES = {
@@ -60,30 +59,16 @@ def problem_of(scene, n, law):
 
 def cubes(n, friction, move):
     """Return two cubes of n^3 hexahedra, with 4^3 of them in each subdomain."""
-    parts = [Box((0, 0, 0), (1, 1, 1), (n, n, n)), Box((0, 0, -1), (1, 1, 0), (n, n, n))]
-    tagged = boxes(MPI.COMM_WORLD, parts)
-    mesh = tagged.mesh
-    markers = [
-        (1, lambda x: np.isclose(x[2], 1)),
-        (2, lambda x: np.isclose(x[2], -1)),
-        (5, lambda x: np.isclose(x[2], 0), 1),
-        (6, lambda x: np.isclose(x[2], 0), 2),
-    ]
-    tags = tag_facets(mesh, markers, tagged.cell_tags)
-    V = displacement_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    parts = [((0, 0, z), (1, 1, z + 1), (n, n, n)) for z in (0, -1)]
+    marks = [(1, at(2, 1)), (2, at(2, -1)), (5, at(2, 0), 1), (6, at(2, 0), 2)]
+    cubes = Scene.of_boxes(MPI.COMM_WORLD, "hexahedron", parts, marks)
+    u, v = cubes.u, cubes.v
     strain = ufl.sym(ufl.grad(u))
-    a = (0.77 * ufl.inner(strain, ufl.grad(v)) + 0.58 * ufl.div(u) * ufl.div(v)) * ufl.dx
-    top, bottom = (fem.locate_dofs_topological(V, 2, tags.find(tag)) for tag in (1, 2))
-    supports = [
-        fem.dirichletbc(np.array(move), top, V),
-        fem.dirichletbc(np.zeros(3), bottom, V),
-    ]
-    pair = ContactPair(tags, slave=5, master=6, friction=friction)
-    options = {"rtol": 1e-6, "subdomain_size": 375}
-    return ContactProblem(
-        a, 0, bcs=supports, contacts=[pair], cell_tags=tagged.cell_tags, options=options
-    )
+    cubes.a = (0.77 * ufl.inner(strain, ufl.grad(v)) + 0.58 * ufl.div(u) * ufl.div(v)) * ufl.dx
+    cubes.fix(1, None, np.array(move))
+    cubes.fix(2)
+    cubes.add_pair(5, 6, friction=friction)
+    return cubes.problem(options={"rtol": 1e-6, "subdomain_size": 375})
 
 
 CHOICES = {"scene": list(SCENES)}

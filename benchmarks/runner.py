@@ -27,6 +27,7 @@ NAMES = [
     "accuracy",
     "beams",
     "bearing",
+    "billion",
     "bricks",
     "deflation",
     "friction",

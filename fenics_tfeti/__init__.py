@@ -17,6 +17,7 @@ from fenics_tfeti.errors import (
     Interrupted,
     NotConverged,
     UnresistedMotion,
+    UnstableTangent,
     needs_fenicsx,
 )
 
@@ -68,6 +69,7 @@ __all__ = [
     "TiedResult",
     "Tresca",
     "UnresistedMotion",
+    "UnstableTangent",
 ]
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())

@@ -452,6 +452,17 @@ class TornSystem:
             _set(self, "friction", Friction.none(self.gdim if isinstance(self.gdim, int) else 1))
 
 
+def node_graph(stiffness: sp.csr_matrix, gdim: int) -> sp.csr_matrix:
+    """Return the adjacency matrix of a subdomain's nodes from the pattern of its stiffness matrix.
+
+    It has ones, also on the diagonal; K_i is (gdim * nodes, gdim * nodes).
+    """
+    blocks = stiffness.tobsr(blocksize=(gdim, gdim))
+    ones = np.ones(blocks.indices.size)
+    nodes = stiffness.shape[0] // gdim
+    return sp.csr_matrix((ones, blocks.indices, blocks.indptr), shape=(nodes, nodes))
+
+
 def _convert(part: Any, **dtypes: type[np.generic]) -> None:
     """Convert lists to arrays, integers to int64, integers and shorter floats to float64.
 

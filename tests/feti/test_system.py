@@ -14,6 +14,14 @@ from torn import column, cube
 from fenics_tfeti import InputError
 from fenics_tfeti.feti import ContactRows, Options, Prescribed, Subdomain, TornSolver, TornSystem
 from fenics_tfeti.feti.checks.system import check_system
+from fenics_tfeti.feti.system import node_graph
+
+
+def test_nodes_of_one_element_are_neighbours():
+    graph = node_graph(cube(2).stiffness, 3).toarray()
+    corner, centre = graph[0], graph[13]
+    assert np.flatnonzero(corner).tolist() == [0, 1, 3, 4, 9, 10, 12, 13]
+    assert centre.tolist() == [1.0] * 27
 
 
 @pytest.mark.parametrize("comm", [None, MPI.COMM_NULL, "world"], ids=["none", "null", "text"])

@@ -189,6 +189,11 @@ def fixed(V: Any, facet_tags: Any, tag: int, component: int | None = None, value
     )
 
 
+def normal_forces(problem: ContactProblem) -> list[float]:
+    """Return the total normal force of each contact [N]."""
+    return [contact.normal_force for contact in problem.report.contacts]
+
+
 def at(axis: int, value: float) -> Callable[[NDArray[np.float64]], NDArray[np.bool_]]:
     return lambda x: np.isclose(x[axis], value)
 

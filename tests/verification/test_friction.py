@@ -34,14 +34,17 @@ CASES = {
 }
 
 
-@pytest.fixture(scope="module", params=CASES)
-def rubbing(request):
-    scene = pushed_cube(*CASES[request.param], friction=Tresca(0.037))
-    scene.problem.solve()
-    return scene
+@pytest.mark.parametrize("case", CASES)
+def test_block_that_is_pushed(case):
+    """With a slip bound that is given."""
+    rubbing = pushed_cube(*CASES[case], friction=Tresca(0.037))
+    rubbing.problem.solve()
+    assert_friction_holds_the_load(rubbing)
+    assert_conditions_of_friction(rubbing)
+    assert_work_of_friction(rubbing)
 
 
-def test_friction_holds_the_load(rubbing):
+def assert_friction_holds_the_load(rubbing):
     contact, push = rubbing.problem.results[0], rubbing.traction.value[:-1]
     np.testing.assert_allclose(contact.friction.force.sum(axis=0)[:-1], -push, rtol=1e-8)
     np.testing.assert_allclose(contact.normal_force.sum(), 0.1, rtol=1e-8)
@@ -49,7 +52,7 @@ def test_friction_holds_the_load(rubbing):
     np.testing.assert_allclose(on_slave[:-1], -push, rtol=1e-8)
 
 
-def test_conditions_of_friction(rubbing):
+def assert_conditions_of_friction(rubbing):
     """At most the bound; nothing slips below it; slip is opposite to the force at it."""
     found = rubbing.problem.results[0].friction
     size, slip = np.linalg.norm(found.force, axis=1), np.linalg.norm(found.slip, axis=1)
@@ -66,7 +69,7 @@ def test_conditions_of_friction(rubbing):
     np.testing.assert_allclose(found.traction * area[:, None], found.force, atol=1e-15)
 
 
-def test_work_of_friction(rubbing):
+def assert_work_of_friction(rubbing):
     found, report = rubbing.problem.results[0].friction, rubbing.problem.report
     work = -np.sum(found.force * found.slip)
     assert work > 0.0
@@ -104,9 +107,8 @@ def slip_length(contact):
     return 1.0 + constant / slope
 
 
-@pytest.fixture(scope="module")
-def strip():
-    """Return end displacements, lengths that slip and works of a cycle of loads."""
+def test_strip():
+    """End displacements, lengths that slip and works of a cycle of loads, by formulas."""
     scene = pulled_strip()
     ends, lengths, work = [], [], []
     for part in (1.0, 0.0, 1.0):
@@ -118,26 +120,13 @@ def strip():
         ends.append(u[np.isclose(x[:, 0], 1.0)].mean())
         lengths.append(slip_length(scene.problem.results[0]))
         work.append(scene.problem.report.contacts[0].friction_work)
-    return ends, lengths, work
-
-
-def test_strip_slips_as_far_as_friction_balances_the_force(strip):
-    """u'' = psi / (E t) over F / psi from the end, which moves by F^2 / (2 E t psi)."""
-    ends, lengths, _ = strip
+    # u'' = psi / (E t) over F / psi from the end, which moves by F^2 / (2 E t psi)
     assert lengths[0] == pytest.approx(FORCE / SHEAR_STRENGTH, rel=0.02)
     assert ends[0] == pytest.approx(FORCE**2 / (2.0 * THICKNESS * SHEAR_STRENGTH), rel=0.002)
-
-
-def test_strip_slips_back_over_half_of_the_length(strip):
-    """Friction turns round, twice as much of it: half of the end's displacement stays."""
-    ends, lengths, _ = strip
+    # friction turns round, twice as much of it: half of the end's displacement stays
     assert lengths[1] == pytest.approx(0.5 * FORCE / SHEAR_STRENGTH, rel=0.02)
     assert ends[1] == pytest.approx(0.5 * ends[0], rel=0.002)
-
-
-def test_strip_loaded_again_is_where_it_was(strip):
-    """The loop is closed: slips forth and back are the same, and so is their work."""
-    ends, lengths, work = strip
+    # the loop is closed: slips forth and back are the same, and so is their work
     assert ends[2] == pytest.approx(ends[0], rel=1e-4)
     assert lengths[2] == pytest.approx(lengths[1], rel=1e-3)
     # the integral of psi times slip: F^3 / (6 E t psi) at first, a quarter of it each way after it
@@ -148,14 +137,15 @@ def test_strip_loaded_again_is_where_it_was(strip):
 # -- Coulomb's law --------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module", params=CASES)
-def coulomb(request):
-    scene = pushed_cube(*CASES[request.param], friction=Coulomb(0.37), options={"rtol": 1e-7})
-    scene.problem.solve()
-    return scene
+@pytest.mark.parametrize("case", CASES)
+def test_block_that_is_pushed_with_coulomb_friction(case):
+    coulomb = pushed_cube(*CASES[case], friction=Coulomb(0.37), options={"rtol": 1e-7})
+    coulomb.problem.solve()
+    assert_bounds_are_those_of_the_normal_forces(coulomb)
+    assert_contraction_is_in_the_report(coulomb)
 
 
-def test_coulomb_bounds_are_those_of_the_normal_forces(coulomb):
+def assert_bounds_are_those_of_the_normal_forces(coulomb):
     """The forces hold the push; where something slips they are 0.37 times the normal force."""
     contact, report = coulomb.problem.results[0], coulomb.problem.report
     found = contact.friction
@@ -170,7 +160,7 @@ def test_coulomb_bounds_are_those_of_the_normal_forces(coulomb):
     assert report.certificate.slip_bound_error <= 1e-7
 
 
-def test_contraction_is_in_the_report(coulomb):
+def assert_contraction_is_in_the_report(coulomb):
     steps = coulomb.problem.report.slip_bounds
     assert 3 <= len(steps) <= 20
     assert sum(step.products for step in steps) == coulomb.problem.report.products["total"]
@@ -260,9 +250,8 @@ def test_bounds_that_do_not_contract_are_an_error():
 MU = 0.3
 
 
-@pytest.fixture(scope="module")
-def rolling_contact():
-    """Return the contact of two half planes, pressed by a cylinder's gap and then pushed."""
+def test_half_planes_of_cattaneo_and_mindlin():
+    """Pressed by a cylinder's gap, then pushed: c / a = sqrt(1 - Q / (mu P)), and tractions."""
     scene = half_planes(friction=Coulomb(MU))
     scene.traction.value[:] = 0.0, -0.06
     scene.problem.solve()
@@ -271,7 +260,24 @@ def rolling_contact():
     scene.problem.advance()
     scene.traction.value[:] = 0.02, -0.06
     scene.problem.solve()
-    return scene.problem
+    problem = scene.problem
+    contact = problem.results[0].gather()
+    a, p0 = hertz(contact)
+    P, Q = contact.normal_force.sum(), -contact.friction.force[:, 0].sum()
+    assert 0.5 < Q / (MU * P) < 0.8
+    # within one element
+    x = np.abs(contact.coordinates[:, 0])
+    c = a * np.sqrt(1.0 - Q / (MU * P))
+    assert abs(x[contact.friction.sticking].max() - c) <= contact.area[x < a].max()
+    reaction = problem.report.reactions[0].force
+    np.testing.assert_allclose(reaction, [-Q, P], rtol=1e-6)
+    q = np.sqrt(np.maximum(1.0 - (x / a) ** 2, 0.0))
+    q -= c / a * np.sqrt(np.maximum(1.0 - (x / c) ** 2, 0.0))
+    difference = -contact.friction.traction[:, 0] - MU * p0 * q
+    error = np.sqrt(
+        np.sum(contact.area * difference**2) / np.sum(contact.area * (MU * p0 * q) ** 2)
+    )
+    assert error < 0.05
 
 
 def hertz(contact):
@@ -280,34 +286,6 @@ def hertz(contact):
     inner = p > 0.3 * p.max()
     slope, constant = np.polyfit(x[inner] ** 2, p[inner] ** 2, 1)
     return np.sqrt(-constant / slope), np.sqrt(constant)
-
-
-def test_stick_zone_of_cattaneo_and_mindlin(rolling_contact):
-    """c / a = sqrt(1 - Q / (mu P)), within one element."""
-    contact = rolling_contact.results[0].gather()
-    a, _ = hertz(contact)
-    P, Q = contact.normal_force.sum(), -contact.friction.force[:, 0].sum()
-    assert 0.5 < Q / (MU * P) < 0.8
-    x = np.sort(np.abs(contact.coordinates[contact.friction.sticking, 0]))[-1]
-    size = contact.area[np.abs(contact.coordinates[:, 0]) < a].max()
-    c = a * np.sqrt(1.0 - Q / (MU * P))
-    assert abs(x - c) <= size
-    reaction = rolling_contact.report.reactions[0].force
-    np.testing.assert_allclose(reaction, [-Q, P], rtol=1e-6)
-
-
-def test_traction_of_cattaneo_and_mindlin(rolling_contact):
-    contact = rolling_contact.results[0].gather()
-    a, p0 = hertz(contact)
-    P, Q = contact.normal_force.sum(), -contact.friction.force[:, 0].sum()
-    c, x = a * np.sqrt(1.0 - Q / (MU * P)), contact.coordinates[:, 0]
-    q = np.sqrt(np.maximum(1.0 - (x / a) ** 2, 0.0))
-    q -= c / a * np.sqrt(np.maximum(1.0 - (x / c) ** 2, 0.0))
-    difference = -contact.friction.traction[:, 0] - MU * p0 * q
-    error = np.sqrt(
-        np.sum(contact.area * difference**2) / np.sum(contact.area * (MU * p0 * q) ** 2)
-    )
-    assert error < 0.05
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import CLAMPED, GROUND, SLAVE, YOUNG, at, elasticity, fixed, two_beams
+from scenes import CLAMPED, GROUND, SLAVE, Scene, at, normal_forces, two_beams
 from stepped_blocks import (
     CHANGES,
     OPTIONS,
@@ -19,11 +19,8 @@ from stepped_blocks import (
     two_blocks_on_a_floor,
 )
 
-import ufl
-from dolfinx import fem
-
-from fenics_tfeti import ContactProblem, InputError, NotConverged, Plane, RigidObstacle
-from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
+from fenics_tfeti import InputError, NotConverged, Plane, RigidObstacle
+from fenics_tfeti.io import tag_facets
 
 COMM = MPI.COMM_WORLD
 
@@ -44,12 +41,7 @@ def assert_same(problem, uh, other, expected):
         np.testing.assert_allclose(
             mine.normal_force, theirs.normal_force, atol=1e-6 * theirs.normal_force.max()
         )
-    np.testing.assert_allclose(
-        [c.normal_force for c in problem.report.contacts],
-        [c.normal_force for c in other.report.contacts],
-        rtol=1e-7,
-        atol=1e-3,
-    )
+    np.testing.assert_allclose(normal_forces(problem), normal_forces(other), rtol=1e-7, atol=1e-3)
     assert [c.pairing for c in problem.report.contacts] == [
         c.pairing for c in other.report.contacts
     ]
@@ -213,28 +205,19 @@ def test_step_without_convergence_can_be_repeated():
 
 def test_contacts_joined():
     """The same rows, now of one contact."""
-    parts = [Box((2 * k, 0), (2 * k + 1, 1), (3, 3)) for k in (0, 1)]
-    blocks = boxes(MPI.COMM_SELF, parts, "quadrilateral")
-    mesh, top = blocks.mesh, (CLAMPED, at(1, 1.0))
-    apart = tag_facets(
-        mesh, [top, (SLAVE, at(1, 0.0), 1), (GROUND, at(1, 0.0), 2)], blocks.cell_tags
-    )
-    whole = tag_facets(mesh, [top, (SLAVE, at(1, 0.0))], blocks.cell_tags)
-    V = displacement_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    none = fem.Constant(mesh, 0.0)
-    bcs = [fixed(V, apart, CLAMPED, i, -1e-3 * i) for i in (0, 1)]
-    floor = Plane((0, 0), (0, 1))
-    contacts = [RigidObstacle(apart, tag, floor) for tag in (SLAVE, GROUND)]
-    a, L = elasticity(u, v, YOUNG), none * v[0] * ufl.dx
-    problem = ContactProblem(a, L, bcs=bcs, contacts=contacts, options=OPTIONS)
+    parts = [((2 * k, 0), (2 * k + 1, 1), (3, 3)) for k in (0, 1)]
+    marks = [(CLAMPED, at(1, 1.0)), (SLAVE, at(1, 0.0), 1), (GROUND, at(1, 0.0), 2)]
+    scene = Scene.of_boxes(MPI.COMM_SELF, "quadrilateral", parts, marks)
+    whole = tag_facets(scene.mesh, [(SLAVE, at(1, 0.0))])
+    scene.fix(CLAMPED, None, np.array([0.0, -1e-3]))
+    for tag in (SLAVE, GROUND):
+        scene.add_obstacle(tag, floor := Plane((0, 0), (0, 1)))
+    problem = scene.problem(cell_tags=None, options=OPTIONS)
     problem.solve()
-    two = [c.normal_force for c in problem.report.contacts]
+    two = normal_forces(problem)
     problem.contacts = [RigidObstacle(whole, SLAVE, floor)]
     problem.solve()
-    np.testing.assert_allclose(
-        [c.normal_force for c in problem.report.contacts], [sum(two)], rtol=1e-7
-    )
+    np.testing.assert_allclose(normal_forces(problem), [sum(two)], rtol=1e-7)
 
 
 def by_place(problem, uh):
@@ -262,12 +245,7 @@ def test_second_step_is_that_of_one_rank(change):
     values = by_place(alone, expected)
     for place, value in by_place(problem, uh).items():
         np.testing.assert_allclose(value, values[place], atol=1e-7 * largest)
-    np.testing.assert_allclose(
-        [c.normal_force for c in problem.report.contacts],
-        [c.normal_force for c in alone.report.contacts],
-        rtol=1e-6,
-        atol=1e-3,
-    )
+    np.testing.assert_allclose(normal_forces(problem), normal_forces(alone), rtol=1e-6, atol=1e-3)
 
 
 @pytest.mark.ranks(2)

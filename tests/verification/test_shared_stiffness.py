@@ -64,8 +64,8 @@ def test_shared_or_not(cell, change, expected):
     displacement = problem.solve().x.array
     assert matrices(problem) == problem.report.classes == expected
     scene = changed.scene
-    product = ufl.inner(scene.u, scene.v) * ufl.dx
-    scene.a += nothing_but_labels(scene.mesh, changed.boxes) * product
+    nothing = nothing_but_labels(scene.mesh, changed.boxes)
+    scene.a += nothing * ufl.inner(scene.u, scene.v) * ufl.dx
     other = problem_of(changed)
     reference = other.solve().x.array
     assert matrices(other) == other.report.subdomains

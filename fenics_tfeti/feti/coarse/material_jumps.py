@@ -9,8 +9,7 @@ import numpy as np
 from fenics_tfeti.feti.constraints.ground import TornUnknowns
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
-from fenics_tfeti.feti.local.fixing_nodes import node_graph
-from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.feti.system import TornSystem, node_graph
 from fenics_tfeti.parallel import Directory
 from fenics_tfeti.typing import Mask, Vector
 

@@ -38,15 +38,15 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 class CoarseSpace:
     """G = R'B' on this rank, and the bodies' rigid motions.
 
-    G is applied as R' after B'; only its columns for contact rows, those shared with other ranks'
-    subdomains, and GG' of the equality rows are kept as matrices.
+    G' is kept for this rank's subdomains, and for what others' add to the components held here;
+    its contact columns and GG' of the equality rows are kept for the subdomains of all ranks.
     """
 
     interface: Interface
     kernels: Sequence[Vector]  # R_i (n_i, k_i) in their frames; congruent subdomains share it
-    traces: Sequence[Vector]  # R_i (b, k) on the interface unknowns, for each class
     ends: Numbers  # (subdomains + 1,): first own coarse unknown of each, and the end
     layout: CoarseLayout
+    own: sp.csr_matrix  # (m, own): G' of this rank's subdomains
     others: sp.csr_matrix  # (h, m): rows of G of other ranks' subdomains, columns held here
     contact: sp.csr_matrix  # (coarse, i): all rows of G, inequality columns held here
     friction: sp.csr_matrix  # (coarse, m): all rows of G; zero but in tangential rows
@@ -71,11 +71,7 @@ class CoarseSpace:
         ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
         first, size = first_of_rank(system.comm, int(ends[-1]))
         # G' with this rank's rows of G as columns, then with those of all
-        traces = [
-            kernels[congruent.first][local]
-            for congruent, local in zip(interface.classes, interface.unknowns, strict=True)
-        ]
-        own = (interface.matrix @ _packed_kernels(interface, traces, ends)).tocsr()
+        own = (interface.matrix @ _packed_kernels(interface, kernels, ends)).tocsr()
         everyone = constraints.layout.sum_sparse(
             sp.csr_matrix((own.data, own.indices + first, own.indptr), (own.shape[0], size))
         )
@@ -91,9 +87,9 @@ class CoarseSpace:
         return CoarseSpace(
             interface,
             kernels,
-            traces,
             ends,
             layout,
+            own,
             everyone[:, others].T.tocsr(),
             everyone[constraints.inequality].T.tocsr(),
             (_chosen_rows(constraints.friction.flat, constraints.size) @ everyone).T.tocsr(),
@@ -126,10 +122,7 @@ class CoarseSpace:
 
     def restrict_own(self, x: Vector) -> Vector:
         """Return Gx for this rank's coarse unknowns."""
-        packed = self.interface.blocks(self.interface.transposed @ x)
-        part = np.empty(int(self.ends[-1]))
-        for congruent, trace, rows in zip(self.interface.classes, self.traces, packed, strict=True):
-            part[self._places(congruent)] = rows @ trace
+        part: Vector = self.own.T @ x
         return part
 
     def prolong(self, coarse: Vector) -> Vector:
@@ -138,18 +131,13 @@ class CoarseSpace:
 
     def prolong_own(self, own: Vector) -> Vector:
         """Return what this rank's coarse unknowns add to G'a."""
-        blocks = [
-            own[self._places(congruent)] @ trace.T
-            for congruent, trace in zip(self.interface.classes, self.traces, strict=True)
-        ]
-        part: Vector = self.interface.matrix @ self.interface.pack(blocks)
+        part: Vector = self.own @ own
         return part
 
     def motions_of_rows(self, rows: Mask) -> sp.csr_matrix:
         """Return G' on some rows: the columns of this rank's coarse unknowns, then of `others`."""
-        own = self.interface.matrix @ _packed_kernels(self.interface, self.traces, self.ends)
         chosen = sp.diags(rows.astype(float))
-        return (chosen @ sp.hstack([own, self.others.T])).tocsr()
+        return (chosen @ sp.hstack([self.own, self.others.T])).tocsr()
 
     def coarse_load(self, forces: Vector) -> Vector:
         """Return R'f, the coarse load of forces on the torn unknowns; one gathering."""
@@ -242,8 +230,14 @@ def _chosen_rows(rows: Numbers, size: int) -> sp.csr_matrix:
     return sp.diags(diagonal, format="csr")
 
 
-def _packed_kernels(interface: Interface, traces: Sequence[Vector], ends: Numbers) -> sp.csr_matrix:
+def _packed_kernels(
+    interface: Interface, kernels: Sequence[Vector], ends: Numbers
+) -> sp.csr_matrix:
     """Return R on the packed interface unknowns, a column for each own coarse unknown."""
+    traces = [
+        kernels[congruent.first][local]
+        for congruent, local in zip(interface.classes, interface.unknowns, strict=True)
+    ]
     sizes = [c.members.size * R.size for c, R in zip(interface.classes, traces, strict=True)]
     data, columns = np.empty(sum(sizes)), np.empty(sum(sizes), dtype=np.int32)
     counts, end = [np.zeros(1, dtype=np.int32)], 0

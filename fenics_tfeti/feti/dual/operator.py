@@ -110,6 +110,10 @@ def _implicit(
     inverse: GeneralizedInverse, local: NDArray[np.int64], size: int
 ) -> Callable[[Vector], Vector]:
     def solve(rows: Vector) -> Vector:
+        if len(rows) == 1:
+            force = np.zeros(size)
+            force[local] = rows[0]
+            return inverse.solve(force)[local][None] if rows.any() else np.zeros_like(rows)
         forces = np.zeros((len(rows), size))
         forces[:, local] = rows
         return _solve_rows(inverse, forces)[:, local]

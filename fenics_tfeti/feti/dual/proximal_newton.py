@@ -113,7 +113,8 @@ def _solve_proximal(
         wanted, error = bounds.wanted(term, state), bounds.error(term, state)
         turn.monitor(_step(problem, face, contact_state, state, turn.products))
         unused = unused_friction(problem, face, replace(state, multipliers=wanted))
-        solved = max(state.energy, error / np.sqrt(term.stiffness), unused) <= turn.tolerance
+        residuals = (state.energy, error / np.sqrt(term.stiffness), unused)
+        solved = all(residual <= turn.tolerance for residual in residuals)
         best, failures = (error, 0) if error <= 0.5 * best else (best, failures + 1)
         state = replace(state, contact_state=replace(face.contact_state, proximal=term))
         if solved:
@@ -224,10 +225,12 @@ def _on_the_way(
 
 
 def _root(slope: Callable[[float], float]) -> float:
-    """Return a root in (0, 1) of an increasing function, or 1 if it is negative up to there."""
+    """Return where an increasing function is nearest to zero in [0, 1]; 1 up to its accuracy."""
     first = slope(0.0)
-    if first >= 0.0 or slope(1.0) <= _SLOPE * abs(first):
+    if slope(1.0) <= _SLOPE * abs(first):
         return 1.0
+    if first >= 0.0:
+        return 0.0
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         t = 0.5 * (low + high)

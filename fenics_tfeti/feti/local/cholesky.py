@@ -253,8 +253,10 @@ class _RslabFactor:
 
 
 def _petsc_matrix(matrix: sp.csr_matrix) -> PETSc.Mat:
-    indices = (matrix.indptr.astype(PETSc.IntType), matrix.indices.astype(PETSc.IntType))
-    return PETSc.Mat().createAIJ(matrix.shape, csr=(*indices, matrix.data), comm=PETSc.COMM_SELF)
+    """Return PETSc's matrix on the same arrays where it can be."""
+    rows = matrix if matrix.has_sorted_indices else matrix.sorted_indices()
+    indices = (x.astype(PETSc.IntType, copy=False) for x in (rows.indptr, rows.indices))
+    return PETSc.Mat().createAIJWithArrays(rows.shape, (*indices, rows.data), comm=PETSc.COMM_SELF)
 
 
 def _petsc_cholesky(A: PETSc.Mat, package: str, definite: bool = True) -> PETSc.PC:
@@ -291,7 +293,7 @@ class _PetscFactor:
         except PETSc.Error as error:
             raise _Unusable(f"PETSc's error {error.ierr}") from error
         finally:
-            # the factor outlives the PC and its copy of the matrix
+            # the factor outlives the PC and the matrix
             _destroy(pc, A)
         self._x = PETSc.Vec().createSeq(matrix.shape[0], comm=PETSc.COMM_SELF)
         self._b = self._x.duplicate()

@@ -3,27 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
-from fenics_tfeti.feti.local.rigid_body_modes import rigid_body_modes
 from fenics_tfeti.typing import Numbers, Vector
 
-# power steps towards the Perron vector: walks of this length tell a centre from a rim
-_WALK_LENGTH = 30
 # smallest singular value of R on the fixing nodes, relative to the largest, that holds the body
 _HOLDS = 1e-3
-
-
-def node_graph(stiffness: sp.csr_matrix, gdim: int) -> sp.csr_matrix:
-    """Return the adjacency matrix D of the mesh's nodes from the pattern of K.
-
-    It has ones, also on the diagonal; K_i is (gdim * nodes, gdim * nodes).
-    """
-    blocks = stiffness.tobsr(blocksize=(gdim, gdim))
-    ones = np.ones(blocks.indices.size)
-    nodes = stiffness.shape[0] // gdim
-    return sp.csr_matrix((ones, blocks.indices, blocks.indptr), shape=(nodes, nodes))
 
 
 def split_nodes(coordinates: Vector, parts: int) -> list[Numbers]:
@@ -44,47 +28,38 @@ def split_nodes(coordinates: Vector, parts: int) -> list[Numbers]:
     return bisect(np.arange(coordinates.shape[0]), min(parts, coordinates.shape[0]))
 
 
-def perron_centres(graph: sp.csr_matrix, part: Numbers) -> Numbers:
-    """Return the node of each part's graph where its Perron vector is largest (steps 2, 3).
-
-    Of a part that falls into pieces, the largest stands for it; of equal entries the first counts.
-    `part` is the part of each node (nodes,).
-    """
-    coo = graph.tocoo()
-    inside = part[coo.row] == part[coo.col]
-    pieces = sp.csr_matrix((coo.data[inside], (coo.row[inside], coo.col[inside])), coo.shape)
-    _, piece = connected_components(pieces, directed=False)
-    size = np.bincount(piece)[piece]
-    # of all pieces at once: walks do not leave them
-    walks = np.ones(part.size)
-    for _ in range(_WALK_LENGTH):
-        walks = pieces @ walks
-    order = np.lexsort((-walks, piece, -size, part))
-    centres: Numbers = order[np.unique(part[order], return_index=True)[1]]
-    return centres
-
-
 def fixing_nodes(
-    stiffness: sp.csr_matrix, coordinates: Vector, number: int, images: Numbers | None = None
+    coordinates: Vector, R: Vector, number: int, images: Numbers | None = None
 ) -> Numbers:
     """Choose fixing nodes near the centres of equal parts of the mesh (algorithm 11.1).
 
-    Returns local node numbers, ascending. Their number M is doubled as often as needed where the
-    nodes found lie near a line. The fixing nodes are symmetric under the images (g, nodes) of the
-    nodes: as many of those found as make M together with their images.
+    For steps 2 and 3 the node of a part next to its mean place is taken. Returns local node
+    numbers, ascending. Their number M is doubled as often as needed where the nodes found do not
+    hold the motions R (n, k) of a body with coordinates (nodes, gdim) [m], such as nodes near a
+    line. The fixing nodes are symmetric under the images (g, nodes) of the nodes: as many of those
+    found as make M together with their images.
     """
-    graph = node_graph(stiffness, coordinates.shape[1])
+    nodes, gdim = coordinates.shape
     while True:
-        parts = split_nodes(coordinates, number)
-        part = np.empty(coordinates.shape[0], dtype=np.int64)
-        part[np.concatenate(parts)] = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
-        chosen = perron_centres(graph, part)
+        chosen = np.array([_centre(coordinates, part) for part in split_nodes(coordinates, number)])
         if images is not None:
             chosen = _with_images(chosen, images)
         chosen = np.sort(chosen)
-        if chosen.size == coordinates.shape[0] or _hold_still(coordinates, chosen):
+        if chosen.size == nodes or _hold_still(R, unknowns_of_nodes(chosen, gdim)):
             return chosen
         number *= 2
+
+
+def unknowns_of_nodes(nodes: Numbers, gdim: int) -> Numbers:
+    """Return the unknowns of nodes, node by node."""
+    unknowns: Numbers = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
+    return unknowns
+
+
+def _centre(coordinates: Vector, part: Numbers) -> int:
+    """Return the node of a part next to its mean place; of equal ones the first."""
+    x = coordinates[part]
+    return int(part[np.argmin(np.sum((x - x.mean(axis=0)) ** 2, axis=1))])
 
 
 def _with_images(chosen: Numbers, images: Numbers) -> Numbers:
@@ -97,11 +72,9 @@ def _with_images(chosen: Numbers, images: Numbers) -> Numbers:
     return nodes
 
 
-def _hold_still(coordinates: Vector, chosen: Numbers) -> bool:
-    """Tell whether fixing the chosen nodes stops every rigid motion well."""
-    gdim = coordinates.shape[1]
-    R = rigid_body_modes(coordinates).reshape(-1, gdim, 3 * gdim - 3)[chosen]
-    if R.shape[0] * gdim < R.shape[2]:
+def _hold_still(R: Vector, fixed: Numbers) -> bool:
+    """Tell whether fixing some unknowns stops every motion well."""
+    if fixed.size < R.shape[1]:
         return False
-    values = np.linalg.svd(R.reshape(-1, R.shape[2]), compute_uv=False)
-    return bool(values[-1] > _HOLDS * values[0])
+    values = np.linalg.svd(R[fixed], compute_uv=False)
+    return not values.size or bool(values[-1] > _HOLDS * values[0])

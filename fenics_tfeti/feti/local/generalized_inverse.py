@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import FactorizationError, format_point
 from fenics_tfeti.feti.local.cholesky import SparseCholesky, SparseFactor, SparseLDL
-from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes
+from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes, unknowns_of_nodes
 from fenics_tfeti.feti.local.symmetry import SymmetryGroup
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.typing import Vector
@@ -62,11 +62,8 @@ class GeneralizedInverse:
         self.negative = 0  # negative eigenvalues of K_i
         images = symmetries.nodes(gdim) if symmetries else None
         try:
-            nodes = fixing_nodes(
-                subdomain.stiffness, subdomain.coordinates_in_frame, number, images
-            )
-            fixed = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
-            regularized = regularized_stiffness(K, R, fixed)
+            nodes = fixing_nodes(subdomain.coordinates_in_frame, R, number, images)
+            regularized = regularized_stiffness(K, R, unknowns_of_nodes(nodes, gdim))
             if subdomain.kernel == "rigid":
                 self._factor: SparseFactor = SparseCholesky(regularized, package)
             else:

@@ -220,10 +220,13 @@ class _Loop:
         first = methods.index(iterate.method)
         for number in count():
             method = methods[(first + number) % len(methods)]
-            turn = self._turn(tolerance, number, number // len(methods))
-            iterate = self._run(method, iterate, turn)
+            turn, begin = self._turn(tolerance, number, number // len(methods)), iterate
+            iterate = self._run(method, begin, turn)
             status = iterate.status
             at_limit = status is SolveStatus.AT_ROUNDING and number == 0
+            if status is SolveStatus.AT_ROUNDING and number:
+                # rounding has spoilt it: the next method goes on from where this one began
+                iterate = replace(begin, status=status)
             if status.is_final or at_limit or (status is SolveStatus.FLAT and flat):
                 break
             # directions of U have no curvature: rounding of the gradient may have led there

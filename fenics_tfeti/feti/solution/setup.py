@@ -5,7 +5,8 @@ Both are built once and reused as long as K, or K and B, stay the same.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -14,7 +15,7 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.errors import InputError, UnstableTangent
+from fenics_tfeti.errors import FactorizationError, InputError, UnstableTangent
 from fenics_tfeti.feti.coarse.deflation import Deflation, at_most, same_equality_rows
 from fenics_tfeti.feti.coarse.local_spectra import (
     LocalVectors,
@@ -55,7 +56,7 @@ from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
 # factors of the threshold of deflated eigenvalues, tried until U'FU has all negative ones
-_LIMITS = (1.0, 0.1)
+_LIMITS = (1.0, 0.01)
 
 
 @dataclass(frozen=True)
@@ -166,7 +167,7 @@ class DualSetup:
         members = [congruent.members.size for congruent in local.classes]
         negative = sum(k * i.negative for k, i in zip(members, inverses, strict=True))
         if local.preconditioner != "none":
-            with raise_collectively(system.comm):
+            with raise_collectively(system.comm), _unstable_if(negative):
                 reactions = interface_reactions(
                     local.preconditioner,
                     F.interface.unknowns,
@@ -314,6 +315,21 @@ class DualSetup:
     def load(self, data: ContactData) -> Vector:
         """Return d, or d_c, by one application of K^+. Collective."""
         return self.reduced(self.F.load(data.load, data.c))
+
+
+@contextmanager
+def _unstable_if(negative: int) -> Iterator[None]:
+    """Turn the failure to factor a K_i with its interface held into an `UnstableTangent`."""
+    try:
+        yield
+    except FactorizationError as error:
+        if not negative:
+            raise
+        raise UnstableTangent(
+            "the tangent of a subdomain is not positive even where its interface is held, so "
+            "neither is that of the glued bodies. Take those of prepare_tangents(system, "
+            "'projected'), or a smaller load step"
+        ) from error
 
 
 def _stiff_modes(

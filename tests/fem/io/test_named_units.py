@@ -24,6 +24,9 @@ pytestmark = pytest.mark.once
         ("mm-N-MPa", "µm", 1e3),
         ("mm-N-MPa", "kN", 1e-3),
         ("mm-N-MPa", "", 1.0),
+        ("SI", "kPa", 1e-3),
+        ("SI", "MN", 1e-6),
+        ("SI", "m", 1.0),
     ],
 )
 def test_values_are_converted_from_the_system(system, unit, factor):

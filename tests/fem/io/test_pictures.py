@@ -135,13 +135,6 @@ def test_other_suffix_is_refused(tmp_path):
     refused(tmp_path / "a.jpg", "does not end in .png", fields("triangle")[0])
 
 
-def test_units_are_those_of_si():
-    prefixes = {"": 1.0, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6, "G": 1e9}
-    known = {p + unit: size for p, size in prefixes.items() for unit in ("m", "Pa", "N")}
-    known[""] = 1.0
-    assert {unit: known[unit] for unit in pictures._IN_SI} == pictures._IN_SI
-
-
 def test_unknown_unit_is_refused(tmp_path):
     u, _, stress = fields("triangle")
     refused(tmp_path / "a.png", "unknown unit 'psi'; choose one of m, mm", u, stress, unit="psi")

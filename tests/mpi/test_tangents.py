@@ -1,0 +1,88 @@
+"""Indefinite tangents on several ranks: the same choice, counts and refusals as on one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from prestressed import pressed_block
+
+from fenics_tfeti.errors import UnstableTangent
+from fenics_tfeti.feti import Options, TornSolution, TornSolver, TornSystem, prepare_tangents
+
+COMM = MPI.COMM_WORLD
+BLOCKS: dict[str, dict[str, Any]] = {
+    "2D": {"gdim": 2, "shape": (3, 3), "columns": 6, "layers": 4},
+    "2D, slender": {"gdim": 2, "shape": (12, 2), "columns": 2, "layers": 6, "pressure": 0.1},
+    "3D": {"gdim": 3, "columns": 4, "layers": 1},
+    "2D, punch held by contact": {"gdim": 2, "columns": 5, "clamped": False},
+}
+every_block = pytest.mark.parametrize("name", list(BLOCKS))
+
+
+def systems(name: str) -> tuple[TornSystem, TornSystem]:
+    """Return the system on all ranks and the whole of it on this rank alone."""
+    return tuple(
+        prepare_tangents(pressed_block(**BLOCKS[name], comm=comm)) for comm in (COMM, MPI.COMM_SELF)
+    )
+
+
+@lru_cache(maxsize=None)
+def solutions(name: str, **options: Any) -> tuple[TornSolution, TornSolution]:
+    chosen = Options(rtol=1e-8, **options)
+    return tuple(TornSolver(system, chosen).solve() for system in systems(name))
+
+
+@every_block
+def test_same_tangents_as_on_one_rank(name):
+    dealt, alone = systems(name)
+    for part, expected in zip(
+        dealt.subdomains, alone.subdomains[COMM.rank :: COMM.size], strict=True
+    ):
+        assert part.kernel == expected.kernel
+        assert abs(part.stiffness - expected.stiffness).max() <= 1e-13
+
+
+@pytest.mark.parametrize("coarse_solver", ["redundant", "distributed"])
+@every_block
+def test_same_counts_as_on_one_rank(name, coarse_solver):
+    found, alone = solutions(name, coarse_solver=coarse_solver)
+    for key in ("negative", "vectors"):
+        assert found.report.deflation[key] == alone.report.deflation[key] > 0
+    counts = [solution.report.products["total"] for solution in (found, alone)]
+    assert abs(counts[0] - counts[1]) <= 1
+
+
+@pytest.mark.parametrize("method", ["active_set", "smalbe"])
+@every_block
+def test_same_solution_as_on_one_rank(name, method):
+    found, alone = solutions(name, method=method)
+    assert found.report.energy == pytest.approx(alone.report.energy, rel=1e-9)
+    largest = max(np.abs(u).max() for u in alone.displacements)
+    mine = alone.displacements[COMM.rank :: COMM.size]
+    for u, expected in zip(found.displacements, mine, strict=True):
+        np.testing.assert_allclose(u, expected, rtol=0.0, atol=1e-6 * largest)
+
+
+def test_ranks_without_subdomains():
+    alone = pressed_block()
+    parts = alone if COMM.rank == 0 else pressed_block(comm=COMM)
+    subdomains = alone.subdomains if COMM.rank == 0 else []
+    prepared = prepare_tangents(replace(parts, subdomains=subdomains, comm=COMM))
+    report = TornSolver(prepared, Options(rtol=1e-8)).solve().report
+    expected = TornSolver(prepare_tangents(alone), Options(rtol=1e-8)).solve().report
+    assert report.deflation["negative"] == expected.deflation["negative"]
+    assert report.energy == pytest.approx(expected.energy, rel=1e-9)
+
+
+def test_unstable_tangent_is_refused_on_all_ranks():
+    system = pressed_block(2, 0.1, shape=(2, 12), columns=6, layers=1, comm=COMM)
+    with pytest.raises(UnstableTangent, match="have 24 negative .* remove 23"):
+        TornSolver(prepare_tangents(system, "exact"))
+    found = TornSolver(prepare_tangents(system, "projected")).solve()
+    assert found.report.converged
