@@ -35,7 +35,7 @@ from fenics_tfeti.feti.local.rigid_body_modes import (
     translations_and_rotations,
 )
 from fenics_tfeti.feti.system import Subdomain, TornSystem
-from fenics_tfeti.feti.tolerances import NEGLIGIBLE, WEAK, ZERO
+from fenics_tfeti.feti.tolerances import ENERGY, NEGLIGIBLE, WEAK, ZERO, rounding
 from fenics_tfeti.parallel import Directory, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -94,17 +94,17 @@ def _tangent(subdomain: Subdomain, exact: bool) -> Subdomain:
     K, x = subdomain.stiffness, subdomain.coordinates_in_frame
     stressed = replace(subdomain, kernel="translations")
     translations, rotations = translations_and_rotations(x)
-    forces = forces_of_motions(K, np.hstack([translations, rotations]))
-    if forces[:, : x.shape[1]].any():
+    energies = np.abs(translations.T @ (K @ translations))
+    if energies.max() > rounding(np.abs(K.data).max(initial=0.0), ENERGY):
         # elastic supports, or axisymmetry
         return stressed
-    _, sizes, motions = np.linalg.svd(forces[:, x.shape[1] :], full_matrices=False)
+    _, sizes, motions = np.linalg.svd(K @ rotations, full_matrices=False)
     share = share_of_shear(bulk_over_shear(K, x), x.shape[1])
     free = sizes <= _STRESSED * share * K.diagonal().mean()
     if not exact or free.all():
         return replace(subdomain, stiffness=projected_tangent(K, x), kernel="rigid")
     R = np.hstack([translations, rotations @ motions[free].T])
-    return replace(stressed, stiffness=_projected(K, R, _fixed(K, x, _FIXING_NODES)))
+    return replace(stressed, stiffness=_projected(K, x, R, _FIXING_NODES)[0])
 
 
 def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_matrix:
@@ -129,8 +129,7 @@ def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_m
     """
     R, number = rigid_body_modes(coordinates), _FIXING_NODES
     while True:
-        fixed = _fixed(stiffness, coordinates, number)
-        K = _projected(stiffness, R, fixed)
+        K, fixed = _projected(stiffness, coordinates, R, number)
         if K is stiffness:
             return K
         rest = np.setdiff1d(np.arange(len(R)), fixed)
@@ -140,25 +139,24 @@ def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_m
         number *= 2
 
 
-def _fixed(stiffness: sp.csr_matrix, coordinates: Vector, number: int) -> Numbers:
-    """Return the unknowns of fixing nodes."""
-    gdim = coordinates.shape[1]
-    nodes = fixing_nodes(stiffness, coordinates, number)
-    return (gdim * nodes[:, None] + np.arange(gdim)).ravel()
-
-
-def _projected(stiffness: sp.csr_matrix, R: Vector, fixed: Numbers) -> sp.csr_matrix:
-    """Return P'KP for A on the fixed unknowns; K itself if K R is rounding."""
+def _projected(
+    stiffness: sp.csr_matrix, coordinates: Vector, R: Vector, number: int
+) -> tuple[sp.csr_matrix, Numbers]:
+    """Return P'KP and the unknowns of the fixing nodes; K itself and none if K R is rounding."""
     forces = sp.csr_matrix(forces_of_motions(stiffness, R))
     if not forces.nnz:
-        return stiffness
+        return stiffness, np.zeros(0, dtype=np.int64)
+    gdim = coordinates.shape[1]
+    nodes = fixing_nodes(stiffness, coordinates, number)
+    fixed = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
     weights = R[fixed] @ np.linalg.inv(R[fixed].T @ R[fixed])
     rows = np.repeat(fixed, R.shape[1])
     columns = np.tile(np.arange(R.shape[1]), fixed.size)
     A = sp.csr_matrix((weights.ravel(), (rows, columns)), shape=R.shape)
     energies = sp.csr_matrix(R.T @ forces)
     low = A @ forces.T
-    return (stiffness - low - low.T + A @ (0.5 * (energies + energies.T)) @ A.T).tocsr()
+    projected = stiffness - low - low.T + A @ (0.5 * (energies + energies.T)) @ A.T
+    return projected.tocsr(), fixed
 
 
 def _without_negative_energies(
