@@ -263,16 +263,13 @@ class NonlinearContactProblem:
         """Go on from a checkpoint, and fill `u`; see `ContactProblem.restore`. Collective."""
         if self._solved is not None:
             raise InputError("a checkpoint is for a problem that was not solved yet")
-        self._step = read_step(path, self._torn.nodes, self._names())
+        self._step = read_step(path, self._torn.nodes, self._torn.names)
         fill_owned(self.u, self._step.displacement)
         return self._step.number
 
     def _save(self, checkpoint: str | os.PathLike[str] | None) -> None:
         if checkpoint is not None:
-            write_step(checkpoint, self._torn.nodes, self._names(), self._step)
-
-    def _names(self) -> list[str]:
-        return [pairing.name for pairing in self._torn.undeformed.pairings]
+            write_step(checkpoint, self._torn.nodes, self._torn.names, self._step)
 
     def _no_forces(self) -> Vector:
         return np.zeros((len(self._torn.data.touching), self._torn.nodes.owned))
@@ -314,8 +311,12 @@ class NonlinearContactProblem:
         with raise_collectively(self.space.mesh.comm):
             self.bcs, self.contacts = as_conditions(self.bcs), _as_contacts(self.contacts)
         origin = self._step.origin
-        if self._torn.update(self.bcs, self.contacts):
+        if self._torn.torn.has_moved():
             origin = SlipOrigin(owned_values(self.u), np.zeros_like(origin.obstacles))
+        elif _are_same(self.contacts, self._torn.data.contacts):
+            self._torn.update_supports(self.bcs)
+            return
+        self._torn.update(self.bcs, self.contacts)
         origin = origin.resized(len(self._torn.data.touching))
         self._step = replace(self._step, origin=origin)
 
@@ -324,16 +325,17 @@ class NonlinearContactProblem:
         solution = iteration.solution
         self._solved = state.rows.conditions.solved(solution, self.u)
         self.results = self._solved.as_given()
-        self.report = NonlinearReport(
-            **{
-                **vars(solution.report),
-                "contacts": [result.entry for result in self.results],
-                "versions": {**solution.report.versions, "dolfinx": _compat.version()},
-                "options": {**solution.report.options, **self.options.as_dict()},
-                "newton": list(iteration.steps),
-            }
+        self.report = NonlinearReport.of(
+            solution.report, self.results, self.options.as_dict(), newton=list(iteration.steps)
         )
         self._step = replace(self._step, force=self._solved.nodal_forces())
+
+
+def _are_same(contacts: Sequence[object], others: Sequence[object]) -> bool:
+    """Tell whether lists have the same objects."""
+    return len(contacts) == len(others) and all(
+        a is b for a, b in zip(contacts, others, strict=True)
+    )
 
 
 def _as_contacts(contacts: Any) -> list[Contact | TiedPair]:

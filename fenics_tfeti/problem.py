@@ -22,32 +22,27 @@ from fenics_tfeti.fem.arguments import (
     as_forms,
     as_geometry,
 )
-from fenics_tfeti.fem.contact.contact_set import ContactSearch, ContactSet, SolvedContacts
+from fenics_tfeti.fem.contact.contact_set import ContactSet, SolvedContacts
 from fenics_tfeti.fem.contact.deformed import GeometryPass, geometry_pass
 from fenics_tfeti.fem.contact.description import Contact, Exact, TiedPair
 from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.slip import SlipOrigin
-from fenics_tfeti.fem.contact.transfer import check_same_contacts, expected_contact
-from fenics_tfeti.fem.decomposition.bodies import find_bodies
-from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
+from fenics_tfeti.fem.contact.transfer import SolvedContact, check_coarse, expected_contact
 from fenics_tfeti.fem.displacement import (
     fill_displacement,
     fill_owned,
     owned_values,
-    prescribed_values,
     space_of_forms,
 )
 from fenics_tfeti.fem.locking import warn_of_locking
-from fenics_tfeti.fem.mesh_checks import check_mesh
-from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.strains import warn_of_large_gradients
+from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
 from fenics_tfeti.feti import (
     ContactGuess,
     MonitorFunction,
     Timer,
     TornSolution,
     TornSolver,
-    TornSystem,
     interruption,
 )
 from fenics_tfeti.feti.local.cholesky import check_real_numbers
@@ -152,37 +147,23 @@ class ContactProblem:
         self._timer = Timer()
         a, L = as_forms(a, L)
         self.space = space_of_forms(a, L)
-        self._nodes = NodeMap(self.space)
         self.geometry = as_geometry(geometry)
         self.bcs, self.contacts = as_conditions(bcs), as_contacts(contacts, self.geometry)
         self.u = as_displacement(u, self.space)
         self.results = Results()
-        with self._timer.phase("partition"):
-            self._bodies = find_bodies(self.space.mesh, cell_tags)
-            check_mesh(self.space.mesh, self._bodies, self._touching())
-        self._search = ContactSearch(self.space, self._bodies, measure_weight, self._timer)
-        origin = SlipOrigin.undeformed(self.space, len(self._touching()))
+        compiler = _compat.CompilerOptions(form_compiler_options, jit_options)
+        data = ProblemData(self.bcs, self.contacts, cell_tags, subdomains, measure_weight, compiler)
+        size, partitioner = self.options.subdomain_size, self.options.partitioner
+        self._torn = TornProblem(self.space, a, L, data, size, partitioner, self._timer)
+        with self._timer.phase("assembly"):
+            warn_of_locking(self._torn.torn.forms, self._torn.bodies)
+        origin = SlipOrigin.undeformed(self.space, len(data.touching))
+        self.system = self._torn.system(origin)
         self._step = Step(origin.displacement, np.zeros((0, 0)), origin)
         self._is_restored = self._is_solved = self._has_warned = False
         self._deformed: ContactSet | None = None  # after the last pass
         self._solved: SolvedContacts | None = None
         self._solver: TornSolver | None = None
-        found = self._find_contacts()
-        self._torn = TornMesh(
-            self.space,
-            a,
-            L,
-            _compat.CompilerOptions(form_compiler_options, jit_options),
-            self._bodies,
-            self._search.boundary.coordinates,
-            subdomains,
-            self.options.subdomain_size,
-            self.options.partitioner,
-            self._timer,
-        )
-        with self._timer.phase("assembly"):
-            warn_of_locking(self._torn.forms, self._bodies)
-        self._assemble(found)
 
     def solve(
         self,
@@ -255,7 +236,7 @@ class ContactProblem:
             self._is_solved = True
             if not self._has_warned:
                 energy = [body.energy_norm**2 for body in self.report.certificate.bodies]
-                self._has_warned = warn_of_large_gradients(uh, self._bodies, energy)
+                self._has_warned = warn_of_large_gradients(uh, self._torn.bodies, energy)
             self._step = replace(self._step, passes=())
             self._save(checkpoint)
             try:
@@ -282,7 +263,7 @@ class ContactProblem:
         """
         if not self._is_solved:
             raise InputError("there is no step to accept; call solve() before advance()")
-        displacements = self._undeformed.obstacle_displacements()
+        displacements = self._torn.undeformed.obstacle_displacements()
         origin = SlipOrigin(self._step.displacement, displacements)
         self._step = replace(self._step, origin=origin, number=self._step.number + 1)
         self._is_solved = False
@@ -303,7 +284,7 @@ class ContactProblem:
 
     def reset_slip(self) -> None:
         """Count slip from the undeformed state in the next solve, as in the first one."""
-        origin = SlipOrigin.undeformed(self.space, len(self._touching()))
+        origin = SlipOrigin.undeformed(self.space, len(self._torn.data.touching))
         self._step = replace(self._step, origin=origin)
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -360,43 +341,16 @@ class ContactProblem:
         """
         if self._solver is not None:
             raise InputError("a checkpoint is for a problem that was not solved yet")
-        self._step = read_step(path, self._nodes, self._touching_names())
+        self._step = read_step(path, self._torn.nodes, self._torn.names)
         self._is_restored = True
         return self._step.number
 
     def _save(self, checkpoint: str | os.PathLike[str] | None) -> None:
         """Write the checkpoint, if there is to be one."""
         if checkpoint is not None:
-            write_step(checkpoint, self._nodes, self._touching_names(), self._step)
+            write_step(checkpoint, self._torn.nodes, self._torn.names, self._step)
 
     # -- the present data --------------------------------------------------------------------------
-
-    def _touching(self) -> list[Contact]:
-        """Return the contacts without tied pairs."""
-        return [contact for contact in self.contacts if not isinstance(contact, TiedPair)]
-
-    def _touching_names(self) -> list[str]:
-        return [pairing.name for pairing in self._undeformed.pairings]
-
-    def _find_contacts(self) -> ContactSet:
-        return self._search.find(self.contacts, prescribed_values(self.space, self.bcs))
-
-    def _assemble(self, found: ContactSet) -> None:
-        """Make the torn system from the conditions of contacts, which may exchange roles."""
-        torn = self._torn.assemble(self._release)
-        self._undeformed = found = self._search.with_roles(found, self.contacts, torn)
-        self.system = TornSystem(
-            torn,
-            found.prescribed,
-            found.rows(),
-            self.space.mesh.geometry.dim,
-            self._bodies.names,
-            found.names,
-            self.space.mesh.comm,
-            [f"Dirichlet condition {i}" for i in range(len(self.bcs))],
-            found.tied_rows(),
-            found.friction_rows(self._step.origin),
-        )
 
     def _refresh(self) -> None:
         """Update the system by all that changed since the last solve or the set-up."""
@@ -404,43 +358,19 @@ class ContactProblem:
             self.bcs = as_conditions(self.bcs)
             self.contacts = as_contacts(self.contacts, self.geometry)
             self.u = as_displacement(self.u, self.space)
-        origin = self._step.origin.resized(len(self._touching()))
-        self._step = replace(self._step, origin=origin)
-        if self._torn.has_moved():
-            check_mesh(self.space.mesh, self._bodies, self._touching())
-            self._search.forget()
+        if self._torn.torn.has_moved():
             self._deformed = None
             self.reset_slip()
-            self._torn.place_nodes(self._search.boundary.coordinates)
-        self._assemble(self._find_contacts())
+        self._torn.update(self.bcs, self.contacts, self._release)
+        origin = self._step.origin.resized(len(self._torn.data.touching))
+        self._step = replace(self._step, origin=origin)
+        self.system = self._torn.system(origin)
 
     def _release(self) -> None:
         """Free the last stiffness matrices and factors, before others take their place."""
-        if hasattr(self, "system"):
-            self.system = replace(self.system, subdomains=[])
+        self.system = replace(self.system, subdomains=[])
         if self._solver is not None:
             self._solver.release()
-
-    def _check_coarse(self, coarse: Any) -> None:
-        with raise_collectively(self.space.mesh.comm):
-            if not isinstance(coarse, ContactProblem):
-                raise InputError(
-                    f"coarse is a {type(coarse).__name__}; a ContactProblem is expected, solved on "
-                    "another mesh"
-                )
-            if coarse.system.gdim != self.system.gdim:
-                raise InputError(
-                    f"the coarse problem has {coarse.system.gdim} dimensions, this one has "
-                    f"{self.system.gdim}"
-                )
-            check_same_contacts(coarse.system.contact_names, self.system.contact_names)
-            if self.options.solver.method != "active_set":
-                raise InputError(
-                    "a coarse problem is a start for method='active_set'; with "
-                    f"{self.options.solver.method!r} leave it out"
-                )
-            if coarse._solved is None:
-                raise InputError("the coarse problem is not solved; call its solve() first")
 
     # -- solutions ---------------------------------------------------------------------------------
 
@@ -453,16 +383,29 @@ class ContactProblem:
         self._is_solved = False
         # also at first: values may have changed since the problem was set up
         self._refresh()
-        if coarse is not None:
-            self._check_coarse(coarse)
+        solved = None if coarse is None else self._solved_on(coarse)
         if self.geometry is None:
-            return self._solve_linearised(self._undeformed, coarse, monitor)
-        return self._solve_exactly(self.geometry, coarse, monitor, checkpoint)
+            return self._solve_linearised(self._torn.undeformed, solved, monitor)
+        return self._solve_exactly(self.geometry, solved, monitor, checkpoint)
+
+    def _solved_on(self, coarse: Any) -> list[SolvedContact]:
+        """Return the contact of a problem on another mesh, whatever the user gave as one."""
+        with raise_collectively(self.space.mesh.comm):
+            if not isinstance(coarse, ContactProblem):
+                raise InputError(
+                    f"coarse is a {type(coarse).__name__}; a ContactProblem is expected, solved on "
+                    "another mesh"
+                )
+            check_coarse(coarse.system, self.system, self.options.solver.method)
+            if coarse._solved is None:
+                raise InputError("the coarse problem is not solved; call its solve() first")
+        with self._timer.phase("coarse contact"):
+            return coarse._solved.gathered()
 
     def _solve_linearised(
         self,
         conditions: ContactSet,
-        coarse: ContactProblem | None,
+        coarse: list[SolvedContact] | None,
         monitor: MonitorFunction | None,
     ) -> Function:
         friction = conditions.friction_rows(self._step.origin)
@@ -481,19 +424,21 @@ class ContactProblem:
             raise
         return self._store_results(solution, conditions)
 
-    def _guess(self, coarse: ContactProblem | None, conditions: ContactSet) -> ContactGuess | None:
+    def _guess(
+        self, coarse: list[SolvedContact] | None, conditions: ContactSet
+    ) -> ContactGuess | None:
         """Return the contact of a coarse problem, or that of a checkpoint."""
-        if coarse is not None and coarse._solved is not None:
+        if coarse is not None:
             with self._timer.phase("coarse contact"):
-                return expected_contact(coarse._solved.gathered(), conditions.pairings)
+                return expected_contact(coarse, conditions.pairings)
         if not self._is_restored or self.options.solver.method != "active_set":
             return None
-        return self._step.guess(conditions.pairings, self._nodes.first)
+        return self._step.guess(conditions.pairings, self._torn.nodes.first)
 
     def _solve_exactly(
         self,
         geometry: Exact,
-        coarse: ContactProblem | None,
+        coarse: list[SolvedContact] | None,
         monitor: MonitorFunction | None,
         checkpoint: str | os.PathLike[str] | None,
     ) -> Function:
@@ -521,7 +466,7 @@ class ContactProblem:
 
     def _first_conditions(self) -> ContactSet:
         """Return the conditions where the last solution ended, nearer than the undeformed ones."""
-        undeformed = self._undeformed
+        undeformed = self._torn.undeformed
         if self._is_restored:
             uh = fill_owned(Function(self.space), self._step.displacement)
             with self._timer.phase("deformed surfaces"):
@@ -546,18 +491,10 @@ class ContactProblem:
         return uh
 
     def _store_results(self, solution: TornSolution, conditions: ContactSet) -> Function:
-        report = solution.report
         uh = fill_displacement(self.u, self.system.subdomains, solution.displacements)
         self._solved = solved = conditions.solved(solution, uh)
         self.results = solved.as_given()
-        self.report = ContactReport(
-            **{
-                **vars(report),
-                "contacts": [result.entry for result in self.results],
-                "versions": {**report.versions, "dolfinx": _compat.version()},
-                "options": {**report.options, **self.options.as_dict()},
-            }
-        )
+        self.report = ContactReport.of(solution.report, self.results, self.options.as_dict())
         displacement, force = owned_values(uh), solved.nodal_forces()
         self._step = replace(self._step, displacement=displacement, force=force)
         return uh

@@ -6,13 +6,14 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, Self
 
 from mpi4py import MPI
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.deformed import GeometryPass
-from fenics_tfeti.fem.contact.result import ContactEntry
+from fenics_tfeti.fem.contact.result import ContactEntry, Results
 from fenics_tfeti.fem.io.scene import gather_scene
 from fenics_tfeti.fem.units import Units, units_of
 from fenics_tfeti.feti import Report
@@ -36,6 +37,16 @@ class ContactReport(Report):
 
     contacts: Sequence[ContactEntry]
     passes: list[GeometryPass] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, report: Report, results: Results, options: Mapping[str, Any], **more: Any) -> Self:
+        """Return the solver's report with what the contacts and options of a problem add."""
+        added = {
+            "contacts": [result.entry for result in results],
+            "versions": {**report.versions, "dolfinx": _compat.version()},
+            "options": {**report.options, **options},
+        }
+        return cls(**{**vars(report), **added, **more})
 
     def __str__(self) -> str:
         """Return the main figures and the pairing as lines to read."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,6 +16,7 @@ from dolfinx.fem import Function, FunctionSpace
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact_set import ContactSearch, ContactSet
 from fenics_tfeti.fem.contact.description import Contact, TiedPair
+from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.decomposition.partition import Partitioner
 from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
@@ -23,7 +24,8 @@ from fenics_tfeti.fem.displacement import prescribed_values
 from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.feti import Prescribed, Timer, TornSystem
+from fenics_tfeti.feti import Friction, Timer, TornSystem
+from fenics_tfeti.typing import Vector
 
 
 @dataclass(frozen=True)
@@ -63,8 +65,7 @@ class TornProblem:
             self.bodies = find_bodies(space.mesh, data.cell_tags)
             check_mesh(space.mesh, self.bodies, data.touching)
         self._search = ContactSearch(space, self.bodies, data.measure_weight, timer)
-        prescribed = prescribed_values(space, data.bcs)
-        found = self._search.find(data.contacts, prescribed)
+        found = self._find()
         self.torn = TornMesh(
             space,
             a,
@@ -77,53 +78,81 @@ class TornProblem:
             partitioner,
             timer,
         )
-        torn = self.torn.assemble(lambda: None)
-        self.undeformed = self._search.with_roles(found, data.contacts, torn)
+        self._assemble(found)
 
-    def update(self, bcs: list[Any], contacts: list[Contact | TiedPair]) -> bool:
-        """Take the present data; tell whether nodes of the mesh were moved. Collective."""
-        last, self.data = self.data, replace(self.data, bcs=bcs, contacts=contacts)
-        moved = self.torn.has_moved()
-        if moved:
+    @property
+    def names(self) -> list[str]:
+        """The names of the contacts without tied pairs."""
+        return [pairing.name for pairing in self.undeformed.pairings]
+
+    def update(
+        self,
+        bcs: list[Any],
+        contacts: list[Contact | TiedPair],
+        release: Callable[[], None] | None = None,
+    ) -> None:
+        """Take the present data; find, and assemble after `release`, what changed. Collective."""
+        self.data = replace(self.data, bcs=bcs, contacts=contacts)
+        if self.torn.has_moved():
             check_mesh(self.space.mesh, self.bodies, self.data.touching)
             self._search.forget()
             self.torn.place_nodes(self._search.boundary.coordinates)
-        prescribed = prescribed_values(self.space, bcs)
-        same = len(contacts) == len(last.contacts) and all(
-            new is old for new, old in zip(contacts, last.contacts, strict=True)
-        )
-        if same and not moved:
-            self.undeformed = replace(self.undeformed, prescribed=prescribed)
-            return False
-        found = self._search.find(contacts, prescribed)
-        torn = self.torn.assemble(lambda: None)
-        self.undeformed = self._search.with_roles(found, contacts, torn)
-        return moved
+        self._assemble(self._find(), release)
 
-    def system_at(self, u: Function, rows: DeformedRows, prescribed: Prescribed) -> TornSystem:
-        """Return the tangents and loads at a displacement, for an increment of it. Collective."""
-        values = self.nodes.values(u)
+    def update_supports(self, bcs: list[Any]) -> None:
+        """Take the present supports; contacts are those that were found. Collective."""
+        self.data = replace(self.data, bcs=bcs)
+        prescribed = prescribed_values(self.space, bcs)
+        self.undeformed = replace(self.undeformed, prescribed=prescribed)
+
+    def _find(self) -> ContactSet:
+        prescribed = prescribed_values(self.space, self.data.bcs)
+        return self._search.find(self.data.contacts, prescribed)
+
+    def _assemble(self, found: ContactSet, release: Callable[[], None] | None = None) -> None:
+        """Assemble the subdomains, after which slave and master may be exchanged."""
+        subdomains = self.torn.assemble(release or (lambda: None))
+        self.undeformed = self._search.with_roles(found, self.data.contacts, subdomains)
+
+    def system(self, origin: SlipOrigin) -> TornSystem:
+        """Return the torn system, with slip counted from its origin. Collective."""
+        return self._system(self.undeformed, self.undeformed.friction_rows(origin))
+
+    def _system(self, conditions: ContactSet, friction: Friction) -> TornSystem:
+        return TornSystem(
+            self.torn.subdomains,
+            conditions.prescribed,
+            conditions.rows(),
+            self.space.mesh.geometry.dim,
+            self.bodies.names,
+            conditions.names,
+            self.space.mesh.comm,
+            [f"Dirichlet condition {i}" for i in range(len(self.data.bcs))],
+            conditions.tied_rows(),
+            friction,
+        )
+
+    def system_at(self, u: Function, rows: DeformedRows) -> TornSystem:
+        """Return the system for an increment of u: tangents and loads there. Collective.
+
+        The coordinates are the deformed ones.
+        """
+        values, prescribed = self.nodes.values(u), rows.conditions.prescribed
         subdomains = [
             replace(s, coordinates=s.coordinates + values[self.nodes.to_local(s.nodes)])
             for s in self.torn.assemble(lambda: None)
         ]
-        conditions, comm = rows.conditions, self.space.mesh.comm
         local = self.nodes.to_local(prescribed.nodes)
         increment = prescribed.values - values[local, prescribed.components]
-        return TornSystem(
-            subdomains,
-            replace(prescribed, values=increment),
-            rows.contacts,
-            self.space.mesh.geometry.dim,
-            self.bodies.names,
-            conditions.names,
-            comm,
-            [f"Dirichlet condition {i}" for i in range(len(self.data.bcs))],
-            rows.tied,
-            rows.friction,
+        return replace(
+            self._system(rows.conditions, rows.friction),
+            subdomains=subdomains,
+            prescribed=replace(prescribed, values=increment),
+            contacts=rows.contacts,
+            tied=rows.tied,
         )
 
-    def internal_force(self) -> Any:
+    def internal_force(self) -> Vector:
         """Return F(u) (nodes, gdim) at the nodes that this rank owns [N]. Collective."""
         return np.negative(self.torn.load())
 

@@ -19,7 +19,7 @@ from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.result import ContactResult
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-from fenics_tfeti.feti.system import ContactGuess
+from fenics_tfeti.feti.system import ContactGuess, TornSystem
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Vector
 
@@ -94,10 +94,19 @@ def _transfer(solved: SolvedContact, pairing: ContactPairing) -> tuple[Vector, V
     return force, np.where(near, pairing.gap - approach / weight, np.inf)
 
 
-def check_same_contacts(solved: Sequence[str], present: Sequence[str]) -> None:
-    """Check that the coarse mesh and the present one have the same contacts, by their names."""
-    if list(solved) != list(present):
+def check_coarse(coarse: TornSystem, present: TornSystem, method: str) -> None:
+    """Check that a problem on a coarse mesh is for the same contacts, known by their names."""
+    if coarse.gdim != present.gdim:
         raise InputError(
-            f"the coarse problem has the contacts {list(solved)}, this one has {list(present)}: "
+            f"the coarse problem has {coarse.gdim} dimensions, this one has {present.gdim}"
+        )
+    names, present_names = list(coarse.contact_names), list(present.contact_names)
+    if names != present_names:
+        raise InputError(
+            f"the coarse problem has the contacts {names}, this one has {present_names}: "
             "give both problems the same contacts in the same order, under the same names"
+        )
+    if method != "active_set":
+        raise InputError(
+            f"a coarse problem is a start for method='active_set'; with {method!r} leave it out"
         )

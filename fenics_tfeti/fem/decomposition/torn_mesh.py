@@ -65,6 +65,11 @@ class TornMesh:
         # last: after an error above, the nodes count as moved in the next solve too
         self._nodes, self._x = x, self._space.mesh.geometry.x.copy()
 
+    @property
+    def subdomains(self) -> list[Subdomain]:
+        """What was assembled last."""
+        return list(self._subdomains)
+
     def has_moved(self) -> bool:
         """Tell whether nodes were moved since `place_nodes`."""
         domain = self._space.mesh
@@ -85,7 +90,7 @@ class TornMesh:
         elif not same_values(old.linear, new.linear, comm):
             self._subdomains = self._assembled(self._subdomains)
         self._values = new
-        return list(self._subdomains)
+        return self.subdomains
 
     def _assembled(self, known: Sequence[Subdomain] | None) -> list[Subdomain]:
         with self._timer.phase("assembly"):

@@ -37,7 +37,7 @@ def posed(cell="triangle", upper_young=YOUNG, lower=4, upper=4, weight=None, **p
 
 def ratio_of(problem):
     return roles_ratio(
-        problem.space.mesh.comm, problem._undeformed.pairings[0], problem.system.subdomains
+        problem.space.mesh.comm, problem._torn.undeformed.pairings[0], problem.system.subdomains
     )
 
 
