@@ -52,6 +52,36 @@ def isotropic(E: Any, nu: Any, strain: Callable[[Any], Any] = small_strain) -> C
     return stress
 
 
+def neo_hookean(E: Any, nu: Any) -> Callable[[Any], Any]:
+    """Return the strain energy density of a compressible neo-Hookean material.
+
+    W = mu/2 (tr C - 3) - mu ln J + lambda/2 (ln J)^2, with C = F'F, F = I + grad u and J = det F.
+    For small strains it is that of `isotropic`.
+
+    Parameters
+    ----------
+    E : float or UFL expression
+        Young's modulus [Pa].
+    nu : float or UFL expression
+        Poisson's ratio.
+
+    Returns
+    -------
+    callable
+        Of a displacement, the energy per undeformed volume [J/m^3]; in two dimensions that of plane
+        strain.
+    """
+    mu, lmbda = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+
+    def energy(u: Any) -> Any:
+        dim = u.ufl_shape[0]
+        F = ufl.Identity(dim) + ufl.grad(u)
+        log = ufl.ln(ufl.det(F))
+        return mu / 2 * (ufl.inner(F, F) - dim) - mu * log + lmbda / 2 * log**2
+
+    return energy
+
+
 def symmetry_plane(V: Any, facet_tags: Any, tag: int, axis: int) -> Any:
     """Return the Dirichlet condition that nothing moves across a plane of symmetry.
 

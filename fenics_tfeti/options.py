@@ -7,13 +7,14 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 from petsc4py import PETSc
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.decomposition.partition import Partitioner
 from fenics_tfeti.fem.units import UnitSystem
+from fenics_tfeti.feti import TangentKind
 from fenics_tfeti.feti.options import Options, check_range, convert, refuse_unknown
 
 
@@ -54,7 +55,48 @@ class ContactOptions:
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "solver"}
 
 
-def contact_options(options: Mapping[str, Any] | None, prefix: str) -> ContactOptions:
+@dataclass(frozen=True)
+class NewtonOptions(ContactOptions):
+    """Options of `NonlinearContactProblem`: those of `ContactOptions`, and of Newton's method.
+
+    By default ``rtol``, the accuracy of each linearised problem, is 1e-3.
+
+    Attributes
+    ----------
+    newton_rtol : float
+        Residual relative to reactions and contact forces, and penetration and separation relative
+        to the largest displacement, at which Newton's method ends.
+    newton_max_it : int
+        Limit on the Newton steps of a load step.
+    newton_step_limit : float
+        Largest |grad du F^-1| of a Newton step, strain or rotation [rad]; longer steps are cut.
+    newton_anderson : int
+        How many earlier steps are mixed with each; 0 for none.
+    tangent : {"auto", "exact", "projected"}
+        Tangents of subdomains: exact ones, which may be indefinite, or projected on those with all
+        rigid motions as kernel, which are positive semidefinite; auto takes exact ones in bodies
+        that supports hold without contact.
+    """
+
+    newton_rtol: float = 1e-6
+    newton_max_it: int = 30
+    newton_step_limit: float = 0.3
+    newton_anderson: int = 5
+    tangent: TangentKind = "auto"
+
+    def __post_init__(self) -> None:
+        """Check the ranges of numbers."""
+        super().__post_init__()
+        check_range(self, "newton_rtol", 0.0, 1.0)
+        for name in ("newton_max_it", "newton_step_limit"):
+            check_range(self, name, 0, float("inf"))
+        check_range(self, "newton_anderson", -1, float("inf"))
+
+
+_Kind = TypeVar("_Kind", bound=ContactOptions)
+
+
+def contact_options(kind: type[_Kind], options: Mapping[str, Any] | None, prefix: str) -> _Kind:
     """Make options from a mapping, and from PETSc's database and the command line under a prefix.
 
     ``-<prefix><name> value`` on the command line overrides the mapping; strings are converted. An
@@ -69,11 +111,13 @@ def contact_options(options: Mapping[str, Any] | None, prefix: str) -> ContactOp
             f"options is a {type(options).__name__}; expected a dictionary of names and values"
         )
     merged = {**(options or {}), **_command_line(prefix)}
-    contact = [f.name for f in fields(ContactOptions) if f.name != "solver"]
+    if kind is NewtonOptions:
+        merged = {"rtol": 1e-3, **merged}
+    contact = [f.name for f in fields(kind) if f.name != "solver"]
     solver = [f.name for f in fields(Options)]
     refuse_unknown(merged, [*solver, *contact])
     solver_options = convert(Options, {k: v for k, v in merged.items() if k in solver})
-    contact_values = convert(ContactOptions, {k: v for k, v in merged.items() if k in contact})
+    contact_values = convert(kind, {k: v for k, v in merged.items() if k in contact})
     return replace(contact_values, solver=solver_options)
 
 

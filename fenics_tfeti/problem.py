@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -46,7 +46,8 @@ from fenics_tfeti.feti import (
     interruption,
 )
 from fenics_tfeti.feti.local.cholesky import check_real_numbers
-from fenics_tfeti.options import contact_options
+from fenics_tfeti.load_steps import load_steps
+from fenics_tfeti.options import ContactOptions, contact_options
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.report import ContactReport
 
@@ -142,7 +143,7 @@ class ContactProblem:
         jit_options: Mapping[str, Any] | None = None,
     ) -> None:
         check_real_numbers()
-        self.options = contact_options(options, options_prefix)
+        self.options = contact_options(ContactOptions, options, options_prefix)
         self._timer = Timer()
         a, L = as_forms(a, L)
         self.space = space_of_forms(a, L)
@@ -266,6 +267,20 @@ class ContactProblem:
         origin = SlipOrigin(self._step.displacement, displacements)
         self._step = replace(self._step, origin=origin, number=self._step.number + 1)
         self._is_solved = False
+
+    def steps(
+        self,
+        set_load: Callable[[float], Any],
+        begin: float,
+        end: float,
+        *,
+        first: float | None = None,
+    ) -> Iterator[float]:
+        """Solve in load steps, each accepted by `advance`, and yield after each of them.
+
+        As `NonlinearContactProblem.steps`; a step is easy if it did not fail.
+        """
+        return load_steps(self, set_load, begin, end, first, lambda: True)
 
     def reset_slip(self) -> None:
         """Count slip from the undeformed state in the next solve, as in the first one."""

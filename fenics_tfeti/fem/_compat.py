@@ -223,15 +223,26 @@ def geometry_degree(domain: mesh.Mesh) -> int:
     return next((degree for degree in (1, 2) if nodes == cell.nodes(degree)), 3)
 
 
-def gradients_at_nodes(cell: str) -> NDArray[np.float64]:
-    """Return the derivatives (dim, n, n) of the shape functions of degree 2 at its n nodes.
+def lagrange_points(cell: str, degree: int) -> NDArray[np.float64]:
+    """Return the nodes (n, dim) of the Lagrange element of degree 1 or 2 on the reference cell.
 
-    Entry (k, i, j) is that of function j along reference axis k at node i. The same in all versions
-    of basix.
+    The same in all versions of basix.
     """
+    return np.asarray(_lagrange_element(cell, degree).points)
+
+
+def shape_gradients(cell: str, degree: int, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the derivatives (dim, k, n) of shape functions of degree 1 or 2 at k points.
+
+    Entry (a, i, j) is that of function j along reference axis a at point i. The same in all
+    versions of basix.
+    """
+    return np.asarray(_lagrange_element(cell, degree).tabulate(1, points)[1:, :, :, 0])
+
+
+def _lagrange_element(cell: str, degree: int) -> Any:
     kind, family = getattr(basix.CellType, cell), basix.ElementFamily.P
-    element = basix.create_element(family, kind, 2, basix.LagrangeVariant.gll_warped)
-    return np.asarray(element.tabulate(1, element.points)[1:, :, :, 0])
+    return basix.create_element(family, kind, degree, basix.LagrangeVariant.gll_warped)
 
 
 def cell_name(domain: mesh.Mesh) -> str:

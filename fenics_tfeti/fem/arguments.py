@@ -34,6 +34,31 @@ def as_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
     return a, L
 
 
+def as_residual(F: Any, u: Any, J: Any) -> tuple[ufl.Form, ufl.Form]:
+    """Return the tangent and minus the residual; the tangent is by default the derivative."""
+    _check_form(F, "the residual F")
+    if not isinstance(u, Function):
+        raise InputError(
+            f"u is a {type(u).__name__}; the dolfinx.fem.Function of the residual F is expected"
+        )
+    if len(F.arguments()) != 1:
+        raise InputError(
+            f"F has {len(F.arguments())} arguments; a residual has one, its test function: "
+            "ufl.derivative(energy, u, ufl.TestFunction(V))"
+        )
+    if u not in F.coefficients():
+        raise InputError(
+            "F does not depend on u: write the residual with the Function u, not with a trial "
+            "function"
+        )
+    if F.arguments()[0].ufl_function_space() != u.function_space:
+        raise InputError("u is not on the function space of the test function of F; use one space")
+    if J is None:
+        J = ufl.derivative(F, u, ufl.TrialFunction(u.function_space))
+    _check_form(J, "the tangent J")
+    return J, -F
+
+
 def as_displacement(u: Any, space: FunctionSpace) -> Function:
     """Return the function that solves fill, by default a new one."""
     if u is None:
@@ -63,8 +88,13 @@ def as_geometry(geometry: Any) -> Exact | None:
     )
 
 
-def as_contacts(contacts: Any, geometry: Exact | None) -> list[Contact | TiedPair]:
-    """Return the contacts and tied pairs as a list: none for None, one for a single one."""
+def as_contacts(
+    contacts: Any, geometry: Exact | None, what: str = "geometry=Exact()"
+) -> list[Contact | TiedPair]:
+    """Return the contacts and tied pairs as a list: none for None, one for a single one.
+
+    With a geometry, gaps are measured on the deformed mesh, as messages say by `what` does so.
+    """
     names = ("contacts", "ContactPair, RigidObstacle or TiedPair", "contact")
     expected = "a ContactPair, a RigidObstacle or a TiedPair"
     listed = _listed(contacts, _is_contact, names, expected)
@@ -72,7 +102,7 @@ def as_contacts(contacts: Any, geometry: Exact | None) -> list[Contact | TiedPai
         if isinstance(contact, ContactPair) and contact.initial_gap != "geometric":
             raise InputError(
                 f"{contact_name(contact, number)}: initial_gap={contact.initial_gap!r} replaces "
-                "the gap of the mesh, but geometry=Exact() measures gaps on the deformed mesh. "
+                f"the gap of the mesh, but {what} measures gaps on the deformed mesh. "
                 "Leave out one of them"
             )
     return listed

@@ -113,7 +113,8 @@ def check_shapes(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
 
 def _range_in_curved_cells(domain: Mesh, cells: CellGeometry) -> tuple[Vector, Vector]:
     """Return the smallest and the largest det J (m,) at the nodes of cells of degree 2."""
-    nodes, gradients = _compat.geometry_cells(domain), _compat.gradients_at_nodes(cells.type.name)
+    nodes, cell = _compat.geometry_cells(domain), cells.type.name
+    gradients = _compat.shape_gradients(cell, 2, _compat.lagrange_points(cell, 2))
     lowest, highest = np.empty((2, cells.body.size))
     for batch in batches(cells.body.size, _CELLS):
         columns = [derivative @ cells.x[:, nodes[batch].T] for derivative in gradients]

@@ -6,8 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from mpi4py import MPI
+
+import numpy as np
+
 import ufl
-from dolfinx.fem import FunctionSpace
+from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact_set import ContactSearch, ContactSet
@@ -18,8 +22,10 @@ from fenics_tfeti.fem.decomposition.partition import Partitioner
 from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
 from fenics_tfeti.fem.displacement import prescribed_values
 from fenics_tfeti.fem.mesh_checks import check_mesh
+from fenics_tfeti.fem.newton.equilibrium import DeformedRows
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.feti import Timer, TornSystem
+from fenics_tfeti.feti import Friction, Timer, TornSystem
+from fenics_tfeti.typing import Vector
 
 
 @dataclass(frozen=True)
@@ -93,6 +99,12 @@ class TornProblem:
             self.torn.place_nodes(self._search.boundary.coordinates)
         self._assemble(self._find(), release)
 
+    def update_supports(self, bcs: list[Any]) -> None:
+        """Take the present supports; contacts are those that were found. Collective."""
+        self.data = replace(self.data, bcs=bcs)
+        prescribed = prescribed_values(self.space, bcs)
+        self.undeformed = replace(self.undeformed, prescribed=prescribed)
+
     def _find(self) -> ContactSet:
         prescribed = prescribed_values(self.space, self.data.bcs)
         return self._search.find(self.data.contacts, prescribed)
@@ -104,15 +116,47 @@ class TornProblem:
 
     def system(self, origin: SlipOrigin) -> TornSystem:
         """Return the torn system, with slip counted from its origin. Collective."""
+        return self._system(self.undeformed, self.undeformed.friction_rows(origin))
+
+    def _system(self, conditions: ContactSet, friction: Friction) -> TornSystem:
         return TornSystem(
             self.torn.subdomains,
-            self.undeformed.prescribed,
-            self.undeformed.rows(),
+            conditions.prescribed,
+            conditions.rows(),
             self.space.mesh.geometry.dim,
             self.bodies.names,
-            self.undeformed.names,
+            conditions.names,
             self.space.mesh.comm,
             [f"Dirichlet condition {i}" for i in range(len(self.data.bcs))],
-            self.undeformed.tied_rows(),
-            self.undeformed.friction_rows(origin),
+            conditions.tied_rows(),
+            friction,
         )
+
+    def system_at(self, u: Function, rows: DeformedRows) -> TornSystem:
+        """Return the system for an increment of u: tangents and loads there. Collective.
+
+        The coordinates are the deformed ones.
+        """
+        values, prescribed = self.nodes.values(u), rows.conditions.prescribed
+        subdomains = [
+            replace(s, coordinates=s.coordinates + values[self.nodes.to_local(s.nodes)])
+            for s in self.torn.assemble(lambda: None)
+        ]
+        local = self.nodes.to_local(prescribed.nodes)
+        increment = prescribed.values - values[local, prescribed.components]
+        return replace(
+            self._system(rows.conditions, rows.friction),
+            subdomains=subdomains,
+            prescribed=replace(prescribed, values=increment),
+            contacts=rows.contacts,
+            tied=rows.tied,
+        )
+
+    def internal_force(self) -> Vector:
+        """Return F(u) (nodes, gdim) at the nodes that this rank owns [N]. Collective."""
+        return np.negative(self.torn.load())
+
+    def largest_stiffness(self) -> float:
+        """Return the largest entry of the subdomains' matrices [N/m]. Collective."""
+        entries = [np.abs(s.stiffness.data).max() for s in self.torn.assemble(lambda: None)]
+        return float(self.space.mesh.comm.allreduce(max(entries, default=0.0), MPI.MAX))

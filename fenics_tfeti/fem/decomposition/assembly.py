@@ -64,7 +64,7 @@ class PreparedForms:
         `a` is translation invariant; those that are rotated or mirrored, if the matrices of their
         cells are.
         """
-        loads = self._loads(parts)
+        loads = self.loads(parts)
         if known is not None:
             return [replace(old, load=load) for old, load in zip(known, loads, strict=True)]
         x = self.space.tabulate_dof_coordinates() if x is None else x
@@ -82,6 +82,12 @@ class PreparedForms:
             )
             for part, j, load in zip(parts, first, loads, strict=True)
         ]
+
+    def loads(self, parts: Sequence[Part]) -> list[NDArray[np.float64]]:
+        """Assemble f_i of this rank's subdomains. Collective."""
+        V, ends = self._torn_space(parts)
+        load = _compat.assemble_load(self.linear.bind([V], [part.cells for part in parts]))
+        return [load[begin:end].copy() for begin, end in pairwise(ends)]
 
     def cell_matrices(self, cells: NDArray[np.int32]) -> NDArray[np.float64]:
         """Return the matrices (m, n, n) of some of this rank's cells, their nodes in order."""
@@ -141,11 +147,6 @@ class PreparedForms:
                 T = np.kron(np.eye(nodes.shape[1]), part.rotation)
                 matrices[i] = T.T @ matrices[i] @ T
         return matrices
-
-    def _loads(self, parts: Sequence[Part]) -> list[NDArray[np.float64]]:
-        V, ends = self._torn_space(parts)
-        load = _compat.assemble_load(self.linear.bind([V], [part.cells for part in parts]))
-        return [load[begin:end].copy() for begin, end in pairwise(ends)]
 
     def _torn_space(self, parts: Sequence[Part]) -> tuple[FunctionSpace, list[int]]:
         """Return a space with the parts' nodes, part by part, and the parts' first unknowns."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 import ufl
 from dolfinx.fem import FunctionSpace
 
@@ -16,6 +18,7 @@ from fenics_tfeti.fem.decomposition.partition import (
     split_into_subdomains,
 )
 from fenics_tfeti.fem.decomposition.parts import number_parts
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.typing import Vector
@@ -92,3 +95,12 @@ class TornMesh:
     def _assembled(self, known: Sequence[Subdomain] | None) -> list[Subdomain]:
         with self._timer.phase("assembly"):
             return self.forms.subdomains(self._parts, known, self._nodes)
+
+    def load(self) -> Vector:
+        """Return the load (nodes, gdim) at the nodes that this rank owns now [N]. Collective."""
+        nodes = NodeMap(self._space)
+        with self._timer.phase("assembly"):
+            loads = self.forms.loads(self._parts)
+            at = [np.zeros(0, dtype=np.int32), *(part.nodes for part in self._parts)]
+            values = np.concatenate([np.zeros(0), *loads]).reshape(-1, nodes.components)
+            return nodes.sum_at_owners(nodes.to_global(np.concatenate(at)), values)

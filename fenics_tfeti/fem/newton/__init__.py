@@ -1,0 +1,1 @@
+"""Newton's method for contact of bodies with finite strains."""

@@ -1,0 +1,203 @@
+"""Equilibrium of deformed bodies in contact: rows at a displacement, multipliers, residual.
+
+Multipliers belong to slave nodes: those of one step press along the normals of the next.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx.fem import Function
+
+from fenics_tfeti.errors import format_point
+from fenics_tfeti.fem.contact.contact import row_values
+from fenics_tfeti.fem.contact.contact_set import ContactSet
+from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.displacement import owned_values
+from fenics_tfeti.fem.nodes import NodeMap
+from fenics_tfeti.feti.solver import TornSolution
+from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed
+from fenics_tfeti.typing import Mask, Numbers, Vector
+
+
+@dataclass(frozen=True)
+class DeformedRows:
+    """The conditions of surfaces deformed by u, with gaps and slips for an increment of u."""
+
+    conditions: ContactSet
+    contacts: ContactRows
+    friction: Friction
+    tied: ContactRows
+
+    @staticmethod
+    def of(undeformed: ContactSet, uh: Function, origin: SlipOrigin) -> DeformedRows:
+        """Measure the surfaces deformed by a displacement; slip is from the origin. Collective."""
+        conditions = undeformed.deformed(uh)[0].with_friction()
+        nodes, u = conditions.boundary.nodes, owned_values(uh)
+        contacts, tied = conditions.rows(), conditions.tied_rows()
+        return DeformedRows(
+            conditions,
+            replace(contacts, gap=contacts.gap - row_values(nodes, contacts, u)),
+            conditions.friction_rows(SlipOrigin(origin.displacement - u, origin.obstacles)),
+            replace(tied, gap=tied.gap - row_values(nodes, tied, u)),
+        )
+
+    @property
+    def contact(self) -> Numbers:
+        """The place of each row's contact among those that can open (k,)."""
+        sizes = [pairing.slave.size for pairing in self.conditions.pairings]
+        return np.repeat(np.arange(len(sizes)), sizes)
+
+    @property
+    def distance(self) -> Vector:
+        """Distances of the surfaces at each row (k,) [m], negative inside."""
+        distance: Vector = self.contacts.gap / self.contacts.length
+        return distance
+
+    def force(self, multipliers: Multipliers) -> Vector:
+        """Return B'lambda (nodes, gdim) at the nodes that this rank owns [N]. Collective."""
+        nodes = self.conditions.boundary.nodes
+        slave = self.contacts.slave - nodes.first
+        normal = multipliers.normal[self.contact, slave]
+        site = self.friction.row
+        traction = multipliers.tangential[self.contact[site], slave[site]]
+        tangential = np.einsum("kta,ka->kt", self.friction.tangents, traction).ravel()
+        terms = [(self.contacts, normal), (self.tied, multipliers.tied)]
+        terms += [(self.friction.tangential_rows(self.contacts), tangential)] if site.size else []
+        at = np.concatenate([rows.nodes for rows, _ in terms])
+        forces = [values[rows.row][:, None] * rows.coefficients for rows, values in terms]
+        return nodes.sum_at_owners(at, np.concatenate(forces))
+
+
+@dataclass(frozen=True)
+class Multipliers:
+    """Multipliers of contact at the nodes that this rank owns, and of tied rows.
+
+    They are forces over the lengths of rows: pressures in mortar conditions, forces otherwise.
+    """
+
+    normal: Vector  # (contacts, nodes)
+    tangential: Vector  # (contacts, nodes, gdim), against the force on the slave
+    tied: Vector  # (tied rows,)
+
+    @staticmethod
+    def of(rows: DeformedRows, solution: TornSolution) -> Multipliers:
+        """Return those of a solution for the rows."""
+        nodes, length = rows.conditions.boundary.nodes, rows.contacts.length
+        normal, tangential = _zeros(nodes, len(rows.conditions.contacts))
+        contact, slave = rows.contact, rows.contacts.slave - nodes.first
+        normal[contact, slave] = solution.normal_force / length
+        site = rows.friction.row
+        tangential[contact[site], slave[site]] = np.einsum(
+            "kt,kta->ka", solution.tangential_force / length[site, None], rows.friction.tangents
+        )
+        return Multipliers(normal, tangential, solution.tied_force / rows.tied.length)
+
+    @staticmethod
+    def from_forces(rows: DeformedRows, force: Vector) -> Multipliers:
+        """Return those of normal forces (contacts, nodes) alone [N]."""
+        normal, tangential = _zeros(rows.conditions.boundary.nodes, len(rows.conditions.contacts))
+        contact, slave = rows.contact, rows.contacts.slave - rows.conditions.boundary.nodes.first
+        normal[contact, slave] = force[contact, slave] / rows.contacts.length
+        return Multipliers(normal, tangential, np.zeros(rows.tied.size))
+
+    def flat(self) -> Vector:
+        """Return all as one vector."""
+        return np.concatenate([self.normal.ravel(), self.tangential.ravel(), self.tied])
+
+    def from_flat(self, values: Vector) -> Multipliers:
+        """Return multipliers of the same shapes; pressures are not negative."""
+        ends = np.cumsum([self.normal.size, self.tangential.size])
+        normal, tangential, tied = np.split(values, ends)
+        return Multipliers(
+            np.maximum(normal, 0.0).reshape(self.normal.shape),
+            tangential.reshape(self.tangential.shape),
+            tied,
+        )
+
+
+def _zeros(nodes: NodeMap, contacts: int) -> tuple[Vector, Vector]:
+    shape = (contacts, nodes.owned)
+    return np.zeros(shape), np.zeros((*shape, nodes.components))
+
+
+@dataclass(frozen=True)
+class ForceScale:
+    """The least forces that a residual is relative to, beside reactions and contact forces."""
+
+    force: float = 0.0  # [N]
+    stiffness: float = 0.0  # times the largest displacement [N/m]
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """How well a displacement and multipliers fulfil equilibrium and contact; on all ranks."""
+
+    residual: float  # of F(u) + B'lambda, relative to the largest sum of forces
+    penetration: float  # relative to the largest displacement
+    separation: float  # distance of pressing nodes, relative to the largest displacement
+    force: float  # the size of the forces that the residual is relative to [N]
+    place: str  # where the residual is largest
+
+    @property
+    def error(self) -> float:
+        """The largest of the three measures."""
+        return max(self.residual, self.penetration, self.separation)
+
+    @staticmethod
+    def of(
+        internal: Vector,
+        rows: DeformedRows,
+        multipliers: Multipliers,
+        prescribed: Prescribed,
+        displacement: Vector,
+        scale: ForceScale,
+    ) -> Equilibrium:
+        """Measure it. Collective.
+
+        The internal forces (nodes, gdim), less loads, are F(u) at the nodes that this rank owns.
+        """
+        nodes = rows.conditions.boundary.nodes
+        contact = rows.force(multipliers)
+        free = _free(nodes, prescribed)
+        r = np.where(free, internal + contact, 0.0)
+        squares = np.array([(r**2).sum(), (internal[~free] ** 2).sum(), (contact**2).sum()])
+        residual, reaction, pressing = np.sqrt(nodes.comm.allreduce(squares)).tolist()
+        finite = np.isfinite(rows.distance)
+        loaded = multipliers.normal[rows.contact, rows.contacts.slave - nodes.first] > 0.0
+        largest = np.array(
+            [
+                (-rows.distance[finite]).max(initial=0.0),
+                np.abs(rows.distance[finite & loaded]).max(initial=0.0),
+                np.abs(displacement).max(initial=0.0),
+            ]
+        )
+        nodes.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+        penetration, separation, size = largest.tolist()
+        least = max(scale.force, scale.stiffness * size)
+        force = max(least, reaction, pressing, np.finfo(float).tiny)
+        size = size or np.finfo(float).tiny
+        return Equilibrium(
+            residual / force, penetration / size, separation / size, force, _largest(nodes, r)
+        )
+
+
+def _free(nodes: NodeMap, prescribed: Prescribed) -> Mask:
+    """Tell which components (nodes, gdim) of the owned nodes are not prescribed."""
+    free = np.ones((nodes.owned, nodes.components), dtype=bool)
+    local = prescribed.nodes - nodes.first
+    owned = (local >= 0) & (local < nodes.owned)
+    free[local[owned], prescribed.components[owned]] = False
+    return free
+
+
+def _largest(nodes: NodeMap, r: Vector) -> str:
+    """Return the place of the node with the largest force. Collective."""
+    size = np.linalg.norm(r, axis=1)
+    node = int(size.argmax()) if size.size else -1
+    place = format_point(nodes.coordinates[node]) if size.size else ""
+    return str(max(nodes.comm.allgather((float(size.max(initial=0.0)), place)))[1])

@@ -1,0 +1,284 @@
+"""Newton's method for bodies in contact: a contact problem for the increment in each step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx.fem import Function
+
+from fenics_tfeti.errors import InputError, NotConverged, UnstableTangent, format_point
+from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
+from fenics_tfeti.fem.newton.deformation import CellGradients
+from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, ForceScale, Multipliers
+from fenics_tfeti.fem.newton.mixing import AndersonMixing, Iterate
+from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
+from fenics_tfeti.fem.torn_problem import TornProblem
+from fenics_tfeti.feti import (
+    Prescribed,
+    Timer,
+    TornSolution,
+    TornSolver,
+    TornSystem,
+    prepare_tangents,
+)
+from fenics_tfeti.options import NewtonOptions
+from fenics_tfeti.parallel import print_on_first_rank
+from fenics_tfeti.typing import Mask, Vector
+
+Monitor = Callable[[Any], None]
+
+# residual below which steps are mixed: farther off, mixing has led beams astray
+_MIXED_BELOW = 0.05
+# shortest part of a step that is tried
+_SHORTEST = 1e-3
+
+
+@dataclass(frozen=True)
+class NewtonStep:
+    """One step of Newton's method.
+
+    Attributes
+    ----------
+    residual : float
+        Forces at free nodes that are not in equilibrium, after the step, relative to the largest of
+        reactions, contact forces and the first residual; with contact forces along the normals of
+        the surfaces after the step.
+    penetration : float
+        Largest depth of a slave node in its master or obstacle, relative to the displacement.
+    separation : float
+        Largest distance of a pressing node, relative to the displacement.
+    length : float
+        Part of the increment that was taken: 1, or less where deformations would change too much.
+    active : int
+        Pressing conditions.
+    products : int
+        Applications of F.
+    mixed : bool
+        Whether the step was combined with earlier ones.
+    seconds : float
+        Wall time [s].
+    """
+
+    residual: float
+    penetration: float
+    separation: float
+    length: float
+    active: int
+    products: int
+    mixed: bool
+    seconds: float
+
+    def __str__(self) -> str:
+        """Return the step as a line to read."""
+        mixed = ", mixed" if self.mixed else ""
+        return (
+            f"residual {self.residual:.1e}, penetration {self.penetration:.1e}, separation "
+            f"{self.separation:.1e}, length {self.length:.2g}{mixed}, {self.active} pressing, "
+            f"{self.products} products"
+        )
+
+
+@dataclass(frozen=True)
+class NewtonState:
+    """A displacement with the conditions, multipliers and residual there."""
+
+    displacement: Vector  # at the degrees of freedom that this rank owns [m]
+    rows: DeformedRows
+    multipliers: Multipliers
+    equilibrium: Equilibrium
+
+    def pressing(self) -> Mask:
+        """Tell which slave nodes (contacts, nodes) press."""
+        return self.multipliers.normal > 0.0
+
+
+@dataclass(frozen=True)
+class LoadStep:
+    """A load step: what does not change in its Newton steps."""
+
+    torn: TornProblem
+    u: Function
+    prescribed: Prescribed
+    origin: SlipOrigin
+    gradients: CellGradients
+
+    def state_at(
+        self,
+        displacement: Vector,
+        multipliers: Multipliers | Vector,
+        scale: ForceScale,
+    ) -> NewtonState:
+        """Fill u, and measure surfaces and residual there. Collective.
+
+        Multipliers may be normal forces (contacts, nodes) [N].
+        """
+        fill_owned(self.u, displacement)
+        ratio, place = self.gradients.smallest_volume_ratio(self.torn.nodes.values(self.u))
+        if not ratio > 0.0:
+            raise NotConverged(f"the cell at {place} is inverted, with det F = {ratio:.2g}")
+        rows = DeformedRows.of(self.torn.undeformed, self.u, self.origin)
+        if not isinstance(multipliers, Multipliers):
+            multipliers = Multipliers.from_forces(rows, multipliers)
+        internal = self.torn.internal_force()
+        nodes = self.torn.nodes
+        if not nodes.comm.allreduce(bool(np.isfinite(internal).all()), MPI.LAND):
+            raise NotConverged("the residual F is NaN or infinite")
+        equilibrium = Equilibrium.of(
+            internal, rows, multipliers, self.prescribed, displacement, scale
+        )
+        return NewtonState(displacement, rows, multipliers, equilibrium)
+
+
+class NewtonIteration:
+    """Newton steps of one load step, from a state to equilibrium."""
+
+    solution: TornSolution  # of the last step
+
+    def __init__(
+        self, load_step: LoadStep, options: NewtonOptions, timer: Timer, last: TornSolver | None
+    ) -> None:
+        self._load_step, self._options, self._timer = load_step, options, timer
+        self.solver = last
+        self.steps: list[NewtonStep] = []
+        self._mixing = AndersonMixing(load_step.torn.nodes.comm, options.newton_anderson)
+        self._increment = Function(load_step.torn.space)
+        self._scale = ForceScale()
+        # nodes whose contact changed in the last step, and also in the one before
+        self._changed = self._alternating = np.zeros((0, 0), dtype=bool)
+
+    def run(self, state: NewtonState, monitor: Monitor | None) -> Iterator[NewtonState]:
+        """Yield the state after each step, the last one in equilibrium."""
+        comm, options = self._load_step.torn.nodes.comm, self._options
+        first = state.equilibrium
+        self._scale = ForceScale(first.force * max(1.0, first.residual), self._rounding())
+        while len(self.steps) < options.newton_max_it:
+            state = self._step(state, monitor)
+            self.steps.append(replace(self.steps.pop(), seconds=self._timer.lap(comm)))
+            self._report(monitor)
+            yield state
+            if self._is_converged(state):
+                return
+        raise NotConverged(self._not_converged(state))
+
+    def _rounding(self) -> float:
+        """Return the stiffness [N/m] that rounding looks like, over the tolerance. Collective."""
+        stiffness = self._load_step.torn.largest_stiffness()
+        return COORDINATE_ROUNDING * stiffness / self._options.newton_rtol
+
+    def _report(self, monitor: Monitor | None) -> None:
+        """Pass the last step on to the user."""
+        number, step = len(self.steps), self.steps[-1]
+        if self._options.solver.monitor:
+            print_on_first_rank(self._load_step.torn.nodes.comm, f"Newton step {number}: {step}")
+        if monitor is not None:
+            monitor(step)
+
+    def _is_converged(self, state: NewtonState) -> bool:
+        is_whole = self.steps[-1].length == 1.0
+        return is_whole and state.equilibrium.error <= self._options.newton_rtol
+
+    def _step(self, state: NewtonState, monitor: Monitor | None) -> NewtonState:
+        """Return the state after one step."""
+        nodes = self._load_step.torn.nodes
+        self.solution = solution = self._solve_linearised(state, monitor)
+        du = self._increment
+        multipliers = Multipliers.of(state.rows, solution)
+        changed = (multipliers.normal > 0.0) != state.pressing()
+        self._alternating = changed & self._changed if self._changed.size else changed & False
+        self._changed = changed
+        step = Iterate(state.displacement, owned_values(du), multipliers.flat())
+        size = self._load_step.gradients.largest_increment(
+            nodes.values(self._load_step.u), nodes.values(du)
+        )
+        limit = self._options.newton_step_limit
+        length = 1.0 if size <= limit else limit / size
+        mixed = self._mixed(state, step) if length == 1.0 else None
+        new, length = self._shortened(mixed or step, multipliers, length)
+        self.steps.append(
+            NewtonStep(
+                new.equilibrium.residual,
+                new.equilibrium.penetration,
+                new.equilibrium.separation,
+                length,
+                solution.report.unknowns["active"],
+                solution.report.products["total"],
+                mixed is not None,
+                0.0,
+            )
+        )
+        return new
+
+    def _solve_linearised(self, state: NewtonState, monitor: Monitor | None) -> TornSolution:
+        """Solve the contact problem for the increment, which is filled."""
+        load_step, options = self._load_step, self._options
+        if self.solver is not None:
+            self.solver.release()
+        system = load_step.torn.system_at(load_step.u, state.rows)
+        solution: TornSolution | None = None
+        with suppress(UnstableTangent):
+            solution = self._solve(prepare_tangents(system, options.tangent), monitor)
+        if solution is None or (
+            not solution.report.converged and solution.report.deflation["negative"]
+        ):
+            # tangents that are positive semidefinite
+            solution = self._solve(prepare_tangents(system, "projected"), monitor)
+        fill_displacement(self._increment, system.subdomains, solution.displacements)
+        return solution
+
+    def _solve(self, system: TornSystem, monitor: Monitor | None) -> TornSolution:
+        options = replace(self._options.solver, error_if_not_converged=False)
+        self.solver = TornSolver(system, options, self._timer, self.solver)
+        return self.solver.solve(monitor)
+
+    def _mixed(self, state: NewtonState, step: Iterate) -> Iterate | None:
+        """Return the step combined with earlier ones near the end, while the same nodes press."""
+        if self._load_step.torn.nodes.comm.allreduce(bool(self._changed.any()), MPI.LOR):
+            self._mixing.forget()
+        if self._options.newton_anderson == 0 or state.equilibrium.residual >= _MIXED_BELOW:
+            return None
+        return self._mixing.mix(step)
+
+    def _shortened(
+        self, step: Iterate, multipliers: Multipliers, length: float
+    ) -> tuple[NewtonState, float]:
+        """Return the state at the end of a step, halved until that can be evaluated."""
+        while True:
+            try:
+                displacement = step.displacement + length * step.increment
+                new = multipliers.from_flat(step.multipliers)
+                return self._load_step.state_at(displacement, new, self._scale), length
+            except (InputError, NotConverged) as error:
+                length *= 0.5
+                if length < _SHORTEST:
+                    raise NotConverged(
+                        f"Newton's method cannot go on: already after {2.0 * length:.1g} of the "
+                        f"step {error}. Halve the load step"
+                    ) from None
+
+    def _not_converged(self, state: NewtonState) -> str:
+        end = state.equilibrium
+        return self._alternation() + (
+            f"no equilibrium after {len(self.steps)} steps of Newton's method (newton_max_it): "
+            f"residual {end.residual:.1e}, the largest at {end.place}, penetration "
+            f"{end.penetration:.1e} and separation {end.separation:.1e} of the largest "
+            f"displacement; newton_rtol is {self._options.newton_rtol:g}. Halve the load step"
+        )
+
+    def _alternation(self) -> str:
+        """Say at which nodes contact opens and closes in turn, if at any. Collective."""
+        nodes = self._load_step.torn.nodes
+        alternating = np.flatnonzero(self._alternating.any(axis=0))
+        places = [format_point(x) for x in nodes.coordinates[alternating[:1]]]
+        count = nodes.comm.allreduce(alternating.size)
+        if not count:
+            return ""
+        first = next(place for part in nodes.comm.allgather(places) for place in part)
+        return f"contact at {count} nodes opens and closes in turn, the first at {first}; "

@@ -1,0 +1,342 @@
+"""NonlinearContactProblem: contact of bodies with finite strains, rotations and large sliding."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+import ufl
+from dolfinx.fem import Function
+
+from fenics_tfeti.checkpoint import Step, read_step, write_step
+from fenics_tfeti.errors import InputError, Interrupted, NotConverged
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_residual
+from fenics_tfeti.fem.contact.contact_set import SolvedContacts
+from fenics_tfeti.fem.contact.description import Contact, Exact, TiedPair
+from fenics_tfeti.fem.contact.result import Results
+from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
+from fenics_tfeti.fem.locking import warn_of_locking
+from fenics_tfeti.fem.newton.deformation import CellGradients
+from fenics_tfeti.fem.newton.equilibrium import ForceScale
+from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
+from fenics_tfeti.feti import Timer, TornSolver, interruption
+from fenics_tfeti.feti.local.cholesky import check_real_numbers
+from fenics_tfeti.load_steps import load_steps
+from fenics_tfeti.newton import LoadStep, Monitor, NewtonIteration, NewtonState, NewtonStep
+from fenics_tfeti.options import NewtonOptions, contact_options
+from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.report import ContactReport
+from fenics_tfeti.typing import Vector
+
+
+@dataclass(frozen=True)
+class NonlinearReport(ContactReport):
+    """The report of the last linearised problem, with the steps of Newton's method.
+
+    Attributes
+    ----------
+    newton : list of NewtonStep
+        One entry for each Newton step; products, history and certificate of the report are those of
+        the last one, its seconds those of all.
+    """
+
+    newton: list[NewtonStep] = field(default_factory=list)
+
+
+class NonlinearContactProblem:
+    """Contact of bodies with finite strains, solved by Newton's method and Total FETI.
+
+    Rotations and sliding may be large: in each step contact conditions are those of the deformed
+    surfaces.
+
+    Parameters
+    ----------
+    F : ufl.Form
+        Residual of the equilibrium, linear in its test function: the derivative of the energy with
+        respect to `u`, less the loads. Integrals are over the undeformed cells and boundary.
+    u : Function
+        The total displacement [m], from which `solve` starts and which it fills. Lagrange elements
+        of degree 1 or 2 with a component for each dimension.
+    bcs : sequence of dolfinx.fem.DirichletBC, one of them, or None
+        Prescribed total displacements, as for `ContactProblem`.
+    contacts : sequence of ContactPair, RigidObstacle or TiedPair, one of them, or None
+        What may touch, and what stays together.
+    J : ufl.Form, optional
+        Symmetric tangent, by default the derivative of `F` with respect to `u`.
+    cell_tags, subdomains, measure_weight, form_compiler_options, jit_options
+        As for `ContactProblem`.
+    options : mapping, optional
+        Names and values, see `fenics_tfeti.options.NewtonOptions`.
+    options_prefix : str
+        ``-<prefix><name> value`` on the command line, or in PETSc's database, overrides `options`.
+
+    Attributes
+    ----------
+    u : Function
+        The displacement [m].
+    results : Results
+        For each contact, by number or name, its result, as of `ContactProblem`.
+    report : NonlinearReport
+        Newton steps, sizes, iterations and times, after `solve`.
+
+    Raises
+    ------
+    InputError
+        On all ranks together, for data that are wrong or contradict each other.
+
+    Examples
+    --------
+    >>> F = ufl.derivative(energy, u, ufl.TestFunction(V))  # doctest: +SKIP
+    >>> problem = NonlinearContactProblem(F, u, bcs=bcs, contacts=contacts)  # doctest: +SKIP
+    >>> for t in problem.steps(set_load, 0.0, 1.0, first=0.25):  # doctest: +SKIP
+    ...     print(t, problem.results[0].force)
+    """
+
+    u: Function
+    results: Results
+    report: NonlinearReport
+
+    def __init__(
+        self,
+        F: ufl.Form,
+        u: Function,
+        *,
+        bcs: Sequence[Any] | Any | None = (),
+        contacts: Sequence[Contact | TiedPair] | Contact | TiedPair | None = (),
+        J: ufl.Form | None = None,
+        cell_tags: Any | None = None,
+        subdomains: Sequence[int] | None = None,
+        options: Mapping[str, Any] | None = None,
+        options_prefix: str = "tfeti_",
+        measure_weight: Any = None,
+        form_compiler_options: Mapping[str, Any] | None = None,
+        jit_options: Mapping[str, Any] | None = None,
+    ) -> None:
+        check_real_numbers()
+        self.options = contact_options(NewtonOptions, options, options_prefix)
+        self._timer = Timer()
+        J, L = as_residual(F, u, J)
+        self.u, self.space = u, space_of_forms(J, L)
+        self.bcs, self.contacts = as_conditions(bcs), _as_contacts(contacts)
+        compiler = _compat.CompilerOptions(form_compiler_options, jit_options)
+        data = ProblemData(self.bcs, self.contacts, cell_tags, subdomains, measure_weight, compiler)
+        self._torn = TornProblem(
+            self.space,
+            J,
+            L,
+            data,
+            self.options.subdomain_size,
+            self.options.partitioner,
+            self._timer,
+        )
+        self._gradients = CellGradients(self.space)
+        origin = SlipOrigin(owned_values(u), np.zeros((len(data.touching), owned_values(u).size)))
+        self._step = Step(origin.displacement, self._no_forces(), origin)
+        self._is_solved = False
+        self._solved: SolvedContacts | None = None
+        self._solver: TornSolver | None = None
+        self.results = Results()
+        with self._timer.phase("assembly"):
+            warn_of_locking(self._torn.torn.forms, self._torn.bodies)
+
+    def solve(
+        self,
+        monitor: Monitor | None = None,
+        checkpoint: str | os.PathLike[str] | None = None,
+    ) -> Function:
+        """Find the equilibrium at the present loads and supports, starting from `u`.
+
+        Parameters
+        ----------
+        monitor : callable, optional
+            Called on all ranks as by `ContactProblem.solve`, and with a `NewtonStep` after each.
+        checkpoint : path-like, optional
+            File to write or replace after each Newton step: `restore` goes on with this solve.
+
+        Returns
+        -------
+        Function
+            `u`.
+
+        Raises
+        ------
+        InputError
+            Wrong or contradictory data; a `u` with inverted cells.
+        UnresistedMotion
+            A load pushes a body where nothing holds it.
+        NotConverged
+            Newton's method found no equilibrium; `u` is what it was before.
+        Interrupted
+            After Ctrl-C or SIGINT to one rank, on all of them; `u` is the last iterate, from which
+            solving again goes on.
+        """
+        start = owned_values(self.u)
+        with interruption.deferred():
+            try:
+                self._solve(monitor, checkpoint)
+            except Interrupted:
+                raise
+            except BaseException:
+                fill_owned(self.u, start)
+                raise
+            finally:
+                self._timer.restart()
+        if self.options.view and self.space.mesh.comm.rank == 0:
+            print(self.report, flush=True)
+        return self.u
+
+    def advance(self) -> None:
+        """Accept the last solve as a load step: friction counts slip from its end.
+
+        Raises
+        ------
+        InputError
+            If nothing was solved since the last step.
+        """
+        if not self._is_solved:
+            raise InputError("there is no step to accept; call solve() before advance()")
+        assert self._solved is not None
+        obstacles = self._solved.conditions.obstacle_displacements()
+        origin = SlipOrigin(self._step.displacement, obstacles)
+        self._step = replace(self._step, origin=origin, number=self._step.number + 1)
+        self._is_solved = False
+
+    def steps(
+        self,
+        set_load: Callable[[float], Any],
+        begin: float,
+        end: float,
+        *,
+        first: float | None = None,
+    ) -> Iterator[float]:
+        """Solve in load steps, each accepted by `advance`, and yield after each of them.
+
+        A step that fails is halved; after two in a row that took no more than half of
+        ``newton_max_it`` steps of Newton's method, the next ones are twice as long. Where a step of
+        a thousandth of all fails, loads and `u` are left at the last accepted step.
+
+        Parameters
+        ----------
+        set_load : callable
+            Called with a number between `begin` and `end`: sets loads, prescribed displacements and
+            obstacles. The loads of a step that fails are set back by the next call.
+        begin, end : float
+            The present load, which is not solved for, and that of the last step.
+        first : float, optional
+            Length of the first step, by default all in one.
+
+        Yields
+        ------
+        float
+            The load of an accepted step; `end` in the last one.
+
+        Raises
+        ------
+        NotConverged, InputError
+            That of the shortest step, if it fails too.
+
+        Examples
+        --------
+        >>> def set_load(t):
+        ...     traction.value = (0.0, -1e5 * t)
+        >>> for t in problem.steps(set_load, 0.0, 1.0, first=0.25):  # doctest: +SKIP
+        ...     print(t, problem.results["seal"].force)
+        """
+        limit = 0.5 * self.options.newton_max_it
+        return load_steps(
+            self, set_load, begin, end, first, lambda: len(self.report.newton) <= limit
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a checkpoint for `restore`, see `ContactProblem.save`. Collective."""
+        if self._solved is None:
+            raise InputError("there is nothing to save; call solve() first")
+        self._save(path)
+
+    def restore(self, path: str | os.PathLike[str]) -> int:
+        """Go on from a checkpoint, and fill `u`; see `ContactProblem.restore`. Collective."""
+        if self._solved is not None:
+            raise InputError("a checkpoint is for a problem that was not solved yet")
+        self._step = read_step(path, self._torn.nodes, self._torn.names)
+        fill_owned(self.u, self._step.displacement)
+        return self._step.number
+
+    def _save(self, checkpoint: str | os.PathLike[str] | None) -> None:
+        if checkpoint is not None:
+            write_step(checkpoint, self._torn.nodes, self._torn.names, self._step)
+
+    def _no_forces(self) -> Vector:
+        return np.zeros((len(self._torn.data.touching), self._torn.nodes.owned))
+
+    def _solve(self, monitor: Monitor | None, checkpoint: str | os.PathLike[str] | None) -> None:
+        self._is_solved = False
+        self._refresh()
+        load_step = LoadStep(
+            self._torn,
+            self.u,
+            self._torn.undeformed.prescribed,
+            self._step.origin,
+            self._gradients,
+        )
+        try:
+            state = load_step.state_at(owned_values(self.u), self._step.force, ForceScale())
+        except NotConverged as error:
+            raise InputError(f"u cannot be the start of Newton's method: {error}") from None
+        iteration = NewtonIteration(load_step, self.options, self._timer, self._solver)
+        try:
+            for state_after in iteration.run(state, monitor):
+                self._store(state, iteration)
+                state = state_after
+                self._step = replace(self._step, displacement=state.displacement)
+                self._save(checkpoint)
+        except NotConverged as error:
+            if iteration.steps:
+                self.report = replace(self.report, converged=False, reason=str(error))
+                error.report = self.report
+            raise
+        finally:
+            self._solver = iteration.solver
+        reason = f"equilibrium: {iteration.steps[-1]}"
+        self.report = replace(self.report, converged=True, reason=reason)
+        self._is_solved = True
+
+    def _refresh(self) -> None:
+        """Take the present supports and contacts."""
+        with raise_collectively(self.space.mesh.comm):
+            self.bcs, self.contacts = as_conditions(self.bcs), _as_contacts(self.contacts)
+        origin = self._step.origin
+        if self._torn.torn.has_moved():
+            origin = SlipOrigin(owned_values(self.u), np.zeros_like(origin.obstacles))
+        elif _are_same(self.contacts, self._torn.data.contacts):
+            self._torn.update_supports(self.bcs)
+            return
+        self._torn.update(self.bcs, self.contacts)
+        origin = origin.resized(len(self._torn.data.touching))
+        self._step = replace(self._step, origin=origin)
+
+    def _store(self, state: NewtonState, iteration: NewtonIteration) -> None:
+        """Keep the solution that was found with the conditions of a state."""
+        solution = iteration.solution
+        self._solved = state.rows.conditions.solved(solution, self.u)
+        self.results = self._solved.as_given()
+        self.report = NonlinearReport.of(
+            solution.report, self.results, self.options.as_dict(), newton=list(iteration.steps)
+        )
+        self._step = replace(self._step, force=self._solved.nodal_forces())
+
+
+def _are_same(contacts: Sequence[object], others: Sequence[object]) -> bool:
+    """Tell whether lists have the same objects."""
+    return len(contacts) == len(others) and all(
+        a is b for a, b in zip(contacts, others, strict=True)
+    )
+
+
+def _as_contacts(contacts: Any) -> list[Contact | TiedPair]:
+    return as_contacts(contacts, Exact(), "NonlinearContactProblem")

@@ -1,0 +1,73 @@
+"""Contact at finite strains on several ranks: the answers and errors of one rank."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from finite_strains import indented_block, ironing, pressed_patch
+
+from fenics_tfeti import Coulomb, InputError, NotConverged
+
+COMM = MPI.COMM_WORLD
+pytestmark = pytest.mark.ranks
+
+
+def on_one_rank(make, *arguments, loads, **options):
+    """Return the force, energy and counts of a scene that each rank solves alone."""
+    scene = make(*arguments, comm=MPI.COMM_SELF, **options)
+    scene.solve(loads)
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments", "loads"),
+    [
+        (indented_block, (), [0.5, 1.0]),
+        (indented_block, (3, 4), [0.5, 1.0]),
+        (ironing, (), [0.5, 1.0, 1.1]),
+        (ironing, (Coulomb(0.3),), [0.5, 1.0, 1.1]),
+    ],
+)
+def test_same_as_on_one_rank(make, arguments, loads):
+    options = {"newton_rtol": 1e-8, "subdomain_size": 300}
+    scene = make(*arguments, **options)
+    scene.solve(loads)
+    alone = on_one_rank(make, *arguments, loads=loads, **options)
+    np.testing.assert_allclose(
+        scene.problem.results[0].force, alone.problem.results[0].force, atol=1e-7
+    )
+    assert scene.energy == pytest.approx(alone.energy, abs=1e-7)
+    assert abs(scene.counts()[0] - alone.counts()[0]) <= 2
+
+
+def test_patch():
+    scene, force = pressed_patch(0.2, False, 30.0, newton_rtol=1e-9, subdomain_size=60)
+    scene.solve([0.5, 1.0])
+    np.testing.assert_allclose(scene.problem.results[0].force, force, atol=1e-7)
+
+
+def test_errors_are_raised_on_all_ranks():
+    scene = indented_block(n=4, newton_max_it=1)
+    scene.set_load(1.0)
+    with pytest.raises(NotConverged, match="after 1 steps"):
+        scene.problem.solve()
+    assert not scene.problem.u.x.array.any()
+    scene.problem.u.interpolate(lambda x: np.array([0.0 * x[0], -1.5 * x[1]]))
+    with pytest.raises(InputError, match="inverted"):
+        scene.problem.solve()
+
+
+def test_checkpoint_of_other_ranks(tmp_path_factory):
+    file = COMM.bcast(tmp_path_factory.mktemp("nonlinear") / "step" if COMM.rank == 0 else None)
+    scene = indented_block(newton_rtol=1e-9)
+    scene.solve([0.5])
+    scene.problem.save(file)
+    scene.solve([1.0])
+    if COMM.rank == 0:
+        other = indented_block(newton_rtol=1e-9, comm=MPI.COMM_SELF)
+        assert other.problem.restore(file) == 1
+        other.solve([1.0])
+        assert -other.problem.results[0].force[1] == pytest.approx(0.351780904, abs=1e-7)
+    np.testing.assert_allclose(scene.problem.results[0].force[1], -0.351780904, atol=1e-7)

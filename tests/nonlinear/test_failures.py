@@ -1,0 +1,143 @@
+"""What the user gets where Newton's method cannot be posed, or finds no equilibrium."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from finite_strains import BASE, indented_block
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import (
+    ContactPair,
+    InputError,
+    NonlinearContactProblem,
+    NotConverged,
+    UnresistedMotion,
+)
+from fenics_tfeti.models import neo_hookean
+
+
+@pytest.fixture
+def scene():
+    """A block that is not loaded yet."""
+    return indented_block(n=4)
+
+
+def residual(scene, energy=None):
+    """Return the residual of an energy, by default a quadratic one, of a scene's displacement."""
+    u, V = scene.problem.u, scene.problem.space
+    energy = ufl.inner(ufl.grad(u), ufl.grad(u)) * ufl.dx if energy is None else energy
+    return ufl.derivative(energy, u, ufl.TestFunction(V))
+
+
+def test_residual_without_u(scene):
+    u, V = scene.problem.u, scene.problem.space
+    other = fem.Function(V)
+    with pytest.raises(InputError, match="F does not depend on u"):
+        NonlinearContactProblem(residual(scene), other)
+    bilinear = ufl.inner(ufl.TrialFunction(V), ufl.TestFunction(V)) * ufl.dx
+    with pytest.raises(InputError, match="F has 2 arguments"):
+        NonlinearContactProblem(bilinear, u)
+    with pytest.raises(InputError, match="u is a str"):
+        NonlinearContactProblem(residual(scene), "u")
+
+
+def test_tangent_that_is_not_symmetric(scene):
+    u, V, bcs = scene.problem.u, scene.problem.space, scene.problem.bcs
+    v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+    J = ufl.derivative(residual(scene), u, du) + ufl.inner(du[0].dx(1), v[1]) * ufl.dx
+    with pytest.raises(InputError, match="not symmetric"):
+        NonlinearContactProblem(residual(scene), u, bcs=bcs, J=J).solve()
+
+
+def test_gap_in_place_of_the_measured_one(scene):
+    u, tags = scene.problem.u, scene.problem.contacts[0].facet_tags
+    pair = ContactPair(tags, slave=2, master=BASE, initial_gap=0.1)
+    with pytest.raises(InputError, match="NonlinearContactProblem measures gaps"):
+        NonlinearContactProblem(residual(scene), u, contacts=[pair])
+
+
+def test_start_with_inverted_cells(scene):
+    scene.problem.u.interpolate(lambda x: np.array([0.0 * x[0], -1.5 * x[1]]))
+    with pytest.raises(InputError, match=r"u cannot be the start .* the cell at \(.*is inverted"):
+        scene.problem.solve()
+
+
+def test_nothing_converges_in_two_steps():
+    scene = indented_block(n=4, newton_max_it=2)
+    scene.set_load(0.3)
+    scene.problem.u.x.array[:] = 0.0
+    with pytest.raises(NotConverged, match=r"after 2 steps of Newton's method \(newton_max_it\)"):
+        scene.problem.solve()
+    assert not scene.problem.u.x.array.any()
+    assert len(scene.problem.report.newton) == 2
+    assert not scene.problem.report.converged
+
+
+def test_obstacle_that_no_step_can_reach():
+    """It cannot be evaluated where anything has moved."""
+
+    def obstacle(x):
+        moved = np.abs(x[1] - 1.0).max() > 1e-14
+        return np.full(x.shape[1], np.nan if moved else -0.1)
+
+    scene = indented_block(n=4, obstacle=obstacle)
+    with pytest.raises(NotConverged, match=r"cannot go on.*gap is NaN"):
+        scene.problem.solve()
+    assert not scene.problem.u.x.array.any()
+
+
+def test_obstacle_that_long_steps_cannot_reach():
+    last = []
+
+    def plane(x):
+        far = bool(last) and np.abs(x[1] - last[-1]).max() > 0.15
+        last.append(last[-1] if far else x[1].copy())
+        return np.full(x.shape[1], np.nan) if far else 0.8 - x[1]
+
+    scene = indented_block(n=4, obstacle=plane)
+    scene.problem.solve()
+    lengths = [step.length for step in scene.problem.report.newton]
+    assert lengths[0] == 0.5
+    assert lengths[-1] == 1.0
+
+
+def test_contact_that_opens_and_closes():
+    calls = []
+
+    def obstacle(x):
+        calls.append(0)
+        return np.full(x.shape[1], (-1.0) ** len(calls) * 0.1) + (1.0 - x[1])
+
+    scene = indented_block(n=4, obstacle=obstacle, newton_max_it=6)
+    with pytest.raises(NotConverged, match=r"contact at \d+ nodes opens and closes in turn"):
+        scene.problem.solve()
+
+
+def test_body_that_nothing_holds():
+    scene = indented_block(n=4)
+    u, V = scene.problem.u, scene.problem.space
+    weight = ufl.inner(fem.Constant(V.mesh, np.array([1e-3, 0.0])), u) * ufl.dx
+    F = residual(scene, neo_hookean(1.0, 0.3)(u) * ufl.dx - weight)
+    problem = NonlinearContactProblem(F, u, contacts=scene.problem.contacts)
+    with pytest.raises(UnresistedMotion):
+        problem.solve()
+    assert not u.x.array.any()
+
+
+def test_body_that_is_pushed_away():
+    """It keeps no stress, and no force is left to compare the residual with."""
+    scene = indented_block(n=4)
+    scene.problem.bcs = []
+    scene.solve([1.0])
+    assert scene.problem.u.x.array[1::2] == pytest.approx(-0.3, abs=1e-6)
+    assert scene.energy < 1e-12
+
+
+def test_advance_and_save_without_a_solution(scene, tmp_path):
+    with pytest.raises(InputError, match="no step to accept"):
+        scene.problem.advance()
+    with pytest.raises(InputError, match="nothing to save"):
+        scene.problem.save(tmp_path / "none")

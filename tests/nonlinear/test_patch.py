@@ -1,0 +1,38 @@
+"""Two blocks meshed apart under uniform compression: the closed form, however they are turned."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from finite_strains import pressed_patch
+
+from fenics_tfeti import Coulomb
+
+
+@pytest.mark.parametrize("turned", [0.0, 30.0])
+@pytest.mark.parametrize(("confined", "compression"), [(True, 0.4), (False, 0.2)])
+def test_uniform_compression(confined, compression, turned):
+    scene, force = pressed_patch(compression, confined, turned, newton_rtol=1e-9, subdomain_size=60)
+    scene.solve([0.5, 1.0])
+    result = scene.problem.results[0]
+    pressure = np.linalg.norm(force) / result.area.sum()  # in the deformed state
+    if confined:
+        # prescribed displacements leave no force to the nodes at both ends
+        np.testing.assert_allclose(result.pressure[result.active], pressure, rtol=1e-7)
+        assert np.count_nonzero(result.active) == 7
+        np.testing.assert_allclose(result.force, 7 / 8 * force, atol=1e-7)
+    else:
+        np.testing.assert_allclose(result.pressure, pressure, rtol=1e-6)
+        np.testing.assert_allclose(result.force, force, atol=1e-7)
+
+
+def test_turning_is_no_slip():
+    """Pressed blocks that stick are turned by 90 degrees, in steps of 30."""
+    scene, force = pressed_patch(
+        0.1, False, motion=90.0, friction=Coulomb(0.3), newton_rtol=1e-9, subdomain_size=60
+    )
+    scene.solve([1 / 3, 2 / 3, 1.0])
+    result = scene.problem.results[0]
+    np.testing.assert_allclose(result.force, force, atol=1e-7)
+    assert result.friction.sticking.all()
+    assert np.abs(result.friction.force).max() < 1e-7

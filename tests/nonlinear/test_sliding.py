@@ -1,0 +1,50 @@
+"""Large sliding and rotations: an ironed block, and a beam bent over a cylinder.
+
+The references of the ironed block without friction and of the beam are those of a Newton method
+with an active set and sparse LU of the whole tangent.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from finite_strains import SLIDER, TOP, beam, ironing
+
+from fenics_tfeti import Coulomb
+
+heavy = pytest.mark.heavy
+
+
+@pytest.mark.parametrize("slave", [SLIDER, pytest.param(TOP, marks=heavy)])
+def test_ironing(slave):
+    scene = ironing(slave=slave, newton_rtol=1e-8, subdomain_size=400)
+    scene.solve([0.5, 1.0])
+    if slave == SLIDER:
+        reaction = scene.problem.report.reactions[1].force
+        np.testing.assert_allclose(reaction, [0.001797, -0.221102], atol=1e-6)
+    scene.solve([1.25, 1.5, 1.75, 2.0])
+    tolerance = 1e-6 if slave == SLIDER else 1e-3
+    reaction = scene.problem.report.reactions[1].force
+    np.testing.assert_allclose(reaction, [-0.000017, -0.225897], atol=tolerance)
+    assert scene.energy == pytest.approx(0.028203, abs=tolerance)
+
+
+@heavy
+def test_ironing_with_friction():
+    scene = ironing(Coulomb(0.3), subdomain_size=400)
+    scene.solve([0.5, *np.linspace(1.0, 2.0, 11)])
+    reaction = scene.problem.report.reactions[1].force
+    np.testing.assert_allclose(reaction, [0.068950, -0.227359], atol=5e-6)
+
+
+@pytest.mark.parametrize("loads", [[1.0], [0.25, 0.5, 0.75, 1.0]])
+def test_beam(loads):
+    scene = beam(newton_rtol=1e-7, subdomain_size=100)
+    scene.solve(loads)
+    largest = np.abs(scene.problem.u.x.array).max()
+    assert largest == pytest.approx(4.109780668, abs=1e-6)
+    assert scene.energy == pytest.approx(0.000545923834, rel=1e-7)
+    force = np.linalg.norm(scene.problem.results[0].force)
+    assert force == pytest.approx(0.00163538133, rel=2e-3)
+    steps, products = scene.counts()
+    assert steps <= 15 and products <= 25

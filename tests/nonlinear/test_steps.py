@@ -1,0 +1,106 @@
+"""Load steps that are cut where they fail and lengthened where they are easy; checkpoints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from finite_strains import indented_block
+
+from fenics_tfeti import InputError, NotConverged
+
+
+def test_easy_steps_are_lengthened():
+    scene = indented_block(n=4)
+    assert list(scene.problem.steps(scene.set_load, 0.0, 1.0, first=0.125)) == [
+        0.125,
+        0.25,
+        0.5,
+        0.75,
+        1.0,
+    ]
+    assert scene.problem.results[0].force[1] < -0.3
+
+
+def test_steps_that_fail_are_halved():
+    scene = indented_block(newton_max_it=6)
+    loads = list(scene.problem.steps(scene.set_load, 0.0, 1.0))
+    assert loads[0] < 1.0
+    assert loads[-1] == 1.0
+    whole = indented_block()
+    whole.solve([1.0])
+    np.testing.assert_allclose(
+        scene.problem.results[0].force, whole.problem.results[0].force, atol=1e-6
+    )
+
+
+def test_where_the_shortest_step_fails():
+    scene = indented_block(n=4)
+    loads, options = [], scene.problem.options
+
+    def set_load(t):
+        loads.append(t)
+        scene.set_load(t)
+        steps = 1 if t > 0.5 else options.newton_max_it
+        scene.problem.options = replace(options, newton_max_it=steps)
+
+    with pytest.raises(NotConverged, match="load step from 0.5 to 0.50"):
+        for _ in scene.problem.steps(set_load, 0.0, 1.0, first=0.25):
+            accepted = scene.problem.u.x.array.copy()
+    assert loads[-1] == 0.5
+    np.testing.assert_array_equal(scene.problem.u.x.array, accepted)
+
+
+def test_obstacle_without_a_gap_at_the_end_of_the_step():
+    """The centre of the ball would be at a node."""
+    scene = indented_block(n=4, depth=0.5)
+    loads = scene.problem.steps(scene.set_load, 0.0, 1.0)
+    assert next(loads) == 0.5
+    assert list(loads) == [1.0]
+    scene = indented_block(n=4, depth=0.5)
+    with pytest.raises(InputError, match="centre of the sphere"):
+        list(scene.problem.steps(lambda t: scene.set_load(1.0), 0.0, 1.0))
+
+
+def test_wrong_steps():
+    scene = indented_block(n=4)
+    for arguments in [(1.0, 0.0, None), (0.0, 1.0, 0.0)]:
+        begin, end, first = arguments
+        with pytest.raises(InputError, match="load steps from"):
+            list(scene.problem.steps(scene.set_load, begin, end, first=first))
+
+
+def test_repeated_solve_gives_the_same():
+    scene = indented_block(newton_rtol=1e-9)
+    scene.solve([0.5])
+    first = scene.problem.u.x.array.copy()
+    scene.problem.solve()
+    np.testing.assert_allclose(scene.problem.u.x.array, first, atol=1e-9)
+    assert len(scene.problem.report.newton) <= 2
+
+
+def test_restored_problem_goes_on(tmp_path):
+    file = tmp_path / "step"
+    scene = indented_block(newton_rtol=1e-9)
+    scene.solve([0.5])
+    scene.problem.save(file)
+    scene.solve([1.0])
+    other = indented_block(newton_rtol=1e-9, subdomain_size=200)
+    assert other.problem.restore(file) == 1
+    other.solve([1.0])
+    np.testing.assert_allclose(other.problem.u.x.array, scene.problem.u.x.array, atol=1e-8)
+    with pytest.raises(InputError, match="not solved yet"):
+        other.problem.restore(file)
+
+
+def test_checkpoint_of_a_solve_that_was_cut_short(tmp_path):
+    file = tmp_path / "step"
+    scene = indented_block(newton_max_it=3)
+    scene.set_load(0.5)
+    with pytest.raises(NotConverged):
+        scene.problem.solve(checkpoint=file)
+    other = indented_block()
+    assert other.problem.restore(file) == 0
+    other.solve([0.5])
+    assert len(other.problem.report.newton) <= 4
