@@ -9,6 +9,7 @@ against them. It is taken where
 
 - K R is so small that the dual operator would be large: at the start, in thin or hardly stressed
   parts, and for rotations about the axis of a uniaxial stress;
+- the stress of a torn subdomain outweighs the stiffness of a node;
 - only contact holds a body against rotations: multipliers of contact rows have bounds, so no
   deflation can remove negative directions of them;
 - the exact tangent of the glued bodies is unstable.
@@ -27,7 +28,7 @@ from fenics_tfeti.feti.coarse.resistance import weak_motions
 from fenics_tfeti.feti.local.cholesky import SparseLDL
 from fenics_tfeti.feti.local.congruence import find_congruence_classes
 from fenics_tfeti.feti.local.elastic_supports import forces_of_motions
-from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes
+from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes, unknowns_of_nodes
 from fenics_tfeti.feti.local.moduli import bulk_over_shear, share_of_shear
 from fenics_tfeti.feti.local.rigid_body_modes import (
     raw_modes,
@@ -101,7 +102,8 @@ def _tangent(subdomain: Subdomain, exact: bool) -> Subdomain:
     _, sizes, motions = np.linalg.svd(K @ rotations, full_matrices=False)
     share = share_of_shear(bulk_over_shear(K, x), x.shape[1])
     free = sizes <= _STRESSED * share * K.diagonal().mean()
-    if not exact or free.all():
+    # weights of the copies of nodes need a positive diagonal
+    if not exact or free.all() or K.diagonal().min() <= 0.0:
         return replace(subdomain, stiffness=projected_tangent(K, x), kernel="rigid")
     R = np.hstack([translations, rotations @ motions[free].T])
     return replace(stressed, stiffness=_projected(K, x, R, _FIXING_NODES)[0])
@@ -146,9 +148,7 @@ def _projected(
     forces = sp.csr_matrix(forces_of_motions(stiffness, R))
     if not forces.nnz:
         return stiffness, np.zeros(0, dtype=np.int64)
-    gdim = coordinates.shape[1]
-    nodes = fixing_nodes(stiffness, coordinates, number)
-    fixed = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
+    fixed = unknowns_of_nodes(fixing_nodes(coordinates, R, number), coordinates.shape[1])
     weights = R[fixed] @ np.linalg.inv(R[fixed].T @ R[fixed])
     rows = np.repeat(fixed, R.shape[1])
     columns = np.tile(np.arange(R.shape[1]), fixed.size)
