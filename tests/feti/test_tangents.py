@@ -128,6 +128,7 @@ def test_tension_is_not_negative(gdim):
 def test_report_says_that_the_error_is_an_estimate():
     exact, projected = solved("2D").report, solved("2D", "projected").report
     assert not exact.certificate.guaranteed and projected.certificate.guaranteed
+    assert "7 directions, 7 of them negative" in str(exact)
     assert "estimated as" in str(exact) and "at most" in str(projected)
     assert exact.equilibrium <= 1e-8
 
@@ -229,6 +230,13 @@ def test_small_stress_is_projected():
     for part in prepare_tangents(system, "exact").subdomains:
         assert part.kernel == "rigid"
         assert np.sum(np.abs(eigenvalues(part)) < 1e-12) == 3
+
+
+def test_node_without_stiffness_is_projected():
+    system = pressed_block(2, 3.0)
+    assert system.subdomains[0].stiffness.diagonal().min() < 0.0
+    for part in prepare_tangents(system, "exact").subdomains:
+        assert part.kernel == "rigid" and part.stiffness.diagonal().min() > 0.0
 
 
 def test_stress_is_compared_with_shear(monkeypatch):

@@ -173,6 +173,7 @@ class Report:
         """Return the main figures as lines to read, forces with a unit."""
         unknowns, products, unit = self.unknowns, self.products, f" {force_unit}".rstrip()
         accuracy = "at most" if self.certificate.guaranteed else "estimated as"
+        negative = f", {n} of them negative" if (n := self.deflation["negative"]) else ""
         lines = {
             "result": self.reason,
             "error": f"{accuracy} {self.certificate.worst:.1e}, relative, in the energy norm",
@@ -181,7 +182,7 @@ class Report:
             "friction": f"{unknowns['sticking']} of {unknowns['friction']} nodes stick",
             "products with F": f"{products['total']}, and {products['norm']} for its norm",
             "preconditioner": self.preconditioner,
-            "deflation": f"{self.deflation['vectors']} directions",
+            "deflation": f"{self.deflation['vectors']} directions{negative}",
             "time": f"{self.seconds['total']:.2f} s ({self._slowest()}), MPI ranks: {self.ranks}",
         }
         has = {"friction": unknowns["friction"], "deflation": self.deflation["vectors"]}
