@@ -9,9 +9,11 @@ from __future__ import annotations
 import inspect
 import logging
 import os
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -381,16 +383,12 @@ class CompiledForm:
             }
             inputs = ({w: w for w in self._form.coefficients()}, {c: c for c in self._constants()})
             return fem.create_form(self._compiled, spaces, domain, subdomains, *inputs)
-        ufcx_form, module, _ = self._compiled
-        functions = self._form.coefficients()
+        ufcx_form, module = self._ufcx
         kinds = cpp.fem.IntegralType
         return cpp.fem.Form_float64(
             module.ffi.cast("uintptr_t", module.ffi.addressof(ufcx_form)),
             [cpp_object(V) for V in spaces],
-            [
-                cpp_object(functions[ufcx_form.original_coefficient_position[i]])
-                for i in range(ufcx_form.num_coefficients)
-            ],
+            [cpp_object(w) for w in self.coefficients],
             [cpp_object(c) for c in self._constants()],
             {
                 kinds.cell: _tags_from_cells(domain, cells),
@@ -403,6 +401,82 @@ class CompiledForm:
 
     def _constants(self) -> list[Any]:
         return list(self._form.constants())
+
+    @property
+    def integrals(self) -> list[tuple[str, int, Any]]:
+        """Kind ("cell" or "exterior_facet"), tag and compiled kernel of each integral.
+
+        - 0.5.2 has functions ``integrals``, ``integral_ids`` and ``num_integrals`` of the kind;
+        - 0.9 to 0.11 have arrays of all kinds, with offsets.
+        """
+        form, integrals = self._ufcx[0], []
+        for number, kind in enumerate(("cell", "exterior_facet")):
+            if self._new:
+                begin, end = (form.form_integral_offsets[i] for i in (number, number + 1))
+                ids, of_kind = form.form_integral_ids, form.form_integrals
+            else:
+                begin, end = 0, form.num_integrals(number)
+                ids, of_kind = form.integral_ids(number), form.integrals(number)
+            for i in range(begin, end):
+                integrals.append((kind, int(ids[i]), of_kind[i].tabulate_tensor_float64))
+        return integrals
+
+    @property
+    def coefficients(self) -> list[fem.Function]:
+        """The coefficients in the order of the kernels.
+
+        - 0.5.2 has ``original_coefficient_position``, 0.9 to 0.11 the same with an s.
+        """
+        form, functions = self._ufcx[0], self._form.coefficients()
+        name = "original_coefficient_position" + "s" * self._new
+        return [functions[getattr(form, name)[i]] for i in range(form.num_coefficients)]
+
+    def add_element_tensors(
+        self,
+        kernel: Any,
+        tensors: NDArray[np.float64],
+        rows: NDArray[Any],
+        coefficients: NDArray[np.float64],
+        coordinates: NDArray[np.float64],
+        facets: NDArray[np.int32] | None = None,
+    ) -> None:
+        """Add an integral over some cells, or over a facet of each, to their element tensors.
+
+        - Kernels of 0.5.2 and 0.9 have six arguments, those of 0.10 and 0.11 a last one for data of
+          the user.
+
+        Dispatches on their number. `rows` are those of the cells in the tensors (m, ...), the
+        coefficients (m, w) and the coordinates (m, v, 3) of the nodes of the geometry. Facets are
+        local numbers, one for each of the rows.
+        """
+        ffi = self._ufcx[1].ffi
+
+        def pointers(values: NDArray[Any], at: NDArray[Any], kind: str = "double") -> Any:
+            if not values.size:
+                return repeat(ffi.NULL)
+            addresses = values.ctypes.data + values.strides[0] * at.astype(np.uintp)
+            return ffi.from_buffer(f"{kind} *[]", addresses)
+
+        constants = np.concatenate([[], *(np.ravel(c.value) for c in self._constants())])
+        places = np.zeros(0, dtype=np.int32) if facets is None else facets
+        arguments = [
+            pointers(tensors, rows),
+            pointers(coefficients, rows),
+            pointers(constants, np.zeros(len(rows))),
+            pointers(coordinates, rows),
+            pointers(places, np.arange(places.size), "int"),
+        ]
+        more = len(ffi.typeof(kernel).args) - len(arguments)
+        # the loop over the cells is within map and deque
+        deque(map(kernel, *arguments, *[repeat(ffi.NULL)] * more), maxlen=0)
+
+    @property
+    def _ufcx(self) -> tuple[Any, Any]:
+        """The compiled form and its module."""
+        if self._new:
+            return self._compiled.ufcx_form, self._compiled.module
+        form, module, _ = self._compiled
+        return form, module
 
 
 def _tags_from_cells(domain: mesh.Mesh, cells: dict[int, Numbers]) -> Any:
@@ -427,21 +501,6 @@ def _tags(domain: mesh.Mesh, dim: int, entities: list[Numbers], values: list[int
     tags = np.repeat(values, [part.size for part in entities]).astype(np.int32)
     order = np.argsort(numbers)
     return mesh.meshtags(domain, dim, numbers[order], tags[order])
-
-
-def assemble_stiffness(form: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.float64]]:
-    """Assemble a bilinear form on a space whose dofs no ranks share. Collective.
-
-    Return indptr, indices, data of this rank's rows and columns. The PETSc path is the same in all
-    versions (native matrices of 0.5.2 have no blocks).
-    """
-    A = fem.petsc.assemble_matrix(form)
-    A.assemble()
-    indptr, indices, data = A.getValuesCSR()
-    begin, _ = A.getOwnershipRange()
-    A.destroy()
-    indices -= begin
-    return indptr, indices, data
 
 
 def assemble_load(form: Any) -> NDArray[np.float64]:

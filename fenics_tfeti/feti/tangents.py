@@ -27,7 +27,8 @@ from fenics_tfeti.feti.coarse.resistance import weak_motions
 from fenics_tfeti.feti.local.cholesky import SparseLDL
 from fenics_tfeti.feti.local.congruence import find_congruence_classes
 from fenics_tfeti.feti.local.elastic_supports import forces_of_motions
-from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes
+from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes, unknowns_of_nodes
+from fenics_tfeti.feti.local.moduli import bulk_over_shear, share_of_shear
 from fenics_tfeti.feti.local.rigid_body_modes import (
     raw_modes,
     rigid_body_modes,
@@ -40,8 +41,9 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 
 TangentKind = Literal["auto", "exact", "projected"]
 
-# force K R of a rotation R of length 1, relative to the mean diagonal of K, below which the tangent
-# is projected: a thin ring, where it is 1e-7, takes 45 products instead of 1579
+# force K R of a rotation R of length 1, relative to the part of the mean diagonal of K that shear
+# has, below which the tangent is projected: a thin ring, where it is 1e-7, takes 45 products
+# instead of 1579
 _STRESSED = 1e-4
 # fixing nodes of the projection
 _FIXING_NODES = 8
@@ -97,11 +99,12 @@ def _tangent(subdomain: Subdomain, exact: bool) -> Subdomain:
         # elastic supports, or axisymmetry
         return stressed
     _, sizes, motions = np.linalg.svd(forces[:, x.shape[1] :], full_matrices=False)
-    free = sizes <= _STRESSED * K.diagonal().mean()
+    share = share_of_shear(bulk_over_shear(K, x), x.shape[1])
+    free = sizes <= _STRESSED * share * K.diagonal().mean()
     if not exact or free.all():
         return replace(subdomain, stiffness=projected_tangent(K, x), kernel="rigid")
     R = np.hstack([translations, rotations @ motions[free].T])
-    return replace(stressed, stiffness=_projected(K, R, _fixed(K, x, _FIXING_NODES)))
+    return replace(stressed, stiffness=_projected(K, R, _fixed(x, R, _FIXING_NODES)))
 
 
 def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_matrix:
@@ -126,7 +129,7 @@ def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_m
     """
     R, number = rigid_body_modes(coordinates), _FIXING_NODES
     while True:
-        fixed = _fixed(stiffness, coordinates, number)
+        fixed = _fixed(coordinates, R, number)
         K = _projected(stiffness, R, fixed)
         if K is stiffness:
             return K
@@ -137,11 +140,9 @@ def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_m
         number *= 2
 
 
-def _fixed(stiffness: sp.csr_matrix, coordinates: Vector, number: int) -> Numbers:
+def _fixed(coordinates: Vector, R: Vector, number: int) -> Numbers:
     """Return the unknowns of fixing nodes."""
-    gdim = coordinates.shape[1]
-    nodes = fixing_nodes(stiffness, coordinates, number)
-    return (gdim * nodes[:, None] + np.arange(gdim)).ravel()
+    return unknowns_of_nodes(fixing_nodes(coordinates, R, number), coordinates.shape[1])
 
 
 def _projected(stiffness: sp.csr_matrix, R: Vector, fixed: Numbers) -> sp.csr_matrix:

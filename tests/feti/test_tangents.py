@@ -6,15 +6,18 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
+import fibres
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from fibres import glued_contact
+from fibres import FAR
 from prestressed import compression, pressed_block, stressed
 from primal_reference import PrimalSolution, primal_active_set
+from torn import Glued, node_rows
 
 from fenics_tfeti.errors import InputError, UnstableTangent
 from fenics_tfeti.feti import (
+    ContactRows,
     Friction,
     Options,
     Prescribed,
@@ -63,12 +66,10 @@ def solved(name: str, kind: str = "exact", **options: Any) -> TornSolution:
 
 def primal(system: TornSystem) -> tuple[PrimalSolution, list[np.ndarray]]:
     """Return the solution of the glued bodies by a primal method, and each subdomain's unknowns."""
-    K, f, fixed, C, gap, places = glued_contact(system)
-    nodes = np.unique(np.concatenate([s.nodes for s in system.subdomains]))
-    given = system.prescribed
-    unknowns = system.gdim * np.searchsorted(nodes, given.nodes) + given.components
-    values = given.values[np.unique(unknowns, return_index=True)[1]]
-    return primal_active_set(K, f, fixed, values, C, gap), places
+    whole, gap = Glued.of(system), system.contacts.gap
+    fixed = np.setdiff1d(np.arange(whole.f.size), whole.free)
+    K, C = sp.csr_matrix(whole.K), sp.csr_matrix(whole.C)
+    return primal_active_set(K, whole.f, fixed, whole.u[fixed], C, gap), whole.places
 
 
 def check_against_primal(found: TornSolution, system: TornSystem) -> None:
@@ -135,7 +136,7 @@ def test_estimate_is_of_the_size_of_the_error():
     system = pressed_block(**BLOCKS["2D"])
     found = TornSolver(prepare_tangents(system, "exact"), Options(rtol=1e-2)).solve()
     expected, places = primal(system)
-    K, *_ = glued_contact(system)
+    K = Glued.of(system).K
     difference = np.zeros_like(expected.displacement)
     for u, at in zip(found.displacements, places, strict=True):
         difference[at] = u - expected.displacement[at]
@@ -174,6 +175,15 @@ def test_body_that_only_contact_holds_is_projected():
     check_against_primal(TornSolver(prepared, Options(rtol=1e-8)).solve(), prepared)
 
 
+@pytest.mark.parametrize(("kind", "free"), [("exact", 2), ("projected", 3)])
+def test_rotations_of_exact_tangents_are_no_free_motions(kind, free):
+    torn = TornSolver(prepare_tangents(pressed_block(), kind))
+    nothing = np.zeros(torn.setup.constraints.size, dtype=bool)
+    motions, weak = torn.setup.projector.coarse_space.weakly_resisted(nothing)
+    bodies = 2
+    assert motions.shape[1] == free * bodies and not weak.shape[1]
+
+
 def test_deflation_is_needed():
     with pytest.raises(InputError, match="'off', but .* have 7 negative eigenvalues"):
         TornSolver(prepare_tangents(pressed_block()), Options(deflation="off"))
@@ -189,6 +199,23 @@ def test_bodies_that_are_held_have_exact_tangents():
         assert after.kernel == "translations" and after.stiffness is before.stiffness
 
 
+@pytest.mark.parametrize(
+    ("tied", "kernel"), [(7, "translations"), (2, "translations"), (1, "rigid")]
+)
+def test_body_is_held_by_what_it_is_tied_to(tied, kernel):
+    """Two tied nodes hold the punch in the plane, one leaves it its rotation."""
+    system = pressed_block(clamped=False)
+    base = system.prescribed.nodes < FAR**2
+    given = system.prescribed
+    prescribed = Prescribed(given.nodes[base], given.components[base], given.values[base])
+    ends = system.contacts.nodes.reshape(-1, 2)[:tied]
+    rows = [node_rows(ends[:, 0], normal, ends[:, 1]) for normal in np.identity(2)]
+    system = replace(system, prescribed=prescribed, tied=ContactRows.concatenate(rows))
+    prepared = prepare_tangents(replace(system, contacts=ContactRows.none(2)))
+    assert {s.kernel for s in prepared.subdomains if s.body == 1} == {kernel}
+    assert {s.kernel for s in prepared.subdomains if s.body == 0} == {"translations"}
+
+
 @pytest.mark.parametrize("kind", ["auto", "exact", "projected"])
 def test_matrix_without_stress_is_left_as_it_is(kind):
     system = pressed_block(pressure=0.0)
@@ -202,6 +229,16 @@ def test_small_stress_is_projected():
     for part in prepare_tangents(system, "exact").subdomains:
         assert part.kernel == "rigid"
         assert np.sum(np.abs(eigenvalues(part)) < 1e-12) == 3
+
+
+def test_stress_is_compared_with_shear(monkeypatch):
+    """The diagonal of K of a nearly incompressible material is hundreds of times its shear's."""
+    monkeypatch.setattr(fibres, "POISSON", 0.499)
+    system = prepare_tangents(pressed_block(pressure=0.05))
+    assert {part.kernel for part in system.subdomains} == {"translations"}
+    found = TornSolver(system, Options(rtol=1e-8)).solve()
+    check_against_primal(found, system)
+    assert found.report.preconditioner == "dirichlet"
 
 
 def test_free_rotation_stays_in_the_kernel():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -66,6 +67,17 @@ def test_same_solution_as_on_one_rank(name, method):
     mine = alone.displacements[COMM.rank :: COMM.size]
     for u, expected in zip(found.displacements, mine, strict=True):
         np.testing.assert_allclose(u, expected, rtol=0.0, atol=1e-6 * largest)
+
+
+def test_ranks_without_subdomains():
+    alone = pressed_block()
+    parts = alone if COMM.rank == 0 else pressed_block(comm=COMM)
+    subdomains = alone.subdomains if COMM.rank == 0 else []
+    prepared = prepare_tangents(replace(parts, subdomains=subdomains, comm=COMM))
+    report = TornSolver(prepared, Options(rtol=1e-8)).solve().report
+    expected = TornSolver(prepare_tangents(alone), Options(rtol=1e-8)).solve().report
+    assert report.deflation["negative"] == expected.deflation["negative"]
+    assert report.energy == pytest.approx(expected.energy, rel=1e-9)
 
 
 def test_unstable_tangent_is_refused_on_all_ranks():

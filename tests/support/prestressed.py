@@ -14,10 +14,12 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 from fibres import FAR, subdomain
+from torn import fixed_nodes, node_rows
 
 from fenics_tfeti.feti import ContactRows, Prescribed, Subdomain, TornSystem
 
 DEPTH = 0.3
+FIELDS = ("nodes", "components", "values")
 
 
 def element_of_stress(stress: np.ndarray) -> np.ndarray:
@@ -100,12 +102,11 @@ def pressed_block(
     base = np.concatenate([s.nodes[s.coordinates[:, -1] == 0.0] for s in block])
     height = (layers + 1.0) * shape[-1]
     top = np.unique(np.concatenate([s.nodes[s.coordinates[:, -1] == height] for s in punch]))
-    down = np.append(np.zeros(gdim - 1), -DEPTH)
-    held = gdim if clamped else gdim - 1
+    still = fixed_nodes(np.unique(base), range(gdim)), fixed_nodes(top, range(gdim - 1))
+    moved = fixed_nodes(top, [gdim - 1], -DEPTH)
+    parts = (*still, moved) if clamped else still
     prescribed = Prescribed(
-        np.append(np.repeat(base, gdim), np.repeat(top, held)),
-        np.append(np.tile(np.arange(gdim), base.size), np.tile(np.arange(held), top.size)),
-        np.append(np.zeros(gdim * base.size), np.tile(down[:held], top.size)),
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in FIELDS)
     )
     if not clamped:
         for s in punch:
@@ -118,10 +119,7 @@ def pressed_block(
     # the face of the punch is round
     width = len(middle) * shape[0]
     gap = 0.2 * DEPTH * (2.0 * (x[:, 0] - x[:, 0].mean()) / width) ** 2
-    normal = np.tile(-np.eye(gdim)[-1], (slaves.size, 1))
-    rows = ContactRows.node_to_node(
-        slaves, slaves - FAR**gdim, normal, gap, np.zeros(slaves.size, dtype=np.int64)
-    )
+    rows = node_rows(slaves, -np.eye(gdim)[-1], slaves - FAR**gdim, gap)
     return TornSystem(
         [*block, *punch][comm.rank :: comm.size],
         prescribed if comm.rank == 0 else Prescribed(),

@@ -1,8 +1,8 @@
 """Stiffness matrices K_i and loads f_i of torn subdomains, from the user's forms (sec. 11.5).
 
-No subdomain has a mesh of its own: the forms are integrated on the user's mesh with a torn space,
-in which cells share nodes within a subdomain only. The matrix on it is block diagonal, with K_i as
-blocks.
+No subdomain has a mesh of its own: the forms are integrated on cells of the user's mesh. K_i are
+sums of element matrices, which the compiled kernels of the form give; the loads are those on a torn
+space, in which cells share nodes within a subdomain only.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 from mpi4py import MPI
 
@@ -26,11 +25,14 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.forms import PreparedForm, prepare_form
 from fenics_tfeti.fem.decomposition.parts import Part, find_equal, samples
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.topology import exterior_cell_facets
+from fenics_tfeti.fem.topology import batches, exterior_cell_facets
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.parallel import raise_collectively
 
 logger = logging.getLogger(__name__)
+
+# numbers in the element matrices of the cells that are assembled at once: 8 MB stay in the cache
+_ENTRIES = 2**20
 
 
 @dataclass(frozen=True)
@@ -81,12 +83,9 @@ class PreparedForms:
             for part, j, load in zip(parts, first, loads, strict=True)
         ]
 
-    def cell_matrices(self, cells: NDArray[np.int32]) -> list[NDArray[np.float64]]:
-        """Return the matrices of some of this rank's cells, their nodes in order. Collective."""
-        nodes = _compat.cell_dofs(self.space)[cells]
-        table = np.arange(nodes.shape[1], dtype=np.int32)[None]
-        parts = [Part(cells[i : i + 1], nodes[i], table, 0) for i in range(len(cells))]
-        return [K.toarray() for K in self._assembled(parts)]
+    def cell_matrices(self, cells: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return the matrices (m, n, n) of some of this rank's cells, their nodes in order."""
+        return self.bilinear.element_matrices(self.space, cells)
 
     def values(self) -> FormValues:
         """Return the present values of the forms' coefficients and constants. Collective."""
@@ -109,45 +108,37 @@ class PreparedForms:
             len(parts),
             len(different),
         )
-        blocks = self._assembled([parts[i] for i in different])
-        return first, dict(zip(different, blocks, strict=True))
+        return first, {i: self._stiffness(parts[i]) for i in different}
 
-    def _assembled(self, parts: Sequence[Part]) -> list[sp.csr_matrix]:
-        V, ends = self._torn_space(parts)
-        bound = self.bilinear.bind([V, V], [part.cells for part in parts])
-        indptr, indices, values = _compat.assemble_stiffness(bound)
-        return [
-            _diagonal_block(indptr, indices, values, begin, end) for begin, end in pairwise(ends)
-        ]
+    def _stiffness(self, part: Part) -> sp.csr_matrix:
+        """Assemble K_i of a part, a few of its cells at a time."""
+        block = self.space.dofmap.index_map_bs
+        pattern = part.pattern(block)
+        data = np.zeros((pattern.rows.size, block))
+        size = (part.table.shape[1] * block) ** 2
+        for batch in batches(part.cells.size, max(1, max(_ENTRIES, data.size) // size)):
+            matrices = self.cell_matrices(part.cells[batch])
+            data += pattern.adder(batch) @ matrices.reshape(-1, block)
+        return pattern.matrix(data)
 
     def _sample_matrices(
         self, parts: Sequence[Part], cells: Mapping[int, NDArray[np.int64]]
     ) -> dict[int, NDArray[np.float64]]:
         """Return the matrices of some cells of some parts, in the frames of the parts' shapes.
 
-        Collective, also for ranks without such parts. `cells` are positions, for each of these
-        parts.
+        `cells` are positions, for each of these parts.
         """
-        torn = list[Part]()
+        matrices, block = dict[int, NDArray[np.float64]](), self.space.dofmap.index_map_bs
         for i, rows in cells.items():
+            part = parts[i]
             # in the order that cells of images have, too
-            order = np.argsort(parts[i].table[rows], axis=1)
-            table = np.empty_like(order, dtype=np.int32)
-            np.put_along_axis(table, order, np.arange(order.size).reshape(order.shape), axis=1)
-            nodes = np.take_along_axis(parts[i].table[rows], order, axis=1)
-            torn.append(Part(parts[i].cells[rows], parts[i].nodes[nodes.ravel()], table, 0))
-        matrices = dict[int, NDArray[np.float64]]()
-        if not self.space.mesh.comm.allreduce(bool(torn), MPI.LOR):
-            return matrices
-        for i, K, part in zip(cells, self._assembled(torn), torn, strict=True):
-            count, nodes_of_cell = part.table.shape
-            size = K.shape[0] // count
-            entries = K.tocoo()
-            matrices[i] = np.zeros((count, size, size))
-            matrices[i][entries.row // size, entries.row % size, entries.col % size] = entries.data
-            rotation = parts[i].rotation
-            if rotation is not None:
-                T = np.kron(np.eye(nodes_of_cell), rotation)
+            nodes = np.argsort(part.table[rows], axis=1)
+            order = (block * nodes[:, :, None] + np.arange(block)).reshape(len(rows), -1)
+            K = self.cell_matrices(part.cells[rows])
+            K = np.take_along_axis(K, order[:, :, None], axis=1)
+            matrices[i] = np.take_along_axis(K, order[:, None, :], axis=2)
+            if part.rotation is not None:
+                T = np.kron(np.eye(nodes.shape[1]), part.rotation)
                 matrices[i] = T.T @ matrices[i] @ T
         return matrices
 
@@ -197,12 +188,3 @@ def _frame(part: Part, first: Part) -> NDArray[np.float64] | None:
     if first.rotation is None:
         return part.rotation
     return first.rotation.T if part.rotation is None else part.rotation @ first.rotation.T
-
-
-def _diagonal_block(
-    indptr: NDArray[Any], indices: NDArray[Any], data: NDArray[np.float64], begin: int, end: int
-) -> sp.csr_matrix:
-    """Return a diagonal block of a block diagonal matrix; its data are a view."""
-    entries = slice(indptr[begin], indptr[end])
-    local = (data[entries], indices[entries] - begin, indptr[begin : end + 1] - indptr[begin])
-    return sp.csr_matrix(local, shape=(end - begin, end - begin))

@@ -19,7 +19,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.topology import cell_facets, owned_cells
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
-from fenics_tfeti.typing import Indices, Numbers
+from fenics_tfeti.typing import Indices, Numbers, Vector
 
 # geometric quantities of UFL that a translation does not change
 _TRANSLATION_INVARIANT = (
@@ -69,6 +69,26 @@ class PreparedForm:
                 position, facet = np.nonzero(tags == t)
                 tagged_facets[t] = np.column_stack([rows[position], facet]).astype(np.int32)
         return self.compiled.bind(spaces, tagged_cells, tagged_facets)
+
+    def element_matrices(self, space: FunctionSpace, cells: Indices) -> Vector:
+        """Return the matrices (m, n, n) of some of this rank's cells, their nodes in order."""
+        n = _compat.cell_dofs(space).shape[1] * space.dofmap.index_map_bs
+        matrices = np.zeros((cells.size, n, n))
+        values = [_values_of_cells(w, cells) for w in self.compiled.coefficients]
+        flat = [v.reshape(cells.size, -1) for v in values]
+        coefficients = np.hstack([np.zeros((cells.size, 0)), *flat])
+        domain = space.mesh
+        coordinates = domain.geometry.x[_compat.geometry_cells(domain)[cells]]
+        for kind, tag, kernel in self.compiled.integrals:
+            tags = self.cell_tag if kind == "cell" else self.facet_tag
+            assert tags is not None  # there are integrals of this kind
+            rows, *facet = np.nonzero(tags[cells] == tag)
+            facets = facet[0].astype(np.int32) if facet else None
+            if rows.size:
+                self.compiled.add_element_tensors(
+                    kernel, matrices, rows, coefficients, coordinates, facets
+                )
+        return matrices
 
     def values(self) -> list[NDArray[np.float64]]:
         """Return copies of the coefficients' and constants' present values; NaN is an error."""
@@ -288,8 +308,10 @@ def _tag_everywhere(
     return form, ids_of_form, tags
 
 
-def _values_of_cells(function: Function) -> NDArray[np.float64]:
-    """Return a coefficient's values (cells, v, block) on each cell of this rank."""
+def _values_of_cells(
+    function: Function, cells: Indices | slice = slice(None)
+) -> NDArray[np.float64]:
+    """Return a coefficient's values (cells, v, block) on some cells of this rank, or on all."""
     space = function.function_space
     values = function.x.array.reshape(-1, space.dofmap.index_map_bs)
-    return np.asarray(values[_compat.cell_dofs(space)], dtype=float)
+    return np.asarray(values[_compat.cell_dofs(space)[cells]], dtype=float)

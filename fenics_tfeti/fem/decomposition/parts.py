@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
@@ -17,6 +18,56 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.images import find_images
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING
 from fenics_tfeti.typing import Indices, Points
+
+
+@dataclass(frozen=True)
+class BlockPattern:
+    """The nonzero blocks of a stiffness matrix, and those of element matrices in it.
+
+    Its data are rows (k * b, b) of the k blocks, in the order of the CSR format.
+    """
+
+    indices: Indices  # (k * b * b,) of the CSR format
+    indptr: Indices
+    position: Indices  # (m, v, v) block that each block of a cell's matrix is added to
+    rows: Indices  # (k, b) rows of each block
+
+    @staticmethod
+    def of(table: Indices, nodes: int, size: int) -> BlockPattern:
+        """Return the pattern of cells with nodes in a table (m, v), and blocks of a size."""
+        shape = (*table.shape, table.shape[1])
+        # NumPy sorts small integers in linear time
+        table = table.astype(np.min_scalar_type(nodes))
+        row, column = (
+            np.broadcast_to(x, shape).ravel() for x in (table[:, :, None], table[:, None])
+        )
+        order = np.argsort(column, kind="stable")
+        order = order[np.argsort(row[order], kind="stable")]
+        row, column = row[order], column[order]
+        new = np.append(True, (np.diff(row) != 0) | (np.diff(column) != 0))
+        position = np.empty(order.size, dtype=np.int32)
+        position[order] = np.cumsum(new) - 1
+        row, column = (x[new].astype(np.int32) for x in (row, column))
+        count = np.bincount(row, minlength=nodes)
+        begin = np.append(0, np.cumsum(count))
+        # the rows of a block are as far from each other as its row of blocks is long
+        first = (size - 1) * begin[row] + np.arange(row.size)
+        rows = (first[:, None] + count[row, None] * np.arange(size)).astype(np.int32)
+        indices = np.empty((rows.size, size), dtype=np.int32)
+        indices[rows] = (size * column[:, None] + np.arange(size, dtype=np.int32))[:, None]
+        indptr = np.append(0, np.cumsum(np.repeat(size * count, size))).astype(np.int32)
+        return BlockPattern(indices.ravel(), indptr, position.reshape(shape), rows)
+
+    def adder(self, cells: slice) -> sp.csc_matrix:
+        """Return the matrix that adds rows (m, v, b, v) of blocks of some cells to the data."""
+        rows = self.rows.take(self.position[cells], axis=0).swapaxes(2, 3).ravel()
+        columns = np.arange(rows.size + 1, dtype=np.int32)
+        return sp.csc_matrix((np.ones(rows.size), rows, columns), (self.rows.size, rows.size))
+
+    def matrix(self, data: Points) -> sp.csr_matrix:
+        """Return the matrix with these data, unknowns node by node."""
+        size = self.indptr.size - 1
+        return sp.csr_matrix((data.ravel(), self.indices, self.indptr), (size, size))
 
 
 @dataclass(frozen=True)
@@ -33,6 +84,16 @@ class Part:
     # Orthogonal matrix T (d, d) if the part is the image, rotated or mirrored by T, of another one
     # of this shape.
     rotation: Points | None = None
+
+    patterns: dict[int, BlockPattern] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+
+    def pattern(self, size: int) -> BlockPattern:
+        """Return the pattern of the stiffness matrix, which is kept to assemble it again."""
+        if size not in self.patterns:
+            self.patterns[size] = BlockPattern.of(self.table, self.nodes.size, size)
+        return self.patterns[size]
 
 
 def number_parts(

@@ -80,6 +80,10 @@ class TornMesh:
             self._subdomains = []
             release()
             self._subdomains = self._assembled(None)
+            if old is None:
+                # most problems are assembled once
+                for part in self._parts:
+                    part.patterns.clear()
         elif not same_values(old.linear, new.linear, comm):
             self._subdomains = self._assembled(self._subdomains)
         self._values = new

@@ -56,7 +56,7 @@ from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
 # factors of the threshold of deflated eigenvalues, tried until U'FU has all negative ones
-_LIMITS = (1.0, 0.1)
+_LIMITS = (1.0, 0.01)
 
 
 @dataclass(frozen=True)
