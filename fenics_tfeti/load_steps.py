@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
-from dolfinx.fem import Function
-
 from fenics_tfeti.errors import ContactError, InputError, NotConverged
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
 
@@ -17,9 +15,9 @@ _SHORTEST = 1e-3
 class SteppedProblem(Protocol):
     """A problem that is solved in load steps."""
 
-    u: Function
+    u: Any
 
-    def solve(self) -> Function:
+    def solve(self) -> Any:
         """Solve at the present loads."""
 
     def advance(self) -> None:

@@ -124,7 +124,7 @@ def test_forces_of_all_nodes_are_in_the_checkpoint(path):
     problem = block_on_disc(block(COMM), floor := Plane((0.0, 0.0), (0.0, 1.0)))
     problem.solve()
     nodes = problem.results[0].nodes
-    assert problem._nodes.input_numbers[nodes].min() == 0
+    assert problem._torn.nodes.input_numbers[nodes].min() == 0
     problem.save(path)
     again = block_on_disc(block(COMM), floor)
     again.restore(path)

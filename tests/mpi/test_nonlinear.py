@@ -25,9 +25,9 @@ def on_one_rank(make, *arguments, loads, **options):
     ("make", "arguments", "loads"),
     [
         (indented_block, (), [0.5, 1.0]),
-        (indented_block, (3, 4), [0.5, 1.0]),
-        (ironing, (), [0.5, 1.0, 1.1]),
-        (ironing, (Coulomb(0.3),), [0.5, 1.0, 1.1]),
+        (indented_block, (3, 2), [0.5, 1.0]),
+        (ironing, (None, 3, 6), [1.0, 1.1]),
+        (ironing, (Coulomb(0.3), 3, 6), [1.0, 1.1]),
     ],
 )
 def test_same_as_on_one_rank(make, arguments, loads):

@@ -364,7 +364,7 @@ class ContactSearch:
         comm, entry = self._space.mesh.comm, found.contacts[index]
         pair, pairing = entry.roles.given, entry.undeformed
         assert isinstance(pair, ContactPair)
-        ratio = roles_ratio(comm, pairing, torn)
+        ratio = roles_ratio(pairing, torn)
         roles = Roles(pair, pair, ratio, describe_roles(pair, ratio, False, None))
         if ratio is not None and prefers_exchange(pair, ratio):
             reason = describe_roles(pair, ratio, True, None)

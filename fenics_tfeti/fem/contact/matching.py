@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from mpi4py import MPI
-
 import numpy as np
 
 from fenics_tfeti.errors import InputError
@@ -26,7 +24,7 @@ from fenics_tfeti.fem.contact.obstacle_conditions import match_obstacle
 from fenics_tfeti.fem.contact.surfaces.cylinders import without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
-from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components, same_supports
+from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components, still_holds
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 from fenics_tfeti.feti.system import Prescribed
 from fenics_tfeti.parallel import raise_collectively
@@ -77,34 +75,28 @@ def match_contact(
     if isinstance(contact, RigidObstacle):
         return match_obstacle(boundary, name, contact, earlier)
     supports = Prescribed() if prescribed is None else prescribed
-    if earlier is None or not _still_holds(boundary, earlier, supports):
+    if earlier is not None and earlier.prescribed is not None:
+        holds = still_holds(earlier.surface, supports, earlier.prescribed)
+        earlier = earlier if holds else None
+    if earlier is None:
         pairing = _match_pair(boundary, name, contact, supports)
         if contact.normal is not None:
             return pairing
         normal = without_axial_tilt(pairing.surface, pairing.slave, pairing.normal)
         return replace(pairing, normal=normal)
-    gap = _updated_gap(boundary.space.mesh.comm, contact, earlier)
+    gap = _updated_gap(contact, earlier)
     if boundary.weight is None:
         return earlier if gap is earlier.gap else replace(earlier, gap=gap)
     area = earlier.surface.areas(earlier.covered, name)
     return replace(earlier, gap=gap, area=area[earlier.on_surface])
 
 
-def _still_holds(boundary: MeshBoundary, earlier: ContactPairing, prescribed: Prescribed) -> bool:
-    """Tell whether the conditions of a pair found earlier hold with these supports. Collective."""
-    if earlier.prescribed is None:
-        return True
-    if boundary.weight is not None:
-        return False
-    return same_supports(boundary.space.mesh.comm, earlier.surface, prescribed, earlier.prescribed)
-
-
-def _updated_gap(comm: MPI.Intracomm, contact: ContactPair, earlier: ContactPairing) -> Vector:
+def _updated_gap(contact: ContactPair, earlier: ContactPairing) -> Vector:
     """Return the gaps of a pair; a function of the user may have changed. Collective."""
     if not callable(contact.initial_gap):
         return earlier.gap
     nothing = np.zeros_like(earlier.gap)
-    points, name = earlier.coordinates, earlier.name
+    comm, points, name = earlier.surface.comm, earlier.coordinates, earlier.name
     return initial_gap(comm, contact.initial_gap, earlier.gap, nothing, points, name)
 
 

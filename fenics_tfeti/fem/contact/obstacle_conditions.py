@@ -14,7 +14,6 @@ from fenics_tfeti.fem.contact.description import RigidObstacle
 from fenics_tfeti.fem.contact.mortar.conditions import one_sided_conditions
 from fenics_tfeti.fem.contact.obstacles import gap_and_normal
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
-from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.typing import Vector
 
@@ -58,8 +57,7 @@ def _match_means(name: str, contact: RigidObstacle, slave: Surface) -> ContactPa
     nodes, terms = one_sided_conditions(slave, facets, covered)
     rows = np.searchsorted(slave.nodes, nodes)
     if facets.weight is not None:
-        label = f"slave of {name}"
-        check_weighted_areas(comm, terms.scale, slave.area[rows], slave.points[rows], label)
+        slave.check_weight(terms.scale, rows, name)
     # the nodes of a condition may be on facets of several ranks
     at_owners = all_nodes.sum_at_owners(facets.nodes, nodal_gap, np.maximum)
     mean = _mean_gap(terms, all_nodes.values_at(at_owners, terms.nodes))

@@ -12,8 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,15 +43,15 @@ class Roles:
         return {"roles_ratio": self.ratio, "roles": self.reason}
 
 
-def roles_ratio(
-    comm: MPI.Intracomm, pairing: ContactPairing, subdomains: Sequence[Subdomain]
-) -> float | None:
+def roles_ratio(pairing: ContactPairing, subdomains: Sequence[Subdomain]) -> float | None:
     """Return E / h of the slave over that of the master; None for node pairs. Collective."""
     if not pairing.is_mortar or pairing.master_surface is None:
         return None
-    return _modulus_over_size(comm, pairing.surface, subdomains) / _modulus_over_size(
-        comm, pairing.master_surface, subdomains
+    slave, master = (
+        _modulus_over_size(surface, subdomains)
+        for surface in (pairing.surface, pairing.master_surface)
     )
+    return slave / master
 
 
 def prefers_exchange(contact: ContactPair, ratio: float | None) -> bool:
@@ -111,10 +109,8 @@ def warn_of_roles(name: str, ratio: float) -> None:
         )
 
 
-def _modulus_over_size(
-    comm: MPI.Intracomm, surface: Surface, subdomains: Sequence[Subdomain]
-) -> float:
-    gdim = surface.normal.shape[1]
+def _modulus_over_size(surface: Surface, subdomains: Sequence[Subdomain]) -> float:
+    comm, gdim = surface.comm, surface.normal.shape[1]
     nodes = np.sort(concatenate_ranks(comm, surface.nodes))
     entries = sum(_diagonal_sum(subdomain, nodes, gdim) for subdomain in subdomains)
     total, size = comm.allreduce(np.array([entries, surface.size.sum()])).tolist()

@@ -15,7 +15,7 @@ from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, tied_co
 from fenics_tfeti.fem.contact.mortar.pairing import check_covered
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
-from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components, same_supports
+from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components, still_holds
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MeshBoundary,
     Surface,
@@ -82,16 +82,11 @@ def tie_pairs(
 
     Known results hold as long as the same components are prescribed.
     """
-    comm = boundary.space.mesh.comm
     earlier = {id(pair): pairing for pair, pairing in known}
     pairings = {}
     for number, pair in pairs.items():
         pairing = earlier.get(id(pair))
-        if (
-            pairing is None
-            or boundary.weight is not None
-            or not same_supports(comm, pairing.surface, prescribed, pairing.prescribed)
-        ):
+        if pairing is None or not still_holds(pairing.surface, prescribed, pairing.prescribed):
             pairing = tie(boundary, pair, number, prescribed)
         pairings[number] = pairing
     return pairings

@@ -36,9 +36,7 @@ def posed(cell="triangle", upper_young=YOUNG, lower=4, upper=4, weight=None, **p
 
 
 def ratio_of(problem):
-    return roles_ratio(
-        problem.space.mesh.comm, problem._torn.undeformed.pairings[0], problem.system.subdomains
-    )
+    return roles_ratio(problem._torn.undeformed.pairings[0], problem.system.subdomains)
 
 
 @pytest.mark.parametrize("cell", ["triangle", "hexahedron"])

@@ -18,7 +18,6 @@ from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, mortar_
 from fenics_tfeti.fem.contact.mortar.facets import Planes
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
-from fenics_tfeti.fem.contact.surfaces.measure_weight import check_weighted_areas
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import normals_in_symmetry_planes
@@ -50,10 +49,7 @@ def match_by_mortar(
     check_covered(conditions, slave, name)
     rows = np.searchsorted(slave.nodes, conditions.slave)
     if facets.weight is not None:
-        label = f"slave of {name}"
-        check_weighted_areas(
-            slave.comm, conditions.area, slave.area[rows], slave.points[rows], label
-        )
+        slave.check_weight(conditions.area, rows, name)
     gap = np.sum(conditions.gap * conditions.normal, axis=1)
     gap = slave.without_rounding(gap)
     gap = initial_gap(

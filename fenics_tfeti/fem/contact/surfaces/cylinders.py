@@ -37,8 +37,8 @@ def without_axial_tilt(surface: Surface, nodes: Numbers, normal: Vector) -> Vect
     """
     if normal.shape[1] != 3:
         return normal
-    comm, rows = surface.boundary.nodes.comm, np.searchsorted(surface.nodes, nodes)
-    cylinder = Cylinder.of(comm, surface.points[rows], normal)
+    rows = np.searchsorted(surface.nodes, nodes)
+    cylinder = Cylinder.of(surface.comm, surface.points[rows], normal)
     if cylinder is None:
         return normal
     corners = surface.corners

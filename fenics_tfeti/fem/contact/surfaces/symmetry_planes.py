@@ -33,12 +33,15 @@ def prescribed_components(surface: Surface, prescribed: Prescribed) -> Mask:
     return mask
 
 
-def same_supports(
-    comm: MPI.Intracomm, surface: Surface, prescribed: Prescribed, mask: Mask
-) -> bool:
-    """Tell whether the prescribed components of a surface are those of a mask. Collective."""
+def still_holds(surface: Surface, prescribed: Prescribed, mask: Mask) -> bool:
+    """Tell whether mortar conditions hold that were found with other supports. Collective.
+
+    They do if they have no weight and the prescribed components are those of the mask.
+    """
+    if surface.boundary.weight is not None:
+        return False
     same = np.array_equal(prescribed_components(surface, prescribed), mask)
-    return bool(comm.allreduce(same, MPI.LAND))
+    return bool(surface.comm.allreduce(same, MPI.LAND))
 
 
 def normals_in_symmetry_planes(surface: Surface, prescribed: Mask) -> Vector:

@@ -171,6 +171,11 @@ class Surface:
         area: Vector = np.sum(self.sum_of_corners(integrals) * self.normal, axis=1)
         return area
 
+    def check_weight(self, weighted: Vector, rows: Numbers | slice, name: str) -> None:
+        """Check that areas (k,) with the weight of the measure, at some nodes, are positive."""
+        label = f"slave of {name}"
+        check_weighted_areas(self.comm, weighted, self.area[rows], self.points[rows], label)
+
     def areas(self, covered: Mask, name: str) -> Vector:
         """Return each node's area on covered facets, or all of it where it has none. Collective.
 
@@ -180,7 +185,7 @@ class Surface:
         area, weight = self.area, self.boundary.nodal_weight()
         if weight is not None:
             area = self.share_of_area(np.ones_like(covered), weight)
-            check_weighted_areas(self.comm, area, self.area, self.points, f"slave of {name}")
+            self.check_weight(area, slice(None), name)
         if self.comm.allreduce(bool(covered.all()), MPI.LAND):
             return area
         covered_area = self.share_of_area(covered, weight)
