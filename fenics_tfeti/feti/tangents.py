@@ -27,7 +27,7 @@ from fenics_tfeti.feti.coarse.resistance import weak_motions
 from fenics_tfeti.feti.local.cholesky import SparseLDL
 from fenics_tfeti.feti.local.congruence import find_congruence_classes
 from fenics_tfeti.feti.local.elastic_supports import forces_of_motions
-from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes
+from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes, unknowns_of_nodes
 from fenics_tfeti.feti.local.moduli import bulk_over_shear, share_of_shear
 from fenics_tfeti.feti.local.rigid_body_modes import (
     raw_modes,
@@ -104,7 +104,7 @@ def _tangent(subdomain: Subdomain, exact: bool) -> Subdomain:
     if not exact or free.all():
         return replace(subdomain, stiffness=projected_tangent(K, x), kernel="rigid")
     R = np.hstack([translations, rotations @ motions[free].T])
-    return replace(stressed, stiffness=_projected(K, R, _fixed(K, x, _FIXING_NODES)))
+    return replace(stressed, stiffness=_projected(K, R, _fixed(x, R, _FIXING_NODES)))
 
 
 def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_matrix:
@@ -129,7 +129,7 @@ def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_m
     """
     R, number = rigid_body_modes(coordinates), _FIXING_NODES
     while True:
-        fixed = _fixed(stiffness, coordinates, number)
+        fixed = _fixed(coordinates, R, number)
         K = _projected(stiffness, R, fixed)
         if K is stiffness:
             return K
@@ -140,11 +140,9 @@ def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_m
         number *= 2
 
 
-def _fixed(stiffness: sp.csr_matrix, coordinates: Vector, number: int) -> Numbers:
+def _fixed(coordinates: Vector, R: Vector, number: int) -> Numbers:
     """Return the unknowns of fixing nodes."""
-    gdim = coordinates.shape[1]
-    nodes = fixing_nodes(stiffness, coordinates, number)
-    return (gdim * nodes[:, None] + np.arange(gdim)).ravel()
+    return unknowns_of_nodes(fixing_nodes(coordinates, R, number), coordinates.shape[1])
 
 
 def _projected(stiffness: sp.csr_matrix, R: Vector, fixed: Numbers) -> sp.csr_matrix:
