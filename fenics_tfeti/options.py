@@ -69,7 +69,7 @@ class NewtonOptions(ContactOptions):
     newton_max_it : int
         Limit on the Newton steps of a load step.
     newton_step_limit : float
-        Largest |grad du F^-1| of a Newton step, strain or rotation [rad]; longer steps are cut.
+        Largest ``|grad du F^-1|`` of a Newton step, strain or rotation [rad]; longer steps are cut.
     newton_anderson : int
         How many earlier steps are mixed with each; 0 for none.
     tangent : {"auto", "exact", "projected"}
