@@ -73,12 +73,14 @@ def geometry_that_is_a_word(comm):
 
 @mistake("Exact: the tolerance", "-0.001", "largest displacement")
 def tolerance_of_the_geometry_that_is_negative(comm):
-    beams(comm).problem(geometry=Exact(tolerance=-1e-3))
+    scene = beams(comm)  # mpi4py 4 hangs where an error on its way out frees a mesh
+    scene.problem(geometry=Exact(tolerance=-1e-3))
 
 
 @mistake("Exact: max_passes", "2.5", "integer")
 def number_of_passes_that_is_a_fraction(comm):
-    beams(comm).problem(geometry=Exact(max_passes=2.5))
+    scene = beams(comm)
+    scene.problem(geometry=Exact(max_passes=2.5))
 
 
 @mistake("cell_tags", "list", "meshtags")
