@@ -34,7 +34,15 @@ from fenics_tfeti.feti.dual.active_set import (
     unused_friction,
 )
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep, Iterate, Method, SolveStatus, Turn
-from fenics_tfeti.feti.dual.pcpg import ContactState, Face, PCPGIterate, Proximal, iterate_on, pcpg
+from fenics_tfeti.feti.dual.pcpg import (
+    ContactState,
+    Face,
+    PCPGIterate,
+    Proximal,
+    first_iterate,
+    iterate_on,
+    pcpg,
+)
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.qp import Products
 from fenics_tfeti.typing import Vector
@@ -215,12 +223,15 @@ def _on_the_way(
     products: Products,
 ) -> PCPGIterate:
     """Return the state of least cost on the way to the following one, or that. Collective."""
-    t = _root(lambda t: bounds.slope(term, state, following, t))
-    l = state.multipliers + t * (following.multipliers - state.multipliers)
-    gradient = state.gradient + t * (following.gradient - state.gradient)
     # forces that turn have no residual where the slip is along them
     none = np.zeros_like(face.contact_state.curvature)
     plain = replace(face, contact_state=replace(face.contact_state, proximal=None, curvature=none))
+    t = _root(lambda t: bounds.slope(term, state, following, t))
+    if t == 0.0:
+        # no way down: rounding of larger multipliers before has added up in the gradient
+        return first_iterate(problem, plain, state.multipliers, products)
+    l = state.multipliers + t * (following.multipliers - state.multipliers)
+    gradient = state.gradient + t * (following.gradient - state.gradient)
     return iterate_on(problem, plain, l, gradient, following.step_lengths, products)
 
 
