@@ -35,6 +35,11 @@ class Step:
     number: int = 0  # of accepted steps
     passes: Sequence[GeometryPass] = ()  # finished passes of a solve that was not
 
+    def accepted(self, obstacles: Vector) -> Step:
+        """Return the step that follows: friction counts slip from the end of this one."""
+        origin = SlipOrigin(self.displacement, obstacles)
+        return replace(self, origin=origin, number=self.number + 1)
+
     def guess(self, pairings: Sequence[ContactPairing], first_node: int) -> ContactGuess:
         """Return the last forces, as those of closed gaps, at the conditions of this rank."""
         forces = [np.zeros(0)]

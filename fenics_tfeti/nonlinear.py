@@ -176,7 +176,7 @@ class NonlinearContactProblem:
             After Ctrl-C or SIGINT to one rank, on all of them; `u` is the last iterate, from which
             solving again goes on.
         """
-        start = owned_values(self.u)
+        start, step = owned_values(self.u), self._step
         with interruption.deferred():
             try:
                 self._solve(monitor, checkpoint)
@@ -184,6 +184,7 @@ class NonlinearContactProblem:
                 raise
             except BaseException:
                 fill_owned(self.u, start)
+                self._step = step
                 raise
             finally:
                 self._timer.restart()
@@ -202,9 +203,7 @@ class NonlinearContactProblem:
         if not self._is_solved:
             raise InputError("there is no step to accept; call solve() before advance()")
         assert self._solved is not None
-        obstacles = self._solved.conditions.obstacle_displacements()
-        origin = SlipOrigin(self._step.displacement, obstacles)
-        self._step = replace(self._step, origin=origin, number=self._step.number + 1)
+        self._step = self._step.accepted(self._solved.conditions.obstacle_displacements())
         self._is_solved = False
 
     def steps(

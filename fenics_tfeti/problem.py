@@ -263,9 +263,7 @@ class ContactProblem:
         """
         if not self._is_solved:
             raise InputError("there is no step to accept; call solve() before advance()")
-        displacements = self._torn.undeformed.obstacle_displacements()
-        origin = SlipOrigin(self._step.displacement, displacements)
-        self._step = replace(self._step, origin=origin, number=self._step.number + 1)
+        self._step = self._step.accepted(self._torn.undeformed.obstacle_displacements())
         self._is_solved = False
 
     def steps(

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from mpi4py import MPI
+
 import numpy as np
 import pytest
-from finite_strains import BASE, indented_block
+from finite_strains import BASE, TOP, indented_block
 
 import ufl
 from dolfinx import fem
@@ -16,7 +20,10 @@ from fenics_tfeti import (
     NotConverged,
     UnresistedMotion,
 )
+from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.models import neo_hookean
+
+COMM = MPI.COMM_WORLD
 
 
 @pytest.fixture
@@ -74,6 +81,43 @@ def test_nothing_converges_in_two_steps():
     assert not scene.problem.u.x.array.any()
     assert len(scene.problem.report.newton) == 2
     assert not scene.problem.report.converged
+
+
+def test_step_that_fails_leaves_the_last_one(tmp_path):
+    """A checkpoint after it has the displacement that u has."""
+    scene = indented_block(n=4)
+    scene.solve([0.25])
+    accepted = scene.problem.u.x.array.copy()
+    scene.problem.options = replace(scene.problem.options, newton_max_it=1)
+    scene.set_load(1.0)
+    with pytest.raises(NotConverged):
+        scene.problem.solve()
+    scene.problem.save(tmp_path / "step")
+    other = indented_block(n=4)
+    assert other.problem.restore(tmp_path / "step") == 1
+    np.testing.assert_array_equal(other.problem.u.x.array, accepted)
+
+
+def test_column_that_buckles_on_elastic_ground():
+    """Its tangent is that of one subdomain, and is not projected."""
+    mesh = boxes(COMM, [Box((0, 0), (1, 10), (2, 20))], "quadrilateral").mesh
+    tags = tag_facets(
+        mesh, {BASE: lambda x: np.isclose(x[1], 0), TOP: lambda x: np.isclose(x[1], 10)}
+    )
+    V = displacement_space(mesh)
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
+    load = fem.Constant(mesh, 0.0)
+    energy = neo_hookean(1.0, 0.3)(u) * ufl.dx + 0.5 * ufl.inner(u, u) * ds(BASE)
+    F = ufl.derivative(energy, u, v) + load * v[1] * ds(TOP)
+    problem = NonlinearContactProblem(F, u)
+    load.value = 1e-4
+    problem.solve()
+    settled = u.x.array.copy()
+    load.value = 0.1
+    with pytest.raises(NotConverged, match="the tangent is not positive"):
+        problem.solve()
+    np.testing.assert_array_equal(u.x.array, settled)
 
 
 def test_obstacle_that_no_step_can_reach():
