@@ -24,6 +24,11 @@ def axisymmetric_strain(u: Any) -> Any:
     return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, u[0] / r]])
 
 
+def _lame(E: Any, nu: Any) -> tuple[Any, Any]:
+    """Return the Lame parameters mu and lambda [Pa]."""
+    return E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+
+
 def isotropic(E: Any, nu: Any, strain: Callable[[Any], Any] = small_strain) -> Callable[[Any], Any]:
     """Return the stress of an isotropic linear elastic material as a function of the displacement.
 
@@ -43,7 +48,7 @@ def isotropic(E: Any, nu: Any, strain: Callable[[Any], Any] = small_strain) -> C
     callable
         Of a displacement, the stress tensor [Pa] of the shape of the strain.
     """
-    mu, lmbda = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+    mu, lmbda = _lame(E, nu)
 
     def stress(u: Any) -> Any:
         e = strain(u)
@@ -71,7 +76,7 @@ def neo_hookean(E: Any, nu: Any) -> Callable[[Any], Any]:
         Of a displacement, the energy per undeformed volume [J/m^3]; in two dimensions that of plane
         strain.
     """
-    mu, lmbda = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+    mu, lmbda = _lame(E, nu)
 
     def energy(u: Any) -> Any:
         dim = u.ufl_shape[0]

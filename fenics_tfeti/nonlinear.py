@@ -16,12 +16,12 @@ from fenics_tfeti.checkpoint import Step, read_step, write_step
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_residual
+from fenics_tfeti.fem.checks.locking import warn_of_locking
 from fenics_tfeti.fem.contact.contact_set import SolvedContacts
 from fenics_tfeti.fem.contact.description import Contact, Exact, TiedPair
 from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
-from fenics_tfeti.fem.locking import warn_of_locking
 from fenics_tfeti.fem.newton.deformation import CellGradients
 from fenics_tfeti.fem.newton.equilibrium import ForceScale
 from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.decomposition.partition import Partitioner
-from fenics_tfeti.fem.units import UnitSystem
+from fenics_tfeti.fem.io.units import UnitSystem
 from fenics_tfeti.feti import TangentKind
 from fenics_tfeti.feti.options import Options, check_range, convert, refuse_unknown
 

@@ -22,6 +22,7 @@ from fenics_tfeti.fem.arguments import (
     as_forms,
     as_geometry,
 )
+from fenics_tfeti.fem.checks.locking import warn_of_locking
 from fenics_tfeti.fem.contact.contact_set import ContactSet, SolvedContacts
 from fenics_tfeti.fem.contact.deformed import GeometryPass, geometry_pass
 from fenics_tfeti.fem.contact.description import Contact, Exact, TiedPair
@@ -34,7 +35,6 @@ from fenics_tfeti.fem.displacement import (
     owned_values,
     space_of_forms,
 )
-from fenics_tfeti.fem.locking import warn_of_locking
 from fenics_tfeti.fem.strains import warn_of_large_gradients
 from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
 from fenics_tfeti.feti import (

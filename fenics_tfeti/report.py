@@ -15,7 +15,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.deformed import GeometryPass
 from fenics_tfeti.fem.contact.result import ContactEntry, Results
 from fenics_tfeti.fem.io.scene import gather_scene
-from fenics_tfeti.fem.units import Units, units_of
+from fenics_tfeti.fem.io.units import Units, units_of
 from fenics_tfeti.feti import Report
 from fenics_tfeti.feti.files.arrays import write_whole
 from fenics_tfeti.feti.report.report import without_nan

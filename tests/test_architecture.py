@@ -27,7 +27,17 @@ LAYERS = {
     "fem": ({"typing", "errors", "parallel", "feti"}, None),
 }
 # The sub-packages of feti: each imports those before it, and of feti's own modules only these.
-FETI_ORDER = ["local", "constraints", "checks", "coarse", "dual", "solution", "files", "report"]
+FETI_ORDER = [
+    "local",
+    "constraints",
+    "checks",
+    "coarse",
+    "deflation",
+    "dual",
+    "solution",
+    "files",
+    "report",
+]
 FETI_BASE = {"system", "tolerances", "costs", "options", "interruption"}
 # the phases of a solve, which the solution adds to and the report has, have a time each
 FETI_OWN = {"solution": {"timer"}, "report": {"timer"}}

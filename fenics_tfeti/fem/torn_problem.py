@@ -14,6 +14,7 @@ import ufl
 from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.checks.mesh import check_mesh
 from fenics_tfeti.fem.contact.contact_set import ContactSearch, ContactSet
 from fenics_tfeti.fem.contact.description import Contact, TiedPair
 from fenics_tfeti.fem.contact.slip import SlipOrigin
@@ -21,7 +22,6 @@ from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.decomposition.partition import Partitioner
 from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
 from fenics_tfeti.fem.displacement import prescribed_values
-from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti import Friction, Timer, TornSystem
@@ -30,7 +30,7 @@ from fenics_tfeti.typing import Vector
 
 @dataclass(frozen=True)
 class ProblemData:
-    """What the user gave for a problem beside its forms, checked."""
+    """The checked arguments of a problem, without its forms."""
 
     bcs: list[Any]
     contacts: list[Contact | TiedPair]

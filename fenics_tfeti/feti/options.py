@@ -8,9 +8,9 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.feti.coarse.deflation import DeflationKind
 from fenics_tfeti.feti.coarse.factor import CoarseSolverKind
 from fenics_tfeti.feti.constraints.scaling import Scaling
+from fenics_tfeti.feti.deflation.space import DeflationKind
 from fenics_tfeti.feti.dual.operator import DualOperatorKind
 from fenics_tfeti.feti.dual.preconditioner import PreconditionerKind
 from fenics_tfeti.feti.local.cholesky import Package

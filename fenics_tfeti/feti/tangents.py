@@ -28,7 +28,7 @@ from fenics_tfeti.feti.coarse.resistance import weak_motions
 from fenics_tfeti.feti.local.cholesky import SparseLDL
 from fenics_tfeti.feti.local.congruence import find_congruence_classes
 from fenics_tfeti.feti.local.elastic_supports import forces_of_motions
-from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes, unknowns_of_nodes
+from fenics_tfeti.feti.local.fixing_nodes import FIXING_NODES, fixing_nodes, unknowns_of_nodes
 from fenics_tfeti.feti.local.moduli import bulk_over_shear, share_of_shear
 from fenics_tfeti.feti.local.rigid_body_modes import (
     raw_modes,
@@ -46,8 +46,6 @@ TangentKind = Literal["auto", "exact", "projected"]
 # has, below which the tangent is projected: a thin ring, where it is 1e-7, takes 45 products
 # instead of 1579
 _STRESSED = 1e-4
-# fixing nodes of the projection
-_FIXING_NODES = 8
 
 
 def prepare_tangents(system: TornSystem, kind: TangentKind = "auto") -> TornSystem:
@@ -106,7 +104,7 @@ def _tangent(subdomain: Subdomain, exact: bool) -> Subdomain:
     if not exact or free.all() or K.diagonal().min() <= 0.0:
         return replace(subdomain, stiffness=projected_tangent(K, x), kernel="rigid")
     R = np.hstack([translations, rotations @ motions[free].T])
-    return replace(stressed, stiffness=_projected(K, x, R, _FIXING_NODES)[0])
+    return replace(stressed, stiffness=_projected(K, x, R, FIXING_NODES)[0])
 
 
 def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_matrix:
@@ -129,7 +127,7 @@ def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_m
     (n, n) scipy.sparse.csr_matrix
         K itself where K R is rounding.
     """
-    R, number = rigid_body_modes(coordinates), _FIXING_NODES
+    R, number = rigid_body_modes(coordinates), FIXING_NODES
     while True:
         K, fixed = _projected(stiffness, coordinates, R, number)
         if K is stiffness:

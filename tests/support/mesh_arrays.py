@@ -19,8 +19,8 @@ from scenes import Scene
 from dolfinx import mesh
 
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.checks.mesh import check_mesh
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
-from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.io import read_msh
 
 MESHES = Path(__file__).resolve().parents[2] / "meshes"

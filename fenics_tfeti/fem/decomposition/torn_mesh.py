@@ -67,7 +67,7 @@ class TornMesh:
 
     @property
     def subdomains(self) -> list[Subdomain]:
-        """What was assembled last."""
+        """The subdomains as they were assembled last."""
         return list(self._subdomains)
 
     def has_moved(self) -> bool:

@@ -12,7 +12,7 @@ import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
 from fenics_tfeti.fem.io.scene import Scene
-from fenics_tfeti.fem.units import Units, units_of
+from fenics_tfeti.fem.io.units import Units, units_of
 
 _STYLE = Path(__file__).with_name("page.css")
 _QUANTITIES = {

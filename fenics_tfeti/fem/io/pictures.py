@@ -24,9 +24,9 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io.fields import field_degree, raised_to_degree
+from fenics_tfeti.fem.io.units import UnitSystem, units_of
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_type, owned_cells
-from fenics_tfeti.fem.units import UnitSystem, units_of
 from fenics_tfeti.feti.files.arrays import folder_of, write_arrays, write_whole
 from fenics_tfeti.parallel import raise_collectively
 

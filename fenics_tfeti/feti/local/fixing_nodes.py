@@ -6,6 +6,9 @@ import numpy as np
 
 from fenics_tfeti.typing import Numbers, Vector
 
+# M of algorithm 11.1 if nothing else is asked for
+FIXING_NODES = 8
+
 # smallest singular value of R on the fixing nodes, relative to the largest, that holds the body
 _HOLDS = 1e-3
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import FactorizationError, format_point
 from fenics_tfeti.feti.local.cholesky import SparseCholesky, SparseFactor, SparseLDL
-from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes, unknowns_of_nodes
+from fenics_tfeti.feti.local.fixing_nodes import FIXING_NODES, fixing_nodes, unknowns_of_nodes
 from fenics_tfeti.feti.local.symmetry import SymmetryGroup
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.typing import Vector
@@ -51,7 +51,7 @@ class GeneralizedInverse:
         subdomain: Subdomain,
         R: Vector,
         package: str,
-        number: int = 8,
+        number: int = FIXING_NODES,
         stiffness: sp.csr_matrix | None = None,
         symmetries: SymmetryGroup | None = None,
     ) -> None:

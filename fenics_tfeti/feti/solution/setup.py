@@ -16,20 +16,21 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.errors import FactorizationError, InputError, UnstableTangent
-from fenics_tfeti.feti.coarse.deflation import Deflation, at_most, same_equality_rows
-from fenics_tfeti.feti.coarse.local_spectra import (
-    LocalVectors,
-    TornRows,
-    local_vectors,
-    threshold,
-)
-from fenics_tfeti.feti.coarse.material_jumps import subdomains_with_jumps
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.ground import TornUnknowns
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.constraints.scaling import node_weights
+from fenics_tfeti.feti.deflation.local_spectra import (
+    LocalVectors,
+    TornRows,
+    local_vectors,
+    threshold,
+)
+from fenics_tfeti.feti.deflation.material_jumps import subdomains_with_jumps
+from fenics_tfeti.feti.deflation.space import Deflation, at_most, same_equality_rows
+from fenics_tfeti.feti.deflation.stiff_modes import CAP, MOST, StiffModes, deflated_vectors
 from fenics_tfeti.feti.dual.operator import DualOperator, ProjectedNorm
 from fenics_tfeti.feti.dual.preconditioner import (
     Operator,
@@ -40,7 +41,6 @@ from fenics_tfeti.feti.dual.preconditioner import (
     interface_reactions,
 )
 from fenics_tfeti.feti.dual.problem import DualProblem
-from fenics_tfeti.feti.dual.stiff_modes import CAP, MOST, StiffModes, deflated_vectors
 from fenics_tfeti.feti.local.cholesky import choose_package
 from fenics_tfeti.feti.local.congruence import CongruenceClass, find_congruence_classes
 from fenics_tfeti.feti.local.elastic_supports import set_free

@@ -8,7 +8,7 @@ import pytest
 import scenes
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.units import units_of
+from fenics_tfeti.fem.io.units import units_of
 
 pytestmark = pytest.mark.once
 

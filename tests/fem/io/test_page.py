@@ -17,7 +17,7 @@ import scenes
 
 from fenics_tfeti import Exact, InputError
 from fenics_tfeti.fem.io.scene import gather_scene
-from fenics_tfeti.fem.units import units_of
+from fenics_tfeti.fem.io.units import units_of
 from fenics_tfeti.feti.report.report import without_nan
 from fenics_tfeti.io import contact_fields, von_mises
 

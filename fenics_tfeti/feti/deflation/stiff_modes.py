@@ -20,10 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.feti.coarse.local_spectra import LocalVectors
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.deflation.local_spectra import LocalVectors
 from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.typing import Numbers, Vector
 

@@ -16,9 +16,9 @@ from torn import Glued, column
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti import Options, TornSolution, TornSolver, TornSystem, parse_options
-from fenics_tfeti.feti.coarse.deflation import Deflation, at_most
-from fenics_tfeti.feti.coarse.local_spectra import LocalVectors
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.deflation.local_spectra import LocalVectors
+from fenics_tfeti.feti.deflation.space import Deflation, at_most
 
 pytestmark = pytest.mark.once
 

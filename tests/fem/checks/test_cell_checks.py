@@ -10,8 +10,8 @@ from curved_rings import quarter_rings
 from mesh_arrays import CELLS, block, check_arrays, concatenated
 
 from fenics_tfeti import InputError
+from fenics_tfeti.fem.checks.mesh import check_mesh
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
-from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.fem.topology import cell_vertices
 
 by_cell = pytest.mark.parametrize("cell", CELLS)

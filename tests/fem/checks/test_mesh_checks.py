@@ -11,8 +11,8 @@ from mesh_arrays import CELLS, block, check_arrays, concatenated, grid, mesh_of,
 from dolfinx.mesh import CellType, create_unit_cube, create_unit_square
 
 from fenics_tfeti import InputError
+from fenics_tfeti.fem.checks.mesh import check_mesh
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
-from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.io import Box, boxes
 
 COMM = MPI.COMM_WORLD

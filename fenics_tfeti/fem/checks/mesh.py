@@ -13,14 +13,14 @@ import numpy as np
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.body_checks import (
+from fenics_tfeti.fem.checks.bodies import (
     check_cracks,
     check_joints,
     check_pieces,
     check_split_nodes,
     surface_nodes,
 )
-from fenics_tfeti.fem.cell_checks import CellGeometry, check_overlaps, check_shapes
+from fenics_tfeti.fem.checks.cells import CellGeometry, check_overlaps, check_shapes
 from fenics_tfeti.fem.contact.description import Contact
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.parallel import raise_collectively

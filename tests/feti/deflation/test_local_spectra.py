@@ -11,7 +11,12 @@ from fibres import reinforced_block
 from torn import column
 
 from fenics_tfeti.feti import Options, TornSolver
-from fenics_tfeti.feti.coarse.local_spectra import LocalVectors, TornRows, local_vectors, threshold
+from fenics_tfeti.feti.deflation.local_spectra import (
+    LocalVectors,
+    TornRows,
+    local_vectors,
+    threshold,
+)
 
 every_gdim = pytest.mark.parametrize("gdim", [2, 3])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fenics_tfeti.feti.dual.stiff_modes import CAP, StiffModes
+from fenics_tfeti.feti.deflation.stiff_modes import CAP, StiffModes
 
 pytestmark = pytest.mark.once
 

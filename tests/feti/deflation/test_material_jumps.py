@@ -8,7 +8,7 @@ from fibres import FAR, reinforced_block, subdomain
 from torn import column, fixed_nodes
 
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
-from fenics_tfeti.feti.coarse.material_jumps import subdomains_with_jumps
+from fenics_tfeti.feti.deflation.material_jumps import subdomains_with_jumps
 
 
 def jumps(system: TornSystem) -> list[bool]:

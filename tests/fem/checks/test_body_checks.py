@@ -19,8 +19,8 @@ from mesh_arrays import (
 )
 
 from fenics_tfeti import ContactPair, InputError
+from fenics_tfeti.fem.checks.mesh import check_mesh
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
-from fenics_tfeti.fem.mesh_checks import check_mesh
 from fenics_tfeti.io import tag_facets
 
 by_cell = pytest.mark.parametrize("cell", CELLS)

@@ -1,0 +1,1 @@
+"""Checks of meshes, bodies and elements before anything is computed."""
