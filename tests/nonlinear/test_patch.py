@@ -1,10 +1,10 @@
-"""Two blocks meshed apart under uniform compression: the closed form, however they are turned."""
+"""Blocks under uniform compression: the closed form, however they are turned and held."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from finite_strains import pressed_patch
+from finite_strains import pressed_patch, squeezed_block
 
 from fenics_tfeti import Coulomb
 
@@ -36,3 +36,13 @@ def test_turning_is_no_slip():
     np.testing.assert_allclose(result.force, force, atol=1e-7)
     assert result.friction.sticking.all()
     assert np.abs(result.friction.force).max() < 1e-7
+
+
+@pytest.mark.parametrize(("dim", "n", "turned"), [(2, 6, 0.0), (2, 6, 37.0), (3, 3, 37.0)])
+def test_floating_block(dim, n, turned):
+    """Nothing but contact with two planes holds it: its tangents are projected."""
+    scene, force = squeezed_block(dim, n, turned=turned, newton_rtol=1e-9, subdomain_size=60)
+    scene.solve([0.5, 1.0])
+    lower, upper = scene.problem.results
+    np.testing.assert_allclose(lower.force, force, atol=1e-8)
+    np.testing.assert_allclose(upper.force, -force, atol=1e-8)
