@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from finite_strains import indented_block
+from finite_strains import indented_block, rotation
 
 heavy = pytest.mark.heavy
 
@@ -27,6 +27,29 @@ def test_force_and_energy(dim, n, nu, force, energy, size):
     expected = [0.0] * (dim - 1) + [-force]
     np.testing.assert_allclose(scene.problem.results[0].force, expected, atol=1e-7)
     assert scene.energy == pytest.approx(energy, abs=1e-7)
+
+
+@pytest.mark.parametrize(("dim", "n", "degree"), [(2, 8, 1), (2, 4, 2), (3, 2, 1)])
+def test_turned(dim, n, degree):
+    """Forces turn with everything else."""
+    forces = []
+    for turned in [0.0, 37.0]:
+        scene = indented_block(
+            dim, n, degree=degree, turned=turned, newton_rtol=1e-9, subdomain_size=100
+        )
+        scene.solve([0.5, 1.0])
+        forces.append(rotation(turned, dim).T @ scene.problem.results[0].force)
+    np.testing.assert_allclose(forces[1], forces[0], atol=1e-8)
+
+
+def test_congruent_subdomains():
+    """They share a matrix until they are deformed."""
+    scene = indented_block(newton_rtol=1e-8, subdomain_size=60)
+    torn = scene.problem._torn.torn
+    assert len({id(part.stiffness) for part in torn.subdomains}) < len(torn.subdomains)
+    scene.solve([0.5, 1.0])
+    assert len({id(part.stiffness) for part in torn.subdomains}) == len(torn.subdomains)
+    assert scene.problem.results[0].force[1] == pytest.approx(-0.351780904, abs=1e-7)
 
 
 def test_one_load_step_gives_the_same():

@@ -26,6 +26,34 @@ def test_uniform_compression(confined, compression, turned):
         np.testing.assert_allclose(result.force, force, atol=1e-7)
 
 
+@pytest.mark.parametrize("upper", ["slave", "master", "tied"])
+@pytest.mark.parametrize(
+    ("cell", "degree"),
+    [
+        ("quadrilateral", 2),
+        ("triangle", 1),
+        ("triangle", 2),
+        ("tetrahedron", 1),
+        pytest.param("tetrahedron", 2, marks=pytest.mark.heavy),
+        ("hexahedron", 1),
+    ],
+)
+def test_cells_degrees_and_roles(cell, degree, upper):
+    scene, force = pressed_patch(
+        0.1,
+        False,
+        30.0,
+        cell=cell,
+        degree=degree,
+        upper=upper,
+        newton_rtol=1e-9,
+        subdomain_size=60,
+    )
+    scene.solve([1.0])
+    sign = -1.0 if upper == "master" else 1.0
+    np.testing.assert_allclose(scene.problem.results[0].force, sign * force, atol=1e-8)
+
+
 def test_turning_is_no_slip():
     """Pressed blocks that stick are turned by 90 degrees, in steps of 30."""
     scene, force = pressed_patch(

@@ -139,17 +139,59 @@ def beam(comm: MPI.Intracomm = MPI.COMM_WORLD, **options: Any) -> Scene:
     return Scene(problem, fem.form(W), set_load)
 
 
+def ring(
+    thickness: float = 0.05,
+    n: int = 24,
+    across: int = 1,
+    degree: int = 2,
+    comm: MPI.Intracomm = MPI.COMM_WORLD,
+    **options: Any,
+) -> Scene:
+    """Make half a ring of mean radius 1 that two rigid plates squeeze by 1."""
+    mesh = boxes(comm, [Box((0, 0), (1, 1), (n, across))], "quadrilateral").mesh
+    outside = {BASE: lambda x: x[0] < 0.5 + 1e-9, TOP: lambda x: x[0] > 0.5 - 1e-9}
+    tags = tag_facets(
+        mesh,
+        {tag: lambda x, half=half: np.isclose(x[1], 1) & half(x) for tag, half in outside.items()}
+        | {ENDS: lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 1)},
+    )
+    x = mesh.geometry.x
+    angle, radius = np.pi * (x[:, 0] - 0.5), 1.0 + thickness * (x[:, 1] - 0.5)
+    x[:, 0], x[:, 1] = radius * np.cos(angle), radius * np.sin(angle)
+    V = displacement_space(mesh, degree)
+    u, load = fem.Function(V), {"height": 1.0 + 0.5 * thickness}
+    W = neo_hookean(1.0, 0.3)(u) * ufl.dx(metadata={"quadrature_degree": 2 * degree})
+    ends = fem.locate_dofs_topological(V.sub(0), 1, tags.find(ENDS))
+
+    def plate(side: float) -> Any:
+        return lambda x: Plane((0.0, side * load["height"]), (0.0, -side))(x)
+
+    problem = NonlinearContactProblem(
+        ufl.derivative(W, u, ufl.TestFunction(V)),
+        u,
+        bcs=[fem.dirichletbc(0.0, ends, V.sub(0))],
+        contacts=[RigidObstacle(tags, BASE, plate(-1.0)), RigidObstacle(tags, TOP, plate(1.0))],
+        options=options,
+    )
+
+    def set_load(part: float) -> None:
+        load["height"] = 1.0 + 0.5 * thickness - 0.5 * part
+
+    return Scene(problem, fem.form(W), set_load)
+
+
 def ironing(
     friction: Any = None,
     slave: int = SLIDER,
     n: int = 12,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
+    stiffness: float = 3.0,
     **options: Any,
 ) -> Scene:
     """Make half an annulus that its ends press into a block of 4 by 1, and drag along it.
 
     A load of 1 presses it down by 0.3, each further one drags it by 1.5, its outer radius being
-    0.6.
+    0.6. Its stiffness is relative to that of the block.
     """
     bodies = [Box((0, 0), (4, 1), (4 * n, n)), Box((10, 0), (11, 1), (2 * n, n // 3))]
     tagged = boxes(comm, bodies, "quadrilateral")
@@ -165,7 +207,7 @@ def ironing(
     V = displacement_space(mesh)
     u, motion, E = fem.Function(V), fem.Function(V), fem.Function(cell_space(mesh))
     E.x.array[:] = 1.0
-    E.x.array[tagged.cell_tags.find(2)] = 3.0
+    E.x.array[tagged.cell_tags.find(2)] = stiffness
     W = neo_hookean(E, 0.3)(u) * ufl.dx
     ends = fem.locate_dofs_topological(V, 1, tags.find(ENDS))
     master = TOP if slave == SLIDER else SLIDER
