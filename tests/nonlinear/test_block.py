@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from finite_strains import indented_block, rotation
 
+import ufl
+
 heavy = pytest.mark.heavy
 
 # (dimension, cells along the height, nu, vertical force, strain energy)
@@ -57,3 +59,20 @@ def test_one_load_step_gives_the_same():
     scene.solve([1.0])
     assert -scene.problem.results[0].force[1] == pytest.approx(0.351780904, abs=1e-7)
     assert scene.counts()[0] <= 12
+
+
+def test_nearly_incompressible():
+    """Its volumetric energy is integrated by one point of each cell."""
+
+    def energy(u, nu=0.499):
+        mu, lmbda = 1 / (2 * (1 + nu)), nu / ((1 + nu) * (1 - 2 * nu))
+        F = ufl.Identity(2) + ufl.grad(u)
+        log = ufl.ln(ufl.det(F))
+        one_point = ufl.dx(metadata={"quadrature_degree": 0})
+        shear = mu / 2 * (ufl.inner(F, F) - 2) - mu * log
+        return shear * ufl.dx + lmbda / 2 * log**2 * one_point
+
+    scene = indented_block(n=4, energy=energy, newton_rtol=1e-8, subdomain_size=60)
+    list(scene.problem.steps(scene.set_load, 0.0, 1.0, first=1 / 6))
+    assert scene.problem.results[0].force[1] == pytest.approx(-0.387400069, abs=1e-7)
+    assert scene.energy == pytest.approx(0.052013656, abs=1e-7)

@@ -76,12 +76,13 @@ def indented_block(
     obstacle: Any = None,
     cell: str | None = None,
     turned: float = 0.0,
+    energy: Callable[[Any], Any] | None = None,
     **options: Any,
 ) -> Scene:
     """Make a block of height 1 and width 2, clamped at its base, under a rigid ball of radius 0.5.
 
-    In two dimensions the ball is a cylinder. Another obstacle may take its place. Everything is
-    turned by the angle `turned`.
+    In two dimensions the ball is a cylinder. Another obstacle may take its place, and another
+    energy that of the neo-Hookean material. Everything is turned by the angle `turned`.
     """
     low, high = (-1.0,) * (dim - 1) + (0.0,), (1.0,) * dim
     cells = (2 * n,) * (dim - 1) + (n,)
@@ -93,7 +94,7 @@ def indented_block(
     up = turn(mesh, turned)[:, -1]
     V = displacement_space(mesh, degree)
     u = fem.Function(V)
-    W = neo_hookean(1.0, nu)(u) * ufl.dx
+    W = energy(u) if energy else neo_hookean(1.0, nu)(u) * ufl.dx
     load = {"depth": 0.0}
 
     def ball(x: Any) -> Any:
