@@ -181,8 +181,8 @@ def redistributed_density(
     with raise_collectively(mesh.comm):
         for name in np.array(bodies.names)[(moved > 0.0) & (taking == 0.0)]:
             raise InputError(
-                f"{name}: all cells that are not empty touch contact surfaces, and no cell is left "
-                "to have the mass: give the body two layers of cells or more"
+                f"{name}: all cells touch contact surfaces, and none is left to have the mass: "
+                "give the body two layers of cells or more"
             )
     factor = 1.0 + np.divide(moved, taking, out=np.zeros_like(moved), where=taking > 0.0)
     share = np.where(first, 0.0, np.where(second, factor[bodies.of_cell], 1.0))
