@@ -139,7 +139,7 @@ CONTINUING = [
     "convergence",
     "errors",
 ]
-ALONE = ["cad_mesh", "many_bodies", "nonlinear", "rubber"]
+ALONE = ["cad_mesh", "impact", "many_bodies", "nonlinear", "rubber"]
 
 
 @pytest.mark.parametrize("page", CONTINUING)
