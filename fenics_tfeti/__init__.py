@@ -24,6 +24,7 @@ from fenics_tfeti.errors import (
 _LAZY = {
     "Along": "fenics_tfeti.fem.contact.description",
     "BoltPreload": "fenics_tfeti.fem.contact.ties",
+    "BoltResult": "fenics_tfeti.fem.contact.result",
     "ContactPair": "fenics_tfeti.fem.contact.description",
     "ContactProblem": "fenics_tfeti.problem",
     "ContactResult": "fenics_tfeti.fem.contact.result",
@@ -49,6 +50,7 @@ _LAZY = {
 __all__ = [
     "Along",
     "BoltPreload",
+    "BoltResult",
     "ContactError",
     "ContactPair",
     "ContactProblem",

@@ -237,7 +237,8 @@ class ContactProblem:
                 self._timer.restart()
             self._is_solved = True
             if not self._has_warned:
-                energy = [body.energy_norm**2 for body in self.report.certificate.bodies]
+                bodies = self.report.certificate.bodies[: len(self._torn.bodies.names)]
+                energy = [body.energy_norm**2 for body in bodies]
                 self._has_warned = warn_of_large_gradients(uh, self._torn.bodies, energy)
             self._step = replace(self._step, passes=())
             self._save(checkpoint)
@@ -491,7 +492,7 @@ class ContactProblem:
         return uh
 
     def _store_results(self, solution: TornSolution, conditions: ContactSet) -> Function:
-        uh = fill_displacement(self.u, self.system.subdomains, solution.displacements)
+        uh = fill_displacement(self.u, self._torn.torn.subdomains, solution.displacements)
         self._solved = solved = conditions.solved(solution, uh)
         self.results = solved.as_given()
         self.report = ContactReport.of(solution.report, self.results, self.options.as_dict())

@@ -299,6 +299,20 @@ def test_periodic(folder):
     assert side.force[0] < 0.0
 
 
+def test_bolts(folder):
+    """A bolt through a plate on a table, all of one grid; the bolt has a thread in the table."""
+    from bolts import tapped_plate
+
+    given = {name: getattr(fenics_tfeti, name) for name in fenics_tfeti.__all__}
+    given |= {name: getattr(fenics_tfeti.io, name) for name in fenics_tfeti.io.__all__}
+    given |= tapped_plate()
+    problem = run_blocks((DOCS / "howto" / "bolts.md").read_text(), given)["problem"]
+    bolt, joint, head = (problem.results[name] for name in ("bolt", "joint", "head"))
+    assert 40e3 < bolt.tension < 50e3
+    assert head.normal_force.sum() == pytest.approx(bolt.tension, rel=1e-6)
+    assert joint.normal_force.sum() == pytest.approx(bolt.tension - 10e3, rel=1e-6)
+
+
 def draw_bolt_in_block(path: Path) -> None:
     """Mesh a disc in a square, which share the nodes of the circle."""
     occ = gmsh.model.occ

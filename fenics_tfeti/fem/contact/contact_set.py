@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 
@@ -18,7 +20,13 @@ from fenics_tfeti.fem.contact.description import Contact, ContactPair, TiedPair
 from fenics_tfeti.fem.contact.matched import linear_rows, periodic_rows, preload_rows
 from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
-from fenics_tfeti.fem.contact.result import ContactEntry, ContactResult, Results, TiedResult
+from fenics_tfeti.fem.contact.result import (
+    BoltResult,
+    ContactEntry,
+    ContactResult,
+    Results,
+    TiedResult,
+)
 from fenics_tfeti.fem.contact.roles import (
     Roles,
     describe_roles,
@@ -36,7 +44,7 @@ from fenics_tfeti.fem.contact.slip import (
     obstacle_displacements,
 )
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.fem.contact.tied import TiedPairing, tie_surfaces
+from fenics_tfeti.fem.contact.tied import Preload, TiedPairing, tie_surfaces
 from fenics_tfeti.fem.contact.ties import BoltPreload, LinearRows, PeriodicPair, Tie, tie_name
 from fenics_tfeti.fem.contact.transfer import SolvedContact, gather_solved
 from fenics_tfeti.fem.decomposition.bodies import Bodies
@@ -177,6 +185,7 @@ class ContactSet:
     def solved(self, solution: TornSolution, uh: Function) -> SolvedContacts:
         """Return the solution at each contact and tied pair. Collective."""
         opening = openings(self.boundary.nodes, self.pairings, owned_values(uh))
+        shortenings = self._shortenings(solution)
         contacts, ties, row, site = [], [], 0, 0
         for found, gap_after in zip(self.contacts, opening, strict=True):
             rows = slice(row, row + found.pairing.slave.size)
@@ -188,8 +197,32 @@ class ContactSet:
             rows = slice(row, row + tie.pairing.rows.size)
             row = rows.stop
             forces = solution.report.contacts[tie.number]
-            ties.append(self._tied_result(tie.pairing, forces, solution.tied_force[rows]))
+            values = solution.tied_force[rows]
+            ties.append(self._tied_result(tie, forces, values, shortenings))
         return SolvedContacts(self, contacts, ties, uh)
+
+    @property
+    def preloads(self) -> list[tuple[FoundTie, Preload]]:
+        """The bolts whose shortening is an unknown of the torn system."""
+        found = ((tie, tie.pairing.preload) for tie in self.ties)
+        return [(tie, preload) for tie, preload in found if preload is not None and preload.body]
+
+    def preload_bodies(self, first: int) -> list[Subdomain]:
+        """Return the bodies of unknown shortenings on this rank, numbered from the first one."""
+        comm, preloads = self.boundary.nodes.comm, self.preloads
+        own = range(comm.rank, len(preloads), comm.size)
+        return [preloads[k][1].subdomain(first + k) for k in own]
+
+    def _shortenings(self, solution: TornSolution) -> dict[int, float]:
+        """Return the shortenings that were unknown, by number of the bolt [m]. Collective."""
+        comm, preloads = self.boundary.nodes.comm, self.preloads
+        own = range(comm.rank, len(preloads), comm.size)
+        values = np.zeros(len(preloads))
+        first = len(solution.displacements) - len(own)
+        for k, displacement in zip(own, solution.displacements[first:], strict=True):
+            values[k] = displacement @ preloads[k][1].axis
+        comm.Allreduce(MPI.IN_PLACE, values)
+        return {bolt.number: value for (bolt, _), value in zip(preloads, values, strict=True)}
 
     def _result(
         self,
@@ -227,11 +260,15 @@ class ContactSet:
         )
 
     def _tied_result(
-        self, tie: TiedPairing, forces: ContactForces, row_forces: Vector
+        self,
+        found: FoundTie,
+        forces: ContactForces,
+        row_forces: Vector,
+        shortenings: Mapping[int, float],
     ) -> TiedResult:
         """Return the result of a tie from the forces of its rows."""
-        force = tie.forces(row_forces)
-        return TiedResult(
+        tie, force = found.pairing, found.pairing.forces(row_forces)
+        result = TiedResult(
             tie.name,
             ContactEntry(**vars(forces), pairing=tie.summary),
             tie.nodes,
@@ -242,6 +279,13 @@ class ContactSet:
             tie.area,
             self.boundary.space.mesh.comm,
         )
+        if tie.preload is None:
+            return result
+        shortening = tie.preload.shortening
+        if shortening is None:
+            shortening = float(shortenings[found.number])
+        tension = float(result.force @ tie.preload.axis)
+        return BoltResult(**vars(result), shortening=shortening, tension=tension)
 
     def _dofs(self, nodes: Numbers) -> Numbers:
         """Return the numbers on this rank of nodes that it owns."""
@@ -327,7 +371,7 @@ class ContactSearch:
                 for (number, roles), pairing in zip(touching.items(), pairings, strict=True)
             ]
             found_ties = [
-                FoundTie(number, tie, self._tied(tie, tie_name(tie, number), last, prescribed))
+                FoundTie(number, tie, self._tied(tie, number, last, prescribed))
                 for number, tie in ties.items()
             ]
             found = ContactSet(self.boundary, found_contacts, found_ties, prescribed)
@@ -335,8 +379,9 @@ class ContactSearch:
         self._last = found
         return found
 
-    def _tied(self, tie: Tie, name: str, last: ContactSet, prescribed: Prescribed) -> TiedPairing:
+    def _tied(self, tie: Tie, number: int, last: ContactSet, prescribed: Prescribed) -> TiedPairing:
         """Return the rows of a tie, known ones if they still hold. Collective."""
+        name = tie_name(tie, number)
         known = next((found.pairing for found in last.ties if found.tie is tie), None)
         if known is not None and known.still_holds(prescribed):
             return known
@@ -346,7 +391,8 @@ class ContactSearch:
             case PeriodicPair():
                 return periodic_rows(self.boundary, tie, name)
             case BoltPreload():
-                return preload_rows(self.boundary, tie, name)
+                preloads = [found.pairing.preload for found in last.ties if found.number == number]
+                return preload_rows(self.boundary, tie, number, name, *(preloads or [None]))
             case LinearRows():
                 return linear_rows(self.boundary, tie, name)
 

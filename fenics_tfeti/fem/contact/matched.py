@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from mpi4py import MPI
@@ -14,12 +14,12 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
-from fenics_tfeti.fem.contact.tied import TiedPairing, check_separate
+from fenics_tfeti.fem.contact.tied import Preload, TiedPairing, check_separate
 from fenics_tfeti.fem.contact.ties import BoltPreload, LinearRows, PeriodicPair
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.user_data import as_direction, vectors_at
-from fenics_tfeti.feti.system import ContactRows
+from fenics_tfeti.feti.system import ContactRows, Subdomain
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -77,8 +77,14 @@ def periodic_rows(boundary: MeshBoundary, pair: PeriodicPair, name: str) -> Tied
     return match.pairing(name, "periodic", rows)
 
 
-def preload_rows(boundary: MeshBoundary, bolt: BoltPreload, name: str) -> TiedPairing:
-    """Return the rows of the cut through a bolt: across its axis and along it. Collective."""
+def preload_rows(
+    boundary: MeshBoundary, bolt: BoltPreload, number: int, name: str, known: Preload | None
+) -> TiedPairing:
+    """Return the rows of the cut through a bolt: across its axis and along it. Collective.
+
+    If its force is given, the shortening is the motion of a body of one node, which is taken from a
+    known preload of this number if it is the same.
+    """
     gdim = boundary.nodes.components
     match = _matched(boundary, bolt, name, np.identity(gdim), np.zeros(gdim))
     axis = _axis(match.surface, bolt, name)
@@ -87,7 +93,43 @@ def preload_rows(boundary: MeshBoundary, bolt: BoltPreload, name: str) -> TiedPa
     basis[0] = axis
     jump = np.tile((bolt.shortening or 0.0) * axis, (match.nodes.size, 1))
     rows = _rows(match.nodes, match.master, basis, np.identity(gdim), jump)
-    return match.pairing(name, "bolt", rows)
+    preload = Preload(axis, bolt.shortening)
+    if bolt.force is not None:
+        body = _closing_body(match.surface, boundary.nodes.total + number, axis)
+        if known is not None and known.body is not None and _is_same_body(known.body, body):
+            body = known.body
+        preload = Preload(axis, None, body, bolt.force)
+        along = np.arange(rows.size) % gdim == 0
+        rows = _with_term(rows, along, int(body.nodes[0]), -axis)
+    return replace(match.pairing(name, "bolt", rows), preload=preload)
+
+
+def _closing_body(surface: Surface, node: int, axis: Vector) -> Subdomain:
+    """Return a body of one node in the middle of a cut that can move along the axis. Collective."""
+    sums = np.append(surface.area @ surface.points, surface.area.sum())
+    sums = surface.comm.allreduce(sums)
+    return Subdomain.rigid(
+        np.zeros(axis.size), sums[None, :-1] / sums[-1], [node], 0, axis[:, None]
+    )
+
+
+def _is_same_body(known: Subdomain, body: Subdomain) -> bool:
+    return (
+        np.array_equal(known.nodes, body.nodes)
+        and np.array_equal(known.coordinates, body.coordinates)
+        and known.has_kernel_of(body)
+    )
+
+
+def _with_term(rows: ContactRows, chosen: Mask, node: int, coefficient: Vector) -> ContactRows:
+    """Return rows with a further term, the last one, in some of them."""
+    at = rows.offsets[1:][chosen]
+    return replace(
+        rows,
+        offsets=rows.offsets + np.append(0, np.cumsum(chosen)),
+        nodes=np.insert(rows.nodes, at, node),
+        coefficients=np.insert(rows.coefficients, at, coefficient, axis=0),
+    )
 
 
 def linear_rows(boundary: MeshBoundary, given: LinearRows, name: str) -> TiedPairing:

@@ -253,6 +253,22 @@ class TiedResult(_Summed):
         return replace(self, comm=MPI.COMM_SELF, **_gathered(self, self.comm, order))
 
 
+@dataclass(frozen=True)
+class BoltResult(TiedResult):
+    """The solution at the cut through a bolt.
+
+    Attributes
+    ----------
+    shortening : float
+        That of the shank, given or found [m].
+    tension : float
+        Force in the shank along its axis, given or found [N]; [N/m] in plane problems.
+    """
+
+    shortening: float = 0.0
+    tension: float = 0.0
+
+
 class Results(Sequence[Any]):
     """The results of all contacts, by number or by name; they cannot be changed.
 

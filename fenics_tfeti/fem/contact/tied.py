@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,9 +20,25 @@ from fenics_tfeti.fem.contact.surfaces.tagged import (
     tagged_surface,
 )
 from fenics_tfeti.fem.messages import raise_where
-from fenics_tfeti.feti.system import ContactRows, Prescribed
+from fenics_tfeti.feti.system import ContactRows, Prescribed, Subdomain
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
+
+
+@dataclass(frozen=True)
+class Preload:
+    """The shortening of a bolt, given or an unknown of the torn system."""
+
+    axis: Vector  # (gdim,), on the side of the slave's outward normal
+    shortening: float | None  # [m]
+    # without load: the body that the shortening moves along the axis where the force is given
+    body: Subdomain | None = None
+    force: float = 0.0  # [N]
+
+    def subdomain(self, number: int) -> Subdomain:
+        """Return the body with a number and the present load."""
+        assert self.body is not None
+        return replace(self.body, body=number, load=self.force * self.axis)
 
 
 @dataclass(frozen=True)
@@ -38,6 +54,7 @@ class TiedPairing:
     # of mortar conditions the slave's surface, and the components (s, gdim) prescribed at its nodes
     surface: Surface | None = None
     prescribed: Mask | None = None
+    preload: Preload | None = None  # of bolts
 
     def forces(self, row_forces: Vector) -> Vector:
         """Return the forces (k, gdim) on the slave nodes of those of the rows [N]."""

@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 from periodic_cells import grains, homogeneous_cell, ring
 
-from fenics_tfeti import Coulomb, InputError, LinearRows, Tresca
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import Coulomb, InputError, LinearRows, NonlinearContactProblem, Tresca
+from fenics_tfeti.models import neo_hookean
 
 STRAIN = np.array([[-1e-3, 4e-4, 2e-4], [4e-4, 6e-4, -3e-4], [2e-4, -3e-4, -8e-4]])
 CELLS = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
@@ -81,6 +85,22 @@ def test_other_jump_in_the_next_step():
     ]
     uh = problem.solve()
     assert displacement_error(problem, uh, lambda x: 2 * x @ E.T) < 1e-9
+
+
+def test_large_strain():
+    """A homogeneous deformation, whatever the material."""
+    H = np.array([[0.2, 0.3], [-0.1, -0.15]])
+    scene = homogeneous_cell("triangle", H)
+    u = fem.Function(scene.V)
+    residual = ufl.derivative(neo_hookean(1e6, 0.3)(u) * ufl.dx, u)
+    problem = NonlinearContactProblem(residual, u, contacts=scene.contacts)
+    problem.solve()
+    assert displacement_error(problem, u, lambda x: x @ H.T) < 1e-7
+    # first Piola-Kirchhoff stress times the length of the side
+    F = np.identity(2) + H
+    mu, lmbda, inverse = 1e6 / 2.6, 3e5 / 1.3 / 0.4, np.linalg.inv(F).T
+    P = mu * (F - inverse) + lmbda * np.log(np.linalg.det(F)) * inverse
+    np.testing.assert_allclose(problem.results[0].force, 1.5 * P[:, 0], rtol=1e-6)
 
 
 class Rows:
