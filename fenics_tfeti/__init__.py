@@ -23,6 +23,8 @@ from fenics_tfeti.errors import (
 
 _LAZY = {
     "Along": "fenics_tfeti.fem.contact.description",
+    "BoltPreload": "fenics_tfeti.fem.contact.ties",
+    "BoltResult": "fenics_tfeti.fem.contact.result",
     "ContactPair": "fenics_tfeti.fem.contact.description",
     "ContactProblem": "fenics_tfeti.problem",
     "ContactResult": "fenics_tfeti.fem.contact.result",
@@ -30,9 +32,11 @@ _LAZY = {
     "Cylinder": "fenics_tfeti.fem.contact.obstacles",
     "Exact": "fenics_tfeti.fem.contact.description",
     "FrictionResult": "fenics_tfeti.fem.contact.result",
+    "LinearRows": "fenics_tfeti.fem.contact.ties",
     "Mapped": "fenics_tfeti.fem.contact.description",
     "Nearest": "fenics_tfeti.fem.contact.description",
     "NonlinearContactProblem": "fenics_tfeti.nonlinear",
+    "PeriodicPair": "fenics_tfeti.fem.contact.ties",
     "Plane": "fenics_tfeti.fem.contact.obstacles",
     "Points": "fenics_tfeti.fem.contact.description",
     "Results": "fenics_tfeti.fem.contact.result",
@@ -45,6 +49,8 @@ _LAZY = {
 
 __all__ = [
     "Along",
+    "BoltPreload",
+    "BoltResult",
     "ContactError",
     "ContactPair",
     "ContactProblem",
@@ -56,10 +62,12 @@ __all__ = [
     "FrictionResult",
     "InputError",
     "Interrupted",
+    "LinearRows",
     "Mapped",
     "Nearest",
     "NonlinearContactProblem",
     "NotConverged",
+    "PeriodicPair",
     "Plane",
     "Points",
     "Results",

@@ -25,9 +25,10 @@ from fenics_tfeti.fem.arguments import (
 from fenics_tfeti.fem.checks.locking import warn_of_locking
 from fenics_tfeti.fem.contact.contact_set import ContactSet, SolvedContacts
 from fenics_tfeti.fem.contact.deformed import GeometryPass, geometry_pass
-from fenics_tfeti.fem.contact.description import Contact, Exact, TiedPair
+from fenics_tfeti.fem.contact.description import Contact, Exact
 from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.contact.ties import Tie
 from fenics_tfeti.fem.contact.transfer import SolvedContact, check_coarse, expected_contact
 from fenics_tfeti.fem.displacement import (
     fill_displacement,
@@ -65,8 +66,9 @@ class ContactProblem:
         weight, as axisymmetric ones do, it is `measure_weight`.
     bcs : sequence of dolfinx.fem.DirichletBC, one of them, or None
         Prescribed displacements, on the space or its components, of any value.
-    contacts : sequence of ContactPair, RigidObstacle or TiedPair, one of them, or None
-        What may touch, and what stays together.
+    contacts : sequence of contacts and ties, one of them, or None
+        What may touch: ContactPair, RigidObstacle; and what stays together: TiedPair, PeriodicPair,
+        BoltPreload, LinearRows.
     cell_tags : MeshTags, optional
         A tag for every cell, where bodies are to be told apart by tags: each tag is one body, its
         cells connected through facets. Bodies that share facets are glued there. By default the
@@ -131,7 +133,7 @@ class ContactProblem:
         L: ufl.Form | float,
         *,
         bcs: Sequence[Any] | Any | None = (),
-        contacts: Sequence[Contact | TiedPair] | Contact | TiedPair | None = (),
+        contacts: Sequence[Contact | Tie] | Contact | Tie | None = (),
         cell_tags: Any | None = None,
         u: Function | None = None,
         subdomains: Sequence[int] | None = None,
@@ -235,7 +237,8 @@ class ContactProblem:
                 self._timer.restart()
             self._is_solved = True
             if not self._has_warned:
-                energy = [body.energy_norm**2 for body in self.report.certificate.bodies]
+                bodies = self.report.certificate.bodies[: len(self._torn.bodies.names)]
+                energy = [body.energy_norm**2 for body in bodies]
                 self._has_warned = warn_of_large_gradients(uh, self._torn.bodies, energy)
             self._step = replace(self._step, passes=())
             self._save(checkpoint)
@@ -489,7 +492,7 @@ class ContactProblem:
         return uh
 
     def _store_results(self, solution: TornSolution, conditions: ContactSet) -> Function:
-        uh = fill_displacement(self.u, self.system.subdomains, solution.displacements)
+        uh = fill_displacement(self.u, self._torn.torn.subdomains, solution.displacements)
         self._solved = solved = conditions.solved(solution, uh)
         self.results = solved.as_given()
         self.report = ContactReport.of(solution.report, self.results, self.options.as_dict())

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 
@@ -15,9 +17,16 @@ from fenics_tfeti.fem.contact.checks import check_depth
 from fenics_tfeti.fem.contact.contact import ContactPairing, contact_rows, openings
 from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
 from fenics_tfeti.fem.contact.description import Contact, ContactPair, TiedPair
+from fenics_tfeti.fem.contact.matched import linear_rows, periodic_rows, preload_rows
 from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
-from fenics_tfeti.fem.contact.result import ContactEntry, ContactResult, Results, TiedResult
+from fenics_tfeti.fem.contact.result import (
+    BoltResult,
+    ContactEntry,
+    ContactResult,
+    Results,
+    TiedResult,
+)
 from fenics_tfeti.fem.contact.roles import (
     Roles,
     describe_roles,
@@ -35,7 +44,8 @@ from fenics_tfeti.fem.contact.slip import (
     obstacle_displacements,
 )
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.fem.contact.tied import TiedPairing, tie_pairs, tied_rows
+from fenics_tfeti.fem.contact.tied import Preload, TiedPairing, tie_surfaces
+from fenics_tfeti.fem.contact.ties import BoltPreload, LinearRows, PeriodicPair, Tie, tie_name
 from fenics_tfeti.fem.contact.transfer import SolvedContact, gather_solved
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.displacement import owned_values
@@ -83,10 +93,10 @@ class FoundContact:
 
 @dataclass(frozen=True)
 class FoundTie:
-    """A tied pair with its conditions."""
+    """A tie with its rows."""
 
     number: int  # among all contacts and tied pairs
-    pair: TiedPair
+    tie: Tie
     pairing: TiedPairing
 
 
@@ -118,12 +128,19 @@ class ContactSet:
     def rows(self) -> ContactRows:
         """Return the conditions of all contacts, one contact after the other."""
         rows = contact_rows(self.pairings, self.boundary.space.mesh.geometry.dim)
-        return _numbered(rows, self.contacts)
+        numbers = np.array([found.number for found in self.contacts], dtype=np.int64)
+        return replace(rows, contact=numbers[rows.contact])
 
     def tied_rows(self) -> ContactRows:
-        """Return the conditions of all tied pairs, the components of a pair one after the other."""
-        gdim = self.boundary.space.mesh.geometry.dim
-        return _numbered(tied_rows([tie.pairing for tie in self.ties], gdim), self.ties)
+        """Return the rows of all ties, one tie after the other."""
+        if not self.ties:
+            return ContactRows.none(self.boundary.space.mesh.geometry.dim)
+        return ContactRows.concatenate(
+            [
+                replace(tie.pairing.rows, contact=np.full(tie.pairing.rows.size, tie.number))
+                for tie in self.ties
+            ]
+        )
 
     def friction_rows(self, origin: SlipOrigin) -> Friction:
         """Return where `rows` have friction, and from where slip is counted. Collective."""
@@ -168,6 +185,7 @@ class ContactSet:
     def solved(self, solution: TornSolution, uh: Function) -> SolvedContacts:
         """Return the solution at each contact and tied pair. Collective."""
         opening = openings(self.boundary.nodes, self.pairings, owned_values(uh))
+        shortenings = self._shortenings(solution)
         contacts, ties, row, site = [], [], 0, 0
         for found, gap_after in zip(self.contacts, opening, strict=True):
             rows = slice(row, row + found.pairing.slave.size)
@@ -176,11 +194,35 @@ class ContactSet:
             contacts.append(self._result(found, gap_after, solution, rows, sites))
         row = 0
         for tie in self.ties:
-            rows = slice(row, row + sum(part.slave.size for part in tie.pairing.components))
+            rows = slice(row, row + tie.pairing.rows.size)
             row = rows.stop
             forces = solution.report.contacts[tie.number]
-            ties.append(self._tied_result(tie.pairing, forces, solution.tied_force[rows]))
+            values = solution.tied_force[rows]
+            ties.append(self._tied_result(tie, forces, values, shortenings))
         return SolvedContacts(self, contacts, ties, uh)
+
+    @property
+    def preloads(self) -> list[tuple[FoundTie, Preload]]:
+        """The bolts whose shortening is an unknown of the torn system."""
+        found = ((tie, tie.pairing.preload) for tie in self.ties)
+        return [(tie, preload) for tie, preload in found if preload is not None and preload.body]
+
+    def preload_bodies(self, first: int) -> list[Subdomain]:
+        """Return the bodies of unknown shortenings on this rank, numbered from the first one."""
+        comm, preloads = self.boundary.nodes.comm, self.preloads
+        own = range(comm.rank, len(preloads), comm.size)
+        return [preloads[k][1].subdomain(first + k) for k in own]
+
+    def _shortenings(self, solution: TornSolution) -> dict[int, float]:
+        """Return the shortenings that were unknown, by number of the bolt [m]. Collective."""
+        comm, preloads = self.boundary.nodes.comm, self.preloads
+        own = range(comm.rank, len(preloads), comm.size)
+        values = np.zeros(len(preloads))
+        first = len(solution.displacements) - len(own)
+        for k, displacement in zip(own, solution.displacements[first:], strict=True):
+            values[k] = displacement @ preloads[k][1].axis
+        comm.Allreduce(MPI.IN_PLACE, values)
+        return {bolt.number: value for (bolt, _), value in zip(preloads, values, strict=True)}
 
     def _result(
         self,
@@ -217,29 +259,33 @@ class ContactSet:
             comm=self.boundary.space.mesh.comm,
         )
 
-    def _tied_result(self, tie: TiedPairing, forces: ContactForces, rows: Vector) -> TiedResult:
-        """Return the result of a tied pair from the forces of its rows, component by component."""
-        nodes = np.unique(np.concatenate([part.slave for part in tie.components]))
-        force, area = np.zeros((nodes.size, len(tie.components))), np.zeros(nodes.size)
-        begin = 0
-        for component, part in enumerate(tie.components):
-            position = np.searchsorted(nodes, part.slave)
-            # the force of a row acts on the slave against its direction
-            force[position, component] = -rows[begin : begin + part.slave.size]
-            area[position] = part.area
-            begin += part.slave.size
-        surface = tie.surface
-        return TiedResult(
+    def _tied_result(
+        self,
+        found: FoundTie,
+        forces: ContactForces,
+        row_forces: Vector,
+        shortenings: Mapping[int, float],
+    ) -> TiedResult:
+        """Return the result of a tie from the forces of its rows."""
+        tie, force = found.pairing, found.pairing.forces(row_forces)
+        result = TiedResult(
             tie.name,
             ContactEntry(**vars(forces), pairing=tie.summary),
-            nodes,
-            self._dofs(nodes),
-            surface.coordinates[np.searchsorted(surface.nodes, nodes)],
+            tie.nodes,
+            self._dofs(tie.nodes),
+            tie.coordinates,
             force,
-            force / area[:, None],
-            area,
+            force / tie.area[:, None],
+            tie.area,
             self.boundary.space.mesh.comm,
         )
+        if tie.preload is None:
+            return result
+        shortening = tie.preload.shortening
+        if shortening is None:
+            shortening = float(shortenings[found.number])
+        tension = float(result.force @ tie.preload.axis)
+        return BoltResult(**vars(result), shortening=shortening, tension=tension)
 
     def _dofs(self, nodes: Numbers) -> Numbers:
         """Return the numbers on this rank of nodes that it owns."""
@@ -300,12 +346,12 @@ class ContactSearch:
         with self._timer.phase("contact search"):
             self.boundary = MeshBoundary.of(self._space, self._measure_weight)
 
-    def find(self, contacts: Sequence[Contact | TiedPair], prescribed: Prescribed) -> ContactSet:
+    def find(self, contacts: Sequence[Contact | Tie], prescribed: Prescribed) -> ContactSet:
         """Return the undeformed conditions; only what changed is searched again. Collective."""
-        touching, tied = dict[int, Roles](), dict[int, TiedPair]()
+        touching, ties = dict[int, Roles](), dict[int, Tie]()
         for number, contact in enumerate(contacts):
-            if isinstance(contact, TiedPair):
-                tied[number] = contact
+            if isinstance(contact, Tie):
+                ties[number] = contact
             else:
                 touching[number] = self._roles_of(contact) or Roles(contact, contact)
         with self._timer.phase("contact search"):
@@ -324,17 +370,34 @@ class ContactSearch:
                 FoundContact(number, roles, pairing, pairing)
                 for (number, roles), pairing in zip(touching.items(), pairings, strict=True)
             ]
-            ties = tie_pairs(
-                self.boundary, tied, [(tie.pair, tie.pairing) for tie in last.ties], prescribed
-            )
-            found_ties = [FoundTie(number, tied[number], ties[number]) for number in tied]
+            found_ties = [
+                FoundTie(number, tie, self._tied(tie, number, last, prescribed))
+                for number, tie in ties.items()
+            ]
             found = ContactSet(self.boundary, found_contacts, found_ties, prescribed)
             found = found.with_friction()
         self._last = found
         return found
 
+    def _tied(self, tie: Tie, number: int, last: ContactSet, prescribed: Prescribed) -> TiedPairing:
+        """Return the rows of a tie, known ones if they still hold. Collective."""
+        name = tie_name(tie, number)
+        known = next((found.pairing for found in last.ties if found.tie is tie), None)
+        if known is not None and known.still_holds(prescribed):
+            return known
+        match tie:
+            case TiedPair():
+                return tie_surfaces(self.boundary, tie, name, prescribed)
+            case PeriodicPair():
+                return periodic_rows(self.boundary, tie, name)
+            case BoltPreload():
+                preloads = [found.pairing.preload for found in last.ties if found.number == number]
+                return preload_rows(self.boundary, tie, number, name, *(preloads or [None]))
+            case LinearRows():
+                return linear_rows(self.boundary, tie, name)
+
     def with_roles(
-        self, found: ContactSet, contacts: Sequence[Contact | TiedPair], torn: Sequence[Subdomain]
+        self, found: ContactSet, contacts: Sequence[Contact | Tie], torn: Sequence[Subdomain]
     ) -> ContactSet:
         """Exchange slave and master of new pairs where that is better and wanted, or warn."""
         comm = self._space.mesh.comm
@@ -357,7 +420,7 @@ class ContactSearch:
         self,
         found: ContactSet,
         index: int,
-        contacts: Sequence[Contact | TiedPair],
+        contacts: Sequence[Contact | Tie],
         torn: Sequence[Subdomain],
     ) -> ContactSet:
         """Decide the roles of one pair, and find all conditions anew if they are exchanged."""
@@ -384,9 +447,3 @@ class ContactSearch:
         found_contacts = list(found.contacts)
         found_contacts[index] = replace(found_contacts[index], roles=roles)
         return replace(found, contacts=found_contacts)
-
-
-def _numbered(rows: ContactRows, found: Sequence[FoundContact | FoundTie]) -> ContactRows:
-    """Return rows, counted contact by contact, with the numbers of the contacts."""
-    numbers = np.array([entry.number for entry in found], dtype=np.int64)
-    return replace(rows, contact=numbers[rows.contact])
