@@ -120,11 +120,11 @@ class TornProblem:
 
     def _system(self, conditions: ContactSet, friction: Friction) -> TornSystem:
         return TornSystem(
-            self.torn.subdomains,
+            [*self.torn.subdomains, *conditions.rigid_subdomains],
             conditions.prescribed,
             conditions.rows(),
             self.space.mesh.geometry.dim,
-            self.bodies.names,
+            [*self.bodies.names, *(frame.name for frame in conditions.frames)],
             conditions.names,
             self.space.mesh.comm,
             [f"Dirichlet condition {i}" for i in range(len(self.data.bcs))],
