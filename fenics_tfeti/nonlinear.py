@@ -18,7 +18,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_residual
 from fenics_tfeti.fem.checks.locking import warn_of_locking
 from fenics_tfeti.fem.contact.contact_set import SolvedContacts
-from fenics_tfeti.fem.contact.description import Contact, Exact
+from fenics_tfeti.fem.contact.description import Contact, Exact, RigidObstacle, contact_name
 from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.contact.ties import Tie
@@ -339,4 +339,11 @@ def _are_same(contacts: Sequence[object], others: Sequence[object]) -> bool:
 
 
 def _as_contacts(contacts: Any) -> list[Contact | Tie]:
-    return as_contacts(contacts, Exact(), "NonlinearContactProblem")
+    listed = as_contacts(contacts, Exact(), "NonlinearContactProblem")
+    for number, contact in enumerate(listed):
+        if isinstance(contact, RigidObstacle) and contact.body is not None:
+            raise InputError(
+                f"{contact_name(contact, number)}: a NonlinearContactProblem has no rigid bodies "
+                "that forces move. Move the obstacle by its function, or take a ContactProblem"
+            )
+    return listed

@@ -107,6 +107,9 @@ class ContactProblem:
         For each contact, by number or name, a `ContactResult`: the nodes with gaps, normals, forces
         and pressures, with friction its forces and slips, and their sums; of tied pairs a
         `TiedResult`. Empty before the first solve.
+    rigid_bodies : Results
+        For each rigid body, by number or name, a `RigidBodyResult`: its motion and the forces on
+        it. Bodies are numbered in the order of the obstacles.
     report : ContactReport
         Sizes, iterations, residuals and times, after `solve`.
 
@@ -125,6 +128,7 @@ class ContactProblem:
 
     u: Function
     results: Results
+    rigid_bodies: Results
     report: ContactReport
 
     def __init__(
@@ -152,7 +156,7 @@ class ContactProblem:
         self.geometry = as_geometry(geometry)
         self.bcs, self.contacts = as_conditions(bcs), as_contacts(contacts, self.geometry)
         self.u = as_displacement(u, self.space)
-        self.results = Results()
+        self.results = self.rigid_bodies = Results()
         compiler = _compat.CompilerOptions(form_compiler_options, jit_options)
         data = ProblemData(self.bcs, self.contacts, cell_tags, subdomains, measure_weight, compiler)
         size, partitioner = self.options.subdomain_size, self.options.partitioner
@@ -266,7 +270,8 @@ class ContactProblem:
         """
         if not self._is_solved:
             raise InputError("there is no step to accept; call solve() before advance()")
-        self._step = self._step.accepted(self._torn.undeformed.obstacle_displacements())
+        assert self._solved is not None
+        self._step = self._step.accepted(self._solved.conditions.obstacle_displacements())
         self._is_solved = False
 
     def steps(
@@ -445,13 +450,14 @@ class ContactProblem:
     ) -> Function:
         """Repeat with normals, gaps and partners of the deformed surfaces, sec. 11.1, 11.11.2."""
         conditions, comm = self._first_conditions(), self.space.mesh.comm
-        passes = list(self._step.passes) if self._is_restored else []
+        known = self._is_restored and not conditions.frames
+        passes = list(self._step.passes) if known else []
         while True:
             self._step = replace(self._step, passes=passes)
             uh = self._solve_linearised(conditions, None if passes else coarse, monitor)
             with self._timer.phase("deformed surfaces"):
-                self._deformed, measured = conditions.deformed(uh)
-            assert self._solved is not None
+                assert self._solved is not None
+                self._deformed, measured = conditions.deformed(uh, self._solved.places)
             products = self.report.products["total"]
             new_pass = geometry_pass(measured, self._solved.contacts, uh, products)
             passes = [*passes, replace(new_pass, seconds=self._timer.lap(comm))]
@@ -468,7 +474,7 @@ class ContactProblem:
     def _first_conditions(self) -> ContactSet:
         """Return the conditions where the last solution ended, nearer than the undeformed ones."""
         undeformed = self._torn.undeformed
-        if self._is_restored:
+        if self._is_restored and not undeformed.frames:
             uh = fill_owned(Function(self.space), self._step.displacement)
             with self._timer.phase("deformed surfaces"):
                 self._deformed, _ = undeformed.deformed(uh)
@@ -494,8 +500,13 @@ class ContactProblem:
     def _store_results(self, solution: TornSolution, conditions: ContactSet) -> Function:
         uh = fill_displacement(self.u, self._torn.torn.subdomains, solution.displacements)
         self._solved = solved = conditions.solved(solution, uh)
-        self.results = solved.as_given()
-        self.report = ContactReport.of(solution.report, self.results, self.options.as_dict())
+        self.results, self.rigid_bodies = solved.as_given(), Results(solved.bodies)
+        self.report = ContactReport.of(
+            solution.report,
+            self.results,
+            self.options.as_dict(),
+            rigid_bodies=solved.bodies,
+        )
         displacement, force = owned_values(uh), solved.nodal_forces()
         self._step = replace(self._step, displacement=displacement, force=force)
         return uh
