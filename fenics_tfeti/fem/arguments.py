@@ -97,6 +97,11 @@ def as_contacts(
     """
     names = ("contacts", "ContactPair, RigidObstacle or TiedPair", "contact")
     expected = "a ContactPair, a RigidObstacle or a TiedPair"
+    if isinstance(contacts, str):
+        raise InputError(
+            f"contacts is {contacts!r}; a list of ContactPair, RigidObstacle or TiedPair is "
+            "expected, or 'auto' where the problem is made (later: find_contacts)"
+        )
     listed = _listed(contacts, _is_contact, names, expected)
     for number, contact in enumerate(listed if geometry is not None else []):
         if isinstance(contact, ContactPair) and contact.initial_gap != "geometric":
