@@ -48,6 +48,7 @@ _LAZY = {
     "TiedPair": "fenics_tfeti.fem.contact.description",
     "TiedResult": "fenics_tfeti.fem.contact.result",
     "Tresca": "fenics_tfeti.fem.contact.description",
+    "find_contacts": "fenics_tfeti.fem.contact.automatic",
 }
 
 __all__ = [
@@ -84,6 +85,7 @@ __all__ = [
     "Tresca",
     "UnresistedMotion",
     "UnstableTangent",
+    "find_contacts",
 ]
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())

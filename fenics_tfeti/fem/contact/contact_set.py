@@ -38,6 +38,7 @@ from fenics_tfeti.fem.contact.roles import (
     Roles,
     describe_roles,
     exchanged,
+    nodal_stiffness,
     prefers_exchange,
     roles_ratio,
     warn_of_roles,
@@ -561,8 +562,11 @@ class ContactSearch:
             for index, entry in enumerate(found.contacts)
             if isinstance(entry.contact, ContactPair) and self._roles_of(entry.roles.given) is None
         ]
+        if not new:
+            return found
+        stiffness = nodal_stiffness(self.boundary.nodes, torn)
         for index in new:
-            found = self._decide_roles(found, index, contacts, torn)
+            found = self._decide_roles(found, index, contacts, stiffness)
         with raise_collectively(comm):
             for index in new if comm.rank == 0 else ():
                 warn_of_deviation(found.contacts[index].undeformed.summary)
@@ -576,13 +580,13 @@ class ContactSearch:
         found: ContactSet,
         index: int,
         contacts: Sequence[Contact | Tie],
-        torn: Sequence[Subdomain],
+        stiffness: Vector,
     ) -> ContactSet:
         """Decide the roles of one pair, and find all conditions anew if they are exchanged."""
         comm, entry = self._space.mesh.comm, found.contacts[index]
         pair, pairing = entry.roles.given, entry.undeformed
         assert isinstance(pair, ContactPair)
-        ratio = roles_ratio(pairing, torn)
+        ratio = roles_ratio(pairing, stiffness)
         roles = Roles(pair, pair, ratio, describe_roles(pair, ratio, False, None))
         if ratio is not None and prefers_exchange(pair, ratio):
             reason = describe_roles(pair, ratio, True, None)
