@@ -22,7 +22,7 @@ def report(case: str, **options: Any) -> Any:
 
 @pytest.mark.parametrize(
     ("case", "factor", "chosen"),
-    [("2D", 4.0, "dirichlet, for flat or graded cells at interfaces"), ("3D", 2.5, "lumped")],
+    [("2D", 4.0, "dirichlet, for flat or graded cells at interfaces"), ("3D", 2.0, "lumped")],
 )
 def test_fewer_products(case, factor, chosen):
     """The force is that of the lumped preconditioner alone, which takes many more products."""
