@@ -31,6 +31,7 @@ from fenics_tfeti.feti.deflation.local_spectra import (
 from fenics_tfeti.feti.deflation.selection import flexible_subdomains, subdomains_with_jumps
 from fenics_tfeti.feti.deflation.space import Deflation, at_most, same_equality_rows
 from fenics_tfeti.feti.deflation.stiff_modes import CAP, MOST, StiffModes, deflated_vectors
+from fenics_tfeti.feti.dual.deluxe_scaling import DeluxeScaling
 from fenics_tfeti.feti.dual.operator import DualOperator, ProjectedNorm
 from fenics_tfeti.feti.dual.preconditioner import (
     Choice,
@@ -175,15 +176,20 @@ class DualSetup:
         negative = sum(k * i.negative for k, i in zip(members, inverses, strict=True))
         trials = _trial_displacements(system, options, local, F)
         choice, reactions = _chosen_reactions(system, options, local, F, trials, package, negative)
-        preconditioner, modes = None, list[StiffModes | None]()
+        preconditioner, scaling, modes = None, None, list[StiffModes | None]()
         if choice.kind == "dirichlet" and options.deflation != "off":
             modes = _stiff_modes(system, local, F, reactions)
-            reactions = [
-                reaction if stiff is None else stiff.capped(reaction)
-                for stiff, reaction in zip(modes, reactions, strict=True)
-            ]
+            scaling = DeluxeScaling.build(F, modes, local.unit, package)
+            if scaling is not None:
+                choice, modes = choice.with_stiff_modes(scaling.size), []
+            else:
+                reactions = [
+                    reaction if stiff is None else stiff.capped(reaction)
+                    for stiff, reaction in zip(modes, reactions, strict=True)
+                ]
         if choice.kind != "none":
-            preconditioner = Preconditioner(interface_operator(F, reactions), constraints)
+            apply = interface_operator(F, reactions, scaling)
+            preconditioner = Preconditioner(apply, constraints, scaling)
         return DualSetup(
             local,
             constraints,
