@@ -38,6 +38,7 @@ class ProblemData:
     subdomains: Sequence[int] | None = None
     measure_weight: Any = None
     compiler: _compat.CompilerOptions = _compat.CompilerOptions()
+    displacement: Function | None = None  # of the surfaces where obstacles are evaluated
 
     @property
     def touching(self) -> list[Contact]:
@@ -64,7 +65,9 @@ class TornProblem:
         with timer.phase("partition"):
             self.bodies = find_bodies(space.mesh, data.cell_tags)
             check_mesh(space.mesh, self.bodies, data.touching)
-        self._search = ContactSearch(space, self.bodies, data.measure_weight, timer)
+        self._search = ContactSearch(
+            space, self.bodies, data.measure_weight, timer, data.displacement
+        )
         found = self._find()
         self.torn = TornMesh(
             space,
