@@ -16,7 +16,7 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError, NotConverged, UnstableTangent, format_point
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
-from fenics_tfeti.fem.newton.deformation import CellGradients
+from fenics_tfeti.fem.gradients import CellGradients
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, ForceScale, Multipliers
 from fenics_tfeti.fem.newton.mixing import AndersonMixing, Iterate
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING

@@ -22,7 +22,7 @@ from fenics_tfeti.fem.contact.description import Contact, Exact, TiedPair
 from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
-from fenics_tfeti.fem.newton.deformation import CellGradients
+from fenics_tfeti.fem.gradients import CellGradients
 from fenics_tfeti.fem.newton.equilibrium import ForceScale
 from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
 from fenics_tfeti.feti import Timer, TornSolver, interruption
