@@ -31,6 +31,7 @@ _LAZY = {
     "Coulomb": "fenics_tfeti.fem.contact.description",
     "Cylinder": "fenics_tfeti.fem.contact.obstacles",
     "Exact": "fenics_tfeti.fem.contact.description",
+    "FacetedObstacle": "fenics_tfeti.fem.contact.faceted_obstacle",
     "FrictionResult": "fenics_tfeti.fem.contact.result",
     "LinearRows": "fenics_tfeti.fem.contact.ties",
     "Mapped": "fenics_tfeti.fem.contact.description",
@@ -40,11 +41,14 @@ _LAZY = {
     "Plane": "fenics_tfeti.fem.contact.obstacles",
     "Points": "fenics_tfeti.fem.contact.description",
     "Results": "fenics_tfeti.fem.contact.result",
+    "RigidBody": "fenics_tfeti.fem.contact.rigid_body",
+    "RigidBodyResult": "fenics_tfeti.fem.contact.rigid_body",
     "RigidObstacle": "fenics_tfeti.fem.contact.description",
     "Sphere": "fenics_tfeti.fem.contact.obstacles",
     "TiedPair": "fenics_tfeti.fem.contact.description",
     "TiedResult": "fenics_tfeti.fem.contact.result",
     "Tresca": "fenics_tfeti.fem.contact.description",
+    "find_contacts": "fenics_tfeti.fem.contact.automatic",
 }
 
 __all__ = [
@@ -59,6 +63,7 @@ __all__ = [
     "Cylinder",
     "Exact",
     "FactorizationError",
+    "FacetedObstacle",
     "FrictionResult",
     "InputError",
     "Interrupted",
@@ -71,6 +76,8 @@ __all__ = [
     "Plane",
     "Points",
     "Results",
+    "RigidBody",
+    "RigidBodyResult",
     "RigidObstacle",
     "Sphere",
     "TiedPair",
@@ -78,6 +85,7 @@ __all__ = [
     "Tresca",
     "UnresistedMotion",
     "UnstableTangent",
+    "find_contacts",
 ]
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())

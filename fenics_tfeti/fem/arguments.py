@@ -95,6 +95,11 @@ def as_contacts(
     With a geometry, gaps are measured on the deformed mesh, as messages say by `what` does so.
     """
     kinds = "ContactPair, RigidObstacle, TiedPair, PeriodicPair, BoltPreload or LinearRows"
+    if isinstance(contacts, str):
+        raise InputError(
+            f"contacts is {contacts!r}; a list of {kinds} is expected, or 'auto' where the "
+            "problem is made (later: find_contacts)"
+        )
     names = ("contacts", kinds, "contact")
     listed = _listed(contacts, _is_contact, names, kinds)
     for number, contact in enumerate(listed if geometry is not None else []):

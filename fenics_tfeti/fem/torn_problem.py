@@ -121,14 +121,11 @@ class TornProblem:
 
     def _system(self, conditions: ContactSet, friction: Friction) -> TornSystem:
         return TornSystem(
-            [*self.torn.subdomains, *conditions.preload_bodies(len(self.bodies.names))],
+            [*self.torn.subdomains, *conditions.added_subdomains(len(self.bodies.names))],
             conditions.prescribed,
             conditions.rows(),
             self.space.mesh.geometry.dim,
-            [
-                *self.bodies.names,
-                *(f"shortening of {b.pairing.name}" for b, _ in conditions.preloads),
-            ],
+            [*self.bodies.names, *conditions.added_names],
             conditions.names,
             self.space.mesh.comm,
             [f"Dirichlet condition {i}" for i in range(len(self.data.bcs))],
@@ -146,7 +143,7 @@ class TornProblem:
             replace(s, coordinates=s.coordinates + values[self.nodes.to_local(s.nodes)])
             for s in self.torn.assemble(lambda: None)
         ]
-        subdomains += rows.conditions.preload_bodies(len(self.bodies.names))
+        subdomains += rows.conditions.added_subdomains(len(self.bodies.names))
         local = self.nodes.to_local(prescribed.nodes)
         increment = prescribed.values - values[local, prescribed.components]
         return replace(

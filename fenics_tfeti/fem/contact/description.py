@@ -17,6 +17,7 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.obstacles import Obstacle
+from fenics_tfeti.fem.contact.rigid_body import RigidBody
 from fenics_tfeti.fem.user_data import (
     ScalarField,
     VectorField,
@@ -283,6 +284,9 @@ class RigidObstacle:
         How far the obstacle has moved at each point since the undeformed state [m], for friction:
         slip is relative to the obstacle. A callable gets x (3, n) and returns (gdim, n). By default
         the obstacle is at rest. Where it moves along its normal, `obstacle` has to say so too.
+    body : RigidBody, optional
+        The rigid body with the shape of `obstacle`, moved by its contacts and loads. By default the
+        obstacle is held.
     """
 
     facet_tags: Any
@@ -292,11 +296,21 @@ class RigidObstacle:
     name: str = ""
     friction: FrictionLaw | None = None
     displacement: VectorField | None = None
+    body: RigidBody | None = None
 
     def __post_init__(self) -> None:
         """Check the data."""
         label = label_of(self)
         check_surfaces(self.facet_tags, {"slave": self.slave}, label)
+        if self.body is not None and not isinstance(self.body, RigidBody):
+            raise InputError(
+                f"{label}: body is a {type(self.body).__name__}; a RigidBody or None is expected"
+            )
+        if self.body is not None and self.displacement is not None:
+            raise InputError(
+                f"{label}: the obstacle has a body, which moves it: leave its displacement out. "
+                "Prescribed components are the body's translation and rotation"
+            )
         if not callable(self.obstacle):
             raise InputError(
                 f"{label}: the obstacle is a {type(self.obstacle).__name__}; a function of x that "

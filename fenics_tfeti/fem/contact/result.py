@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.rigid_body import RigidBodyResult
 from fenics_tfeti.feti.report.resultants import ContactForces
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Numbers, Vector
@@ -270,12 +271,12 @@ class BoltResult(TiedResult):
 
 
 class Results(Sequence[Any]):
-    """The results of all contacts, by number or by name; they cannot be changed.
+    """Results of contacts or of rigid bodies, by number or by name; they cannot be changed.
 
     Parameters
     ----------
-    results : sequence of ContactResult or TiedResult
-        In the order in which the contacts were given.
+    results : sequence of ContactResult or TiedResult, or of RigidBodyResult
+        In the order in which the contacts or bodies were given.
 
     Examples
     --------
@@ -283,7 +284,9 @@ class Results(Sequence[Any]):
     >>> [result.name for result in problem.results]  # doctest: +SKIP
     """
 
-    def __init__(self, results: Sequence[ContactResult | TiedResult] = ()) -> None:
+    def __init__(
+        self, results: Sequence[ContactResult | TiedResult | RigidBodyResult] = ()
+    ) -> None:
         self._results = tuple(results)
 
     @property
