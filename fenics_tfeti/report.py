@@ -33,6 +33,12 @@ class ContactReport(Report):
         are those of the last one, its seconds those of all passes.
     contacts : sequence of ContactEntry
         Forces, moments, the work of friction and the pairing of each contact and tied pair.
+
+    Examples
+    --------
+    >>> print(problem.report)  # doctest: +SKIP
+    >>> problem.report.contacts[0].normal_force, problem.report.products["total"]  # doctest: +SKIP
+    >>> problem.report.to_html("report.html", uh)  # doctest: +SKIP
     """
 
     contacts: Sequence[ContactEntry]

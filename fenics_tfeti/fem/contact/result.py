@@ -97,6 +97,11 @@ class FrictionResult:
         Whether the force is below its bound.
     work : (k,) array
         Work that friction dissipates since the last step: force times slip [J].
+
+    Examples
+    --------
+    >>> friction = problem.results["joint"].friction  # doctest: +SKIP
+    >>> friction.sticking.sum(), friction.slip  # doctest: +SKIP
     """
 
     force: Vector
@@ -163,6 +168,12 @@ class ContactResult(_Summed):
         master. Normals, forces and slips are those of the slave there.
     comm : MPI.Intracomm
         The ranks.
+
+    Examples
+    --------
+    >>> joint = problem.results["joint"]  # doctest: +SKIP
+    >>> joint.pressure.max(), joint.active.sum(), joint.force  # doctest: +SKIP
+    >>> whole = joint.gather()  # the nodes of all ranks, on all ranks  # doctest: +SKIP
     """
 
     name: str
@@ -230,6 +241,10 @@ class TiedResult(_Summed):
         The area around the node that the master covers [m^2; m in 2D].
     comm : MPI.Intracomm
         The ranks.
+
+    Examples
+    --------
+    >>> problem.results["glue"].traction  # doctest: +SKIP
     """
 
     name: str
