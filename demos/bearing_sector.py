@@ -41,7 +41,8 @@ from fenics_tfeti import ContactPair, ContactProblem, PeriodicPair
 from fenics_tfeti.io import displacement_space, draw_deformed, read_msh, von_mises
 from fenics_tfeti.models import isotropic
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "meshes"))
+here = Path(__file__).parent
+sys.path.insert(0, str(here.parent / "meshes"))
 from roller_bearing import roller_bearing, small_bearing  # noqa: E402
 
 results = Path("results")
