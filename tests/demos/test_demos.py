@@ -57,6 +57,13 @@ def test_flat_punch(demo):
     assert demo["F"] == pytest.approx(demo["exact"], rel=0.025)
 
 
+def test_eccentric_punch(demo):
+    """The tilt with and without lift-off; a force in the middle does not tilt the punch."""
+    assert demo["errors"] == pytest.approx([0.0, 0.0, 0.0], abs=0.035)
+    assert abs(demo["errors"][0]) < 1e-8
+    assert np.count_nonzero(demo["touching"].active) < 0.6 * np.isfinite(demo["touching"].gap).sum()
+
+
 @pytest.mark.once
 def test_cattaneo_mindlin(demo):
     """What sticks, within an element of the formula."""
