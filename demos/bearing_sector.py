@@ -41,7 +41,8 @@ from fenics_tfeti import ContactPair, ContactProblem, PeriodicPair
 from fenics_tfeti.io import displacement_space, draw_deformed, read_msh, von_mises
 from fenics_tfeti.models import isotropic
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "meshes"))
+here = Path(__file__).parent
+sys.path.insert(0, str(here.parent / "meshes"))
 from roller_bearing import roller_bearing, small_bearing  # noqa: E402
 
 results = Path("results")
@@ -53,7 +54,8 @@ comm = MPI.COMM_WORLD
 whole = "whole" in sys.argv[1:]
 bearing = replace(small_bearing(), rows=1, strip=1e-3, elements=8, growth=1.4, layers=8)
 n = bearing.rollers
-file = results / ("bearing.msh" if whole else "bearing_sector.msh")
+name = "bearing" if whole else "bearing_sector"
+file = results / f"{name}.msh"
 if comm.rank == 0:
     roller_bearing(file, bearing, sector=not whole)
 comm.barrier()

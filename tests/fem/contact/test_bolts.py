@@ -68,6 +68,18 @@ def test_bar_between_walls(cell, axis):
         np.testing.assert_allclose(entry.force_on_master, -np.array(entry.force), rtol=1e-9)
 
 
+def test_report(tmp_path):
+    """Bolts have a table of their own on the page."""
+    pytest.importorskip("plotly")
+    problem = bar("quadrilateral", shortening=3e-4).problem(cell_tags=None)
+    problem.solve()
+    entry = problem.report.to_dict()["contacts"][0]
+    assert (entry["tension"], entry["shortening"]) == pytest.approx((E * 0.5 * 1e-4, 3e-4))
+    problem.report.to_html(tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "<h2>Bolts</h2>" in page and "<td>0.0003</td>" in page
+
+
 def tightened(scene, force):
     problem = scene.problem(
         contacts=[*scene.contacts, preload(scene, force=force)], cell_tags=None, options=OPTIONS
