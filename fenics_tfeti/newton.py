@@ -229,7 +229,7 @@ class NewtonIteration:
             not solution.report.converged and solution.report.deflation["negative"]
         ):
             solution = self._solve_projected(system, monitor)
-        fill_displacement(self._increment, system.subdomains, solution.displacements)
+        fill_displacement(self._increment, load_step.torn.torn.subdomains, solution.displacements)
         return solution
 
     def _solve_projected(self, system: TornSystem, monitor: Monitor | None) -> TornSolution:

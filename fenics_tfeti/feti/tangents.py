@@ -91,6 +91,8 @@ def prepare_tangents(system: TornSystem, kind: TangentKind = "auto") -> TornSyst
 def _tangent(subdomain: Subdomain, exact: bool) -> Subdomain:
     """Return a subdomain with its exact or projected tangent."""
     K, x = subdomain.stiffness, subdomain.coordinates_in_frame
+    if subdomain.is_rigid:
+        return subdomain
     stressed = replace(subdomain, kernel="translations")
     translations, rotations = translations_and_rotations(x)
     energies = np.abs(translations.T @ (K @ translations))
