@@ -15,7 +15,9 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.arguments import as_contacts
 from fenics_tfeti.fem.contact.description import Contact, ContactPair
+from fenics_tfeti.fem.contact.ties import Tie
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import owned_cells
@@ -152,7 +154,10 @@ def symmetry_plane(V: Any, facet_tags: Any, tag: int, axis: int) -> Any:
 
 
 def redistributed_density(
-    mesh: Mesh, rho: Any, contacts: Sequence[Contact], measure_weight: Any = 1.0
+    mesh: Mesh,
+    rho: Any,
+    contacts: Sequence[Contact | Tie] | Contact,
+    measure_weight: Any = 1.0,
 ) -> fem.Function:
     """Return the density of bodies that have no mass at the nodes of contact surfaces. Collective.
 
@@ -167,8 +172,8 @@ def redistributed_density(
         The mesh of the displacement.
     rho : float or UFL expression
         The density [kg/m^3].
-    contacts : sequence of ContactPair or RigidObstacle
-        Those of the problem.
+    contacts : sequence of ContactPair, RigidObstacle or ties, or one of them
+        Those of the problem; tied surfaces keep their mass.
     measure_weight : float or UFL expression
         Factor of ``dx`` in the forms, such as ``2 * pi * r`` in axisymmetric ones.
 
@@ -198,7 +203,8 @@ def redistributed_density(
     with _compat.quiet_compiler():
         forms = [fem.form(factor * measure_weight * q * dx) for factor in (rho, 1.0)]
     mass, size = (_compat.assemble_load(form)[dofs] for form in forms)
-    first, second = _layers_at(mesh, contacts)
+    touching = [contact for contact in as_contacts(contacts, None) if isinstance(contact, Contact)]
+    first, second = _layers_at(mesh, touching)
     moved, taking = (
         mesh.comm.allreduce(np.bincount(bodies.of_cell, mass * layer, len(bodies.names)), MPI.SUM)
         for layer in (first, second)
@@ -221,14 +227,11 @@ def _layers_at(mesh: Mesh, contacts: Sequence[Contact]) -> tuple[Mask, Mask]:
     space = _compat.lagrange_space(mesh, 1)
     nodes, facet = NodeMap(space), mesh.topology.dim - 1
     mesh.topology.create_connectivity(facet, facet + 1)
+    surfaces = [(contact.facet_tags, contact.slave) for contact in contacts]
+    pairs = [contact for contact in contacts if isinstance(contact, ContactPair)]
+    surfaces += [(pair.facet_tags, pair.master) for pair in pairs]
     at_contact = [
-        fem.locate_dofs_topological(space, facet, contact.facet_tags.find(tag))
-        for contact in contacts
-        for tag in (
-            (contact.slave, contact.master)
-            if isinstance(contact, ContactPair)
-            else (contact.slave,)
-        )
+        fem.locate_dofs_topological(space, facet, tags.find(tag)) for tags, tag in surfaces
     ]
     corners = nodes.to_global(_compat.cell_dofs(space)[: owned_cells(mesh)])
     first = _touching(nodes, nodes.to_global(np.concatenate([*at_contact, []])), corners)
