@@ -24,7 +24,12 @@ from fenics_tfeti.typing import Mask, Numbers
 
 
 def small_strain(u: Any) -> Any:
-    """Return the symmetric gradient of a displacement."""
+    """Return the symmetric gradient of a displacement.
+
+    Examples
+    --------
+    >>> a = ufl.inner(sigma(u), small_strain(v)) * ufl.dx  # doctest: +SKIP
+    """
     return ufl.sym(ufl.grad(u))
 
 
@@ -32,6 +37,12 @@ def axisymmetric_strain(u: Any) -> Any:
     """Return the strain, 3 x 3, of a displacement (u_r, u_z) that does not change around the axis.
 
     The coordinates of the mesh are (r, z), the third direction is that of the circumference.
+
+    Examples
+    --------
+    >>> sigma = isotropic(2.1e11, 0.3, axisymmetric_strain)  # doctest: +SKIP
+    >>> r = ufl.SpatialCoordinate(mesh)[0]  # doctest: +SKIP
+    >>> a = ufl.inner(sigma(u), axisymmetric_strain(v)) * 2 * ufl.pi * r * ufl.dx  # doctest: +SKIP
     """
     r = ufl.SpatialCoordinate(u.ufl_function_space().ufl_domain())[0]
     e = ufl.sym(ufl.grad(u))
@@ -61,6 +72,11 @@ def isotropic(E: Any, nu: Any, strain: Callable[[Any], Any] = small_strain) -> C
     -------
     callable
         Of a displacement, the stress tensor [Pa] of the shape of the strain.
+
+    Examples
+    --------
+    >>> sigma = isotropic(2.1e11, 0.3)
+    >>> a = ufl.inner(sigma(u), ufl.grad(v)) * ufl.dx  # doctest: +SKIP
     """
     mu, lmbda = _lame(E, nu)
 
@@ -89,6 +105,11 @@ def neo_hookean(E: Any, nu: Any) -> Callable[[Any], Any]:
     callable
         Of a displacement, the energy per undeformed volume [J/m^3]; in two dimensions that of plane
         strain.
+
+    Examples
+    --------
+    >>> energy = neo_hookean(1e6, 0.45)
+    >>> F = ufl.derivative(energy(u) * ufl.dx, u, v)  # doctest: +SKIP
     """
     mu, lmbda = _lame(E, nu)
 
@@ -119,6 +140,10 @@ def symmetry_plane(V: Any, facet_tags: Any, tag: int, axis: int) -> Any:
     -------
     dolfinx.fem.DirichletBC
         Zero displacement along the axis.
+
+    Examples
+    --------
+    >>> bcs = [symmetry_plane(V, facet_tags, tag=3, axis=0)]  # doctest: +SKIP
     """
     facet = V.mesh.topology.dim - 1
     V.mesh.topology.create_connectivity(facet, facet + 1)

@@ -25,7 +25,7 @@ from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
 from fenics_tfeti.fem.displacement import prescribed_values
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.feti import Friction, Timer, TornSystem
+from fenics_tfeti.feti import Friction, Subdomain, Timer, TornSystem
 from fenics_tfeti.typing import Vector
 
 
@@ -39,6 +39,7 @@ class ProblemData:
     subdomains: Sequence[int] | None = None
     measure_weight: Any = None
     compiler: _compat.CompilerOptions = _compat.CompilerOptions()
+    displacement: Function | None = None  # of the surfaces where obstacles are evaluated
 
     @property
     def touching(self) -> list[Contact]:
@@ -65,7 +66,9 @@ class TornProblem:
         with timer.phase("partition"):
             self.bodies = find_bodies(space.mesh, data.cell_tags)
             check_mesh(space.mesh, self.bodies, data.contacts)
-        self._search = ContactSearch(space, self.bodies, data.measure_weight, timer)
+        self._search = ContactSearch(
+            space, self.bodies, data.measure_weight, timer, data.displacement
+        )
         found = self._find()
         self.torn = TornMesh(
             space,
@@ -133,14 +136,18 @@ class TornProblem:
             friction,
         )
 
-    def system_at(self, u: Function, rows: DeformedRows) -> TornSystem:
+    def system_at(
+        self, u: Function, rows: DeformedRows, has_small_strains: Callable[[Subdomain], bool]
+    ) -> TornSystem:
         """Return the system for an increment of u: tangents and loads there. Collective.
 
-        The coordinates are the deformed ones.
+        The coordinates are the deformed ones, but in subdomains with small strains.
         """
         values, prescribed = self.nodes.values(u), rows.conditions.prescribed
         subdomains = [
-            replace(s, coordinates=s.coordinates + values[self.nodes.to_local(s.nodes)])
+            s
+            if has_small_strains(s)
+            else replace(s, coordinates=s.coordinates + values[self.nodes.to_local(s.nodes)])
             for s in self.torn.assemble(lambda: None)
         ]
         subdomains += rows.conditions.added_subdomains(len(self.bodies.names))

@@ -456,13 +456,20 @@ class ContactSearch:
     """The search for the conditions of a problem's contacts and tied pairs.
 
     What was found is used again as long as the user's contacts and the nodes of the mesh are the
-    same. It also decides, once for each pair, whether slave and master are exchanged.
+    same. It also decides, once for each pair, whether slave and master are exchanged. Obstacles are
+    evaluated on the surfaces deformed by a displacement, if one is given.
     """
 
     def __init__(
-        self, space: FunctionSpace, bodies: Bodies, measure_weight: Any, timer: Timer
+        self,
+        space: FunctionSpace,
+        bodies: Bodies,
+        measure_weight: Any,
+        timer: Timer,
+        displacement: Function | None = None,
     ) -> None:
         self._space, self._bodies, self._timer = space, bodies, timer
+        self._displacement = displacement
         self._measure_weight = measure_weight
         self._roles: list[Roles] = []
         self.forget()
@@ -490,6 +497,7 @@ class ContactSearch:
                 known,
                 prescribed,
                 list(touching),
+                self._displacement,
             )
             checked = {id(pairing) for _, pairing in known}
             check_depth(self._space, self._bodies, [p for p in pairings if id(p) not in checked])

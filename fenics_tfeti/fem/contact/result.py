@@ -103,6 +103,11 @@ class FrictionResult:
         Whether the force is below its bound.
     work : (k,) array
         Work that friction dissipates since the last step: force times slip [J].
+
+    Examples
+    --------
+    >>> friction = problem.results["joint"].friction  # doctest: +SKIP
+    >>> friction.sticking.sum(), friction.slip  # doctest: +SKIP
     """
 
     force: Vector
@@ -169,6 +174,12 @@ class ContactResult(_Summed):
         master. Normals, forces and slips are those of the slave there.
     comm : MPI.Intracomm
         The ranks.
+
+    Examples
+    --------
+    >>> joint = problem.results["joint"]  # doctest: +SKIP
+    >>> joint.pressure.max(), joint.active.sum(), joint.force  # doctest: +SKIP
+    >>> whole = joint.gather()  # the nodes of all ranks, on all ranks  # doctest: +SKIP
     """
 
     name: str
@@ -240,6 +251,10 @@ class TiedResult(_Summed):
         surfaces of degree 2 that match at nodes that are no vertices.
     comm : MPI.Intracomm
         The ranks.
+
+    Examples
+    --------
+    >>> problem.results["glue"].traction  # doctest: +SKIP
     """
 
     name: str
