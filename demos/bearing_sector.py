@@ -54,7 +54,8 @@ comm = MPI.COMM_WORLD
 whole = "whole" in sys.argv[1:]
 bearing = replace(small_bearing(), rows=1, strip=1e-3, elements=8, growth=1.4, layers=8)
 n = bearing.rollers
-file = results / ("bearing.msh" if whole else "bearing_sector.msh")
+name = "bearing" if whole else "bearing_sector"
+file = results / f"{name}.msh"
 if comm.rank == 0:
     roller_bearing(file, bearing, sector=not whole)
 comm.barrier()
