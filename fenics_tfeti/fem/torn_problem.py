@@ -24,7 +24,7 @@ from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
 from fenics_tfeti.fem.displacement import prescribed_values
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.feti import Friction, Timer, TornSystem
+from fenics_tfeti.feti import Friction, Subdomain, Timer, TornSystem
 from fenics_tfeti.typing import Vector
 
 
@@ -132,15 +132,18 @@ class TornProblem:
             friction,
         )
 
-    def system_at(self, u: Function, rows: DeformedRows) -> TornSystem:
-        """Return the system for an increment of u: tangents and loads there. Collective.
+    def system_at(
+        self, u: Function, rows: DeformedRows, kept: Sequence[Subdomain] | None = None
+    ) -> TornSystem:
+        """Return the system for an increment of u: tangents, or kept ones, and loads. Collective.
 
         The coordinates are the deformed ones.
         """
         values, prescribed = self.nodes.values(u), rows.conditions.prescribed
+        undeformed = self.torn.subdomains if kept else self.torn.assemble(lambda: None)
         subdomains = [
-            replace(s, coordinates=s.coordinates + values[self.nodes.to_local(s.nodes)])
-            for s in self.torn.assemble(lambda: None)
+            replace(s, coordinates=x.coordinates + values[self.nodes.to_local(s.nodes)])
+            for s, x in zip(self.torn.loaded(kept) if kept else undeformed, undeformed, strict=True)
         ]
         local = self.nodes.to_local(prescribed.nodes)
         increment = prescribed.values - values[local, prescribed.components]
