@@ -16,7 +16,7 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError, NotConverged, UnstableTangent, format_point
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
-from fenics_tfeti.fem.newton.deformation import CellGradients
+from fenics_tfeti.fem.gradients import CellGradients
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, ForceScale, Multipliers
 from fenics_tfeti.fem.newton.mixing import AndersonMixing, Iterate
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
@@ -238,10 +238,11 @@ class NewtonIteration:
         self._is_new_tangent = not self._keeps_tangent(state)
         if self._is_new_tangent:
             self._tangent_residual = state.equilibrium.residual
-            system, solution = self._solve_with_new_tangent(state, monitor)
+            solution = self._solve_with_new_tangent(state, monitor)
         else:
-            system, solution = self._solve_with_last_tangent(state, monitor)
-        fill_displacement(self._increment, system.subdomains, solution.displacements)
+            solution = self._solve_with_last_tangent(state, monitor)
+        parts = self._load_step.torn.torn.subdomains
+        fill_displacement(self._increment, parts, solution.displacements)
         return solution
 
     def _keeps_tangent(self, state: NewtonState) -> bool:
@@ -251,23 +252,21 @@ class NewtonIteration:
         before, residual = self.steps[-2].residual, state.equilibrium.residual
         return _KEPT_REDUCTION * residual <= before
 
-    def _solve_with_last_tangent(
-        self, state: NewtonState, monitor: Monitor | None
-    ) -> tuple[TornSystem, TornSolution]:
+    def _solve_with_last_tangent(self, state: NewtonState, monitor: Monitor | None) -> TornSolution:
         assert self.solver is not None
         load_step, kept = self._load_step, self.solver.system.subdomains
         system = load_step.torn.system_at(load_step.u, state.rows, kept)
-        return system, self._solve(system, monitor)
+        return self._solve(system, monitor)
 
-    def _solve_with_new_tangent(
-        self, state: NewtonState, monitor: Monitor | None
-    ) -> tuple[TornSystem, TornSolution]:
+    def _solve_with_new_tangent(self, state: NewtonState, monitor: Monitor | None) -> TornSolution:
         load_step, options = self._load_step, self._options
         if self.solver is not None:
             self.solver.release()
         system = load_step.torn.system_at(load_step.u, state.rows)
         if self._is_held is None:
-            self._is_held = all_bodies_are_held(system)
+            # bolts are made anew in each step
+            bolts = len(system.subdomains) - len(load_step.torn.torn.subdomains)
+            self._is_held = all_bodies_are_held(system) and not system.comm.allreduce(bolts)
         solution: TornSolution | None = None
         with suppress(UnstableTangent):
             solution = self._solve(prepare_tangents(system, options.tangent), monitor)
@@ -275,7 +274,7 @@ class NewtonIteration:
             not solution.report.converged and solution.report.deflation["negative"]
         ):
             solution = self._solve_projected(system, monitor)
-        return system, solution
+        return solution
 
     def _solve_projected(self, system: TornSystem, monitor: Monitor | None) -> TornSolution:
         """Solve with tangents that are positive semidefinite."""

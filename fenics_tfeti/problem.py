@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -23,11 +23,13 @@ from fenics_tfeti.fem.arguments import (
     as_geometry,
 )
 from fenics_tfeti.fem.checks.locking import warn_of_locking
+from fenics_tfeti.fem.contact.automatic import find_contacts
 from fenics_tfeti.fem.contact.contact_set import ContactSet, SolvedContacts
 from fenics_tfeti.fem.contact.deformed import GeometryPass, geometry_pass
-from fenics_tfeti.fem.contact.description import Contact, Exact, TiedPair
+from fenics_tfeti.fem.contact.description import Contact, Exact
 from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.contact.ties import Tie
 from fenics_tfeti.fem.contact.transfer import SolvedContact, check_coarse, expected_contact
 from fenics_tfeti.fem.displacement import (
     fill_displacement,
@@ -65,8 +67,10 @@ class ContactProblem:
         weight, as axisymmetric ones do, it is `measure_weight`.
     bcs : sequence of dolfinx.fem.DirichletBC, one of them, or None
         Prescribed displacements, on the space or its components, of any value.
-    contacts : sequence of ContactPair, RigidObstacle or TiedPair, one of them, or None
-        What may touch, and what stays together.
+    contacts : sequence of contacts and ties, one of them, "auto" or None
+        What may touch: ContactPair, RigidObstacle; and what stays together: TiedPair, PeriodicPair,
+        BoltPreload, LinearRows. "auto" is `find_contacts` of the mesh and `cell_tags`, with whole
+        faces if there is a `geometry`: ``contacts`` of the problem has the pairs.
     cell_tags : MeshTags, optional
         A tag for every cell, where bodies are to be told apart by tags: each tag is one body, its
         cells connected through facets. Bodies that share facets are glued there. By default the
@@ -105,6 +109,9 @@ class ContactProblem:
         For each contact, by number or name, a `ContactResult`: the nodes with gaps, normals, forces
         and pressures, with friction its forces and slips, and their sums; of tied pairs a
         `TiedResult`. Empty before the first solve.
+    rigid_bodies : Results
+        For each rigid body, by number or name, a `RigidBodyResult`: its motion and the forces on
+        it. Bodies are numbered in the order of the obstacles.
     report : ContactReport
         Sizes, iterations, residuals and times, after `solve`.
 
@@ -123,6 +130,7 @@ class ContactProblem:
 
     u: Function
     results: Results
+    rigid_bodies: Results
     report: ContactReport
 
     def __init__(
@@ -131,7 +139,7 @@ class ContactProblem:
         L: ufl.Form | float,
         *,
         bcs: Sequence[Any] | Any | None = (),
-        contacts: Sequence[Contact | TiedPair] | Contact | TiedPair | None = (),
+        contacts: Sequence[Contact | Tie] | Contact | Tie | Literal["auto"] | None = (),
         cell_tags: Any | None = None,
         u: Function | None = None,
         subdomains: Sequence[int] | None = None,
@@ -148,9 +156,13 @@ class ContactProblem:
         a, L = as_forms(a, L)
         self.space = space_of_forms(a, L)
         self.geometry = as_geometry(geometry)
+        if isinstance(contacts, str) and contacts == "auto":
+            with self._timer.phase("contact search"):
+                exact = self.geometry is not None
+                contacts = find_contacts(self.space.mesh, cell_tags, whole_faces=exact)
         self.bcs, self.contacts = as_conditions(bcs), as_contacts(contacts, self.geometry)
         self.u = as_displacement(u, self.space)
-        self.results = Results()
+        self.results = self.rigid_bodies = Results()
         compiler = _compat.CompilerOptions(form_compiler_options, jit_options)
         data = ProblemData(self.bcs, self.contacts, cell_tags, subdomains, measure_weight, compiler)
         size, partitioner = self.options.subdomain_size, self.options.partitioner
@@ -235,7 +247,8 @@ class ContactProblem:
                 self._timer.restart()
             self._is_solved = True
             if not self._has_warned:
-                energy = [body.energy_norm**2 for body in self.report.certificate.bodies]
+                bodies = self.report.certificate.bodies[: len(self._torn.bodies.names)]
+                energy = [body.energy_norm**2 for body in bodies]
                 self._has_warned = warn_of_large_gradients(uh, self._torn.bodies, energy)
             self._step = replace(self._step, passes=())
             self._save(checkpoint)
@@ -263,7 +276,8 @@ class ContactProblem:
         """
         if not self._is_solved:
             raise InputError("there is no step to accept; call solve() before advance()")
-        self._step = self._step.accepted(self._torn.undeformed.obstacle_displacements())
+        assert self._solved is not None
+        self._step = self._step.accepted(self._solved.conditions.obstacle_displacements())
         self._is_solved = False
 
     def steps(
@@ -442,13 +456,14 @@ class ContactProblem:
     ) -> Function:
         """Repeat with normals, gaps and partners of the deformed surfaces, sec. 11.1, 11.11.2."""
         conditions, comm = self._first_conditions(), self.space.mesh.comm
-        passes = list(self._step.passes) if self._is_restored else []
+        known = self._is_restored and not conditions.frames
+        passes = list(self._step.passes) if known else []
         while True:
             self._step = replace(self._step, passes=passes)
             uh = self._solve_linearised(conditions, None if passes else coarse, monitor)
             with self._timer.phase("deformed surfaces"):
-                self._deformed, measured = conditions.deformed(uh)
-            assert self._solved is not None
+                assert self._solved is not None
+                self._deformed, measured = conditions.deformed(uh, self._solved.places)
             products = self.report.products["total"]
             new_pass = geometry_pass(measured, self._solved.contacts, uh, products)
             passes = [*passes, replace(new_pass, seconds=self._timer.lap(comm))]
@@ -465,7 +480,7 @@ class ContactProblem:
     def _first_conditions(self) -> ContactSet:
         """Return the conditions where the last solution ended, nearer than the undeformed ones."""
         undeformed = self._torn.undeformed
-        if self._is_restored:
+        if self._is_restored and not undeformed.frames:
             uh = fill_owned(Function(self.space), self._step.displacement)
             with self._timer.phase("deformed surfaces"):
                 self._deformed, _ = undeformed.deformed(uh)
@@ -489,10 +504,15 @@ class ContactProblem:
         return uh
 
     def _store_results(self, solution: TornSolution, conditions: ContactSet) -> Function:
-        uh = fill_displacement(self.u, self.system.subdomains, solution.displacements)
+        uh = fill_displacement(self.u, self._torn.torn.subdomains, solution.displacements)
         self._solved = solved = conditions.solved(solution, uh)
-        self.results = solved.as_given()
-        self.report = ContactReport.of(solution.report, self.results, self.options.as_dict())
+        self.results, self.rigid_bodies = solved.as_given(), Results(solved.bodies)
+        self.report = ContactReport.of(
+            solution.report,
+            self.results,
+            self.options.as_dict(),
+            rigid_bodies=solved.bodies,
+        )
         displacement, force = owned_values(uh), solved.nodal_forces()
         self._step = replace(self._step, displacement=displacement, force=force)
         return uh

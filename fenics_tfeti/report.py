@@ -14,6 +14,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.deformed import GeometryPass
 from fenics_tfeti.fem.contact.result import ContactEntry, Results
+from fenics_tfeti.fem.contact.rigid_body import RigidBodyResult
 from fenics_tfeti.fem.io.scene import gather_scene
 from fenics_tfeti.fem.io.units import Units, units_of
 from fenics_tfeti.feti import Report
@@ -33,10 +34,13 @@ class ContactReport(Report):
         are those of the last one, its seconds those of all passes.
     contacts : sequence of ContactEntry
         Forces, moments, the work of friction and the pairing of each contact and tied pair.
+    rigid_bodies : list of RigidBodyResult
+        Motion of each rigid body, and the forces on it.
     """
 
     contacts: Sequence[ContactEntry]
     passes: list[GeometryPass] = field(default_factory=list)
+    rigid_bodies: list[RigidBodyResult] = field(default_factory=list)
 
     @classmethod
     def of(cls, report: Report, results: Results, options: Mapping[str, Any], **more: Any) -> Self:

@@ -161,12 +161,12 @@ def fill_displacement(
 ) -> Function:
     """Fill a function with the displacements of subdomains, and return it.
 
-    The displacements (n_i,) of this rank's subdomains [m] are equal at all copies of a node; the
-    function's ghosts are up to date.
+    The displacements (n_i,) of this rank's subdomains [m] are equal at all copies of a node; those
+    of rigid bodies may follow. The function's ghosts are up to date.
     """
     nodes = NodeMap(uh.function_space)
     values = nodes.values(uh)
-    for subdomain, displacement in zip(subdomains, displacements, strict=True):
+    for subdomain, displacement in zip(subdomains, displacements, strict=False):
         values[nodes.to_local(subdomain.nodes)] = displacement.reshape(-1, nodes.components)
     uh.x.scatter_forward()
     return uh

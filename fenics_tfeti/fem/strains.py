@@ -12,8 +12,7 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.reference_cells import ReferenceCell
-from fenics_tfeti.fem.topology import batches, cell_type, cell_vertices, vertex_nodes
+from fenics_tfeti.fem.gradients import CellGradients
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
@@ -21,8 +20,6 @@ from fenics_tfeti.typing import Vector
 _LARGE = 0.1
 # share of the strain energy that is more than that of corners and point loads
 _SHARE = 0.1
-# cells at once
-_CELLS = 2**14
 
 
 def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Sequence[float]) -> bool:
@@ -32,7 +29,7 @@ def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Sequence[float
     Return on all ranks whether there was a warning.
     """
     comm = uh.function_space.mesh.comm
-    size, strain2 = _cell_measures(uh, bodies.of_cell.size)
+    size, strain2 = _cell_measures(uh)
     large = size > _LARGE
     sums, largest = np.zeros((2, len(energy))), np.zeros(len(energy))
     np.add.at(sums[0], bodies.of_cell, strain2)
@@ -58,32 +55,14 @@ def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Sequence[float
     return True
 
 
-def _cell_measures(uh: Function, cells: int) -> tuple[Vector, Vector]:
+def _cell_measures(uh: Function) -> tuple[Vector, Vector]:
     """Return |grad u| and |strain|^2 times the volume of the cells that this rank owns."""
     space = uh.function_space
-    domain, gdim = space.mesh, space.dofmap.index_map_bs
-    type_, u = cell_type(domain), uh.x.array.reshape(-1, gdim)
-    vertices, nodes = cell_vertices(domain)[:cells], vertex_nodes(space)[:cells]
-    size, strain2 = np.empty((2, cells))
-    for batch in batches(cells, _CELLS):
-        corners = domain.geometry.x[vertices[batch], :gdim]
-        gradient, volume = cell_gradients(type_, corners, u[nodes[batch]])
+    u = uh.x.array.reshape(-1, space.dofmap.index_map_bs)
+    size, strain2 = [np.zeros(0)], [np.zeros(0)]
+    for batch in CellGradients(space).at_midpoints(u):
+        gradient = batch.fields[0][:, 0]
         strain = 0.5 * (gradient + gradient.transpose(0, 2, 1))
-        size[batch] = np.linalg.norm(gradient, axis=(1, 2))
-        strain2[batch] = np.sum(strain**2, axis=(1, 2)) * volume
-    return size, strain2
-
-
-def cell_gradients(type_: ReferenceCell, corners: Vector, values: Vector) -> tuple[Vector, Vector]:
-    """Return gradients (k, gdim, gdim) of vector fields at cell midpoints, and |det J| [m^gdim].
-
-    The coordinates [m] and the values at the vertices are of shape (k, v, gdim); derivatives of a
-    component are in a row.
-    """
-    if type_.is_simplex:
-        derivatives = np.vstack([-np.ones(type_.dim), np.eye(type_.dim)])
-    else:
-        bits = np.arange(type_.vertices)[:, None] >> np.arange(type_.dim) & 1
-        derivatives = (2.0 * bits - 1.0) / 2 ** (type_.dim - 1)
-    jacobian, differences = (np.tensordot(f, derivatives, (1, 0)) for f in (corners, values))
-    return differences @ np.linalg.inv(jacobian), np.abs(np.linalg.det(jacobian))
+        size.append(np.linalg.norm(gradient, axis=(1, 2)))
+        strain2.append(np.sum(strain**2, axis=(1, 2)) * batch.scale[:, 0])
+    return np.concatenate(size), np.concatenate(strain2)

@@ -421,7 +421,7 @@ def _has_same_stiffness(system: TornSystem, previous: TornSystem) -> bool:
         s.stiffness is t.stiffness
         and s.nodes is t.nodes
         and s.frame is t.frame
-        and s.kernel == t.kernel
+        and s.has_kernel_of(t)
         for s, t in zip(system.subdomains, previous.subdomains, strict=True)
     )
     return bool(system.comm.allreduce(same, MPI.LAND))

@@ -44,11 +44,12 @@ class Subdomain:
         Orthogonal matrix T if `stiffness` is not K_i but K' with K_i = T K' T', T at each node:
         subdomains that are rotated or mirrored images of each other share K' and its factor. Loads,
         coordinates and displacements are not turned.
-    kernel : {"rigid", "translations"}
+    kernel : {"rigid", "translations"} or (n, k) array
         Motions that K_i does not resist, but for elastic supports: all rigid ones, as in linear
         elasticity, or translations and those rotations for which K_i is zero. The latter is for
         tangents of finite strains, which may be indefinite: the stress of a torn subdomain resists
-        rotations, or drives them. See `prepare_tangents`.
+        rotations, or drives them. See `prepare_tangents`. An array is for rigid bodies, see
+        `Subdomain.rigid`.
     """
 
     stiffness: sp.csr_matrix
@@ -57,7 +58,63 @@ class Subdomain:
     nodes: Numbers
     body: int
     frame: Vector | None = None
-    kernel: Kernel = "rigid"
+    kernel: Kernel | Vector = "rigid"
+
+    @staticmethod
+    def rigid(
+        load: ArrayLike,
+        coordinates: ArrayLike,
+        nodes: ArrayLike,
+        body: int,
+        kernel: ArrayLike | None = None,
+    ) -> Subdomain:
+        """Return a rigid body: a subdomain without stiffness that moves in its kernel alone.
+
+        Its generalized inverse is zero, u_i = R_i alpha_i. A few nodes are enough, as rows can name
+        them with the coefficients of any other point.
+
+        Parameters
+        ----------
+        load : (gdim * nodes,) array-like
+            f_i; resultant and moment alone matter [N].
+        coordinates : (nodes, gdim) array-like
+            [m].
+        nodes : (nodes,) integers
+            Global node numbers.
+        body : int
+            The body.
+        kernel : (gdim * nodes, k) array-like, optional
+            Independent rigid motions of the nodes: those that are free; all of them by default.
+        """
+        f = np.asarray(load, dtype=np.float64)
+        motions: Kernel | Vector = (
+            "rigid" if kernel is None else np.asarray(kernel, dtype=np.float64)
+        )
+        nothing = sp.csr_matrix((f.size, f.size))
+        return Subdomain(
+            nothing, f, np.asarray(coordinates), np.asarray(nodes), body, None, motions
+        )
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether the stiffness has no entry."""
+        return bool(self.stiffness.nnz == 0)
+
+    @property
+    def is_unknown(self) -> bool:
+        """Whether it is one unknown of rows, a node with one motion: its load is internal."""
+        return (
+            self.nodes.size == 1 and not isinstance(self.kernel, str) and self.kernel.shape[1] == 1
+        )
+
+    @property
+    def is_tangent(self) -> bool:
+        """Whether the kernel is that of a tangent of finite strains."""
+        return isinstance(self.kernel, str) and self.kernel == "translations"
+
+    def has_kernel_of(self, other: Subdomain) -> bool:
+        """Tell whether the kernels are described alike."""
+        return bool(np.array_equal(self.kernel, other.kernel))
 
     def __post_init__(self) -> None:
         """Convert lists and other types of numbers to arrays; sort the entries of K."""

@@ -96,6 +96,8 @@ def all_bodies_are_held(system: TornSystem) -> bool:
 def _tangent(subdomain: Subdomain, exact: bool) -> Subdomain:
     """Return a subdomain with its exact or projected tangent."""
     K, x = subdomain.stiffness, subdomain.coordinates_in_frame
+    if subdomain.is_rigid:
+        return subdomain
     stressed = replace(subdomain, kernel="translations")
     translations, rotations = translations_and_rotations(x)
     energies = np.abs(translations.T @ (K @ translations))

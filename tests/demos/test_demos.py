@@ -57,6 +57,13 @@ def test_flat_punch(demo):
     assert demo["F"] == pytest.approx(demo["exact"], rel=0.025)
 
 
+def test_eccentric_punch(demo):
+    """The tilt with and without lift-off; a force in the middle does not tilt the punch."""
+    assert demo["errors"] == pytest.approx([0.0, 0.0, 0.0], abs=0.035)
+    assert abs(demo["errors"][0]) < 1e-8
+    assert np.count_nonzero(demo["touching"].active) < 0.6 * np.isfinite(demo["touching"].gap).sum()
+
+
 @pytest.mark.once
 def test_cattaneo_mindlin(demo):
     """What sticks, within an element of the formula."""
@@ -112,6 +119,17 @@ def test_load_steps(demo):
     assert max(demo["differences"]) < 1e-5  # of a new problem for each step
     # the start from rigid bodies is as good as the contact of half or twice the load
     assert demo["again"] < 1.25 * demo["scratch"]
+
+
+@pytest.mark.once
+def test_impact_of_bars(demo):
+    """Time, pressure and velocities by the waves of one dimension; energy is kept, or made."""
+    c, L = demo["c"], demo["L"]
+    assert demo["ends_at"] == pytest.approx(2 * L / c, rel=0.01)
+    assert demo["plateau"] == pytest.approx(demo["rho"] * c * demo["v"] / 2, rel=0.001)
+    np.testing.assert_allclose(demo["velocities"], [0.0, demo["v"]], atol=0.01)
+    np.testing.assert_allclose(demo["energy"], demo["kinetic"], rtol=0.005)
+    assert demo["growing"][-1] > 1.5 * demo["kinetic"]
 
 
 def test_finer_meshes(demo):

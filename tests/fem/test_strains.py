@@ -1,4 +1,4 @@
-"""Displacement gradients of cells, and the warning where they are not small."""
+"""The warning where displacement gradients are not small."""
 
 from __future__ import annotations
 
@@ -8,37 +8,14 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from mesh_arrays import CELLS, block
 from scenes import YOUNG, two_beams
 
 from dolfinx import fem
 
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
-from fenics_tfeti.fem.reference_cells import reference_cell
-from fenics_tfeti.fem.strains import cell_gradients, warn_of_large_gradients
+from fenics_tfeti.fem.strains import warn_of_large_gradients
 
 COMM = MPI.COMM_WORLD
-
-
-@pytest.mark.parametrize("cell", CELLS)
-def test_gradient_of_a_linear_field(cell):
-    points, cells = block(cell)
-    d = points.shape[1]
-    random = np.random.default_rng(3)
-    points = points + 0.1 * random.random(points.shape)
-    A = random.standard_normal((d, d))
-    gradient, volume = cell_gradients(reference_cell(cell), points[cells], points[cells] @ A.T)
-    np.testing.assert_allclose(gradient, np.tile(A, (len(cells), 1, 1)), atol=1e-12)
-    assert np.all(volume > 0.0)
-
-
-@pytest.mark.parametrize("cell", CELLS)
-def test_volume(cell):
-    points, cells = block(cell)
-    volume = cell_gradients(reference_cell(cell), points[cells], points[cells])[1]
-    d = points.shape[1]
-    share = {"triangle": 2, "tetrahedron": 6}.get(cell, 1)
-    assert volume.sum() / share == pytest.approx(np.prod(np.ptp(points, axis=0)[:d]))
 
 
 def test_modulus_in_other_units_is_told_once():

@@ -175,10 +175,13 @@ def openings(
 def row_values(nodes: NodeMap, rows: ContactRows, displacement: Vector) -> Vector:
     """Return sum_k c_k'u(node_k) of rows (k,) whose nodes may be on any rank. Collective.
 
-    The displacement (n,) is at the degrees of freedom that this rank owns [m].
+    The displacement (n,) is at the degrees of freedom that this rank owns [m]. Nodes that are none
+    of the mesh have no part in the sums.
     """
-    nodal = nodes.values_at(displacement.reshape(-1, nodes.components), rows.nodes)
-    terms = np.sum(rows.coefficients * nodal, axis=1)
+    in_mesh = rows.nodes < nodes.total
+    numbers = np.where(in_mesh, rows.nodes, 0)
+    nodal = nodes.values_at(displacement.reshape(-1, nodes.components), numbers)
+    terms = np.where(in_mesh, np.sum(rows.coefficients * nodal, axis=1), 0.0)
     sums = np.zeros(rows.size)
     np.add.at(sums, rows.row, terms)
     return sums

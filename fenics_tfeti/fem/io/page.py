@@ -27,7 +27,7 @@ def report_page(report: Mapping[str, Any], title: str, scene: Scene | None = Non
     body = [_verdict(report, title, units)]
     if scene is not None:
         body += ["<h2>Deformed bodies</h2>", _div("bodies", _bodies(scene, units))]
-    body += _contacts(report, units)
+    body += _contacts(report, units) + _rigid_bodies(report, units)
     body += ["<h2>Convergence</h2>", _div("convergence", _convergence(report, units))]
     if report["passes"]:
         body += ["<h2>Geometry passes</h2>", _div("passes", _passes(report["passes"]))]
@@ -96,6 +96,24 @@ def _contacts(report: Mapping[str, Any], units: Units) -> list[str]:
         )
         rows.append((*row, _number(contact["friction_work"])) if has_friction else row)
     return ["<h2>Contact</h2>", f'<div class="wide">{_table(rows, head=True)}</div>']
+
+
+def _rigid_bodies(report: Mapping[str, Any], units: Units) -> list[str]:
+    if not report["rigid_bodies"]:
+        return []
+    columns = {
+        "translation": units.length,
+        "rotation": "rad",
+        "force": units.force,
+        "reaction": units.force,
+    }
+    rows: list[Sequence[Any]] = [
+        ("rigid body", *(f"{name} [{unit}]" for name, unit in columns.items()))
+    ]
+    for body in report["rigid_bodies"]:
+        vectors = (", ".join(map(_number, body[name])) for name in columns)
+        rows.append((body["name"], *vectors))
+    return ["<h2>Rigid bodies</h2>", f'<div class="wide">{_table(rows, head=True)}</div>']
 
 
 def _certificate(report: Mapping[str, Any]) -> list[str]:

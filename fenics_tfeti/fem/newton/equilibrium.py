@@ -70,7 +70,8 @@ class DeformedRows:
         terms += [(self.friction.tangential_rows(self.contacts), tangential)] if site.size else []
         at = np.concatenate([rows.nodes for rows, _ in terms])
         forces = [values[rows.row][:, None] * rows.coefficients for rows, values in terms]
-        return nodes.sum_at_owners(at, np.concatenate(forces))
+        in_mesh = at < nodes.total
+        return nodes.sum_at_owners(at[in_mesh], np.concatenate(forces)[in_mesh])
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.checks.bodies import check_bodies
-from fenics_tfeti.feti.local.rigid_body_modes import kernel
+from fenics_tfeti.feti.local.rigid_body_modes import kernel, rigid_body_modes
 from fenics_tfeti.feti.system import (
     ContactGuess,
     ContactRows,
@@ -26,7 +26,7 @@ from fenics_tfeti.feti.system import (
     TornSystem,
     node_graph,
 )
-from fenics_tfeti.feti.tolerances import GIVEN, ZERO, rounding
+from fenics_tfeti.feti.tolerances import GIVEN, NEGLIGIBLE, ZERO, rounding
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
@@ -113,7 +113,14 @@ def _check_matrices(system: TornSystem) -> None:
     """Check this rank's stiffness matrices, each object once."""
     checked: set[int] = set()
     for number, subdomain in enumerate(system.subdomains):
-        if id(subdomain.stiffness) not in checked:
+        if subdomain.is_rigid:
+            _check_given_motions(f"kernel of {_name(system, number)}", subdomain)
+        elif not isinstance(subdomain.kernel, str):
+            raise InputError(
+                f"kernel of {_name(system, number)}: an array of motions is for a rigid body, and "
+                "this one has stiffness. Leave 'kernel' out"
+            )
+        elif id(subdomain.stiffness) not in checked:
             _check_matrix(f"stiffness of {_name(system, number)}", subdomain, system.gdim)
             checked.add(id(subdomain.stiffness))
 
@@ -220,10 +227,7 @@ def _check_subdomain(name: str, subdomain: Subdomain, gdim: int) -> None:
         raise InputError(f"body of {name}: got {body!r}, expected an integer")
     if body < 0:
         raise InputError(f"body of {name}: got {body}, expected a number from 0 on")
-    if subdomain.kernel not in get_args(Kernel):
-        raise InputError(
-            f"kernel of {name}: got {subdomain.kernel!r}, expected 'rigid' or 'translations'"
-        )
+    _check_kernel(f"kernel of {name}", subdomain)
     nodes, label = subdomain.nodes, f"FIELD of {name}"
     _check_fields(label, subdomain, np.int64, nodes=(None,))
     if nodes.size == 0:
@@ -247,6 +251,39 @@ def _check_subdomain(name: str, subdomain: Subdomain, gdim: int) -> None:
             raise InputError(
                 f"frame of {name}: |T T' - I| = {error:.3e}, expected an orthogonal matrix T"
             )
+
+
+def _check_kernel(what: str, subdomain: Subdomain) -> None:
+    """Check the name of the kernel; arrays are checked with the matrix."""
+    kernel = subdomain.kernel
+    if isinstance(kernel, str) and kernel not in get_args(Kernel):
+        raise InputError(f"{what}: got {kernel!r}, expected 'rigid' or 'translations'")
+    if not isinstance(kernel, str):
+        _check_type(what, kernel, np.ndarray, "'rigid', 'translations' or an array")
+        _check_array(what, kernel, (subdomain.load.size, None))
+        _check_finite(what, kernel)
+
+
+def _check_given_motions(what: str, subdomain: Subdomain) -> None:
+    """Check the motions of a rigid body."""
+    R = subdomain.kernel
+    if isinstance(R, str):
+        if R != "rigid":
+            raise InputError(f"{what}: got {R!r} for a rigid body, expected 'rigid' or an array")
+        return
+    if subdomain.frame is not None:
+        raise InputError(f"{what}: an array is for the coordinates' frame. Leave 'frame' out")
+    rigid, lengths = rigid_body_modes(subdomain.coordinates), np.linalg.norm(R, axis=0)
+    if np.linalg.matrix_rank(R / np.where(lengths > 0.0, lengths, 1.0), ZERO) < R.shape[1]:
+        raise InputError(
+            f"{what}: the {R.shape[1]} motions depend on each other. Give independent ones"
+        )
+    strains = np.linalg.norm(R - rigid @ (rigid.T @ R), axis=0)
+    if np.any(strains > NEGLIGIBLE * lengths):
+        raise InputError(
+            f"{what}: motion {np.argmax(strains / lengths)} deforms the body. Give translations, "
+            "rotations and sums of them"
+        )
 
 
 def _check_format(what: str, K: Any, n: int) -> None:

@@ -97,7 +97,7 @@ def _motions_and_supports(
     outside = np.array([np.linalg.qr(e, mode="r") for e in outside])
 
     # motions of each body that are orthonormal over its torn nodes, in the mean
-    inverse = [np.linalg.inv(np.linalg.cholesky(g)).T if g.any() else g for g in gram]
+    inverse = [_orthonormal_motions(g) for g in gram]
     rows = [sp.csr_matrix((0, modes * bodies))]
     for body, inside in blocks:
         data = (inside @ inverse[body]).ravel()
@@ -106,10 +106,28 @@ def _motions_and_supports(
         shape = (len(inside), modes * bodies)
         rows.append(sp.csr_matrix((data, columns, indptr), shape=shape))
     basis = sp.vstack(comm.allgather(sp.vstack(rows, format="csr")), format="csr")
-    scaled = [e @ t for t, e in zip(inverse, outside, strict=True)]
-    supports = np.array(scaled).reshape(bodies, modes, modes)
+    # what moves no node is as good as held
+    still = [np.diag((~t.any(axis=0)).astype(float)) for t in inverse]
+    scaled = [
+        np.linalg.qr(np.vstack([e @ t, d]), mode="r")
+        for t, e, d in zip(inverse, outside, still, strict=True)
+    ]
+    supports: Vector = np.array(scaled).reshape(bodies, modes, modes)
     supports[np.abs(supports) <= rounding(1.0, MANY)] = 0.0
     return basis, supports, float(comm.allreduce(distance, MPI.MAX))
+
+
+def _orthonormal_motions(gram: Vector) -> Vector:
+    """Return T with T' gram T = I; zero columns for what moves no node, as about a line."""
+    if not gram.any():
+        return gram
+    values, vectors = np.linalg.eigh(gram)
+    moving = values > NEGLIGIBLE**2 * values[-1]
+    if moving.all():
+        inverse: Vector = np.linalg.inv(np.linalg.cholesky(gram)).T
+        return inverse
+    basis: Vector = vectors * np.where(moving, 1.0 / np.sqrt(np.where(moving, values, 1.0)), 0.0)
+    return basis
 
 
 def centres_and_sizes(system: TornSystem) -> tuple[Vector, Vector, Vector]:
@@ -136,15 +154,16 @@ def describe_body_motion(
     own_motion: Vector,
     either_way: bool = False,
     negligible: float = NEGLIGIBLE,
+    places: tuple[Vector, Vector, Vector] | None = None,
 ) -> list[str]:
     """Name the bodies that take part in a motion, and how each of them moves.
 
     Returns "body: motion" for each body, on all ranks. The motion is R xi; own_motion is this
     rank's part of xi. With either_way the opposite motion is meant as well; parts up to negligible,
-    relative to the motion, are left out.
+    relative to the motion, are left out. For many motions, pass `centres_and_sizes` as places.
     """
     ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
-    centres, sizes, _ = centres_and_sizes(system)
+    centres, sizes, _ = places or centres_and_sizes(system)
     parts: dict[int, tuple[float, str]] = {}
     moving = np.searchsorted(ends, np.flatnonzero(own_motion), side="right") - 1
     for i in np.unique(moving):

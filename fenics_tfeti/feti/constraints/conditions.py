@@ -20,6 +20,7 @@ from fenics_tfeti.feti.constraints.entries import Entries
 from fenics_tfeti.feti.constraints.friction import Tangential, check_slides, common_scale
 from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable, largest_coordinate
 from fenics_tfeti.feti.constraints.redundancy import ContactConditions, Redundancy, find_redundant
+from fenics_tfeti.feti.constraints.scaling import RIGID, unit_scale
 from fenics_tfeti.feti.system import ContactRows, TornSystem
 from fenics_tfeti.feti.tolerances import GIVEN, SAME_VALUE, rounding
 from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
@@ -115,7 +116,7 @@ def condition_rows(
     np.add.at(tolerance, terms.row, terms.size)
     tolerance = SAME_VALUE * tolerance + rounding(largest_coordinate(system), GIVEN)
 
-    free, length = _free_rows(terms, gap.size)
+    free, flexibility = _free_rows(terms, gap.size)
     finite = np.isfinite(gap)
     infinite_gaps = int(comm.allreduce(int(np.count_nonzero(~finite))))
     # there is no friction where there is nothing to touch
@@ -124,7 +125,7 @@ def condition_rows(
         _check_decided_rows(contacts, tied, gap, tolerance, finite & ~free & ~tangential.mask)
         check_slides(contacts, tangential, gap, tolerance, free)
     kept = finite & free
-    scale = common_scale(1.0 / np.where(kept, length, 1.0), tangential, kept)
+    scale = common_scale(unit_scale(np.where(kept, flexibility, 1.0)), tangential, kept)
     redundancy = find_redundant(
         _conditions(terms, kept, scale, gap, tolerance, tied, tangential.mask), directory, comm
     )
@@ -139,13 +140,13 @@ def condition_rows(
 
 
 def _free_rows(terms: _Terms, rows: int) -> tuple[Mask, Vector]:
-    """Return which rows have a part that is not prescribed, and sqrt(B D^{-1} B') of it."""
+    """Return which rows have a part that is not prescribed, and B D^{-1} B' of it."""
     squares = np.sum(terms.coefficients**2, axis=1)
-    all2, free2, norm2 = np.zeros((3, rows))
+    all2, free2, flexibility = np.zeros((3, rows))
     np.add.at(all2, terms.row, terms.length2)
     np.add.at(free2, terms.row, squares)
-    np.add.at(norm2, terms.row, squares / terms.weight)
-    return free2 > SAME_VALUE**2 * all2, np.sqrt(norm2)
+    np.add.at(flexibility, terms.row, squares / terms.weight)
+    return free2 > SAME_VALUE**2 * all2, flexibility
 
 
 def _distribute(
@@ -212,8 +213,11 @@ def _conditions(
     tied: Mask,
     tangential: Mask,
 ) -> ContactConditions:
-    """Return the kept rows in the coordinates D^{-1/2} of the nodes, where they have length 1."""
-    chosen = kept[terms.row] & np.any(terms.coefficients != 0.0, axis=1)
+    """Return the kept rows in the coordinates D^{-1/2} of the nodes, where they have length 1.
+
+    There rigid bodies have no part in them.
+    """
+    chosen = kept[terms.row] & np.any(terms.coefficients != 0.0, axis=1) & (terms.weight < RIGID)
     row = terms.row[chosen]
     factor = scale[row] / np.sqrt(terms.weight[chosen])
     return ContactConditions(

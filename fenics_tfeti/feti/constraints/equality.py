@@ -12,6 +12,7 @@ import numpy as np
 
 from fenics_tfeti.feti.constraints.entries import Entries
 from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable
+from fenics_tfeti.feti.constraints.scaling import unit_scale
 from fenics_tfeti.parallel import Directory
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -60,7 +61,7 @@ def equality_rows(
         prescribed = local.prescribed[copies.node, component]
         unknown = copies.unknown + component
 
-        rows, root = (row + number)[prescribed], np.sqrt(copies.weight[prescribed])
+        rows, root = (row + number)[prescribed], unit_scale(1.0 / copies.weight[prescribed])
         parts.append(Entries(rows, unknown[prescribed], root))
         prescribed_rows.append(rows)
         values.append(root * local.values[copies.node[prescribed], component])
@@ -110,4 +111,4 @@ def _contrasts(chain: _Chain, multiplicity: Numbers) -> Entries:
     new = local[term] - number[term] + r  # position of copy r in the chain
     s, d = chain.weight_before[new], chain.weight[new]
     values = np.where(r == number[term], -1.0, chain.weight[local[term]] / s)
-    return Entries(r - 1, chain.copy[local[term]], values / np.sqrt(1.0 / s + 1.0 / d))
+    return Entries(r - 1, chain.copy[local[term]], values * unit_scale(1.0 / s + 1.0 / d))

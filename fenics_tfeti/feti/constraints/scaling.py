@@ -6,6 +6,9 @@ each contact row is multiplied by a positive number and only gluing rows are com
 incompressible materials D is the stiffness of shear: the volume resists few displacements. In the
 preconditioner of sec. 11.12, B_D = (B D^{-1} B')^{-1} B D^{-1} is B D^{-1} but for contact and tied
 rows that share nodes (`coupling`).
+
+Rigid bodies do not give way: D is practically infinite there, so that B D^{-1} B' is that of the
+other nodes of a row. Rows at rigid bodies alone have no part in it.
 """
 
 from __future__ import annotations
@@ -24,12 +27,15 @@ from fenics_tfeti.typing import Vector
 
 Scaling = Literal["multiplicity", "stiffness"]
 
+# weight of a copy in a rigid body: its flexibility is less than the rounding of all others
+RIGID = float(np.finfo(float).eps) ** -2
+
 
 @dataclass(frozen=True)
 class NodeWeights:
     """Weights of the copies of nodes, and the moduli that they are made of."""
 
-    values: Vector  # (torn nodes of this rank,): positive and at most 1
+    values: Vector  # (torn nodes of this rank,): positive and at most 1, or RIGID
     unit: float  # the stiffness that a weight of 1 stands for; the mean one for multiplicity [N/m]
     bulk_over_shear: list[float]  # kappa / mu of each subdomain
 
@@ -39,16 +45,32 @@ def node_weights(system: TornSystem, scaling: Scaling) -> NodeWeights:
 
     By "multiplicity" they are 1; by "stiffness" the mean of the diagonal of K_i over the components
     of the node, of shear alone where the volume is much stiffer, relative to the largest over all
-    ranks.
+    ranks. Those of rigid bodies are `RIGID` in either case.
     """
     ratios = compressibility(system.subdomains)
     stiffness = _diagonals(system, ratios)
+    rigid = np.repeat(
+        np.array([s.is_rigid for s in system.subdomains], dtype=bool),
+        np.array([s.nodes.size for s in system.subdomains], dtype=np.int64),
+    )
     of_subdomain = [ratios[id(s.stiffness)] for s in system.subdomains]
     if scaling == "multiplicity":
-        total, count = system.comm.allreduce(np.array([stiffness.sum(), stiffness.size]))
-        return NodeWeights(np.ones(stiffness.size), float(total / count), of_subdomain)
-    largest = float(system.comm.allreduce(float(stiffness.max(initial=0.0)), MPI.MAX))
-    return NodeWeights(stiffness / largest, largest, of_subdomain)
+        total, count = system.comm.allreduce(np.array([stiffness.sum(), (~rigid).sum()]))
+        unit, weights = float(total / count), np.ones(stiffness.size)
+    else:
+        unit = float(system.comm.allreduce(float(stiffness.max(initial=0.0)), MPI.MAX))
+        weights = stiffness / unit
+    return NodeWeights(np.where(rigid, RIGID, weights), unit, of_subdomain)
+
+
+def unit_scale(flexibility: Vector) -> Vector:
+    """Return factors of rows that make B D^{-1} B' = 1, or 1 for rows at rigid bodies alone.
+
+    The flexibility is B D^{-1} B' of the rows without them.
+    """
+    rigid = flexibility <= RIGID**-0.75
+    scale: Vector = 1.0 / np.sqrt(np.where(rigid, 1.0, flexibility))
+    return scale
 
 
 def _diagonals(system: TornSystem, ratios: Mapping[int, float]) -> Vector:

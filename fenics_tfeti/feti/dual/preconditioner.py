@@ -204,7 +204,7 @@ def _reaction(
     interior = np.setdiff1d(np.arange(K.shape[0]), local)
     rows = K[local]
     K_bb = rows[:, local].tocsr()
-    if kind == "lumped" or 0 in (interior.size, local.size):
+    if kind == "lumped" or 0 in (interior.size, local.size, K.nnz):
         return partial(times_rows, K_bb)
     K_bi = rows[:, interior].tocsr()
     K_ib = K_bi.T.tocsr()

@@ -26,7 +26,7 @@ from fenics_tfeti.parallel import raise_collectively
 Arrays = dict[str, NDArray[Any]]
 
 _FORMAT = "fenics_tfeti torn system 1"
-_SUBDOMAIN = ("matrix", "load", "coordinates", "nodes", "body", "frame", "kernel")
+_SUBDOMAIN = ("matrix", "load", "coordinates", "nodes", "body", "frame", "kernel", "motions")
 _ROWS = ("offsets", "nodes", "coefficients", "gap", "contact", "slaves")
 _FRICTION = ("row", "tangents", "bound", "slip", "coefficient")
 _PRESCRIBED = ("nodes", "components", "values", "condition")
@@ -119,10 +119,18 @@ def _parts_of_subdomains(system: TornSystem) -> tuple[list[Arrays], list[Arrays]
                 "nodes": s.nodes,
                 "body": np.array(s.body),
                 **({} if s.frame is None else {"frame": s.frame}),
-                **({} if s.kernel == "rigid" else {"kernel": np.array([s.kernel])}),
+                **_kernel(s),
             }
         )
     return stored, subdomains
+
+
+def _kernel(subdomain: Subdomain) -> Arrays:
+    """Return the kernel as an array, if it is not the default."""
+    kernel = subdomain.kernel
+    if not isinstance(kernel, str):
+        return {"motions": kernel}
+    return {} if kernel == "rigid" else {"kernel": np.array([kernel])}
 
 
 def _conditions(system: TornSystem) -> Mapping[str, Arrays]:
@@ -237,7 +245,9 @@ def _subdomain(
     frame = None
     if f"{path}/frame" in file.names:
         frame = file.read(f"{path}/frame", "numbers", (gdim, gdim))
-    kernel: Any = file.strings(f"{path}/kernel")
+    kernel: Any = [*file.strings(f"{path}/kernel"), "rigid"][0]
+    if f"{path}/motions" in file.names:
+        kernel = file.read(f"{path}/motions", "numbers", (n, None))
     return Subdomain(
         matrices[matrix],
         file.read(f"{path}/load", "numbers", (n,)),
@@ -245,7 +255,7 @@ def _subdomain(
         nodes,
         file.integer(f"{path}/body"),
         frame,
-        kernel[0] if kernel else "rigid",
+        kernel,
     )
 
 

@@ -37,7 +37,7 @@ def regularized_stiffness(
 
 
 class GeneralizedInverse:
-    """K_i^+ with K K^+ K = K (11.28).
+    """K_i^+ with K K^+ K = K (11.28); zero for a rigid body.
 
     R (n, k) is an orthonormal basis of the kernel of K_i, and `number` is M, the number of fixing
     nodes. The stiffness, by default that of the subdomain, may have unknowns beyond those of the
@@ -60,12 +60,15 @@ class GeneralizedInverse:
         self.size = K.shape[0]
         self.symmetries = symmetries or SymmetryGroup.trivial(self.size)
         self.negative = 0  # negative eigenvalues of K_i
+        self._factor: SparseFactor | None = None
+        if subdomain.is_rigid:
+            return
         images = symmetries.nodes(gdim) if symmetries else None
         try:
             nodes = fixing_nodes(subdomain.coordinates_in_frame, R, number, images)
             regularized = regularized_stiffness(K, R, unknowns_of_nodes(nodes, gdim))
             if subdomain.kernel == "rigid":
-                self._factor: SparseFactor = SparseCholesky(regularized, package)
+                self._factor = SparseCholesky(regularized, package)
             else:
                 self._factor = indefinite = SparseLDL(regularized)
                 self.negative = indefinite.negative
@@ -81,9 +84,9 @@ class GeneralizedInverse:
 
     def solve(self, b: Vector) -> Vector:
         """Apply K_i^+ to a vector (n,) or to the columns of a matrix (n, k)."""
-        return self._factor.solve(b)
+        return np.zeros_like(b) if self._factor is None else self._factor.solve(b)
 
     @property
     def entries(self) -> int:
         """Entries of the factor."""
-        return self._factor.entries
+        return 0 if self._factor is None else self._factor.entries

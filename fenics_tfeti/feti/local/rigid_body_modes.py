@@ -69,6 +69,8 @@ def translations_and_rotations(coordinates: Vector) -> tuple[Vector, Vector]:
 def possible_kernel(subdomain: Subdomain) -> Vector:
     """Return orthonormal motions (n, k) that K_i resists only by elastic supports, if at all."""
     K, x = subdomain.stiffness, subdomain.coordinates_in_frame
+    if not isinstance(subdomain.kernel, str):
+        return np.linalg.qr(subdomain.kernel)[0]
     if subdomain.kernel == "rigid":
         return rigid_body_modes(x)
     translations, rotations = translations_and_rotations(x)

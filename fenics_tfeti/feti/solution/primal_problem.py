@@ -162,13 +162,18 @@ class PrimalProblem:
                 forces, difference = load - pull, u - batch.rows(recovered.torn)
                 # the rigid motions have no part in K u_t
                 of_strained, of_difference = times_rows(K, strained), times_rows(K, difference)
+                if not K.nnz:
+                    # what keeps a body rigid balances all but resultant and moment
+                    R = setup.local.kernels[congruent.first]
+                    of_strained += forces - (forces @ R) @ R.T
                 applied, members = load**2 + pull**2, batch.members
                 error2 = np.sum(difference * of_difference, axis=1)
                 sums.error2[members] = np.abs(error2) if self.setup.negative else error2
                 sums.strain2[members] = np.sum(strained * forces, axis=1)
                 sums.residual2[members] = np.sum((of_strained - forces) ** 2, axis=1)
                 sums.force2[members] = np.sum(applied, axis=1)
-                sums.flexibility[members] = applied @ (1.0 / K.diagonal())
+                if K.nnz:
+                    sums.flexibility[members] = applied @ (1.0 / K.diagonal())
                 work = u * (0.5 * (of_strained + of_difference) - load)
                 sums.energy[members] = np.sum(work, axis=1)
         return sums

@@ -273,7 +273,7 @@ class DualSetup:
         chosen = np.ones(len(order), dtype=bool)
         if options.deflation == "auto":
             # rotations that the stress hardly resists make F large, too
-            chosen = np.array([system.subdomains[i].kernel != "rigid" for i in order], dtype=bool)
+            chosen = np.array([system.subdomains[i].is_tangent for i in order], dtype=bool)
             # with weights of 1, F measures every stiffness
             if options.scaling == "stiffness":
                 chosen |= subdomains_with_jumps(system, self.constraints, interface, local.unknowns)

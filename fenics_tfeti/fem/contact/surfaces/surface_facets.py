@@ -87,11 +87,15 @@ class SurfaceFacets:
             )
 
     def faceted(self) -> FacetedSurface:
-        """Return the surface of segments or triangles, four for each quadrilateral.
+        """Return the surface of segments or triangles."""
+        return FacetedSurface(*self.simplices())
+
+    def simplices(self) -> tuple[Vector, Numbers]:
+        """Return points and segments or triangles, four for each quadrilateral.
 
         Facets of degree 2 are replaced by their pieces.
         """
-        return FacetedSurface(self._with_centres(self.points), self._simplices())
+        return self._with_centres(self.points), self._simplices()
 
     def from_corners(self, values: Vector) -> Vector:
         """Return values (n, ...) at all nodes, interpolated by those at the facets' corners."""

@@ -1,8 +1,9 @@
-"""Deformation gradients in the cells: the size of a Newton step, and cells that it inverts."""
+"""Displacement gradients in the cells of a mesh, with what they say of strains and rotations."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 from mpi4py import MPI
 
@@ -19,8 +20,17 @@ from fenics_tfeti.typing import Vector
 _CELLS = 2**13
 
 
+@dataclass(frozen=True)
+class GradientBatch:
+    """Gradients at p points of each of k cells; derivatives of a component are in a row."""
+
+    fields: list[Vector]  # one (k, p, gdim, gdim) for each field
+    scale: Vector  # |det J| (k, p) [m^gdim]: the volume is its integral over the reference cell
+    nodes: Vector  # coordinates (k, n, gdim) [m]
+
+
 class CellGradients:
-    """Displacement gradients at points of each cell that this rank owns: midpoints, or nodes."""
+    """Gradients of displacements in each cell that this rank owns, at its midpoint or nodes."""
 
     def __init__(self, space: FunctionSpace) -> None:
         self._space = space
@@ -33,53 +43,45 @@ class CellGradients:
             for points in (nodes, nodes.mean(axis=0, keepdims=True))
         )
 
+    def at_midpoints(self, *fields: Vector) -> Iterator[GradientBatch]:
+        """Yield gradients of fields (nodes, gdim) at all nodes of this rank, by batches."""
+        return self._over_cells(self._at_midpoint, *fields)
+
     def largest_increment(self, u: Vector, du: Vector) -> float:
         """Return the largest |grad du F^-1| at midpoints, F = I + grad u. Collective.
 
         That is the strain and rotation of a step from the deformed state. The displacements (nodes,
         gdim) are those at all nodes of this rank.
         """
-
-        def size(gradients: Vector) -> Vector:
-            F = np.eye(u.shape[1]) + gradients[0]
-            values: Vector = np.linalg.norm(gradients[1] @ np.linalg.inv(F), axis=(2, 3))
-            return values
-
-        largest = max((float(v.max()) for v, _ in self._over_cells(size, u, du)), default=0.0)
+        largest = 0.0
+        for batch in self.at_midpoints(u, du):
+            present, increment = batch.fields
+            turned = increment @ np.linalg.inv(np.eye(u.shape[1]) + present)
+            largest = max(largest, float(np.linalg.norm(turned, axis=(2, 3)).max(initial=0.0)))
         return float(self._space.mesh.comm.allreduce(largest, MPI.MAX))
 
     def smallest_volume_ratio(self, u: Vector) -> tuple[float, str]:
         """Return the smallest det(I + grad u) at nodes of cells, and where it is. Collective."""
-
-        def determinant(gradients: Vector) -> Vector:
-            values: Vector = np.linalg.det(np.eye(u.shape[1]) + gradients[0])
-            return values
-
         smallest, place = np.inf, ""
-        for values, x in self._over_cells(determinant, u):
-            cell, point = np.unravel_index(np.argmin(values), values.shape)
-            if values[cell, point] < smallest:
-                smallest, place = float(values[cell, point]), format_point(x[cell].mean(axis=0))
+        for batch in self._over_cells(self._at_nodes, u):
+            ratios = np.linalg.det(np.eye(u.shape[1]) + batch.fields[0])
+            cell, point = np.unravel_index(np.argmin(ratios), ratios.shape)
+            if ratios[cell, point] < smallest:
+                smallest = float(ratios[cell, point])
+                place = format_point(batch.nodes[cell].mean(axis=0))
         lowest: tuple[float, str] = min(self._space.mesh.comm.allgather((smallest, place)))
         return lowest
 
-    def _over_cells(
-        self, measure: Callable[[Vector], Vector], *fields: Vector
-    ) -> list[tuple[Vector, Vector]]:
-        """Return a measure (cells, points) of gradients, with the cells' nodes, by batches.
-
-        Gradients of one field are at the nodes of cells, of two at midpoints.
-        """
+    def _over_cells(self, shapes: list[Vector], *fields: Vector) -> Iterator[GradientBatch]:
+        """Yield gradients at the points of shape functions of the geometry and the field."""
         space = self._space
         domain, gdim = space.mesh, space.dofmap.index_map_bs
-        shapes = self._at_nodes if len(fields) == 1 else self._at_midpoint
         nodes, vertices = _compat.cell_dofs(space), _compat.geometry_cells(domain)
-        results = []
         for batch in batches(owned_cells(domain), _CELLS):
             x = domain.geometry.x[vertices[batch], :gdim]
-            inverse = np.linalg.inv(np.einsum("dpn,cna->cpad", shapes[0], x))
+            jacobian = np.einsum("dpn,cna->cpad", shapes[0], x)
+            inverse = np.linalg.inv(jacobian)
             gradients = [
                 np.einsum("dpn,cna->cpad", shapes[1], u[nodes[batch]]) @ inverse for u in fields
             ]
-            results.append((measure(np.array(gradients)), x))
-        return results
+            yield GradientBatch(gradients, np.abs(np.linalg.det(jacobian)), x)
