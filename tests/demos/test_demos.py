@@ -264,7 +264,7 @@ def test_ironing(demo):
     """Friction at its bound and the bulge before the die; the balance of energy."""
     ratio = demo["H"][-3:] / demo["N"][-3:]
     assert ((ratio > 0.3) & (ratio < 0.31)).all()
-    assert demo["work"] == pytest.approx(demo["friction"] + demo["gained"], rel=0.03)
+    assert demo["work"] == pytest.approx(demo["friction"] + demo["gained"], rel=0.04)
 
 
 @pytest.mark.once
