@@ -29,7 +29,7 @@ from fenics_tfeti.feti import (
     TornSystem,
     prepare_tangents,
 )
-from fenics_tfeti.feti.tangents import all_bodies_are_held
+from fenics_tfeti.feti.tangents import all_bodies_are_held, has_small_strains
 from fenics_tfeti.options import NewtonOptions
 from fenics_tfeti.parallel import print_on_first_rank
 from fenics_tfeti.typing import Mask, Vector
@@ -255,14 +255,14 @@ class NewtonIteration:
     def _solve_with_last_tangent(self, state: NewtonState, monitor: Monitor | None) -> TornSolution:
         assert self.solver is not None
         load_step, kept = self._load_step, self.solver.system.subdomains
-        system = load_step.torn.system_at(load_step.u, state.rows, kept)
+        system = load_step.torn.system_at(load_step.u, state.rows, has_small_strains, kept)
         return self._solve(system, monitor)
 
     def _solve_with_new_tangent(self, state: NewtonState, monitor: Monitor | None) -> TornSolution:
         load_step, options = self._load_step, self._options
         if self.solver is not None:
             self.solver.release()
-        system = load_step.torn.system_at(load_step.u, state.rows)
+        system = load_step.torn.system_at(load_step.u, state.rows, has_small_strains)
         if self._is_held is None:
             # bolts are made anew in each step
             bolts = len(system.subdomains) - len(load_step.torn.torn.subdomains)
