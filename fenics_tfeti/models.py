@@ -124,6 +124,39 @@ def neo_hookean(E: Any, nu: Any) -> Callable[[Any], Any]:
     return energy
 
 
+def neo_hookean_stress(E: Any, nu: Any) -> Callable[[Any], Any]:
+    """Return the Cauchy stress of the material of `neo_hookean`.
+
+    sigma = (mu (F F' - I) + lambda ln J I) / J, the force per deformed area.
+
+    Parameters
+    ----------
+    E : float or UFL expression
+        Young's modulus [Pa].
+    nu : float or UFL expression
+        Poisson's ratio.
+
+    Returns
+    -------
+    callable
+        Of a displacement, the stress tensor [Pa], 3 x 3; in two dimensions that of plane strain.
+    """
+    mu, lmbda = _lame(E, nu)
+
+    def stress(u: Any) -> Any:
+        dim = u.ufl_shape[0]
+        F = ufl.Identity(dim) + ufl.grad(u)
+        left, J = F * F.T, ufl.det(F)
+        if dim == 2:
+            left = ufl.as_tensor(
+                [[left[0, 0], left[0, 1], 0], [left[1, 0], left[1, 1], 0], [0, 0, 1]]
+            )
+        identity = ufl.Identity(3)
+        return (mu * (left - identity) + lmbda * ufl.ln(J) * identity) / J
+
+    return stress
+
+
 def symmetry_plane(V: Any, facet_tags: Any, tag: int, axis: int) -> Any:
     """Return the Dirichlet condition that nothing moves across a plane of symmetry.
 

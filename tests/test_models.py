@@ -17,6 +17,8 @@ from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.models import (
     axisymmetric_strain,
     isotropic,
+    neo_hookean,
+    neo_hookean_stress,
     redistributed_density,
     symmetry_plane,
 )
@@ -26,7 +28,8 @@ E, NU = 3.0, 0.3
 
 def mean(expression, mesh):
     """Return the mean of a scalar on a mesh of volume 1."""
-    return mesh.comm.allreduce(fem.assemble_scalar(fem.form(expression * ufl.dx)))
+    dx = ufl.dx(metadata={"quadrature_degree": 2})
+    return mesh.comm.allreduce(fem.assemble_scalar(fem.form(expression * dx)))
 
 
 def unit_mesh(dim):
@@ -87,6 +90,29 @@ def test_axisymmetric_stretch_has_a_hoop_strain():
     u = stretched(mesh, np.diag([0.01, 0.0]))
     stress = components(isotropic(E, NU, axisymmetric_strain)(u), mesh)
     np.testing.assert_allclose(stress, hooke(np.diag([0.01, 0.0, 0.01])), atol=1e-14)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_neo_hookean_stress_does_the_work_that_is_stored(dim):
+    """P = J s F^-T is the derivative of the energy with respect to the gradient, by differences."""
+    mesh, rng = unit_mesh(dim), np.random.default_rng(5)
+    gradient, direction = 0.3 * rng.random((dim, dim)), rng.random((dim, dim))
+    stress = components(neo_hookean_stress(E, NU)(stretched(mesh, gradient)), mesh)
+    F = np.eye(dim) + gradient
+    P = np.linalg.det(F) * stress[:dim, :dim] @ np.linalg.inv(F).T
+    near = [stretched(mesh, gradient + step * direction) for step in (1e-5, -1e-5)]
+    energies = [mean(neo_hookean(E, NU)(u), mesh) for u in near]
+    assert np.sum(P * direction) == pytest.approx((energies[0] - energies[1]) / 2e-5, rel=1e-7)
+
+
+def test_neo_hookean_stress_across_the_plane_keeps_the_thickness():
+    """The strain in two dimensions, as a body of three that is not stretched across."""
+    gradient = np.array([[0.3, 0.1, 0], [-0.2, -0.1, 0], [0, 0, 0]])
+    stresses = [
+        components(neo_hookean_stress(E, NU)(stretched(mesh, gradient[:dim, :dim])), mesh)
+        for dim, mesh in ((2, unit_mesh(2)), (3, unit_mesh(3)))
+    ]
+    np.testing.assert_allclose(*stresses, atol=1e-12)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

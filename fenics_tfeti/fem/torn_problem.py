@@ -137,18 +137,23 @@ class TornProblem:
         )
 
     def system_at(
-        self, u: Function, rows: DeformedRows, has_small_strains: Callable[[Subdomain], bool]
+        self,
+        u: Function,
+        rows: DeformedRows,
+        has_small_strains: Callable[[Subdomain], bool],
+        kept: Sequence[Subdomain] | None = None,
     ) -> TornSystem:
-        """Return the system for an increment of u: tangents and loads there. Collective.
+        """Return the system for an increment of u: tangents, or kept ones, and loads. Collective.
 
         The coordinates are the deformed ones, but in subdomains with small strains.
         """
         values, prescribed = self.nodes.values(u), rows.conditions.prescribed
+        loaded = self.torn.assemble(lambda: None) if kept is None else self.torn.loaded(kept)
         subdomains = [
             s
-            if has_small_strains(s)
-            else replace(s, coordinates=s.coordinates + values[self.nodes.to_local(s.nodes)])
-            for s in self.torn.assemble(lambda: None)
+            if has_small_strains(x)
+            else replace(s, coordinates=x.coordinates + values[self.nodes.to_local(s.nodes)])
+            for s, x in zip(loaded, self.torn.subdomains, strict=True)
         ]
         subdomains += rows.conditions.added_subdomains(len(self.bodies.names))
         local = self.nodes.to_local(prescribed.nodes)

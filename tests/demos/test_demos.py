@@ -274,3 +274,44 @@ def test_fibre_block(demo):
     plain = energies["steel cords, no deflation"]
     assert energies["steel cords, deflation"] == pytest.approx(plain, rel=1e-9)
     assert demo["report"].contacts[0].normal_force == pytest.approx(30e3, rel=1e-6)
+
+
+@pytest.mark.once
+def test_ironing(demo):
+    """Friction at its bound and the bulge before the die; the balance of energy."""
+    ratio = demo["H"][-3:] / demo["N"][-3:]
+    assert ((ratio > 0.3) & (ratio < 0.31)).all()
+    assert demo["work"] == pytest.approx(demo["friction"] + demo["gained"], rel=0.04)
+
+
+@pytest.mark.once
+def test_seal_in_groove(demo):
+    """The energy is the work of the lid; both walls are pressed alike."""
+    assert demo["energies"][-1] == pytest.approx(demo["work"], rel=0.02)
+    left, right = (demo["problem"].results[f"{side} wall"].force for side in ("left", "right"))
+    assert left[0] > 0.0
+    np.testing.assert_allclose(right, [-left[0], left[1]], rtol=1e-4)
+
+
+@pytest.mark.once
+def test_crushed_ring(demo):
+    """The forces of the elastica, at each height."""
+    assert demo["heights"][-1] == pytest.approx(0.8 * demo["R"])
+    assert demo["error"] < 0.01
+
+
+@pytest.mark.once
+def test_snap_fit(demo):
+    """The force changes its sign behind the bump, and is zero in the end."""
+    H, way = demo["H"], np.array(demo["way"])
+    top = demo["start"]
+    assert H[way < top].min() >= -1e-6 * H.max() and H[way > 1.3 * top].max() <= 1e-6 * H.max()
+    assert H[-1] == pytest.approx(0.0, abs=1e-6 * H.max())
+    assert demo["work"] == pytest.approx(demo["friction"], rel=0.05)
+
+
+@pytest.mark.once
+def test_beam_on_beam(demo):
+    """Beam theory for small deflections; the energy is the work of the clamp."""
+    assert demo["force"][1] == pytest.approx(demo["linear"][1], rel=0.005)
+    assert demo["energies"][-1] == pytest.approx(demo["work"], rel=0.002)

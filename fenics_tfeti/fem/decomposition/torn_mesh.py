@@ -96,6 +96,10 @@ class TornMesh:
         with self._timer.phase("assembly"):
             return self.forms.subdomains(self._parts, known, self._nodes)
 
+    def loaded(self, known: Sequence[Subdomain]) -> list[Subdomain]:
+        """Return known subdomains, which may have other matrices, with the present loads."""
+        return self._assembled(known)
+
     def load(self) -> Vector:
         """Return the load (nodes, gdim) at the nodes that this rank owns now [N]. Collective."""
         nodes = NodeMap(self._space)

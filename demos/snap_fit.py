@@ -1,0 +1,147 @@
+r"""A clip bends over a bump and clicks in behind it, with friction.
+
+# Snap-fit
+
+A cantilever of plastic with a rounded hook at its end is pushed along a stiff rail that has a bump.
+The hook climbs the bump, the cantilever bends, and behind the top the hook slides down by itself:
+the force changes its sign. Rotations and sliding are large; the coefficient of friction is 0.2.
+
+The clip is free of stress before and behind the bump. So the work of the hand is what friction
+dissipates,
+
+$$\int H \, \mathrm{d} s = D > 0.$$
+
+This demo illustrates how to
+
+- move a support in load steps;
+- get the force of a support from the report;
+- measure what friction dissipates.
+
+Run it by `python demos/snap_fit.py`, or on several processes by `mpirun -n 2 python
+demos/snap_fit.py`; it draws pictures into `results/`. All units are SI, forces are per metre of
+depth.
+"""
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, Coulomb, NonlinearContactProblem
+from fenics_tfeti.io import (
+    Box,
+    boxes,
+    displacement_space,
+    draw_deformed,
+    draw_profile,
+    piecewise_constant,
+    tag_facets,
+    von_mises,
+)
+from fenics_tfeti.models import neo_hookean, neo_hookean_stress
+
+results = Path("results")
+comm = MPI.COMM_WORLD
+
+# ## Bodies
+#
+# Two boxes whose facing sides get a bump, half a wave of a cosine squared. The hook is at the end
+# of the clip, and its middle 2.1 mm before that of the rail. Cells are shorter at the hook.
+
+mm = 1e-3
+arm, thickness, bump, half = 18 * mm, 1.2 * mm, 1 * mm, 2 * mm
+gap, start = 1.02 * mm, 2.1 * mm
+clip = Box((-24, gap), (40, gap + thickness), (64, 4), "clip")
+rail = Box((start - half, -2 * mm), (start + 3 * half, 0), (72, 4), "rail")
+bodies = boxes(comm, [clip, rail], "quadrilateral")
+mesh, CLIP, RAIL, GRIP, BASE = bodies.mesh, 1, 2, 3, 4
+surfaces = [
+    (CLIP, lambda x: np.isclose(x[1], gap) & (x[0] > -1), 1),
+    (RAIL, lambda x: np.isclose(x[1], 0), 2),
+    (GRIP, lambda x: np.isclose(x[0], -24), 1),
+    (BASE, lambda x: np.isclose(x[1], -2 * mm), 2),
+]
+facet_tags = tag_facets(mesh, surfaces, bodies.cell_tags)
+
+
+def raised(x, middle):
+    """Return the height of a bump."""
+    wave = np.cos(np.pi / 2 * np.clip((x - middle) / half, -1, 1))
+    return bump * wave**2
+
+
+x = mesh.geometry.x
+of_clip = x[:, 1] > 0.5 * gap
+cells = x[of_clip, 0]
+x[of_clip, 0] = np.where(cells < 0, arm / 24 * cells, half / 20 * cells) - half
+x[of_clip, 1] -= (gap + thickness - x[of_clip, 1]) / thickness * raised(x[of_clip, 0], 0)
+x[~of_clip, 1] += (x[~of_clip, 1] / (2 * mm) + 1) * raised(x[~of_clip, 0], start)
+
+# ## Problem
+#
+# The clip of a plastic, the rail of aluminium.
+
+V = displacement_space(mesh)
+u, motion = fem.Function(V), fem.Function(V)
+E, nu = piecewise_constant(mesh, bodies.cell_tags, {1: 2e9, 2: 7e10}), 0.35
+energy = neo_hookean(E, nu)(u) * ufl.dx
+grip, base = (fem.locate_dofs_topological(V, 1, facet_tags.find(tag)) for tag in (GRIP, BASE))
+problem = NonlinearContactProblem(
+    ufl.derivative(energy, u, ufl.TestFunction(V)),
+    u,
+    bcs=[fem.dirichletbc(motion, grip), fem.dirichletbc(np.zeros(2), base, V)],
+    contacts=[ContactPair(facet_tags, slave=CLIP, master=RAIL, friction=Coulomb(0.2))],
+)
+stored = fem.form(energy)
+
+# ## Load steps
+#
+# They are no longer than the facets of the hook: slip is counted along a line in each step.
+
+way, force, dissipated, newton = [0.0], [0.0], [0.0], []
+for s in 0.1 * mm * np.arange(1, 43):
+    motion.x.array.reshape(-1, 2)[:, 0] = s
+    problem.solve()
+    problem.advance()
+    way.append(s)
+    force.append(problem.report.reactions[0].force[0])
+    dissipated.append(problem.results[0].friction_work)
+    newton += problem.report.newton
+    if np.isclose(s, 1.5 * mm):
+        draw_deformed(
+            results / "snap_fit.png",
+            u,
+            von_mises(mesh, neo_hookean_stress(E, nu)(u)),
+            label="von Mises stress",
+            unit="MPa",
+            title="A clip climbs the bump of its rail",
+            scale=1,
+        )
+
+# ## Balance of energy
+#
+# By the trapezoidal rule.
+
+H = np.array(force)
+work, friction = np.sum(0.5 * (H[1:] + H[:-1]) * np.diff(way)), sum(dissipated)
+if comm.rank == 0:
+    products = np.mean([step.products for step in newton])
+    print(
+        f"{len(newton)} Newton steps in {len(way) - 1} load steps, {products:.0f} products in each"
+    )
+    print(f"push at most {H.max():.0f} N/m, pull of the click {-H.min():.0f} N/m")
+    print(f"work {work:.4f} J/m, friction {friction:.4f} J/m")
+
+# ## The force over the way
+
+draw_profile(
+    results / "snap_fit_force.png",
+    {"hand": (np.array(way) / mm, H, "o-")},
+    xlabel="way of the clip [mm]",
+    ylabel="force [N/m]",
+    title="A clip is pushed over a bump, and clicks in",
+)
