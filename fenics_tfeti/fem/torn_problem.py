@@ -25,8 +25,7 @@ from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
 from fenics_tfeti.fem.displacement import prescribed_values
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.feti import Friction, Timer, TornSystem
-from fenics_tfeti.feti.tangents import has_small_strains
+from fenics_tfeti.feti import Friction, Subdomain, Timer, TornSystem
 from fenics_tfeti.typing import Vector
 
 
@@ -137,7 +136,9 @@ class TornProblem:
             friction,
         )
 
-    def system_at(self, u: Function, rows: DeformedRows) -> TornSystem:
+    def system_at(
+        self, u: Function, rows: DeformedRows, has_small_strains: Callable[[Subdomain], bool]
+    ) -> TornSystem:
         """Return the system for an increment of u: tangents and loads there. Collective.
 
         The coordinates are the deformed ones, but in subdomains of small strains.
