@@ -222,7 +222,9 @@ class NewtonIteration:
         load_step, options = self._load_step, self._options
         if self.solver is not None:
             self.solver.release()
-        system = load_step.torn.system_at(load_step.u, state.rows, has_small_strains)
+        system = load_step.torn.system_at(
+            load_step.u, state.rows, state.multipliers, has_small_strains
+        )
         solution: TornSolution | None = None
         with suppress(UnstableTangent):
             solution = self._solve(prepare_tangents(system, options.tangent), monitor)

@@ -23,7 +23,8 @@ from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.decomposition.partition import Partitioner
 from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
 from fenics_tfeti.fem.displacement import prescribed_values
-from fenics_tfeti.fem.newton.equilibrium import DeformedRows
+from fenics_tfeti.fem.newton.contact_stiffness import ContactStiffness, with_contact_stiffness
+from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti import Friction, Subdomain, Timer, TornSystem
 from fenics_tfeti.typing import Vector
@@ -82,6 +83,7 @@ class TornProblem:
             partitioner,
             timer,
         )
+        self._contact_stiffness: ContactStiffness | None = None
         self._assemble(found)
 
     @property
@@ -101,6 +103,7 @@ class TornProblem:
             check_mesh(self.space.mesh, self.bodies, self.data.touching)
             self._search.forget()
             self.torn.place_nodes(self._search.boundary.coordinates)
+        self._contact_stiffness = None
         self._assemble(self._find(), release)
 
     def update_supports(self, bcs: list[Any]) -> None:
@@ -137,19 +140,29 @@ class TornProblem:
         )
 
     def system_at(
-        self, u: Function, rows: DeformedRows, has_small_strains: Callable[[Subdomain], bool]
+        self,
+        u: Function,
+        rows: DeformedRows,
+        multipliers: Multipliers,
+        has_small_strains: Callable[[Subdomain], bool],
     ) -> TornSystem:
         """Return the system for an increment of u: tangents and loads there. Collective.
 
-        The coordinates are the deformed ones, but in subdomains of small strains.
+        The coordinates are the deformed ones, and tangents have the stiffness of the pairs' contact
+        forces, but in subdomains of small strains.
         """
         values, prescribed = self.nodes.values(u), rows.conditions.prescribed
-        subdomains = [
-            s
-            if has_small_strains(s)
-            else replace(s, coordinates=s.coordinates + values[self.nodes.to_local(s.nodes)])
-            for s in self.torn.assemble(lambda: None)
-        ]
+        subdomains = self.torn.assemble(lambda: None)
+        if self._contact_stiffness is None:
+            with self._timer.phase("compilation"):
+                contacts = [found.contact for found in rows.conditions.contacts]
+                self._contact_stiffness = ContactStiffness(u, contacts, self.data.compiler)
+        stiffnesses = self._contact_stiffness.matrices(self.torn, rows.pair_force(multipliers))
+        for i, (s, K) in enumerate(zip(subdomains, stiffnesses, strict=True)):
+            if not has_small_strains(s):
+                x = s.coordinates + values[self.nodes.to_local(s.nodes)]
+                deformed = replace(s, coordinates=x)
+                subdomains[i] = deformed if K is None else with_contact_stiffness(deformed, K)
         subdomains += rows.conditions.added_subdomains(len(self.bodies.names))
         local = self.nodes.to_local(prescribed.nodes)
         increment = prescribed.values - values[local, prescribed.components]
