@@ -66,7 +66,7 @@ class TornProblem:
         self.space, self.nodes, self.data, self._timer = space, NodeMap(space), data, timer
         with timer.phase("partition"):
             self.bodies = find_bodies(space.mesh, data.cell_tags)
-            check_mesh(space.mesh, self.bodies, data.touching)
+            check_mesh(space.mesh, self.bodies, data.contacts)
         self._search = ContactSearch(
             space, self.bodies, data.measure_weight, timer, data.displacement
         )
@@ -100,7 +100,7 @@ class TornProblem:
         """Take the present data; find, and assemble after `release`, what changed. Collective."""
         self.data = replace(self.data, bcs=bcs, contacts=contacts)
         if self.torn.has_moved():
-            check_mesh(self.space.mesh, self.bodies, self.data.touching)
+            check_mesh(self.space.mesh, self.bodies, self.data.contacts)
             self._search.forget()
             self.torn.place_nodes(self._search.boundary.coordinates)
         self._contact_stiffness = None
@@ -149,7 +149,7 @@ class TornProblem:
         """Return the system for an increment of u: tangents and loads there. Collective.
 
         The coordinates are the deformed ones, and tangents have the stiffness of the pairs' contact
-        forces, but in subdomains of small strains.
+        forces, but in subdomains with small strains.
         """
         values, prescribed = self.nodes.values(u), rows.conditions.prescribed
         subdomains = self.torn.assemble(lambda: None)

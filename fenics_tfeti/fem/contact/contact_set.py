@@ -393,9 +393,16 @@ class ContactSet:
     ) -> TiedResult:
         """Return the result of a tie from the forces of its rows."""
         tie, force = found.pairing, found.pairing.forces(row_forces)
-        result = TiedResult(
+        entry = ContactEntry(**vars(forces), pairing=tie.summary)
+        if tie.preload is not None:
+            shortening = tie.preload.shortening
+            if shortening is None:
+                shortening = float(shortenings[found.number])
+            tension = float(np.array(entry.force) @ tie.preload.axis)
+            entry = replace(entry, tension=tension, shortening=shortening)
+        return (TiedResult if tie.preload is None else BoltResult)(
             tie.name,
-            ContactEntry(**vars(forces), pairing=tie.summary),
+            entry,
             tie.nodes,
             self._dofs(tie.nodes),
             tie.coordinates,
@@ -404,13 +411,6 @@ class ContactSet:
             tie.area,
             self.boundary.space.mesh.comm,
         )
-        if tie.preload is None:
-            return result
-        shortening = tie.preload.shortening
-        if shortening is None:
-            shortening = float(shortenings[found.number])
-        tension = float(result.force @ tie.preload.axis)
-        return BoltResult(**vars(result), shortening=shortening, tension=tension)
 
     def _dofs(self, nodes: Numbers) -> Numbers:
         """Return the numbers on this rank of nodes that it owns."""
