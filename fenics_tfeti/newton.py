@@ -255,14 +255,18 @@ class NewtonIteration:
     def _solve_with_last_tangent(self, state: NewtonState, monitor: Monitor | None) -> TornSolution:
         assert self.solver is not None
         load_step, kept = self._load_step, self.solver.system.subdomains
-        system = load_step.torn.system_at(load_step.u, state.rows, has_small_strains, kept)
+        system = load_step.torn.system_at(
+            load_step.u, state.rows, state.multipliers, has_small_strains, kept
+        )
         return self._solve(system, monitor)
 
     def _solve_with_new_tangent(self, state: NewtonState, monitor: Monitor | None) -> TornSolution:
         load_step, options = self._load_step, self._options
         if self.solver is not None:
             self.solver.release()
-        system = load_step.torn.system_at(load_step.u, state.rows, has_small_strains)
+        system = load_step.torn.system_at(
+            load_step.u, state.rows, state.multipliers, has_small_strains
+        )
         if self._is_held is None:
             # bolts are made anew in each step
             bolts = len(system.subdomains) - len(load_step.torn.torn.subdomains)

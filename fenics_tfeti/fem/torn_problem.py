@@ -9,6 +9,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+import scipy.sparse as sp
 
 import ufl
 from dolfinx.fem import Function, FunctionSpace
@@ -23,7 +24,8 @@ from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.decomposition.partition import Partitioner
 from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
 from fenics_tfeti.fem.displacement import prescribed_values
-from fenics_tfeti.fem.newton.equilibrium import DeformedRows
+from fenics_tfeti.fem.newton.contact_stiffness import ContactStiffness, with_contact_stiffness
+from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti import Friction, Subdomain, Timer, TornSystem
 from fenics_tfeti.typing import Vector
@@ -82,6 +84,7 @@ class TornProblem:
             partitioner,
             timer,
         )
+        self._contact_stiffness: ContactStiffness | None = None
         self._assemble(found)
 
     @property
@@ -101,6 +104,7 @@ class TornProblem:
             check_mesh(self.space.mesh, self.bodies, self.data.contacts)
             self._search.forget()
             self.torn.place_nodes(self._search.boundary.coordinates)
+        self._contact_stiffness = None
         self._assemble(self._find(), release)
 
     def update_supports(self, bcs: list[Any]) -> None:
@@ -140,21 +144,29 @@ class TornProblem:
         self,
         u: Function,
         rows: DeformedRows,
+        multipliers: Multipliers,
         has_small_strains: Callable[[Subdomain], bool],
         kept: Sequence[Subdomain] | None = None,
     ) -> TornSystem:
         """Return the system for an increment of u: tangents, or kept ones, and loads. Collective.
 
-        The coordinates are the deformed ones, but in subdomains with small strains.
+        The coordinates are the deformed ones, and tangents have the stiffness of the pairs' contact
+        forces, but in subdomains with small strains.
         """
         values, prescribed = self.nodes.values(u), rows.conditions.prescribed
-        loaded = self.torn.assemble(lambda: None) if kept is None else self.torn.loaded(kept)
-        subdomains = [
-            s
-            if has_small_strains(x)
-            else replace(s, coordinates=x.coordinates + values[self.nodes.to_local(s.nodes)])
-            for s, x in zip(loaded, self.torn.subdomains, strict=True)
-        ]
+        stiffnesses: list[sp.csr_matrix | None] = [None] * len(self.torn.subdomains)
+        if kept is None:
+            torn = self.torn.assemble(lambda: None)
+            stiffnesses = self._stiffness_of_contact(u, rows, multipliers)
+        else:
+            torn = self.torn.loaded(kept)
+        subdomains = []
+        for s, x, K in zip(torn, self.torn.subdomains, stiffnesses, strict=True):
+            if not has_small_strains(x):
+                moved = x.coordinates + values[self.nodes.to_local(s.nodes)]
+                s = replace(s, coordinates=moved)
+                s = s if K is None else with_contact_stiffness(s, K)
+            subdomains.append(s)
         subdomains += rows.conditions.added_subdomains(len(self.bodies.names))
         local = self.nodes.to_local(prescribed.nodes)
         increment = prescribed.values - values[local, prescribed.components]
@@ -165,6 +177,16 @@ class TornProblem:
             contacts=rows.contacts,
             tied=rows.tied,
         )
+
+    def _stiffness_of_contact(
+        self, u: Function, rows: DeformedRows, multipliers: Multipliers
+    ) -> list[sp.csr_matrix | None]:
+        """Return what contact forces that turn with the surfaces add to tangents. Collective."""
+        if self._contact_stiffness is None:
+            with self._timer.phase("compilation"):
+                contacts = [found.contact for found in rows.conditions.contacts]
+                self._contact_stiffness = ContactStiffness(u, contacts, self.data.compiler)
+        return self._contact_stiffness.matrices(self.torn, rows.pair_force(multipliers))
 
     def internal_force(self) -> Vector:
         """Return F(u) (nodes, gdim) at the nodes that this rank owns [N]. Collective."""

@@ -26,6 +26,15 @@ def test_uniform_compression(confined, compression, turned):
         np.testing.assert_allclose(result.force, force, atol=1e-7)
 
 
+@pytest.mark.parametrize("size", [60, 3000])
+def test_free_edges_that_lie_on_each_other(size):
+    """Only the stiffness of the contact forces makes them stable, at a pressure of 0.6 E."""
+    scene, force = pressed_patch(0.4, False, 30.0, newton_rtol=1e-7, subdomain_size=size)
+    scene.solve([0.5, 1.0])
+    np.testing.assert_allclose(scene.problem.results[0].force, force, atol=1e-6)
+    assert scene.counts()[0] <= 14
+
+
 @pytest.mark.parametrize("upper", ["slave", "master", "tied"])
 @pytest.mark.parametrize(
     ("cell", "degree"),

@@ -114,9 +114,9 @@ class PreparedForms:
             len(parts),
             len(different),
         )
-        return first, {i: self._stiffness(parts[i]) for i in different}
+        return first, {i: self.stiffness(parts[i]) for i in different}
 
-    def _stiffness(self, part: Part) -> sp.csr_matrix:
+    def stiffness(self, part: Part) -> sp.csr_matrix:
         """Assemble K_i of a part, a few of its cells at a time."""
         block = self.space.dofmap.index_map_bs
         pattern = part.pattern(block)

@@ -5,12 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import scipy.sparse as sp
 
 import ufl
 from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.fem._compat import CompilerOptions
-from fenics_tfeti.fem.decomposition.assembly import FormValues, prepare_forms, same_values
+from fenics_tfeti.fem.decomposition.assembly import (
+    FormValues,
+    PreparedForms,
+    prepare_forms,
+    same_values,
+)
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.decomposition.partition import (
     Partitioner,
@@ -100,11 +106,16 @@ class TornMesh:
         """Return known subdomains, which may have other matrices, with the present loads."""
         return self._assembled(known)
 
-    def load(self) -> Vector:
+    def matrices(self, forms: PreparedForms) -> list[sp.csr_matrix]:
+        """Return the matrices of other forms on the subdomains. Collective."""
+        with self._timer.phase("assembly"):
+            return [forms.stiffness(part) for part in self._parts]
+
+    def load(self, forms: PreparedForms | None = None) -> Vector:
         """Return the load (nodes, gdim) at the nodes that this rank owns now [N]. Collective."""
         nodes = NodeMap(self._space)
         with self._timer.phase("assembly"):
-            loads = self.forms.loads(self._parts)
+            loads = (forms or self.forms).loads(self._parts)
             at = [np.zeros(0, dtype=np.int32), *(part.nodes for part in self._parts)]
             values = np.concatenate([np.zeros(0), *loads]).reshape(-1, nodes.components)
             return nodes.sum_at_owners(nodes.to_global(np.concatenate(at)), values)

@@ -16,6 +16,7 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.fem.contact.contact import row_values
 from fenics_tfeti.fem.contact.contact_set import ContactSet
+from fenics_tfeti.fem.contact.description import ContactPair
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap
@@ -57,6 +58,13 @@ class DeformedRows:
         """Distances of the surfaces at each row (k,) [m], negative inside."""
         distance: Vector = self.contacts.gap / self.contacts.length
         return distance
+
+    def pair_force(self, multipliers: Multipliers) -> Vector:
+        """Return the normal forces of contact pairs alone, as `force`. Collective."""
+        is_pair = [isinstance(found.contact, ContactPair) for found in self.conditions.contacts]
+        pressing = np.where(np.array(is_pair, dtype=bool)[:, None], multipliers.normal, 0.0)
+        tangential = np.zeros_like(multipliers.tangential)
+        return self.force(Multipliers(pressing, tangential, np.zeros_like(multipliers.tied)))
 
     def force(self, multipliers: Multipliers) -> Vector:
         """Return B'lambda (nodes, gdim) at the nodes that this rank owns [N]. Collective."""

@@ -1,4 +1,4 @@
-"""Anderson mixing of Newton steps: it makes up for the geometric stiffness of contact, left out."""
+"""Anderson mixing of Newton steps: it makes up for what the tangent lacks of contact forces."""
 
 from __future__ import annotations
 

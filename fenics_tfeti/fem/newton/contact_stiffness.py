@@ -1,0 +1,105 @@
+"""Stiffness of contact forces whose directions turn with the surfaces of pairs.
+
+The gap of a pair has the second variation 2 (du_slave - du_master)'dn, and the normal turns by
+dn = -(grad du)'n along the surface. Where contact is closed both surfaces turn alike, so each body
+can take its own normal: the stiffness is a sum over the bodies, and stays with their subdomains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.spatial import cKDTree
+
+import ufl
+from dolfinx.fem import Function
+from dolfinx.mesh import meshtags
+
+from fenics_tfeti.fem._compat import CompilerOptions
+from fenics_tfeti.fem.contact.description import Contact, ContactPair
+from fenics_tfeti.fem.decomposition.assembly import PreparedForms, prepare_forms
+from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
+from fenics_tfeti.fem.nodes import NodeMap
+from fenics_tfeti.feti.system import Subdomain
+from fenics_tfeti.typing import Numbers, Vector
+
+# nodes are far from the contact from this part of the largest distance on
+_FAR = 0.8
+
+
+class ContactStiffness:
+    """The pressures on the surfaces of all contact pairs, and their stiffness on subdomains."""
+
+    def __init__(self, u: Function, contacts: Sequence[Contact], compiler: CompilerOptions) -> None:
+        self._nodes = NodeMap(u.function_space)
+        self._forms: PreparedForms | None = None
+        pairs = [contact for contact in contacts if isinstance(contact, ContactPair)]
+        if pairs:
+            facets = [p.facet_tags.find(tag) for p in pairs for tag in (p.slave, p.master)]
+            self._pressure, self._forms = _forms(u, np.unique(np.concatenate(facets)), compiler)
+
+    def matrices(self, torn: TornMesh, force: Vector) -> list[sp.csr_matrix | None]:
+        """Return the stiffness of nodal forces (owned, gdim) on each subdomain. Collective."""
+        comm = self._nodes.comm
+        if self._forms is None or not comm.allreduce(float(np.abs(force).sum())):
+            return [None] * len(torn.subdomains)
+        area = torn.load(self._forms)
+        square = np.sum(area**2, axis=1)
+        pressing = np.maximum(np.sum(force * area, axis=1), 0.0)
+        pressure = np.divide(pressing, square, out=np.zeros_like(square), where=square > 0.0)
+        self._nodes.values(self._pressure)[: self._nodes.owned, 0] = pressure
+        self._pressure.x.scatter_forward()
+        return [K if np.abs(K.data).max(initial=0.0) else None for K in torn.matrices(self._forms)]
+
+
+def with_contact_stiffness(subdomain: Subdomain, K: sp.csr_matrix) -> Subdomain:
+    """Return the subdomain with a stiffness added to that of its material."""
+    stiffness = subdomain.stiffness
+    if subdomain.frame is not None:
+        T = sp.kron(sp.identity(len(subdomain.coordinates)), subdomain.frame).tocsr()
+        stiffness = T @ stiffness @ T.T
+    stiffness = (stiffness + _relative_to_far_nodes(K, subdomain.coordinates)).tocsr()
+    return replace(subdomain, stiffness=stiffness, frame=None)
+
+
+def _forms(
+    u: Function, facets: Numbers, compiler: CompilerOptions
+) -> tuple[Function, PreparedForms]:
+    """Return the pressure, the first component of a function, and its stiffness and nodal areas."""
+    V = u.function_space
+    mesh, pressure = V.mesh, Function(V, name="contact_pressure")
+    tags = meshtags(mesh, mesh.topology.dim - 1, facets, np.ones(facets.size, dtype=np.int32))
+    ds = ufl.Measure("ds", mesh, subdomain_data=tags, metadata={"quadrature_degree": 2})(1)
+    inverse = ufl.inv(ufl.Identity(len(u)) + ufl.grad(u))
+    area = inverse.T * ufl.FacetNormal(mesh) / ufl.det(inverse)
+    size = ufl.sqrt(ufl.inner(area, area))
+    n = area / size
+    v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+
+    def sliding_and_turning(a: ufl.core.expr.Expr, b: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
+        return ufl.inner(a - ufl.inner(a, n) * n, (ufl.grad(b) * inverse).T * n)
+
+    energy = sliding_and_turning(v, du) + sliding_and_turning(du, v)
+    stiffness = -pressure[0] * energy * size * ds
+    return pressure, prepare_forms(V, stiffness, ufl.inner(area, v) * ds, compiler)
+
+
+def _relative_to_far_nodes(K: sp.csr_matrix, x: Vector) -> sp.csr_matrix:
+    """Return P'KP, P = I - T A' with translations T, so that none has a force; A'T = I.
+
+    Sliding is that relative to the mean of the nodes far from the contact.
+    """
+    nodes, gdim = x.shape
+    T = np.tile(np.eye(gdim), (nodes, 1))
+    forces = K @ T
+    loaded = np.unique(K.nonzero()[0] // gdim)
+    distance = cKDTree(x[loaded]).query(x)[0]
+    far = np.flatnonzero(distance >= _FAR * distance.max())
+    rows = (gdim * far[:, None] + np.arange(gdim)).ravel()
+    columns = np.tile(np.arange(gdim), far.size)
+    A = sp.csr_matrix((np.full(rows.size, 1.0 / far.size), (rows, columns)), shape=T.shape)
+    low = A @ sp.csr_matrix(forces).T
+    return K - low - low.T + A @ sp.csr_matrix(T.T @ forces) @ A.T
