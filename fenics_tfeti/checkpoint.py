@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, field, fields, replace
 
 import numpy as np
 
@@ -34,6 +34,8 @@ class Step:
     origin: SlipOrigin  # from where friction counts slip
     number: int = 0  # of accepted steps
     passes: Sequence[GeometryPass] = ()  # finished passes of a solve that was not
+    # places of rigid bodies with finite strains, see `RigidBodies.saved`; the same on all ranks
+    bodies: Vector = field(default_factory=lambda: np.zeros((0, 0)))
 
     def accepted(self, obstacles: Vector) -> Step:
         """Return the step that follows: friction counts slip from the end of this one."""
@@ -73,6 +75,7 @@ def write_step(
                 "contacts": np.array(contacts, dtype=np.str_),
                 "number": np.array(step.number),
                 "passes": passes.reshape(-1, len(fields(GeometryPass))),
+                "bodies": step.bodies,
             }
             write_arrays(path, "the checkpoint", _FORMAT, arrays)
 
@@ -142,6 +145,7 @@ def _read(file: ArrayFile, nodes: NodeMap, own: Numbers, contacts: Sequence[str]
         SlipOrigin(nodal("slip_origin").ravel(), obstacles),
         file.integer("number"),
         [replace(entry, products=int(entry.products)) for entry in finished],
+        file.read("bodies", "numbers", (None, None)),
     )
 
 

@@ -120,11 +120,11 @@ class TornProblem:
 
     def _system(self, conditions: ContactSet, friction: Friction) -> TornSystem:
         return TornSystem(
-            [*self.torn.subdomains, *conditions.rigid_subdomains],
+            [*self.torn.subdomains, *conditions.bodies.subdomains(conditions.from_here)],
             conditions.prescribed,
             conditions.rows(),
             self.space.mesh.geometry.dim,
-            [*self.bodies.names, *(frame.name for frame in conditions.frames)],
+            [*self.bodies.names, *conditions.bodies.names],
             conditions.names,
             self.space.mesh.comm,
             [f"Dirichlet condition {i}" for i in range(len(self.data.bcs))],
@@ -142,6 +142,7 @@ class TornProblem:
             replace(s, coordinates=s.coordinates + values[self.nodes.to_local(s.nodes)])
             for s in self.torn.assemble(lambda: None)
         ]
+        subdomains += rows.conditions.bodies.subdomains(from_here=True)
         local = self.nodes.to_local(prescribed.nodes)
         increment = prescribed.values - values[local, prescribed.components]
         return replace(

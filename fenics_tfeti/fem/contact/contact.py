@@ -172,12 +172,21 @@ def openings(
     return np.split(opening, ends[:-1]) if len(pairings) else []
 
 
-def row_values(nodes: NodeMap, rows: ContactRows, displacement: Vector) -> Vector:
+def row_values(
+    nodes: NodeMap, rows: ContactRows, displacement: Vector, beyond: Vector | None = None
+) -> Vector:
     """Return sum_k c_k'u(node_k) of rows (k,) whose nodes may be on any rank. Collective.
 
-    The displacement (n,) is at the degrees of freedom that this rank owns [m].
+    The displacement (n,) is at the degrees of freedom that this rank owns [m]; `beyond` (b, gdim)
+    are those of nodes with numbers beyond those of the mesh, the same on all ranks.
     """
-    nodal = nodes.values_at(displacement.reshape(-1, nodes.components), rows.nodes)
+    on_mesh = rows.nodes < nodes.total
+    nodal = np.zeros((rows.nodes.size, nodes.components))
+    nodal[on_mesh] = nodes.values_at(
+        displacement.reshape(-1, nodes.components), rows.nodes[on_mesh]
+    )
+    if beyond is not None:
+        nodal[~on_mesh] = beyond[rows.nodes[~on_mesh] - nodes.total]
     terms = np.sum(rows.coefficients * nodal, axis=1)
     sums = np.zeros(rows.size)
     np.add.at(sums, rows.row, terms)
