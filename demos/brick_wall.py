@@ -12,7 +12,7 @@ slide or turn, and how much friction it would take.
 
 This demo illustrates how to
 
-- give many contact pairs friction;
+- find the contact pairs of many bodies, without tags, and give them friction;
 - increase a load step by step, with slips that stay;
 - catch the error for a load that friction cannot hold.
 
@@ -30,12 +30,12 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import (
-    ContactPair,
     ContactProblem,
     Coulomb,
     Plane,
     RigidObstacle,
     UnresistedMotion,
+    find_contacts,
 )
 from fenics_tfeti.io import (
     Box,
@@ -64,49 +64,23 @@ for course in range(courses):
 
 half = length / 2
 parts = [
-    Box((left, low), (right, low + height), (4 * round((right - left) / half), 4), f"brick {k}")
-    for k, (left, right, low) in enumerate(bricks, start=1)
+    Box((left, low), (right, low + height), (4 * round((right - left) / half), 4))
+    for left, right, low in bricks
 ]
 wall = boxes(MPI.COMM_WORLD, parts, "quadrilateral")
 mesh = wall.mesh
 
 # ## Joints
 #
-# Two bricks touch where an edge of one lies on an edge of the other. Each side of a joint gets a
-# tag of its own.
+# Two bricks touch where a facet of one is opposite to a facet of the other. Tags are only for the
+# ground and for the load on the top.
 
 LOADED, GROUND = 1, 2
-
-
-def on_segment(one, other):
-    """Return a marker of the points on a segment along an axis."""
-    lower, upper = np.minimum(one, other) - 1e-9, np.maximum(one, other) + 1e-9
-    return lambda x: np.all((x[:2] >= lower[:, None]) & (x[:2] <= upper[:, None]), axis=0)
-
-
-markers, joints = [], []
-for k, (left, right, low) in enumerate(bricks, start=1):
-    if low == 0:
-        markers.append((GROUND, on_segment((left, 0), (right, 0)), k))
-    if low + 1.5 * height > courses * height:
-        top = low + height
-        markers.append((LOADED, on_segment((left, top), (right, top)), k))
-    for j, (other_left, other_right, other_low) in enumerate(bricks, start=1):
-        begin, end = max(left, other_left), min(right, other_right)
-        bed = np.isclose(other_low + height, low) and end - begin > 1e-6
-        head = np.isclose(other_right, left) and other_low == low
-        if bed or head:
-            segment = ((begin, low), (end, low)) if bed else ((left, low), (left, low + height))
-            slave = 10 + 2 * len(joints)
-            markers += [(slave, on_segment(*segment), k), (slave + 1, on_segment(*segment), j)]
-            joints.append((slave, slave + 1, f"brick {k} {'on' if bed else 'beside'} brick {j}"))
-facet_tags = tag_facets(mesh, markers, wall.cell_tags)
+at_height = lambda y: lambda x: np.isclose(x[1], y)  # noqa: E731
+facet_tags = tag_facets(mesh, {GROUND: at_height(0.0), LOADED: at_height(courses * height)})
 
 friction = Coulomb(0.35)
-contacts = [
-    ContactPair(facet_tags, slave, master, name=name, friction=friction)
-    for slave, master, name in joints
-]
+contacts = find_contacts(mesh, wall.cell_tags, friction=friction)
 ground = Plane(point=(0, 0), normal=(0, 1))
 contacts.append(RigidObstacle(facet_tags, GROUND, ground, name="ground", friction=friction))
 

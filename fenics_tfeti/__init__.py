@@ -23,6 +23,8 @@ from fenics_tfeti.errors import (
 
 _LAZY = {
     "Along": "fenics_tfeti.fem.contact.description",
+    "BoltPreload": "fenics_tfeti.fem.contact.ties",
+    "BoltResult": "fenics_tfeti.fem.contact.result",
     "ContactPair": "fenics_tfeti.fem.contact.description",
     "ContactProblem": "fenics_tfeti.problem",
     "ContactResult": "fenics_tfeti.fem.contact.result",
@@ -31,9 +33,11 @@ _LAZY = {
     "Exact": "fenics_tfeti.fem.contact.description",
     "FacetedObstacle": "fenics_tfeti.fem.contact.faceted_obstacle",
     "FrictionResult": "fenics_tfeti.fem.contact.result",
+    "LinearRows": "fenics_tfeti.fem.contact.ties",
     "Mapped": "fenics_tfeti.fem.contact.description",
     "Nearest": "fenics_tfeti.fem.contact.description",
     "NonlinearContactProblem": "fenics_tfeti.nonlinear",
+    "PeriodicPair": "fenics_tfeti.fem.contact.ties",
     "Plane": "fenics_tfeti.fem.contact.obstacles",
     "Points": "fenics_tfeti.fem.contact.description",
     "Results": "fenics_tfeti.fem.contact.result",
@@ -44,10 +48,13 @@ _LAZY = {
     "TiedPair": "fenics_tfeti.fem.contact.description",
     "TiedResult": "fenics_tfeti.fem.contact.result",
     "Tresca": "fenics_tfeti.fem.contact.description",
+    "find_contacts": "fenics_tfeti.fem.contact.automatic",
 }
 
 __all__ = [
     "Along",
+    "BoltPreload",
+    "BoltResult",
     "ContactError",
     "ContactPair",
     "ContactProblem",
@@ -60,10 +67,12 @@ __all__ = [
     "FrictionResult",
     "InputError",
     "Interrupted",
+    "LinearRows",
     "Mapped",
     "Nearest",
     "NonlinearContactProblem",
     "NotConverged",
+    "PeriodicPair",
     "Plane",
     "Points",
     "Results",
@@ -76,6 +85,7 @@ __all__ = [
     "Tresca",
     "UnresistedMotion",
     "UnstableTangent",
+    "find_contacts",
 ]
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())

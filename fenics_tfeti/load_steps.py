@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from fenics_tfeti.errors import ContactError, InputError, NotConverged
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
 
-# shortest step, as a share of all
+# shortest step, as a share of all; no shorter rest is left
 _SHORTEST = 1e-3
 
 
@@ -41,8 +41,9 @@ def load_steps(
         )
     t, easy = begin, 0
     while t < end:
-        step = min(length, end - t)
-        target = end if step == end - t else t + step
+        rest = end - t
+        is_last = rest - length < _SHORTEST * (end - begin)
+        step, target = (rest, end) if is_last else (length, t + length)
         try:
             _solve(problem, set_load, target)
         except (InputError, NotConverged) as error:

@@ -1,12 +1,26 @@
-"""Material laws and supports that many problems have, as UFL expressions and dolfinx conditions."""
+"""Material laws, densities and supports that many problems have, for forms and conditions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
 
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import Mesh
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.description import Contact, ContactPair
+from fenics_tfeti.fem.decomposition.bodies import find_bodies
+from fenics_tfeti.fem.nodes import NodeMap
+from fenics_tfeti.fem.topology import owned_cells
+from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.typing import Mask, Numbers
 
 
 def small_strain(u: Any) -> Any:
@@ -110,3 +124,94 @@ def symmetry_plane(V: Any, facet_tags: Any, tag: int, axis: int) -> Any:
     V.mesh.topology.create_connectivity(facet, facet + 1)
     dofs = fem.locate_dofs_topological(V.sub(axis), facet, facet_tags.find(tag))
     return fem.dirichletbc(0.0, dofs, V.sub(axis))
+
+
+def redistributed_density(
+    mesh: Mesh, rho: Any, contacts: Sequence[Contact], measure_weight: Any = 1.0
+) -> fem.Function:
+    """Return the density of bodies that have no mass at the nodes of contact surfaces. Collective.
+
+    Nodes with mass that stop at a contact rebound in the next time step: contact forces oscillate,
+    and Newmark's method gains energy. Without mass there, contact forces follow from the
+    deformation alone, and energy is conserved [1]_. Cells that touch a contact surface are without
+    mass; in each body the next layer of cells takes it over.
+
+    Parameters
+    ----------
+    mesh : dolfinx.mesh.Mesh
+        The mesh of the displacement.
+    rho : float or UFL expression
+        The density [kg/m^3].
+    contacts : sequence of ContactPair or RigidObstacle
+        Those of the problem.
+    measure_weight : float or UFL expression
+        Factor of ``dx`` in the forms, such as ``2 * pi * r`` in axisymmetric ones.
+
+    Returns
+    -------
+    dolfinx.fem.Function
+        A density for each cell, with the same mass of each body [kg/m^3].
+
+    Raises
+    ------
+    InputError
+        On all ranks, if all cells of a body touch contact surfaces.
+
+    References
+    ----------
+    .. [1] H. B. Khenous, P. Laborde, Y. Renard: Mass redistribution method for finite element
+       contact problems in elastodynamics. European Journal of Mechanics A 27 (2008), 918-932.
+
+    Examples
+    --------
+    >>> rho_h = redistributed_density(V.mesh, 7850.0, contacts)  # doctest: +SKIP
+    """
+    bodies, cells = find_bodies(mesh, None), owned_cells(mesh)
+    density = fem.Function(_compat.lagrange_space(mesh, 0, discontinuous=True))
+    q, dx = ufl.TestFunction(density.function_space), ufl.Measure("dx", domain=mesh)
+    dofs = _compat.cell_dofs(density.function_space)[:cells, 0]
+    with _compat.quiet_compiler():
+        forms = [fem.form(factor * measure_weight * q * dx) for factor in (rho, 1.0)]
+    mass, size = (_compat.assemble_load(form)[dofs] for form in forms)
+    first, second = _layers_at(mesh, contacts)
+    moved, taking = (
+        mesh.comm.allreduce(np.bincount(bodies.of_cell, mass * layer, len(bodies.names)), MPI.SUM)
+        for layer in (first, second)
+    )
+    with raise_collectively(mesh.comm):
+        for name in np.array(bodies.names)[(moved > 0.0) & (taking == 0.0)]:
+            raise InputError(
+                f"{name}: all cells touch contact surfaces, and none is left to have the mass: "
+                "give the body two layers of cells or more"
+            )
+    factor = 1.0 + np.divide(moved, taking, out=np.zeros_like(moved), where=taking > 0.0)
+    share = np.where(first, 0.0, np.where(second, factor[bodies.of_cell], 1.0))
+    density.x.array[dofs] = share * mass / size
+    density.x.scatter_forward()
+    return density
+
+
+def _layers_at(mesh: Mesh, contacts: Sequence[Contact]) -> tuple[Mask, Mask]:
+    """Tell which of this rank's cells touch contact surfaces, and which are next to these cells."""
+    space = _compat.lagrange_space(mesh, 1)
+    nodes, facet = NodeMap(space), mesh.topology.dim - 1
+    mesh.topology.create_connectivity(facet, facet + 1)
+    at_contact = [
+        fem.locate_dofs_topological(space, facet, contact.facet_tags.find(tag))
+        for contact in contacts
+        for tag in (
+            (contact.slave, contact.master)
+            if isinstance(contact, ContactPair)
+            else (contact.slave,)
+        )
+    ]
+    corners = nodes.to_global(_compat.cell_dofs(space)[: owned_cells(mesh)])
+    first = _touching(nodes, nodes.to_global(np.concatenate([*at_contact, []])), corners)
+    return first, _touching(nodes, corners[first].ravel(), corners) & ~first
+
+
+def _touching(nodes: NodeMap, marked: Numbers, corners: Numbers) -> Mask:
+    """Tell which cells have a corner among marked nodes of any rank. Collective."""
+    count = nodes.sum_at_owners(marked, np.ones(marked.size))
+    touching: Mask = (nodes.values_at(count, corners) > 0.0).any(axis=1)
+    return touching

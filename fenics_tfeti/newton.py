@@ -206,7 +206,7 @@ class NewtonIteration:
         self._alternating = changed & self._changed if self._changed.size else changed & False
         self._changed = changed
         bodies, start = state.bodies, state.bodies.motions
-        motions = bodies.motions_after(solution.displacements, from_here=True)
+        motions = state.rows.conditions.motions_after(solution.displacements)
         turned = [end - begin for end, begin in zip(motions, start, strict=True)]
         increment = np.concatenate([owned_values(du), bodies.as_vector(turned)])
         step = Iterate(state.displacement, increment, multipliers.flat())
@@ -246,8 +246,7 @@ class NewtonIteration:
             not solution.report.converged and solution.report.deflation["negative"]
         ):
             solution = self._solve_projected(system, monitor)
-        subdomains = load_step.torn.torn.subdomains
-        fill_displacement(self._increment, subdomains, solution.displacements)
+        fill_displacement(self._increment, load_step.torn.torn.subdomains, solution.displacements)
         return solution
 
     def _solve_projected(self, system: TornSystem, monitor: Monitor | None) -> TornSolution:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -17,15 +17,13 @@ from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_residual
 from fenics_tfeti.fem.checks.locking import warn_of_locking
+from fenics_tfeti.fem.contact.automatic import find_contacts
 from fenics_tfeti.fem.contact.contact_set import SolvedContacts
-from fenics_tfeti.fem.contact.description import (
-    Contact,
-    Exact,
-    TiedPair,
-)
+from fenics_tfeti.fem.contact.description import Contact, Exact
 from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.rigid_body import RigidBodies
 from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.contact.ties import Tie
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
 from fenics_tfeti.fem.gradients import CellGradients
 from fenics_tfeti.fem.newton.equilibrium import ForceScale
@@ -70,8 +68,8 @@ class NonlinearContactProblem:
         of degree 1 or 2 with a component for each dimension.
     bcs : sequence of dolfinx.fem.DirichletBC, one of them, or None
         Prescribed total displacements, as for `ContactProblem`.
-    contacts : sequence of ContactPair, RigidObstacle or TiedPair, one of them, or None
-        What may touch, and what stays together.
+    contacts : sequence of contacts and ties, one of them, "auto" or None
+        What may touch, and what stays together, as for `ContactProblem`.
     J : ufl.Form, optional
         Symmetric tangent, by default the derivative of `F` with respect to `u`.
     cell_tags, subdomains, measure_weight, form_compiler_options, jit_options
@@ -115,7 +113,7 @@ class NonlinearContactProblem:
         u: Function,
         *,
         bcs: Sequence[Any] | Any | None = (),
-        contacts: Sequence[Contact | TiedPair] | Contact | TiedPair | None = (),
+        contacts: Sequence[Contact | Tie] | Contact | Tie | Literal["auto"] | None = (),
         J: ufl.Form | None = None,
         cell_tags: Any | None = None,
         subdomains: Sequence[int] | None = None,
@@ -130,6 +128,9 @@ class NonlinearContactProblem:
         self._timer = Timer()
         J, L = as_residual(F, u, J)
         self.u, self.space = u, space_of_forms(J, L)
+        if isinstance(contacts, str) and contacts == "auto":
+            with self._timer.phase("contact search"):
+                contacts = find_contacts(self.space.mesh, cell_tags, whole_faces=True)
         self.bcs, self.contacts = as_conditions(bcs), _as_contacts(contacts)
         compiler = _compat.CompilerOptions(form_compiler_options, jit_options)
         data = ProblemData(self.bcs, self.contacts, cell_tags, subdomains, measure_weight, compiler)
@@ -352,5 +353,5 @@ def _are_same(contacts: Sequence[object], others: Sequence[object]) -> bool:
     )
 
 
-def _as_contacts(contacts: Any) -> list[Contact | TiedPair]:
+def _as_contacts(contacts: Any) -> list[Contact | Tie]:
     return as_contacts(contacts, Exact(), "NonlinearContactProblem")

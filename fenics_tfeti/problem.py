@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -23,11 +23,13 @@ from fenics_tfeti.fem.arguments import (
     as_geometry,
 )
 from fenics_tfeti.fem.checks.locking import warn_of_locking
+from fenics_tfeti.fem.contact.automatic import find_contacts
 from fenics_tfeti.fem.contact.contact_set import ContactSet, SolvedContacts
 from fenics_tfeti.fem.contact.deformed import GeometryPass, geometry_pass
-from fenics_tfeti.fem.contact.description import Contact, Exact, TiedPair
+from fenics_tfeti.fem.contact.description import Contact, Exact
 from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.contact.ties import Tie
 from fenics_tfeti.fem.contact.transfer import SolvedContact, check_coarse, expected_contact
 from fenics_tfeti.fem.displacement import (
     fill_displacement,
@@ -65,8 +67,10 @@ class ContactProblem:
         weight, as axisymmetric ones do, it is `measure_weight`.
     bcs : sequence of dolfinx.fem.DirichletBC, one of them, or None
         Prescribed displacements, on the space or its components, of any value.
-    contacts : sequence of ContactPair, RigidObstacle or TiedPair, one of them, or None
-        What may touch, and what stays together.
+    contacts : sequence of contacts and ties, one of them, "auto" or None
+        What may touch: ContactPair, RigidObstacle; and what stays together: TiedPair, PeriodicPair,
+        BoltPreload, LinearRows. "auto" is `find_contacts` of the mesh and `cell_tags`, with whole
+        faces if there is a `geometry`: ``contacts`` of the problem has the pairs.
     cell_tags : MeshTags, optional
         A tag for every cell, where bodies are to be told apart by tags: each tag is one body, its
         cells connected through facets. Bodies that share facets are glued there. By default the
@@ -135,7 +139,7 @@ class ContactProblem:
         L: ufl.Form | float,
         *,
         bcs: Sequence[Any] | Any | None = (),
-        contacts: Sequence[Contact | TiedPair] | Contact | TiedPair | None = (),
+        contacts: Sequence[Contact | Tie] | Contact | Tie | Literal["auto"] | None = (),
         cell_tags: Any | None = None,
         u: Function | None = None,
         subdomains: Sequence[int] | None = None,
@@ -152,6 +156,10 @@ class ContactProblem:
         a, L = as_forms(a, L)
         self.space = space_of_forms(a, L)
         self.geometry = as_geometry(geometry)
+        if isinstance(contacts, str) and contacts == "auto":
+            with self._timer.phase("contact search"):
+                exact = self.geometry is not None
+                contacts = find_contacts(self.space.mesh, cell_tags, whole_faces=exact)
         self.bcs, self.contacts = as_conditions(bcs), as_contacts(contacts, self.geometry)
         self.u = as_displacement(u, self.space)
         self.results = self.rigid_bodies = Results()

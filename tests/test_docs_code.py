@@ -13,6 +13,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 from mpi4py import MPI
 
@@ -139,7 +140,7 @@ CONTINUING = [
     "convergence",
     "errors",
 ]
-ALONE = ["cad_mesh", "many_bodies", "nonlinear", "rigid_bodies", "rubber"]
+ALONE = ["cad_mesh", "impact", "many_bodies", "nonlinear", "rigid_bodies", "rubber"]
 
 
 @pytest.mark.parametrize("page", CONTINUING)
@@ -270,6 +271,46 @@ def test_friction(tutorial):
     run_blocks((DOCS / "friction.rst").read_text(), given)
     assert problem.report.converged
     assert np.abs(problem.results[0].friction.slip).max() > 0.0
+
+
+def test_periodic(folder):
+    """A cell of two layers, each as long as the cell."""
+    size, layers = 2.0, [Box((0, 0), (2, 1), (4, 2)), Box((0, 1), (2, 2), (4, 2))]
+    bodies = boxes(MPI.COMM_SELF, layers, "quadrilateral")
+    sides = [(1, 0, 0.0), (2, 0, size), (3, 1, 0.0), (4, 1, size), (5, 1, 1.0, 1), (6, 1, 1.0, 2)]
+    markers = [
+        (tag, lambda x, axis=axis, at=at: np.isclose(x[axis], at), *body)
+        for tag, axis, at, *body in sides
+    ]
+    scene = scenes.Scene(bodies.mesh, tag_facets(bodies.mesh, markers, bodies.cell_tags))
+    given = {name: getattr(fenics_tfeti, name) for name in fenics_tfeti.__all__}
+    given |= {"np": np, "facet_tags": scene.facet_tags, "a": scene.a, "bcs": []}
+    given |= {"slaves": [0], "masters": [4], "coefficients": [1.0], "offsets": [0, 1], "b": 0.1}
+    space, ends = scene.V, np.append(0, np.ones(100, dtype=int))
+    mpc = SimpleNamespace(function_space=space, slaves=np.array([0]), num_local_slaves=1)
+    mpc.masters, mpc.coefficients = SimpleNamespace(array=[4]), lambda: (np.ones(1), ends)
+    problem = run_blocks((DOCS / "howto" / "periodic.md").read_text(), given | {"mpc": mpc})[
+        "problem"
+    ]
+    problem.solve()
+    joint, side, top = problem.results
+    assert 0.3 * joint.normal_force.sum() >= np.linalg.norm(joint.friction.force.sum(axis=0))
+    assert top.force[1] == pytest.approx(-joint.normal_force.sum(), rel=1e-6)
+    assert side.force[0] < 0.0
+
+
+def test_bolts(folder):
+    """A bolt through a plate on a table, all of one grid; the bolt has a thread in the table."""
+    from bolts import tapped_plate
+
+    given = {name: getattr(fenics_tfeti, name) for name in fenics_tfeti.__all__}
+    given |= {name: getattr(fenics_tfeti.io, name) for name in fenics_tfeti.io.__all__}
+    given |= tapped_plate()
+    problem = run_blocks((DOCS / "howto" / "bolts.md").read_text(), given)["problem"]
+    bolt, joint, head = (problem.results[name] for name in ("bolt", "joint", "head"))
+    assert 40e3 < bolt.tension < 50e3
+    assert head.normal_force.sum() == pytest.approx(bolt.tension, rel=1e-6)
+    assert joint.normal_force.sum() == pytest.approx(bolt.tension - 10e3, rel=1e-6)
 
 
 def draw_bolt_in_block(path: Path) -> None:

@@ -11,9 +11,15 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import locate_entities_boundary, meshtags
 
+from fenics_tfeti import ContactPair, InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.io import Box, boxes, displacement_space
-from fenics_tfeti.models import axisymmetric_strain, isotropic, symmetry_plane
+from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
+from fenics_tfeti.models import (
+    axisymmetric_strain,
+    isotropic,
+    redistributed_density,
+    symmetry_plane,
+)
 
 E, NU = 3.0, 0.3
 
@@ -97,3 +103,37 @@ def test_symmetry_plane_holds_the_normal_component_alone(axis):
     expected = 3 * np.flatnonzero(np.isclose(x[:, axis], place)) + axis
     np.testing.assert_array_equal(np.sort(dofs), expected)
     assert not prescribed.any()
+
+
+def two_boxes(comm, first):
+    """Return two boxes beside each other, the first with some cells along x, and their contact."""
+    bodies = boxes(comm, [Box((0, 0), (1, 1), (first, 3)), Box((1, 0), (2, 1), (5, 4))], "triangle")
+    sides = [(body, lambda x: np.isclose(x[0], 1), body) for body in (1, 2)]
+    return bodies, [ContactPair(tag_facets(bodies.mesh, sides, bodies.cell_tags), 1, 2)]
+
+
+@pytest.mark.ranks
+def test_redistributed_density():
+    """The same mass of each body, none at nodes in the contact, and no other cells changed."""
+    bodies, contacts = two_boxes(MPI.COMM_WORLD, 4)
+    mesh = bodies.mesh
+    r = ufl.SpatialCoordinate(mesh)[1]
+    dx = ufl.Measure("dx", mesh, subdomain_data=bodies.cell_tags)
+    for weight in (1.0, 2 * ufl.pi * r):
+        density = redistributed_density(mesh, 3.0 + 0 * r, contacts, weight)
+        for body in (1, 2):
+            masses = [rho * weight * dx(body) for rho in (density, 3.0)]
+            one, other = (mesh.comm.allreduce(fem.assemble_scalar(fem.form(m))) for m in masses)
+            assert one == pytest.approx(other, rel=1e-12)
+        distance = abs(ufl.SpatialCoordinate(mesh)[0] - 1)
+        at_contact = ufl.conditional(distance < 0.2, density, 0) * ufl.dx(degree=0)
+        beyond = ufl.conditional(distance > 0.5, (density - 3) ** 2, 0) * ufl.dx(degree=0)
+        for nothing in (at_contact, beyond):
+            assert abs(mesh.comm.allreduce(fem.assemble_scalar(fem.form(nothing)))) < 1e-20
+
+
+@pytest.mark.ranks
+def test_no_cells_for_the_mass_of_those_at_the_contact():
+    bodies, contacts = two_boxes(MPI.COMM_WORLD, 1)
+    with pytest.raises(InputError, match=r"body 0 in \[0, 1\] x \[0, 1\]: all cells touch contact"):
+        redistributed_density(bodies.mesh, 1.0, contacts)

@@ -19,10 +19,9 @@ from fenics_tfeti.fem.contact.description import (
     Contact,
     ContactPair,
     Exact,
-    RigidObstacle,
-    TiedPair,
     contact_name,
 )
+from fenics_tfeti.fem.contact.ties import Tie
 
 
 def as_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
@@ -90,14 +89,19 @@ def as_geometry(geometry: Any) -> Exact | None:
 
 def as_contacts(
     contacts: Any, geometry: Exact | None, what: str = "geometry=Exact()"
-) -> list[Contact | TiedPair]:
-    """Return the contacts and tied pairs as a list: none for None, one for a single one.
+) -> list[Contact | Tie]:
+    """Return the contacts and ties as a list: none for None, one for a single one.
 
     With a geometry, gaps are measured on the deformed mesh, as messages say by `what` does so.
     """
-    names = ("contacts", "ContactPair, RigidObstacle or TiedPair", "contact")
-    expected = "a ContactPair, a RigidObstacle or a TiedPair"
-    listed = _listed(contacts, _is_contact, names, expected)
+    kinds = "ContactPair, RigidObstacle, TiedPair, PeriodicPair, BoltPreload or LinearRows"
+    if isinstance(contacts, str):
+        raise InputError(
+            f"contacts is {contacts!r}; a list of {kinds} is expected, or 'auto' where the "
+            "problem is made (later: find_contacts)"
+        )
+    names = ("contacts", kinds, "contact")
+    listed = _listed(contacts, _is_contact, names, kinds)
     for number, contact in enumerate(listed if geometry is not None else []):
         if isinstance(contact, ContactPair) and contact.initial_gap != "geometric":
             raise InputError(
@@ -113,7 +117,7 @@ def _is_condition(thing: Any) -> bool:
 
 
 def _is_contact(thing: Any) -> bool:
-    return isinstance(thing, ContactPair | RigidObstacle | TiedPair)
+    return isinstance(thing, Contact | Tie)
 
 
 def _listed(

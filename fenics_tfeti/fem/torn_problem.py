@@ -16,8 +16,9 @@ from dolfinx.fem import Function, FunctionSpace
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.checks.mesh import check_mesh
 from fenics_tfeti.fem.contact.contact_set import ContactSearch, ContactSet
-from fenics_tfeti.fem.contact.description import Contact, TiedPair
+from fenics_tfeti.fem.contact.description import Contact
 from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.contact.ties import Tie
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.decomposition.partition import Partitioner
 from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
@@ -33,7 +34,7 @@ class ProblemData:
     """The checked arguments of a problem, without its forms."""
 
     bcs: list[Any]
-    contacts: list[Contact | TiedPair]
+    contacts: list[Contact | Tie]
     cell_tags: Any = None
     subdomains: Sequence[int] | None = None
     measure_weight: Any = None
@@ -41,8 +42,8 @@ class ProblemData:
 
     @property
     def touching(self) -> list[Contact]:
-        """The contacts without tied pairs."""
-        return [contact for contact in self.contacts if not isinstance(contact, TiedPair)]
+        """The contacts without ties."""
+        return [contact for contact in self.contacts if not isinstance(contact, Tie)]
 
 
 class TornProblem:
@@ -82,13 +83,13 @@ class TornProblem:
 
     @property
     def names(self) -> list[str]:
-        """The names of the contacts without tied pairs."""
+        """The names of the contacts without ties."""
         return [pairing.name for pairing in self.undeformed.pairings]
 
     def update(
         self,
         bcs: list[Any],
-        contacts: list[Contact | TiedPair],
+        contacts: list[Contact | Tie],
         release: Callable[[], None] | None = None,
     ) -> None:
         """Take the present data; find, and assemble after `release`, what changed. Collective."""
@@ -120,11 +121,11 @@ class TornProblem:
 
     def _system(self, conditions: ContactSet, friction: Friction) -> TornSystem:
         return TornSystem(
-            [*self.torn.subdomains, *conditions.bodies.subdomains(conditions.from_here)],
+            [*self.torn.subdomains, *conditions.added_subdomains(len(self.bodies.names))],
             conditions.prescribed,
             conditions.rows(),
             self.space.mesh.geometry.dim,
-            [*self.bodies.names, *conditions.bodies.names],
+            [*self.bodies.names, *conditions.added_names],
             conditions.names,
             self.space.mesh.comm,
             [f"Dirichlet condition {i}" for i in range(len(self.data.bcs))],
@@ -142,7 +143,7 @@ class TornProblem:
             replace(s, coordinates=s.coordinates + values[self.nodes.to_local(s.nodes)])
             for s in self.torn.assemble(lambda: None)
         ]
-        subdomains += rows.conditions.bodies.subdomains(from_here=True)
+        subdomains += rows.conditions.added_subdomains(len(self.bodies.names))
         local = self.nodes.to_local(prescribed.nodes)
         increment = prescribed.values - values[local, prescribed.components]
         return replace(

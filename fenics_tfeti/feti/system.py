@@ -101,6 +101,13 @@ class Subdomain:
         return bool(self.stiffness.nnz == 0)
 
     @property
+    def is_unknown(self) -> bool:
+        """Whether it is one unknown of rows, a node with one motion: its load is internal."""
+        return (
+            self.nodes.size == 1 and not isinstance(self.kernel, str) and self.kernel.shape[1] == 1
+        )
+
+    @property
     def is_tangent(self) -> bool:
         """Whether the kernel is that of a tangent of finite strains."""
         return isinstance(self.kernel, str) and self.kernel == "translations"

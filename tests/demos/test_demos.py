@@ -121,6 +121,17 @@ def test_load_steps(demo):
     assert demo["again"] < 1.25 * demo["scratch"]
 
 
+@pytest.mark.once
+def test_impact_of_bars(demo):
+    """Time, pressure and velocities by the waves of one dimension; energy is kept, or made."""
+    c, L = demo["c"], demo["L"]
+    assert demo["ends_at"] == pytest.approx(2 * L / c, rel=0.01)
+    assert demo["plateau"] == pytest.approx(demo["rho"] * c * demo["v"] / 2, rel=0.001)
+    np.testing.assert_allclose(demo["velocities"], [0.0, demo["v"]], atol=0.01)
+    np.testing.assert_allclose(demo["energy"], demo["kinetic"], rtol=0.005)
+    assert demo["growing"][-1] > 1.5 * demo["kinetic"]
+
+
 def test_finer_meshes(demo):
     """Half-width and largest pressure by Hertz's formulas; the coarse mesh saves products."""
     contact, element = demo["contact"], demo["size"] / 128

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from finite_strains import indented_block
+from finite_strains import indented_block, rotation
+
+import ufl
 
 heavy = pytest.mark.heavy
 
@@ -29,8 +31,48 @@ def test_force_and_energy(dim, n, nu, force, energy, size):
     assert scene.energy == pytest.approx(energy, abs=1e-7)
 
 
+@pytest.mark.parametrize(("dim", "n", "degree"), [(2, 8, 1), (2, 4, 2), (3, 2, 1)])
+def test_turned(dim, n, degree):
+    """Forces turn with everything else."""
+    forces = []
+    for turned in [0.0, 37.0]:
+        scene = indented_block(
+            dim, n, degree=degree, turned=turned, newton_rtol=1e-9, subdomain_size=100
+        )
+        scene.solve([0.5, 1.0])
+        forces.append(rotation(turned, dim).T @ scene.problem.results[0].force)
+    np.testing.assert_allclose(forces[1], forces[0], atol=1e-8)
+
+
+def test_congruent_subdomains():
+    """They share a matrix until they are deformed."""
+    scene = indented_block(newton_rtol=1e-8, subdomain_size=60)
+    torn = scene.problem._torn.torn
+    assert len({id(part.stiffness) for part in torn.subdomains}) < len(torn.subdomains)
+    scene.solve([0.5, 1.0])
+    assert len({id(part.stiffness) for part in torn.subdomains}) == len(torn.subdomains)
+    assert scene.problem.results[0].force[1] == pytest.approx(-0.351780904, abs=1e-7)
+
+
 def test_one_load_step_gives_the_same():
     scene = indented_block(newton_rtol=1e-8)
     scene.solve([1.0])
     assert -scene.problem.results[0].force[1] == pytest.approx(0.351780904, abs=1e-7)
     assert scene.counts()[0] <= 12
+
+
+def test_nearly_incompressible():
+    """Its volumetric energy is integrated by one point of each cell."""
+
+    def energy(u, nu=0.499):
+        mu, lmbda = 1 / (2 * (1 + nu)), nu / ((1 + nu) * (1 - 2 * nu))
+        F = ufl.Identity(2) + ufl.grad(u)
+        log = ufl.ln(ufl.det(F))
+        one_point = ufl.dx(metadata={"quadrature_degree": 0})
+        shear = mu / 2 * (ufl.inner(F, F) - 2) - mu * log
+        return shear * ufl.dx + lmbda / 2 * log**2 * one_point
+
+    scene = indented_block(n=4, energy=energy, newton_rtol=1e-8, subdomain_size=60)
+    list(scene.problem.steps(scene.set_load, 0.0, 1.0, first=1 / 6))
+    assert scene.problem.results[0].force[1] == pytest.approx(-0.387400069, abs=1e-7)
+    assert scene.energy == pytest.approx(0.052013656, abs=1e-7)

@@ -1,10 +1,10 @@
-"""Two blocks meshed apart under uniform compression: the closed form, however they are turned."""
+"""Blocks under uniform compression: the closed form, however they are turned and held."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from finite_strains import pressed_patch
+from finite_strains import pressed_patch, squeezed_block
 
 from fenics_tfeti import Coulomb
 
@@ -26,6 +26,34 @@ def test_uniform_compression(confined, compression, turned):
         np.testing.assert_allclose(result.force, force, atol=1e-7)
 
 
+@pytest.mark.parametrize("upper", ["slave", "master", "tied"])
+@pytest.mark.parametrize(
+    ("cell", "degree"),
+    [
+        ("quadrilateral", 2),
+        ("triangle", 1),
+        ("triangle", 2),
+        ("tetrahedron", 1),
+        pytest.param("tetrahedron", 2, marks=pytest.mark.heavy),
+        ("hexahedron", 1),
+    ],
+)
+def test_cells_degrees_and_roles(cell, degree, upper):
+    scene, force = pressed_patch(
+        0.1,
+        False,
+        30.0,
+        cell=cell,
+        degree=degree,
+        upper=upper,
+        newton_rtol=1e-9,
+        subdomain_size=60,
+    )
+    scene.solve([1.0])
+    sign = -1.0 if upper == "master" else 1.0
+    np.testing.assert_allclose(scene.problem.results[0].force, sign * force, atol=1e-8)
+
+
 def test_turning_is_no_slip():
     """Pressed blocks that stick are turned by 90 degrees, in steps of 30."""
     scene, force = pressed_patch(
@@ -36,3 +64,13 @@ def test_turning_is_no_slip():
     np.testing.assert_allclose(result.force, force, atol=1e-7)
     assert result.friction.sticking.all()
     assert np.abs(result.friction.force).max() < 1e-7
+
+
+@pytest.mark.parametrize(("dim", "n", "turned"), [(2, 6, 0.0), (2, 6, 37.0), (3, 3, 37.0)])
+def test_floating_block(dim, n, turned):
+    """Nothing but contact with two planes holds it: its tangents are projected."""
+    scene, force = squeezed_block(dim, n, turned=turned, newton_rtol=1e-9, subdomain_size=60)
+    scene.solve([0.5, 1.0])
+    lower, upper = scene.problem.results
+    np.testing.assert_allclose(lower.force, force, atol=1e-8)
+    np.testing.assert_allclose(upper.force, -force, atol=1e-8)

@@ -1,4 +1,4 @@
-"""Large sliding and rotations: an ironed block, and a beam bent over a cylinder.
+"""Large sliding and rotations: an ironed block, a beam bent over a cylinder, a crushed ring.
 
 The references of the ironed block without friction and of the beam are those of a Newton method
 with an active set and sparse LU of the whole tangent.
@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from finite_strains import SLIDER, TOP, beam, ironing
+import scipy.integrate
+from finite_strains import SLIDER, TOP, beam, ironing, ring
 
 from fenics_tfeti import Coulomb
 
@@ -48,3 +49,35 @@ def test_beam(loads):
     assert force == pytest.approx(0.00163538133, rel=2e-3)
     steps, products = scene.counts()
     assert steps <= 15 and products <= 25
+
+
+def elastica(thickness, height=1.0):
+    """Return the force of a plate on half a ring, an inextensible rod of mean radius 1.
+
+    The rod is flat under the plate. From there to the equator, where its angle is pi/2, the
+    curvature k fulfils k^2 = p sin(angle), with the force of the plate p EI on the whole ring.
+    """
+    up = scipy.integrate.quad(lambda angle: np.sqrt(np.sin(angle)), 0.0, np.pi / 2)[0]
+    p = (2.0 * up / height) ** 2
+    # with the angle s^2
+    bent = scipy.integrate.quad(
+        lambda s: 2.0 * s / np.sqrt(p * np.sin(s**2)), 0.0, np.sqrt(np.pi / 2)
+    )[0]
+    assert bent < np.pi / 2
+    return 0.5 * p * thickness**3 / 12.0 / (1.0 - 0.3**2)
+
+
+@pytest.mark.parametrize("loads", [[1.0], [0.25, 0.5, 0.75, 1.0]])
+def test_ring_is_an_elastica(loads):
+    scene = ring(subdomain_size=100)
+    scene.solve(loads)
+    lower, upper = scene.problem.results
+    assert lower.force[1] == pytest.approx(elastica(0.05), rel=0.015)
+    assert upper.force[1] == pytest.approx(-lower.force[1], rel=1e-5)
+
+
+def test_counts_of_the_ring():
+    scene = ring(0.1, 48, 3, degree=1, subdomain_size=100)
+    scene.solve([1.0])
+    steps, products = scene.counts()
+    assert steps <= 10 and products <= 25

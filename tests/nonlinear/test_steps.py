@@ -9,6 +9,7 @@ import pytest
 from finite_strains import indented_block
 
 from fenics_tfeti import InputError, NotConverged
+from fenics_tfeti.load_steps import load_steps
 
 
 def test_easy_steps_are_lengthened():
@@ -21,6 +22,13 @@ def test_easy_steps_are_lengthened():
         1.0,
     ]
     assert scene.problem.results[0].force[1] < -0.3
+
+
+def test_no_rest_of_rounding_is_a_step():
+    scene = indented_block(n=2)
+    loads = list(load_steps(scene.problem, scene.set_load, 0.0, 1.0, 1 / 6, lambda: False))
+    assert len(loads) == 6
+    assert loads[-1] == 1.0
 
 
 def test_steps_that_fail_are_halved():

@@ -13,11 +13,19 @@ from mpi4py import MPI
 
 import numpy as np
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, NonlinearContactProblem, RigidObstacle, Sphere
+from fenics_tfeti import (
+    ContactPair,
+    NonlinearContactProblem,
+    Plane,
+    RigidObstacle,
+    Sphere,
+    TiedPair,
+)
 from fenics_tfeti.fem._compat import lagrange_space
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.models import neo_hookean
@@ -66,27 +74,31 @@ def indented_block(
     comm: MPI.Intracomm = MPI.COMM_WORLD,
     degree: int = 1,
     obstacle: Any = None,
+    cell: str | None = None,
+    turned: float = 0.0,
+    energy: Callable[[Any], Any] | None = None,
     **options: Any,
 ) -> Scene:
     """Make a block of height 1 and width 2, clamped at its base, under a rigid ball of radius 0.5.
 
-    In two dimensions the ball is a cylinder. Another obstacle may take its place.
+    In two dimensions the ball is a cylinder. Another obstacle may take its place, and another
+    energy that of the neo-Hookean material. Everything is turned by the angle `turned`.
     """
     low, high = (-1.0,) * (dim - 1) + (0.0,), (1.0,) * dim
     cells = (2 * n,) * (dim - 1) + (n,)
-    cell = {2: "quadrilateral", 3: "hexahedron"}[dim]
+    cell = cell or {2: "quadrilateral", 3: "hexahedron"}[dim]
     mesh = boxes(comm, [Box(low, high, cells)], cell).mesh
     tags = tag_facets(
         mesh, {BASE: lambda x: np.isclose(x[dim - 1], 0), TOP: lambda x: np.isclose(x[dim - 1], 1)}
     )
+    up = turn(mesh, turned)[:, -1]
     V = displacement_space(mesh, degree)
     u = fem.Function(V)
-    W = neo_hookean(1.0, nu)(u) * ufl.dx
+    W = energy(u) if energy else neo_hookean(1.0, nu)(u) * ufl.dx
     load = {"depth": 0.0}
 
     def ball(x: Any) -> Any:
-        centre = [0.0] * (dim - 1) + [1.5 - load["depth"]]
-        return Sphere(centre, 0.5)(x)
+        return Sphere((1.5 - load["depth"]) * up, 0.5)(x)
 
     problem = NonlinearContactProblem(
         ufl.derivative(W, u, ufl.TestFunction(V)),
@@ -128,17 +140,59 @@ def beam(comm: MPI.Intracomm = MPI.COMM_WORLD, **options: Any) -> Scene:
     return Scene(problem, fem.form(W), set_load)
 
 
+def ring(
+    thickness: float = 0.05,
+    n: int = 24,
+    across: int = 1,
+    degree: int = 2,
+    comm: MPI.Intracomm = MPI.COMM_WORLD,
+    **options: Any,
+) -> Scene:
+    """Make half a ring of mean radius 1 that two rigid plates squeeze by 1."""
+    mesh = boxes(comm, [Box((0, 0), (1, 1), (n, across))], "quadrilateral").mesh
+    outside = {BASE: lambda x: x[0] < 0.5 + 1e-9, TOP: lambda x: x[0] > 0.5 - 1e-9}
+    tags = tag_facets(
+        mesh,
+        {tag: lambda x, half=half: np.isclose(x[1], 1) & half(x) for tag, half in outside.items()}
+        | {ENDS: lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 1)},
+    )
+    x = mesh.geometry.x
+    angle, radius = np.pi * (x[:, 0] - 0.5), 1.0 + thickness * (x[:, 1] - 0.5)
+    x[:, 0], x[:, 1] = radius * np.cos(angle), radius * np.sin(angle)
+    V = displacement_space(mesh, degree)
+    u, load = fem.Function(V), {"height": 1.0 + 0.5 * thickness}
+    W = neo_hookean(1.0, 0.3)(u) * ufl.dx(metadata={"quadrature_degree": 2 * degree})
+    ends = fem.locate_dofs_topological(V.sub(0), 1, tags.find(ENDS))
+
+    def plate(side: float) -> Any:
+        return lambda x: Plane((0.0, side * load["height"]), (0.0, -side))(x)
+
+    problem = NonlinearContactProblem(
+        ufl.derivative(W, u, ufl.TestFunction(V)),
+        u,
+        bcs=[fem.dirichletbc(0.0, ends, V.sub(0))],
+        contacts=[RigidObstacle(tags, BASE, plate(-1.0)), RigidObstacle(tags, TOP, plate(1.0))],
+        options=options,
+    )
+
+    def set_load(part: float) -> None:
+        load["height"] = 1.0 + 0.5 * thickness - 0.5 * part
+
+    return Scene(problem, fem.form(W), set_load)
+
+
 def ironing(
     friction: Any = None,
     slave: int = SLIDER,
     n: int = 12,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
+    stiffness: float = 3.0,
     **options: Any,
 ) -> Scene:
     """Make half an annulus that its ends press into a block of 4 by 1, and drag along it.
 
     A load of 1 presses it down by 0.3, each further one drags it by 1.5, its outer radius being
-    0.6.
+    0.6. Its stiffness is relative to that of the block.
     """
     bodies = [Box((0, 0), (4, 1), (4 * n, n)), Box((10, 0), (11, 1), (2 * n, n // 3))]
     tagged = boxes(comm, bodies, "quadrilateral")
@@ -154,7 +208,7 @@ def ironing(
     V = displacement_space(mesh)
     u, motion, E = fem.Function(V), fem.Function(V), fem.Function(cell_space(mesh))
     E.x.array[:] = 1.0
-    E.x.array[tagged.cell_tags.find(2)] = 3.0
+    E.x.array[tagged.cell_tags.find(2)] = stiffness
     W = neo_hookean(E, 0.3)(u) * ufl.dx
     ends = fem.locate_dofs_topological(V, 1, tags.find(ENDS))
     master = TOP if slave == SLIDER else SLIDER
@@ -192,67 +246,144 @@ def pressed_patch(
     motion: float = 0.0,
     friction: Any = None,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
+    cell: str = "quadrilateral",
+    degree: int = 1,
+    upper: str = "slave",
+    nu: float = 0.3,
     **options: Any,
 ) -> tuple[Scene, Any]:
     """Make two blocks meshed apart, of width 1 and height 0.5, under uniform compression.
 
     Their outer ends move as the closed form says, which is also turned by the angle `motion`, and
-    so do the sides if they are confined. The mesh is turned by the angle `turned`. Returned is also
-    the force on the upper block, the slave, in the end [N].
+    so do the sides if they are confined. The mesh is turned by the angle `turned`. The upper block
+    is the slave, the master, or tied. Returned is also the force on the upper block in the end [N].
     """
-    lower, upper = Box((0, 0), (1, 0.5), (6, 3)), Box((0, 0.5), (1, 1), (8, 4))
-    tagged = boxes(comm, [lower, upper], "quadrilateral")
-    mesh = tagged.mesh
-
-    def moved(x: Any) -> Any:
-        ends = np.isclose(x[1], 0) | np.isclose(x[1], 1)
-        sides = np.isclose(x[0], 0) | np.isclose(x[0], 1)
-        return ends | sides if confined else ends
-
-    surfaces = [
-        (BASE, moved, 1),
-        (ENDS, moved, 2),
-        (TOP, lambda x: np.isclose(x[1], 0.5), 1),
-        (SLIDER, lambda x: np.isclose(x[1], 0.5), 2),
-    ]
-    tags = tag_facets(mesh, surfaces, tagged.cell_tags)
-    axes = rotation(turned)
-    mesh.geometry.x[:, :2] = mesh.geometry.x[:, :2] @ axes.T
-    V = displacement_space(mesh)
+    mesh, tags, axes = _two_blocks(comm, cell, confined, turned)
+    dim = mesh.geometry.dim
+    V = displacement_space(mesh, degree)
     u, ends = fem.Function(V), fem.Function(V)
-    W = neo_hookean(1.0, 0.3)(u) * ufl.dx
-    outer = [fem.locate_dofs_topological(V, 1, tags.find(tag)) for tag in (BASE, ENDS)]
+    W = neo_hookean(1.0, nu)(u) * ufl.dx
+    outer = [fem.locate_dofs_topological(V, dim - 1, tags.find(tag)) for tag in (BASE, ENDS)]
+    slave, master = (TOP, SLIDER) if upper == "master" else (SLIDER, TOP)
+    if upper == "tied":
+        interface = TiedPair(tags, slave=slave, master=master)
+    else:
+        interface = ContactPair(tags, slave=slave, master=master, friction=friction)
     problem = NonlinearContactProblem(
         ufl.derivative(W, u, ufl.TestFunction(V)),
         u,
         bcs=[fem.dirichletbc(ends, dofs) for dofs in outer],
-        contacts=[ContactPair(tags, slave=SLIDER, master=TOP, friction=friction)],
+        contacts=[interface],
         options=options,
     )
 
     def set_load(part: float) -> None:
         axial = 1.0 - part * compression
-        F = rotation(part * motion) @ axes @ np.diag([_across(axial, confined), axial]) @ axes.T
-        ends.interpolate(lambda x: F @ x[:2] - x[:2])
+        stretches = [stretch_across(axial, dim, nu, confined)] * (dim - 1) + [axial]
+        F = rotation(part * motion, dim) @ axes @ np.diag(stretches) @ axes.T
+        ends.interpolate(lambda x: F @ x[:dim] - x[:dim])
 
-    force = -axial_force(1.0 - compression, _across(1.0 - compression, confined))
-    return Scene(problem, fem.form(W), set_load), rotation(turned + motion) @ [0.0, force]
-
-
-def rotation(degrees: float) -> Any:
-    """Return the matrix of a rotation in the plane."""
-    c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
-    return np.array([[c, -s], [s, c]])
+    axial = 1.0 - compression
+    force = axial_force(axial, dim, nu, confined)
+    return Scene(problem, fem.form(W), set_load), -force * rotation(motion, dim) @ axes[:, -1]
 
 
-def _across(axial: float, confined: bool) -> float:
-    """Return the stretch across an axial one, without stress there if it is not confined."""
+def _two_blocks(comm: MPI.Intracomm, cell: str, confined: bool, turned: float) -> Any:
+    """Mesh two blocks apart, one on the other, with the tags of their ends and of the interface."""
+    dim = 2 if cell in ("triangle", "quadrilateral") else 3
+    sizes = [(6, 3), (8, 4)] if dim == 2 else [(2, 2, 1), (3, 3, 2)]
+    corners = [(0.0,) * dim, (1.0,) * (dim - 1) + (0.5,)]
+    up = np.array((0.0,) * (dim - 1) + (0.5,))
+    blocks = [Box(corners[0] + i * up, corners[1] + i * up, cells) for i, cells in enumerate(sizes)]
+    tagged = boxes(comm, blocks, cell)
+    mesh = tagged.mesh
+
+    def moved(x: Any) -> Any:
+        ends = np.isclose(x[dim - 1], 0) | np.isclose(x[dim - 1], 1)
+        sides = (np.isclose(x[: dim - 1], 0) | np.isclose(x[: dim - 1], 1)).any(axis=0)
+        return ends | sides if confined else ends
+
+    surfaces = [
+        (BASE, moved, 1),
+        (ENDS, moved, 2),
+        (TOP, lambda x: np.isclose(x[dim - 1], 0.5), 1),
+        (SLIDER, lambda x: np.isclose(x[dim - 1], 0.5), 2),
+    ]
+    return mesh, tag_facets(mesh, surfaces, tagged.cell_tags), turn(mesh, turned)
+
+
+def squeezed_block(
+    dim: int = 2,
+    n: int = 4,
+    compression: float = 0.3,
+    turned: float = 0.0,
+    comm: MPI.Intracomm = MPI.COMM_WORLD,
+    **options: Any,
+) -> tuple[Scene, Any]:
+    """Make a unit cube that nothing but two rigid planes holds, which squeeze it.
+
+    Returned is also the force of the lower plane on it in the end [N].
+    """
+    cell = {2: "quadrilateral", 3: "hexahedron"}[dim]
+    mesh = boxes(comm, [Box((0.0,) * dim, (1.0,) * dim, (n,) * dim)], cell).mesh
+    tags = tag_facets(
+        mesh, {BASE: lambda x: np.isclose(x[dim - 1], 0), TOP: lambda x: np.isclose(x[dim - 1], 1)}
+    )
+    up = turn(mesh, turned)[:, -1]
+    V = displacement_space(mesh)
+    u, load = fem.Function(V), {"height": 1.0}
+    W = neo_hookean(1.0, 0.3)(u) * ufl.dx
+    problem = NonlinearContactProblem(
+        ufl.derivative(W, u, ufl.TestFunction(V)),
+        u,
+        contacts=[
+            RigidObstacle(tags, BASE, Plane(0.0 * up, up)),
+            RigidObstacle(tags, TOP, lambda x: Plane(load["height"] * up, -up)(x)),
+        ],
+        options=options,
+    )
+    scene = Scene(problem, fem.form(W), lambda part: load.update(height=1.0 - part * compression))
+    return scene, -axial_force(1.0 - compression, dim) * up
+
+
+def turn(mesh: Any, degrees: float) -> Any:
+    """Turn a mesh around the origin, and return the directions of its axes as columns."""
+    dim = mesh.geometry.dim
+    axes = rotation(degrees, dim)
+    mesh.geometry.x[:, :dim] = mesh.geometry.x[:, :dim] @ axes.T
+    return axes
+
+
+def rotation(degrees: float, dim: int = 2) -> Any:
+    """Return the matrix of a rotation in the plane, or around an oblique axis in space."""
+    axis = [0.0, 0.0, 1.0] if dim == 2 else np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
+    return Rotation.from_rotvec(np.deg2rad(degrees) * np.asarray(axis)).as_matrix()[:dim, :dim]
+
+
+def stretch_across(axial: float, dim: int = 2, nu: float = 0.3, confined: bool = False) -> float:
+    """Return the stretch across an axial one, without stress there if it is not confined.
+
+    In two dimensions there is one such direction.
+    """
     if confined:
         return 1.0
-    return float(brentq(lambda stretch: axial_force(stretch, axial), 0.5, 2.0, xtol=1e-14))
+    mu, lmbda = _lame(nu)
+
+    def force(across: float) -> float:
+        log = np.log(axial * across ** (dim - 1))
+        return float(mu * (across - 1 / across) + lmbda * log / across)
+
+    return float(brentq(force, 0.5, 2.0, xtol=1e-14))
 
 
-def axial_force(axial: float, across: float, E: float = 1.0, nu: float = 0.3) -> float:
-    """Return the force on the undeformed width along an axial stretch, in plane strain."""
-    mu, lmbda = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
-    return float(mu * (axial - 1 / axial) + lmbda * np.log(across * axial) / axial)
+def axial_force(axial: float, dim: int = 2, nu: float = 0.3, confined: bool = False) -> float:
+    """Return the force on the undeformed unit area along an axial stretch of E = 1."""
+    mu, lmbda = _lame(nu)
+    across = stretch_across(axial, dim, nu, confined)
+    log = np.log(axial * across ** (dim - 1))
+    return float(mu * (axial - 1 / axial) + lmbda * log / axial)
+
+
+def _lame(nu: float) -> tuple[float, float]:
+    """Return the Lame parameters for E = 1."""
+    return 1 / (2 * (1 + nu)), nu / ((1 + nu) * (1 - 2 * nu))

@@ -39,3 +39,23 @@ def test_comet_indenter():
     values = run("comet_indenter")
     assert 1.0 < values["computed"] / values["force"] < 1.1
     assert 1.0 < values["largest"] / values["pressure"] < 1.05
+
+
+def test_code_aster_plate():
+    """Of the farthest point, two digits are published."""
+    values = run("code_aster_plate")
+    published = list(values["PUBLISHED"].values())
+    assert values["computed"][:4] == pytest.approx(published[:4], rel=3e-3)
+    assert values["computed"][4] == pytest.approx(published[4], rel=0.03)
+
+
+def test_code_aster_pad():
+    values = run("code_aster_pad")
+    assert values["forces"][0] == pytest.approx([3564.0, 12000.0], rel=1e-4)
+    assert values["slips"] == pytest.approx([0.0, 9.0], abs=0.02)
+
+
+def test_code_aster_blocks():
+    """Exact on any two meshes."""
+    values = run("code_aster_blocks")
+    assert max(values["pressure_error"], values["displacement_error"]) < 1e-8

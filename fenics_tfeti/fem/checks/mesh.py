@@ -31,16 +31,22 @@ def check_mesh(domain: Mesh, bodies: Bodies, contacts: Sequence[Contact]) -> Non
 
     The surfaces of a contact pair may be the two faces of a crack in one body.
     """
-    with raise_collectively(domain.comm):
-        _check_finite(domain)
-    cells = CellGeometry.from_mesh(domain, bodies.of_cell)
-    check_shapes(domain, bodies, cells)
+    cells = check_cells(domain, bodies)
     check_overlaps(domain, bodies, cells)
     surface = surface_nodes(domain, cells, contacts)
     check_pieces(domain, bodies, cells, surface)
     check_joints(domain, bodies, surface)
     check_split_nodes(domain, surface)
     check_cracks(domain, bodies, surface)
+
+
+def check_cells(domain: Mesh, bodies: Bodies) -> CellGeometry:
+    """Check that nodes are somewhere and cells are not degenerate. Collective."""
+    with raise_collectively(domain.comm):
+        _check_finite(domain)
+    cells = CellGeometry.from_mesh(domain, bodies.of_cell)
+    check_shapes(domain, bodies, cells)
+    return cells
 
 
 def _check_finite(domain: Mesh) -> None:

@@ -18,7 +18,7 @@ from dolfinx.fem import FunctionSpace
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import ContactPairing
-from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObstacle
+from fenics_tfeti.fem.contact.description import Contact, ContactPair
 from fenics_tfeti.fem.contact.nodes.search import Partners
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
@@ -260,8 +260,11 @@ def check_different_nodes(
     contacts: Sequence[Contact], pairings: Sequence[ContactPairing], comm: MPI.Intracomm
 ) -> None:
     """Check that no slave node is in two contacts with the same master surface or obstacle."""
-    for (first, a), (second, b) in combinations(zip(contacts, pairings, strict=True), 2):
-        if _same_master(first, second):
+    of_master: dict[tuple[int, int], list[ContactPairing]] = {}
+    for contact, pairing in zip(contacts, pairings, strict=True):
+        of_master.setdefault(_master_key(contact), []).append(pairing)
+    for several in of_master.values():
+        for a, b in combinations(several, 2):
             _check_common_nodes(comm, a, b)
 
 
@@ -281,10 +284,8 @@ def _check_common_nodes(comm: MPI.Intracomm, a: ContactPairing, b: ContactPairin
     )
 
 
-def _same_master(first: Contact, second: Contact) -> bool:
-    if isinstance(first, ContactPair) and isinstance(second, ContactPair):
-        tags = (_compat.cpp_object(c.facet_tags) for c in (first, second))
-        return first.master == second.master and next(tags) is next(tags)
-    if isinstance(first, RigidObstacle) and isinstance(second, RigidObstacle):
-        return first.obstacle is second.obstacle
-    return False
+def _master_key(contact: Contact) -> tuple[int, int]:
+    """Return what tells the master's surface or the obstacle apart from others."""
+    if isinstance(contact, ContactPair):
+        return id(_compat.cpp_object(contact.facet_tags)), contact.master
+    return id(contact.obstacle), 0

@@ -178,15 +178,17 @@ def row_values(
     """Return sum_k c_k'u(node_k) of rows (k,) whose nodes may be on any rank. Collective.
 
     The displacement (n,) is at the degrees of freedom that this rank owns [m]; `beyond` (b, gdim)
-    are those of nodes with numbers beyond those of the mesh, the same on all ranks.
+    are those of nodes with the numbers beyond those of the mesh, the same on all ranks. Nodes
+    beyond these have no part in the sums.
     """
-    on_mesh = rows.nodes < nodes.total
+    beyond = np.zeros((0, nodes.components)) if beyond is None else beyond
+    in_mesh = rows.nodes < nodes.total
     nodal = np.zeros((rows.nodes.size, nodes.components))
-    nodal[on_mesh] = nodes.values_at(
-        displacement.reshape(-1, nodes.components), rows.nodes[on_mesh]
+    nodal[in_mesh] = nodes.values_at(
+        displacement.reshape(-1, nodes.components), rows.nodes[in_mesh]
     )
-    if beyond is not None:
-        nodal[~on_mesh] = beyond[rows.nodes[~on_mesh] - nodes.total]
+    known = ~in_mesh & (rows.nodes < nodes.total + len(beyond))
+    nodal[known] = beyond[rows.nodes[known] - nodes.total]
     terms = np.sum(rows.coefficients * nodal, axis=1)
     sums = np.zeros(rows.size)
     np.add.at(sums, rows.row, terms)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,9 +17,16 @@ from fenics_tfeti.fem.contact.checks import check_depth
 from fenics_tfeti.fem.contact.contact import ContactPairing, contact_rows, openings
 from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
 from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObstacle, TiedPair
+from fenics_tfeti.fem.contact.matched import linear_rows, periodic_rows, preload_rows
 from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
-from fenics_tfeti.fem.contact.result import ContactEntry, ContactResult, Results, TiedResult
+from fenics_tfeti.fem.contact.result import (
+    BoltResult,
+    ContactEntry,
+    ContactResult,
+    Results,
+    TiedResult,
+)
 from fenics_tfeti.fem.contact.rigid_body import (
     BodyFrame,
     BodyPlace,
@@ -32,6 +39,7 @@ from fenics_tfeti.fem.contact.roles import (
     Roles,
     describe_roles,
     exchanged,
+    nodal_stiffness,
     prefers_exchange,
     roles_ratio,
     warn_of_roles,
@@ -45,7 +53,8 @@ from fenics_tfeti.fem.contact.slip import (
     obstacle_displacements,
 )
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.fem.contact.tied import TiedPairing, tie_pairs, tied_rows
+from fenics_tfeti.fem.contact.tied import Preload, TiedPairing, tie_surfaces
+from fenics_tfeti.fem.contact.ties import BoltPreload, LinearRows, PeriodicPair, Tie, tie_name
 from fenics_tfeti.fem.contact.transfer import SolvedContact, gather_solved
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.displacement import owned_values
@@ -124,10 +133,10 @@ class FoundContact:
 
 @dataclass(frozen=True)
 class FoundTie:
-    """A tied pair with its conditions."""
+    """A tie with its rows."""
 
     number: int  # among all contacts and tied pairs
-    pair: TiedPair
+    tie: Tie
     pairing: TiedPairing
 
 
@@ -161,19 +170,24 @@ class ContactSet:
 
     def rows(self) -> ContactRows:
         """Return the conditions of all contacts, one contact after the other."""
-        gdim = self.boundary.space.mesh.geometry.dim
-        parts = [ContactRows.none(gdim)]
-        for number, found in enumerate(self.contacts):
-            rows, k = found.pairing.rows(number), self.bodies.number(found.body)
+        parts = [ContactRows.none(self.boundary.space.mesh.geometry.dim)]
+        for found in self.contacts:
+            rows, k = found.pairing.rows(found.number), self.bodies.number(found.body)
             if k is not None and found.on_body is not None:
                 rows = self.bodies.frames[k].joined(rows, found.on_body.places)
             parts.append(rows)
-        return _numbered(ContactRows.concatenate(parts), self.contacts)
+        return ContactRows.concatenate(parts)
 
     def tied_rows(self) -> ContactRows:
-        """Return the conditions of all tied pairs, the components of a pair one after the other."""
-        gdim = self.boundary.space.mesh.geometry.dim
-        return _numbered(tied_rows([tie.pairing for tie in self.ties], gdim), self.ties)
+        """Return the rows of all ties, one tie after the other."""
+        if not self.ties:
+            return ContactRows.none(self.boundary.space.mesh.geometry.dim)
+        return ContactRows.concatenate(
+            [
+                replace(tie.pairing.rows, contact=np.full(tie.pairing.rows.size, tie.number))
+                for tie in self.ties
+            ]
+        )
 
     def friction_rows(self, origin: SlipOrigin, start: Vector | None = None) -> Friction:
         """Return where `rows` have friction, and from where slip is counted. Collective.
@@ -213,6 +227,57 @@ class ContactSet:
         space = self.boundary.space
         contacts = [found.with_friction(space, self.prescribed) for found in self.contacts]
         return replace(self, contacts=contacts)
+
+    def added_subdomains(self, first: int) -> list[Subdomain]:
+        """Return this rank's rigid bodies and shortenings that are unknown, with their loads now.
+
+        The mesh has as many bodies as `first`, the number of the first one here.
+        """
+        bodies, preloads = self.bodies.subdomains(self.from_here), self._preloads
+        first += len(self.bodies.frames)
+        return bodies + [preloads[k][1].subdomain(first + k) for k in self._own(preloads)]
+
+    @property
+    def added_names(self) -> list[str]:
+        """The names of the bodies of all ranks that are not of the mesh, by number."""
+        return [
+            *self.bodies.names,
+            *(f"shortening of {tie.pairing.name}" for tie, _ in self._preloads),
+        ]
+
+    @property
+    def _preloads(self) -> list[tuple[FoundTie, Preload]]:
+        """The bolts whose shortening is an unknown of the torn system."""
+        found = ((tie, tie.pairing.preload) for tie in self.ties)
+        return [(tie, preload) for tie, preload in found if preload is not None and preload.body]
+
+    def _own(self, bodies: Sequence[object]) -> range:
+        """Return which of all ranks' bodies this one has."""
+        comm = self.boundary.nodes.comm
+        return range(comm.rank, len(bodies), comm.size)
+
+    def _shortenings(self, displacements: Sequence[Vector]) -> dict[int, float]:
+        """Return shortenings by number of the bolt. Collective.
+
+        They are those of `added_subdomains`, with which the displacements of subdomains end.
+        """
+        preloads = self._preloads
+        values, mine = np.zeros(len(preloads)), self._own(preloads)
+        for k, displacement in zip(
+            mine, displacements[len(displacements) - len(mine) :], strict=True
+        ):
+            values[k] = displacement @ preloads[k][1].axis
+        self.boundary.nodes.comm.Allreduce(MPI.IN_PLACE, values)
+        return {tie.number: value for (tie, _), value in zip(preloads, values, strict=True)}
+
+    def motions_after(self, displacements: Sequence[Vector]) -> list[Vector]:
+        """Return the motions of all rigid bodies after displacements of subdomains. Collective.
+
+        The displacements end with those of `added_subdomains`.
+        """
+        bolts = len(self._own(self._preloads))
+        of_bodies = displacements[: len(displacements) - bolts]
+        return self.bodies.motions_after(of_bodies, self.from_here)
 
     def deformed(
         self, uh: Function, bodies: RigidBodies | None = None
@@ -267,7 +332,8 @@ class ContactSet:
         """
         opening = openings(self.boundary.nodes, self.pairings, owned_values(uh))
         if bodies is None:
-            bodies = self.bodies.moved(self.bodies.motions_after(solution.displacements))
+            bodies = self.bodies.moved(self.motions_after(solution.displacements))
+        shortenings = self._shortenings(solution.displacements)
         contacts, ties, row, site = [], [], 0, 0
         for found, gap_after in zip(self.contacts, opening, strict=True):
             k = bodies.number(found.body)
@@ -280,10 +346,11 @@ class ContactSet:
             contacts.append(self._result(found, gap_after, solution, rows, sites))
         row = 0
         for tie in self.ties:
-            rows = slice(row, row + sum(part.slave.size for part in tie.pairing.components))
+            rows = slice(row, row + tie.pairing.rows.size)
             row = rows.stop
             forces = solution.report.contacts[tie.number]
-            ties.append(self._tied_result(tie.pairing, forces, solution.tied_force[rows]))
+            values = solution.tied_force[rows]
+            ties.append(self._tied_result(tie, forces, values, shortenings))
         results = [
             self._body_result(frame, place, solution)
             for frame, place in zip(bodies.frames, bodies.places, strict=True)
@@ -336,29 +403,33 @@ class ContactSet:
             comm=self.boundary.space.mesh.comm,
         )
 
-    def _tied_result(self, tie: TiedPairing, forces: ContactForces, rows: Vector) -> TiedResult:
-        """Return the result of a tied pair from the forces of its rows, component by component."""
-        nodes = np.unique(np.concatenate([part.slave for part in tie.components]))
-        force, area = np.zeros((nodes.size, len(tie.components))), np.zeros(nodes.size)
-        begin = 0
-        for component, part in enumerate(tie.components):
-            position = np.searchsorted(nodes, part.slave)
-            # the force of a row acts on the slave against its direction
-            force[position, component] = -rows[begin : begin + part.slave.size]
-            area[position] = part.area
-            begin += part.slave.size
-        surface = tie.surface
-        return TiedResult(
+    def _tied_result(
+        self,
+        found: FoundTie,
+        forces: ContactForces,
+        row_forces: Vector,
+        shortenings: Mapping[int, float],
+    ) -> TiedResult:
+        """Return the result of a tie from the forces of its rows."""
+        tie, force = found.pairing, found.pairing.forces(row_forces)
+        result = TiedResult(
             tie.name,
             ContactEntry(**vars(forces), pairing=tie.summary),
-            nodes,
-            self._dofs(nodes),
-            surface.coordinates[np.searchsorted(surface.nodes, nodes)],
+            tie.nodes,
+            self._dofs(tie.nodes),
+            tie.coordinates,
             force,
-            force / area[:, None],
-            area,
+            force / tie.area[:, None],
+            tie.area,
             self.boundary.space.mesh.comm,
         )
+        if tie.preload is None:
+            return result
+        shortening = tie.preload.shortening
+        if shortening is None:
+            shortening = float(shortenings[found.number])
+        tension = float(result.force @ tie.preload.axis)
+        return BoltResult(**vars(result), shortening=shortening, tension=tension)
 
     def _dofs(self, nodes: Numbers) -> Numbers:
         """Return the numbers on this rank of nodes that it owns."""
@@ -433,12 +504,12 @@ class ContactSearch:
         with self._timer.phase("contact search"):
             self.boundary = MeshBoundary.of(self._space, self._measure_weight)
 
-    def find(self, contacts: Sequence[Contact | TiedPair], prescribed: Prescribed) -> ContactSet:
+    def find(self, contacts: Sequence[Contact | Tie], prescribed: Prescribed) -> ContactSet:
         """Return the undeformed conditions; only what changed is searched again. Collective."""
-        touching, tied = dict[int, Roles](), dict[int, TiedPair]()
+        touching, ties = dict[int, Roles](), dict[int, Tie]()
         for number, contact in enumerate(contacts):
-            if isinstance(contact, TiedPair):
-                tied[number] = contact
+            if isinstance(contact, Tie):
+                ties[number] = contact
             else:
                 touching[number] = self._roles_of(contact) or Roles(contact, contact)
         with self._timer.phase("contact search"):
@@ -458,19 +529,41 @@ class ContactSearch:
                 FoundContact(number, roles, pairing, pairing).placed(self.boundary.nodes)
                 for (number, roles), pairing in zip(touching.items(), pairings, strict=True)
             ]
-            ties = tie_pairs(
-                self.boundary, tied, [(tie.pair, tie.pairing) for tie in last.ties], prescribed
-            )
-            found_ties = [FoundTie(number, tied[number], ties[number]) for number in tied]
-            bodies = self._rigid_bodies(found_contacts, last.bodies)
+            found_ties = [
+                FoundTie(number, tie, self._tied(tie, number, last, prescribed))
+                for number, tie in ties.items()
+            ]
+            bodies = self._rigid_bodies(found_contacts, last.bodies, len(contacts))
             found = ContactSet(
                 self.boundary, found_contacts, found_ties, prescribed, bodies
             ).with_friction()
         self._last = found
         return found
 
-    def _rigid_bodies(self, contacts: Sequence[FoundContact], known: RigidBodies) -> RigidBodies:
-        """Return the contacts' rigid bodies where nothing has moved. Collective."""
+    def _tied(self, tie: Tie, number: int, last: ContactSet, prescribed: Prescribed) -> TiedPairing:
+        """Return the rows of a tie, known ones if they still hold. Collective."""
+        name = tie_name(tie, number)
+        known = next((found.pairing for found in last.ties if found.tie is tie), None)
+        if known is not None and known.still_holds(prescribed):
+            return known
+        match tie:
+            case TiedPair():
+                return tie_surfaces(self.boundary, tie, name, prescribed)
+            case PeriodicPair():
+                return periodic_rows(self.boundary, tie, name)
+            case BoltPreload():
+                preloads = [found.pairing.preload for found in last.ties if found.number == number]
+                return preload_rows(self.boundary, tie, number, name, *(preloads or [None]))
+            case LinearRows():
+                return linear_rows(self.boundary, tie, name)
+
+    def _rigid_bodies(
+        self, contacts: Sequence[FoundContact], known: RigidBodies, bolts: int
+    ) -> RigidBodies:
+        """Return the contacts' rigid bodies where nothing has moved. Collective.
+
+        Their nodes are numbered after those of the mesh and of as many bolts.
+        """
         comm, gdim = self._space.mesh.comm, self._space.mesh.geometry.dim
         bodies = list(dict.fromkeys(found.body for found in contacts if found.body is not None))
         for found in contacts:
@@ -487,12 +580,12 @@ class ContactSearch:
             comm.Allreduce(MPI.IN_PLACE, box, MPI.MIN)
             return np.array([box[0], -box[1]])
 
-        first = self.boundary.nodes.total, len(self._bodies.names)
+        first = self.boundary.nodes.total + bolts, len(self._bodies.names)
         frames = find_frames(bodies, box_of, first, known.frames)
         return RigidBodies(comm, gdim, frames, [BodyPlace.undeformed(body) for body in bodies])
 
     def with_roles(
-        self, found: ContactSet, contacts: Sequence[Contact | TiedPair], torn: Sequence[Subdomain]
+        self, found: ContactSet, contacts: Sequence[Contact | Tie], torn: Sequence[Subdomain]
     ) -> ContactSet:
         """Exchange slave and master of new pairs where that is better and wanted, or warn."""
         comm = self._space.mesh.comm
@@ -501,8 +594,11 @@ class ContactSearch:
             for index, entry in enumerate(found.contacts)
             if isinstance(entry.contact, ContactPair) and self._roles_of(entry.roles.given) is None
         ]
+        if not new:
+            return found
+        stiffness = nodal_stiffness(self.boundary.nodes, torn)
         for index in new:
-            found = self._decide_roles(found, index, contacts, torn)
+            found = self._decide_roles(found, index, contacts, stiffness)
         with raise_collectively(comm):
             for index in new if comm.rank == 0 else ():
                 warn_of_deviation(found.contacts[index].undeformed.summary)
@@ -515,14 +611,14 @@ class ContactSearch:
         self,
         found: ContactSet,
         index: int,
-        contacts: Sequence[Contact | TiedPair],
-        torn: Sequence[Subdomain],
+        contacts: Sequence[Contact | Tie],
+        stiffness: Vector,
     ) -> ContactSet:
         """Decide the roles of one pair, and find all conditions anew if they are exchanged."""
         comm, entry = self._space.mesh.comm, found.contacts[index]
         pair, pairing = entry.roles.given, entry.undeformed
         assert isinstance(pair, ContactPair)
-        ratio = roles_ratio(pairing, torn)
+        ratio = roles_ratio(pairing, stiffness)
         roles = Roles(pair, pair, ratio, describe_roles(pair, ratio, False, None))
         if ratio is not None and prefers_exchange(pair, ratio):
             reason = describe_roles(pair, ratio, True, None)
@@ -548,9 +644,3 @@ def _along(normal: Vector, distance: Vector) -> Vector:
     """Return normals (k, gdim) times distances (k,), zero for infinite ones."""
     steps: Vector = normal * np.where(np.isfinite(distance), distance, 0.0)[:, None]
     return steps
-
-
-def _numbered(rows: ContactRows, found: Sequence[FoundContact | FoundTie]) -> ContactRows:
-    """Return rows, counted contact by contact, with the numbers of the contacts."""
-    numbers = np.array([entry.number for entry in found], dtype=np.int64)
-    return replace(rows, contact=numbers[rows.contact])

@@ -237,8 +237,8 @@ class ContactPair:
 
     def __post_init__(self) -> None:
         """Check the data."""
-        label = _label(self)
-        _check_surfaces(self.facet_tags, {"slave": self.slave, "master": self.master}, label)
+        label = label_of(self)
+        check_surfaces(self.facet_tags, {"slave": self.slave, "master": self.master}, label)
         if self.slave == self.master:
             raise InputError(
                 f"{label}: slave and master have the same tag {self.slave}; each surface needs one "
@@ -300,8 +300,8 @@ class RigidObstacle:
 
     def __post_init__(self) -> None:
         """Check the data."""
-        label = _label(self)
-        _check_surfaces(self.facet_tags, {"slave": self.slave}, label)
+        label = label_of(self)
+        check_surfaces(self.facet_tags, {"slave": self.slave}, label)
         if self.body is not None and not isinstance(self.body, RigidBody):
             raise InputError(
                 f"{label}: body is a {type(self.body).__name__}; a RigidBody or None is expected"
@@ -354,8 +354,8 @@ class TiedPair:
 
     def __post_init__(self) -> None:
         """Check the data."""
-        label = _label(self)
-        _check_surfaces(self.facet_tags, {"slave": self.slave, "master": self.master}, label)
+        label = label_of(self)
+        check_surfaces(self.facet_tags, {"slave": self.slave, "master": self.master}, label)
         if self.slave == self.master:
             raise InputError(
                 f"{label}: slave and master have the same tag {self.slave}; each surface needs one "
@@ -407,19 +407,15 @@ def contact_name(contact: Contact, number: int) -> str:
     return contact.name or f"contact {number} ({kind})"
 
 
-def tied_name(pair: TiedPair, number: int) -> str:
-    """Return a tied pair's name, by default from its number."""
-    return pair.name or f"tied pair {number}"
-
-
-def _label(contact: Any) -> str:
+def label_of(contact: Any) -> str:
     """Return how messages call a contact that has no number yet; check that a name is a text."""
     if not isinstance(contact.name, str):
         raise InputError(f"{type(contact).__name__}: name is {contact.name!r}; a text is expected")
     return contact.name or type(contact).__name__
 
 
-def _check_surfaces(facet_tags: Any, tags: dict[str, Any], label: str) -> None:
+def check_surfaces(facet_tags: Any, tags: dict[str, Any], label: str) -> None:
+    """Check tags of facets, and the tag of each role."""
     if not (hasattr(facet_tags, "find") and hasattr(facet_tags, "dim")):
         raise InputError(
             f"{label}: facet_tags is a {type(facet_tags).__name__}; the mesh tags of the facets "

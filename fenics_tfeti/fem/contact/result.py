@@ -25,7 +25,8 @@ class ContactEntry(ContactForces):
     Attributes
     ----------
     pairing : dict
-        The ``discretisation`` ("node_to_node", "mortar", "obstacle" or "tied"), the numbers of
+        The ``discretisation`` ("node_to_node", "mortar", "obstacle", "tied",
+        "periodic", "bolt" or "rows"), the numbers of
         ``pairs`` (conditions) and ``unmatched`` slave nodes, ``largest_distance`` [m] (what the
         tolerance limits; None but for pairs of nodes) and ``largest_relative_distance`` (to the
         size of the facets), ``largest_angle`` between the slave's normal and the opposite of the
@@ -210,7 +211,9 @@ class ContactResult(_Summed):
 
 @dataclass(frozen=True)
 class TiedResult(_Summed):
-    """The solution of a tied pair at the slave nodes that this rank owns.
+    """The solution of a tie at the slave nodes that this rank owns.
+
+    A tie is a TiedPair, PeriodicPair, BoltPreload or LinearRows.
 
     Attributes
     ----------
@@ -224,11 +227,13 @@ class TiedResult(_Summed):
     coordinates : (k, 3) array
         [m].
     nodal_force : (k, gdim) array
-        Force of the master on the slave [N]; zero for components that are prescribed.
+        Force of the master on the slave [N]; zero for components that are prescribed. Not unique
+        where the conditions of several ties or contacts depend on each other.
     traction : (k, gdim) array
         The force over the area that belongs to the node [Pa].
     area : (k,) array
-        The area around the node that the master covers [m^2; m in 2D].
+        The area around the node that the master covers [m^2; m in 2D]. NaN for LinearRows, and of
+        surfaces of degree 2 that match at nodes that are no vertices.
     comm : MPI.Intracomm
         The ranks.
     """
@@ -247,6 +252,22 @@ class TiedResult(_Summed):
         """Return the nodes of all ranks, by node number, on every rank. Collective."""
         order = np.argsort(concatenate_ranks(self.comm, self.nodes))
         return replace(self, comm=MPI.COMM_SELF, **_gathered(self, self.comm, order))
+
+
+@dataclass(frozen=True)
+class BoltResult(TiedResult):
+    """The solution at the cut through a bolt.
+
+    Attributes
+    ----------
+    shortening : float
+        That of the shank, given or found [m].
+    tension : float
+        Force in the shank along its axis, given or found [N]; [N/m] in plane problems.
+    """
+
+    shortening: float = 0.0
+    tension: float = 0.0
 
 
 class Results(Sequence[Any]):

@@ -25,7 +25,7 @@ from fenics_tfeti.fem.contact.obstacles import Obstacle
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.user_data import as_coordinates, is_number
 from fenics_tfeti.feti.system import ContactRows, Subdomain
-from fenics_tfeti.typing import Mask, Vector
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # a number for each component or one for all; or a dolfinx Constant, read by each solve
 Components: TypeAlias = Any
@@ -264,6 +264,11 @@ class BodyFrame:
             for s, t in zip(self.templates, other.templates, strict=True)
         )
 
+    @property
+    def nodes(self) -> Numbers:
+        """The global numbers of the corners (gdim + 1,)."""
+        return self.templates[0].nodes
+
     @cached_property
     def _motion_of_corners(self) -> Vector:
         """The matrix (modes, n) of the motion that displacements of the corners are."""
@@ -312,7 +317,7 @@ class BodyFrame:
         return replace(
             rows,
             offsets=rows.offsets + corners * np.arange(k + 1),
-            nodes=np.append(rows.nodes, np.tile(self.templates[0].nodes, k))[order],
+            nodes=np.append(rows.nodes, np.tile(self.nodes, k))[order],
             coefficients=np.concatenate([rows.coefficients, terms])[order],
             gap=rows.gap + np.sum(sums * moved, axis=1),
         )
@@ -367,7 +372,7 @@ class RigidBodies:
     ) -> list[Vector]:
         """Return the motions after displacements of this rank's `subdomains`. Collective.
 
-        Further displacements, of other subdomains, may be before these.
+        Displacements of other subdomains may be before these.
         """
         motions = np.zeros((len(self.frames), 3 if self.gdim == 2 else 6))
         position = len(displacements) - sum(len(self.frames[k].templates) for k in self._mine)
@@ -398,15 +403,21 @@ class RigidBodies:
         places = [BodyPlace(row[:-4].copy(), Rotation.from_quat(row[-4:])) for row in saved]
         return replace(self, places=places)
 
-    @property
-    def free_displacements(self) -> Vector:
-        """The displacements (corners, gdim) of all corners in the free components [m]."""
-        parts = [np.zeros((0, self.gdim))]
+    def free_displacements(self, first: int) -> Vector:
+        """Return the displacements of the corners in the free components [m].
+
+        They are rows (b, gdim) for the nodes with numbers from `first` on, zero for other nodes.
+        """
+        rows = np.zeros((self._last - first + 1 if self.frames else 0, self.gdim))
         for frame, place in zip(self.frames, self.places, strict=True):
-            parts.append(
-                frame.corner_displacements(np.where(frame.body.is_free, place.motion, 0.0))
-            )
-        return np.concatenate(parts)
+            free = np.where(frame.body.is_free, place.motion, 0.0)
+            rows[frame.nodes - first] = frame.corner_displacements(free)
+        return rows
+
+    @property
+    def _last(self) -> int:
+        """The largest number of a node."""
+        return int(max(frame.nodes[-1] for frame in self.frames))
 
     def as_vector(self, motions: Sequence[Vector]) -> Vector:
         """Return the displacements of all corners as a vector; empty but on the first rank."""
@@ -428,18 +439,18 @@ class RigidBodies:
             )
         ]
 
-    def free_forces(self, corner_forces: Vector) -> Vector:
-        """Return what load, spring and forces (corners, gdim) leave of each body's equilibrium.
+    def free_forces(self, forces: Vector, first: int) -> Vector:
+        """Return what load, spring and forces leave of each body's equilibrium.
 
-        It is that of free components, as forces (n,) at the corners [N]. The places are those of
-        the bodies; prescribed components count as reached.
+        The forces (b, gdim) are rows as of `free_displacements`. It is that of free components, as
+        forces (n,) at the corners [N]. Prescribed components count as reached.
         """
         left = [np.zeros(0)]
-        parts = np.split(corner_forces.ravel(), max(len(self.frames), 1))
-        for frame, place, part in zip(self.frames, self.places, parts, strict=False):
+        for frame, place in zip(self.frames, self.places, strict=True):
             body, modes = frame.body, _modes(frame.corners - frame.body.point)
             load = body.load - body.stiffness @ frame.with_prescribed(place.motion)
-            left.append(frame.nodal(np.where(body.is_free, load + part @ modes, 0.0)))
+            load += forces[frame.nodes - first].ravel() @ modes
+            left.append(frame.nodal(np.where(body.is_free, load, 0.0)))
         return np.concatenate(left)
 
 

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.description import Contact, ContactPair
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import Subdomain
-from fenics_tfeti.parallel import concatenate_ranks
+from fenics_tfeti.typing import Vector
 
 # Ratio of E / h from which on an exchange is worth it: it is about that of the two condition
 # numbers, so that bounds of the iterations differ by a factor of two.
@@ -43,12 +43,22 @@ class Roles:
         return {"roles_ratio": self.ratio, "roles": self.reason}
 
 
-def roles_ratio(pairing: ContactPairing, subdomains: Sequence[Subdomain]) -> float | None:
-    """Return E / h of the slave over that of the master; None for node pairs. Collective."""
+def nodal_stiffness(nodes: NodeMap, subdomains: Sequence[Subdomain]) -> Vector:
+    """Return the sum of the diagonal entries (owned,) at each node [N/m]. Collective."""
+    numbers = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in subdomains)])
+    diagonals = [s.stiffness.diagonal().reshape(s.nodes.size, -1).sum(axis=1) for s in subdomains]
+    return nodes.sum_at_owners(numbers, np.concatenate([np.zeros(0), *diagonals]))
+
+
+def roles_ratio(pairing: ContactPairing, stiffness: Vector) -> float | None:
+    """Return E / h of the slave over that of the master; None for node pairs. Collective.
+
+    The `nodal_stiffness` says how stiff the bodies are.
+    """
     if not pairing.is_mortar or pairing.master_surface is None:
         return None
     slave, master = (
-        _modulus_over_size(surface, subdomains)
+        _modulus_over_size(surface, stiffness)
         for surface in (pairing.surface, pairing.master_surface)
     )
     return slave / master
@@ -109,17 +119,9 @@ def warn_of_roles(name: str, ratio: float) -> None:
         )
 
 
-def _modulus_over_size(surface: Surface, subdomains: Sequence[Subdomain]) -> float:
-    comm, gdim = surface.comm, surface.normal.shape[1]
-    nodes = np.sort(concatenate_ranks(comm, surface.nodes))
-    entries = sum(_diagonal_sum(subdomain, nodes, gdim) for subdomain in subdomains)
-    total, size = comm.allreduce(np.array([entries, surface.size.sum()])).tolist()
-    h = size / nodes.size
-    return float(total / (gdim * nodes.size) * h ** (1 - gdim))
-
-
-def _diagonal_sum(subdomain: Subdomain, nodes: NDArray[np.int64], gdim: int) -> float:
-    on_surface = np.isin(subdomain.nodes, nodes)
-    if not on_surface.any():
-        return 0.0
-    return float(subdomain.stiffness.diagonal().reshape(-1, gdim)[on_surface].sum())
+def _modulus_over_size(surface: Surface, stiffness: Vector) -> float:
+    gdim = surface.normal.shape[1]
+    sums = np.array([stiffness[surface.local].sum(), surface.size.sum(), surface.nodes.size])
+    entries, size, nodes = surface.comm.allreduce(sums).tolist()
+    h = size / nodes
+    return float(entries / (gdim * nodes) * h ** (1 - gdim))

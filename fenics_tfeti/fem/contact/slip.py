@@ -47,6 +47,8 @@ class SlipOrigin:
 
     def resized(self, contacts: int) -> SlipOrigin:
         """Return the state for another number of contacts; further ones have not moved."""
+        if contacts == len(self.obstacles):
+            return self
         obstacles = np.zeros((contacts, self.displacement.size))
         common = min(contacts, len(self.obstacles))
         obstacles[:common] = self.obstacles[:common]

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.fem.contact.contact import Conditions
-from fenics_tfeti.fem.contact.description import TiedPair, tied_name
+from fenics_tfeti.fem.contact.description import TiedPair
 from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, tied_conditions
 from fenics_tfeti.fem.contact.mortar.pairing import check_covered
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
@@ -22,30 +20,68 @@ from fenics_tfeti.fem.contact.surfaces.tagged import (
     tagged_surface,
 )
 from fenics_tfeti.fem.messages import raise_where
-from fenics_tfeti.feti.system import ContactRows, Prescribed
+from fenics_tfeti.feti.system import ContactRows, Prescribed, Subdomain
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
+from fenics_tfeti.typing import Mask, Numbers, Vector
+
+
+@dataclass(frozen=True)
+class Preload:
+    """The shortening of a bolt, given or an unknown of the torn system."""
+
+    axis: Vector  # (gdim,), on the side of the slave's outward normal
+    shortening: float | None  # [m]
+    # without load: the body that the shortening moves along the axis where the force is given
+    body: Subdomain | None = None
+    force: float = 0.0  # [N]
+
+    def subdomain(self, number: int) -> Subdomain:
+        """Return the body with a number and the present load."""
+        assert self.body is not None
+        return replace(self.body, body=number, load=self.force * self.axis)
 
 
 @dataclass(frozen=True)
 class TiedPairing:
-    """The conditions of a tied pair at the slave nodes that this rank owns."""
+    """The equality rows of a tie whose slave nodes this rank owns."""
 
     name: str
-    components: list[Conditions]  # equalities for each component of the displacement
-    summary: dict[str, Any]  # the pair's entry of `Report.pairing`
-    surface: Surface  # that of the slave
-    prescribed: NDArray[np.bool_]  # (s, gdim): components prescribed at its nodes
+    rows: ContactRows  # the normals are directions of the slave's displacement
+    nodes: Numbers  # (k,): slave nodes, ascending
+    coordinates: Vector  # (k, 3): of the slave nodes [m]
+    area: Vector  # (k,): that belongs to each; NaN where there is none [m^2 or m]
+    summary: dict[str, Any]  # the tie's entry of `Report.pairing`
+    # of mortar conditions the slave's surface, and the components (s, gdim) prescribed at its nodes
+    surface: Surface | None = None
+    prescribed: Mask | None = None
+    preload: Preload | None = None  # of bolts
+
+    def forces(self, row_forces: Vector) -> Vector:
+        """Return the forces (k, gdim) on the slave nodes of those of the rows [N]."""
+        force = np.zeros((self.nodes.size, self.rows.coefficients.shape[1]))
+        # the force of a row acts on the slave against its direction
+        position = np.searchsorted(self.nodes, self.rows.slave)
+        np.subtract.at(force, position, row_forces[:, None] * self.rows.normal)
+        return force
+
+    def still_holds(self, prescribed: Prescribed) -> bool:
+        """Tell whether mortar conditions hold that were found with other supports. Collective."""
+        if self.surface is None or self.prescribed is None:
+            return False
+        return still_holds(self.surface, prescribed, self.prescribed)
 
 
-def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescribed) -> TiedPairing:
+def tie_surfaces(
+    boundary: MeshBoundary, pair: TiedPair, name: str, prescribed: Prescribed
+) -> TiedPairing:
     """Find the conditions of a tied pair. Collective."""
-    name, tags, comm = tied_name(pair, number), pair.facet_tags, boundary.nodes.comm
+    tags, comm = pair.facet_tags, boundary.nodes.comm
     slave = tagged_surface(boundary, tags, pair.slave, f"slave of {name}")
     tagged_master = tagged_surface(boundary, tags, pair.master, f"master of {name}")
     master = gather_nearby(tagged_master, slave)
     with raise_collectively(comm):
         master.check_not_folded(name)
-    _check_separate(slave, master.nodes, name)
+    check_separate(slave, master.nodes, name)
     fixed = prescribed_components(slave, prescribed)
     conditions = tied_conditions(slave, slave.oriented_part(), master, fixed)
     # nodes where a component is prescribed have no condition for it
@@ -65,47 +101,28 @@ def tie(boundary: MeshBoundary, pair: TiedPair, number: int, prescribed: Prescri
         area=fullest.area,
         covered_area=fullest.covered_area,
     )
+    nodes = np.unique(np.concatenate([part.slave for part in conditions]))
+    area = np.zeros(nodes.size)
+    for part in conditions:
+        area[np.searchsorted(nodes, part.slave)] = part.area
     components = [
         Conditions(c.terms, np.tile(axis, (c.slave.size, 1)), np.zeros(c.slave.size), c.area)
         for c, axis in zip(conditions, np.eye(len(conditions)), strict=True)
     ]
-    return TiedPairing(name, components, summary, slave, fixed)
-
-
-def tie_pairs(
-    boundary: MeshBoundary,
-    pairs: Mapping[int, TiedPair],
-    known: Sequence[tuple[TiedPair, TiedPairing]],
-    prescribed: Prescribed,
-) -> dict[int, TiedPairing]:
-    """Find the conditions of all tied pairs, by number. Collective.
-
-    Known results hold as long as the same components are prescribed.
-    """
-    earlier = {id(pair): pairing for pair, pairing in known}
-    pairings = {}
-    for number, pair in pairs.items():
-        pairing = earlier.get(id(pair))
-        if pairing is None or not still_holds(pairing.surface, prescribed, pairing.prescribed):
-            pairing = tie(boundary, pair, number, prescribed)
-        pairings[number] = pairing
-    return pairings
-
-
-def tied_rows(pairings: Sequence[TiedPairing], gdim: int) -> ContactRows:
-    """Return the conditions of all tied pairs, the components of a pair one after the other."""
-    if not pairings:
-        return ContactRows.none(gdim)
-    return ContactRows.concatenate(
-        [
-            conditions.rows(number)
-            for number, pairing in enumerate(pairings)
-            for conditions in pairing.components
-        ]
+    return TiedPairing(
+        name,
+        ContactRows.concatenate([component.rows(0) for component in components]),
+        nodes,
+        slave.coordinates[np.searchsorted(slave.nodes, nodes)],
+        area,
+        summary,
+        slave,
+        fixed,
     )
 
 
-def _check_separate(slave: Surface, master: NDArray[np.int64], name: str) -> None:
+def check_separate(slave: Surface, master: Numbers, name: str) -> None:
+    """Check that none of a slave's nodes, at its vertices, is one of the master. Collective."""
     raise_where(
         slave.comm,
         np.isin(slave.nodes, master),

@@ -38,7 +38,7 @@ def find_bodies(domain: Mesh, cell_tags: Any | None) -> Bodies:
     """Find the connected bodies of a distributed mesh. Collective.
 
     They are told apart by cell tags too, where given, and numbered by tag, then by their lowest
-    global cell number.
+    cell number in the input of the mesh.
     """
     tagged = cell_tags is not None
     tags = tags_of_cells(domain, cell_tags) if tagged else np.zeros(owned_cells(domain), np.int64)
@@ -96,9 +96,11 @@ def _join_across_ranks(domain: Mesh, component: Numbers, tags: Numbers, total: i
 def _common_values(
     domain: Mesh, body: Numbers, columns: Numbers, bodies: int
 ) -> tuple[Numbers, Numbers]:
-    """Return for each body the columns, equal on all its cells, and its lowest global cell."""
-    cells = np.arange(body.size, dtype=np.int32)
-    numbers = domain.topology.index_map(domain.topology.dim).local_to_global(cells)
+    """Return for each body the columns, equal on all its cells, and its lowest input cell."""
+    numbers = _compat.input_cells(domain)
+    if numbers is None:
+        cells = np.arange(body.size, dtype=np.int32)
+        numbers = domain.topology.index_map(domain.topology.dim).local_to_global(cells)
     common = np.full((bodies, columns.shape[1]), np.iinfo(np.int64).min)
     lowest = np.full(bodies, np.iinfo(np.int64).max)
     common[body] = columns

@@ -24,6 +24,7 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
 from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, sorted_tags
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.topology import cell_facets, cell_type, owned_cells
@@ -40,12 +41,13 @@ _UNTAGGED = int(np.iinfo(np.int32).min)
 
 @dataclass(frozen=True)
 class Interface:
-    """The surface between two bodies that share its nodes, to be opened.
+    """The surface between two bodies that share its nodes, or a plane cut in a body, to be opened.
 
     Attributes
     ----------
     slave, master : int or str
-        The bodies: tags of cells, or their names.
+        The bodies: tags of cells, or their names. Twice the same one for a cut through it, such as
+        the shank of a bolt, along `facets` that are nearly in a plane.
     slave_tag, master_tag : int or str
         The tags that the two new surfaces get. For a name, a tag is chosen that is not used yet,
         and the name is added to those of the mesh. Several interfaces may have a tag in common.
@@ -105,12 +107,47 @@ def split_interfaces(tagged: TaggedMesh, interfaces: Sequence[Interface]) -> Tag
     facet_tags = sides.facet_tag.copy()
     for k, opening in enumerate(openings):
         cell, facet = np.nonzero(opened == k)
-        on_slave = sides.cell_tag[cell] == opening.slave
+        if opening.slave == opening.master:
+            on_slave = _on_first_side(mesh, cell, facet, opening)
+        else:
+            on_slave = sides.cell_tag[cell] == opening.slave
         facet_tags[cell, facet] = np.where(on_slave, opening.slave_tag, opening.master_tag)
     split = _compat.distributed_mesh(
         mesh.comm, cells, points, _compat.cell_name(mesh), _compat.geometry_degree(mesh)
     )
     return _with_tags(split, sides.cell_tag, facet_tags, names)
+
+
+def _on_first_side(mesh: Mesh, cell: Numbers, facet: Numbers, opening: _Opening) -> Mask:
+    """Tell which cells are below facets of theirs that are nearly in a plane. Collective.
+
+    The plane's normal points upwards: its largest component is positive.
+    """
+    kind, gdim = cell_type(mesh), mesh.geometry.dim
+    nodes = _compat.geometry_cells(mesh)[cell]
+    corners = np.array([corners[:gdim] for corners in kind.facets], dtype=np.int64)[facet]
+    x = mesh.geometry.x[:, :gdim]
+    points = x[np.take_along_axis(nodes, corners, axis=1)]
+    normal = facet_normals(points)
+    inside = x[nodes[:, : kind.vertices]].mean(axis=1) - points.mean(axis=1)
+    normal *= -np.sign(np.sum(normal * inside, axis=1))[:, None]
+    every = concatenate_ranks(mesh.comm, normal)
+    # the squares add up for both sides
+    up = np.linalg.eigh(every.T @ every)[1][:, -1]
+    up = up * np.sign(up[np.argmax(np.abs(up))])
+    cosine = normal @ up / np.linalg.norm(normal, axis=1)
+    raise_where(
+        mesh.comm,
+        np.abs(cosine) < 0.5,
+        points.mean(axis=1),
+        lambda number, place: (
+            f"{number} of the {opening} are far from the plane of the others, the first around "
+            f"{place}: tag the cells on one side of the cut differently, then the sides can be "
+            "told apart"
+        ),
+    )
+    below: Mask = cosine > 0.0
+    return below
 
 
 @dataclass(frozen=True)
@@ -161,10 +198,11 @@ def _openings(
                 None if i.facets is None else _tag(i.facets, tagged.names, existing[1], "facet")
             )
             opening = _Opening(slave, master, new_tag(i.slave_tag), new_tag(i.master_tag), facets)
-            if slave == master:
+            if slave == master and facets is None:
                 raise InputError(
-                    f"{i}: slave and master are the same body; tag the cells on one side of the "
-                    "surface differently, then the sides can be told apart"
+                    f"{i}: slave and master are the same body; name the facets of a plane cut, or "
+                    "tag the cells on one side of the surface differently, then the sides can be "
+                    "told apart"
                 )
             if opening.slave_tag == opening.master_tag:
                 raise InputError(f"{i}: the two new surfaces have the same tag")
@@ -192,6 +230,7 @@ class _FacetSides:
     low: Numbers  # smallest and largest cell tag at the facet
     high: Numbers
     tag: Numbers  # of the facet
+    cells: Numbers  # number of cells at the facet
 
     @staticmethod
     def from_mesh(tagged: TaggedMesh) -> _FacetSides:
@@ -211,6 +250,7 @@ class _FacetSides:
         high = np.full(directory.keys.size, limits.min)
         np.minimum.at(low, directory.position(keys), values)
         np.maximum.at(high, directory.position(keys), values)
+        cells = np.bincount(directory.position(keys), minlength=directory.keys.size)
         tag = np.full(directory.keys.size, _UNTAGGED, dtype=np.int64)
         keys, values = directory.collect(
             _to_global(facet_map, tagged.facet_tags.indices),
@@ -218,7 +258,7 @@ class _FacetSides:
         )
         tag[directory.position(keys)] = values
         facet_tag = directory.lookup(facet.ravel(), tag)[1].reshape(facet.shape)
-        return _FacetSides(cell_tag, facet, facet_tag, directory, low, high, tag)
+        return _FacetSides(cell_tag, facet, facet_tag, directory, low, high, tag, cells)
 
 
 def _to_global(index_map: Any, local: NDArray[Any]) -> Numbers:
@@ -232,7 +272,7 @@ def _opened_facets(mesh: Mesh, sides: _FacetSides, openings: Sequence[_Opening])
     opened = np.full(sides.tag.size, -1, dtype=np.int64)
     for k, opening in enumerate(openings):
         low, high = sorted((opening.slave, opening.master))
-        selected = (sides.low == low) & (sides.high == high)
+        selected = (sides.low == low) & (sides.high == high) & (sides.cells == 2)
         if opening.facets is not None:
             selected &= sides.tag == opening.facets
         number, repeated = comm.allreduce(np.array([selected.sum(), (opened[selected] >= 0).sum()]))

@@ -43,7 +43,7 @@ class DeformedRows:
         conditions = replace(conditions, from_here=True)
         nodes, u = conditions.boundary.nodes, owned_values(uh)
         contacts, tied = conditions.rows(), conditions.tied_rows()
-        moved = row_values(nodes, contacts, u, bodies.free_displacements)
+        moved = row_values(nodes, contacts, u, bodies.free_displacements(nodes.total))
         return DeformedRows(
             conditions,
             replace(contacts, gap=contacts.gap - moved),
@@ -66,7 +66,7 @@ class DeformedRows:
     def force(self, multipliers: Multipliers) -> tuple[Vector, Vector]:
         """Return B'lambda (nodes, gdim) at the nodes that this rank owns [N]. Collective.
 
-        With it that at the corners (corners, gdim) of all rigid bodies.
+        With it that at the nodes (b, gdim) beyond those of the mesh, up to the last rigid body's.
         """
         nodes = self.conditions.boundary.nodes
         slave = self.contacts.slave - nodes.first
@@ -80,11 +80,12 @@ class DeformedRows:
         forces = np.concatenate(
             [values[rows.row][:, None] * rows.coefficients for rows, values in terms]
         )
-        on_mesh = at < nodes.total
-        corners = np.zeros_like(self.conditions.bodies.free_displacements)
-        np.add.at(corners, at[~on_mesh] - nodes.total, forces[~on_mesh])
-        nodes.comm.Allreduce(MPI.IN_PLACE, corners)
-        return nodes.sum_at_owners(at[on_mesh], forces[on_mesh]), corners
+        in_mesh = at < nodes.total
+        beyond = np.zeros_like(self.conditions.bodies.free_displacements(nodes.total))
+        on_bodies = ~in_mesh & (at < nodes.total + len(beyond))
+        np.add.at(beyond, at[on_bodies] - nodes.total, forces[on_bodies])
+        nodes.comm.Allreduce(MPI.IN_PLACE, beyond)
+        return nodes.sum_at_owners(at[in_mesh], forces[in_mesh]), beyond
 
 
 @dataclass(frozen=True)
@@ -181,7 +182,7 @@ class Equilibrium:
         r = np.where(free, internal + contact, 0.0)
         squares = np.array([(r**2).sum(), (internal[~free] ** 2).sum(), (contact**2).sum()])
         if nodes.comm.rank == 0:
-            squares[0] += (rows.conditions.bodies.free_forces(-on_bodies) ** 2).sum()
+            squares[0] += (rows.conditions.bodies.free_forces(-on_bodies, nodes.total) ** 2).sum()
         residual, reaction, pressing = np.sqrt(nodes.comm.allreduce(squares)).tolist()
         finite = np.isfinite(rows.distance)
         loaded = multipliers.normal[rows.contact, rows.contacts.slave - nodes.first] > 0.0

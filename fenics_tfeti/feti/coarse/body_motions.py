@@ -154,15 +154,16 @@ def describe_body_motion(
     own_motion: Vector,
     either_way: bool = False,
     negligible: float = NEGLIGIBLE,
+    places: tuple[Vector, Vector, Vector] | None = None,
 ) -> list[str]:
     """Name the bodies that take part in a motion, and how each of them moves.
 
     Returns "body: motion" for each body, on all ranks. The motion is R xi; own_motion is this
     rank's part of xi. With either_way the opposite motion is meant as well; parts up to negligible,
-    relative to the motion, are left out.
+    relative to the motion, are left out. For many motions, pass `centres_and_sizes` as places.
     """
     ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
-    centres, sizes, _ = centres_and_sizes(system)
+    centres, sizes, _ = places or centres_and_sizes(system)
     parts: dict[int, tuple[float, str]] = {}
     moving = np.searchsorted(ends, np.flatnonzero(own_motion), side="right") - 1
     for i in np.unique(moving):

@@ -16,10 +16,10 @@ from petsc4py import PETSc
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
+import scipy.sparse as sp
 
 from fenics_tfeti.errors import format_point
-from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
+from fenics_tfeti.feti.coarse.body_motions import centres_and_sizes, describe_body_motion
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep
 from fenics_tfeti.feti.files.arrays import write_whole
 from fenics_tfeti.feti.report.resultants import ContactForces, Resultant, resultants
@@ -287,10 +287,7 @@ def build_report(
         reactions=sums.reactions,
         springs=sums.springs,
         equilibrium=sums.equilibrium,
-        free_motions=[
-            _described(system, setup, motion.toarray().ravel())
-            for motion in candidate.face.free.T.tocsr()
-        ],
+        free_motions=_described(system, setup, candidate.face.free.T.tocsr()),
         weak_motions=_weak_motions(system, setup, candidate),
         certificate=candidate.certificate,
         dual_tolerance=outcome.tolerance,
@@ -336,13 +333,16 @@ def _unknowns(
 def _described(
     system: TornSystem,
     setup: DualSetup,
-    motion: NDArray[np.float64],
+    motions: sp.csr_matrix,
     negligible: float = NEGLIGIBLE,
-) -> str:
-    """Name the bodies that take part in a motion (coarse,). Collective."""
-    local = setup.projector.coarse_space.own_part(motion)
-    bodies = describe_body_motion(system, setup.local.kernels, local, True, negligible)
-    return "; ".join(bodies)
+) -> list[str]:
+    """Name the bodies that take part in each of some motions (k, coarse). Collective."""
+    places, described = centres_and_sizes(system), []
+    for motion in motions:
+        local = setup.projector.coarse_space.own_part(motion.toarray().ravel())
+        bodies = describe_body_motion(system, setup.local.kernels, local, True, negligible, places)
+        described.append("; ".join(bodies))
+    return described
 
 
 def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) -> list[str]:
@@ -361,7 +361,8 @@ def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) ->
         # what is not the contacts' is that of supports or friction
         if not resistance.any():
             continue
-        words = _described(system, setup, coarse_space.coarse_motions(motion), FACETED)
+        coarse_motion = sp.csr_matrix(coarse_space.coarse_motions(motion))
+        (words,) = _described(system, setup, coarse_motion, FACETED)
         names = [
             f"{system.contact_name(int(i))!r} by {resistance[i]:.0e}"
             for i in np.argsort(-resistance)

@@ -1,6 +1,7 @@
 """Resultants: forces and moments of loads, supports, springs and contacts, from B'lambda.
 
-A row sum_k c_k'u(node_k) exerts -lambda c_k on its nodes.
+A row sum_k c_k'u(node_k) exerts -lambda c_k on its nodes. Nodes that are unknowns of rows, as the
+shortening of a bolt, have no part in the sums: what acts on them is internal.
 
 The torn displacement fulfils Ku_t = f - B'lambda. At a prescribed component, -B'lambda summed over
 the copies of the node is what holds the node: the force of the support, and that of contacts, whose
@@ -21,7 +22,7 @@ from fenics_tfeti.feti.constraints.ground import TornUnknowns
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.system import ContactRows, TornSystem
-from fenics_tfeti.parallel import Directory
+from fenics_tfeti.parallel import Directory, concatenate_ranks
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -166,6 +167,11 @@ def resultants(
     loads = unknowns.without_ground(load).reshape(-1, gdim)
     constraint_forces = F.constraint_forces(multipliers)
     supports = -unknowns.without_ground(constraint_forces).reshape(-1, gdim)
+    internal = np.repeat(
+        np.array([s.is_unknown for s in system.subdomains], dtype=bool),
+        np.array([s.nodes.size for s in system.subdomains], dtype=np.int64),
+    )
+    loads, supports = (np.where(internal[:, None], 0.0, part) for part in (loads, supports))
 
     sprung = _with_springs(system, kernels, unknowns)
     # the other forces on a subdomain with springs, f - B'lambda = K u_t, balance theirs
@@ -252,7 +258,7 @@ class _RowForces:
 def _contact_forces(
     system: TornSystem, constraints: Constraints, multipliers: Vector
 ) -> _RowForces:
-    """Return the forces of all rows that this rank gave at their nodes."""
+    """Return the forces of all rows that this rank gave at their nodes. Collective."""
     tangential = system.friction.tangential_rows(system.contacts)
     rows = ContactRows.concatenate([system.contacts, system.tied, tangential])
     forces = [
@@ -261,6 +267,11 @@ def _contact_forces(
         tangential_forces(constraints, multipliers).ravel(),
     ]
     factor = -(np.concatenate(forces) / rows.length)[rows.row]
+    internal = [s.nodes for s in system.subdomains if s.is_unknown]
+    unknowns = concatenate_ranks(
+        system.comm, np.concatenate([np.zeros(0, dtype=np.int64), *internal])
+    )
+    factor[np.isin(rows.nodes, unknowns)] = 0.0
     return _RowForces(rows, factor[:, None] * rows.coefficients)
 
 

@@ -97,6 +97,8 @@ class _FixedPoint:
         rtol = max(context.options.rtol, _FIRST_RTOL)
         fixed_point = _FixedPoint(context, balance, iterate, rtol)
         if iterate is not None and fixed_point._hold(fixed_point._bounds(iterate.multipliers)):
+            # a looser solution may be farther away than the start, that of a short time step
+            fixed_point.rtol = context.options.rtol
             return fixed_point
         feasible = context.data.feasible
         radius = fixed_point._bounds(feasible)

@@ -24,7 +24,8 @@ from fenics_tfeti import (
     TiedPair,
     Tresca,
 )
-from fenics_tfeti.fem.contact.description import contact_name, tied_name
+from fenics_tfeti.fem.contact.description import contact_name
+from fenics_tfeti.fem.contact.ties import tie_name
 
 FLOOR = Plane((0.0, 0.0), (0.0, 1.0))
 TAGS = scenes.two_beams(MPI.COMM_SELF, "triangle", 2).facet_tags
@@ -37,7 +38,7 @@ def test_names():
     assert contact_name(ContactPair(TAGS, 1, 2), 3) == "contact 3 (pair)"
     assert contact_name(OBSTACLE, 0) == "contact 0 (obstacle)"
     assert contact_name(replace(OBSTACLE, name="floor"), 0) == "floor"
-    assert tied_name(TIE, 1) == "tied pair 1"
+    assert tie_name(TIE, 1) == "tied pair 1"
 
 
 @pytest.mark.parametrize(

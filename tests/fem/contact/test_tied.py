@@ -148,5 +148,5 @@ def test_surfaces_that_are_apart():
 
 
 def test_what_is_no_tied_pair():
-    with pytest.raises(InputError, match=r"contact 0 is a str; .* or a TiedPair"):
+    with pytest.raises(InputError, match=r"contact 0 is a str; .* TiedPair, .* is expected"):
         solved(blocks("triangle"), tied="upper")

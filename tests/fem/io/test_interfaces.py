@@ -93,6 +93,29 @@ def test_new_names_get_new_tags():
     assert measure(after, "ds", after.names["right"]) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("cell", GDIM)
+def test_cut_through_a_body(cell):
+    """The slave is below the plane; facets with the tag on the boundary keep it."""
+    before = block(cell, whole, tagged=lambda x: middle(x) | np.isclose(x[:, 0], 0.0))
+    after = split_interfaces(before, [Interface(1, 1, 5, 6, facets=9)])
+    assert vertices(after) == vertices(before) + 5 ** (GDIM[cell] - 1)
+    normal = ufl.FacetNormal(after.mesh)
+    ds = ufl.Measure("ds", domain=after.mesh, subdomain_data=after.facet_tags)
+    along = [dolfinx.fem.assemble_scalar(dolfinx.fem.form(normal[0] * ds(t))) for t in (5, 6, 9)]
+    assert along == pytest.approx([1.0, -1.0, -1.0])
+
+
+def test_cut_along_two_planes():
+    before = block("triangle", whole, tagged=lambda x: middle(x) | np.isclose(x[:, 1], 0.5))
+    with pytest.raises(InputError, match=r"\d of the facets with tag 9 .* far from the plane"):
+        split_interfaces(before, [Interface(1, 1, 5, 6, facets=9)])
+
+
+def whole(x):
+    """Return one tag for all cells."""
+    return np.ones(len(x), dtype=np.int64)
+
+
 @pytest.mark.parametrize(
     ("interfaces", "message"),
     [

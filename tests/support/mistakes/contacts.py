@@ -154,7 +154,7 @@ def facet_tags_that_are_an_array(comm):
     paired(comm, SLAVE, MASTER, np.zeros(3))
 
 
-@mistake("contact 0", "tuple", "ContactPair, a RigidObstacle or a TiedPair")
+@mistake("contact 0", "tuple", "ContactPair, RigidObstacle, TiedPair")
 def contact_of_a_wrong_type(comm):
     beams(comm).problem(contacts=[(SLAVE, MASTER)])
 

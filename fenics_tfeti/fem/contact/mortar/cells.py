@@ -90,6 +90,15 @@ def covering_cells(
     the slave is inside the master. The areas of a facet's cells add up to that of the facet at
     most, up to rounding. For the reach see `MasterTree.reach`.
     """
+    cells = overlapping_cells(slave, planes, chosen, master, reach)
+    cells = _without_far_sides(cells, planes, master)
+    return nearest_layers(cells, planes, master)
+
+
+def overlapping_cells(
+    slave: Facets, planes: Planes, chosen: Numbers, master: MasterTree, reach: Vector
+) -> Cells:
+    """Find the cells of some slave facets, ascending, with all layers of the master."""
     x = slave.coordinates(chosen)
     chosen_planes = Planes(*(column[chosen] for column in _columns(planes)))
     row, facet = master.candidates(x, chosen_planes, reach[chosen])
@@ -112,9 +121,7 @@ def covering_cells(
         corners,
         area,
     )
-    cells = cells.select_pairs(cells.pair_area() > _NO_AREA * planes.area[cells.slave])
-    cells = _without_far_sides(cells, planes, master)
-    return _nearest_layers(cells, planes, master)
+    return cells.select_pairs(cells.pair_area() > _NO_AREA * planes.area[cells.slave])
 
 
 def _beyond_an_edge(slave: Vector, master: Vector) -> Mask:
@@ -175,7 +182,7 @@ def _simplices(surface: Facets) -> FacetedSurface:
     return FacetedSurface(surface.points, corners)
 
 
-def _nearest_layers(cells: Cells, planes: Planes, master: MasterTree) -> Cells:
+def nearest_layers(cells: Cells, planes: Planes, master: MasterTree) -> Cells:
     """Keep the nearest layer of the master where several lie over a slave facet.
 
     A layer is what of the facet's pairs is connected through nodes of the master.

@@ -50,7 +50,8 @@ def gather_nearby(
     nodes = np.concatenate([nodes, np.repeat(other.local[:, None], nodes.shape[1], axis=1)])
     distance = _distances(comm, points, nodes, rows, tree)
     needed = _needed_boxes(comm, points, nodes, rows, distance)
-    messages = [surface.part(displacement, chosen) for chosen in _selected(comm, needed, tree)]
+    chosen = facets_in_boxes(comm, needed, tree)
+    messages = [surface.part(displacement, rows) for rows in chosen]
     return SurfaceFacets.joined(all_to_all(comm, messages))
 
 
@@ -65,7 +66,7 @@ def _distances(
     gdim = points.shape[1]
     queried = np.unique(nodes)
     x = points[queried]
-    boxes = comm.allgather(_no_boxes(gdim) if tree is None else tree.boxes(_BOXES))
+    boxes = gather_boxes(comm, tree, gdim)
     # the surface is not farther than the farthest point of any box
     bound = np.min([_farthest(x, low, high) for low, high in boxes], axis=0)
     queries = [np.flatnonzero(_nearest(x, low, high) <= bound) for low, high in boxes]
@@ -91,16 +92,21 @@ def _needed_boxes(
     largest = np.linalg.norm(x.max(axis=1) - x.min(axis=1), axis=1).max(initial=0.0)
     # one facet more: those around the corners of the facets over the slave's
     margin = comm.allreduce(float(largest), MPI.MAX)
-    if not len(nodes):
-        return list(comm.allgather(_no_boxes(points.shape[1])))
     x = points[nodes]
     low, high = x.min(axis=1), x.max(axis=1)
     reach = REACH * distance[nodes].max(axis=1) + np.linalg.norm(high - low, axis=1) + margin
     boxes = np.stack([low - reach[:, None], high + reach[:, None]], axis=1)
-    return list(comm.allgather(BoxTree(boxes).boxes(_BOXES)))
+    return gather_boxes(comm, BoxTree(boxes) if len(boxes) else None, points.shape[1])
 
 
-def _selected(comm: MPI.Intracomm, needed: list[Boxes], tree: BoxTree | None) -> list[Numbers]:
+def gather_boxes(comm: MPI.Intracomm, tree: BoxTree | None, gdim: int) -> list[Boxes]:
+    """Return for each rank boxes around its facets, few for each; None has none. Collective."""
+    return list(comm.allgather(_no_boxes(gdim) if tree is None else tree.boxes(_BOXES)))
+
+
+def facets_in_boxes(
+    comm: MPI.Intracomm, needed: list[Boxes], tree: BoxTree | None
+) -> list[Numbers]:
     """Return this rank's facets of the surface that meet the boxes of each rank."""
     if tree is None:
         return [np.zeros(0, dtype=np.int64)] * comm.size

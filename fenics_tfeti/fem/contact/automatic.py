@@ -1,0 +1,342 @@
+"""Contact pairs of all bodies that are near each other, without tags of their surfaces."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx.mesh import Mesh
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.checks.mesh import check_cells
+from fenics_tfeti.fem.contact.description import ContactPair, FrictionLaw
+from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
+from fenics_tfeti.fem.contact.mortar.cells import Cells, nearest_layers, overlapping_cells
+from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
+from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
+from fenics_tfeti.fem.contact.surfaces.exterior import ExteriorFacets
+from fenics_tfeti.fem.contact.surfaces.nearby import facets_in_boxes, gather_boxes
+from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
+from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
+from fenics_tfeti.fem.io.tagged_mesh import sorted_tags
+from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
+from fenics_tfeti.fem.topology import batches
+from fenics_tfeti.fem.user_data import is_number
+from fenics_tfeti.parallel import (
+    Directory,
+    all_to_all,
+    concatenate_ranks,
+    first_of_rank,
+    raise_collectively,
+)
+from fenics_tfeti.typing import Mask, Numbers, Vector
+
+
+def find_contacts(
+    mesh: Mesh,
+    cell_tags: Any | None = None,
+    *,
+    distance: float | None = None,
+    friction: FrictionLaw | None = None,
+    whole_faces: bool = False,
+) -> list[ContactPair]:
+    """Return contact pairs of all bodies that are near each other. Collective.
+
+    A facet on the boundary of a body belongs to a pair if a facet of the other body is opposite it
+    along its normal, within the distance; of several bodies one behind the other it is the nearest.
+    Facets of one body, and of bodies that are glued to each other, are not paired.
+
+    Parameters
+    ----------
+    mesh : dolfinx.mesh.Mesh
+        The mesh.
+    cell_tags : MeshTags, optional
+        The bodies, as for `ContactProblem`; by default the connected parts of the mesh.
+    distance : float, optional
+        Largest gap between facets [m], by default the mean edge of the facet. A part of a surface
+        that may touch later has to be within it.
+    friction : Tresca or Coulomb, optional
+        The law of friction of all pairs; by default there is none.
+    whole_faces : bool
+        Whether surfaces are extended to the edges of their bodies, for bodies that slide along each
+        other by more than a facet.
+
+    Returns
+    -------
+    list of ContactPair
+        By the numbers of the bodies, which names have. The slave is the body with the larger
+        facets. Where slave facets meet at a sharp edge there is a pair for either side. The list is
+        empty, with a warning, where no bodies are near each other.
+
+    Raises
+    ------
+    InputError
+        On all ranks, for a distance that is no positive number, or wrong cell tags.
+
+    Examples
+    --------
+    >>> from fenics_tfeti.io import Box, boxes
+    >>> slabs = [Box((0, 0, k), (3, 2, k + 1), divisions=(3, 2, 2)) for k in range(3)]
+    >>> pile = boxes(MPI.COMM_SELF, slabs)
+    >>> for pair in find_contacts(pile.mesh, pile.cell_tags):
+    ...     print(pair.name, len(pair.facet_tags.find(pair.slave)))
+    body 0 (cell tag 1) on body 1 (cell tag 2) 6
+    body 1 (cell tag 2) on body 2 (cell tag 3) 6
+    """
+    comm = mesh.comm
+    with raise_collectively(comm):
+        if distance is not None and not (is_number(distance) and distance > 0.0):
+            raise InputError(
+                f"find_contacts: the distance is {distance!r}; a positive number [m] is expected, "
+                "or None for the size of the facets"
+            )
+    bodies = find_bodies(mesh, cell_tags)
+    check_cells(mesh, bodies)
+    facets = ExteriorFacets.of(mesh, bodies)
+    opposite = _without_glued(comm, _opposite_facets(comm, facets, distance), bodies)
+    opposite = opposite.select(_is_from_slave(comm, opposite, facets.sizes()))
+    surfaces = _surfaces(comm, opposite, facets, whole_faces)
+    with raise_collectively(comm):
+        if not surfaces and comm.rank == 0:
+            warnings.warn(
+                f"find_contacts: none of {len(bodies.names)} bodies are near each other, there is "
+                "no contact between them. Where there are gaps, pass a larger distance",
+                stacklevel=3,
+            )
+    contacts = []
+    for number, ((slave, master, side), rows) in enumerate(surfaces.items()):
+        tags = 2 * number + np.array([1, 2])
+        first, second = (bodies.names[body].split(" in ")[0] for body in (slave, master))
+        contacts.append(
+            ContactPair(
+                sorted_tags(
+                    mesh,
+                    mesh.topology.dim - 1,
+                    facets.number[np.concatenate(rows)],
+                    np.repeat(tags, [len(part) for part in rows]),
+                ),
+                *tags.tolist(),
+                name=f"{first} on {second}" + (f", side {side + 1}" if side else ""),
+                friction=friction,
+            )
+        )
+    return contacts
+
+
+@dataclass(frozen=True)
+class _Opposite:
+    """Facets (p,) of this rank, and for each one opposite it on another body."""
+
+    bodies: Numbers  # (p, 2): bodies of the facet and of the one opposite
+    facet: Numbers
+    other: Numbers  # numbers over all ranks of the facets opposite
+
+    def select(self, rows: Mask) -> _Opposite:
+        """Leave out facets."""
+        return _Opposite(self.bodies[rows], self.facet[rows], self.other[rows])
+
+
+def _opposite_facets(
+    comm: MPI.Intracomm, facets: ExteriorFacets, distance: float | None
+) -> _Opposite:
+    """Find the facets opposite to those of this rank. Collective."""
+    x, n = facets.corners, facets.number.size
+    v, gdim = x.shape[1:]
+    reach = facets.sizes() if distance is None else np.full(n, float(distance))
+    around = np.stack([x.min(axis=1) - reach[:, None], x.max(axis=1) + reach[:, None]], axis=1)
+    needed = gather_boxes(comm, BoxTree(around) if n else None, gdim)
+    chosen = facets_in_boxes(comm, needed, BoxTree(x) if n else None)
+    number = first_of_rank(comm, n)[0] + np.arange(n)
+    columns = (number, facets.body, facets.vertices, x)
+    received = all_to_all(comm, [tuple(column[rows] for column in columns) for rows in chosen])
+    number, body, vertices, corners = (np.concatenate(c) for c in zip(*received, strict=True))
+    nodes, first, inverse = np.unique(vertices, return_index=True, return_inverse=True)
+    points = corners.reshape(-1, gdim)[first]
+    others = SurfaceFacets(nodes, Facets(points, inverse.reshape(-1, v)), np.zeros_like(points))
+    none = np.zeros(0, dtype=np.int64)
+    parts = [(none.reshape(0, 2), none, none)]
+    if n:
+        surface = Facets(x.reshape(-1, gdim), np.arange(n * v).reshape(n, v))
+        planes, tree = Planes.of(x), MasterTree(others.facets)
+        for block in batches(n, 2048):
+            rows = np.arange(block.start, block.stop)
+            cells = overlapping_cells(surface, planes, rows, tree, reach)
+            cells = cells.select_pairs(body[cells.master] != facets.body[cells.slave])
+            cells = cells.select_pairs(_is_near(cells, planes, others, body, reach))
+            cells = nearest_layers(cells, planes, tree)
+            bodies = np.column_stack([facets.body[cells.slave], body[cells.master]])
+            parts.append((bodies, cells.slave, number[cells.master]))
+    return _Opposite(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _is_near(
+    cells: Cells, planes: Planes, others: SurfaceFacets, body: Numbers, reach: Vector
+) -> Mask:
+    """Tell which pairs (p,) of facets are within reach and overlap by more than rounding.
+
+    A facet behind one is near only if its body penetrates there.
+    """
+    middle, gap = cells.centre()
+    near: Mask = cells.pair_area() > SAME_PLACE * planes.area[cells.slave]
+    near &= np.abs(gap) <= reach[cells.slave]
+    behind = np.flatnonzero(near & (gap < -RELATIVE_ROUNDING * planes.diameter[cells.slave]))
+    facet, master = cells.slave[behind], body[cells.master[behind]]
+    in_plane = np.einsum("pa,pad->pd", middle[behind], planes.axes[facet, :-1])
+    points = planes.origin[facet] + in_plane
+    for number in np.unique(master):
+        of_body = master == number
+        nodes = others.facets.nodes[body == number]
+        surface = replace(others, facets=Facets(others.points, nodes)).faceted()
+        near[behind[of_body]] = surface.distance(points[of_body]).signed < 0.0
+    return near
+
+
+def _without_glued(comm: MPI.Intracomm, opposite: _Opposite, bodies: Bodies) -> _Opposite:
+    """Leave out bodies that are glued to each other, with a warning. Collective."""
+    part = bodies.part[opposite.bodies]
+    glued = part[:, 0] == part[:, 1]
+    pairs = np.unique(concatenate_ranks(comm, np.sort(opposite.bodies[glued], axis=1)), axis=0)
+    with raise_collectively(comm):
+        if len(pairs) and comm.rank == 0:
+            first, second = (bodies.names[body] for body in pairs[0])
+            warnings.warn(
+                f"find_contacts: {len(pairs)} pairs of bodies are near each other, but get no "
+                f"contact, because they are connected through facets: the first {first} and "
+                f"{second}. Where they may touch, tag their surfaces and add a ContactPair",
+                stacklevel=4,
+            )
+    return opposite.select(~glued)
+
+
+def _is_from_slave(comm: MPI.Intracomm, opposite: _Opposite, sizes: Vector) -> Mask:
+    """Tell which facets (p,) are those of the slave of two bodies. Collective.
+
+    It is the body with the larger facets in contact, of equal ones that with the lower number.
+    """
+    rows = np.unique(np.column_stack([opposite.bodies, opposite.facet]), axis=0)
+    pairs, inverse = np.unique(rows[:, :2], axis=0, return_inverse=True)
+    sums = np.zeros((len(pairs), 2))
+    np.add.at(sums, inverse.ravel(), np.column_stack([sizes[rows[:, 2]], np.ones(len(rows))]))
+    pairs, inverse = np.unique(concatenate_ranks(comm, pairs), axis=0, return_inverse=True)
+    total = np.zeros((len(pairs), 2))
+    np.add.at(total, inverse.ravel(), concatenate_ranks(comm, sums))
+    mean = total[:, 0] / total[:, 1]
+    size_of = dict(zip(map(tuple, pairs.tolist()), mean.tolist(), strict=True))
+    is_slave = {}
+    for (first, second), own in size_of.items():
+        other = size_of.get((second, first), 0.0)
+        equal = abs(own - other) <= RELATIVE_ROUNDING * own
+        is_slave[first, second] = first < second if equal else own > other
+    return np.array([is_slave[pair] for pair in map(tuple, opposite.bodies.tolist())], dtype=bool)
+
+
+def _surfaces(
+    comm: MPI.Intracomm, opposite: _Opposite, facets: ExteriorFacets, whole_faces: bool
+) -> dict[tuple[int, int, int], tuple[Numbers, Numbers]]:
+    """Return this rank's facets of slave and master of each pair. Collective.
+
+    The keys, alike on all ranks, are the bodies of slave and master and the side of the slave.
+    """
+    face = facets.faces(comm)
+    slaves = np.unique(np.column_stack([opposite.bodies, opposite.facet]), axis=0)
+    if whole_faces:
+        slaves = _extended(comm, slaves, face)
+    side_of = _sides(comm, slaves, facets, face)
+
+    def keys(rows: Numbers) -> Numbers:
+        sides = [side_of.get((a, b, face[facet]), 0) for a, b, facet in rows.tolist()]
+        return np.column_stack([rows[:, :2], np.array(sides, dtype=np.int64)])
+
+    slaves = np.column_stack([keys(slaves), slaves[:, 2]])
+    own = np.column_stack([opposite.bodies, opposite.facet])
+    masters = np.unique(np.column_stack([keys(own), opposite.other]), axis=0)
+    masters = _sent_to_owners(comm, masters, facets.number.size)
+    if whole_faces:
+        masters = _extended(comm, masters, face)
+    pairs = np.unique(concatenate_ranks(comm, np.unique(slaves[:, :3], axis=0)), axis=0)
+    parts = [_split(rows, pairs) for rows in (slaves, masters)]
+    return dict(zip(map(tuple, pairs.tolist()), zip(*parts, strict=True), strict=True))
+
+
+def _extended(comm: MPI.Intracomm, rows: Numbers, face: Numbers) -> Numbers:
+    """Return rows (n, k) of a pair and a facet with all facets of their faces. Collective."""
+    whole = np.unique(np.column_stack([rows[:, :-1], face[rows[:, -1]]]), axis=0)
+    whole = np.unique(concatenate_ranks(comm, whole), axis=0)
+    order = np.argsort(face, kind="stable")
+    begin, end = (np.searchsorted(face[order], whole[:, -1], side) for side in ("left", "right"))
+    number = end - begin
+    place = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
+    facet = order[np.repeat(begin, number) + place]
+    return np.column_stack([np.repeat(whole[:, :-1], number, axis=0), facet])
+
+
+def _sides(
+    comm: MPI.Intracomm, slaves: Numbers, facets: ExteriorFacets, face: Numbers
+) -> dict[tuple[int, int, int], int]:
+    """Return the side of faces of a slave that meet others of the same pair. Collective.
+
+    Of the slave's faces that have a common node, each gets a side of its own. The keys are two
+    bodies and a face; faces that meet no others are not there, they are on side 0.
+    """
+    pairs, facet = slaves[:, :2], slaves[:, 2]
+    faces = np.column_stack([pairs, face[facet]])
+    vertices = facets.vertices[facet]
+    directory = Directory(comm, np.unique(vertices))
+    vertex, rows = directory.collect(vertices.ravel(), np.repeat(faces, vertices.shape[1], axis=0))
+    rows = np.unique(np.column_stack([rows[:, :2], vertex, rows[:, 2]]), axis=0)
+    meetings = [np.zeros((0, 4), dtype=np.int64)]
+    for step in range(1, len(rows)):
+        meet = (rows[step:, :3] == rows[:-step, :3]).all(axis=1)
+        if not meet.any():
+            break
+        meetings.append(np.column_stack([rows[step:][meet][:, [0, 1, 3]], rows[:-step][meet, 3]]))
+    neighbours: dict[tuple[int, int, int], set[int]] = {}
+    for a, b, *ends in concatenate_ranks(comm, np.concatenate(meetings)).tolist():
+        for first, second in (ends, ends[::-1]):
+            neighbours.setdefault((a, b, first), set()).add(second)
+    places: dict[tuple[int, int, int], list[Any]] = {key: [] for key in neighbours}
+    for key, corners in zip(map(tuple, faces.tolist()), facets.corners[facet], strict=True):
+        if key in places:
+            places[key].extend(map(tuple, corners.tolist()))
+    ends_of = {key: (min(points), max(points)) for key, points in places.items() if points}
+    ends_of_ranks = comm.allgather(ends_of)
+    # the order of faces does not depend on how facets are distributed
+    place = {
+        key: tuple(
+            choose(ends[key][k] for ends in ends_of_ranks if key in ends)
+            for k, choose in enumerate((min, max))
+        )
+        for key in neighbours
+    }
+    side_of: dict[tuple[int, int, int], int] = {}
+    for key in sorted(neighbours, key=lambda key: (key[:2], place[key])):
+        taken = {side_of.get((*key[:2], other)) for other in neighbours[key]}
+        side_of[key] = min(set(range(len(taken) + 1)) - taken)
+    return side_of
+
+
+def _sent_to_owners(comm: MPI.Intracomm, rows: Numbers, owned: int) -> Numbers:
+    """Send rows, the last column a facet's number over all ranks, to its owner. Collective.
+
+    Of those that arrive, each once, the last column is the facet on this rank.
+    """
+    firsts = np.cumsum([0, *comm.allgather(owned)])
+    rank = np.searchsorted(firsts, rows[:, -1], "right") - 1
+    arrived = np.concatenate(all_to_all(comm, [rows[rank == k] for k in range(comm.size)]))
+    arrived[:, -1] -= firsts[comm.rank]
+    distinct: Numbers = np.unique(arrived, axis=0)
+    return distinct
+
+
+def _split(rows: Numbers, pairs: Numbers) -> list[Numbers]:
+    """Return the last column of rows, sorted by the others, for each pair (n, k)."""
+    _, inverse = np.unique(np.concatenate([pairs, rows[:, :-1]]), axis=0, return_inverse=True)
+    number = inverse.ravel()[len(pairs) :]
+    order = np.argsort(number, kind="stable")
+    cuts = np.searchsorted(number[order], np.arange(1, len(pairs)))
+    return np.split(rows[order, -1], cuts) if len(pairs) else []

@@ -1,0 +1,312 @@
+"""Equality rows between nodes: of surfaces that match, and any that the user gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+from mpi4py import MPI
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
+from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
+from fenics_tfeti.fem.contact.tied import Preload, TiedPairing, check_separate
+from fenics_tfeti.fem.contact.ties import BoltPreload, LinearRows, PeriodicPair
+from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
+from fenics_tfeti.fem.user_data import as_direction, vectors_at
+from fenics_tfeti.feti.system import ContactRows, Subdomain
+from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
+from fenics_tfeti.typing import Mask, Numbers, Vector
+
+
+@dataclass(frozen=True)
+class _Match:
+    """The nodes of a slave's surface, at its vertices and between them, and their partners."""
+
+    surface: Surface
+    nodes: Numbers  # (k,): global nodes that this rank owns, ascending
+    coordinates: Vector  # (k, 3) [m]
+    master: Numbers  # (k,): the master's nodes
+    distance: Vector  # (k,): of the master's nodes from the places where they should be [m]
+    angle: Vector  # (k,): between the normals of facets and the opposite of the master's [degrees]
+
+    def pairing(self, name: str, kind: str, rows: ContactRows) -> TiedPairing:
+        """Return the pairing with these rows. Collective."""
+        surface = self.surface
+        distance = surface.without_rounding(self.distance)
+        whole = surface.areas(np.ones(len(surface.facet_nodes), dtype=bool), name)
+        area = np.full(self.nodes.size, np.nan)
+        area[np.searchsorted(self.nodes, surface.nodes)] = whole
+        summary = pairing_summary(
+            surface.comm,
+            name,
+            kind,
+            np.zeros(self.nodes.size),
+            self.angle,
+            self.nodes.size,
+            distance,
+            distance / surface.size.min(initial=np.inf),
+            np.nan_to_num(area),
+            float(surface.area.sum()),
+        )
+        return TiedPairing(name, rows, self.nodes, self.coordinates, area, summary)
+
+
+def periodic_rows(boundary: MeshBoundary, pair: PeriodicPair, name: str) -> TiedPairing:
+    """Return the rows of a periodic pair. Collective."""
+    comm, gdim = boundary.nodes.comm, boundary.nodes.components
+    with raise_collectively(comm):
+        Q = np.identity(gdim) if pair.rotation is None else np.asarray(pair.rotation, dtype=float)
+        t = np.zeros(gdim) if pair.translation is None else np.asarray(pair.translation, float)
+        for what, shape, expected in (
+            ("rotation", Q.shape, (gdim, gdim)),
+            ("translation", t.shape, (gdim,)),
+        ):
+            if shape != expected:
+                raise InputError(f"{name}: the {what} has shape {shape}, expected {expected}")
+    match = _matched(boundary, pair, name, Q, t)
+    jump = np.zeros((match.nodes.size, gdim))
+    if pair.jump is not None:
+        jump = vectors_at(comm, pair.jump, match.coordinates, gdim, f"the jump of {name}")
+    rows = _rows(match.nodes, match.master, np.identity(gdim), Q, jump)
+    return match.pairing(name, "periodic", rows)
+
+
+def preload_rows(
+    boundary: MeshBoundary, bolt: BoltPreload, number: int, name: str, known: Preload | None
+) -> TiedPairing:
+    """Return the rows of the cut through a bolt: across its axis and along it. Collective.
+
+    If its force is given, the shortening is the motion of a body of one node, which is taken from a
+    known preload of this number if it is the same.
+    """
+    gdim = boundary.nodes.components
+    match = _matched(boundary, bolt, name, np.identity(gdim), np.zeros(gdim))
+    axis = _axis(match.surface, bolt, name)
+    # the first of an orthonormal basis
+    basis = np.linalg.qr(np.column_stack([axis, np.identity(gdim)]))[0].T
+    basis[0] = axis
+    jump = np.tile((bolt.shortening or 0.0) * axis, (match.nodes.size, 1))
+    rows = _rows(match.nodes, match.master, basis, np.identity(gdim), jump)
+    preload = Preload(axis, bolt.shortening)
+    if bolt.force is not None:
+        body = _closing_body(match.surface, boundary.nodes.total + number, axis)
+        if known is not None and known.body is not None and _is_same_body(known.body, body):
+            body = known.body
+        preload = Preload(axis, None, body, bolt.force)
+        along = np.arange(rows.size) % gdim == 0
+        rows = _with_term(rows, along, int(body.nodes[0]), -axis)
+    return replace(match.pairing(name, "bolt", rows), preload=preload)
+
+
+def _closing_body(surface: Surface, node: int, axis: Vector) -> Subdomain:
+    """Return a body of one node in the middle of a cut that can move along the axis. Collective."""
+    sums = np.append(surface.area @ surface.points, surface.area.sum())
+    sums = surface.comm.allreduce(sums)
+    return Subdomain.rigid(
+        np.zeros(axis.size), sums[None, :-1] / sums[-1], [node], 0, axis[:, None]
+    )
+
+
+def _is_same_body(known: Subdomain, body: Subdomain) -> bool:
+    return (
+        np.array_equal(known.nodes, body.nodes)
+        and np.array_equal(known.coordinates, body.coordinates)
+        and known.has_kernel_of(body)
+    )
+
+
+def _with_term(rows: ContactRows, chosen: Mask, node: int, coefficient: Vector) -> ContactRows:
+    """Return rows with a further term, the last one, in some of them."""
+    at = rows.offsets[1:][chosen]
+    return replace(
+        rows,
+        offsets=rows.offsets + np.append(0, np.cumsum(chosen)),
+        nodes=np.insert(rows.nodes, at, node),
+        coefficients=np.insert(rows.coefficients, at, coefficient, axis=0),
+    )
+
+
+def linear_rows(boundary: MeshBoundary, given: LinearRows, name: str) -> TiedPairing:
+    """Return the user's rows, those with the slaves that this rank owns. Collective."""
+    nodes = boundary.nodes
+    gdim = nodes.components
+    slaves, masters, offsets = (
+        np.asarray(part).astype(np.int64) for part in (given.slaves, given.masters, given.offsets)
+    )
+    with raise_collectively(nodes.comm):
+        if slaves.size and not (slaves.min() >= 0 and slaves.max() < gdim * nodes.owned):
+            raise InputError(
+                f"{name}: a slave is none of the {gdim * nodes.owned} degrees of freedom that "
+                f"rank {nodes.comm.rank} owns; each rank gives the conditions of its own slaves"
+            )
+        if masters.size and not (masters.min() >= 0 and masters.max() < gdim * nodes.total):
+            raise InputError(f"{name}: a master is none of the {gdim * nodes.total} unknowns")
+    row = np.repeat(np.arange(slaves.size), np.diff(offsets))
+    dofs = np.append(slaves + gdim * nodes.first, masters)
+    factor = np.append(np.ones(slaves.size), -np.asarray(given.coefficients, dtype=float))
+    row = np.append(np.arange(slaves.size), row)
+    # the slave's node comes first, with all terms of its components, then those of the masters
+    slave = slaves // gdim + nodes.first
+    order = np.lexsort((dofs // gdim, dofs // gdim != slave[row], row))
+    row, dofs, factor = row[order], dofs[order], factor[order]
+    node = dofs // gdim
+    first = np.flatnonzero(np.diff(row, prepend=-1).astype(bool) | (np.diff(node, prepend=-1) != 0))
+    coefficients = np.zeros((first.size, gdim))
+    term = np.searchsorted(first, np.arange(row.size), side="right") - 1
+    np.add.at(coefficients, (term, dofs % gdim), factor)
+    rows = ContactRows(
+        np.append(0, np.cumsum(np.bincount(row[first], minlength=slaves.size))),
+        node[first],
+        coefficients,
+        np.broadcast_to(np.asarray(given.values, dtype=float), slaves.shape).copy(),
+        np.zeros(slaves.size, dtype=np.int64),
+    )
+    distinct = np.unique(slave)
+    none = np.zeros(slaves.size)
+    return TiedPairing(
+        name,
+        rows,
+        distinct,
+        boundary.coordinates[distinct - nodes.first],
+        np.full(distinct.size, np.nan),
+        pairing_summary(nodes.comm, name, "rows", none, none, slaves.size),
+    )
+
+
+def _matched(
+    boundary: MeshBoundary, pair: PeriodicPair | BoltPreload, name: str, Q: Vector, t: Vector
+) -> _Match:
+    """Find for each slave node x' the master's node x with x' = Qx + t, facet by facet. Collective.
+
+    Several bodies may have nodes at one place: those of facets that match are partners.
+    """
+    slave, tagged_master = (
+        tagged_surface(boundary, pair.facet_tags, tag, f"{role} of {name}")
+        for role, tag in (("slave", pair.slave), ("master", pair.master))
+    )
+    master = tagged_master.gathered()
+    if isinstance(pair, BoltPreload):
+        check_separate(slave, master.nodes, name)
+    numbers = boundary.nodes.to_global(slave.facet_nodes)
+    x = boundary.coordinates[slave.facet_nodes, : len(t)]
+    image = (master.points @ Q.T + t)[master.facets.nodes]
+    facet = cKDTree(image.mean(axis=1)).query(x.mean(axis=1))[1]
+    between = np.linalg.norm(x[:, :, None] - image[facet][:, None], axis=3)
+    partner = np.take_along_axis(master.facets.nodes[facet], between.argmin(axis=2), axis=1)
+    distance = between.min(axis=2)
+    size = slave.comm.allreduce(float(slave.size.min(initial=np.inf)), MPI.MIN)
+    _check_matching(slave, distance.max(axis=1) > SAME_PLACE * size, x, facet, image, name)
+    normals = (facet_normals(corners[:, : len(t)]) for corners in (x, image[facet]))
+    n, opposite = (a / np.linalg.norm(a, axis=1, keepdims=True) for a in normals)
+    angle = np.repeat(angles_between(n, -opposite)[:, None], numbers.shape[1], axis=1)
+
+    local, partner, distance, angle = boundary.nodes.to_owners(
+        numbers.ravel(), master.nodes[partner].ravel(), distance.ravel(), angle.ravel()
+    )
+    order = np.lexsort((angle, local))
+    local, partner, distance, angle = (a[order] for a in (local, partner, distance, angle))
+    last = np.flatnonzero(np.diff(local, append=-1))
+    first = np.append(0, last[:-1] + 1)[: last.size]
+    places = boundary.coordinates[local[last]]
+    raise_where(
+        slave.comm,
+        np.maximum.reduceat(partner, first) != np.minimum.reduceat(partner, first)
+        if first.size
+        else np.zeros(0, dtype=bool),
+        places[:, : len(t)],
+        lambda number, place: (
+            f"{name}: {number} nodes of the slave have several partners, the first at {place}: the "
+            "facets of the master around them share no nodes. Exchange slave and master"
+        ),
+    )
+    nodes = local[last] + boundary.nodes.first
+    return _Match(slave, nodes, places, partner[last], distance[last], angle[last])
+
+
+def _check_matching(
+    slave: Surface, alone: Mask, x: Vector, facet: Numbers, image: Vector, name: str
+) -> None:
+    """Check that each facet of either surface has one of the other. Collective.
+
+    `alone` (f,) are the slave's facets at x that have none, `facet` the nearest ones of the
+    master's, whose images all ranks have.
+    """
+    found = np.zeros(len(image), dtype=bool)
+    found[concatenate_ranks(slave.comm, facet[~alone])] = True
+    lost = ~found if slave.comm.rank == 0 else np.zeros(len(image), dtype=bool)
+    for side, other, places, wrong in (
+        ("slave", "master", x, alone),
+        ("master", "slave", image, lost),
+    ):
+        total = len(image) if side == "master" else slave.comm.allreduce(len(x))
+        raise_where(
+            slave.comm,
+            wrong,
+            places.mean(axis=1),
+            partial(_mismatch, name, f"{total} facets of the {side}", other),
+        )
+
+
+def _mismatch(name: str, facets: str, other: str, number: int, place: str) -> str:
+    return (
+        f"{name}: {number} of {facets} have no facet of the {other} with the same nodes, the first "
+        f"around {place} on the slave's side: the surfaces do not match. Mesh them alike "
+        "(setPeriodic in Gmsh), or correct the translation or rotation from the master to the slave"
+    )
+
+
+def _axis(surface: Surface, bolt: BoltPreload, name: str) -> Vector:
+    """Return the axis of a bolt on the side of the slave's outward normal. Collective."""
+    mean = surface.comm.allreduce(surface.area @ surface.normal)
+    normal: Vector = mean / np.linalg.norm(mean)
+    if bolt.axis is not None:
+        with raise_collectively(surface.comm):
+            axis = as_direction(bolt.axis, f"{name}: the axis")
+            if axis.shape != normal.shape or abs(axis @ normal) < RELATIVE_ROUNDING:
+                raise InputError(
+                    f"{name}: the axis {bolt.axis!r} is in the plane of the cut, or has another "
+                    "dimension than the mesh; it has to go through the cut"
+                )
+        return axis if axis @ normal > 0.0 else -axis
+    raise_where(
+        surface.comm,
+        np.linalg.norm(surface.normal - normal, axis=1) > SAME_PLACE,
+        surface.points,
+        lambda number, place: (
+            f"{name}: the cut is not plane, at {number} nodes its normals are not the mean one "
+            f"{np.round(normal, 4).tolist()}, the first at {place}. Cut the shank by a plane, or "
+            "give the axis"
+        ),
+    )
+    return normal
+
+
+def _rows(
+    slave: Numbers, master: Numbers, directions: Vector, Q: Vector, jump: Vector
+) -> ContactRows:
+    """Return d'(u(slave) - Qu(master) - jump) = 0 for each direction d, node by node.
+
+    Of a node that is its own image, rows that vanish are left out.
+    """
+    gdim = len(directions)
+    row_slave, row_master = np.repeat(slave, gdim), np.repeat(master, gdim)
+    of_slave, of_master = (np.tile(d, (slave.size, 1)) for d in (directions, -directions @ Q))
+    own = row_slave == row_master
+    of_slave = np.where(own[:, None], of_slave + of_master, of_slave)
+    terms = np.where(own, 1, 2)
+    terms[own & (np.linalg.norm(of_slave, axis=1) <= RELATIVE_ROUNDING)] = 0
+    chosen = np.stack([terms > 0, terms > 1], axis=1)
+    kept = terms > 0
+    return ContactRows(
+        np.append(0, np.cumsum(terms[kept])),
+        np.stack([row_slave, row_master], axis=1)[chosen],
+        np.stack([of_slave, of_master], axis=1)[chosen],
+        (jump @ directions.T).ravel()[kept],
+        np.zeros(int(kept.sum()), dtype=np.int64),
+    )

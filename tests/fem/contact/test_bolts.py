@@ -1,0 +1,189 @@
+"""Bolts that are shortened, tightened by a force, and locked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from bolts import CUT, LOADED, flange, preload, reference_solution
+from scenes import POISSON, Scene, at, dimension
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import BoltPreload, InputError, NonlinearContactProblem
+from fenics_tfeti.io import Box
+from fenics_tfeti.models import isotropic, neo_hookean
+
+E, FORCE = 2.1e11, 4e6
+OPTIONS = {"rtol": 1e-10, "subdomain_size": 200}
+
+
+def bar(cell, **data):
+    """Return a bar of length 3 between two walls, cut at 1, that does not contract sideways."""
+    gdim = dimension(cell)
+    side = (0.5,) * (gdim - 1)
+    parts = [
+        Box((0.0,) * gdim, (1.0, *side), (2,) + (2,) * (gdim - 1)),
+        Box((1.0,) + (0.0,) * (gdim - 1), (3.0, *side), (4,) + (2,) * (gdim - 1)),
+    ]
+    marks = [(1, at(0, 0.0)), (2, at(0, 3.0)), (5, at(0, 1.0), 1), (6, at(0, 1.0), 2)]
+    scene = Scene.of_boxes(MPI.COMM_SELF, cell, parts, marks)
+    scene.a = ufl.inner(isotropic(E, 0.0)(scene.u), ufl.grad(scene.v)) * scene.dx
+    for tag in (1, 2):
+        scene.fix(tag)
+    scene.contacts = BoltPreload(scene.facet_tags, 5, 6, name="bolt", **data)
+    return scene
+
+
+@pytest.mark.parametrize("axis", [None, "x"])
+@pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])
+def test_bar_between_walls(cell, axis):
+    """P = E A s / L, whether s or P is given; the left part moves to the right, and is longer."""
+    area, s = 0.5 ** (dimension(cell) - 1), 3e-4
+    direction = None if axis is None else np.eye(dimension(cell))[0] * -2.0
+    for data in ({"shortening": s}, {"force": E * area * s / 3.0}):
+        scene = bar(cell, axis=direction, **data)
+        problem = scene.problem(cell_tags=None, options={"rtol": 1e-12, "subdomain_size": 100})
+        problem.solve()
+        bolt = problem.results["bolt"]
+        assert bolt.shortening == pytest.approx(s, rel=1e-10)
+        assert bolt.tension == pytest.approx(E * area * s / 3.0, rel=1e-10)
+        assert bolt.force[0] == pytest.approx(bolt.tension, rel=1e-10)
+        np.testing.assert_allclose(bolt.traction[:, 0], E * s / 3.0, rtol=1e-8)
+        u = problem.u.x.array.reshape(-1, dimension(cell))
+        x = problem.space.tabulate_dof_coordinates()[:, 0]
+        left = (x < 0.9) | (np.isclose(x, 1.0) & (u[:, 0] > 0.0))
+        np.testing.assert_allclose(u[left, 0], s / 3.0 * x[left], atol=1e-9 * s)
+        np.testing.assert_allclose(u[~left, 0], s / 3.0 * (x[~left] - 3.0), atol=1e-9 * s)
+        report = problem.report
+        assert np.abs(report.load.force).max() < 1e-9 * bolt.tension
+        assert report.equilibrium < 1e-9
+        walls = [reaction.force[0] for reaction in report.reactions]
+        np.testing.assert_allclose(walls, [-bolt.tension, bolt.tension], rtol=1e-9)
+        entry = report.contacts[0]
+        np.testing.assert_allclose(entry.force_on_master, -np.array(entry.force), rtol=1e-9)
+
+
+def tightened(scene, force):
+    problem = scene.problem(
+        contacts=[*scene.contacts, preload(scene, force=force)], cell_tags=None, options=OPTIONS
+    )
+    return problem, problem.solve()
+
+
+def test_load_on_a_tightened_bolt():
+    """Tightened, locked, loaded: the share of the load that the bolt takes."""
+    scene = flange()
+    expected, s, tension = reference_solution(scene, FORCE)
+    assert tension == pytest.approx(FORCE, rel=1e-9)
+    problem, uh = tightened(scene, FORCE)
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(uh.x.array.reshape(-1, 3), expected, atol=1e-8 * size)
+    bolt = problem.results[-1]
+    assert (bolt.shortening, bolt.tension) == pytest.approx((s, FORCE), rel=1e-8)
+    problem.advance()
+
+    load = scene.add_load(LOADED, fem.Constant(scene.mesh, [0.0, 0.0, 1e6]))
+    loaded = scene.problem(
+        contacts=[*scene.contacts, problem.contacts[-1].locked(bolt)],
+        cell_tags=None,
+        options=OPTIONS,
+    )
+    for pull in (1e6, 3e6):
+        load.value[2] = pull
+        expected, _, tension = reference_solution(scene, None, s)
+        uh = loaded.solve()
+        size = np.abs(expected).max()
+        np.testing.assert_allclose(uh.x.array.reshape(-1, 3), expected, atol=1e-7 * size)
+        assert loaded.results[-1].tension == pytest.approx(tension, rel=1e-7)
+        assert loaded.results[-1].shortening == pytest.approx(s, rel=1e-8)
+        assert tension > FORCE
+
+
+def test_bolt_of_rubber():
+    """By Newton's method: a small strain is that of Hooke's law; the force stays as it is."""
+    scene = flange()
+    expected, s, _ = reference_solution(scene, FORCE)
+    # fifty times the strain, 1e-3
+    soft, scale = 1e-3, 50.0
+    u = fem.Function(scene.V)
+    energy = neo_hookean(E * soft, POISSON)(u)
+    residual = ufl.derivative(energy * ufl.dx, u)
+    bolt = preload(scene, force=FORCE * soft * scale)
+    problem = NonlinearContactProblem(residual, u, bcs=scene.bcs, contacts=[*scene.contacts, bolt])
+    problem.solve()
+    found = u.x.array.reshape(-1, 3) / scale
+    np.testing.assert_allclose(found, expected, atol=5e-3 * np.abs(expected).max())
+    assert problem.results[-1].tension == pytest.approx(bolt.force, rel=1e-6)
+    assert problem.results[-1].shortening == pytest.approx(s * scale, rel=5e-3)
+
+
+def test_three_bolts():
+    """Forces are exact all at once; one after the other, the first ones get looser."""
+    scene = flange(3)
+    bolts = [preload(scene, k, force=FORCE, name=f"bolt {k}") for k in range(3)]
+    problem = scene.problem(contacts=[*scene.contacts, *bolts], cell_tags=None, options=OPTIONS)
+    problem.solve()
+    together = [problem.results[bolt.name].shortening for bolt in bolts]
+    for bolt in bolts:
+        assert problem.results[bolt.name].tension == pytest.approx(FORCE, rel=1e-9)
+    joint = problem.results[0]
+    assert joint.normal_force.sum() == pytest.approx(3 * FORCE, rel=1e-8)
+
+    order, first = (1, 0, 2), len(scene.contacts)
+    problem.contacts[first:] = [replace(bolt, force=0.0) for bolt in bolts]
+    tensions = []
+    for k in order:
+        problem.contacts[first + k] = bolts[k]
+        problem.solve()
+        assert problem.results[bolts[k].name].tension == pytest.approx(FORCE, rel=1e-8)
+        problem.contacts[first + k] = bolts[k].locked(problem.results[bolts[k].name])
+        problem.advance()
+        tensions.append(problem.results["bolt 1"].tension)
+    # its neighbours change the tension of the first one
+    assert np.abs(np.diff(tensions)).min() > 1e-3 * FORCE
+    # each is tightened once more, until all are as if tightened at once
+    for k in 6 * order:
+        problem.contacts[first + k] = bolts[k]
+        problem.solve()
+        problem.contacts[first + k] = bolts[k].locked(problem.results[bolts[k].name])
+    found = [problem.results[bolt.name].shortening for bolt in bolts]
+    np.testing.assert_allclose(found, together, rtol=1e-4)
+
+
+BOLT = BoltPreload(flange().facet_tags, CUT, CUT + 1, force=1.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"shortening": 1e-3}, "BoltPreload: give the force or the shortening"),
+        ({"force": None}, "BoltPreload: give the force or the shortening"),
+        ({"force": np.nan}, "the force is nan; a finite number"),
+        ({"axis": (0.0, 0.0)}, "the axis is .* no direction"),
+        ({"master": CUT}, "slave and master have the same tag 60.*split_interfaces"),
+    ],
+)
+def test_mistakes(change, message):
+    with pytest.raises(InputError, match=message):
+        replace(BOLT, **change)
+
+
+def test_mistakes_on_a_mesh():
+    scene = flange()
+    for change, message in (
+        ({"axis": (1.0, 0.0, 0.0)}, "bolt 0: the axis .* is in the plane of the cut"),
+        ({"master": 99}, "master of bolt 0: tag 99 is on no facet"),
+        ({"master": LOADED}, "bolt 0: .* facets of the slave have no facet of the master"),
+    ):
+        with pytest.raises(InputError, match=message):
+            scene.problem(contacts=replace(preload(scene, force=1.0), **change))
+    x = scene.mesh.geometry.x
+    x[np.isclose(x, [1.5, 0.0, 0.0]).all(axis=1), 2] += 0.1
+    with pytest.raises(InputError, match=r"bolt 0: the cut is not plane, .* give the axis"):
+        scene.problem(contacts=preload(scene, force=1.0))
+    scene.problem(contacts=preload(scene, force=1.0, axis=(0.0, 0.0, 1.0)))
