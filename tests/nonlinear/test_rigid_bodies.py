@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from mpi4py import MPI
 
 import numpy as np
@@ -35,7 +37,7 @@ def rubber(contacts, width=1.0, n=4):
 class Value:
     """What a dolfinx Constant is here: a value that the next solve reads."""
 
-    value = 0.0
+    value: Any = 0.0
 
 
 def lid(**more):
@@ -48,35 +50,34 @@ TOP = Plane((0.0, 1.0), (0.0, -1.0))
 @ranks
 def test_force_and_prescribed_motion_are_inverse():
     """A lid that prescribed motions press and turn far, and the loads that these take."""
-    pushed = lid(translation=(0.0, -0.2), rotation=-0.15)
-    problem = rubber([{"obstacle": TOP, "body": pushed}])
+    pushed = lid(translation=(0.0, -0.1), rotation=-0.15)
+    problem = rubber([{"obstacle": TOP, "body": pushed}], n=2)
     for _ in problem.steps(lambda t: None, 0.0, 1.0):
         pass
     first, (held,) = problem.u.x.array.copy(), problem.rigid_bodies
-    assert held.translation == pytest.approx([0.0, -0.2])
+    assert held.translation == pytest.approx([0.0, -0.1])
     assert held.rotation == pytest.approx([-0.15])
-    assert held.reaction[1] < -0.1 * E
+    assert held.reaction[1] < -0.05 * E
 
     force, moment = (
         fem.Constant(problem.space.mesh, (0.0, 0.0)),
         fem.Constant(problem.space.mesh, 0.0),
     )
     loaded = lid(force=force, moment=moment, translation=(0.0, None))
-    problem = rubber([{"obstacle": TOP, "body": loaded}])
+    problem = rubber([{"obstacle": TOP, "body": loaded}], n=2)
 
     def set_load(t):
         force.value[:] = 0.0, t * held.reaction[1]
         moment.value = t * held.reaction_moment[0]
 
-    for _ in problem.steps(set_load, 0.0, 1.0, first=0.25):
+    for _ in problem.steps(set_load, 0.0, 1.0, first=0.5):
         pass
     (free,) = problem.rigid_bodies
-    assert free.translation[1] == pytest.approx(-0.2, rel=1e-4)
+    assert free.translation[1] == pytest.approx(-0.1, rel=1e-4)
     assert free.rotation[0] == pytest.approx(-0.15, rel=1e-4)
-    assert np.abs(problem.u.x.array - first).max(initial=0.0) <= 1e-4 * 0.2
+    assert np.abs(problem.u.x.array - first).max(initial=0.0) <= 1e-4 * 0.1
 
 
-@ranks
 def test_wheel_rolls_on_rubber():
     """A pressed wheel that a moment turns sticks to the rubber: it rolls by nearly R times t."""
     radius, turns = 0.5, Value()
@@ -96,3 +97,28 @@ def test_wheel_rolls_on_rubber():
     # nothing pushes it: the contact's tangential force is zero
     assert abs(result.force[0]) < 1e-6 * E
     assert result.force[1] == pytest.approx(0.02 * E, rel=1e-5)
+
+
+def test_restored_problem_goes_on(tmp_path):
+    """A checkpoint has the places of bodies: a new problem ends where the first one does."""
+
+    def posed():
+        force = Value()
+        force.value = (0.0, 0.0)
+        body = lid(force=force, translation=(0.0, None), rotation=0.0)
+        return force, rubber([{"obstacle": TOP, "body": body}])
+
+    force, problem = posed()
+    for share in (0.5, 1.0):
+        force.value = (0.0, -0.1 * share * E)
+        problem.solve()
+        problem.advance()
+        if share == 0.5:
+            problem.save(tmp_path / "half.npz")
+    again_force, again = posed()
+    assert again.restore(tmp_path / "half.npz") == 1
+    again_force.value = (0.0, -0.1 * E)
+    again.solve()
+    (first,), (second,) = problem.rigid_bodies, again.rigid_bodies
+    assert second.translation == pytest.approx(first.translation, rel=1e-5)
+    assert len(again.report.newton) <= len(problem.report.newton)
